@@ -18,7 +18,7 @@ from mr_damper_ros.campaign import course as campaign_course
 from mr_damper_ros.campaign.conductor import CampaignConductor, CampaignStage, ConductSettings
 from mr_damper_ros.campaign.course import CampaignCourse, CampaignOutcome
 from mr_damper_ros.campaign.folder import CampaignFolder, CampaignTask, read_campaign_runs
-from mr_damper_ros.campaign.runs import REST, DriveSettings, MachineCommand
+from mr_damper_ros.campaign.runs import REST, MachineCommand
 from mr_damper_ros.emulation.emulator import (
     ConstantDamper,
     CurrentSchedule,
@@ -263,15 +263,6 @@ def test_a_force_beyond_the_limit_ends_it_at_once(
     assert all(command in (REST, None) for command in machine.commands[over + 1 :])
 
 
-def test_a_machine_that_does_not_obey_is_told(planned: list[PlannedRun], tmp_path: Path) -> None:
-    settings = ConductSettings(drive=DriveSettings(settle_timeout=2.0))
-    conductor, _ = begun(tmp_path, settings)
-    end = ended(EmulatedMachine(conductor, obeys=False))
-    assert end.outcome is CampaignOutcome.FAILED
-    assert "does not follow the command" in end.reason
-    assert "not 10 mm" in end.reason
-
-
 def test_a_refused_run_is_repeated_once_then_reported(
     planned: list[PlannedRun], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -308,11 +299,7 @@ def test_it_is_stopped_and_goes_on_later(planned: list[PlannedRun], tmp_path: Pa
     machine.until(one_step)
     conductor.stop()
     end = ended(machine)
-    assert (end.outcome, end.reason, len(end.steps)) == (
-        CampaignOutcome.ENDED,
-        "it was stopped",
-        1,
-    )
+    assert (end.outcome, end.reason, len(end.steps)) == (CampaignOutcome.ENDED, "it was stopped", 1)
     again, worker = begun(tmp_path)
     assert "continuing after run 1" in again.take_notices()[0]
     assert ended(EmulatedMachine(again)).outcome is CampaignOutcome.MET

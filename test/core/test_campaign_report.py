@@ -47,14 +47,6 @@ def test_the_report_has_its_chapters_goal_runs_and_outcome(page: str) -> None:
     assert "3 runs, 6 s of steady motion; the goal is met" in page
 
 
-def test_the_tables_lie_beside_the_page(folder: Path, page: str) -> None:
-    lines = (folder / "tables" / "plan.csv").read_text(encoding="utf-8").splitlines()
-    assert len(lines) == 1 + len(RUNS)
-    for run, line in zip(RUNS, lines[1:], strict=True):
-        assert line.split(",")[1:3] == [str(1e3 * run.amplitude), str(run.frequency)]
-    assert (folder / "figures" / "map.svg").is_file()
-
-
 def test_a_folder_without_a_campaign_has_no_report(tmp_path: Path) -> None:
     with pytest.raises(ValueError, match="holds no campaign"):
         write_campaign_report(tmp_path)

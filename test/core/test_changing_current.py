@@ -16,7 +16,6 @@ from mr_damper_ros.emulation.motions import SineMotion
 from mr_damper_ros.kinematics.motion import Motion
 from mr_damper_ros.kinematics.window import Window
 from mr_damper_ros.models import MODELS
-from mr_damper_ros.models.first_order_lag import in_coil
 from mr_damper_ros.models.force_model import Model
 from mr_damper_ros.models.misfit import Misfit
 from mr_damper_ros.models.parameter_set import ParameterSet, start_set
@@ -108,15 +107,6 @@ def test_the_dependence_on_the_current_is_learnt_from_one_window_that_switches()
     law, given = MODELS["sigmoid"], window(switching(), number=1)
     error = law.window_force(given, tracker.parameters.values) - given.force
     assert known.rms(error) < 1.1 * known.NOISE
-
-
-def test_the_current_of_the_coil_approaches_a_step_exponentially() -> None:
-    given = in_coil(window(switching()), LAG)
-    after = np.arange(100)
-    expected = 1.2 - np.exp(-(after + 0.5) * 1e-3 / LAG)
-    # The step lies in the middle between two samples, as lines between them have it.
-    # Relative to the step: what is left between an exponential and its samples joined by lines.
-    np.testing.assert_allclose(given.current[400:500], expected, atol=1e-3)
 
 
 @pytest.mark.parametrize("model", [LAW, MODELS["bingham"]], ids=lambda model: model.name)

@@ -10,12 +10,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from mr_damper_ros.signals.stamped_channel import (
-    ChannelJoin,
-    JoinedRun,
-    StampedChannel,
-    interpolated,
-)
+from mr_damper_ros.signals.stamped_channel import ChannelJoin, JoinedRun, StampedChannel
 
 START = 1_700_000_000_000_000_000
 RATE = 1000.0
@@ -165,13 +160,3 @@ def test_a_value_that_is_not_finite_is_left_out(value: float) -> None:
     channel = StampedChannel(0.0)
     assert channel.add(START, 0, value) == []
     assert channel.counts.not_finite == 1
-
-
-def test_a_cubic_goes_through_a_motion_and_no_further_than_its_neighbours() -> None:
-    times = np.arange(40.0)
-    wanted = np.array([10.0, 10.3, 20.5, 39.0, 39.5])
-    values, known = interpolated(times, times**3, wanted, 1.6)
-    assert known.tolist() == [True, True, True, True, False]
-    np.testing.assert_allclose(values[:4], wanted[:4] ** 3, rtol=1e-12)
-    _, known = interpolated(np.delete(times, 20), np.delete(times, 20), wanted, 1.6)
-    assert known.tolist() == [True, True, False, True, False]

@@ -63,9 +63,7 @@ def commands(draw: st.DrawFn) -> Told:
 
 @known.fixed(30)
 @given(commands())
-def test_no_sample_leaves_the_limits_or_jumps_whatever_is_commanded(
-    told: Told,
-) -> None:
+def test_no_sample_leaves_the_limits_or_jumps_whatever_is_commanded(told: Told) -> None:
     u, v, _ = moved(told, 10.0)
     assert np.abs(u).max() <= AMPLITUDE * (1.0 + ROUNDING)
     assert np.abs(v).max() <= VELOCITY * (1.0 + ROUNDING)

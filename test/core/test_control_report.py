@@ -105,10 +105,3 @@ def test_the_report_holds_all_chapters_figures_and_tables(report: Path) -> None:
     assert len(rows) == 9 * 5
     weighted = [row for row in rows if row["controller"] == WEIGHTED]
     assert {float(row["RMS displ."]) for row in weighted} == {20.0}
-
-
-def test_what_came_of_a_force_counts_by_its_size() -> None:
-    time = 5.0 * np.arange(1, 4)
-    wanted, ones = np.array([100.0, 100.0, 300.0]), np.ones(3)
-    result = HeatedResult(time, ones, ones, wanted, np.array([0.0, 1.0, 0.5]), ones, ones, 0)
-    assert result.share_between(5.0, 15.0) == pytest.approx((1.0 + 9.0 * 0.5) / 10.0)

@@ -21,16 +21,11 @@ from mr_damper_ros.emulation.emulator import (
 )
 from mr_damper_ros.emulation.faults import fault_of
 from mr_damper_ros.emulation.motions import Excitation, ExcitationError, SampledMotion, SineMotion
-from mr_damper_ros.kinematics.motion import Motion
 from mr_damper_ros.models.published import LITERATURE, THESIS_28_CELSIUS, THESIS_71_CELSIUS
-from mr_damper_ros.models.sigmoid import law as sigmoid
 
 SINE = SineMotion(0.005, 1.0, phase=0.3)
 SILENT = RigSettings(force_noise=0.0)
 THERMAL = ThermalModel(capacity=20.0)
-
-ROUNDING = 1e-13
-"""Relative: the same products in another order."""
 
 MOTIONS = [
     pytest.param(SineMotion(0.005, 3.0, phase=4.481, offset=0.01), id="sine"),
@@ -113,22 +108,6 @@ def test_the_noise_has_the_stated_size(quantity: str, size: float) -> None:
 # ---- heat ----
 
 
-def test_between_two_temperatures_the_force_is_interpolated() -> None:
-    damper = TemperatureDependentDamper(THESIS_28_CELSIUS, THESIS_71_CELSIUS, 28.0, 71.0)
-    kinematics = SINE.at(np.linspace(0.0, 1.0, 200))
-    motion = Motion(*kinematics, sigmoid.peak_velocity(*kinematics), sine=None)
-    cold, middle, hot = (
-        damper.force(motion, np.full(200, 1.5), celsius) for celsius in (10.0, 49.5, 90.0)
-    )
-    np.testing.assert_allclose(middle, 0.5 * (cold + hot), rtol=ROUNDING)
-    np.testing.assert_allclose(
-        cold, sigmoid.sine_force(THESIS_28_CELSIUS, *kinematics, 1.5), rtol=ROUNDING
-    )
-    np.testing.assert_allclose(
-        hot, sigmoid.sine_force(THESIS_71_CELSIUS, *kinematics, 1.5), rtol=ROUNDING
-    )
-
-
 def test_the_heat_balance_closes() -> None:
     # Without convection every joule of the stroke is in the damper.
     thermal = ThermalModel(capacity=100.0, conductance=0.0)
@@ -157,10 +136,7 @@ def test_the_heat_balance_closes() -> None:
             lambda: TemperatureDependentDamper(LITERATURE, LITERATURE, 71.0, 28.0),
             "is not above the cold one",
         ),
-        (
-            lambda: EmulatedRig(ConstantDamper(LITERATURE), SINE, 0.0).next_block(0),
-            "at least one",
-        ),
+        (lambda: EmulatedRig(ConstantDamper(LITERATURE), SINE, 0.0).next_block(0), "at least one"),
     ],
 )
 def test_settings_out_of_range_are_refused(make: Any, sentence: str) -> None:

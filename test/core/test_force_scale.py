@@ -64,14 +64,6 @@ def test_another_operating_point_has_another_baseline(elsewhere: dict[str, float
     assert math.isnan(scale_of(known_points, known.run(**elsewhere)).value)
 
 
-def test_the_first_fit_stays_the_baseline() -> None:
-    known_points = KnownPoints()
-    for parameters in (known.PLAUSIBLE, WEAKER):
-        known_points = known_points.with_baseline(fit_of(known.run(parameters, seed=None)))
-    scale = scale_of(known_points, known.run(WEAKER, seed=None))
-    assert scale.value == pytest.approx(0.9, rel=NOISELESS)
-
-
 EDGE = 0.001
 """Relative change of the amplitude or current that no controller of a test machine holds."""
 

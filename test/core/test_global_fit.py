@@ -37,9 +37,6 @@ AT_THE_NOISE_OF_FEW = 1.15
 ROUNDING = 1e-12
 """Relative: sums in another order, of residuals that are a two hundredth of the force."""
 
-BOTTOM = 1e-10
-"""Of bounds of size 1: five hundred generations shrink a population to rounding."""
-
 CURRENTS = (0.0, 0.5, 1.0, 1.5)
 QUICK = EvolutionSettings(generations=150)
 FEW = EvolutionSettings(generations=40, population=8)
@@ -278,11 +275,6 @@ def test_a_stop_returns_something_better_than_a_poor_start(after: int) -> None:
     assert mean_square(SMALL, fit.parameter_set.values) < 1e-4 * mean_square(SMALL, LITERATURE)
 
 
-def test_no_windows_are_refused() -> None:
-    with pytest.raises(ValueError, match="no windows to identify from"):
-        identify_global(SIGMOID, [], LITERATURE, FEW)
-
-
 def test_an_unknown_method_is_refused() -> None:
     with pytest.raises(ValueError, match="'annealing' is unknown: use one of global, nelder_mead"):
         identify_global(SIGMOID, SMALL, LITERATURE, FEW, method="annealing")
@@ -302,26 +294,6 @@ def searched(
 
 
 # -- differential evolution ------------------------------------------------------------------
-
-
-def bowl(individuals: Array) -> Array:
-    return np.sum((individuals - np.array([[0.3], [-0.7]])) ** 2, axis=0)
-
-
-def evolved(**settings: object) -> tuple[Array, float, int]:
-    return evolve(
-        bowl,
-        [(-1.0, 1.0), (-1.0, 1.0)],
-        EvolutionSettings(**settings),  # type: ignore[arg-type]
-        ProgressClock(500, None),
-        stage="bowl",
-    )
-
-
-def test_evolution_finds_the_bottom_of_a_bowl() -> None:
-    best, cost, _ = evolved()
-    np.testing.assert_allclose(best, [0.3, -0.7], rtol=0.0, atol=BOTTOM)
-    assert cost == float(bowl(best[:, np.newaxis])[0])
 
 
 def test_the_defaults_are_those_of_the_thesis() -> None:

@@ -77,15 +77,6 @@ def test_a_set_is_given_out_once_it_is_on_disk() -> None:
     assert made.take_notices() == []
 
 
-def test_the_end_gives_out_what_waits() -> None:
-    made = identifier(StateByHand())
-    feed(made, 1000)
-    worked_off(made)
-    made.close()
-    assert [item.report.set_id for item in made.flush()] == ["window-1"]
-    assert made.flush() == []
-
-
 @pytest.mark.parametrize(
     "switch", [lambda made: made.reset(), lambda made: made.replace(START)], ids=["reset", "load"]
 )

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from known import PLAUSIBLE, controllable
 
-from mr_damper_ros.control.force_controller import ForceControlSettings, coil_command
+from mr_damper_ros.control.force_controller import ForceControlSettings
 from mr_damper_ros.control.inverse_model import TOLERANCE, InverseModel
 from mr_damper_ros.kinematics.motion import Motion
 from mr_damper_ros.kinematics.motion_sample import MotionSample
@@ -150,13 +150,6 @@ def test_the_limits_must_leave_a_range():
 
 
 # -- the coil --------------------------------------------------------------------------------------
-
-
-def test_the_command_brings_the_coil_to_its_current_within_the_horizon():
-    command = coil_command(1.0, 0.4, 0.01, 0.01)
-    assert command > 1.0
-    assert command + (0.4 - command) * math.exp(-1.0) == pytest.approx(1.0)
-    assert coil_command(0.7, 0.1, 0.01, 0.0) == 0.7
 
 
 def test_no_more_is_commanded_than_the_supply_can():

@@ -83,15 +83,6 @@ def test_every_task_is_done_told_and_kept_once(
     assert len(some.told) == len(names)
 
 
-def test_what_is_kept_is_not_done_again(tmp_path: Path) -> None:
-    some = work(tmp_path)
-    some.do(in_threads())
-    more = work(tmp_path, 8)
-    more.do(in_threads())
-    assert set(more.begun.values()) == {1}
-    assert sorted(more.told) == ["task6", "task7"]
-
-
 @pytest.mark.parametrize("text", ["", '{"fingerprint": "as it is"', "[]", '"text"'])
 def test_a_damaged_file_is_no_result(tmp_path: Path, text: str) -> None:
     some = work(tmp_path, 1)

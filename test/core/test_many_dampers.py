@@ -159,10 +159,7 @@ def test_a_wrong_call_is_one_sentence(
 
 
 def test_what_is_missing_for_an_option_is_said_before_the_work(
-    lot: Path,
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
+    lot: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.setattr("mr_damper_ros.lots.report.find_spec", lambda name: None)
     given = [str(lot), "--columns", COLUMNS, "--output", str(tmp_path / "out"), "--parquet"]
@@ -227,16 +224,6 @@ def test_the_spread_of_a_lot_is_found() -> None:
     spread = population(LOT).forces[0]
     # The standard deviation of so many tells that of the lot to 9 %; the robust one to 15 %.
     assert spread.deviation / spread.median == pytest.approx(0.03, rel=0.3)
-
-
-def test_who_is_poorly_known_does_not_stand_out() -> None:
-    odd = np.append(LOT, 0.8)
-    assert [one.damper for one in population(odd).outliers] == ["D60"]
-    assert population(odd, error=0.1).outliers == []
-
-
-def test_of_four_dampers_none_stands_out() -> None:
-    assert population(np.array([1.0, 1.01, 0.99, 0.2])).outliers == []
 
 
 def test_the_force_error_follows_from_the_covariance() -> None:

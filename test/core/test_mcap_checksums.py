@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import struct
 from pathlib import Path
 
@@ -97,14 +96,6 @@ def test_a_bag_with_more_samples_than_allowed_is_refused(bag: Path) -> None:
     assert read_bag(bag, maximum_samples=300)[0].sample_count == 300
     with pytest.raises(BagError, match="the bag 'bag' is too large"):
         read_bag(bag, maximum_samples=299)
-
-
-def test_a_file_that_is_a_pipe_or_a_device_is_refused(tmp_path: Path) -> None:
-    os.mkfifo(tmp_path / "run.mcap")
-    (tmp_path / "run.db3").symlink_to("/dev/zero")
-    for name, kind in (("run.mcap", "a named pipe"), ("run.db3", "a device")):
-        with pytest.raises(BagError, match=f"{name} is {kind}"):
-            read_bag(tmp_path / name)
 
 
 def test_metadata_beyond_reason_are_refused(bag: Path) -> None:

@@ -185,16 +185,6 @@ def test_integration_is_stable_at_coarse_steps(name, length):
     assert np.all(np.abs(got) < most)
 
 
-def test_lag_of_a_sine_has_the_amplitude_and_phase_of_theory():
-    tau, omega, period = 0.02, 2.0 * np.pi * 3.0, 1e-3
-    t = np.arange(3000) * period
-    got = lagged(np.sin(omega * t), np.full(3000, tau), period)[1000:]
-    ratio = 1.0 / np.sqrt(1.0 + (omega * tau) ** 2)
-    expected = ratio * np.sin(omega * t - np.arctan(omega * tau))[1000:]
-    # Of a sine of size 1: the straight lines between its samples miss it by up to 4e-5.
-    np.testing.assert_allclose(got, expected, atol=1e-4)
-
-
 def test_the_time_constant_of_the_lag_is_the_compliance_times_the_damping_of_the_sigmoid():
     w = motion(2000)
     compliance, stiffness, offset = EXAMPLES["sigmoid_lag"][16:19]

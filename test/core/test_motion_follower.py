@@ -35,7 +35,7 @@ def blocks(displacement: Array, *sizes: int) -> list[SampleBlock]:
     return known.blocks(displacement, np.zeros(displacement.size), sizes)
 
 
-@known.fixed(10)
+@known.fixed(6)
 @given(
     st.sampled_from([STEADY, UNSTEADY]),
     st.lists(st.sampled_from([7, 10, 40]), min_size=1, max_size=4),

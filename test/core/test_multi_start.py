@@ -79,11 +79,7 @@ def shifted(fit: GlobalFit, by: float, cost: float) -> GlobalFit:
 
 def test_the_spread_is_that_of_the_searches_that_are_as_good() -> None:
     fit = searched(1).best
-    fits = {
-        0: fit,
-        1: shifted(fit, 2.0, 1.005 * fit.cost),
-        2: shifted(fit, 9.0, 1.1 * fit.cost),
-    }
+    fits = {0: fit, 1: shifted(fit, 2.0, 1.005 * fit.cost), 2: shifted(fit, 9.0, 1.1 * fit.cost)}
     found = MultiStart(fits)
     assert found.as_good == (0, 1)
     assert found.spread[0] == pytest.approx(2.0)

@@ -52,7 +52,7 @@ def test_in_a_sine_it_is_the_peak_soon_and_then_more_exactly(frequency: float) -
     np.testing.assert_allclose(found[late], 0.03, rtol=SAMPLED)
 
 
-@known.fixed(40)
+@known.fixed(20)
 @given(sizes=st.lists(st.integers(1, 900), min_size=1, max_size=6))
 def test_it_does_not_depend_on_the_size_of_the_blocks(sizes: list[int]) -> None:
     velocity, acceleration = random_motion()
@@ -75,16 +75,6 @@ def test_a_faster_or_larger_motion_has_a_peak_velocity_higher_in_proportion(
     found = PeakVelocity(PERIOD).follow(velocity, acceleration)
     played = PeakVelocity(PERIOD / faster).follow(factor * velocity, factor * faster * acceleration)
     np.testing.assert_allclose(played, factor * found, rtol=ROUNDING)
-
-
-def test_after_a_rest_a_much_smaller_motion_counts() -> None:
-    """Its speed would else stay below the part of the highest that ends a half-cycle."""
-    small, slow, fast = 1e-3, 0.5, 5.0
-    time = np.arange(round(3.0 * MEMORY / PERIOD)) * PERIOD
-    first, second = sine(fast, 0.03, time), sine(slow, small, time)
-    motion = (np.where(time < 2.0, f, s) for f, s in zip(first, second, strict=True))
-    found = PeakVelocity(PERIOD, memory=2.0).follow(*motion)
-    np.testing.assert_allclose(found[-1000:], small, rtol=SAMPLED)
 
 
 def test_noise_of_the_velocity_does_not_count_as_half_cycles() -> None:

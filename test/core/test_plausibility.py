@@ -11,7 +11,7 @@ import pytest
 
 from mr_damper_ros.models import MODELS
 from mr_damper_ros.models.parameter_set import ParameterError, ParameterSet
-from mr_damper_ros.models.plausibility import LARGEST_FORCE, LARGEST_NRMSE, check_plausible
+from mr_damper_ros.models.plausibility import LARGEST_NRMSE, check_plausible
 from mr_damper_ros.models.published import (
     CONDITIONS,
     PUBLISHED_METHODS,
@@ -31,11 +31,6 @@ def with_value(name: str, factor: float) -> np.ndarray:
     values = THESIS_28_CELSIUS.copy()
     values[known.index(name)] *= factor
     return values
-
-
-@pytest.mark.parametrize("model", known.EXAMPLES)
-def test_a_damper_of_every_law_passes(model: str) -> None:
-    check_plausible(ParameterSet(known.EXAMPLES[model], model=model, current_range=(0.0, 2.0)))
 
 
 def test_the_published_sets_pass_but_those_whose_rows_are_wrong() -> None:
@@ -61,9 +56,7 @@ def test_a_reversed_sign_is_refused(frequency_free: bool) -> None:
     reversed_set = replace(GOOD, values=with_value("f0", -1.0))
     if frequency_free:
         reversed_set = replace(
-            reversed_set,
-            peak_velocity_range=(0.0, math.inf),
-            current_range=(-math.inf, math.inf),
+            reversed_set, peak_velocity_range=(0.0, math.inf), current_range=(-math.inf, math.inf)
         )
     with pytest.raises(ParameterError, match=DRIVES):
         check_plausible(reversed_set)
@@ -81,13 +74,6 @@ def test_a_reversed_sign_of_another_law_is_refused(name: str) -> None:
         patch.setitem(MODELS, name, Reversed())
         with pytest.raises(ParameterError, match=DRIVES):
             check_plausible(good)
-
-
-def test_a_force_that_no_damper_gives_is_refused() -> None:
-    peak = 1e3
-    too_large = replace(GOOD, values=with_value("f0", 10.0 * LARGEST_FORCE / peak))
-    with pytest.raises(ParameterError, match=TOO_LARGE):
-        check_plausible(too_large)
 
 
 def test_a_force_far_beyond_the_largest_measured_one_is_refused() -> None:

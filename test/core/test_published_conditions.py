@@ -54,8 +54,7 @@ def test_the_two_methods_agree_where_neither_row_is_an_erratum() -> None:
 
 
 @pytest.mark.parametrize(
-    "call",
-    [lambda: find("2.5mm_2Hz_0.0A"), lambda: parameters(Condition(0.0, 0.0025, 2.0))],
+    "call", [lambda: find("2.5mm_2Hz_0.0A"), lambda: parameters(Condition(0.0, 0.0025, 2.0))]
 )
 def test_unknown_conditions_are_refused(call: Any) -> None:
     with pytest.raises(ConditionError, match=r"2.5mm_2Hz_0.0A"):

@@ -30,12 +30,7 @@ def test_a_fault_is_named_and_no_other(fault: str) -> None:
 @pytest.mark.parametrize("seed", [1, 2])
 def test_several_faults_are_all_named(seed: int) -> None:
     heard = record("force_gain:-1 force_hum:20 lost_blocks:0.02 current_offset:0.3", seed=seed)
-    assert set(troubles(heard)) == {
-        Trouble.INVERTED,
-        Trouble.HUM,
-        Trouble.LOST,
-        Trouble.CURRENT,
-    }
+    assert set(troubles(heard)) == {Trouble.INVERTED, Trouble.HUM, Trouble.LOST, Trouble.CURRENT}
 
 
 def without_large_forces(heard: RigRecord, limit: float) -> tuple[RigRecord, int]:

@@ -19,8 +19,6 @@ from mr_damper_ros.models.parameter_set import ParameterSet
 from mr_damper_ros.models.published import THESIS_28_CELSIUS, ConditionError
 from mr_damper_ros.rig.blocks import Meter
 from mr_damper_ros.rig.sources import SOURCES
-from mr_damper_ros.rig.sources.recorded_source import recorded_blocks
-from mr_damper_ros.rig.sources.source import StreamSettings
 from mr_damper_ros.settings.option_table import build
 from mr_damper_ros.signals.blocks import RigBlock
 from mr_damper_ros.signals.recording import Recording
@@ -63,15 +61,6 @@ def test_a_record_comes_in_si_units(tmp_path: Path) -> None:
     np.testing.assert_allclose(joined(blocks, "displacement"), 1e-3 * (np.arange(100) % 7))
     assert {block.period for block in blocks} == {0.002}
     assert set(joined(blocks, "current")) == {0.5}
-
-
-def test_recordings_are_counted_through_with_a_second_between_them() -> None:
-    parts = [recording(15), recording(7)]
-    blocks = list(islice(recorded_blocks(parts, StreamSettings(10, loop=True), START), 6))
-    assert [block.sequence for block in blocks] == [0, 10, 15, 22, 32, 37]
-    assert [block.sample_count for block in blocks] == [10, 5, 7, 10, 5, 7]
-    offsets = [(block.start_ns - START) // 1_000_000 for block in blocks]
-    assert offsets == [0, 10, 1015, 2022, 2032, 3037]
 
 
 def test_a_command_changes_the_current_with_the_next_block_and_holds_for_its_time() -> None:

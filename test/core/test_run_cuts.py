@@ -72,23 +72,13 @@ def test_a_slow_turn_is_no_rest(tmp_path: Path, frequency: float) -> None:
 
 @pytest.mark.parametrize(
     "other",
-    [
-        cycles(2e-3, 1.0, 8.0),
-        cycles(5e-3, 2.0, 8.0),
-        cycles(5e-3, 1.0, 8.0, yield_force=300.0),
-    ],
+    [cycles(2e-3, 1.0, 8.0), cycles(5e-3, 2.0, 8.0), cycles(5e-3, 1.0, 8.0, yield_force=300.0)],
     ids=["amplitude", "frequency", "force"],
 )
 def test_a_new_phase_begins_a_run(tmp_path: Path, other: np.ndarray) -> None:
     path = write(tmp_path / "phases.csv", [cycles(5e-3, 1.0, 10.0), other])
     found = durations(path)
     assert found == pytest.approx([10.0, 8.0], abs=1.5)  # whole strokes, of half a second each
-
-
-def test_a_drift_begins_no_run(tmp_path: Path) -> None:
-    motion = cycles(5e-3, 1.0, 60.0)
-    motion[1] *= np.linspace(1.0, 0.5, motion.shape[1])
-    assert durations(write(tmp_path / "drift.csv", [motion])) == pytest.approx([60.0])
 
 
 def test_a_measured_current_that_changes_begins_a_run(tmp_path: Path) -> None:
@@ -141,10 +131,7 @@ def test_each_run_is_asked_for_its_current(two_runs: Path, monkeypatch: pytest.M
     ],
 )
 def test_what_is_missing_is_one_sentence(
-    two_runs: Path,
-    capsys: pytest.CaptureFixture[str],
-    arguments: tuple[str, ...],
-    sentence: str,
+    two_runs: Path, capsys: pytest.CaptureFixture[str], arguments: tuple[str, ...], sentence: str
 ) -> None:
     assert imported(two_runs, *arguments) == 2
     said = capsys.readouterr().err

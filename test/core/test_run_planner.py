@@ -141,9 +141,7 @@ def test_noise_alone_is_no_model_error() -> None:
     assert errors == [0.0] * len(first.currents)
 
 
-def test_the_error_of_the_force_includes_what_the_law_does_not_follow(
-    planner: RunPlanner,
-) -> None:
+def test_the_error_of_the_force_includes_what_the_law_does_not_follow(planner: RunPlanner) -> None:
     wrong = [with_third_harmonic(window, MISFIT) for window in windows(first_run(GOAL, LIMITS))]
     now = planner.errors(wrong, known.PLAUSIBLE)
     # In the short cycle at 0 A the noise adds to the largest of the means.

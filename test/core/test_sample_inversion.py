@@ -98,7 +98,7 @@ LAWS = [(name, True) for name in MODELS] + [
 
 @pytest.mark.parametrize(("name", "gradual"), LAWS)
 def test_the_current_gives_the_nearest_force_of_a_scan(name: str, gradual: bool) -> None:
-    @fixed(15)
+    @fixed(10)
     @given(questions(), SCALES)
     def check(asked: Asked, scales: list[float]) -> None:
         inverse = InverseModel(scaled(name, scales), LOWEST, HIGHEST, gradual_reversal=gradual)
@@ -137,7 +137,7 @@ def test_the_current_gives_the_nearest_force_of_a_scan(name: str, gradual: bool)
 
 @pytest.mark.parametrize("name", MODELS)
 def test_the_force_of_a_sample_is_that_of_the_law(name: str) -> None:
-    @fixed(15)
+    @fixed(10)
     @given(questions(), SCALES, st.floats(LOWEST, HIGHEST))
     def check(asked: Asked, scales: list[float], current: float) -> None:
         inverse = InverseModel(scaled(name, scales), LOWEST, HIGHEST, gradual_reversal=True)

@@ -40,14 +40,8 @@ BAD: dict[str, tuple[dict[str, object], str]] = {
         "0.25 mm is below the minimum of 0.5 mm",
     ),
     "no force": ({"force": lambda x: 0.0 * x}, "is the load cell connected"),
-    "clipped above": (
-        {"force": lambda x: np.minimum(x, 0.8 * x.max())},
-        "the force is clipped",
-    ),
-    "clipped below": (
-        {"force": lambda x: np.maximum(x, 0.8 * x.min())},
-        "the force is clipped",
-    ),
+    "clipped above": ({"force": lambda x: np.minimum(x, 0.8 * x.max())}, "the force is clipped"),
+    "clipped below": ({"force": lambda x: np.maximum(x, 0.8 * x.min())}, "the force is clipped"),
     "clipped displacement": (
         {"displacement": lambda x: np.minimum(x, 0.9 * x.max())},
         "the displacement is clipped",

@@ -177,10 +177,7 @@ def test_after_a_step_the_set_for_all_counts_with_the_force_of_now(
 
 @pytest.mark.parametrize("law", LAWS)
 def test_a_set_found_lately_at_this_current_comes_first(law: ParameterSet) -> None:
-    said = [
-        Said(3.9, window_of(law, HIGH, "high")),
-        Said(5.0, window_of(law, LOW, "low")),
-    ]
+    said = [Said(3.9, window_of(law, HIGH, "high")), Said(5.0, window_of(law, LOW, "low"))]
     currents = CurrentSchedule([0.0, 2.0, 4.0, STEP], [LOW, HIGH, LOW, HIGH])
     came = course(said, law, whole=poor(law), currents=currents)
     assert came.set_at(5.5) != "high"

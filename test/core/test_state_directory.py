@@ -76,12 +76,6 @@ def test_a_path_that_cannot_be_is_said_so(path: str) -> None:
         read_parameter_file(path)
 
 
-def test_a_pipe_is_not_waited_for(tmp_path: Path) -> None:
-    os.mkfifo(tmp_path / "pipe.yaml")
-    with pytest.raises(StateError, match="it is no file"):
-        StateDirectory(tmp_path).load("pipe")
-
-
 def test_a_link_out_of_the_folder_is_not_followed(tmp_path: Path) -> None:
     outside = tmp_path / "outside.yaml"
     outside.write_text(SET.to_yaml())

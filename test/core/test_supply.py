@@ -401,11 +401,7 @@ def in_thread(server: InstrumentServer, said: list[str], current: float = 1.0) -
     driver = SupplyDriver(supply, CurrentCommander(CommandSettings(), current), tolerance=0.05)
     driver.start(time.monotonic())
     return SupplyThread(
-        driver,
-        period=0.02,
-        clock_ns=time.time_ns,
-        publish=lambda *_: None,
-        say=said.append,
+        driver, period=0.02, clock_ns=time.time_ns, publish=lambda *_: None, say=said.append
     )
 
 

@@ -46,20 +46,6 @@ def test_a_committed_bag_is_what_the_program_makes(name: str, tmp_path: Path) ->
     assert a == b
 
 
-def test_all_clean_conditions_are_made_by_default(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    made: list[str] = []
-    monkeypatch.setattr(thesis_bags, "write_bag", lambda path, *_, **__: made.append(path.name))
-    assert thesis_bags.main([str(tmp_path)]) == 0
-    assert len(made) == 30
-    assert not any("erratum" in name for name in made)
-    assert thesis_bags.main([str(tmp_path), "--errata"]) == 0
-    assert len(made) == 30 + 34
-    assert sum("erratum" in name for name in made) == 4
-    assert "not the original recordings" in capsys.readouterr().out
-
-
 def test_an_erratum_is_marked_in_name_and_metadata(tmp_path: Path) -> None:
     assert thesis_bags.main([str(tmp_path), "--conditions", "7.5mm_3Hz_1.5A", "--errata"]) == 0
     assert folders(tmp_path) == ["7.5mm_3Hz_1.5A_erratum"]

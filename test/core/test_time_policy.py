@@ -23,11 +23,7 @@ RUN = known.run(current=1.0, samples=6000, seed=None)
 BLOCKS = known.blocks(RUN.displacement, RUN.clean, (SIZE,))
 SET = ParameterSet(known.PLAUSIBLE, set_id="known", current_range=(0.0, 2.0))
 
-EPOCHS_NS = {
-    "zero": 0,
-    "before 1970": -5 * NANOSECONDS,
-    "2100": 4_102_444_800 * NANOSECONDS,
-}
+EPOCHS_NS = {"zero": 0, "before 1970": -5 * NANOSECONDS, "2100": 4_102_444_800 * NANOSECONDS}
 
 
 def shifted(blocks: list[SampleBlock], by_ns: int) -> list[SampleBlock]:

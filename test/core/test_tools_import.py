@@ -19,7 +19,6 @@ from mr_damper_ros.io.bag_reader import read_bag
 from mr_damper_ros.io.columns import UNITS, ColumnError, parse_columns
 from mr_damper_ros.io.records import read_record, read_runs
 from mr_damper_ros.processes.files import write_text
-from mr_damper_ros.signals.recording import DEFAULT_START_NS
 from mr_damper_ros.tools import check_rig, import_record, watch
 from mr_damper_ros.tools.console import run_tool
 
@@ -161,13 +160,6 @@ def test_current_and_temperature_columns(write: Any) -> None:
     assert read.temperature is not None
     # [degC]: a temperature is a difference from 273.15 K.
     np.testing.assert_allclose(read.temperature, 26.85 + np.arange(40), rtol=0.0, atol=1e-11)
-
-
-def test_a_part_is_cut_out_by_seconds_from_the_first_sample(write: Any) -> None:
-    path = write([f"{1000 + float(row[:8])}{row[8:]}" for row in rows()])
-    part = read_record(path, COLUMNS, current=0.5, start=0.1, stop=0.2)
-    np.testing.assert_allclose(part.force, FORCE[10:21], rtol=0.0, atol=WRITTEN_FORCE)
-    assert part.start_ns == DEFAULT_START_NS + 1_000_100_000_000
 
 
 def test_rounded_times_are_taken_as_even_and_it_is_said(write: Any) -> None:
@@ -450,14 +442,6 @@ def test_without_ros_a_program_that_needs_it_says_so(
     assert tool.main([]) == 2
     # The first import that fails is named; which one that is depends on what else is missing.
     assert "it needs ROS 2, and Python does not find " in capsys.readouterr().err
-
-
-def test_a_value_may_begin_with_a_minus_sign(write: Any, tmp_path: Path) -> None:
-    path = write(["04/29 " + row for row in rows()])
-    given = [str(path), "--columns", "-," + COLUMNS, "--current", "-0.5"]
-    assert import_record.main([*given, "--output", str(tmp_path / "bag")]) == 0
-    with pytest.raises(SystemExit):
-        import_record.main([str(path), "--columns", "--current", "0.5"])
 
 
 def test_a_file_is_written_whole_or_not_at_all(tmp_path: Path) -> None:

@@ -200,14 +200,6 @@ def test_a_large_step_is_followed_once_it_is_confirmed() -> None:
     assert second.scale.value == pytest.approx(0.4, rel=SCALE_ERROR)
 
 
-def test_a_force_beyond_all_change_is_taken_after_a_reset_only() -> None:
-    tracked = experienced()
-    reports = known.fed(tracked, *(known.window(n, strength=5.0) for n in range(5, 15)))
-    assert {report.verdict for report in reports} == {Verdict.BEYOND_LIMITS}
-    tracked.reset()
-    assert known.fed(tracked, known.window(15, strength=5.0))[0].accepted
-
-
 # -- held-back samples -----------------------------------------------------------------------
 
 

@@ -8,13 +8,10 @@ from functools import cache
 
 import known
 import numpy as np
-import pytest
-from known import SIGMOID
 
 from mr_damper_ros.models.parameter_set import ParameterSet
 from mr_damper_ros.models.published import LITERATURE, THESIS_28_CELSIUS
 from mr_damper_ros.tracking.reports import Report
-from mr_damper_ros.tracking.state_directory import StateError
 from mr_damper_ros.tracking.tracker import TrackerSettings, WindowTracker
 from mr_damper_ros.tracking.tracker_state import from_text, to_text
 from mr_damper_ros.tracking.window_assembler import RawWindow
@@ -98,24 +95,3 @@ def test_a_sudden_change_forgets_the_map() -> None:
     early = leaked(tracked, 0.5)
     assert not any(record.temperatures.size for record in tracked.points.records)
     assert math.isnan(early.fluid.celsius)
-
-
-@pytest.mark.parametrize(
-    "seen",
-    [
-        np.ones((4, 2)),
-        np.ones(3),
-        np.array([[20.0, 1.0, math.nan]]),
-        np.array([[math.inf, 1.0, 0.1]]),
-        np.array([[1e300, 1.0, 0.1]]),
-        np.array([[20.0, 0.0, 0.1]]),
-        np.array([[20.0, 1.0, -0.1]]),
-    ],
-    ids=str,
-)
-def test_a_history_that_cannot_be_is_refused(seen: np.ndarray) -> None:
-    tracked = experienced()
-    points = tracked.points.noted((0.03, 1.5), temperatures=seen)
-    memory = dataclasses.replace(tracked.memory, points=points)
-    with pytest.raises(StateError, match="cannot be"):
-        from_text(to_text(memory), SIGMOID)

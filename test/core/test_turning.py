@@ -18,11 +18,7 @@ CURRENT = 1.0
 SET = ParameterSet(THESIS_28_CELSIUS, set_id="thesis")
 RUN = known.run(current=CURRENT, samples=CYCLE, seed=None)
 MOTION = Motion(
-    RUN.displacement,
-    RUN.velocity,
-    RUN.acceleration,
-    np.full(CYCLE, RUN.top_speed),
-    sine=None,
+    RUN.displacement, RUN.velocity, RUN.acceleration, np.full(CYCLE, RUN.top_speed), sine=None
 )
 
 SMEARED = 0.65

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from test_blocks import PERIOD, T0, block
 
 from mr_damper_ros.signals.blocks import NANOSECONDS, SampleBlock
-from mr_damper_ros.signals.uniform_grid import Continuity, GridSettings, Placed, UniformGrid
+from mr_damper_ros.signals.uniform_grid import GridSettings, Placed, UniformGrid
 
 HOLD_BACK = 0.05
 
@@ -24,26 +24,6 @@ def followed(*blocks: SampleBlock) -> UniformGrid:
     for one in blocks:
         sequence.follow(one)
     return sequence
-
-
-def judged(sequence: UniformGrid, one: SampleBlock) -> Continuity:
-    (placed,) = sequence.follow(one)
-    return placed.continuity
-
-
-def test_a_pause_loses_no_samples() -> None:
-    sequence = followed(block(0))
-    verdict = judged(sequence, block(10, late=2.5))
-    assert (verdict.kind, verdict.lost) == ("gap", 0)
-    assert "pause for 2.5 s" in verdict.sentence
-
-
-def test_a_repeated_block_is_ignored() -> None:
-    sequence = followed(block(0), block(10))
-    verdict = judged(sequence, block(10))
-    assert (verdict.kind, verdict.restarts) == ("repeat", False)
-    assert sequence.repeated_samples == 10
-    assert judged(sequence, block(20)).kind == "next", "the repeat took no one's place"
 
 
 def test_of_a_block_that_overlaps_what_is_new_is_taken() -> None:

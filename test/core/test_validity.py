@@ -256,13 +256,6 @@ def test_a_force_that_jumps_where_the_motion_turns_is_followed() -> None:
 # -- motion ----------------------------------------------------------------------------------
 
 
-def test_a_displacement_that_sticks_is_a_rest() -> None:
-    stuck = float(RUN.displacement[CHANGE])
-    predictions = predicted(spoilt(RUN.displacement, stuck))
-    assert seconds_until_doubt(predictions) <= 2.0 * SOON
-    assert kinds(predictions, 5000) == {DoubtKind.AT_REST}
-
-
 # -- age -------------------------------------------------------------------------------------
 
 

@@ -82,9 +82,7 @@ def test_a_thesis_condition_is_fitted_down_to_the_noise(
     simplex, gauss = (cases[condition].fits[m] for m in WINDOW_METHODS)
     # Part of a standard error: searches on other ways end in one minimum, to a tenth of this.
     np.testing.assert_allclose(
-        (simplex.coefficients - gauss.coefficients) / standard_errors(gauss),
-        0.0,
-        atol=3e-4,
+        (simplex.coefficients - gauss.coefficients) / standard_errors(gauss), 0.0, atol=3e-4
     )
 
 

@@ -42,11 +42,7 @@ class TriedProgram(Program):
     """An installed program under test: it is asserted that it ends in order."""
 
     def __init__(
-        self,
-        path: Path,
-        *arguments: str,
-        remap: dict[str, str] | None = None,
-        **parameters: object,
+        self, path: Path, *arguments: str, remap: dict[str, str] | None = None, **parameters: object
     ) -> None:
         super().__init__([str(path), *arguments, *node_arguments(parameters, remap)])
 

@@ -50,11 +50,7 @@ ARGUMENTS = [
     ("bridge", ["--rate=2"], "--rate"),
     ("identifier", ["--namespace"], "not ''"),
     ("identifier", ["--namespace", "left", "--namespace", "left"], "left is given twice"),
-    (
-        "identifier",
-        ["--namespace", "left-hand"],
-        "underscores, not 'left-hand'",
-    ),
+    ("identifier", ["--namespace", "left-hand"], "underscores, not 'left-hand'"),
     ("identifier", ["--namespace", "left=/nowhere.yaml"], "/nowhere.yaml"),
     ("identifier", ["--workers", "none"], "--workers needs a number of at least 1, not 'none'"),
     ("model", ["--workers", "2"], "unknown argument --workers"),

@@ -29,10 +29,7 @@ ROOT = Path(__file__).parents[2]
 BAG = ROOT / "bags" / "5.0mm_1Hz_1.5A"
 CONDITION = next(condition for condition in CONDITIONS if condition.name == BAG.name)
 KNOWN = ParameterSet(
-    parameters(CONDITION),
-    set_id="known",
-    peak_velocity_range=(0.0, 0.1),
-    current_range=(0.0, 2.0),
+    parameters(CONDITION), set_id="known", peak_velocity_range=(0.0, 0.1), current_range=(0.0, 2.0)
 )
 WANTED = 300.0
 """[N]; the damper gives it while it extends, and not while it is compressed."""
@@ -68,11 +65,7 @@ def test_the_commands_are_those_of_the_core(
 ) -> None:
     commands = listener.listen(CurrentCommand, "supply/current_command", quality.lossless())
     start(
-        "controller",
-        parameter_file=known,
-        demand_timeout=3600.0,
-        max_age=0.0,
-        samples_timeout=60.0,
+        "controller", parameter_file=known, demand_timeout=3600.0, max_age=0.0, samples_timeout=60.0
     )
     press = Press(listener)
     demand = listener.node.create_publisher(DesiredForce, "damper/desired_force", 1)

@@ -191,9 +191,7 @@ def test_blocks_that_cannot_be_used_are_counted_and_change_nothing(
     assert results.accepted
     # A whole window that cannot be used: a displacement in millimetres.
     later = replace(
-        recording,
-        start_ns=recording.start_ns + 10**10,
-        displacement=1e3 * recording.displacement,
+        recording, start_ns=recording.start_ns + 10**10, displacement=1e3 * recording.displacement
     )
     press.run(later)
     results.wait_for_reports(2 * WINDOWS)
@@ -423,8 +421,7 @@ def test_a_killed_worker_is_replaced_and_no_window_is_lost(
 
 
 @pytest.mark.parametrize(
-    ("number", "busy"),
-    [(signal.SIGINT, True), (signal.SIGTERM, False), (signal.SIGKILL, True)],
+    ("number", "busy"), [(signal.SIGINT, True), (signal.SIGTERM, False), (signal.SIGKILL, True)]
 )
 def test_it_ends_cleanly_and_its_worker_with_it(
     start: Any,

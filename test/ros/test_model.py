@@ -231,11 +231,7 @@ def test_parameters_that_cannot_be_used_are_refused(
         ("current_min", 9.0, "lower bound first"),
         ("nrmse", 5.0, "state an nrmse of 5, where it must lie in 0 to 1"),
         ("values", [-1e9, *TRUE_SET.values[1:]], "more than the possible 1e+06 N"),
-        (
-            "values",
-            [-TRUE_SET.values[0], *TRUE_SET.values[1:]],
-            "a force that is not dissipative",
-        ),
+        ("values", [-TRUE_SET.values[0], *TRUE_SET.values[1:]], "a force that is not dissipative"),
         ("id", "two\nlines", "printable characters"),
         ("node", "x" * 1000, "the name of the node of the parameters is"),
     ):

@@ -13,12 +13,7 @@ import pytest
 from support import assert_one_sentence, installed_programs
 
 NODES = ("bridge", "controller", "identifier", "live", "model", "replay")
-TOOLS = (
-    "demo",
-    "identify",
-    "import_record",
-    "validate",
-)
+TOOLS = ("demo", "identify", "import_record", "validate")
 
 WITHOUT = """
 import sys
