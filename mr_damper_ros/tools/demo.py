@@ -107,7 +107,7 @@ def _live(options: argparse.Namespace) -> int:
         def started(name: str, **parameters: object) -> Program:
             return stack.enter_context(closing(start_node(name, **parameters)))
 
-        running = {"live": started("live", port=options.port)}
+        running = {"live": started("live", port=options.port, allow_commands=True)}
         running.update((name, started(name)) for name in _NODES)
         print(f"the page is at {page_of(running['live'])}; Ctrl-C ends it", flush=True)
         if options.bag:

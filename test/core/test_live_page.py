@@ -463,6 +463,11 @@ def test_a_telephone_shows_it_without_scrolling_sideways(page: Browser) -> None:
     for link in range(7):
         shown = f"document.querySelectorAll('nav a')[{link}].getBoundingClientRect()"
         assert page.evaluate(f"{shown}.left >= 0 && {shown}.right <= 390 && {shown}.bottom <= 844")
+    drag(page, "force-time", 0.3, 0.3)
+    drag(page, "force-time", 0.6, 0.6)
+    page.until("!document.querySelector('#cursors').hidden")
+    assert page.evaluate("document.documentElement.scrollWidth") <= 390
+    page.press("Escape")
     page.evaluate("document.querySelector('nav a[href=\"#health\"]').click()")
     page.until("document.querySelector('nav [aria-current]').hash === '#health'")
     assert page.evaluate("document.querySelector('header').getBoundingClientRect().height") < 200

@@ -7,7 +7,7 @@ import json
 import re
 from pathlib import Path
 from typing import Any
-from urllib.parse import urlsplit
+from urllib.parse import urlencode, urlsplit
 
 import numpy as np
 import pytest
@@ -15,7 +15,9 @@ from diagnostic_msgs.msg import DiagnosticArray
 from mr_damper_msgs.msg import DamperSignals, PredictedForce
 from support import PATIENCE, Listener, TriedProgram, assert_one_sentence
 
+from mr_damper_ros.io.bag_reader import read_bag
 from mr_damper_ros.live.live_record import SIGNALS, SILENT_AFTER
+from mr_damper_ros.live.recorded import empty_record, replay_into, start_of, title_of
 from mr_damper_ros.nodes import quality
 from mr_damper_ros.nodes.messages import from_field, to_nanoseconds
 
@@ -48,10 +50,11 @@ class Client:
         rows = np.frombuffer(self.get("/tables/signals")[1]).reshape(-1, len(SIGNALS) + 1)
         return dict(zip(("index", *SIGNALS), rows.T, strict=True))
 
-    def command(self, name: str) -> int:
+    def command(self, name: str, **told: str) -> int:
         connection = http.client.HTTPConnection(self.netloc, timeout=PATIENCE)
         try:
-            connection.request("POST", "/command", name, {"Origin": f"http://{self.netloc}"})
+            origin = {"Origin": f"http://{self.netloc}"}
+            connection.request("POST", f"/command?{urlencode(told)}", name, origin)
             return connection.getresponse().status
         finally:
             connection.close()
@@ -178,3 +181,30 @@ def test_a_killed_node_is_told_from_one_without_samples(start: Any, listener: Li
 def test_other_hosts_are_allowed_by_a_parameter(start: Any) -> None:
     client = Client(start("live", port=0, allowed_hosts="proxy.example rig.example"))
     assert json.loads(client.get("/status", host="rig.example")[1])
+
+
+def test_a_run_is_recorded_and_opened_again(start: Any, listener: Listener, tmp_path: Path) -> None:
+    start("identifier")
+    start("model")
+    live = Client(start("live", port=0, allow_commands=True, record_folder=str(tmp_path)))
+    listener.until(lambda: live.status()["set"], "the set that the identifier starts with")
+    told = {"name": "first run", "operator": "Ada", "note": "cold"}
+    assert live.command("record", **told) == 202
+    listener.until(lambda: live.status()["recording"], "the beginning of the recording")
+    replay = start("replay", bag=BAG, rate=4.0, wait_for_subscribers=3)
+    listener.until(lambda: not replay.running, "the end of the bag")
+    listener.until(lambda: live.status()["tables"]["signals"]["next"] > 500, "the signals")
+    assert live.status()["tables"]["samples"]["next"] > 5000, "the full rate"
+    live.command("stop_recording")
+    listener.until(lambda: "recorded: " in " ".join(live.status()["events"]), "the bag")
+
+    (bag,) = tmp_path.iterdir()
+    assert title_of(bag) == f"first run, Ada, cold, {bag.name}"
+    assert start_of(bag) is not None
+    (recorded,), (original,) = read_bag(bag), read_bag(BAG)
+    np.testing.assert_array_equal(recorded.force, original.force)
+    record = empty_record(bag)
+    replay_into(record, bag)
+    again = json.loads(record.status(0))
+    assert sum(window["accepted"] for window in again["windows"]) > 0
+    assert again["recorded"].startswith("first run, Ada, cold")

@@ -276,7 +276,7 @@ export class TimeChart extends Chart {
       ctx.moveTo(x, bbox.top);
       ctx.lineTo(x, bbox.top + bbox.height);
       ctx.stroke();
-      ctx.fillText(text, x + 2 * ratio, bbox.top + 9 * ratio);
+      if (!leads) ctx.fillText(text, x + 2 * ratio, bbox.top + 9 * ratio);
     };
     ctx.save();
     ctx.lineWidth = ratio;

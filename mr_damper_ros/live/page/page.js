@@ -260,7 +260,7 @@ function keepReference() {
   showReference();
 }
 
-const shownIn = (name) => byId(`tile-${name}`).textContent;
+const shownIn = (name) => byId(`tile-${name}`).childNodes[1]?.textContent ?? "";
 
 function showReference() {
   byId("reference").textContent = reference ? "Drop the reference" : "Keep as reference";
