@@ -13,7 +13,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from mr_damper_ros.campaign.course import fault_of_run
-from mr_damper_ros.campaign.runs import cut_run, signal
+from mr_damper_ros.campaign.runs import RunNotFoundError, cut_run, signal
 from mr_damper_ros.estimation.experiment_design import CandidateRuns, window_information
 from mr_damper_ros.estimation.planned_run import (
     ForceGoal,
@@ -115,3 +115,13 @@ def test_motions_are_named() -> None:
         motions_of(["square"])
     with pytest.raises(ValueError, match="sine must be one of them"):
         replace(LIMITS, motions=(MotionKind.SWEEP,))
+
+
+def test_a_run_is_not_cut_out_of_another() -> None:
+    with pytest.raises(RunNotFoundError, match="random motion as wanted"):
+        cut_run(RANDOM, played(SWEEP))
+
+
+def test_a_sine_made_instead_of_a_sweep_is_refused() -> None:
+    instead = perform(replace(SINE, currents=SWEEP.currents), noise=0.0, rate=1000.0)
+    assert "from a swept sine as wanted" in fault_of_run(SWEEP, instead)

@@ -11,6 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import mr_damper_ros as mr
+from mr_damper_ros.api.measured_runs import measured_runs, remarks_on
 from mr_damper_ros.io.columns import RecordError
 from mr_damper_ros.signals.arrays import Array
 from mr_damper_ros.signals.moving_average import (
@@ -123,3 +124,14 @@ def test_the_average_of_a_real_record_is_found() -> None:
     )
     # As its makers say.
     assert [find_average(record.displacement), find_average(record.force)] == [300, 300]
+
+
+def test_a_cut_record_too_short_for_its_average_is_refused() -> None:
+    with pytest.raises(ValueError, match="1000 are needed"):
+        undo_average_in_motion(motion()[:900], COUNT)
+
+
+def test_what_was_averaged_is_said_of_a_run() -> None:
+    displacement, force = averaged(motion(3), COUNT), averaged(motion(4), COUNT)
+    runs = measured_runs([], (displacement, force, 1.0, 1e-3), accept_doubtful=True)
+    assert any("moving average" in text and "50 samples" in text for text in remarks_on(runs))

@@ -77,3 +77,8 @@ def test_two_domains_differ_until_one_is_closed() -> None:
         freed = min(one.number, other.number)
     with RosDomain() as again:
         assert again.number <= freed
+
+
+def test_a_program_that_is_not_there_is_an_error() -> None:
+    with pytest.raises(FileNotFoundError):
+        Program(["/nowhere/program"])

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from mr_damper_ros.control.linear_plant import ROUGHNESS, IsoRoad, MovingPlant, QuarterCar
+from mr_damper_ros.control.linear_plant import ROUGHNESS, Bump, IsoRoad, MovingPlant, QuarterCar
 from mr_damper_ros.control.semi_active import (
     Controller,
     Moment,
@@ -108,3 +108,9 @@ def test_a_road_has_the_density_of_its_class() -> None:
 def test_a_road_of_no_class_is_refused() -> None:
     with pytest.raises(ValueError, match="the classes are A, B"):
         IsoRoad("F", 20.0)
+
+
+def test_a_bump_may_be_on_a_road() -> None:
+    time, road = np.arange(500) * PERIOD, IsoRoad("A", 5.0, seed=1)
+    even, rough = (Bump(0.05, 1.0, 5.0, road=under).at(time) for under in (None, road))
+    np.testing.assert_array_equal(rough, even + road.at(time))

@@ -165,3 +165,8 @@ def test_a_folder_that_cannot_be_written_is_said_so(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("")
     with pytest.raises(StateError, match="set state_dir to a folder that can be written"):
         StateDirectory(tmp_path / "file").save("cold", SET)
+
+
+def test_a_home_that_does_not_exist_is_said_so() -> None:
+    with pytest.raises(StateError, match="cannot be used as state_dir"):
+        StateDirectory("~nobody-of-this-name/state")
