@@ -133,30 +133,3 @@ def test_the_state_is_that_of_the_new_set_and_its_range(fastest: float) -> None:
     force = follow(made, motion.part(slice(800, None)), 50)
     expected = all_along(after, motion, 1.0, known.PERIOD)[800:]
     np.testing.assert_allclose(force, expected, rtol=0.0, atol=RECOMPUTED)
-
-
-@pytest.mark.parametrize(("way_at_zero", "first"), [(0.0, 0), (-0.9, 40)])
-def test_a_slow_hysteresis_is_followed_again_over_the_way_that_it_remembers(
-    way_at_zero: float, first: int
-) -> None:
-    """It forgets by motion: in the half second after a reversal at 0.05 Hz there is hardly any.
-
-    Where the way to the yield follows the current, the way kept is that of the present current.
-    """
-    model, values, period, last = MODELS["bouc_wen"], known.EXAMPLES["bouc_wen"].copy(), 0.02, 540
-    values[model.places(("yield_length", "yield_length_1"))] = 1e-3, way_at_zero
-    changed = values.copy()
-    changed[model.places(("share",))] = 0.9
-    before, after = (ParameterSet(each, model="bouc_wen") for each in (values, changed))
-    slow = known.run(samples=1000, period=period, frequency=0.05, phase=0.0, noise=0.0)
-    motion = slow.window.motion
-    made = in_use(before, period)
-    if first:
-        follow(made, motion.part(slice(first)), first, current=1.0)
-    follow(made, motion.part(slice(first, last)), 5, current=0.0)
-    made.use(after, gradual=False, fade=False)
-    force = follow(made, motion.part(slice(last, None)), 20, current=0.0)
-    current = np.where(np.arange(1000) < first, 1.0, 0.0)
-    expected = model.force(changed, motion, current, period)[last:]
-    # [N] of 500: ten ways to the yield leave a part in twenty thousand, half a second 0.6 N.
-    np.testing.assert_allclose(force, expected, rtol=0.0, atol=0.1)

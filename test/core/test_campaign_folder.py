@@ -92,19 +92,6 @@ def test_killed_at_any_moment_it_goes_on_where_it_was(
     assert {name: after.get(name) for name in before} == before
 
 
-def test_a_finished_campaign_does_nothing(quick: list[int], tmp_path: Path) -> None:
-    mr.run_campaign(GOAL, LIMITS, perform, folder=tmp_path)
-    before, count = state(tmp_path), len(quick)
-
-    def never(run: PlannedRun) -> Recording:
-        raise AssertionError(run)
-
-    again = mr.run_campaign(GOAL, LIMITS, never, folder=tmp_path)
-    assert again.reached
-    assert again.parameter_set.set_id == "quick"
-    assert (state(tmp_path), len(quick)) == (before, count)
-
-
 @pytest.mark.parametrize(
     ("goal", "limits", "part"),
     [

@@ -6,11 +6,7 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 
-from mr_damper_ros.estimation.covariance import (
-    correlation_length,
-    least_squares_covariance,
-    triangular_factor,
-)
+from mr_damper_ros.estimation.covariance import correlation_length, least_squares_covariance
 from mr_damper_ros.models import MODELS
 from mr_damper_ros.signals.arrays import Array
 
@@ -76,14 +72,3 @@ def test_the_error_of_k5_is_that_of_a_quotient() -> None:
     errors = MODELS["sigmoid"].fitted_errors(scales, covariance)[1]
     assert errors[6] == pytest.approx(np.std(draws[:, 6] / draws[:, 0]), rel=0.02)
     np.testing.assert_allclose(errors[:6], np.sqrt(np.diag(covariance))[:6])
-
-
-@pytest.mark.parametrize("rows", [3, 4096, 4097, 20_000])
-def test_the_triangular_factor_has_the_singular_values_of_the_matrix(rows: int) -> None:
-    matrix = np.random.default_rng(5).normal(size=(rows, 6)) * np.logspace(0.0, 4.0, 6)
-    factor = triangular_factor(matrix)
-    assert factor.shape == (min(rows, 6), 6)
-    expected = np.linalg.svd(matrix, compute_uv=False)
-    # Relative, of singular values whose sizes span four decades.
-    np.testing.assert_allclose(np.linalg.svd(factor, compute_uv=False), expected, rtol=1e-9)
-    np.testing.assert_allclose(np.tril(factor, -1), 0.0)

@@ -89,18 +89,6 @@ def test_open_combinations_are_those_that_the_samples_do_not_notice(seed: int, r
             assert np.linalg.norm(jacobian @ move) <= unnoticed
 
 
-@pytest.mark.parametrize(("power", "word"), [(1.0, "product"), (-1.0, "ratio")])
-def test_two_parameters_of_which_only_a_product_or_a_ratio_counts(power: float, word: str) -> None:
-    values = np.linspace(0.5, 2.0, 16)
-    values[known.index("f0")] = -40.0
-    jacobian = 100.0 * np.random.default_rng(0).normal(size=(400, 16))
-    by_f0, by_k2 = known.index("f0"), known.index("k2")
-    # The force depends on f0 k2^power alone: both change it alike, relative to their size.
-    jacobian[:, by_k2] = power * jacobian[:, by_f0] * values[by_f0] / values[by_k2]
-    (combination,) = determination(SIGMOID, jacobian, np.abs(values), values).open
-    assert combination.words == f"k2 and f0 only as a {word}"
-
-
 # -- currents within a window ----------------------------------------------------------------
 
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import math
-import time
 from dataclasses import replace
 from typing import Any
 
@@ -159,36 +158,6 @@ class Clock:
 @pytest.fixture
 def clock() -> Clock:
     return Clock()
-
-
-@pytest.fixture
-def left_alone(clock: Clock) -> LiveRecord:
-    """Of a model and an identifier that were heard once, ten seconds ago."""
-    record = LiveRecord(clock)
-    signals(record, T0)
-    record.add_window(window())
-    record.set_parameters(a_set("f0"))
-    record.add_concern(Concern("identifier: fit", 0, "accepted as nm-1", {}))
-    record.add_concern(Concern("model: prediction", 0, "valid; NRMSE 0.6%", {}))
-    clock.now += 10.0
-    return record
-
-
-def line_of(text: str, part: str) -> str:
-    return next(line for line in text.splitlines() if part in line)
-
-
-def test_a_summary_says_since_when_a_dead_node_is_silent(
-    left_alone: LiveRecord, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr("time.time", lambda: 10.0)
-    since = f"not heard since {time.strftime('%H:%M:%S', time.localtime(0.0))} (10 s)"
-    text = summary(left_alone, width=120)
-    for part in ("no signals", "? model: prediction", "? identifier: fit", "its last window"):
-        assert since in line_of(text, part), part
-    assert "set in use" not in text
-    assert "last set" in text
-    assert "live " not in text
 
 
 def faults(record: LiveRecord) -> list[tuple[str, bool, bool]]:

@@ -13,7 +13,6 @@ from mr_damper_ros.emulation.commanded_rig import commanded
 from mr_damper_ros.emulation.emulator import RigSettings, SupplyKnob
 from mr_damper_ros.emulation.plant_rig import HOT_FORCE, BuiltInDamper, PlantRig, invented_damper
 from mr_damper_ros.signals.blocks import Moment
-from studies.control.buildings import reversals
 from studies.control.shear_building import BUILDINGS, STOREYS, StateEstimator
 
 CAR = QuarterCar()
@@ -69,20 +68,6 @@ def test_an_estimator_finds_the_states() -> None:
         found = estimator.follow(force, read)
     # The outputs are held for a sample, in which the building moves on.
     assert np.linalg.norm(found - plant.state) < 0.05 * np.linalg.norm(plant.state)
-
-
-@pytest.mark.parametrize(
-    ("current", "count"),
-    [
-        ([0.0, 0.5, 1.0], 0),
-        ([0.0, 1.0, 0.0, 1.0], 2),
-        ([0.0, 1.0, 0.98, 1.0, 0.0], 1),
-        ([0.5, 0.5, 0.5], 0),
-        ([1.0, 0.0, 0.02, 0.0, 0.3], 1),
-    ],
-)
-def test_a_current_has_turned_where_it_goes_back(current: list[float], count: int) -> None:
-    assert reversals(np.array(current)) == count
 
 
 @pytest.mark.parametrize(

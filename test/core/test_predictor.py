@@ -216,17 +216,6 @@ def test_a_force_that_was_not_measured_says_nothing_of_the_parameters() -> None:
     assert doubts == {DoubtKind.NONE}
 
 
-def test_a_repeated_block_has_no_force_and_disturbs_nothing() -> None:
-    made, blocks = predictor(), stream()
-    predicted(made, blocks[:400])
-    repeat = made.predict(blocks[399])
-    assert not repeat.valid
-    assert np.isnan(repeat.force).all()
-    assert "it is ignored" in repeat.reason
-    rest = forces(predicted(made, blocks[400:]))
-    np.testing.assert_array_equal(rest, forces(predicted(predictor(), blocks))[4000:])
-
-
 # -- centre ----------------------------------------------------------------------------------
 
 

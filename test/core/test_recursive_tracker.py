@@ -118,24 +118,6 @@ def test_it_follows_a_drift_and_knows_its_error(drifted: Drifted) -> None:
     assert np.max(np.abs(drifted.scales - drifted.truth) / errors) < 4.0
 
 
-@pytest.mark.parametrize("spoil", ["noise", "clipped", "nan"])
-def test_a_bad_window_leaves_the_filter_where_it_was(spoil: str) -> None:
-    tracked = known.tracker(tracker=METHOD)
-    known.fed(tracked, *(known.window(number, strength=1.0 - 0.01 * number) for number in range(5)))
-    good, state = tracked.parameters, tracked.job_of(known.window(5)).state
-    force = known.window(5).force.copy()
-    if spoil == "noise":
-        force += np.random.default_rng(9).normal(0.0, 200.0, SAMPLES)
-    elif spoil == "clipped":
-        force = np.clip(force, -0.4 * force.max(), 0.4 * force.max())
-    else:
-        force[10] = np.nan
-    report = known.fed(tracked, dataclasses.replace(known.window(5), force=force))[0]
-    assert not report.accepted
-    assert tracked.parameters is good
-    assert tracked.job_of(known.window(6)).state is state
-
-
 @pytest.mark.parametrize("change", ["point", "past", "reset", "replace", "search"])
 def test_it_starts_again_from_a_fit_where_its_state_does_not_hold(change: str) -> None:
     tracked = known.tracker(tracker=METHOD)

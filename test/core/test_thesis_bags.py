@@ -51,21 +51,3 @@ def test_an_erratum_is_marked_in_name_and_metadata(tmp_path: Path) -> None:
     assert folders(tmp_path) == ["7.5mm_3Hz_1.5A_erratum"]
     (marked,) = read_bag(tmp_path / "7.5mm_3Hz_1.5A_erratum")
     assert "k4 is +0.1405" in marked.details["erratum"]
-
-
-@pytest.mark.parametrize(
-    ("arguments", "sentence"),
-    [
-        (["--conditions", "5.0mm_1Hz_1.0A"], "is an erratum"),
-        (["--conditions", "1mm"], "the thesis has no condition '1mm'; it has 2.5mm_1Hz_0.0A"),
-        (["--seed", "-1"], "must not be negative"),
-    ],
-)
-def test_what_cannot_be_made_is_said_in_a_sentence(
-    arguments: list[str], sentence: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert thesis_bags.main([str(tmp_path), *arguments]) == 2
-    error = capsys.readouterr().err
-    assert sentence in error
-    assert error.count("\n") == 1
-    assert folders(tmp_path) == []

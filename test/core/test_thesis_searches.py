@@ -63,27 +63,6 @@ def test_repeated_evolution_has_the_means_of_tables_10_and_11_at_full_current(re
     assert mean_distance(repeats, repeated.AS_FOUND) < MEANS
 
 
-def test_results_do_not_depend_on_workers_and_are_kept(tmp_path, monkeypatch):
-    tasks = [
-        {"name": "5.0mm_1Hz_1.5A", "noise_seed": 0, "seed": [k], "generations": 5} for k in range(3)
-    ]
-    one = Campaign(Settings(tmp_path / "one", workers=1)).each("evolution", repeated.run, tasks)
-    two = Campaign(Settings(tmp_path / "two", workers=2)).each("evolution", repeated.run, tasks)
-    assert one == two
-    # The last line of a killed campaign is incomplete: only that task is done again.
-    (file,) = (tmp_path / "one" / "data").iterdir()
-    file.write_text(file.read_text()[:-40])
-    calls = []
-
-    def counted(**task):
-        calls.append(task)
-        return repeated.run(**task)
-
-    again = Campaign(Settings(tmp_path / "one")).each("evolution", counted, tasks)
-    assert again == one
-    assert len(calls) == 1
-
-
 @pytest.mark.parametrize("method", available())
 def test_an_optimiser_keeps_budget_and_bounds_and_ends_between_the_noise_and_the_force(method):
     result = optimisers.run(method, 0, [1, 2], 1500)

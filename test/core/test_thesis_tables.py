@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import numpy as np
 import pytest
 
 from mr_damper_ros.emulation.emulator import THESIS_FORCE_NOISE
@@ -29,8 +28,6 @@ FORCE_ERROR = {
 }
 """What is compared of the error of the force, and how near it must come."""
 
-TABULATED = 3e-5
-"""Relative: quantiles as tables print them, with five digits."""
 
 PEAK_COLD = 0.02
 """Relative: the peak that the thesis states lies 1.5 % below that of its own set of 28 °C."""
@@ -74,17 +71,6 @@ def test_force_error_is_normal_about_zero(errors):
     assert abs(ours["skewness"]) < 0.1
     # [1]: three standard errors of 7001 samples.
     assert abs(ours["excess_kurtosis"]) < 0.2
-
-
-def test_statistics_of_a_known_sample():
-    ours = force_error.normal_statistics(np.array([1.0, 2.0, 3.0, 4.0]))
-    # Student's t with 3 degrees of freedom: 3.1824; chi square: 0.2158 and 9.3484.
-    assert ours["mu"] == 2.5
-    assert ours["variance"] == pytest.approx(5.0 / 3.0)
-    reach = 3.18245 * np.sqrt(5.0 / 3.0) / 2.0
-    assert ours["mu_high"] - 2.5 == pytest.approx(reach, rel=TABULATED)
-    assert ours["sigma_low"] == pytest.approx(np.sqrt(5.0 / 9.3484), rel=TABULATED)
-    assert ours["sigma_high"] == pytest.approx(np.sqrt(5.0 / 0.21580), rel=TABULATED)
 
 
 @pytest.fixture(scope="module")

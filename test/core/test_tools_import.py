@@ -495,18 +495,3 @@ def test_raw_records_come_apart_into_their_five_runs(
     # Relative: the press repeats its stroke, and the bounds stand here with three digits.
     assert reached == pytest.approx([amplitude] * 5, rel=0.01)
     assert np.all(np.diff([np.ptp(run.force) for run in runs]) > 0.0)
-
-
-def test_the_earthquake_record_reads_unchanged(laboratory: Path) -> None:
-    peaks = [
-        read_record(
-            laboratory / "earthquake.mat",
-            f"displacement:mm{',-' * k},force:N,...",
-            current=current,
-            period=1e-3,
-            variable="data",
-        ).force.max()
-        for k, current in enumerate((0.2, 0.6, 1.0))
-    ]
-    # [N]: the peaks stand here with three decimals.
-    assert peaks == pytest.approx([345.566, 907.709, 1211.784], abs=1e-3)

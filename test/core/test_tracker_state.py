@@ -59,23 +59,6 @@ def test_the_initial_set_is_kept_at_once_so_that_a_bad_folder_shows(tmp_path: Pa
         state_in(tmp_path / "file" / "below")[1].resume()
 
 
-def test_a_damaged_file_is_set_aside_and_named(tmp_path: Path) -> None:
-    _, state = taught(tmp_path)
-    state.close()
-    path = tmp_path / "identifier.yaml"
-    path.write_text(path.read_text(encoding="utf-8").replace("f0", "g0"), encoding="utf-8")
-    tracker, again = state_in(tmp_path)
-    assert again.resume() == ""
-    assert "is damaged" in again.set_aside
-    assert "set aside as" in again.set_aside
-    assert (tmp_path / "identifier.aside").exists()
-    assert tracker.parameters is START
-    # The next state takes its place, but what was set aside is not forgotten with that.
-    assert again.keep_now() == ""
-    assert "is damaged" in again.set_aside
-    again.close()
-
-
 def test_what_was_set_aside_is_told_at_every_start_until_it_is_acknowledged(tmp_path: Path) -> None:
     (tmp_path / "identifier.yaml").write_text("half a fi")
     for part in ("mapping 'parameters'", "set aside as"):

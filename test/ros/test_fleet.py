@@ -41,18 +41,6 @@ def test_every_damper_has_a_bridge_and_a_place_at_identifier_and_model(
     assert [node.namespace for node in bridges(started)] == [f"damper_{k}" for k in range(1, 9)]
 
 
-def test_each_damper_may_have_a_file_of_its_own(description: list[Any], tmp_path: Path) -> None:
-    for name in ("a", "b"):
-        (tmp_path / f"{name}.yaml").touch()
-    own = str(tmp_path / "{damper}.yaml")
-    given = {"dampers": "a b", "bridge_config": own, "model_config": own}
-    started = launch_stand_in.nodes(description, given)
-    files = [str(tmp_path / "a.yaml"), str(tmp_path / "b.yaml")]
-    assert [node.parameters[0] for node in bridges(started)] == files
-    (model,) = (node for node in started if node.executable == "model")
-    assert [place.file for place in hosting(model.arguments).places] == files
-
-
 @pytest.mark.parametrize(
     ("given", "sentence"),
     [

@@ -38,34 +38,6 @@ sys.exit(tool("identify"))
 """
 """A tool at which Ctrl-C was pressed before it was loaded."""
 
-HANGING = """
-import ctypes
-import sys
-
-from rclpy.node import Node
-
-from mr_damper_ros.nodes import spinning
-from mr_damper_ros.settings.option_table import ParameterTable
-
-
-class Hanging(Node):
-    def destroy_node(self):
-        ctypes.PyDLL(None).pause()  # with Python's own lock, as the middleware did
-
-
-spinning._LAST_CHANCE = 1.0
-sys.exit(spinning.run(lambda: Hanging("hanging"), ParameterTable, ended=lambda _: 0))
-"""
-"""A program whose node cannot be taken down."""
-
-
-def test_a_middleware_that_locks_up_does_not_keep_a_node_for_ever() -> None:
-    done = subprocess.run(
-        [sys.executable, "-c", HANGING], capture_output=True, text=True, timeout=60, check=False
-    )
-    assert done.returncode != 0
-    assert done.stderr == ""
-
 
 def test_a_tool_that_is_interrupted_while_it_loads_says_so_and_no_more() -> None:
     done = subprocess.run(
