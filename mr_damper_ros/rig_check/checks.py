@@ -46,47 +46,22 @@ def channel_findings(
     step = coarse_step(values)
     cut = "" if step else _cut_off(values)
     if cut:
-        yield RigFinding(
-            Trouble.CLIPPED,
-            f"the {name} is clipped at {cut}: choose a larger range or a smaller motion",
-            name,
-        )
+        yield Trouble.CLIPPED.found(name, how=f" at {cut}")
     if step:
-        yield RigFinding(
-            Trouble.COARSE,
-            (
-                f"the {name} is quantised in steps of {step:.3g} {unit}: choose a smaller range or "
-                "more bits"
-            ),
-            name,
-        )
+        yield Trouble.COARSE.found(name, step=step, unit=unit)
     noise = white_noise(values)
     part, least = _NOISY[name]
     if noise > max(part * spread, least) and not step:
-        yield RigFinding(
-            Trouble.NOISE,
-            f"the {name} has {noise:.3g} {unit} of noise ({noise / spread:.1%} of its standard "
-            "deviation): check shielding, earth and filters",
-            name,
-        )
+        yield Trouble.NOISE.found(name, noise=noise, unit=unit, share=noise / spread)
     wild = _wild_values(values, noise)
     if wild:
-        yield RigFinding(
-            Trouble.SPIKES,
-            f"{wild} samples of the {name} are outliers: is there a loose plug or a disturbance?",
-            name,
-        )
+        yield Trouble.SPIKES.found(name, count=wild)
         return
     for mains in _MAINS:
         beside = max(_BESIDE, _HARMONICS * frequency)
         amplitude = _hum(values, period, mains, beside, _HUMS[name] * spread)
         if amplitude > 0.0:
-            yield RigFinding(
-                Trouble.HUM,
-                f"the {name} has {amplitude:.3g} {unit} of hum at {mains:g} Hz: check shielding "
-                "and earth",
-                name,
-            )
+            yield Trouble.HUM.found(name, size=amplitude, unit=unit, mains=mains)
 
 
 def coarse_step(values: Array) -> float:
@@ -161,12 +136,8 @@ def stream_findings(record: RigRecord) -> Iterator[RigFinding]:
         pauses = np.diff(arrivals) / NANOSECONDS
         held_up = pauses - expected > _BURST
         if np.count_nonzero(held_up) > 1:
-            yield RigFinding(
-                Trouble.BURSTS,
-                f"the stream paused {np.count_nonzero(held_up)} times for up to "
-                f"{pauses[held_up].max():.2g} s and then caught up: check the network and the "
-                "load of the sender",
-            )
+            longest = pauses[held_up].max()
+            yield Trouble.BURSTS.found(count=np.count_nonzero(held_up), pause=longest)
 
 
 def _count_findings(record: RigRecord) -> Iterator[RigFinding]:
@@ -190,36 +161,20 @@ def _count_findings(record: RigRecord) -> Iterator[RigFinding]:
     if repeated:
         # A block that arrives after its successor counted as missing at that time.
         lost = max(lost - repeated * round(np.median([b.force.size for b in record.blocks])), 0)
-        yield RigFinding(
-            Trouble.REPEATED,
-            f"{repeated} blocks arrived twice or out of order: does only one node publish them?",
-        )
+        yield Trouble.REPEATED.found(count=repeated)
     left_out = 0
     for name in ("displacement", "force"):
         count = record.left_out(name)
         left_out += count
         if count:
-            yield RigFinding(
-                Trouble.CLIPPED,
-                f"the {name} was clipped: its source left out {count} samples; choose a larger "
-                "range or a smaller motion",
-                name,
-            )
+            yield Trouble.CLIPPED.found(name, how=f", its source left out {count} samples")
     if left_out and (lost - left_out) * record.period < _TOLD_LATE:
         lost = 0
     if lost:
         whole = lost + record.sample_count
-        yield RigFinding(
-            Trouble.LOST,
-            f"{lost} samples of {whole} ({lost / whole:.2%}) were lost: check the network, send "
-            "larger blocks, and use deeper queues",
-        )
+        yield Trouble.LOST.found(count=lost, whole=whole, share=lost / whole)
     if restarts:
-        yield RigFinding(
-            Trouble.RESTARTED,
-            f"count or stamps of the samples were set {restarts} times: is the source started "
-            "again, or its clock set, while it runs?",
-        )
+        yield Trouble.RESTARTED.found(count=restarts)
 
 
 def _stamp_findings(record: RigRecord) -> Iterator[RigFinding]:
@@ -230,37 +185,23 @@ def _stamp_findings(record: RigRecord) -> Iterator[RigFinding]:
     periods = np.diff(times)[rising] / np.diff(numbers)[rising]
     period, stated = float(np.median(periods)), record.period
     if abs(period / stated - 1.0) > _RATE:
-        yield RigFinding(
-            Trouble.RATE,
-            f"the stamps say a sample every {1e3 * period:.4g} ms ({1.0 / period:.4g} Hz), stated "
-            f"are {1e3 * stated:.4g} ms: set the right period in the driver",
-        )
+        yield Trouble.RATE.found(measured=1e3 * period, rate=1.0 / period, stated=1e3 * stated)
     # A line over the whole record would not follow a clock step.
     off = np.diff(times)[rising] - period * np.diff(numbers)[rising]
     jitter = float(np.std(off[np.abs(off) < 1.0])) / math.sqrt(2.0) / period
     if jitter > _JITTER:
-        yield RigFinding(
-            Trouble.JITTER,
-            f"the stamps jitter by {1e3 * jitter * period:.2g} ms ({jitter:.0%} of a period): "
-            "stamp by the count of the samples, not by when they come (doc/time.md)",
-        )
+        yield Trouble.JITTER.found(jitter=1e3 * jitter * period, share=jitter)
 
 
 def current_findings(record: RigRecord) -> Iterator[RigFinding]:
     """Findings on the current."""
     if not record.measured:
-        yield RigFinding(
-            Trouble.NO_CURRENT,
-            "no current arrives on supply/current: start the supply or your driver",
-            "current",
-        )
+        yield Trouble.NO_CURRENT.found("current")
         return
     stamps = np.array([stamp for stamp, _ in record.measured], dtype=np.int64)
     values = np.array([value for _, value in record.measured])
     if not np.isfinite(values).all():
-        yield RigFinding(
-            Trouble.NOT_FINITE, "the current contains values that are not finite", "current"
-        )
+        yield Trouble.NOT_FINITE.found("current", count=np.count_nonzero(~np.isfinite(values)))
         return
     if record.blocks:
         last = record.blocks[-1]
@@ -268,12 +209,8 @@ def current_findings(record: RigRecord) -> Iterator[RigFinding]:
         ahead = (int(stamps.max()) - end_ns) / NANOSECONDS
         usual = float(np.median(np.diff(np.sort(stamps)))) / NANOSECONDS if stamps.size > 1 else 0.0
         if abs(ahead) > _CURRENT_AHEAD + 2.0 * usual:
-            yield RigFinding(
-                Trouble.CURRENT_CLOCK,
-                f"the current is stamped {abs(ahead):.3g} s "
-                f"{'later' if ahead > 0.0 else 'earlier'} than the samples: synchronise the clocks",
-                "current",
-            )
+            direction = "later" if ahead > 0.0 else "earlier"
+            yield Trouble.CURRENT_CLOCK.found("current", ahead=abs(ahead), direction=direction)
     yield from _command_findings(record, stamps, values)
 
 
@@ -292,12 +229,7 @@ def _command_findings(
     fresh = (stamps[known] - told[place[known]]) / NANOSECONDS < _SETTLING
     off = (values[known] - wanted[place[known]])[(held > _SETTLING) & fresh]
     if off.size and float(np.median(np.abs(off))) > _CURRENT_OFF:
-        yield RigFinding(
-            Trouble.CURRENT,
-            f"the measured current deviates by {float(np.median(off)):+.3g} A from the command: "
-            "check the limits of the supply, its voltage and the wires to the coil",
-            "current",
-        )
+        yield Trouble.CURRENT.found("current", off=float(np.median(off)))
 
 
 _ENOUGH = 200
@@ -335,18 +267,9 @@ class RigCheck:
 
 def check_rig(record: RigRecord) -> RigCheck:
     """Check the received signals of a rig, ideally 30 s of motion at several frequencies."""
-    unusable = RigFinding(
-        Trouble.UNUSABLE,
-        f"{record.unusable} messages cannot be used: each needs a period above 0, and as many "
-        "displacements as forces",
-    )
-    found = [unusable] if record.unusable else []
+    found = [Trouble.UNUSABLE.found(count=record.unusable)] if record.unusable else []
     if not record.blocks:
-        silent = RigFinding(
-            Trouble.SILENT,
-            "no samples arrive on mts/samples: start the bridge or your driver, and publish "
-            "reliably",
-        )
+        silent = Trouble.SILENT.found()
         return RigCheck((*found, silent, *current_findings(record)), None, "")
     found += stream_findings(record)
     displacement, force = record.stretch()
@@ -355,11 +278,7 @@ def check_rig(record: RigRecord) -> RigCheck:
         for name, values in (("displacement", displacement), ("force", force)):
             count = int(np.count_nonzero(~np.isfinite(values)))
             if count:
-                found.append(
-                    RigFinding(
-                        Trouble.NOT_FINITE, f"{count} values of the {name} are not finite", name
-                    )
-                )
+                found.append(Trouble.NOT_FINITE.found(name, count=count))
     elif displacement.size >= _ENOUGH:
         of_channels, lag = _channels(displacement, force, record.period)
         found += of_channels
@@ -371,9 +290,7 @@ def _channels(
     displacement: Array, force: Array, period: float
 ) -> tuple[list[RigFinding], ChannelLag | None]:
     still = [
-        RigFinding(
-            Trouble.STUCK, f"the {name} does not change at all: is its sensor connected?", name
-        )
+        Trouble.STUCK.found(name)
         for name, values in (("displacement", displacement), ("force", force))
         if np.ptp(values) == 0.0
     ]
@@ -381,12 +298,7 @@ def _channels(
         return still, None
     at_rest = _half_range(displacement) < _DISPLACEMENT[0]
     if not at_rest and _exchanged(displacement, force):
-        return [
-            RigFinding(
-                Trouble.SWAPPED,
-                "the displacement is rougher than the force: are the two channels exchanged?",
-            )
-        ], None
+        return [Trouble.SWAPPED.found()], None
     found = list(_unit_findings(displacement, force))
     if any(finding.trouble is Trouble.AT_REST for finding in found):
         return found, None
@@ -396,24 +308,13 @@ def _channels(
     sound = not any(finding.trouble is Trouble.CLIPPED for finding in found)
     lag = channel_lag(displacement, force, period)
     if _power(displacement, force, period) < 0.0:
-        found.append(
-            RigFinding(
-                Trouble.INVERTED,
-                "the force is not dissipative: reverse the sign of force or displacement; "
-                "extension and tension are positive",
-            )
-        )
+        found.append(Trouble.INVERTED.found())
         lag = channel_lag(displacement, -force, period)
     if sound and lag.determined and abs(lag.skew) > max(_SKEW, _SURE * lag.standard_error):
         late, early = ("force", "displacement") if lag.skew > 0 else ("displacement", "force")
-        found.append(
-            RigFinding(
-                Trouble.SKEW,
-                f"the {late} comes {1e3 * abs(lag.skew):.2f} ± {1e3 * lag.standard_error:.2f} ms "
-                f"later than the {early}: a filter, a multiplexer, or a compliant mount? Set the "
-                f"bridge's force_lateness to {lag.skew:.5f}",
-            )
-        )
+        skew, error = 1e3 * abs(lag.skew), 1e3 * lag.standard_error
+        figures = {"skew": skew, "error": error, "lateness": lag.skew}
+        found.append(Trouble.SKEW.found(late=late, early=early, **figures))
     return found, lag
 
 
@@ -423,28 +324,18 @@ def _unit_findings(displacement: Array, force: Array) -> Iterator[RigFinding]:
         ("force", "N", "kilonewtons", force, _FORCE),
     ):
         half = _half_range(values)
-        if half > high:
-            yield RigFinding(
-                Trouble.UNIT, f"the {name} goes to ±{half:.3g} {unit}: is it in {other}?", name
-            )
-        elif half < low:
-            trouble = Trouble.AT_REST if name == "displacement" else Trouble.UNIT
-            question = "does the machine move?" if name == "displacement" else f"is it in {other}?"
-            yield RigFinding(
-                trouble, f"the {name} goes to ±{half:.3g} {unit} only: {question}", name
-            )
+        if half < low and name == "displacement":
+            yield Trouble.AT_REST.found(name, half=half, unit=unit)
+        elif not low <= half <= high:
+            only = " only" if half < low else ""
+            yield Trouble.UNIT.found(name, half=half, unit=unit, only=only, other=other)
     half = _half_range(force)
     if _half_range(displacement) < _DISPLACEMENT[0]:
         return
     # The centre between the extremes: a mean over incomplete cycles would be biased.
     middle = 0.5 * float(np.quantile(force, 0.99) + np.quantile(force, 0.01))
     if abs(middle) > _OFFSET * half:
-        yield RigFinding(
-            Trouble.OFFSET,
-            f"the force is centred on {middle:.3g} N instead of zero: zero the load cell with "
-            "the rod free",
-            "force",
-        )
+        yield Trouble.OFFSET.found("force", middle=middle)
 
 
 def _half_range(values: Array) -> float:

@@ -96,35 +96,6 @@ class RigRecord:
         return numbers, times
 
 
-class Trouble(Enum):
-    """Kinds of findings."""
-
-    SILENT = "nothing comes"
-    UNUSABLE = "messages that hold no samples"
-    NOT_FINITE = "values that are not finite"
-    STUCK = "a channel that stands still"
-    AT_REST = "no motion"
-    SWAPPED = "channels exchanged"
-    INVERTED = "a sign reversed"
-    UNIT = "a wrong unit"
-    OFFSET = "a zero that is off"
-    SKEW = "channels apart in time"
-    NOISE = "much noise"
-    HUM = "mains hum"
-    CLIPPED = "a channel cut off"
-    COARSE = "few steps of a converter"
-    SPIKES = "single wild values"
-    RATE = "another sample rate than stated"
-    JITTER = "stamps that jitter"
-    LOST = "lost samples"
-    REPEATED = "repeated or reordered samples"
-    RESTARTED = "a count or a clock that was set"
-    BURSTS = "samples in bursts"
-    NO_CURRENT = "no current known"
-    CURRENT = "another current than commanded"
-    CURRENT_CLOCK = "the current by another clock"
-
-
 @dataclass(frozen=True)
 class RigFinding:
     """A fault of ``channel`` (empty: of the stream), and its remedy."""
@@ -132,6 +103,81 @@ class RigFinding:
     trouble: Trouble
     sentence: str
     channel: str = ""
+
+
+class Trouble(Enum):
+    """Kinds of findings: their sentences, into which channel and figures are filled."""
+
+    SILENT = (
+        "no samples arrive on mts/samples: start the bridge or your driver, and publish reliably"
+    )
+    UNUSABLE = (
+        "{count} messages cannot be used: each needs a period above 0, and as many displacements "
+        "as forces"
+    )
+    NOT_FINITE = "{count} values of the {channel} are not finite"
+    STUCK = "the {channel} does not change at all: is its sensor connected?"
+    AT_REST = "the {channel} goes to ±{half:.3g} {unit} only: does the machine move?"
+    SWAPPED = "the displacement is rougher than the force: are the two channels exchanged?"
+    INVERTED = (
+        "the force is not dissipative: reverse the sign of force or displacement; extension and "
+        "tension are positive"
+    )
+    UNIT = "the {channel} goes to ±{half:.3g} {unit}{only}: is it in {other}?"
+    OFFSET = (
+        "the force is centred on {middle:.3g} N instead of zero: zero the load cell with the rod "
+        "free"
+    )
+    SKEW = (
+        "the {late} comes {skew:.2f} ± {error:.2f} ms later than the {early}: a filter, a "
+        "multiplexer, or a compliant mount? Set the bridge's force_lateness to {lateness:.5f}"
+    )
+    NOISE = (
+        "the {channel} has {noise:.3g} {unit} of noise ({share:.1%} of its standard deviation): "
+        "check shielding, earth and filters"
+    )
+    HUM = "the {channel} has {size:.3g} {unit} of hum at {mains:g} Hz: check shielding and earth"
+    CLIPPED = "the {channel} is clipped{how}: choose a larger range or a smaller motion"
+    COARSE = (
+        "the {channel} is quantised in steps of {step:.3g} {unit}: choose a smaller range or more "
+        "bits"
+    )
+    SPIKES = (
+        "{count} samples of the {channel} are outliers: is there a loose plug or a disturbance?"
+    )
+    RATE = (
+        "the stamps say a sample every {measured:.4g} ms ({rate:.4g} Hz), stated are "
+        "{stated:.4g} ms: set the right period in the driver"
+    )
+    JITTER = (
+        "the stamps jitter by {jitter:.2g} ms ({share:.0%} of a period): stamp by the count of the "
+        "samples, not by when they come (doc/time.md)"
+    )
+    LOST = (
+        "{count} samples of {whole} ({share:.2%}) were lost: check the network, send larger "
+        "blocks, and use deeper queues"
+    )
+    REPEATED = "{count} blocks arrived twice or out of order: does only one node publish them?"
+    RESTARTED = (
+        "count or stamps of the samples were set {count} times: is the source started again, or "
+        "its clock set, while it runs?"
+    )
+    BURSTS = (
+        "the stream paused {count} times for up to {pause:.2g} s and then caught up: check the "
+        "network and the load of the sender"
+    )
+    NO_CURRENT = "no current arrives on supply/current: start the supply or your driver"
+    CURRENT = (
+        "the measured current deviates by {off:+.3g} A from the command: check the limits of the "
+        "supply, its voltage and the wires to the coil"
+    )
+    CURRENT_CLOCK = (
+        "the current is stamped {ahead:.3g} s {direction} than the samples: synchronise the clocks"
+    )
+
+    def found(self, channel: str = "", **figures: object) -> RigFinding:
+        """The finding of this kind, of a channel or of the stream."""
+        return RigFinding(self, self.value.format(channel=channel, **figures), channel)
 
 
 _FEWEST = 8
