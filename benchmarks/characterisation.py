@@ -23,7 +23,7 @@ from typing import Any
 import numpy as np
 
 from benchmarks import foreign_dampers, switched_current
-from benchmarks.reversal_jump import raw_records
+from benchmarks.real_records import raw_records
 from benchmarks.stream_trial import TrialResult
 from mr_damper_ros.api.replay import Replay, replay
 from mr_damper_ros.models.parameter_set import ParameterSet

@@ -1,15 +1,32 @@
-"""A measured figure with its bar and its definition."""
+"""Measured figures: the table of all of them is ``figures.yaml``, with their bars and definitions.
+
+A part of ``make bench`` or ``make soak`` is a function that returns the values of its figures by
+key, each alone or with a note.
+"""
 
 from __future__ import annotations
 
 import json
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
+from functools import cache
+from multiprocessing import get_context
 from pathlib import Path
+from typing import Any, TypeVar
+
+import yaml
 
 Value = float | list[float] | None
 Pair = tuple[float, float]
+Measured = dict[str, Value | tuple[Value, str]]
+
+Job = TypeVar("Job")
+Result = TypeVar("Result")
+
+PROCESSES = 2
+"""Figures are made on two cores."""
 
 
 @dataclass(frozen=True)
@@ -17,9 +34,8 @@ class Figure:
     """One figure: ``key`` in the JSON file, ``value``, and what it must reach.
 
     ``bar`` is a pair (low, high) that the value, or every value of a list, must lie within, or a
-    list of pairs, one for each value; None where the figure is only reported. ``definition`` says
-    in one or two sentences what was measured; ``value`` is None where it was not, and ``note`` then
-    says why.
+    list of pairs, one for each value; None where the figure is only reported. ``value`` is None
+    where it was not measured, and ``note`` then says why.
     """
 
     key: str
@@ -39,6 +55,65 @@ class Figure:
         return "yes" if all(within) else "no"
 
 
+@dataclass(frozen=True)
+class Part:
+    """Figures that one function measures.
+
+    ``by`` is ``module.function``; ``quick`` are its arguments for a short run, which does not give
+    the real figures; ``options`` names those that the command line sets. ``figures`` has the bar
+    and the definition of each key.
+    """
+
+    by: str
+    figures: Mapping[str, tuple[Any, str]]
+    quick: Sequence[Any] = ()
+    options: Sequence[str] = ()
+
+    def figures_of(self, measured: Measured) -> list[Figure]:
+        """What was measured, with bars and definitions. Raises ValueError for other keys."""
+        if measured.keys() - self.figures.keys():
+            raise ValueError(f"{self.by} has measured {sorted(measured)}: not in figures.yaml")
+        found = []
+        for key, told in measured.items():
+            value, note = told if isinstance(told, tuple) else (told, "")
+            bar, definition = self.figures[key]
+            found.append(Figure(key, value, definition, bar, note))
+        return found
+
+
+@cache
+def parts(program: str) -> dict[str, Part]:
+    """The parts of ``bench`` or ``soak`` by name, in the order of the table."""
+    table = yaml.safe_load(Path(__file__).with_name("figures.yaml").read_text(encoding="utf-8"))
+    return {
+        name: Part(
+            part["by"],
+            {key: (_bar(each.get("bar")), each["is"]) for key, each in part["figures"].items()},
+            part.get("quick", ()),
+            part.get("options", ()),
+        )
+        for name, part in table[program].items()
+    }
+
+
+def _bar(given: Any) -> Pair | list[Pair] | None:
+    if given is None:
+        return None
+    if isinstance(given[0], list):
+        return [(float(low), float(high)) for low, high in given]
+    return float(given[0]), float(given[1])
+
+
+def in_processes(
+    work: Callable[[Job], Result], jobs: Sequence[Job], processes: int = PROCESSES
+) -> list[Result]:
+    """The results of the jobs in their order, from fresh processes; 1: from this one."""
+    if processes == 1:
+        return [work(job) for job in jobs]
+    with ProcessPoolExecutor(processes, mp_context=get_context("spawn")) as pool:
+        return list(pool.map(work, jobs))
+
+
 def write(figures: Sequence[Figure], place: Path) -> None:
     """Write what has been measured so far as one JSON object: what comes next may fail."""
     place.parent.mkdir(parents=True, exist_ok=True)
@@ -56,7 +131,7 @@ def table(figures: Sequence[Figure]) -> str:
     rows = [("key", "figure", "bar", "reached", "definition")]
     for figure in figures:
         definition = f"{figure.definition} {figure.note}".strip()
-        rows.append((figure.key, _shown(figure.value), _bar(figure), figure.reached, definition))
+        rows.append((figure.key, _shown(figure.value), _bars(figure), figure.reached, definition))
     widths = [max(len(row[column]) for row in rows) for column in range(4)]
     return "\n".join(
         "  ".join(
@@ -69,12 +144,10 @@ def table(figures: Sequence[Figure]) -> str:
 def _shown(value: Value) -> str:
     if value is None:
         return "not measured"
-    if isinstance(value, list):
-        return ", ".join(f"{entry:.4g}" for entry in value)
-    return f"{value:.4g}"
+    return ", ".join(f"{each:.4g}" for each in (value if isinstance(value, list) else [value]))
 
 
-def _bar(figure: Figure) -> str:
+def _bars(figure: Figure) -> str:
     if figure.bar is None:
         return "reported"
     bars = figure.bar if isinstance(figure.bar, list) else [figure.bar]
@@ -82,8 +155,6 @@ def _bar(figure: Figure) -> str:
 
 
 def _range(low: float, high: float) -> str:
-    if high == float("inf"):
+    if math.isinf(high):
         return f">= {low:g}"
-    if low in (0.0, float("-inf")):
-        return f"<= {high:g}"
-    return f"{low:g} to {high:g}"
+    return f"<= {high:g}" if low in (0.0, -math.inf) else f"{low:g} to {high:g}"

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.optimize import brentq
 
-from benchmarks.figure import Figure
+from benchmarks.figure import Measured
 from mr_damper_ros.emulation.emulator import (
     ConstantDamper,
     Damper,
@@ -83,21 +83,6 @@ def follow(
             parameters = published.parameters.values
         steps.append(Step(published.report, parameters))
     return steps
-
-
-def window_between(run: Recording, first: int, last: int) -> Window:
-    """Samples ``first`` to ``last`` of a recording as a window."""
-    part = slice(first, last)
-    return Window.from_samples(
-        run.displacement[part], run.force[part], run.current[part], run.period
-    )
-
-
-def nrmse(parameters: Array, window: Window) -> float:
-    """RMSE/std of the force that parameters (16,) predict on a window."""
-    m = window.motion
-    predicted = sine_force(parameters, m.displacement, m.velocity, m.acceleration, window.current)
-    return float(np.sqrt(np.mean((predicted - window.force) ** 2)) / np.std(window.force))
 
 
 def sample_of(run: Recording, stamp_ns: int) -> int:
@@ -190,8 +175,12 @@ def drift_of(run: Recording, settings: TrackerSettings) -> Drift:
             truth = scale_of(_true_loop(run, slice(end - 1, end)), baseline)
             errors.append(step.report.scale.value / truth - 1.0)
         if end >= baseline_end and end + length <= run.force.size:
-            ahead = window_between(run, end, end + length)
-            predicted.append(nrmse(step.parameters, ahead))
+            part = slice(end, end + length)
+            ahead = Window.from_samples(
+                run.displacement[part], run.force[part], run.current[part], run.period
+            )
+            left = MODELS["sigmoid"].window_force(ahead, step.parameters) - ahead.force
+            predicted.append(float(np.sqrt(np.mean(left**2)) / np.std(ahead.force)))
             fitted.append(
                 fit_window(MODELS["sigmoid"], ahead, step.parameters, method="least_squares").nrmse
             )
@@ -207,42 +196,28 @@ def _true_loop(run: Recording, part: slice) -> Array:
     return np.asarray(cold + min(max(warm, 0.0), 1.0) * (hot - cold))
 
 
-def drift_figures(duration: float = DURATION) -> list[Figure]:
-    """``drift_scale_error_p95_percent``, ``drift_nrmse_ratio``, ``ukf_drift_...`` of the first."""
+def drift_figures(duration: float = DURATION) -> Measured:
+    """Both trackers on the same recording."""
     run = heated_run(duration)
     window, recursive = (
         drift_of(run, TrackerSettings(tracker=name)) for name in ("window", "recursive")
     )
     assert run.temperature is not None
-    shared = (
-        f"Emulated rig heating from 28 to {float(run.temperature[-1]):.1f} °C in {duration:.0f} s, "
-        f"force interpolated between the published sets, windows of {WINDOW:g} s every "
-        f"{HOP:g} s:"
-    )
-    return [
-        Figure(
-            "drift_scale_error_p95_percent",
+    single = float(np.quantile(window.predicted / window.fitted, 0.95))
+    return {
+        "drift_scale_error_p95_percent": (
             100.0 * window.scale_error_p95,
-            f"{shared} 95th percentile of the reported force scale's error against the truth at "
-            "the end of the window [%].",
-            (0.0, 1.0),
+            f"To {float(run.temperature[-1]):.1f} °C in {duration:.0f} s.",
         ),
-        Figure(
-            "drift_nrmse_ratio",
+        "drift_nrmse_ratio": (
             window.nrmse_ratio,
-            f"{shared} NRMSE of the set in use on the window that follows, over that of a fresh "
-            "fit of that very window (root mean squares).",
-            (0.0, 1.1),
-            f"95th percentile of the single ratios: "
-            f"{float(np.quantile(window.predicted / window.fitted, 0.95)):.3f}.",
+            f"95th percentile of the single ratios: {single:.3f}.",
         ),
-        Figure(
-            "ukf_drift_scale_error_p95_percent",
+        "ukf_drift_scale_error_p95_percent": (
             100.0 * recursive.scale_error_p95,
-            "The force scale's error on the same recording by the recursive Kalman filter [%].",
-            note=f"Its NRMSE ratio: {recursive.nrmse_ratio:.3f}.",
+            f"Its NRMSE ratio: {recursive.nrmse_ratio:.3f}.",
         ),
-    ]
+    }
 
 
 # -- a sudden loss of force ------------------------------------------------------------------
@@ -281,26 +256,13 @@ def windows_until_right(offset: float, settings: TrackerSettings) -> float:
     return float(right_since) / WINDOW
 
 
-def step_figures(offsets: Sequence[float] = OFFSETS) -> list[Figure]:
-    """``step_windows`` and ``ukf_step_windows``."""
+def step_figures(offsets: Sequence[float] = OFFSETS) -> Measured:
+    """The longest of the steps at these times within a hop."""
     found, recursive = (
         [windows_until_right(offset, TrackerSettings(tracker=name)) for offset in offsets]
         for name in ("window", "recursive")
     )
-    return [
-        Figure(
-            "step_windows",
-            max(found),
-            f"Step of -10 % in force: time until the set in use is right within 1 % for good, in "
-            f"windows of {WINDOW:g} s (a window every {HOP:g} s); the longest "
-            f"of {len(found)} steps at different times within a hop.",
-            (0.0, 2.0),
-            f"Mean: {float(np.mean(found)):.2f}.",
-        ),
-        Figure(
-            "ukf_step_windows",
-            max(recursive),
-            "The same by the recursive Kalman filter.",
-            note=f"Mean: {float(np.mean(recursive)):.2f}.",
-        ),
-    ]
+    return {
+        "step_windows": (max(found), f"Mean: {float(np.mean(found)):.2f}."),
+        "ukf_step_windows": (max(recursive), f"Mean: {float(np.mean(recursive)):.2f}."),
+    }

@@ -17,33 +17,33 @@ import argparse
 import math
 import sys
 import time
-from collections import defaultdict
+from collections import Counter
 from collections.abc import Callable, Sequence
-from concurrent.futures import ProcessPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
-from itertools import pairwise, product
-from multiprocessing import get_context
+from itertools import product
 
 import numpy as np
 
-from benchmarks.figure import Figure, table
+from benchmarks.figure import PROCESSES, Measured, in_processes, parts, table
 from benchmarks.foreign_laws import LAWS, ForeignDamper
-from benchmarks.healthy import at_rest
 from benchmarks.other_dampers import chirp, random_motion, stairs
-from benchmarks.stream_trial import WRONG, StreamTrial, TrialResult, TrialSettings
+from benchmarks.stream_trial import (
+    WRONG,
+    StreamTrial,
+    TrialResult,
+    TrialSettings,
+    WorseSet,
+    at_rest,
+    worse_sets,
+)
 from mr_damper_ros.control.linear_plant import IsoRoad, QuarterCar
 from mr_damper_ros.emulation.emulator import CurrentSchedule, ThermalModel
 from mr_damper_ros.emulation.faults import faults_of
 from mr_damper_ros.emulation.motions import Excitation, SampledMotion, SineMotion
-from mr_damper_ros.estimation.global_fit import error_of_set
-from mr_damper_ros.kinematics.window import Window
-from mr_damper_ros.models.parameter_set import ParameterSet
 from mr_damper_ros.signals.arrays import Array
 from mr_damper_ros.tracking.validity import DoubtKind
 from studies.control.ground_motion import Shaking
-
-PROCESSES = 2
 
 DURATION, SLOW_DURATION = 24.0, 40.0
 """Length of a trial [s], and that of one with a slow motion."""
@@ -51,9 +51,8 @@ DURATION, SLOW_DURATION = 24.0, 40.0
 BEGIN, END = 12.0, 15.0
 """When a fault begins and when it is repaired [s]."""
 
-GOOD, WORSE = 0.25, 0.05
-"""A set is good that leaves at most so much of the true force unexplained (NRMSE), and one that
-leaves so much more is worse."""
+GOOD = 0.25
+"""A set is good that leaves at most so much of the true force unexplained (NRMSE)."""
 
 FOLLOWING = 4.0
 """Sets are compared over so many seconds from when the new one takes effect."""
@@ -296,16 +295,6 @@ COMBINATIONS = _combinations()
 
 
 @dataclass(frozen=True)
-class WorseSet:
-    """A set that was taken at ``time`` [s] and is worse: NRMSE of the one ``before`` and of it."""
-
-    set_id: str
-    time: float
-    before: float
-    after: float
-
-
-@dataclass(frozen=True)
 class Outcome:
     """What came of a combination.
 
@@ -381,7 +370,16 @@ def run(given: Combination) -> Outcome:
 
 
 def outcome_of(given: Combination, result: TrialResult, seconds: float = 0.0) -> Outcome:
-    """What a trial of the combination says."""
+    """What a trial of the combination says.
+
+    Sets whose window and what follows contain a change of the damper itself are not compared.
+    """
+    changes = (BEGIN, END) if given.changes_damper else ()
+    worse = [
+        each
+        for each in worse_sets(result, [(0.0, FOLLOWING)], GOOD)
+        if not any(each.time - _OF_A_SET < edge < each.time + FOLLOWING for edge in changes)
+    ]
     wrong = result.wrong_valid()
     identified = [taken.time for taken in result.sets[1:]]
     asked = (result.time >= (identified[0] if identified else 0.0)) & ~at_rest(result)
@@ -408,127 +406,82 @@ def outcome_of(given: Combination, result: TrialResult, seconds: float = 0.0) ->
             if kinds[kind]
         },
         float(np.mean(windows)) if windows else 0.0,
-        tuple(worse_sets(result, (BEGIN, END) if given.changes_damper else ())),
+        tuple(worse),
         len(identified),
         seconds,
     )
 
 
-def worse_sets(result: TrialResult, changes: Sequence[float] = ()) -> list[WorseSet]:
-    """The sets that are worse than a good one before, by the true force of what follows.
-
-    None where the damper itself changes from its window to the end of what follows: a fault of it
-    begins or is repaired.
-    """
-    found = []
-    for before, after in pairwise(result.sets):
-        if any(after.time - _OF_A_SET < edge < after.time + FOLLOWING for edge in changes):
-            continue
-        truth = _truth(result, after.time, after.time + FOLLOWING)
-        if truth is None:
-            continue
-        old, new = (_nrmse(taken.parameters, truth) for taken in (before, after))
-        if old <= GOOD and new > old + WORSE:
-            found.append(WorseSet(after.parameters.set_id, after.time, old, new))
-    return found
+def figures(every: int = 1) -> Measured:
+    """All combinations, or ``every`` so many."""
+    return figures_of(in_processes(run, COMBINATIONS[::every]))
 
 
-def _truth(result: TrialResult, begin: float, end: float) -> Window | None:
-    """The true motion and force between two times [s]; None where next to nothing moved."""
-    part = slice(round(begin / result.period), round(end / result.period))
-    if result.time[part].size * result.period < 0.5 * (end - begin):
-        return None  # the trial ends
-    try:
-        return Window.from_samples(
-            result.displacement[part], result.true[part], result.current[part], result.period
-        )
-    except ValueError:
-        return None
-
-
-def _nrmse(parameters: ParameterSet, window: Window) -> float:
-    error = error_of_set(parameters, [window]).nrmse
-    return error if math.isfinite(error) else math.inf
-
-
-def measure(
-    combinations: Sequence[Combination] = COMBINATIONS,
-    processes: int = PROCESSES,
-    told: Callable[[Outcome], None] = lambda _: None,
-) -> list[Outcome]:
-    """Run combinations; each is told of as soon as those before it are done."""
-    found = []
-    if processes == 1:
-        for given in combinations:
-            found.append(run(given))
-            told(found[-1])
-        return found
-    with ProcessPoolExecutor(processes, mp_context=get_context("spawn")) as pool:
-        for outcome in pool.map(run, combinations):
-            told(outcome)
-            found.append(outcome)
-    return found
-
-
-def figures(combinations: Sequence[Combination] = COMBINATIONS) -> list[Figure]:
-    """``foreign_wrong_valid_s``, ``foreign_right_refused_percent``, ``foreign_worse_sets``."""
-    return figures_of(measure(combinations))
-
-
-def figures_of(outcomes: Sequence[Outcome]) -> list[Figure]:
+def figures_of(outcomes: Sequence[Outcome]) -> Measured:
     """The figures of what came of the combinations."""
     wrong = np.array([outcome.wrong_valid for outcome in outcomes])
     refused = 100.0 * np.array([outcome.refused for outcome in outcomes])
     worse = [(outcome, each) for outcome in outcomes for each in outcome.worse_sets]
-    causes: dict[str, float] = defaultdict(float)
+    causes: Counter[str] = Counter()
     for outcome in outcomes:
-        for kind, seconds in outcome.refused_for.items():
-            causes[kind] += seconds
+        causes.update(outcome.refused_for)
     most = sorted(outcomes, key=lambda outcome: -outcome.wrong_valid)
-    said = f"{len(outcomes)} combinations of {len(LAWS)} laws that the package does not have"
-    return [
-        Figure(
-            "foreign_wrong_valid_s",
+    return {
+        "foreign_wrong_valid_s": (
             [
                 float(np.median(wrong)),
                 float(np.quantile(wrong, 0.95)),
                 max(outcome.longest for outcome in outcomes),
             ],
-            f"{said}, with motions, currents, sensors, streams and faults: seconds for which a "
-            "force wrong by more than 20 % of the peak of the last 10 s is called valid; median, "
-            "95 %, longest stretch of all.",
-            [(0.0, 0.0), (0.0, 1.0), (0.0, 1.0)],
-            "Most: "
-            + "; ".join(f"{o.combination.name} ({o.wrong_valid:.2f} s)" for o in most[:3])
-            + ".",
+            f"{len(outcomes)} combinations. Most: "
+            + "; ".join(f"{o.combination.name} ({o.wrong_valid:.2f} s)" for o in most[:3]),
         ),
-        Figure(
-            "foreign_right_refused_percent",
+        "foreign_right_refused_percent": (
             [float(np.median(refused)), float(np.quantile(refused, 0.9))],
-            "Share [%] of the time in motion after the first identified set for which the force "
-            "is right and not valid; median, 90 %.",
-            [(0.0, 10.0), (0.0, 50.0)],
             "By cause, in all: "
-            + ", ".join(f"{kind} {seconds:.0f} s" for kind, seconds in _sorted(causes))
+            + ", ".join(f"{kind} {seconds:.0f} s" for kind, seconds in causes.most_common())
             + f". Valid for less than 2 % of that time: {sum(o.valid < 0.02 for o in outcomes)}.",
         ),
-        Figure(
-            "foreign_worse_sets",
+        "foreign_worse_sets": (
             float(len(worse)),
-            f"Sets taken that leave more than {100 * WORSE:g} points more of the true force of the "
-            f"next {FOLLOWING:g} s unexplained (NRMSE) than the one before, which left at most "
-            f"{GOOD:.0%}; of {sum(outcome.sets for outcome in outcomes)}.",
-            (0.0, 2.0),
-            "; ".join(
+            f"Of {sum(outcome.sets for outcome in outcomes)}. "
+            + "; ".join(
                 f"{o.combination.number}: {each.set_id} {each.before:.0%} to {each.after:.0%}"
                 for o, each in worse
             ),
         ),
-    ]
+    }
 
 
-def _sorted(causes: dict[str, float]) -> list[tuple[str, float]]:
-    return sorted(causes.items(), key=lambda cause: -cause[1])
+SIZES = (1, 10, 100)
+"""Of blocks, in which the same stream must be as valid."""
+
+
+def block_size_figures(duration: float = 20.0, streams: int = 4) -> Measured:
+    """A combination of each of some motions, as it would be without faults, in blocks of each size.
+
+    The share of the time in motion for which the force is valid.
+    """
+    motions = ("sine 0.4 Hz", "sine 2 Hz", "random 0.2-3 Hz", "quarter car")
+    spreads, notes = [], []
+    for place, motion in enumerate(motions[:streams]):
+        first = next(each for each in COMBINATIONS[place:] if each.motion == motion)
+        shares = []
+        for size in SIZES:
+            case = replace(first, fault="", sensors="noisy", block=size)
+            result = trial_of(case)[0].run(duration)
+            asked = (result.time >= result.sets[1].time) & ~at_rest(result)
+            shares.append(100.0 * float(np.mean(result.valid[asked])))
+        spreads.append(max(shares) - min(shares))
+        told = ", ".join(f"{share:.1f}" for share in shares)
+        notes.append(f"{first.law}, {motion}, {first.current}: {told}")
+    return {"block_size_valid_spread": (max(spreads), "; ".join(notes))}
+
+
+def _told(given: Combination) -> Outcome:
+    outcome = run(given)
+    print(outcome.told, flush=True)
+    return outcome
 
 
 def main() -> int:
@@ -542,8 +495,8 @@ def main() -> int:
     if options.numbers:
         chosen = [COMBINATIONS[number] for number in options.numbers]
     began = time.monotonic()
-    found = measure(chosen, options.processes, lambda outcome: print(outcome.told, flush=True))
-    print(table(figures_of(found)))
+    found = in_processes(_told, chosen, options.processes)
+    print(table(parts("bench")["foreign_dampers"].figures_of(figures_of(found))))
     print(f"{len(found)} combinations, {time.monotonic() - began:.0f} s", file=sys.stderr)
     return 0
 

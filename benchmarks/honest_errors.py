@@ -10,7 +10,8 @@ import numpy as np
 from scipy.signal import lfilter
 
 from benchmarks import following
-from benchmarks.figure import Figure
+from benchmarks.figure import Measured
+from benchmarks.other_dampers import random_motion
 from mr_damper_ros.emulation.emulator import (
     THESIS_FORCE_NOISE,
     ConstantDamper,
@@ -18,7 +19,7 @@ from mr_damper_ros.emulation.emulator import (
     ModelDamper,
     RigSettings,
 )
-from mr_damper_ros.emulation.motions import Excitation, SampledMotion, SineMotion
+from mr_damper_ros.emulation.motions import Excitation, SineMotion
 from mr_damper_ros.estimation.window_fit import fit_window
 from mr_damper_ros.kinematics.window import Window
 from mr_damper_ros.models import MODELS
@@ -141,16 +142,6 @@ def published_scales(
     )
 
 
-def random_motion(duration: float, seed: int) -> SampledMotion:
-    """Gaussian motion of 3 mm rms with a flat spectrum from 0.5 to 3 Hz."""
-    period, tones = 0.005, 200
-    rng = np.random.default_rng(seed)
-    rates = 2.0 * np.pi * rng.uniform(0.5, 3.0, tones)
-    angles = np.outer(np.arange(round(duration / period) + 1) * period, rates)
-    amplitudes = 3e-3 / math.sqrt(tones) * rng.standard_normal((2, tones))
-    return SampledMotion(np.sin(angles) @ amplitudes[0] + np.cos(angles) @ amplitudes[1], period)
-
-
 def bouc_wen(yield_length: float) -> ParameterSet:
     """A damper of 0.7 kN of the modified Bouc-Wen law, which the sigmoid law does not follow."""
     model = MODELS["modified_bouc_wen"]
@@ -171,52 +162,30 @@ def figures(
     windows: int = WINDOWS,
     realisations: int = REALISATIONS,
     misfit_windows: int = MISFIT_WINDOWS,
-) -> list[Figure]:
-    """``needless_exchanges``, ``ar1_error_ratio``, ``misfit_error_ratio``, ``scale_chi2``."""
+) -> Measured:
+    """A damper of another law in two motions, correlated noise, and an exact damper."""
     counts = {name: exchanges(name, windows) for name in ("window", "recursive")}
+    duration = misfit_windows * following.WINDOW + _SETTLING
+    irregular_motion = random_motion(3e-3, 0.5, 3.0, duration, seed=1)
     sine = published_scales(SineMotion(5e-3, 1.0), bouc_wen(_SOFT), misfit_windows)
-    irregular = published_scales(
-        random_motion(misfit_windows * following.WINDOW + _SETTLING, seed=1),
-        bouc_wen(_STIFF),
-        misfit_windows,
-    )
+    irregular = published_scales(irregular_motion, bouc_wen(_STIFF), misfit_windows)
     ratios = [error_ratios(memory, realisations) for memory in MEMORIES]
-    return [
-        Figure(
-            "misfit_error_ratio",
+    scales = irregular[0]
+    return {
+        "misfit_error_ratio": (
             [
-                float(np.median(errors) / np.std(scales, ddof=1))
-                for scales, errors, _ in (sine, irregular)
+                float(np.median(errors) / np.std(published, ddof=1))
+                for published, errors, _ in (sine, irregular)
             ],
-            "Claimed (median) over actual scatter of the published force scale of a constant "
-            "damper of the modified Bouc-Wen law, followed with the sigmoid law over "
-            f"{misfit_windows} windows: in a sine and in random motion.",
-            (0.5, 2.0),
             f"NRMSE of the fits: {sine[2]:.1%} and {irregular[2]:.1%}.",
         ),
-        Figure(
-            "scale_chi2",
+        "scale_chi2": (
             chi_square(*irregular[:2]),
-            "Chi-square per window of that force scale in random motion about its mean.",
-            (0.5, 2.0),
-            f"Its mean: {float(np.mean(irregular[0])):.3f}, the scatter "
-            f"{float(np.std(irregular[0])):.3f}.",
+            f"Its mean: {float(np.mean(scales)):.3f}, the scatter {float(np.std(scales)):.3f}.",
         ),
-        Figure(
-            "ar1_error_ratio",
-            [float(value) for pair in ratios for part in pair for value in part],
-            f"Claimed over actual error of each coefficient ({CONDITION}, {realisations} windows) "
-            "where the noise is white and where it has a memory of 0.8 and 0.95 from sample to "
-            "sample: in each case seven of the window fit, then seven as published by the tracker.",
-            (0.8, 1.25),
-        ),
-        Figure(
-            "needless_exchanges",
+        "ar1_error_ratio": [float(value) for pair in ratios for part in pair for value in part],
+        "needless_exchanges": (
             float(max(counts.values())),
-            f"Sets exchanged in {windows} windows of a constant damper of the exact law "
-            f"({following.WINDOW:g} s every {following.HOP:g} s), the first not counted; of the "
-            "trackers the one with the most.",
-            (0.0, 6.0),
-            ", ".join(f"{name}: {count}" for name, count in counts.items()) + ".",
+            ", ".join(f"{name}: {count}" for name, count in counts.items()),
         ),
-    ]
+    }

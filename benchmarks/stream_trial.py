@@ -33,6 +33,8 @@ from mr_damper_ros.emulation.emulator import (
 )
 from mr_damper_ros.emulation.faults import Delivery, Fault, Instruments
 from mr_damper_ros.emulation.motions import Excitation
+from mr_damper_ros.estimation.global_fit import error_of_set
+from mr_damper_ros.kinematics.window import Window
 from mr_damper_ros.models.parameter_set import ParameterSet, start_set
 from mr_damper_ros.rig.blocks import Meter
 from mr_damper_ros.signals.arrays import Array
@@ -40,7 +42,7 @@ from mr_damper_ros.signals.blocks import NANOSECONDS, BlockError, RigBlock, Samp
 from mr_damper_ros.tracking.engine import Engine, EngineSettings
 from mr_damper_ros.tracking.predictor import Prediction, PredictorSettings
 from mr_damper_ros.tracking.reports import Report
-from mr_damper_ros.tracking.tracker import TrackerSettings, WindowTracker
+from mr_damper_ros.tracking.tracker import TrackerSettings
 from mr_damper_ros.tracking.validity import DoubtKind
 from mr_damper_ros.tracking.window_assembler import WindowSettings
 
@@ -52,6 +54,12 @@ WRONG = 0.2
 
 PEAK_MEMORY = 10.0
 """The peak force is that of the last so many seconds."""
+
+WORSE = 0.05
+"""A set is worse that leaves so much more of the true force unexplained (NRMSE)."""
+
+_REST_SPEED, _REST_TIME = 0.01, 0.5
+"""At rest: below this part of the top speed for so long [s]."""
 
 
 @dataclass(frozen=True)
@@ -105,10 +113,8 @@ class TrialResult:
     ``time`` [s]; ``current`` [A] that the supply really gives; ``true``: force [N] between rod and
     load cell, without noise or a fault of the instruments; ``measured``: what the instruments say
     (NaN: nothing was sent); ``predicted`` [N] (NaN: none); ``doubts``: kind of doubt of each, -1
-    where nothing came; ``reason``: index into ``reasons``, why the block's newest doubted sample is
-    not valid (of the first, empty where all are, or where nothing came); ``used``: index into
-    ``sets``, -1 for none. ``reports`` are in the order in which they took effect, at
-    ``report_times`` [s].
+    where nothing came. ``reports`` are in the order in which they took effect, at ``report_times``
+    [s].
     """
 
     time: Array
@@ -118,13 +124,9 @@ class TrialResult:
     measured: Array
     predicted: Array
     doubts: np.ndarray
-    reason: np.ndarray
-    reasons: list[str]
-    used: np.ndarray
     sets: list[SetInUse]
     reports: list[Report]
     report_times: list[float]
-    rejected: list[str]
 
     @property
     def valid(self) -> np.ndarray:
@@ -181,16 +183,67 @@ class TrialResult:
         places = np.flatnonzero(self.valid & (self.time >= since))
         return float(self.time[places[0]]) if places.size else math.inf
 
-    def why_invalid(self, since: float = 0.0, until: float = math.inf) -> list[tuple[str, float]]:
-        """The reasons for which the force was not valid, with their seconds, longest first."""
-        asked = ~self.valid & (self.time >= since) & (self.time < until)
-        counts = np.bincount(self.reason[asked], minlength=len(self.reasons))
-        order = np.argsort(-counts)
-        return [
-            (self.reasons[place] or "nothing was predicted", float(counts[place] * self.period))
-            for place in order
-            if counts[place]
+
+def at_rest(result: TrialResult) -> np.ndarray:
+    """Mask (n,) of the samples at which the machine stands still for half a second or longer."""
+    speed = np.abs(np.gradient(result.displacement, result.period))
+    slow = speed < _REST_SPEED * speed.max()
+    edges = np.flatnonzero(np.diff(np.concatenate(([0], slow.view(np.int8), [0]))))
+    rest = np.zeros(slow.size, dtype=bool)
+    for begin, end in zip(edges[::2], edges[1::2], strict=True):
+        if (end - begin) * result.period >= _REST_TIME:
+            rest[begin:end] = True
+    return rest
+
+
+class WorseSet(NamedTuple):
+    """A set that was taken at ``time`` [s] and is worse: NRMSE of the one ``before`` and of it."""
+
+    set_id: str
+    time: float
+    before: float
+    after: float
+
+
+def worse_sets(
+    result: TrialResult, spans: Sequence[tuple[float, float]], good: float
+) -> list[WorseSet]:
+    """The sets that leave more of the true force unexplained than a good one before.
+
+    Over each of the ``spans`` [s] from when the set took effect, in which anything moved. A set is
+    ``good`` up to this NRMSE.
+    """
+    found = []
+    for before, after in itertools.pairwise(result.sets):
+        truths = [
+            truth
+            for begin, end in spans
+            if (truth := _truth(result, after.time + begin, after.time + end)) is not None
         ]
+        pairs = [
+            (_nrmse(before.parameters, truth), _nrmse(after.parameters, truth)) for truth in truths
+        ]
+        if pairs and all(old <= good and new > old + WORSE for old, new in pairs):
+            found.append(WorseSet(after.parameters.set_id, after.time, *pairs[0]))
+    return found
+
+
+def _truth(result: TrialResult, begin: float, end: float) -> Window | None:
+    """The true motion and force between two times [s]; None where next to nothing moved."""
+    part = slice(max(round(begin / result.period), 0), round(end / result.period))
+    if result.time[part].size * result.period < 0.5 * (end - begin):
+        return None  # the trial ends
+    try:
+        return Window.from_samples(
+            result.displacement[part], result.true[part], result.current[part], result.period
+        )
+    except ValueError:
+        return None
+
+
+def _nrmse(parameters: ParameterSet, window: Window) -> float:
+    error = error_of_set(parameters, [window]).nrmse
+    return error if math.isfinite(error) else math.inf
 
 
 def _without_gaps(wrong: np.ndarray, valid: np.ndarray, longest: int) -> np.ndarray:
@@ -247,21 +300,14 @@ class StreamTrial:
         )
         self._now = 0.0
         self._parts: list[Array] = []
-        self._reasons: dict[str, int] = {"": 0}
         self._sets = [SetInUse(0.0, initial)]
         self._reports: list[Report] = []
         self._report_times: list[float] = []
-        self._rejected: list[str] = []
 
     @property
     def now(self) -> float:
         """Seconds of the stream so far."""
         return self._now
-
-    @property
-    def tracker(self) -> WindowTracker:
-        """The identification, as it is now."""
-        return self._engine.tracker
 
     def branch(
         self, faults: Sequence[Fault] = (), current: CurrentSchedule | None = None
@@ -291,7 +337,7 @@ class StreamTrial:
     def result(self) -> TrialResult:
         """What has come since the start."""
         rows = np.concatenate(self._parts, axis=1)
-        time, displacement, current, true, measured, predicted, doubts, reason, used = rows
+        time, displacement, current, true, measured, predicted, doubts = rows
         return TrialResult(
             time=time,
             displacement=displacement,
@@ -300,23 +346,19 @@ class StreamTrial:
             measured=measured,
             predicted=predicted,
             doubts=doubts.astype(int),
-            reason=reason.astype(int),
-            reasons=list(self._reasons),
-            used=used.astype(int),
             sets=list(self._sets),
             reports=list(self._reports),
             report_times=list(self._report_times),
-            rejected=list(self._rejected),
         )
 
     # --- what the bridge does ------------------------------------------------------------------
 
     def _go_on(self, made: RigBlock) -> None:
         size, first = made.sample_count, made.sequence
-        rows = np.full((9, size), math.nan)
+        rows = np.full((7, size), math.nan)
         rows[0] = (first + np.arange(size)) * made.period
         rows[1:4] = made.displacement, made.current, made.force
-        rows[6:] = np.array([[-1.0], [0.0], [-1.0]])
+        rows[6] = -1.0
         self._parts.append(rows)
         noise = [rng.standard_normal(size) for rng in self._noise]
         block = replace(
@@ -338,8 +380,7 @@ class StreamTrial:
                 block.start_ns, block.sequence, block.period, block.displacement, block.force
             )
             check_live(samples)
-        except BlockError as error:
-            self._rejected.append(str(error))
+        except BlockError:
             return
         now_ns = self._rig.settings.start_ns + round(self._now * NANOSECONDS)
         prediction = self._engine.predict(samples, now_ns)
@@ -358,5 +399,3 @@ class StreamTrial:
         rows[4] = delivery.block.force
         rows[5] = prediction.force
         rows[6] = prediction.doubts
-        rows[7] = self._reasons.setdefault(prediction.reason, len(self._reasons))
-        rows[8] = len(self._sets) - 1

@@ -15,14 +15,12 @@ from __future__ import annotations
 import argparse
 import sys
 from collections.abc import Callable, Sequence
-from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass, replace
 from functools import partial
-from multiprocessing import get_context
 
 import numpy as np
 
-from benchmarks.figure import Figure, table
+from benchmarks.figure import PROCESSES, Measured, in_processes, parts, table
 from benchmarks.foreign_laws import LAWS, ForeignDamper
 from benchmarks.other_dampers import DAMPERS as OTHER_DAMPERS
 from benchmarks.other_dampers import random_motion
@@ -56,7 +54,6 @@ from mr_damper_ros.tracking.engine import Engine, EngineSettings
 from mr_damper_ros.tracking.predictor import PredictorSettings
 from mr_damper_ros.tracking.validity import DoubtKind
 
-PROCESSES = 2
 BLOCK = 10
 PERIOD = 1e-3
 
@@ -134,35 +131,23 @@ def driven(
         assert choice.predicted is not None
         assert choice.last is not None
         assert rig.motion is not None
+        predicted = choice.predicted
         rows.append(
-            np.stack(
-                [
-                    choice.predicted.force,
-                    choice.predicted.doubts,
-                    exact(measured),
-                    rig.motion.force,
-                ]
-            )
+            np.stack([predicted.force, predicted.doubts, exact(measured), rig.motion.force])
         )
         commands.append((choice.last.current, choice.last.falls_back))
-    late = round(SETTLED / PERIOD)
-    predicted, doubts, right, true = np.concatenate(rows, axis=1)[:, late:]
-    valid = chosen_samples = doubts == 0.0
-    spread = float(np.std(true[chosen_samples]))
-    errors = [
-        float(np.sqrt(np.mean((each - true)[chosen_samples] ** 2))) / spread
-        for each in (predicted, right)
-    ]
+    predicted, doubts, right, true = np.concatenate(rows, axis=1)[:, round(SETTLED / PERIOD) :]
+    valid = doubts == 0.0
+    spread = float(np.std(true[valid]))
     windows = [report for report in choice.reports if report.frequency == report.frequency]
-    windows = windows or choice.reports
     currents, falls = np.array(commands)[round(SETTLED / PERIOD / BLOCK) :].T
     return Driven(
         road,
         seed,
         float(np.mean(valid)),
-        errors[0],
-        errors[1],
-        float(np.mean([report.confirms for report in windows])) if windows else np.nan,
+        _rms([(predicted - true)[valid]]) / spread,
+        _rms([(right - true)[valid]]) / spread,
+        float(np.mean([report.confirms for report in windows or choice.reports])),
         reversals(currents),
         drops(falls),
         float(np.mean(falls)),
@@ -249,6 +234,10 @@ MOTIONS: dict[str, Callable[[int], Excitation]] = {
 }
 
 
+_OF_WINDOWS = ("nelder_mead", "least_squares", "force_scale", "recursive", "unscented", "")
+"""Methods of reports on windows; the others search in all of them."""
+
+
 @dataclass(frozen=True)
 class Switched:
     """What came of a run under a switched current.
@@ -298,7 +287,7 @@ def switched(seed: int, duration: float = SWITCHED) -> Switched:
         rows.append([prediction.force, prediction.valid_samples, made.force])
     engine.finish()
     reports += [each.report for each in engine.take_publications()]
-    windows = [each for each in reports if each.sample_count and not _is_search(each.method)]
+    windows = [each for each in reports if each.sample_count and each.method in _OF_WINDOWS]
     predicted, valid, measured = np.concatenate(rows, axis=1)
     late = np.arange(valid.size) * PERIOD > 2.0 / 3.0 * duration
     right = (valid > 0.0) & late
@@ -311,17 +300,6 @@ def switched(seed: int, duration: float = SWITCHED) -> Switched:
         not any(last),
         float(np.sqrt(np.mean(error**2)) / np.std(measured[late])) if right.any() else np.nan,
         float(np.mean(valid[late])),
-    )
-
-
-def _is_search(method: str) -> bool:
-    return method not in (
-        "nelder_mead",
-        "least_squares",
-        "force_scale",
-        "recursive",
-        "unscented",
-        "",
     )
 
 
@@ -382,15 +360,12 @@ CASES: dict[str, Case] = {
     "bouc_wen, learns": Case(
         lambda: ModelDamper(BOUC_WEN, PERIOD), _random, BOUC_WEN, learns=True, right=True
     ),
+    "71 °C": Case(_heated, _random, COLD, celsius=71.0),
     "80 %, learns": Case(lambda: ModelDamper(_weak(0.80), PERIOD), _random, COLD, learns=True),
 }
 
 
-TRACKED = (
-    CASES["right, random"],
-    CASES["71 °C, learns"],
-    Case(_heated, _random, COLD, celsius=71.0),
-)
+_TRACKED = ("right, random", "71 °C, learns", "71 °C")
 """Of these the error of the force is a figure: known, hot and identified, hot with the cold set."""
 
 
@@ -453,116 +428,57 @@ def _rms(errors: Sequence[Array]) -> float:
 
 # -- figures ---------------------------------------------------------------------------------------
 
+_FEW = 0.5
+"""Reversals a second that hardly count."""
+
 
 def figures(
     roads: Sequence[str] = ROADS,
     seeds: Sequence[int] = SEEDS,
     switched_seeds: Sequence[int] = SWITCHED_SEEDS,
-    cases: Sequence[str] = tuple(CASES),
+    names: Sequence[str] = tuple(CASES),
     processes: int = PROCESSES,
-) -> list[Figure]:
-    """The loop's validity, error and calm; see the docstring of the module."""
-    with ProcessPoolExecutor(processes, mp_context=get_context("spawn")) as pool:
-        drives = list(pool.map(_driven, [(road, seed) for road in roads for seed in seeds]))
-        runs = list(pool.map(switched, switched_seeds))
-        pairs = list(pool.map(_pair, cases))
-        cold, hot, hot_fixed = (each.late for each in pool.map(_tracked, range(len(TRACKED))))
-    for line in [each.told for each in drives] + [each.told for each in runs]:
-        print(line, file=sys.stderr)
-    for name, (on, off) in zip(cases, pairs, strict=True):
-        print(_told(name, on, off), file=sys.stderr)
-    ratios = {name: _ratio(on, off) for name, (on, off) in zip(cases, pairs, strict=True)}
+) -> Measured:
+    """The loop's validity, error and calm, with a line on each run."""
+    drives = in_processes(_driven, [(road, seed) for road in roads for seed in seeds], processes)
+    runs = in_processes(switched, switched_seeds, processes)
+    needed = dict.fromkeys((*names, *_TRACKED))
+    pairs = dict(zip(needed, in_processes(_pair, list(needed), processes), strict=True))
+    told = [each.told for each in (*drives, *runs)]
+    print("\n".join([*told, *(_told(*pair) for pair in pairs.items())]), file=sys.stderr)
+    ratios = {
+        name: (pairs[name][0].reversals + _FEW) / (pairs[name][1].reversals + _FEW)
+        for name in names
+    }
     worst = max(ratios, key=lambda name: ratios[name])
-    dropped = max(
-        [on.drops for name, (on, _) in zip(cases, pairs, strict=True) if CASES[name].right],
-        default=np.nan,
-    )
-    about = "Quarter car, invented damper, skyhook, identifier, model and controller, defaults"
     least = min(drives, key=lambda each: each.valid)
     far = max(drives, key=lambda each: each.nrmse / each.exact)
     poor = min(runs, key=lambda each: each.confirmed)
-    return [
-        Figure(
-            "loop_valid_percent",
-            100.0 * least.valid,
-            f"{about}: share [%] of samples whose predicted force is valid, worst drive.",
-            (90.0, 100.0),
-            f"Road {least.road}, seed {least.seed}.",
-        ),
-        Figure(
-            "loop_nrmse_ratio",
-            far.nrmse / far.exact,
-            f"{about}: NRMSE of the valid force over that of the exact set, worst drive.",
-            (0.0, 1.2),
-            f"Road {far.road}, seed {far.seed}.",
-        ),
-        Figure(
-            "loop_drops",
-            max(each.drops for each in drives),
-            f"{about}: times a second that control falls back to the safe current, worst drive.",
-            (0.0, 0.2),
-        ),
-        Figure(
-            "loop_confirmed_percent",
+    cold, hot, hot_fixed = (pairs[name][0].late for name in _TRACKED)
+    return {
+        "loop_valid_percent": (100.0 * least.valid, f"Road {least.road}, seed {least.seed}."),
+        "loop_nrmse_ratio": (far.nrmse / far.exact, f"Road {far.road}, seed {far.seed}."),
+        "loop_drops": max(each.drops for each in drives),
+        "loop_confirmed_percent": (
             100.0 * poor.confirmed,
-            "Emulated rig under a current that is switched every 0.2 to 1 s, identified from "
-            "nothing: share [%] of windows that are confirmed, worst run.",
-            (85.0, 100.0),
             f"{poor.name}; median {100.0 * float(np.median([r.confirmed for r in runs])):.0f} %.",
         ),
-        Figure(
-            "loop_stuck",
-            float(sum(each.stuck for each in runs)),
-            f"The same: runs of {len(runs)} in whose last third no window is confirmed.",
-            (0.0, 0.0),
-        ),
-        Figure(
-            "controller_reversals_ratio",
+        "loop_stuck": (float(sum(each.stuck for each in runs)), f"Of {len(runs)}."),
+        "controller_reversals_ratio": (
             ratios[worst],
-            "Emulated rig, a viscous force wanted: reversals of the current with the defaults over "
-            "those with maximum_error 0, worst case.",
-            (0.0, 1.3),
-            f"{worst}; " + ", ".join(f"{name} {each:.2f}" for name, each in ratios.items()) + ".",
+            f"{worst}; " + ", ".join(f"{name} {each:.2f}" for name, each in ratios.items()),
         ),
-        Figure(
-            "controller_drops",
-            dropped,
-            "The same: times a second that control falls back to the safe current, of a damper "
-            "that is the known one, worst case.",
-            (0.0, 0.2),
+        "controller_drops": max(
+            [pairs[name][0].drops for name in names if CASES[name].right], default=np.nan
         ),
-        Figure(
-            "force_tracking_nrmse_percent",
-            100.0 * cold,
-            f"The same in random motion, coil lag 10 ms, {DEMAND:.0f} N s/m wanted: RMSE over the "
-            "standard deviation of the force [%] in the second half, where the desired force could "
-            "be had.",
-            (0.0, 10.0),
-        ),
-        Figure(
-            "force_tracking_hot_growth",
-            hot / cold,
-            f"That error at 71 °C (force {HOT_FORCE:.0%}) over that at 28 °C, with the set "
-            "identified on line from that of 28 °C.",
-            (0.0, 1.1),
-        ),
-        Figure(
-            "force_tracking_hot_growth_fixed",
-            hot_fixed / cold,
-            "The same with the set of 28 °C throughout.",
-        ),
-    ]
+        "force_tracking_nrmse_percent": 100.0 * cold,
+        "force_tracking_hot_growth": hot / cold,
+        "force_tracking_hot_growth_fixed": hot_fixed / cold,
+    }
 
 
-_FEW = 0.5
-"""Reversals a second that hardly count."""
-
-
-def _ratio(on: Followed, off: Followed) -> float:
-    return (on.reversals + _FEW) / (off.reversals + _FEW)
-
-
-def _told(name: str, on: Followed, off: Followed) -> str:
+def _told(name: str, pair: tuple[Followed, Followed]) -> str:
+    on, off = pair
     return (
         f"{name}: {on.reversals:.1f} reversals/s (maximum_error 0: {off.reversals:.1f}), "
         f"{on.drops:.2f} drops/s, NRMSE {on.nrmse:.1%} ({off.nrmse:.1%})"
@@ -577,10 +493,6 @@ def _pair(name: str) -> tuple[Followed, Followed]:
     return followed(CASES[name]), followed(CASES[name], watched=False)
 
 
-def _tracked(place: int) -> Followed:
-    return followed(TRACKED[place])
-
-
 def main() -> int:
     """Measure what is asked for."""
     parser = argparse.ArgumentParser(prog="whole_loop", description=__doc__)
@@ -588,13 +500,13 @@ def main() -> int:
     parser.add_argument("which", nargs="*")
     given = parser.parse_args()
     if given.what is None:
-        print(table(figures()))
+        print(table(parts("bench")["whole_loop"].figures_of(figures())))
     elif given.what == "switched":
         for seed in given.which or SWITCHED_SEEDS:
             print(switched(int(seed)).told, flush=True)
     elif given.what == "reversals":
         for name in given.which or CASES:
-            print(_told(name, *_pair(name)), flush=True)
+            print(_told(name, _pair(name)), flush=True)
     else:
         drives: dict[str, Callable[[str, int], Driven]] = {
             "car": driven,

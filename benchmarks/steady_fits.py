@@ -1,0 +1,419 @@
+"""Fits of steady runs of the thesis' damper: what they cost, and how near they come to the limit.
+
+Costs are processor time of one thread.
+"""
+
+from __future__ import annotations
+
+import os
+import statistics
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.optimize import differential_evolution, minimize
+
+from benchmarks.figure import Measured
+from mr_damper_ros.api.replay import replay
+from mr_damper_ros.control.inverse_model import InverseModel
+from mr_damper_ros.emulation.emulator import (
+    THESIS_FORCE_NOISE,
+    ConstantDamper,
+    EmulatedRig,
+    RigSettings,
+    scaled,
+)
+from mr_damper_ros.emulation.motions import SineMotion
+from mr_damper_ros.estimation.differential_evolution import EvolutionSettings, generator_keyword
+from mr_damper_ros.estimation.global_fit import identify_global
+from mr_damper_ros.estimation.window_fit import fit_window
+from mr_damper_ros.kinematics.motion import Motion
+from mr_damper_ros.kinematics.window import Window
+from mr_damper_ros.models import MODELS
+from mr_damper_ros.models.misfit import Misfit
+from mr_damper_ros.models.parameter_set import ParameterSet
+from mr_damper_ros.models.published import (
+    CONDITIONS,
+    LITERATURE,
+    PUBLISHED_METHODS,
+    Condition,
+    find,
+    is_clean,
+    parameters,
+)
+from mr_damper_ros.models.sigmoid.coefficient_laws import shape_bounds
+from mr_damper_ros.models.sigmoid.law import (
+    PARAMETER_NAMES,
+    SCALE_PARAMETER_NAMES,
+    Coefficients,
+    coefficient_jacobian,
+    operating_point_coefficients,
+    sine_force,
+)
+from mr_damper_ros.signals.arrays import Array
+from mr_damper_ros.signals.recording import Recording
+from studies.recordings import window_of
+from studies.thesis.published_runs import DISPLACEMENT_NOISE, PHASE, synthesise
+
+_LAW = MODELS["sigmoid"]
+
+
+def steady_window(parameters: Array, condition: Condition, *, samples: int, seed: int) -> Window:
+    """Steady run of a damper of known parameters (16,) in a condition, at 1 kHz.
+
+    The force has the noise of the thesis, the displacement that of
+    :mod:`studies.thesis.published_runs`.
+    """
+    rig = EmulatedRig(
+        ConstantDamper(parameters),
+        SineMotion(condition.amplitude, condition.frequency, phase=PHASE),
+        condition.current,
+        settings=RigSettings(displacement_noise=DISPLACEMENT_NOISE, seed=seed),
+    )
+    return window_of(rig.record(samples * rig.settings.period))
+
+
+def clean_runs() -> list[Recording]:
+    """The 30 clean conditions of the thesis, 7001 samples each."""
+    return [synthesise(condition) for condition in CONDITIONS if is_clean(condition)]
+
+
+def cpu_seconds(work: Callable[[], object]) -> float:
+    """Processor time [s] of this process for one call; on an idle machine that is wall time."""
+    began = time.process_time()
+    work()
+    return time.process_time() - began
+
+
+def interleaved_medians(
+    works: Sequence[Callable[[], object]], repetitions: Sequence[int]
+) -> list[float]:
+    """Median :func:`cpu_seconds` of each work, run in turn so that disturbances hit all.
+
+    In each of as many rounds as the smallest number of ``repetitions``, every work runs its
+    share of its own number in a row.
+    """
+    rounds = min(repetitions)
+    times: list[list[float]] = [[] for _ in works]
+    for _ in range(rounds):
+        for place, (work, number) in enumerate(zip(works, repetitions, strict=True)):
+            times[place] += [cpu_seconds(work) for _ in range(number // rounds)]
+    return [statistics.median(entries) for entries in times]
+
+
+# -- the limit of Cramér and Rao -------------------------------------------------------------------
+
+CONDITION = "5.0mm_1Hz_1.5A"
+
+_INTERVAL = 1.959964
+"""Half width of the 95 % interval of a normal distribution, in standard deviations."""
+
+
+@dataclass(frozen=True, eq=False)
+class Scatter:
+    """Errors and standard errors (r, 7) of coefficients; ``bound`` (7,) on their variances."""
+
+    errors: Array
+    standard_errors: Array
+    bound: Array
+
+    @property
+    def ratios(self) -> Array:
+        """Mean squared error over the bound, one for each coefficient (7,)."""
+        return np.asarray(np.mean(self.errors**2, axis=0) / self.bound)
+
+    @property
+    def coverage(self) -> float:
+        """Part of the 95 % intervals that hold the truth, over all coefficients [1]."""
+        return float(np.mean(np.abs(self.errors) <= _INTERVAL * self.standard_errors))
+
+
+def scatter(realisations: int, samples: int) -> Scatter:
+    """Fits of one condition with independent noise; seeds are 0, 1, 2 ..."""
+    condition = find(CONDITION)
+    published = parameters(condition)
+    speed = 2.0 * np.pi * condition.frequency * condition.amplitude
+    truth = np.concatenate(operating_point_coefficients(published, speed, condition.current))
+    if truth[0] < 0.0:
+        truth[:2] *= -1.0  # the same loop, as fits report it
+    fits = [
+        fit_window(
+            _LAW,
+            steady_window(published, condition, samples=samples, seed=seed),
+            published,
+            method="least_squares",
+        )
+        for seed in range(realisations)
+    ]
+    # The least variance of unbiased coefficients from samples of the exact motion at 1 kHz.
+    motion = SineMotion(condition.amplitude, condition.frequency, phase=PHASE).at(
+        np.arange(samples, dtype=np.float64) * 1e-3
+    )
+    jacobian = coefficient_jacobian(Coefficients(*truth), motion.velocity, motion.acceleration)
+    return Scatter(
+        np.array([fit.coefficients - truth for fit in fits]),
+        np.array([np.sqrt(np.diag(fit.coefficient_covariance)) for fit in fits]),
+        np.diag(THESIS_FORCE_NOISE**2 * np.linalg.inv(jacobian.T @ jacobian)),
+    )
+
+
+def noise_figures(realisations: int = 500, samples: int = 2000) -> Measured:
+    """Variance of the coefficients against the bound, and coverage of their intervals."""
+    found = scatter(realisations, samples)
+    return {
+        "crlb_ratio": (
+            float(found.ratios.max()),
+            f"Mean of the seven: {found.ratios.mean():.3f}. One ratio has a standard error of "
+            f"{np.sqrt(2.0 / realisations):.3f} by chance.",
+        ),
+        "coverage_percent": 100.0 * found.coverage,
+    }
+
+
+# -- streamed kinematics against exact ones --------------------------------------------------------
+
+
+def stream_figures(runs: int | None = None) -> Measured:
+    """Error of the predicted force on the clean runs, or on the first so many."""
+    errors = []
+    for condition in [c for c in CONDITIONS if is_clean(c)][:runs]:
+        run = synthesise(condition)
+        values = parameters(condition)
+        said = replay(run, ParameterSet(values), identify=False)
+        time_: Array = np.arange(run.force.size, dtype=float) * run.period
+        sine = SineMotion(condition.amplitude, condition.frequency, phase=PHASE)
+        exact = sine_force(values, *sine.at(time_), condition.current)
+        errors.append(
+            [
+                np.mean((force - run.force)[said.valid] ** 2) / np.var(run.force)
+                for force in (said.predicted, exact)
+            ]
+        )
+    streamed, exact_error = np.mean(errors, axis=0)
+    return {"stream_nrmse_ratio": float(np.sqrt(streamed / exact_error))}
+
+
+# -- a warm re-fit of a window against Nelder-Mead over all parameters -----------------------------
+
+REFITTED = ("2.5mm_1Hz_0.0A", "5.0mm_1Hz_1.5A", "5.0mm_3Hz_0.5A", "7.5mm_1Hz_1.0A")
+RESIDUAL_LIMIT = 1.001
+_TOLERANCE = 1e-4
+"""MATLAB's default TolX and TolFun of fminsearch."""
+
+
+@dataclass(frozen=True)
+class Refit:
+    """Processor times [s] of the reference and of both fits; residuals against the reference's."""
+
+    seconds: tuple[float, ...]
+    residual_ratios: tuple[float, ...]
+
+
+def reference_fit(window: Window, start: Array) -> tuple[Array, float]:
+    """Parameters (16,) and norm of the residual [N], as the thesis does it.
+
+    SciPy's Nelder-Mead over all sixteen parameters on the norm of the residual (thesis eq. 12),
+    with the limits and tolerances that fminsearch has by default.
+    """
+    m = window.motion
+
+    def norm(trial: Array) -> float:
+        predicted = sine_force(trial, m.displacement, m.velocity, m.acceleration, window.current)
+        return float(np.linalg.norm(predicted - window.force))
+
+    budget = 200 * start.size
+    limits = {"maxfev": budget, "maxiter": budget, "xatol": _TOLERANCE, "fatol": _TOLERANCE}
+    found = minimize(norm, start, method="Nelder-Mead", options=limits)
+    return found.x, float(found.fun)
+
+
+def measured_refit(condition_name: str, repetitions: int, samples: int = 1000) -> Refit:
+    """Re-fit of a window of a damper that has lost 1 % of its force since the one before.
+
+    The start is what was fitted to the window before; the reference runs ``repetitions`` times,
+    the fits ten times as often.
+    """
+    condition = find(condition_name)
+    truth = parameters(condition)
+    before = steady_window(truth, condition, samples=samples, seed=1)
+    window = steady_window(scaled(truth, 0.99), condition, samples=samples, seed=2)
+    start = fit_window(_LAW, before, truth, method="least_squares").parameters
+    fits = [
+        lambda method=method: fit_window(_LAW, window, start, method=method)
+        for method in ("nelder_mead", "least_squares")
+    ]
+    works = [lambda: reference_fit(window, start), *fits]
+    seconds = interleaved_medians(works, [repetitions, 10 * repetitions, 10 * repetitions])
+    reached = reference_fit(window, start)[1] / np.sqrt(samples)
+    return Refit(tuple(seconds), tuple(fit().rmse / reached for fit in fits))
+
+
+def refit_figures(repetitions: int = 5) -> Measured:
+    """Medians over conditions; a speed counts where the residual is the reference's."""
+    refits = [measured_refit(name, repetitions) for name in REFITTED]
+
+    def speedup(which: int) -> tuple[float | None, str]:
+        ratios = [refit.seconds[0] / refit.seconds[which] for refit in refits]
+        worst = max(refit.residual_ratios[which - 1] for refit in refits)
+        return (
+            statistics.median(ratios) if worst <= RESIDUAL_LIMIT else None,
+            f"Single conditions: {', '.join(f'{ratio:.0f}' for ratio in ratios)}. Largest residual "
+            f"against the reference's: {worst:.5f} (limit {RESIDUAL_LIMIT}).",
+        )
+
+    return {
+        "window_nm_speedup": speedup(1),
+        "window_nm_ms": 1e3 * statistics.median(refit.seconds[1] for refit in refits),
+        "window_ls_speedup": speedup(2),
+    }
+
+
+# -- one set for thirty runs against differential evolution ----------------------------------------
+
+GENERATIONS = 500
+
+_GAIN_RANGE = 100.0
+"""Bounds of k2 and k3, those of the identification's own search."""
+
+_SCALE_REACH = 3.0
+"""Scales are searched up to so many times the size that the identification found."""
+
+
+def search_bounds(windows: Sequence[Window], found: Array) -> list[tuple[float, float]]:
+    """Bounds of the sixteen parameters, no wider than those of the identification itself."""
+    bounds = shape_bounds(
+        max(float(window.motion.peak_velocity.max()) for window in windows),
+        max(float(np.abs(window.current).max()) for window in windows),
+    )
+    bounds |= dict.fromkeys(("k2", "k3"), (-_GAIN_RANGE, _GAIN_RANGE))
+    for name in SCALE_PARAMETER_NAMES:
+        reach = _SCALE_REACH * max(abs(float(found[PARAMETER_NAMES.index(name)])), 1e-3)
+        bounds[name] = (-reach, reach)
+    return [bounds[name] for name in PARAMETER_NAMES]
+
+
+def global_figures(generations: int = GENERATIONS, repetitions: int = 10) -> Measured:
+    """Identify one set from all runs, then let the reference try; both know the same bounds.
+
+    The reference is SciPy's differential evolution with the thesis' settings: rand/1/bin, F = CR =
+    0.8, 15 individuals per unknown, all samples; a whole generation is evaluated at once.
+    """
+    windows = [window_of(run) for run in clean_runs()]
+
+    def identify() -> Array:
+        return identify_global(_LAW, windows, LITERATURE, EvolutionSettings()).parameter_set.values
+
+    found = identify()
+    seconds = statistics.median(cpu_seconds(identify) for _ in range(repetitions))
+    noise = [
+        fit_window(_LAW, window, LITERATURE, method="least_squares").rmse for window in windows
+    ]
+    misfit = Misfit(_LAW, windows, noise)
+    began = time.process_time()
+    reference = differential_evolution(
+        lambda individuals: misfit.population_cost(individuals.T),
+        search_bounds(windows, found),
+        strategy="rand1bin",
+        mutation=0.8,
+        recombination=0.8,
+        maxiter=generations,
+        tol=0.0,
+        polish=False,
+        vectorized=True,
+        updating="deferred",
+        **{generator_keyword(): np.random.default_rng(0)},
+    )
+    took, cost = time.process_time() - began, misfit.mean_square(found)
+    return {
+        "global_speedup": (
+            took / seconds if cost <= reference.fun else None,
+            f"The reference took {took:.0f} s for {generations} generations (the figure is of "
+            f"{GENERATIONS}) and reached a cost of {reference.fun:.4g}, the identification "
+            f"{cost:.4g}.",
+        ),
+        "global_s": seconds,
+    }
+
+
+_VARIABLES = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
+
+_SCRIPT = """
+import sys, time
+sys.path[:] = {path!r}
+import mr_damper_ros as mr
+from benchmarks.steady_fits import clean_runs
+runs = clean_runs()[::{every}]
+began = time.process_time()
+mr.identify(*runs, model="sigmoid_lag", generations={generations})
+print(time.process_time() - began)
+"""
+
+
+def thread_figures(every: int = 3, generations: int = 100) -> Measured:
+    """Identify in a fresh process without the variables of BLAS, and in one with them.
+
+    A user starts Python and calls ``mr.identify``, with no variable set: what the libraries take by
+    themselves must not cost more than one thread does.
+    """
+    others = {name: value for name, value in os.environ.items() if name not in _VARIABLES}
+    script = _SCRIPT.format(path=sys.path, every=every, generations=generations)
+    taken, single = (
+        float(
+            subprocess.run(
+                [sys.executable, "-c", script],
+                env={**others, **variables},
+                capture_output=True,
+                text=True,
+                check=True,
+            ).stdout
+        )
+        for variables in ({}, dict.fromkeys(_VARIABLES, "1"))
+    )
+    return {"threads_cpu_ratio": (taken / single, f"{taken:.1f} s against {single:.1f} s.")}
+
+
+# -- the inverse -----------------------------------------------------------------------------------
+
+_BLOCK, _BLOCKS = 10, 200
+_HIGHEST_CURRENT = 2.0
+
+
+def inverse_figures() -> Measured:
+    """Random desired forces, partly beyond what can be had, in blocks of ten; every eighth set."""
+    sets = [ParameterSet(parameters(c, m)) for c in CONDITIONS for m in PUBLISHED_METHODS]
+    chosen, rng, total = sets[:: len(sets) // 8], np.random.default_rng(1), 0.0
+    for known in chosen:
+        inverse = InverseModel(known, 0.0, _HIGHEST_CURRENT)
+        motions = [_unrelated(rng) for _ in range(_BLOCKS)]
+        wanted = []
+        for motion in motions:
+            reach = inverse.currents(motion, np.zeros(_BLOCK))
+            span = reach.most - reach.least
+            wanted.append(rng.uniform(reach.least - 0.3 * span, reach.most + 0.3 * span))
+
+        def work(
+            inverse: InverseModel = inverse,
+            motions: Sequence[Motion] = motions,
+            wanted: Sequence[Array] = wanted,
+        ) -> None:
+            for motion, forces in zip(motions, wanted, strict=True):
+                inverse.currents(motion, forces)
+
+        work()
+        total += cpu_seconds(work)
+    return {"inverse_us_per_sample": 1e6 * total / (len(chosen) * _BLOCKS * _BLOCK)}
+
+
+def _unrelated(rng: np.random.Generator) -> Motion:
+    """Samples up to 0.25 m/s that have nothing to do with each other."""
+    velocity = rng.uniform(-0.25, 0.25, _BLOCK)
+    return Motion(
+        displacement=rng.normal(0.0, 0.005, _BLOCK),
+        velocity=velocity,
+        acceleration=rng.normal(0.0, 5.0, _BLOCK),
+        peak_velocity=np.hypot(velocity, rng.normal(0.0, 0.05, _BLOCK)),
+        sine=None,
+    )
