@@ -22,7 +22,7 @@ from mr_damper_ros.processes.blas_threads import keep_one_thread
 _SOAK_OPTIONS: dict[str, tuple[float | int, str]] = {
     "hours": (8.0, "of data at 20 x"),
     "kills": (100, "of nodes, and as many of the worker"),
-    "program-kills": (50, "of identify_many, and as many of a campaign"),
+    "program_kills": (50, "of identify_many, and as many of a campaign"),
     "interrupts": (200, "of each node"),
     "cases": (100_000, "of hostile input"),
     "recordings": (100, "that say little or are spoilt, to identify from"),

@@ -7,14 +7,12 @@ law's. The same seed gives the same cases.
 
 from __future__ import annotations
 
-import json
 import math
 import os
 import random
 import signal
 import struct
 import tempfile
-import time
 from collections import Counter
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -25,13 +23,12 @@ from typing import Any
 import numpy as np
 from scipy.io import savemat
 
-from benchmarks.figure import Figure
+from benchmarks.figure import Measured
 from mr_damper_ros.io.bag_files import BagError
 from mr_damper_ros.io.bag_reader import read_bag
 from mr_damper_ros.io.bag_writer import write_bag
 from mr_damper_ros.io.columns import ColumnError, RecordError
 from mr_damper_ros.io.records import read_record
-from mr_damper_ros.models import MODELS
 from mr_damper_ros.models.parameter_set import ParameterError, ParameterSet
 from mr_damper_ros.models.published import THESIS_28_CELSIUS
 from mr_damper_ros.models.sigmoid.law import sine_force
@@ -39,8 +36,6 @@ from mr_damper_ros.signals.blocks import NANOSECONDS, BlockError, SampleBlock
 from mr_damper_ros.signals.recording import Recording, RecordingError
 from mr_damper_ros.tracking.predictor import ForcePredictor, PredictorSettings
 from mr_damper_ros.tracking.state_directory import StateDirectory, StateError
-from mr_damper_ros.tracking.tracker import TrackerMemory
-from mr_damper_ros.tracking.tracker_state import from_text, to_text
 from mr_damper_ros.tracking.window_assembler import WindowAssembler
 
 PERIOD = 1e-3
@@ -108,15 +103,8 @@ in which the stream is a new one."""
 _BLIND = 0.25
 """Seconds after a new start in which nothing can be known of the motion: half a cycle."""
 
-_PEAK = float(
-    np.max(
-        np.abs(
-            sine_force(
-                THESIS_28_CELSIUS, *motion(np.linspace(0.0, 0.5, 500)), np.full(500, CURRENT)
-            )
-        )
-    )
-)
+_CYCLE = motion(np.linspace(0.0, 0.5, 500))
+_PEAK = float(np.max(np.abs(sine_force(THESIS_28_CELSIUS, *_CYCLE, CURRENT))))
 
 
 class HostileStream:
@@ -192,8 +180,7 @@ class HostileStream:
         first = self._sample
         self._sample += _BLOCK
         stamp = T0 + round(first * PERIOD * NANOSECONDS)
-        self._predictor.add_current(stamp, CURRENT)
-        self._assembler.add_current(stamp, CURRENT)
+        self._add_current(stamp, CURRENT)
         time_ = (first + np.arange(_BLOCK)) * PERIOD
         u, _, _ = motion(time_)
         return {
@@ -206,34 +193,31 @@ class HostileStream:
 
     def _spoil(self, values: dict[str, Any]) -> None:
         chance = self._chance
-        number = chance.choice(NUMBERS)
-        what = chance.randrange(9)
-        if what == 0:
-            name = chance.choice(("displacement", "force"))
-            array = np.array(values[name])
-            array[chance.randrange(array.size)] = number
-            values[name] = array
-        elif what == 1:
-            values["displacement"] = np.full(_BLOCK, number)
-        elif what == 2:
-            values["force"] = np.zeros(chance.choice((0, 1, 1000)))
-        elif what == 3:
-            values["period"] = number
-        elif what == 4:
-            shift = chance.choice((-(10**18), -(10**8), -1, 1, 10**8, 10**18, 2**62))
-            values["start_ns"] = int(values["start_ns"]) + shift
-        elif what == 5:
-            values["sequence"] = chance.choice((0, -1, 2**63, 2**64 - 1))
-        elif what == 6:
-            count = chance.choice((0, 1, 5000))
-            values["displacement"] = values["force"] = np.zeros(count)
-        elif what == 7:
+        number, count = chance.choice(NUMBERS), chance.choice((0, 1, 5000))
+        spoilt = np.array(values["displacement"])
+        spoilt[chance.randrange(_BLOCK)] = number
+        shift = chance.choice((-(10**18), -(10**8), -1, 1, 10**8, 10**18, 2**62))
+        change: dict[str, Any] = chance.choice(
+            (
+                {chance.choice(("displacement", "force")): spoilt},
+                {"displacement": np.full(_BLOCK, number)},
+                {"force": np.zeros(chance.choice((0, 1, 1000)))},
+                {"period": number},
+                {"start_ns": int(values["start_ns"]) + shift},
+                {"sequence": chance.choice((0, -1, 2**63, 2**64 - 1))},
+                {"displacement": np.zeros(count), "force": np.zeros(count)},
+                {"displacement": 1e3 * np.asarray(values["displacement"])},
+                {},
+            )
+        )
+        values.update(change)
+        if not change:
             stamp = int(values["start_ns"]) + chance.choice((-(10**12), 10**12, 0))
-            current = number if math.isfinite(number) else 1.0
-            self._predictor.add_current(stamp, current)
-            self._assembler.add_current(stamp, current)
-        else:
-            values["displacement"] = 1e3 * np.asarray(values["displacement"])
+            self._add_current(stamp, number if math.isfinite(number) else 1.0)
+
+    def _add_current(self, stamp_ns: int, current: float) -> None:
+        self._predictor.add_current(stamp_ns, current)
+        self._assembler.add_current(stamp_ns, current)
 
 
 # -- records, bags and parameter files ------------------------------------------------------------
@@ -343,22 +327,25 @@ def try_yaml(data: bytes) -> str:
     return "" if np.isfinite(parameters.values).all() else "a parameter that is not finite"
 
 
-# -- state files and their names ------------------------------------------------------------
+# -- names of state files -------------------------------------------------------------------------
+
+_NAME_PARTS = (
+    *("..", "/", "\\", "a", "identifier", ".yaml", "~", "\0", "\n", " ", "ä"),
+    *("\u202e", "\ud800"),
+    *("x" * 300, "-", "%2e", "*", "$HOME", ":", "link", "loop", "pipe", "folder"),
+)
 
 
-class HostileState:
-    """Files and names in a state folder, next to a file that nobody may touch."""
+class HostileNames:
+    """Names of files in a state folder, next to a file that nobody may touch.
 
-    _PARTS = (
-        *("..", "/", "\\", "a", "identifier", ".yaml", "~", "\0", "\n", " ", "ä"),
-        *("\u202e", "\ud800"),
-        *("x" * 300, "-", "%2e", "*", "$HOME", ":", "link", "loop", "pipe", "folder"),
-    )
+    What is in the files is spoilt by :mod:`benchmarks.poisoned_starts`.
+    """
 
     def __init__(self, chance: random.Random, folder: Path) -> None:
         self._chance = chance
         folder.mkdir(parents=True)
-        self._outside = folder.parent / "outside.yaml"
+        self._folder, self._outside = folder, folder.parent / "outside.yaml"
         self._outside.write_text("untouched")
         (folder / "link.yaml").symlink_to(self._outside)
         (folder / "loop.yaml").symlink_to(folder / "loop.yaml")
@@ -367,49 +354,10 @@ class HostileState:
         self._around = sorted(os.listdir(folder.parent))
         self._state = StateDirectory(folder)
         self._set = ParameterSet(THESIS_28_CELSIUS, set_id="good")
-        self._memory = to_text(TrackerMemory(windows=3))
-        self._path = self._state.save("identifier", self._set, self._memory)
-        self._good = self._path.read_bytes()
 
-    def try_out(self) -> str:
-        """One spoilt file, memory or name; what is wrong with what came of it, or nothing."""
-        if self._chance.random() < 0.5:
-            return self._try_name()
-        if self._chance.random() < 0.5:
-            return self._try_memory()
-        return self._try_file()
-
-    def _try_file(self) -> str:
-        data = spoilt(self._chance, self._good)
-        self._path.write_bytes(data)
-        try:
-            kept, memory = self._state.load_with_memory("identifier")
-        except StateError:
-            return ""
-        # Line ends of other systems are the same lines.
-        lines = data.replace(b"\r\n", b"\n").replace(b"\r", b"\n")
-        if b"sha256" in lines.partition(b"\n")[0] and lines != self._good:
-            return "a damaged file was believed"
-        if not np.isfinite(kept.values).all():
-            return "a parameter that is not finite"
-        return "" if not memory or memory == self._memory else "a damaged memory was believed"
-
-    def _try_memory(self) -> str:
-        data = spoilt(self._chance, self._memory.encode()).decode(errors="replace")
-        if self._chance.random() < 0.3:
-            document = json.loads(self._memory)
-            name = self._chance.choice(list(document))
-            document[name] = self._chance.choice((*NUMBERS, "x", [], {}, [[]], -1, 10**40, None))
-            data = json.dumps(document)
-        try:
-            memory = from_text(data, MODELS["sigmoid"])
-        except StateError:
-            return ""
-        return "" if memory.windows >= 0 <= memory.accepted else "a negative count was believed"
-
-    def _try_name(self) -> str:
-        parts = self._chance.choices(self._PARTS, k=self._chance.choice((1, 1, 2, 3)))
-        name = "".join(parts)
+    def try_name(self) -> str:
+        """What is wrong with what came of a name, or nothing."""
+        name = "".join(self._chance.choices(_NAME_PARTS, k=self._chance.choice((1, 1, 2, 3))))
         action = self._chance.choice((self._state.load, self._save, self._state.file))
         try:
             result = action(name)
@@ -419,7 +367,7 @@ class HostileState:
             return f"the name {name!r} has made a file outside"
         if self._outside.read_text() != "untouched":
             return f"the name {name!r} has reached a file outside"
-        if isinstance(result, Path) and result.parent != self._path.parent:
+        if isinstance(result, Path) and result.parent != self._folder:
             return f"the name {name!r} means {result}"
         return ""
 
@@ -434,32 +382,14 @@ class HostileState:
 TIME_LIMIT = 10.0
 """Seconds after which a case counts as hanging."""
 
-_SHARES = {"blocks": 35, "text": 20, "yaml": 20, "state": 23, "mat": 1, "bag": 1}
+_SHARES = {"blocks": 35, "text": 20, "yaml": 20, "names": 23, "mat": 1, "bag": 1}
 """Parts [%] of the kinds of input."""
 
 
-def figures(cases: int = 100_000, seed: int = 0) -> list[Figure]:
+def figures(cases: int = 100_000, seed: int = 0) -> Measured:
     """Try so many cases."""
-    began = time.monotonic()
     tried, faults = campaign(cases, seed, TIME_LIMIT)
-    return [
-        Figure(
-            "fuzz_cases",
-            sum(tried.values()),
-            "malformed or hostile blocks, record files (text, MAT, bags), parameter and state "
-            "files, of one seed",
-            (float(cases), math.inf),
-            f"{dict(tried)}, {time.monotonic() - began:.0f} s",
-        ),
-        Figure(
-            "fuzz_failures",
-            len(faults),
-            "of them, those that ended in any but the documented errors, took longer than "
-            f"{TIME_LIMIT:g} s, or let a wrong value pass as valid",
-            (0.0, 0.0),
-            "; ".join(faults[:3]),
-        ),
-    ]
+    return {"fuzz_failures": (len(faults), "; ".join([str(dict(tried)), *faults[:3]]))}
 
 
 def campaign(
@@ -506,12 +436,12 @@ def _limited(seconds: float | None) -> Iterator[None]:
 
 def _tries(chance: random.Random, folder: Path) -> dict[str, Callable[[], str]]:
     text, mat, bag = record_text(), record_mat(), record_bag(folder)
-    state = HostileState(chance, folder / "states" / "state")
+    names = HostileNames(chance, folder / "states" / "state")
     return {
         "blocks": HostileStream(chance).try_block,
         "text": lambda: try_record(chance, folder / "record.csv", spoilt(chance, text)),
         "mat": lambda: try_record(chance, folder / "record.mat", spoilt(chance, mat)),
         "bag": lambda: try_bag(folder / "record.mcap", spoilt(chance, bag)),
         "yaml": lambda: try_yaml(spoilt(chance, YAML)),
-        "state": state.try_out,
+        "names": names.try_name,
     }

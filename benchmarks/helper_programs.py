@@ -3,8 +3,6 @@
 relay            publishes each block's force again as a predicted force
 command-relay    publishes a command of no current for each block
 send-current A   commands a current for ever, twenty times a second
-send-bag BAG     publishes the samples of a bag as joint states, as fast as they are taken
-send-count N HZ  publishes N joint states at a rate, each with its number as position [um]
 view URL N       asks a page as often as N browsers do
 
 The relays are the least that a node can do: the scale for the latency of the model and of the
@@ -23,19 +21,10 @@ import time
 from collections.abc import Callable
 from urllib.parse import urlsplit
 
-import numpy as np
-
 from mr_damper_ros.processes import child_process
 from mr_damper_ros.processes.programs import Program
-from mr_damper_ros.signals.recording import Recording
 
 RELAY_SAMPLES, RELAY_FORCE, RELAY_COMMAND = "relay/samples", "relay/force", "relay/current_command"
-PARAMETER_SET = "relay"
-
-JOINT_TOPIC = "press/joint_states"
-JOINT = "rod"
-_AT_ONCE = 100
-"""Joint states of a bag that may be on their way."""
 
 _SIGNALS_EVERY, _STATUS_EVERY = 0.1, 0.5
 
@@ -86,7 +75,7 @@ def _relay(commands: bool) -> None:
                 seq=message.seq,
                 period=message.period,
                 force=message.force,
-                parameter_set=PARAMETER_SET,
+                parameter_set="relay",
                 sample_doubts=bytes(len(message.force)),
                 valid=True,
             )
@@ -102,7 +91,7 @@ def _relay(commands: bool) -> None:
         rclpy.try_shutdown()
 
 
-# -- senders -------------------------------------------------------------------------------------
+# -- a sender ------------------------------------------------------------------------------------
 
 
 def _send_current(current: str) -> None:
@@ -119,57 +108,6 @@ def _send_current(current: str) -> None:
                 CurrentCommand(header=header(now_ns, "damper"), current=float(current))
             )
             time.sleep(0.05)
-
-
-def _send_bag(bag: str) -> None:
-    from mr_damper_ros.io.bag_reader import read_bag
-
-    (run,) = read_bag(bag)
-    _send_joint_states(lambda: run, paced=False)
-
-
-def _send_count(count: str, rate: str) -> None:
-    numbers = np.arange(int(count), dtype=np.float64)
-    zero = np.zeros(numbers.size)
-    _send_joint_states(
-        lambda: Recording(
-            "count", time.time_ns(), 1.0 / float(rate), 1e-6 * numbers, numbers, zero
-        ),
-        paced=True,
-    )
-
-
-def _send_joint_states(run_from_now: Callable[[], Recording], *, paced: bool) -> None:
-    """Wait for a subscriber, send, and stay until ended, so that nothing is lost at the end."""
-    from sensor_msgs.msg import JointState
-
-    from mr_damper_ros.nodes import quality
-    from mr_damper_ros.nodes.messages import header
-    from mr_damper_ros.nodes.observer import Observer
-
-    with Observer("press") as observer:
-        publisher = observer.node.create_publisher(JointState, JOINT_TOPIC, quality.stream())
-        observer.wait_for_subscribers(JOINT_TOPIC)
-        run = run_from_now()
-        began = time.monotonic()
-        samples = zip(run.displacement.tolist(), run.force.tolist(), strict=True)
-        for k, (position, effort) in enumerate(samples):
-            if paced:
-                time.sleep(max(began + k * run.period - time.monotonic(), 0.0))
-            publisher.publish(
-                JointState(
-                    header=header(run.stamp_ns(k), "press"),
-                    name=[JOINT],
-                    position=[position],
-                    effort=[effort],
-                )
-            )
-            if not paced and k % _AT_ONCE == 0:
-                # What is played faster than it happened must not overrun the queue.
-                publisher.wait_for_all_acked()
-        print("all sent", file=sys.stderr, flush=True)
-        while True:
-            time.sleep(1.0)
 
 
 # -- viewers of the page -------------------------------------------------------------------------
@@ -234,8 +172,6 @@ _PROGRAMS: dict[str, Callable[..., None]] = {
     "relay": lambda: _relay(commands=False),
     "command-relay": lambda: _relay(commands=True),
     "send-current": _send_current,
-    "send-bag": _send_bag,
-    "send-count": _send_count,
     "view": _view,
 }
 

@@ -30,7 +30,7 @@ from rclpy.parameter import Parameter
 from sensor_msgs.msg import Temperature
 from std_msgs.msg import Header
 
-from benchmarks.figure import Figure
+from benchmarks.figure import Measured
 from benchmarks.node_soak import ThreeNodes, three_nodes
 from mr_damper_ros.models.published import THESIS_28_CELSIUS
 from mr_damper_ros.models.sigmoid.law import PARAMETER_NAMES
@@ -87,47 +87,24 @@ class Harm:
     grown: float
 
 
-def figures(repetitions: int = 1) -> list[Figure]:
-    """``hostile_message_s`` and ``hostile_message_mb``."""
-    harms, running = campaign(repetitions)
+def figures() -> Measured:
+    """The worst of all messages."""
+    harms = campaign()
     deaf = max(harms, key=lambda harm: harm.deaf)
     grown = max(harms, key=lambda harm: harm.grown)
-    what = (
-        f"{len({harm.case for harm in harms})} well-formed hostile messages of up to 1 MB on every "
-        "topic and service of identifier and model, over DDS while the rig runs"
-    )
-    ended = "" if running else " A NODE HAS ENDED."
-    return [
-        Figure(
-            "hostile_message_s",
-            deaf.deaf if running else math.inf,
-            f"{what}: longest time [s] for which a service call was not answered after one.",
-            (0.0, 0.5),
-            f"The {deaf.node}, after {deaf.case}.{ended}",
-        ),
-        Figure(
-            "hostile_message_mb",
-            grown.grown if running else math.inf,
-            f"{what}: largest growth [MB] of a node's memory, at its peak, with its workers'.",
-            (0.0, 50.0),
-            f"The {grown.node}, after {grown.case}.{ended}",
-        ),
-    ]
+    count = len({harm.case for harm in harms})
+    return {
+        "hostile_message_s": (deaf.deaf, f"The {deaf.node}, after {deaf.case}; of {count}."),
+        "hostile_message_mb": (grown.grown, f"The {grown.node}, after {grown.case}."),
+    }
 
 
-def campaign(
-    repetitions: int = 1, chosen: Callable[[HostileMessage], bool] = lambda _: True
-) -> tuple[list[Harm], bool]:
-    """What each message did, and whether both nodes still ran at the end."""
+def campaign(chosen: Callable[[HostileMessage], bool] = lambda _: True) -> list[Harm]:
+    """What each message did. Raises RuntimeError where a node ends."""
     with three_nodes(_OPTIONS) as rig:
         rig.observer.until(lambda: rig.sets and rig.reports[-1].accepted, "the first set")
         sender = _Sender(rig)
-        harms: list[Harm] = []
-        for _ in range(repetitions):
-            for case in cases():
-                if chosen(case):
-                    harms += sender.harm(case)
-        return harms, all(rig.nodes[name].running for name in _NODES)
+        return [harm for case in cases() if chosen(case) for harm in sender.harm(case)]
 
 
 class _Sender:

@@ -8,19 +8,17 @@ import signal
 import statistics
 import tempfile
 import time
-from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import ExitStack, closing, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from types import TracebackType
 
 import numpy as np
 from mr_damper_msgs.msg import DamperParameters, FitReport, MtsSamples, PredictedForce
-from rcl_interfaces.msg import Parameter as ParameterMessage
 from rcl_interfaces.srv import SetParameters
 from rclpy.parameter import Parameter
 
-from benchmarks.figure import Figure
+from benchmarks.figure import Measured
 from benchmarks.processes import ProfiledDomain, start_node
 from mr_damper_ros.models.parameter_set import ParameterSet
 from mr_damper_ros.nodes import quality
@@ -47,30 +45,25 @@ class ThreeNodes:
         self._options = {**options, "identifier": {**options["identifier"], "state_dir": folder}}
         self._domain = ProfiledDomain()
         self._ended: list[str] = []
-        self.sets: list[DamperParameters] = []
-        self.reports: list[FitReport] = []
         self.observer = Observer(domain=self._domain)
         # More than the publisher's one message: none shall replace another on its way.
         latched = quality.latched()
         latched.depth = 100
-        self.observer.listen(DamperParameters, "damper/parameters", latched, self.sets.append)
-        self.observer.listen(FitReport, "damper/fit_report", quality.stream(), self.reports.append)
+        listen = self.observer.listen
+        self.sets: list[DamperParameters] = listen(DamperParameters, "damper/parameters", latched)
+        self.reports: list[FitReport] = listen(FitReport, "damper/fit_report", quality.stream())
         self.nodes: dict[str, Program] = {}
 
-    def __enter__(self) -> ThreeNodes:
+    def begin(self) -> None:
+        """Start all nodes, and wait until they work."""
         for name in NODES:
             self.start(name)
         self.observer.wait_for_publishers("mts/samples")
         self.observer.wait_for_publishers("damper/predicted_force")
         self.observer.until(lambda: self.reports, "the first report")
-        return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def close(self) -> None:
+        """End what runs."""
         for node in self.nodes.values():
             node.stop()
             self._forget(node)
@@ -105,33 +98,6 @@ class ThreeNodes:
             if any(word in line for word in _BAD_WORDS)
         ]
 
-    def hear_next(self, message_type: type, topic: str) -> Heard:
-        """Wait for messages on a topic from now on."""
-        return Heard(self.observer, message_type, topic)
-
-
-class Heard:
-    """When the first message that counts has come on a topic; ``close`` it when done."""
-
-    def __init__(self, observer: Observer, message_type: type, topic: str) -> None:
-        self._node = observer.node
-        self.at: float | None = None
-        self._subscription = self._node.create_subscription(
-            message_type, topic, self._take, quality.stream()
-        )
-
-    def _take(self, message: MtsSamples | PredictedForce) -> None:
-        if self.at is None and getattr(message, "valid", True):
-            self.at = time.monotonic()
-
-    def forget(self) -> None:
-        """What has come so far does not count."""
-        self.at = None
-
-    def close(self) -> None:
-        """Listen no longer."""
-        self._node.destroy_subscription(self._subscription)
-
 
 @contextmanager
 def three_nodes(options: Mapping[str, Mapping[str, object]]) -> Iterator[ThreeNodes]:
@@ -139,8 +105,9 @@ def three_nodes(options: Mapping[str, Mapping[str, object]]) -> Iterator[ThreeNo
     Path("build").mkdir(exist_ok=True)
     with (
         tempfile.TemporaryDirectory(dir="build") as folder,
-        ThreeNodes(Path(folder).absolute(), options) as rig,
+        closing(ThreeNodes(Path(folder).absolute(), options)) as rig,
     ):
+        rig.begin()
         yield rig
 
 
@@ -180,40 +147,21 @@ class Kill:
     fault: str
 
 
-def kill_figures(nodes: int = 100, workers: int = 100, seed: int = 0) -> list[Figure]:
-    """Kill nodes and the worker so many times."""
-    kills = kill_all(nodes, workers, seed)
+def kill_figures(nodes: int = 100, seed: int = 0) -> Measured:
+    """Kill nodes, and the worker as often."""
+    kills = kill_all(nodes, nodes, seed)
     slowest = {
         victim: max((k.recovery for k in kills if k.victim == victim), default=0.0)
         for victim in _TOPICS
     }
     faults = [f"{kill.victim}: {kill.fault}" for kill in kills if kill.fault]
-    return [
-        Figure(
-            "kills",
-            len(kills),
-            "kill -9 of bridge, identifier and model in turn and of the identifier's worker, at "
-            "random moments, some while the node starts",
-            (nodes + workers, nodes + workers),
-        ),
-        Figure(
-            "kills_intact",
-            sum(not kill.fault for kill in kills),
-            "of them, those after which the kept file has the right checksum and holds the last "
-            "published set, the next start goes on with it, and baselines and reservoir stay",
-            (len(kills), len(kills)),
-            "; ".join(faults),
-        ),
-        Figure(
-            "recovery_s_max",
-            max(kill.recovery for kill in kills),
-            "longest time [s] from a kill, followed at once by the start of the node, to its next "
-            "samples, report of a window (1 s of new data), or valid force (after three reversals "
-            "of a motion of 1 Hz)",
-            (0.0, 3.0),
+    return {
+        "kills_intact": (1.0 - len(faults) / len(kills), f"Of {len(kills)}. " + "; ".join(faults)),
+        "recovery_s_max": (
+            max(slowest.values()),
             ", ".join(f"{victim} {time:.2f} s" for victim, time in slowest.items()),
         ),
-    ]
+    }
 
 
 def kill_all(nodes: int, workers: int, seed: int) -> list[Kill]:
@@ -222,117 +170,108 @@ def kill_all(nodes: int, workers: int, seed: int) -> list[Kill]:
     victims = [NODES[index % len(NODES)] for index in range(nodes)] + ["worker"] * workers
     chance.shuffle(victims)
     with three_nodes(_HEATING) as rig:
-        kills = [_Execution(rig, victim, chance).carry_out() for victim in victims]
+        kills = [_kill(rig, victim, chance) for victim in victims]
         errors = rig.errors
     if errors and kills:
         kills[-1] = Kill(kills[-1].victim, kills[-1].recovery, f"errors in a log: {errors[0]}")
     return kills
 
 
-class _Execution:
+def _kill(rig: ThreeNodes, victim: str, chance: random.Random) -> Kill:
     """One kill, and the look at what it has left."""
+    accepted = len(rig.sets)
+    rig.observer.until(lambda: len(rig.sets) > accepted, "another set")
+    rig.observer.spin_for(chance.uniform(0.0, _LONGEST_WAIT))
+    if victim != "worker" and chance.random() < _PART_IN_START:
+        rig.nodes[victim].kill()
+        rig.start(victim)
+        rig.observer.spin_for(chance.uniform(0.0, _LONGEST_WAIT))
+    kind, topic = _TOPICS[victim]
+    came: list[float] = []
 
-    def __init__(self, rig: ThreeNodes, victim: str, chance: random.Random) -> None:
-        self._rig = rig
-        self._victim = victim
-        self._chance = chance
+    def hear(message: MtsSamples | PredictedForce) -> None:
+        if getattr(message, "valid", True):
+            came.append(time.monotonic())
 
-    def carry_out(self) -> Kill:
-        rig = self._rig
-        heard = rig.hear_next(*_TOPICS[self._victim])
-        accepted = len(rig.sets)
-        rig.observer.until(lambda: len(rig.sets) > accepted, "another set")
-        rig.observer.spin_for(self._chance.uniform(0.0, _LONGEST_WAIT))
-        if self._victim != "worker" and self._chance.random() < _PART_IN_START:
-            rig.nodes[self._victim].kill()
-            rig.start(self._victim)
-            rig.observer.spin_for(self._chance.uniform(0.0, _LONGEST_WAIT))
-        try:
-            recovery, fault = self._kill(heard)
-        except TimeoutError as error:
-            recovery, fault = float("inf"), str(error)
-        heard.close()
-        return Kill(self._victim, recovery, fault)
-
-    def _kill(self, heard: Heard) -> tuple[float, str]:
-        rig, victim = self._rig, self._victim
-        began = time.monotonic()
+    subscription = rig.observer.node.create_subscription(kind, topic, hear, quality.stream())
+    began = time.monotonic()
+    try:
         if victim == "worker":
             if rig.worker is not None:
                 os.kill(rig.worker, signal.SIGKILL)
         else:
             rig.nodes[victim].kill()
         if victim == "identifier":
-            return self._identifier(began, heard)
-        if victim != "worker":
-            rig.start(victim)
-        pid, last = rig.nodes["identifier"].pid, rig.sets[-1].id
-        rig.observer.spin_for(_UNDER_WAY)
-        heard.forget()
-        rig.observer.until(lambda: heard.at, f"{victim} after its kill", tick=0.01)
-        assert heard.at is not None
-        fault = ""
-        if rig.nodes["identifier"].pid != pid or not rig.nodes["identifier"].running:
-            fault = "the identifier has ended"
-        elif rig.sets[-1].id == "literature" != last:
-            fault = "the set was lost"
+            fault, looked = _restarted(rig, came)
         else:
-            fault = self._read()[2]
-        return heard.at - began, fault
-
-    def _identifier(self, began: float, heard: Heard) -> tuple[float, str]:
-        rig = self._rig
-        # What it had sent is heard, and what it left is read, before the next one begins; the time
-        # that this takes is not the identifier's.
-        rig.observer.spin_for(_UNDER_WAY)
-        last = rig.sets[-1]
-        before, memory, fault = self._read()
-        looked = time.monotonic() - began
-        heard.forget()
-        count = len(rig.sets)
-        rig.start("identifier")
-        rig.observer.until(lambda: len(rig.sets) > count, "the set after a restart", tick=0.01)
-        rig.observer.until(lambda: heard.at, "a report after a restart", tick=0.01)
-        assert heard.at is not None
-        recovery = heard.at - began - looked
-        if fault or before is None or memory is None:
-            return recovery, fault
-        again = rig.sets[count]
-        if not _not_older(before, last):
-            fault = f"{before.set_id} was kept, but {last.id} had been published"
-        elif f"going on with parameters {before.set_id} " not in rig.nodes["identifier"].log:
-            fault = f"{before.set_id} was kept, but it did not go on with it"
-        elif not _is_next(again, before):
-            fault = f"{before.set_id} was kept, but {again.id} was published"
-        rig.observer.until(lambda: rig.reports[-1].accepted, "an accepted window")
-        after = self._read()[1]
-        if after is None or not _same_baselines(memory, after):
-            fault = fault or "the baselines are others"
-        return recovery, fault
-
-    def _read(self) -> tuple[ParameterSet | None, TrackerMemory | None, str]:
-        """The kept set, its memory, and what is wrong with them."""
-        try:
-            kept, text = self._rig.state.load_with_memory("identifier")
-            if not text:
-                return kept, None, "" if kept.set_id == "literature" else "the memory is lost"
-            return kept, from_text(text, kept.law), ""
-        except StateError as error:
-            return None, None, str(error)
+            fault, looked = _gone_on(rig, victim, came), 0.0
+        return Kill(victim, came[0] - began - looked, fault)
+    except TimeoutError as error:
+        return Kill(victim, float("inf"), str(error))
+    finally:
+        rig.observer.node.destroy_subscription(subscription)
 
 
-def _not_older(kept: ParameterSet, published: DamperParameters) -> bool:
+def _gone_on(rig: ThreeNodes, victim: str, came: list[float]) -> str:
+    """What is wrong after the kill of another than the identifier."""
+    if victim != "worker":
+        rig.start(victim)
+    pid, last = rig.nodes["identifier"].pid, rig.sets[-1].id
+    rig.observer.spin_for(_UNDER_WAY)
+    came.clear()
+    rig.observer.until(lambda: came, f"{victim} after its kill", tick=0.01)
+    if rig.nodes["identifier"].pid != pid or not rig.nodes["identifier"].running:
+        return "the identifier has ended"
+    return "the set was lost" if rig.sets[-1].id == "literature" != last else _read(rig)[2]
+
+
+def _restarted(rig: ThreeNodes, came: list[float]) -> tuple[str, float]:
+    """What is wrong after the kill of the identifier, and the time [s] that is not its own."""
+    # What it had sent is heard, and what it left is read, before the next one begins.
+    began = time.monotonic()
+    rig.observer.spin_for(_UNDER_WAY)
+    last = rig.sets[-1]
+    before, memory, fault = _read(rig)
+    looked = time.monotonic() - began
+    came.clear()
+    count = len(rig.sets)
+    rig.start("identifier")
+    rig.observer.until(lambda: len(rig.sets) > count, "the set after a restart", tick=0.01)
+    rig.observer.until(lambda: came, "a report after a restart", tick=0.01)
+    if fault or before is None or memory is None:
+        return fault, looked
+    again = rig.sets[count]
+    if not _is_next(before, last):
+        fault = f"{before.set_id} was kept, but {last.id} had been published"
+    elif f"going on with parameters {before.set_id} " not in rig.nodes["identifier"].log:
+        fault = f"{before.set_id} was kept, but it did not go on with it"
+    elif list(again.values) != before.values.tolist() and _number(again.id) <= _number(
+        before.set_id
+    ):
+        fault = f"{before.set_id} was kept, but {again.id} was published"
+    rig.observer.until(lambda: rig.reports[-1].accepted, "an accepted window")
+    after = _read(rig)[1]
+    if after is None or not _same_baselines(memory, after):
+        fault = fault or "the baselines are others"
+    return fault, looked
+
+
+def _read(rig: ThreeNodes) -> tuple[ParameterSet | None, TrackerMemory | None, str]:
+    """The kept set, its memory, and what is wrong with them."""
+    try:
+        kept, text = rig.state.load_with_memory("identifier")
+        if not text:
+            return kept, None, "" if kept.set_id == "literature" else "the memory is lost"
+        return kept, from_text(text, kept.law), ""
+    except StateError as error:
+        return None, None, str(error)
+
+
+def _is_next(kept: ParameterSet, published: DamperParameters) -> bool:
     """Whether a kept set is the published one, or one that was just about to be published."""
     if kept.set_id == published.id:
         return kept.values.tolist() == list(published.values)
     return _number(kept.set_id) > _number(published.id) >= 0
-
-
-def _is_next(published: DamperParameters, kept: ParameterSet) -> bool:
-    """Whether a set is the kept one, or one that was fitted to data that came meanwhile."""
-    if published.id == kept.set_id:
-        return list(published.values) == kept.values.tolist()
-    return _number(published.id) > _number(kept.set_id)
 
 
 def _number(set_id: str) -> int:
@@ -363,11 +302,9 @@ _TO_START: dict[str, dict[str, object]] = {
 _APART = {"bridge": "/interrupted", "replay": "/interrupted"}
 """Namespaces: identifier and model hear the bridge that streams all the time, and it alone."""
 
-START = 0.8
-"""Half of the signals come in so many seconds of a node's life, in which it loads and starts."""
-
-_OLDEST = 3.0
-"""The others come later, up to this age [s]."""
+START, _OLDEST = 0.8, 3.0
+"""Half of the signals come in the first so many seconds of a node's life, in which it loads and
+starts; the others later, up to the second age [s]."""
 
 _PAUSE = 0.15
 """A second signal follows the first within so many seconds."""
@@ -386,64 +323,37 @@ class Interrupt:
     fault: str
 
 
-def interrupt_figures(count: int = 200, seed: int = 0) -> list[Figure]:
+def interrupt_figures(count: int = 200, seed: int = 0) -> Measured:
     """Interrupt each node so many times."""
     interrupts = interrupt_all(count, seed)
-    faults = [
-        f"{one.node} at {one.age:.2f} s, {one.signals} signals: {one.fault}"
-        for one in interrupts
-        if one.fault
-    ]
-    return [
-        Figure(
-            "interrupts",
-            len(interrupts),
-            f"Ctrl-C, single and double, on {', '.join(INTERRUPTED)} while a bridge streams, at "
-            f"random moments, half of them in the first {START:g} s; counted from when `env` "
-            "holds signals back, about a millisecond after the start",
-            (len(INTERRUPTED) * count, len(INTERRUPTED) * count),
-        ),
-        Figure(
-            "interrupts_unclean",
-            len(faults),
-            "of them, those after which the exit code is not 0 or a traceback is printed",
-            (0, 0),
-            "; ".join(faults[:5]),
-        ),
-        Figure(
-            "interrupt_s_max",
-            max(one.duration for one in interrupts),
-            "longest time [s] from a Ctrl-C to the end of the process",
-            note=_slowest(interrupts),
-        ),
-    ]
+    faults = [f"{one.node} at {one.age:.2f} s: {one.fault}" for one in interrupts if one.fault]
+    slowest = max(interrupts, key=lambda one: one.duration)
+    return {
+        "interrupts_unclean": (len(faults), f"Of {len(interrupts)}. " + "; ".join(faults[:5])),
+        "interrupt_s_max": (slowest.duration, slowest.node),
+    }
 
 
 def interrupt_all(count: int, seed: int) -> list[Interrupt]:
     """All interrupts, each node in turn."""
     chance = random.Random(seed)
-    domain = ProfiledDomain()
-    bridge = start_node("bridge", domain)
-    try:
+    with ExitStack() as stack:
+        domain = stack.enter_context(closing(ProfiledDomain()))
+        stack.enter_context(closing(start_node("bridge", domain)))
         return [_interrupt(node, domain, chance) for _ in range(count) for node in INTERRUPTED]
-    finally:
-        bridge.close()
-        domain.close()
 
 
 def _interrupt(node: str, domain: RosDomain, chance: random.Random) -> Interrupt:
     early = chance.random() < 0.5
     age = chance.uniform(0.0, START) if early else chance.uniform(START, _OLDEST)
-    pauses = [chance.uniform(0.0, _PAUSE)] if chance.random() < 0.5 else []
+    pauses = [0.0, *([chance.uniform(0.0, _PAUSE)] if chance.random() < 0.5 else [])]
     began = time.monotonic()
-    namespace = _APART.get(node, "/")
-    process = start_node(
-        node, domain, *node_arguments({}, {"__ns": namespace}), **_TO_START.get(node, {})
-    )
+    namespace = node_arguments({}, {"__ns": _APART.get(node, "/")})
+    process = start_node(node, domain, *namespace, **_TO_START.get(node, {}))
     _wait_until_held_back(process)
     time.sleep(max(began + age - time.monotonic(), 0.0))
     pressed = time.monotonic()
-    for pause in [0.0, *pauses]:
+    for pause in pauses:
         time.sleep(pause)
         if process.running:
             os.kill(process.pid, signal.SIGINT)
@@ -454,7 +364,7 @@ def _interrupt(node: str, domain: RosDomain, chance: random.Random) -> Interrupt
     fault = f"exit code {code}" if code else ""
     if "Traceback" in log or "KeyboardInterrupt" in log:
         fault += f" {log[-400:]!r}"
-    return Interrupt(node, age, 1 + len(pauses), duration, fault)
+    return Interrupt(node, age, len(pauses), duration, fault)
 
 
 def _wait_until_held_back(process: Program) -> None:
@@ -466,31 +376,20 @@ def _wait_until_held_back(process: Program) -> None:
             return
 
 
-def _slowest(interrupts: list[Interrupt]) -> str:
-    return ", ".join(
-        f"{node} {max(one.duration for one in interrupts if one.node == node):.2f} s"
-        for node in INTERRUPTED
-    )
-
-
-# -- hours of data ------------------------------------------------------------
+# -- hours of data ---------------------------------------------------------------------------------
 
 RATE = 20.0
 """Speed relative to the data's time."""
 
-_CURRENTS = (1.5, 1.0, 0.5)
-"""The supply is set to these [A] in turn: new baselines, a fuller reservoir, refused windows."""
-
-_CURRENT_PERIOD = 20.0
-"""Seconds between two settings of the supply."""
+_CURRENTS, _CURRENT_PERIOD = (1.5, 1.0, 0.5), 20.0
+"""The supply is set to these [A] in turn, each for so many seconds: new baselines, a fuller
+reservoir, refused windows."""
 
 _LOOK = 1.0
 """Seconds between two looks at the memory in use."""
 
 _EDGE = 0.1
 """The memory at the start and at the end is the median over this part of the time between."""
-
-_MB = 1e6
 
 _AT_SPEED: dict[str, dict[str, object]] = {
     "bridge": {"rate": RATE, "block_size": 100},
@@ -505,76 +404,62 @@ _AT_SPEED: dict[str, dict[str, object]] = {
 }
 
 
-def stream_figures(hours: float = 8.0, warm_up: float = 1.0) -> list[Figure]:
-    """Stream so many hours of data; the first ``warm_up`` hours do not count.
+def stream_figures(hours: float = 8.0) -> Measured:
+    """Stream so many hours of data; the first quarter, at most an hour, does not count.
 
     Within the first hour memory grows by design: nodes keep the currents of an hour.
     """
-    growth, errors = soak(hours, warm_up)
-    worst = max(growth, key=lambda name: growth[name])
-    return [
-        Figure(
-            "soak_growth_mb",
-            growth[worst],
-            f"{hours:g} h of data at {RATE:g} x: growth [MB] of the resident memory of the process "
-            f"that grows most, from {warm_up:g} h of data to the end",
-            (-float("inf"), 5.0),
+    growth, errors = soak(hours, min(1.0, 0.25 * hours))
+    return {
+        "soak_growth_mb": (
+            max(growth.values()),
             ", ".join(f"{name} {value:+.2f}" for name, value in growth.items()),
         ),
-        Figure(
-            "soak_errors",
-            len(errors),
-            "lines that tell of an error in the logs of the three nodes, and nodes that ended",
-            (0.0, 0.0),
-            errors[0] if errors else "",
-        ),
-    ]
+        "soak_errors": (len(errors), errors[0] if errors else ""),
+    }
 
 
 def soak(hours: float, warm_up: float) -> tuple[dict[str, float], list[str]]:
-    """Growth [MB] of each process, and what went wrong."""
+    """Growth [MB] of each process after ``warm_up`` [h], and what went wrong."""
     with three_nodes(_AT_SPEED) as rig:
-        supply = _Supply(rig)
+        turn = _turning(rig)
         seconds = 3600.0 / RATE
-        _watch(rig, supply, warm_up * seconds)
-        used = _watch(rig, supply, (hours - warm_up) * seconds)
+        _watch(rig, turn, warm_up * seconds)
+        used = _watch(rig, turn, (hours - warm_up) * seconds)
         errors = rig.errors + [
             f"the {name} has ended" for name, node in rig.nodes.items() if not node.running
         ]
         if not any(report.accepted for report in rig.reports[-100:]):
             errors.append("no window was accepted at the end")
-    edge = max(round(_EDGE * len(next(iter(used.values())))), 1)
+    edge = max(round(_EDGE * len(used["worker"])), 1)
     growth = {
-        name: (statistics.median(sizes[-edge:]) - statistics.median(sizes[:edge])) / _MB
+        name: 1e-6 * (statistics.median(sizes[-edge:]) - statistics.median(sizes[:edge]))
         for name, sizes in used.items()
     }
     return growth, errors
 
 
-class _Supply:
-    """Turns the knob of the bridge's supply now and then."""
+def _turning(rig: ThreeNodes) -> Callable[[], None]:
+    """What turns the knob of the bridge's supply when it is due."""
+    client = rig.observer.node.create_client(SetParameters, "bridge/set_parameters")
+    began, turns = time.monotonic(), 0
 
-    def __init__(self, rig: ThreeNodes) -> None:
-        self._client = rig.observer.node.create_client(SetParameters, "bridge/set_parameters")
-        self._next = time.monotonic()
-        self._turns = 0
+    def turn() -> None:
+        nonlocal turns
+        if time.monotonic() >= began + _CURRENT_PERIOD * turns:
+            turns += 1
+            current = Parameter("emulated.current", value=_CURRENTS[turns % len(_CURRENTS)])
+            client.call_async(SetParameters.Request(parameters=[current.to_parameter_msg()]))
 
-    def turn_if_due(self) -> None:
-        if time.monotonic() < self._next:
-            return
-        self._next += _CURRENT_PERIOD
-        self._turns += 1
-        current = _CURRENTS[self._turns % len(_CURRENTS)]
-        message: ParameterMessage = Parameter("emulated.current", value=current).to_parameter_msg()
-        self._client.call_async(SetParameters.Request(parameters=[message]))
+    return turn
 
 
-def _watch(rig: ThreeNodes, supply: _Supply, duration: float) -> dict[str, list[int]]:
+def _watch(rig: ThreeNodes, turn: Callable[[], None], duration: float) -> dict[str, list[int]]:
     """Memory [B] of each process, look by look."""
     used: dict[str, list[int]] = {name: [] for name in [*rig.nodes, "worker"]}
     end = time.monotonic() + duration
     while time.monotonic() < end or not used["worker"]:
-        supply.turn_if_due()
+        turn()
         rig.observer.spin_for(_LOOK)
         worker = rig.worker
         if worker is None:

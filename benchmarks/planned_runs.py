@@ -5,11 +5,10 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import partial
 
 import numpy as np
 
-from benchmarks.figure import Figure
+from benchmarks.figure import Measured
 from mr_damper_ros.campaign.course import planned
 from mr_damper_ros.emulation.emulator import (
     ConstantDamper,
@@ -107,22 +106,33 @@ _MOST_RUNS = 25
 
 
 @dataclass(frozen=True)
-class PlannedTrial:
-    """What came of one damper.
+class _Reached:
+    """``runs`` until the claim was made and true, infinite if not; the first claim, and truth.
 
-    ``runs`` until the goal was met, infinite where it was not: claimed, and true; ``claimed`` and
-    ``true`` worst error where it was claimed first, and the ``bound`` that was claimed with 95 %
-    confidence; ``inside``: whether no sample left the limits;
-    ``random``: runs where each is chosen by chance.
+    ``claimed`` and ``true`` worst error, and the ``bound`` that was claimed with 95 % confidence.
     """
 
-    kind: str
     runs: float
-    claimed: float
-    true: float
-    bound: float
-    inside: bool
+    claimed: float = math.nan
+    true: float = math.nan
+    bound: float = math.nan
+
+
+@dataclass(frozen=True)
+class PlannedTrial:
+    """What came of one damper: planned runs, and the number of runs where each is by chance.
+
+    ``inside``: whether no sample left the limits.
+    """
+
+    planned: _Reached
     random: float
+    inside: bool
+
+    @property
+    def saved(self) -> float:
+        """Runs by chance over planned ones; 1 where both are endless."""
+        return 1.0 if self.random == self.planned.runs else self.random / self.planned.runs
 
 
 class _RandomPlanner(RunPlanner):
@@ -147,16 +157,6 @@ class _RandomPlanner(RunPlanner):
         now: PointErrors,
     ) -> Plan:
         return Plan(PlanState.RUN, now, self.draw())
-
-
-@dataclass(frozen=True)
-class _Reached:
-    """``runs`` until the claim was made and true, infinite if not; the first claim, and truth."""
-
-    runs: float
-    claimed: float = math.nan
-    true: float = math.nan
-    bound: float = math.nan
 
 
 class _Machine:
@@ -218,21 +218,11 @@ def trial(kind: DamperKind, seed: int) -> PlannedTrial:
         motions=tuple(MotionKind),
     )
     machine = _Machine(truth, noise, limits, seed)
-    planned_one = _campaign(
-        RunPlanner(model, goal, limits), first_run(goal, limits), machine, truth
-    )
-    by_chance = _Machine(truth, noise, limits, seed)
+    course = _campaign(RunPlanner(model, goal, limits), first_run(goal, limits), machine, truth)
     at_random = _RandomPlanner(model, goal, limits, seed)
+    by_chance = _Machine(truth, noise, limits, seed)
     random_one = _campaign(at_random, at_random.draw(), by_chance, truth)
-    return PlannedTrial(
-        kind.name,
-        planned_one.runs,
-        planned_one.claimed,
-        planned_one.true,
-        planned_one.bound,
-        machine.inside,
-        random_one.runs,
-    )
+    return PlannedTrial(course, random_one.runs, machine.inside)
 
 
 def _campaign(planner: RunPlanner, first: PlannedRun, machine: _Machine, truth: Array) -> _Reached:
@@ -264,67 +254,20 @@ def _campaign(planner: RunPlanner, first: PlannedRun, machine: _Machine, truth: 
     return first_claim
 
 
-def measure(seeds: Sequence[int], kinds: Sequence[DamperKind] = KINDS) -> list[PlannedTrial]:
-    """A trial of each kind with each seed."""
-    return [trial(kind, seed) for kind in kinds for seed in seeds]
-
-
-def figures(dampers: int = 30) -> list[Figure]:
+def figures(dampers: int = 30) -> Measured:
     """So many dampers, half of each kind."""
-    return figures_of(measure(range(dampers // len(KINDS))))
-
-
-def figures_of(trials: Sequence[PlannedTrial]) -> list[Figure]:
-    """The figures of these trials."""
-    count = len(trials)
-    of = partial(_median, trials)
-    runs, ratio = of("runs"), float(np.median([_saved(trial) for trial in trials]))
-    missed = [t for t in trials if not t.true <= _ERROR]
-    return [
-        Figure(
-            "planned_runs",
-            runs,
-            f"Runs of {_DURATION:g} s from no knowledge to a worst error of the force of "
-            f"{_ERROR:.0%} that is claimed and true, median of {count} random dampers, noise "
-            f"{_NOISE:.0%}; where it is claimed first, the true error is {of('true'):.2%} (median) "
-            f"and within {_ERROR:.0%} for {count - len(missed)}.",
-            (0.0, 12.0),
+    trials = [trial(kind, seed) for kind in KINDS for seed in range(dampers // len(KINDS))]
+    courses = [each.planned for each in trials]
+    within = sum(course.true <= _ERROR for course in courses)
+    true = float(np.median([course.true for course in courses]))
+    return {
+        "planned_runs": (
+            float(np.median([course.runs for course in courses])),
+            f"Of {len(trials)}. Where it is claimed first, the true error is {true:.2%} (median) "
+            f"and within {_ERROR:.0%} for {within}.",
         ),
-        Figure(
-            "planned_runs_saved",
-            ratio,
-            "Runs by chance over planned ones (median): sines at one current, any within the goal, "
-            "identified, claimed and checked in the same way, to the same end; 1 where both are "
-            "endless.",
-            (3.0, math.inf),
-        ),
-        Figure(
-            "planned_runs_inside",
-            float(sum(t.inside for t in trials)),
-            f"Dampers of {count} with which no sample of any run left the limits of stroke, "
-            "velocity, force, current and duration.",
-            (float(count), float(count)),
-        ),
-        Figure(
-            "planned_runs_claim",
-            float(np.median([t.claimed / t.true for t in trials])),
-            "Claimed worst standard error over the true worst error at the end (median).",
-            (0.8, 1.5),
-        ),
-        Figure(
-            "planned_runs_bound",
-            float(np.mean([t.true <= t.bound for t in trials])),
-            f"Part of {count} dampers whose true worst error was within the one claimed with 95 % "
-            "confidence when the goal was first said to be met.",
-            (0.9, 1.0),
-        ),
-    ]
-
-
-def _saved(trial: PlannedTrial) -> float:
-    """Runs by chance over planned ones; 1 where both are endless."""
-    return 1.0 if trial.random == trial.runs else trial.random / trial.runs
-
-
-def _median(trials: Sequence[PlannedTrial], name: str) -> float:
-    return float(np.median([getattr(trial, name) for trial in trials]))
+        "planned_runs_saved": float(np.median([each.saved for each in trials])),
+        "planned_runs_inside": float(np.mean([each.inside for each in trials])),
+        "planned_runs_claim": float(np.median([c.claimed / c.true for c in courses])),
+        "planned_runs_bound": float(np.mean([c.true <= c.bound for c in courses])),
+    }

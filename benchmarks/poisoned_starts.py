@@ -15,6 +15,7 @@ import math
 import random
 import tempfile
 from collections.abc import Callable
+from contextlib import closing
 from pathlib import Path
 from typing import Any
 
@@ -23,7 +24,7 @@ import yaml
 from mr_damper_msgs.msg import DamperParameters
 from rclpy.serialization import serialize_message
 
-from benchmarks.figure import Figure
+from benchmarks.figure import Measured
 from benchmarks.fuzz import CURRENT, NUMBERS, PERIOD, T0, motion, spoilt
 from benchmarks.processes import ProfiledDomain, start_node
 from mr_damper_ros.models.parameter_set import ParameterError, ParameterSet, start_set
@@ -57,21 +58,10 @@ _SETTINGS = {
 }
 
 
-def figures(cases: int = 10_000, nodes: int = 40, seed: int = 0) -> list[Figure]:
+def figures(cases: int = 10_000, seed: int = 0, nodes: int = 40) -> Measured:
     """Start so many times in this process, and so many real nodes."""
     faults = campaign(cases, seed) + campaign_of_nodes(nodes, seed)
-    return [
-        Figure(
-            "poisoned_starts",
-            len(faults),
-            f"of {cases} starts in one process and {nodes} of real nodes from mutated state and "
-            "parameter files, those that fail: by any but the documented errors, by a set or "
-            "report that cannot be published or kept, or by a good window that cannot be fitted "
-            "then",
-            (0.0, 0.0),
-            "; ".join(faults[:5]),
-        )
-    ]
+    return {"poisoned_starts": (len(faults), f"Of {cases} and {nodes}. " + "; ".join(faults[:5]))}
 
 
 def campaign(cases: int, seed: int) -> list[str]:
@@ -82,9 +72,10 @@ def campaign(cases: int, seed: int) -> list[str]:
         files = _good_files(Path(folder) / "good")
         for number in range(cases):
             kind = chance.choice(list(_SETTINGS))
-            data = _poisoned(chance, files[kind])
+            data, damaged = _poisoned(chance, files[kind])
+            follow = chance.random() < _FOLLOWED
             try:
-                fault = _start(kind, data, Path(folder) / "state", chance.random() < _FOLLOWED)
+                fault = _start(kind, data, Path(folder) / "state", follow, damaged)
             except Exception as error:
                 fault = f"{type(error).__name__}: {str(error)[:200]!a}"
             if fault:
@@ -131,13 +122,18 @@ def _tracker(kind: str, folder: Path) -> tuple[WindowTracker, TrackerState]:
     return tracker, TrackerState(tracker, StateDirectory(folder), _NAME)
 
 
-def _start(kind: str, data: bytes, folder: Path, follow: bool) -> str:
-    """Start an identifier from a state and a model from a parameter file; what is wrong, if any."""
+def _start(kind: str, data: bytes, folder: Path, follow: bool, damaged: bool) -> str:
+    """Start an identifier from a state and a model from a parameter file; what is wrong, if any.
+
+    ``damaged``: the file says of itself that it is not as it was written.
+    """
     folder.mkdir(exist_ok=True)
     path = folder / f"{_NAME}.yaml"
     path.write_bytes(data)
     try:
         _publishable(check_plausible(read_parameter_file(path)))
+        if damaged:
+            return "a damaged file was believed"
     except (StateError, ParameterError) as error:
         str(error).encode()
     tracker, state = _tracker(kind, folder)
@@ -170,11 +166,17 @@ def _go_on(tracker: WindowTracker) -> str:
     return f"a good window: {report.reason}" if report.verdict is Verdict.FAILED else ""
 
 
-def _poisoned(chance: random.Random, good: bytes) -> bytes:
-    """A state file that is damaged, or whose entries are wrong beneath a sound checksum."""
+def _poisoned(chance: random.Random, good: bytes) -> tuple[bytes, bool]:
+    """A state file whose entries are wrong beneath a sound checksum, or one that is damaged.
+
+    And whether its checksum tells that it is.
+    """
     how = chance.randrange(4)
     if how == 0:
-        return spoilt(chance, good)
+        data = spoilt(chance, good)
+        # Line ends of other systems are the same lines.
+        lines = data.replace(b"\r\n", b"\n").replace(b"\r", b"\n")
+        return data, b"sha256" in lines.partition(b"\n")[0] and lines != good
     body = good.partition(b"\n")[2]
     if how == 1:
         body = spoilt(chance, body)
@@ -194,7 +196,8 @@ def _poisoned(chance: random.Random, good: bytes) -> bytes:
         body = f"{text}{mark}{memory}".encode()
     version = 2 if b"\n# memory " in body else 1
     digest = hashlib.sha256(body).hexdigest()
-    return f"# mr_damper_ros parameters, version {version}, sha256 {digest}\n".encode() + body
+    head = f"# mr_damper_ros parameters, version {version}, sha256 {digest}\n"
+    return head.encode() + body, False
 
 
 def _spoil_entry(chance: random.Random, document: Any) -> None:
@@ -258,23 +261,20 @@ def campaign_of_nodes(count: int, seed: int) -> list[str]:
     if count == 0:
         return []
     chance = random.Random(seed)
-    domain = ProfiledDomain()
     faults = []
-    try:
-        with (
-            tempfile.TemporaryDirectory(prefix="starts-") as folder,
-            Observer(domain=domain) as observer,
-        ):
-            good = _good_files(Path(folder) / "good")["window"]
-            for number in range(count):
-                state = Path(folder) / str(number)
-                state.mkdir()
-                (state / f"{_NAME}.yaml").write_bytes(_poisoned(chance, good))
-                fault = _start_node(observer, domain, state, by_file=number % 3 == 2)
-                if fault:
-                    faults.append(f"node {number}: {fault}")
-    finally:
-        domain.close()
+    with (
+        closing(ProfiledDomain()) as domain,
+        tempfile.TemporaryDirectory(prefix="starts-") as folder,
+        Observer(domain=domain) as observer,
+    ):
+        good = _good_files(Path(folder) / "good")["window"]
+        for number in range(count):
+            state = Path(folder) / str(number)
+            state.mkdir()
+            (state / f"{_NAME}.yaml").write_bytes(_poisoned(chance, good)[0])
+            fault = _start_node(observer, domain, state, by_file=number % 3 == 2)
+            if fault:
+                faults.append(f"node {number}: {fault}")
     return faults
 
 

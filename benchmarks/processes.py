@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from contextlib import ExitStack
+import os
+from collections.abc import Iterator, Sequence
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 
 import rclpy
@@ -39,3 +41,14 @@ def start_node(program: str, domain: RosDomain, *arguments: str, **parameters: o
     """Start an installed node, such as "bridge", in a domain; see ``node_arguments``."""
     path = Path(get_package_prefix("mr_damper_ros")) / "lib" / "mr_damper_ros" / program
     return Program([str(path), *arguments, *node_arguments(parameters)], domain.environment)
+
+
+@contextmanager
+def on_cores(cores: Sequence[int] | None) -> Iterator[None]:
+    """What is started meanwhile runs on these cores alone; None: on any."""
+    before = os.sched_getaffinity(0)
+    os.sched_setaffinity(0, before if cores is None else cores)
+    try:
+        yield
+    finally:
+        os.sched_setaffinity(0, before)

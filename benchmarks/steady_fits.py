@@ -12,6 +12,7 @@ import sys
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 from scipy.optimize import differential_evolution, minimize
@@ -242,10 +243,10 @@ def measured_refit(condition_name: str, repetitions: int, samples: int = 1000) -
     window = steady_window(scaled(truth, 0.99), condition, samples=samples, seed=2)
     start = fit_window(_LAW, before, truth, method="least_squares").parameters
     fits = [
-        lambda method=method: fit_window(_LAW, window, start, method=method)
+        partial(fit_window, _LAW, window, start, method=method)
         for method in ("nelder_mead", "least_squares")
     ]
-    works = [lambda: reference_fit(window, start), *fits]
+    works: list[Callable[[], object]] = [lambda: reference_fit(window, start), *fits]
     seconds = interleaved_medians(works, [repetitions, 10 * repetitions, 10 * repetitions])
     reached = reference_fit(window, start)[1] / np.sqrt(samples)
     return Refit(tuple(seconds), tuple(fit().rmse / reached for fit in fits))

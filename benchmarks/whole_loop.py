@@ -444,7 +444,7 @@ def figures(
     runs = in_processes(switched, switched_seeds, processes)
     needed = dict.fromkeys((*names, *_TRACKED))
     pairs = dict(zip(needed, in_processes(_pair, list(needed), processes), strict=True))
-    told = [each.told for each in (*drives, *runs)]
+    told = [each.told for each in drives] + [each.told for each in runs]
     print("\n".join([*told, *(_told(*pair) for pair in pairs.items())]), file=sys.stderr)
     ratios = {
         name: (pairs[name][0].reversals + _FEW) / (pairs[name][1].reversals + _FEW)

@@ -6,7 +6,7 @@ import pytest
 
 from benchmarks import fuzz, hostile_recordings
 
-CASES = {"blocks": 60, "text": 300, "yaml": 300, "state": 300, "mat": 12, "bag": 30}
+CASES = {"blocks": 60, "text": 300, "yaml": 300, "names": 300, "mat": 12, "bag": 30}
 
 
 @pytest.mark.parametrize("kind", CASES)

@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 
 from benchmarks import faults
-from benchmarks.fault_scenarios import Scenario
 from benchmarks.other_dampers import DAMPERS
 from benchmarks.stream_trial import StreamTrial, TrialSettings
 from mr_damper_ros.emulation.motions import SineMotion
@@ -43,7 +42,7 @@ def test_a_branch_without_faults_goes_on_as_the_trial() -> None:
 @cache
 def outcome(text: str) -> faults.Outcome:
     """What comes of a fault of two seconds."""
-    return faults.run(healthy_trial(), Scenario(text, begin=6.5, end=8.5), DAMPER)
+    return faults.run(healthy_trial(), faults.Scenario(text, begin=6.5, end=8.5), DAMPER)
 
 
 TROUBLE = [
