@@ -193,12 +193,13 @@ class ParameterSet:
                 self.values, self.held(motion), current, period, state
             )
 
-    def window_force(self, window: Window, *, gradual: bool = False) -> Array:
+    def window_force(self, window: Window, *, gradual: bool | None = None) -> Array:
         """Force (n,) [N] that the set predicts at the samples of a window.
 
-        ``gradual`` as for :meth:`law_turning`.
+        ``gradual`` as for :meth:`law_turning`; by default unless the motion is a steady sine, whose
+        acceleration is free of noise.
         """
-        law = self.law_turning(gradual=gradual)
+        law = self.law_turning(gradual=window.motion.sine is None if gradual is None else gradual)
         return law.window_force(self.held(window), self.values)
 
     def force(self, time: ArrayLike, displacement: ArrayLike, current: ArrayLike) -> Array:

@@ -14,6 +14,7 @@ import yaml
 from hypothesis import given
 from hypothesis import strategies as st
 
+from mr_damper_ros.kinematics.window import Window
 from mr_damper_ros.models import MODELS
 from mr_damper_ros.models.parameter_set import ParameterError, ParameterSet
 from mr_damper_ros.models.published import LITERATURE
@@ -218,3 +219,19 @@ def test_times_that_do_not_fit_are_refused(time: list[float], sentence: str) -> 
     found = ParameterSet(MODELS["sigmoid"].initial_values()[0])
     with pytest.raises(ValueError, match=sentence):
         found.force(time, [0.0, 1e-3, 0.0], 1.0)
+
+
+def test_noise_of_the_acceleration_flips_no_branch() -> None:
+    time = 1e-2 * np.arange(3000)
+    phases = 2.0 * np.pi * np.random.default_rng(0).random(30)
+    rates = 2.0 * np.pi * np.linspace(0.4, 3.0, 30)
+    clean = 2e-3 * np.sin(np.outer(time, rates) + phases).sum(axis=1)
+    noisy = clean + 2e-4 * np.random.default_rng(1).standard_normal(time.size)
+    known_set = ParameterSet(LITERATURE)
+    force, jumping = (
+        known_set.window_force(window, gradual=gradual)
+        for window in [Window.from_samples(noisy, np.zeros(time.size), 1.0, 1e-2)]
+        for gradual in (None, False)
+    )
+    np.testing.assert_array_equal(known_set.force(time, noisy, 1.0), force)
+    assert np.abs(np.diff(force)).max() < 0.8 * np.abs(np.diff(jumping)).max()
