@@ -28,7 +28,7 @@ from mr_damper_ros.emulation.emulator import (
 from mr_damper_ros.emulation.motions import CommandedMotion, SineMotion
 from mr_damper_ros.estimation.experiment_design import Plan, PlanState, PointErrors
 from mr_damper_ros.estimation.planned_run import ForceGoal, MachineLimits, PlannedRun
-from mr_damper_ros.kinematics.periodic_motion import MotionKind, PeriodicMotion
+from mr_damper_ros.kinematics.periodic_motion import MotionKind
 from mr_damper_ros.kinematics.repeated_match import RepeatedMatch
 from mr_damper_ros.models.parameter_set import ParameterSet
 from mr_damper_ros.processes.worker import Done, Failed, Outcome
@@ -315,21 +315,3 @@ def test_an_identification_that_fails_is_told_and_its_run_kept(
     assert end.outcome is CampaignOutcome.FAILED
     assert "run 1 could not be identified: the worker process died" in end.reason
     assert len(read_campaign_runs(tmp_path)) == 1
-
-
-def test_by_hand_it_says_what_to_set_and_waits(planned: list[PlannedRun], tmp_path: Path) -> None:
-    planned[:] = [RUNS[1]]
-    conductor, _ = begun(tmp_path, ConductSettings(manual=True))
-    machine = EmulatedMachine(conductor)
-    for _ in range(200):
-        machine.block()
-    status = conductor.status()
-    assert status is not None
-    assert RUNS[1].sentence in status.state
-    assert conductor.command is None
-    # The person turns the knobs, not exactly.
-    machine.set(MachineCommand(PeriodicMotion(MotionKind.SINE, 0.0052, 2.9), 0.76))
-    assert ended(machine).outcome is CampaignOutcome.MET
-    (_, recording), *_ = read_campaign_runs(tmp_path)
-    assert np.abs(recording.displacement).max() == pytest.approx(0.0052, rel=0.01)
-    assert np.all(recording.current == 0.76)

@@ -17,8 +17,6 @@ from mr_damper_ros.models import MODELS
 from mr_damper_ros.models.current_dependence import COIL, Coefficient, CurrentDependentModel
 from mr_damper_ros.models.quantities import LoopReading, State
 from mr_damper_ros.signals.arrays import Array
-from mr_damper_ros.tracking.cusum import ScaleFit
-from mr_damper_ros.tracking.force_scale import with_strength
 from mr_damper_ros.tracking.operating_point import thinned_to_keep
 
 FOLLOWING = [name for name, model in MODELS.items() if isinstance(model, CurrentDependentModel)]
@@ -33,9 +31,6 @@ STANDARD_ERRORS = 5.0
 
 LAG = 0.02
 """Time constant [s] of the coil where it shows."""
-
-SAME = 1e-12
-"""Relative: rounding."""
 
 
 class SawTooth(CurrentDependentModel):
@@ -136,16 +131,6 @@ def test_the_lag_of_the_coil_is_found_where_the_current_switches(name: str) -> N
     assert found.observable[place]
     # Relative: what is left of the noise in two seconds of a current that switches.
     assert found.values[place] == pytest.approx(LAG, rel=0.05)
-
-
-@pytest.mark.parametrize("name", FOLLOWING)
-def test_a_loss_of_strength_weakens_what_follows_the_current_too(name: str) -> None:
-    model, values = MODELS[name], truth(name)
-    here = moved(name, values, 1.0)
-    fit = with_strength(model, here, values, ScaleFit(0.8, 0.0), "force_scale")
-    weaker = values.copy()
-    weaker[model.strength_indices] *= 0.8
-    np.testing.assert_allclose(fit.parameters, weaker, rtol=SAME)
 
 
 def test_a_law_of_a_users_own_is_identified_over_currents(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -14,18 +14,10 @@ from mr_damper_ros.emulation.motions import SineMotion
 from mr_damper_ros.estimation.window_fit import WindowFit, WindowPrior, fit_window
 from mr_damper_ros.kinematics.window import Window
 from mr_damper_ros.models import MODELS
-from mr_damper_ros.models.sigmoid.law import SCALE_INDICES
 from mr_damper_ros.signals.arrays import Array
 
 RUNNING = known.PLAUSIBLE
 RANDOM = BandLimitedRandom(rms=4e-3, low=0.2, high=2.0, seed=2)
-
-AS_WELL = 1.001
-"""Most that the RMSE may be of that of the fit to the window alone."""
-
-
-def steady(parameters: Array = RUNNING) -> Window:
-    return known.run(parameters, current=1.0, seed=3).window
 
 
 def random_window(
@@ -61,18 +53,6 @@ def weigh(
 ) -> WindowFit:
     prior = WindowPrior(running, fastest)
     return fit_window(MODELS[name], window, running, method="least_squares", prior=prior)
-
-
-def test_a_steady_sine_is_fitted_as_without_a_running_set() -> None:
-    off = RUNNING.copy()
-    off[SCALE_INDICES] *= 1.01
-    window = steady()
-    alone = own(window)
-    weighed = weigh(window, off)
-    errors = np.sqrt(np.diag(alone.covariance))
-    # Standard errors by which the running set may move what a window determines well.
-    assert np.max(np.abs(weighed.scales - alone.scales) / errors) < 0.2
-    assert weighed.rmse < AS_WELL * alone.rmse
 
 
 def test_what_a_short_window_of_random_motion_leaves_open_stays() -> None:

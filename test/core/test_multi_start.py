@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable
-from dataclasses import replace
 from functools import cache
 
 import known
@@ -22,7 +21,6 @@ from mr_damper_ros.estimation.multi_start import (
 )
 from mr_damper_ros.kinematics.window import Window
 from mr_damper_ros.models.published import LITERATURE
-from mr_damper_ros.signals.arrays import Array
 
 FEW = EvolutionSettings(generations=20, population=6, seed=3)
 CURRENTS = (0.0, 0.5, 1.0, 1.5)
@@ -68,22 +66,6 @@ def stopping(after: int) -> Callable[[GlobalProgress], bool]:
 
 
 # -- several seeds -----------------------------------------------------------------------------
-
-
-def shifted(fit: GlobalFit, by: float, cost: float) -> GlobalFit:
-    """The same fit with f0 so many standard errors away."""
-    values: Array = fit.parameter_set.values.copy()
-    values[0] += by * fit.parameter_set.standard_errors[0]
-    return replace(fit, parameter_set=replace(fit.parameter_set, values=values), cost=cost)
-
-
-def test_the_spread_is_that_of_the_searches_that_are_as_good() -> None:
-    fit = searched(1).best
-    fits = {0: fit, 1: shifted(fit, 2.0, 1.005 * fit.cost), 2: shifted(fit, 9.0, 1.1 * fit.cost)}
-    found = MultiStart(fits)
-    assert found.as_good == (0, 1)
-    assert found.spread[0] == pytest.approx(2.0)
-    assert np.all(found.spread[~fit.parameter_set.observable] == 0.0)
 
 
 def test_less_than_one_start_is_refused() -> None:

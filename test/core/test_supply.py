@@ -8,11 +8,12 @@ import select
 import threading
 import time
 import tty
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from importlib.util import find_spec
 from pathlib import Path
 
 import pytest
+from waiting import until
 
 from benchmarks.instrument_server import InstrumentServer
 from mr_damper_ros.rig.commander import CommandSettings, CurrentCommander, Origin
@@ -405,15 +406,8 @@ def in_thread(server: InstrumentServer, said: list[str], current: float = 1.0) -
     )
 
 
-def wait_until(condition: Callable[[], bool]) -> None:
-    deadline = time.monotonic() + 20.0
-    while not condition():
-        assert time.monotonic() < deadline
-        time.sleep(0.01)
-
-
 def gives_current(server: InstrumentServer) -> None:
-    wait_until(lambda: server.instrument.current() > 0.9)
+    until(lambda: server.instrument.current() > 0.9, "the current")
 
 
 def test_a_supply_that_dribbles_is_switched_off_over_a_new_link(live: InstrumentServer) -> None:
@@ -421,11 +415,11 @@ def test_a_supply_that_dribbles_is_switched_off_over_a_new_link(live: Instrument
     thread = in_thread(live, said)
     gives_current(live)
     live.dribble = 0.2 * TIMEOUT
-    wait_until(lambda: live.instrument.is_off)
+    until(lambda: live.instrument.is_off, "no output")
     assert "has not answered within" in said[0]
     assert not thread.finished, "it was not heard to be off"
     live.dribble = 0.0
-    wait_until(lambda: thread.finished)
+    until(lambda: thread.finished, "the end of the thread")
 
 
 def test_stopping_a_supply_that_dribbles_ends_and_says_what_could_not_be_done(

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import re
 import signal
-import time
 from pathlib import Path
 
 from support import assert_one_sentence, installed_programs
+from waiting import until
 
 from mr_damper_ros.processes.programs import Program
 
@@ -35,17 +35,8 @@ def test_a_bag_that_is_not_there_is_one_sentence() -> None:
 
 def test_an_interrupt_ends_it_and_its_nodes(tmp_path: Path) -> None:
     program = demo("--output", str(tmp_path))
-    until_nodes(program)
+    until(lambda: len(program.children) == 4, "all nodes")
     nodes = program.children
     assert program.stop(signal.SIGINT) == 130
     assert not any(Path(f"/proc/{pid}").exists() for pid in nodes)
     program.close()
-
-
-def until_nodes(program: Program) -> None:
-    """Wait until the demonstration has started all of its nodes."""
-    deadline = time.monotonic() + 30.0
-    while len(program.children) < 4:
-        assert program.running, program.log
-        assert time.monotonic() < deadline
-        time.sleep(0.05)

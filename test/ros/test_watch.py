@@ -6,12 +6,12 @@ import http.client
 import json
 import re
 import signal
-import time
 from pathlib import Path
 from typing import Any
 from urllib.parse import urlsplit
 
 from support import PATIENCE, assert_one_sentence, installed_programs
+from waiting import until
 
 from mr_damper_ros.processes.programs import Program
 
@@ -36,14 +36,8 @@ def test_a_wrong_period_is_one_sentence() -> None:
 
 def test_a_rig_is_shown_until_it_is_interrupted() -> None:
     program = Program([str(installed_programs() / "demo"), "--live", "--port", "0"])
-    deadline = time.monotonic() + PATIENCE
-    while not (found := re.search(r"the page is at (\S+);", program.output)):
-        assert program.running, program.log
-        assert time.monotonic() < deadline
-        time.sleep(0.1)
-    while not signals_at(found[1]):
-        assert time.monotonic() < deadline + PATIENCE
-        time.sleep(0.1)
+    found = until(lambda: re.search(r"the page is at (\S+);", program.output), "the page")
+    until(lambda: signals_at(found[1]), "signals on the page")
     nodes = program.children
     assert len(nodes) == 4
     assert program.stop(signal.SIGINT) == 0
