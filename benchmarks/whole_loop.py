@@ -174,7 +174,7 @@ def chosen(
     if not watched:
         settings = replace(settings, predictor=PredictorSettings(maximum_error=0.0))
     controller = ForceController(settings)
-    controller.set_parameters(known)
+    controller.predictor.set_parameters(known)
     return ForceChoice(controller, wanted, engine)
 
 

@@ -65,7 +65,7 @@ def comfort(controlled: bool) -> float:
         coil_time_constant=COIL,
     )
     controller = ForceController(ForceControlSettings(highest_current=HIGHEST_CURRENT))
-    controller.set_parameters(invented_damper(COIL))
+    controller.predictor.set_parameters(invented_damper(COIL))
     wanted = skyhook(3000.0)
     choice = ForceChoice(controller, lambda _: wanted(moment_of(rig)))
     blocks = commanded(rig, knob, choice if controlled else lambda _: 0.0, 10, 10.0)

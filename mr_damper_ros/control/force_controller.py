@@ -75,10 +75,6 @@ class ForceFeedback:
         if not math.isnan(wanted):
             self._largest = max(self._largest, abs(wanted))
 
-    def pause(self) -> None:
-        """The next block is not controlled."""
-        self._expected = math.nan
-
     def follow(self, measured: Array, duration: float) -> None:
         """Correct the factor by the force (n,) [N] of a block of this duration [s]."""
         wanted, gain = self._expected, self._settings.feedback_gain
@@ -243,7 +239,8 @@ class ForceController:
     def __init__(self, settings: ForceControlSettings, grid: GridSettings | None = None) -> None:
         self.settings = settings
         self.predictor = ForcePredictor(settings.predictor, grid)
-        """What the force is judged by: give it currents and reports."""
+        """Judges the force. Give it the sets to control with, currents, reports, and blocks for
+        which it is too late to command anything; let it catch up once a command is sent."""
         self._feedback = ForceFeedback(settings.feedback)
         self._demand: Demand | None = None
         self._inverse: _Inverse | None = None
@@ -267,10 +264,6 @@ class ForceController:
     def highest_known(self) -> float:
         """Highest current [A] that is commanded; NaN where there is no choice of one."""
         return math.nan if self._inverse is None else self._inverse.highest
-
-    def set_parameters(self, parameters: ParameterSet, confirmed_ns: int | None = None) -> None:
-        """Control with this set from now on; see :meth:`ForcePredictor.set_parameters`."""
-        self.predictor.set_parameters(parameters, confirmed_ns)
 
     def _take_set_in_use(self) -> None:
         """Invert the set that the force is predicted with, which may be one of before again."""
@@ -336,7 +329,7 @@ class ForceController:
         self, prediction: Prediction, doubt: Doubt, wanted: float, duration: float
     ) -> Command:
         """Command what goes without a force that can be relied on."""
-        self._feedback.pause()
+        self._feedback.expect(math.nan)
         safe = self.settings.fallback.safe_current
         # A coil that lags was given more than it should have: that is not to be held.
         held = self._commanded if self._wanted is None else self._wanted
@@ -360,14 +353,6 @@ class ForceController:
             prediction=prediction,
             falls_back=self._fallback.lasts,
         )
-
-    def follow(self, block: SampleBlock) -> None:
-        """Follow a block for which it is too late to command anything."""
-        self.predictor.predict(block)
-
-    def catch_up(self) -> None:
-        """Do what only later blocks need; call it once the command is on its way."""
-        self.predictor.catch_up()
 
     def give_up(self) -> float:
         """Forget what was commanded: returns the safe current [A]."""

@@ -82,7 +82,7 @@ class ForceChoice:
         controller.predictor.add_current(*current)
         controller.want(block.end_ns, self._wanted(measured))
         self.last = controller.command(block)
-        controller.catch_up()
+        controller.predictor.catch_up()
         if engine is not None:
             engine.add_current(*current)
             self.predicted = engine.predict(block)
@@ -91,5 +91,5 @@ class ForceChoice:
                 controller.predictor.follow_report(publication.report)
                 found = publication.parameters
                 if found is not None:
-                    controller.set_parameters(found, found.stamp_ns or None)
+                    controller.predictor.set_parameters(found, found.stamp_ns or None)
         return self.last.current

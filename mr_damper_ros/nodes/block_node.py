@@ -12,7 +12,6 @@ from typing import ClassVar, Generic, TypeVar
 import numpy as np
 from rclpy.node import Node
 
-from mr_damper_ros.models.parameter_set import ParameterSet
 from mr_damper_ros.nodes import quality
 from mr_damper_ros.nodes.diagnostics import OK, STALE, WARN, Diagnostics, Finding
 from mr_damper_ros.nodes.inputs import Inputs
@@ -50,20 +49,19 @@ class BlockNode(Node, Generic[Options, Answer]):
     def _listen(
         self,
         predictor: ForcePredictor,
-        use: Callable[[ParameterSet, int | None], None],
-        follow: Callable[[SampleBlock], object],
         max_age: float,
         error: RunningError | None = None,
     ) -> None:
-        """Hear samples, currents and sets; ``use`` takes a set, ``follow`` a skipped block.
+        """Hear samples, currents and sets, and hand them to the predictor.
 
         Samples older than ``max_age`` [s] are told; 0: they may be of any age. A set that replaces
         another begins the ``error`` of the diagnostics anew.
         """
         self._predictor = predictor
-        self._follow = follow
         self._max_age = max_age
-        self._parameter_input = ParameterInput(self, use, predictor, self._options, error)
+        self._parameter_input = ParameterInput(
+            self, predictor.set_parameters, predictor, self._options, error
+        )
         self._inputs = Inputs(self, quality.stream, self._take_block, predictor.add_current)
 
     def _diagnose(self, concerns: dict[str, Callable[[], Finding]]) -> None:
@@ -93,7 +91,7 @@ class BlockNode(Node, Generic[Options, Answer]):
         now_ns = self.get_clock().now().nanoseconds
         freshness = self._predictor.freshness
         if freshness.are_older(block.end_ns, now_ns, self._late):
-            block, skipped = self._inputs.skip_to_newest(block, self._follow)
+            block, skipped = self._inputs.skip_to_newest(block, self._predictor.predict)
             self._skipped += skipped
             now_ns = self.get_clock().now().nanoseconds
         answer = self._publish_answer(block, now_ns)

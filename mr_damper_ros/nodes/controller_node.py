@@ -110,8 +110,6 @@ class ControllerNode(BlockNode[ControllerParameters, Command]):
         )
         self._listen(
             self._controller.predictor,
-            self._controller.set_parameters,
-            self._controller.follow,
             options.control.predictor.max_age,
         )
         self._watchdog = self.create_timer(
@@ -165,7 +163,7 @@ class ControllerNode(BlockNode[ControllerParameters, Command]):
             if before.attainable:
                 wanted = np.full(block.force.size, before.wanted)
                 self._tracking.add(wanted, block.force, block.period)
-        self._controller.catch_up()
+        self._controller.predictor.catch_up()
 
     def destroy_node(self) -> None:
         """Leave the supply with the safe current."""

@@ -94,8 +94,6 @@ class ModelNode(BlockNode[ModelParameters, Prediction]):
         )
         self._listen(
             predictor,
-            predictor.set_parameters,
-            predictor.predict,
             options.predictor.max_age,
             self._error,
         )

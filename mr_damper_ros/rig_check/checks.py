@@ -312,9 +312,15 @@ def _channels(
         lag = channel_lag(displacement, -force, period)
     if sound and lag.determined and abs(lag.skew) > max(_SKEW, _SURE * lag.standard_error):
         late, early = ("force", "displacement") if lag.skew > 0 else ("displacement", "force")
-        skew, error = 1e3 * abs(lag.skew), 1e3 * lag.standard_error
-        figures = {"skew": skew, "error": error, "lateness": lag.skew}
-        found.append(Trouble.SKEW.found(late=late, early=early, **figures))
+        found.append(
+            Trouble.SKEW.found(
+                late=late,
+                early=early,
+                skew=1e3 * abs(lag.skew),
+                error=1e3 * lag.standard_error,
+                lateness=lag.skew,
+            )
+        )
     return found, lag
 
 

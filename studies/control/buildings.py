@@ -224,7 +224,7 @@ def _choice(task: BuildingRun, rig: PlantRig, building: ShearBuilding) -> tuple[
         predictor=PredictorSettings(velocity_margin=100.0),
     )
     controller = ForceController(settings)
-    controller.set_parameters(recorded_damper(task.coil_time_constant))
+    controller.predictor.set_parameters(recorded_damper(task.coil_time_constant))
     return ForceChoice(controller, lambda measured: observed(measured) / DAMPERS), _BLOCK
 
 

@@ -160,7 +160,7 @@ def force_choice(
     """What the nodes `suspension` and `controller` do together, with an engine identifying."""
     settings = ForceControlSettings(highest_current=HIGHEST_CURRENT)
     choice = ForceChoice(ForceController(settings), lambda _: controller(moment_of(rig)), engine)
-    choice.controller.set_parameters(known)
+    choice.controller.predictor.set_parameters(known)
     return choice
 
 

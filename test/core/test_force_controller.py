@@ -121,7 +121,7 @@ def settings(
 
 def controlled(parameters: ParameterSet, **changes: float) -> ForceController:
     controller = ForceController(settings(**changes))
-    controller.set_parameters(parameters)
+    controller.predictor.set_parameters(parameters)
     return controller
 
 
@@ -140,7 +140,7 @@ def tracked(loop: ControlLoop, demand: float, duration: float = 5.5) -> ControlT
         velocity = float(steps.mean()) / PERIOD
         loop.controller.want(block.end_ns, demand * velocity)
         last = loop.controller.command(block)
-        loop.controller.catch_up()
+        loop.controller.predictor.catch_up()
         loop.command(last.current)
         commands.append(last)
     return ControlTrial(
