@@ -1,1 +1,1 @@
-"""Campaigns: runs of a test machine are chosen, made and identified until the force is known."""
+"""Campaigns: plan, make and identify runs of a test machine until the force is known."""

@@ -1,7 +1,7 @@
 """Conducts a campaign on a machine: samples in, commands out, identification in a worker.
 
-Nothing here knows ROS, nor any clock but the stamps of the samples. All that is finished is on disk
-before anything else is done, so that the program may end at any moment.
+It uses neither ROS nor any clock except the stamps of the samples. Every result is written to disk
+before the next step, so the program may end at any time.
 """
 
 from __future__ import annotations
@@ -25,11 +25,11 @@ from mr_damper_ros.signals.blocks import NANOSECONDS, SampleBlock
 from mr_damper_ros.signals.uniform_grid import GridSettings, UniformGrid
 
 _COLDEST, _HOTTEST = -60.0, 250.0
-"""[°C]: a reading beyond comes from a thermometer without its sensor."""
+"""Plausible temperatures [°C]; other readings come from a disconnected thermometer."""
 
 
 class CampaignStage(IntEnum):
-    """What is under way; the numbers are those of RunCampaign.action."""
+    """The present stage; the numbers are those of RunCampaign.action."""
 
     WAITING = 0
     SETTLING = 1
@@ -40,7 +40,7 @@ class CampaignStage(IntEnum):
 
 @dataclass(frozen=True)
 class ConductSettings(CheckedSettings):
-    """How a campaign is conducted."""
+    """Options of conducting a campaign."""
 
     manual: bool = option(
         False,
@@ -60,9 +60,9 @@ class ConductSettings(CheckedSettings):
 
 @dataclass(frozen=True)
 class CampaignStatus:
-    """How a campaign stands: see the feedback of RunCampaign.action; ``runs_left`` None: unknown.
+    """State of a campaign, as the feedback of RunCampaign.action; ``runs_left`` None: unknown.
 
-    ``state`` says in words what is waited for.
+    ``state`` describes in words what the campaign is waiting for.
     """
 
     stage: CampaignStage
@@ -74,7 +74,7 @@ class CampaignStatus:
 
 
 class CampaignConductor:
-    """One campaign after the other, on one machine."""
+    """Conducts one campaign at a time on one machine."""
 
     def __init__(self, worker: TaskRunner, settings: ConductSettings) -> None:
         self._worker = worker
@@ -90,15 +90,15 @@ class CampaignConductor:
         self._newest_ns = 0
         self._notices: list[str] = []
         self.sequence = UniformGrid(settings.grid)
-        """How the samples followed each other."""
+        """Continuity of the samples."""
 
     @property
     def running(self) -> bool:
-        """Whether there is a campaign."""
+        """Whether a campaign is running."""
         return self._course is not None
 
     def begin(self, course: CampaignCourse, folder: CampaignFolder) -> None:
-        """Conduct this campaign, which keeps its runs in ``folder``; there must be no other."""
+        """Start this campaign, which stores its runs in ``folder``; no other may be running."""
         assert self._course is None
         self._course, self._folder = course, folder
         self._paused = self._reporting = False
@@ -107,15 +107,15 @@ class CampaignConductor:
             self._notices.append(f"continuing after run {len(course.runs)}, which is stored")
 
     def pause(self) -> None:
-        """Let the machine rest; a run that is under way is made anew later."""
+        """Stop the machine; an interrupted run is repeated later."""
         self._paused, self._driver = True, None
 
     def resume(self) -> None:
-        """Go on after a pause."""
+        """Continue after a pause."""
         self._paused = False
 
     def stop(self, reason: str = "it was stopped") -> None:
-        """End the campaign; the same goal goes on with it later."""
+        """End the campaign; it continues if the same goal is sent again."""
         if self._course is not None and self._course.outcome is None:
             self._driver = None
             self._course.end(reason)
@@ -123,18 +123,18 @@ class CampaignConductor:
                 self._worker.cancel()
 
     def lose_contact(self) -> None:
-        """No samples come: the run that is under way is made anew when they do."""
+        """Samples have stopped: the present run is repeated when they return."""
         self._driver = None
 
     # --- what comes in --------------------------------------------------------------------------
 
     def add_current(self, stamp_ns: int, current: float) -> None:
-        """Take in a reading of the current [A]; raises CurrentError for one that cannot be used."""
+        """Add a measured current [A]; raises CurrentError if it is invalid."""
         if self._driver is not None:
             self._driver.add_current(stamp_ns, current)
 
     def add_temperature(self, stamp_ns: int, celsius: float) -> None:
-        """Take in a reading of the damper's temperature [°C], unless none can be as that."""
+        """Add a temperature of the damper [°C]; implausible ones are ignored."""
         if not _COLDEST <= celsius <= _HOTTEST:
             return
         self._celsius = (stamp_ns, celsius)
@@ -142,7 +142,7 @@ class CampaignConductor:
             self._driver.add_temperature(stamp_ns, celsius)
 
     def add_block(self, block: SampleBlock) -> None:
-        """Take in samples."""
+        """Add samples."""
         for placed in self.sequence.follow(block):
             self._newest_ns = placed.block.end_ns
             driver = self._driver or self._new_driver()
@@ -156,7 +156,7 @@ class CampaignConductor:
         if driver.stage is DriveStage.DONE:
             assert driver.recording is not None
             self._driver, self._rested_ns = None, None
-            # A bag is written in the worker: commands must not wait for a disk.
+            # The worker writes the bag, so that commands do not wait for the disk.
             self._made = driver.run, driver.recording
         elif driver.stage is DriveStage.BROKEN:
             self._driver = None
@@ -184,13 +184,13 @@ class CampaignConductor:
 
     @property
     def command(self) -> MachineCommand | None:
-        """What the machine is to do; None where it is nobody's business, or a person's."""
+        """The command for the machine; None without a campaign, or with an operator."""
         if self._course is None or self._settings.manual:
             return None
         return REST if self._driver is None else self._driver.command
 
     def status(self) -> CampaignStatus | None:
-        """How it stands; None where there is no campaign."""
+        """The state; None without a campaign."""
         course = self._course
         if course is None:
             return None
@@ -222,12 +222,12 @@ class CampaignConductor:
         return CampaignStage.SETTLING, wanted + self._driver.state
 
     def take_notices(self) -> list[str]:
-        """Sentences on what has happened since the last call."""
+        """Messages since the last call."""
         notices, self._notices = self._notices, []
         return notices
 
     def poll(self) -> CampaignCourse | None:
-        """Take what the worker has found, and give it what is to be found; a course that ended."""
+        """Collect results of the worker and give it new work; returns a course that has ended."""
         outcomes = self._worker.poll()
         course, folder = self._course, self._folder
         if course is None or folder is None:
@@ -254,7 +254,7 @@ class CampaignConductor:
         made, self._made = self._made, None
         failed = outcome.reason if isinstance(outcome, Failed) else ""
         if made is not None:
-            # A campaign that was stopped meanwhile keeps the run, too.
+            # A campaign that was stopped meanwhile stores the run, too.
             number = len(course.runs) + 1
             if failed:
                 course.fail(f"run {number} could not be stored: {failed}")

@@ -1,4 +1,4 @@
-"""The next run of a test machine, from the recordings of those that were made."""
+"""The course of a campaign: the next run of a test machine from the recordings so far."""
 
 from __future__ import annotations
 
@@ -42,9 +42,9 @@ def advise_run(
     limits: MachineLimits,
     model: str = DEFAULT_MODEL,
 ) -> Plan:
-    """How well the force is known from the runs made so far, and which run comes next.
+    """Accuracy of the force from the runs so far, and the next run.
 
-    Raises ValueError, in one sentence, where a run cannot be used.
+    Raises ValueError if a run cannot be used.
     """
     windows = all_windows(measured_runs(runs))
     return planned(RunPlanner(known_model(model), goal, limits), windows)[1]
@@ -56,7 +56,7 @@ def planned(
     before: Array | None = None,
     evolution: EvolutionSettings | None = None,
 ) -> tuple[ParameterSet, Plan]:
-    """The most probable set of windows, searched from the set (p,) of before, and the plan."""
+    """Maximum-a-posteriori set of the windows, starting from the last set (p,), and the plan."""
     start = planner.model.initial_values()[0] if before is None else before
     fit = identify_global(
         planner.model, windows, start, evolution or EvolutionSettings(), known=before
@@ -68,21 +68,20 @@ def planned(
 
 
 _TRIES = 2
-"""A run that cannot be used is made once more."""
+"""Number of attempts per run."""
 
 _CURRENT_SHARE = 0.05
-"""The median current of a stretch may differ by this part of the one wanted, or by what a driven
-run may where that is more."""
+"""Relative tolerance of the median current of a segment, unless that of a driven run is larger."""
 
 _AMPLITUDE_SHARE = 0.3
-"""The amplitude of a run may differ by this part of the one wanted."""
+"""Relative tolerance of the amplitude of a run."""
 
 _MOTION_SHARE = 0.5
-"""A motion that is no sine leaves no more of that measured than this (root mean square)."""
+"""Largest relative deviation of a motion other than a sine (root mean square)."""
 
 
 class CampaignOutcome(IntEnum):
-    """How a campaign ended; the numbers are those of RunCampaign.action."""
+    """Outcome of a campaign; the numbers are those of RunCampaign.action."""
 
     MET = 0
     OUT_OF_REACH = 1
@@ -99,20 +98,20 @@ _ENDS = {
 @lru_cache(maxsize=1)
 @one_thread()
 def planner_of(task: CampaignTask) -> RunPlanner:
-    """What plans the runs of a campaign."""
+    """Data for planning the runs of a campaign."""
     return RunPlanner(known_model(task.model), task.goal, task.limits)
 
 
 MadeRun = tuple[PlannedRun, Recording]
-"""A run, and what was recorded of it."""
+"""A run and its recording."""
 
 
 def judge_run(
     folder: Path | None, number: int, made: MadeRun, control: Control | None = None
 ) -> str:
-    """Why a run is refused, empty where it is not; in a folder it is kept either way.
+    """Reason to refuse a run, or empty; with a folder, the run is stored in any case.
 
-    It can go to a worker, as :func:`find_step` can. Raises OSError.
+    Suitable for a worker, like :func:`find_step`. Raises OSError.
     """
     refusal = fault_of_run(*made)
     if folder is not None:
@@ -128,19 +127,19 @@ def find_step(
     evolution: EvolutionSettings,
     control: Control | None = None,
 ) -> CampaignStep:
-    """Identify from all runs, and plan the next; ``before`` (p,): found from all but the last."""
+    """Identify from all runs and plan the next; ``before`` (p,): result without the last run."""
     windows = [window for run, recording in runs for window in run.windows(recording)]
     found, plan = planned(planner_of(task), windows, before, evolution)
     return CampaignStep(runs[-1][0], found, plan)
 
 
 class CampaignCourse:
-    """A campaign from its beginning, or from where what is kept in ``folder`` leaves off.
+    """A campaign from its start, or continued from ``folder``.
 
-    ``next_run`` is the run to be made now, None where ``work`` is to be done first or the campaign
-    is over, which ``outcome`` tells, and ``reason`` in words. ``most_runs`` may be made in all.
+    ``next_run`` is the run to make now; None if ``work`` must be done first or the campaign has
+    ended, as given by ``outcome`` and ``reason``. At most ``most_runs`` are made.
 
-    Raises ValueError where the machine cannot make the first run, or what is kept is damaged.
+    Raises ValueError if the machine cannot make the first run, or the folder is damaged.
     """
 
     def __init__(
@@ -167,12 +166,12 @@ class CampaignCourse:
 
     @property
     def number(self) -> int:
-        """Number of the run that is made, or was made last, from 1."""
+        """Number of the present or last run, from 1."""
         return len(self.runs) + (self.next_run is not None)
 
     @property
     def outcome(self) -> CampaignOutcome | None:
-        """How it ended; None while it goes on."""
+        """The outcome; None while the campaign is running."""
         if self._ended is None and self.steps and len(self.steps) == len(self.runs):
             plan = self.steps[-1].plan
             if plan.state in _ENDS:
@@ -183,7 +182,7 @@ class CampaignCourse:
 
     @property
     def next_run(self) -> PlannedRun | None:
-        """The run to be made now."""
+        """The run to make now."""
         if self.outcome is not None or len(self.steps) < len(self.runs):
             return None
         return self.steps[-1].plan.run if self.steps else self._first
@@ -192,16 +191,16 @@ class CampaignCourse:
     def work(
         self,
     ) -> tuple[CampaignTask, Sequence[MadeRun], Array | None, EvolutionSettings] | None:
-        """What :func:`find_step` is to find before the next run."""
+        """Arguments of :func:`find_step` before the next run."""
         if self._ended is not None or len(self.steps) == len(self.runs):
             return None
         before = self.steps[-1].parameter_set.values if self.steps else None
         return self.task, self.runs[: len(self.steps) + 1], before, self._evolution
 
     def take(self, recording: Recording, made: PlannedRun | None = None) -> str:
-        """Take in a recording of the next run; why it is refused, empty where it is not.
+        """Add a recording of the next run; returns the reason to refuse it, or empty.
 
-        ``made``: the run that it is, where it is another. A run that is refused twice ends the
+        ``made``: the run that was made, if different. A run that is refused twice ends the
         campaign; nothing is lost. Raises OSError.
         """
         run = made or self.next_run
@@ -212,7 +211,7 @@ class CampaignCourse:
         return refusal
 
     def add_judged(self, made: MadeRun, refusal: str) -> None:
-        """Take in a run that was judged."""
+        """Add a run that was judged."""
         if not refusal:
             self.refusals = 0
             self.runs.append(made)
@@ -222,17 +221,17 @@ class CampaignCourse:
             self.fail(f"run {self.number} was refused {_TRIES} times: {refusal}")
 
     def conclude(self, step: CampaignStep) -> None:
-        """Take in what was found by the work. Raises OSError."""
+        """Add the result of the work. Raises OSError."""
         if self._folder is not None:
             self._folder.keep_step(len(self.steps) + 1, step)
         self.steps.append(step)
 
     def end(self, reason: str) -> None:
-        """Be over, because somebody wants it so."""
+        """End the campaign on request."""
         self._end(CampaignOutcome.ENDED, reason)
 
     def fail(self, reason: str) -> None:
-        """Be over, because something does not work."""
+        """End the campaign after a failure."""
         self._end(CampaignOutcome.FAILED, reason)
 
     def _end(self, outcome: CampaignOutcome, reason: str) -> None:
@@ -240,7 +239,7 @@ class CampaignCourse:
 
 
 def fault_of_run(run: PlannedRun, recording: Recording) -> str:
-    """Why a recording cannot be used as one of this run, in words; empty where it can."""
+    """Reason why a recording does not match this run, or empty."""
     try:
         measured_run(recording)
     except ValueError as error:
@@ -249,7 +248,7 @@ def fault_of_run(run: PlannedRun, recording: Recording) -> str:
     if recording.sample_count < needed:
         return f"the recording lasts {recording.duration:.3g} s, the run {run.duration:.3g} s"
     parts = run.parts(recording.period)
-    # Of a motion that is no sine a part may be any part.
+    # A part of a motion other than a sine may begin at any phase.
     for part in parts if run.kind is MotionKind.SINE else [slice(needed)]:
         amplitude = 0.5 * float(np.ptp(recording.displacement[part]))
         if abs(amplitude - run.span) > _AMPLITUDE_SHARE * run.span:
@@ -275,13 +274,12 @@ def fault_of_run(run: PlannedRun, recording: Recording) -> str:
 
 
 Perform = Callable[[PlannedRun], Recording]
-"""Makes a run on a machine; the recording begins when the motion is steady, with the first current.
-"""
+"""Makes a run on a machine; the recording starts with the first current in steady motion."""
 
 
 @dataclass(frozen=True, eq=False)
 class ForceCampaign:
-    """Outcome of :func:`run_campaign`: its steps, and why it ended, in words.
+    """Result of :func:`run_campaign`: its steps and the reason of its end.
 
     ``reached``: whether the goal is met.
     """
@@ -292,7 +290,7 @@ class ForceCampaign:
 
     @property
     def parameter_set(self) -> ParameterSet:
-        """What is known of the damper at the end."""
+        """The last step."""
         return self.steps[-1].parameter_set
 
 
@@ -307,13 +305,13 @@ def run_campaign(
     report: Callable[[CampaignStep], bool] | None = None,
     folder: str | os.PathLike[str] | None = None,
 ) -> ForceCampaign:
-    """Choose, make and identify runs until the force is known to the goal, or cannot be.
+    """Plan, make and identify runs until the goal is met or cannot be met.
 
-    ``perform`` makes a run; ``report`` hears of each step, and ends the campaign with False. A run
-    whose samples make no sense is made once more. In a ``folder`` every run is kept as a bag, and
-    what was found from it; called again with the same goal, it goes on where it was, however it
-    ended. Raises ValueError where a run still makes no sense, the goal cannot be meant, the machine
-    cannot make the first run, or the folder holds another campaign.
+    ``perform`` makes a run. ``report`` is called after each step and ends the campaign by returning
+    False. An unusable run is repeated once. With a ``folder``, every run is stored as a bag with
+    its result; a repeated call with the same goal continues the campaign. Raises ValueError if a
+    repeated run is still unusable, the goal is invalid, the machine cannot make the first run, or
+    the folder holds another campaign.
     """
     task = CampaignTask(goal, limits, model)
     kept = None if folder is None else CampaignFolder(Path(folder), task)
@@ -335,7 +333,7 @@ def run_campaign(
 
 
 def report_campaign(folder: Path, reason: str, control: Control) -> Path:
-    """Write the report of a campaign; returns its page."""
+    """Write the report of a campaign; returns the path of the page."""
     from mr_damper_ros.campaign.report import write_campaign_report
 
     return write_campaign_report(folder, reason)

@@ -1,7 +1,6 @@
-"""A campaign on disk: what is wanted, every run as a bag, and what was found from it.
+"""A campaign on disk: its task, every run as a bag, and the result of each step.
 
-A bag, and the file of a step, is there whole or not at all: whatever ends the program, what is
-finished is there, and only what is not is done again.
+Bags and steps are written atomically: however the program ends, finished steps are not repeated.
 """
 
 from __future__ import annotations
@@ -24,14 +23,14 @@ from mr_damper_ros.processes.files import FolderLock, LockHeldError, json_ready,
 from mr_damper_ros.signals.recording import Recording
 
 _RUN = "planned_run"
-"""Detail of a bag that holds the run as it was planned."""
+"""Metadata key of a bag for the planned run."""
 
 _BAG = re.compile(r"run_(\d{3,})")
 
 
 @dataclass(frozen=True, eq=False)
 class CampaignStep:
-    """A run that was made, the set identified from it and all before, and what follows."""
+    """A finished run, the set identified from all runs up to it, and the next plan."""
 
     run: PlannedRun
     parameter_set: ParameterSet
@@ -40,7 +39,7 @@ class CampaignStep:
 
 @dataclass(frozen=True)
 class CampaignTask:
-    """What a campaign is to reach, within which limits, with which law."""
+    """Goal, limits and law of a campaign."""
 
     goal: ForceGoal
     limits: MachineLimits
@@ -48,13 +47,12 @@ class CampaignTask:
 
 
 class CampaignFolder:
-    """The folder of one campaign, which one program at a time may use.
+    """The folder of one campaign, for exclusive use by one program.
 
-    ``campaign.json`` holds the task, ``runs/`` the bags, also those of runs that were refused,
-    ``steps/`` what was found after each run, ``set.yaml`` the last set.
+    ``campaign.json`` contains the task, ``runs/`` the bags including refused runs, ``steps/`` the
+    result after each run, and ``set.yaml`` the last set.
 
-    Raises ValueError where another program uses the folder, or it holds another campaign, and
-    OSError.
+    Raises ValueError if another program uses the folder or it holds another campaign, and OSError.
     """
 
     def __init__(self, path: Path, task: CampaignTask) -> None:
@@ -73,7 +71,7 @@ class CampaignFolder:
             raise
 
     def close(self) -> None:
-        """Let another program use it."""
+        """Release the folder for other programs."""
         self._lock.release()
 
     def _check(self, task: CampaignTask) -> None:
@@ -82,7 +80,7 @@ class CampaignFolder:
             write_text(path, json.dumps(json_ready(asdict(task)), indent=2) + "\n")
             return
         before = read_task(self.path)
-        # What was made holds, however the machine can move from now on.
+        # Finished runs stay valid if the permitted motions change.
         same = replace(before.limits, motions=task.limits.motions)
         before = replace(before, limits=same)
         for part in ("goal", "limits", "model"):
@@ -93,7 +91,7 @@ class CampaignFolder:
                 )
 
     def keep_step(self, number: int, step: CampaignStep) -> None:
-        """Write what was found after a run, whole or not at all."""
+        """Write the result after a run atomically."""
         write_text(
             _step_path(self.path, number), json.dumps(_document(step), allow_nan=False) + "\n"
         )
@@ -103,7 +101,7 @@ class CampaignFolder:
 def keep_run(
     folder: Path, number: int, run: PlannedRun, recording: Recording, refusal: str
 ) -> None:
-    """Write a run as a bag, once; one that is refused beside the others, with the reason."""
+    """Write a run as a bag once; a refused run is stored beside the others with the reason."""
     name = f"refused_{number:03d}_{recording.start_ns}" if refusal else f"run_{number:03d}"
     path = folder / "runs" / name
     if path.exists():
@@ -119,7 +117,7 @@ def keep_run(
 
 
 def read_task(folder: Path) -> CampaignTask:
-    """What the campaign in a folder is to reach. Raises ValueError, in a sentence."""
+    """The task of the campaign in a folder. Raises ValueError."""
     path = folder / "campaign.json"
     if not path.is_file():
         raise ValueError(f"{folder} holds no campaign: there is no campaign.json")
@@ -129,7 +127,7 @@ def read_task(folder: Path) -> CampaignTask:
         for name in ("peak_velocity", "current"):
             goal[name] = tuple(goal[name])
         limits["frequency"] = tuple(limits["frequency"])
-        # Campaigns of before had sines alone.
+        # Earlier campaigns had sines only.
         limits["motions"] = motions_of(limits.get("motions", ("sine",)))
         limits["heat"] = math.inf if limits["heat"] is None else limits["heat"]
         return CampaignTask(ForceGoal(**goal), MachineLimits(**limits), found["model"])
@@ -138,7 +136,7 @@ def read_task(folder: Path) -> CampaignTask:
 
 
 def read_campaign_runs(folder: Path) -> list[tuple[PlannedRun, Recording]]:
-    """The runs in a campaign's folder, in their order. Raises ValueError where one is damaged."""
+    """The runs of a campaign in order. Raises ValueError if one is damaged."""
     numbers = sorted(
         int(found[1])
         for path in (folder / "runs").glob("run_*")
@@ -158,7 +156,7 @@ def _read_run(path: Path) -> tuple[PlannedRun, Recording]:
 
 
 def planned_run_of(recording: Recording) -> PlannedRun | None:
-    """The run that a recording was made of, None where it does not say."""
+    """The run of a recording; None if it is not stated."""
     try:
         return PlannedRun.from_document(json.loads(recording.details[_RUN]))
     except (KeyError, ValueError, TypeError):
@@ -166,7 +164,7 @@ def planned_run_of(recording: Recording) -> PlannedRun | None:
 
 
 def read_steps(folder: Path) -> list[CampaignStep]:
-    """What was found after each run, in order, up to the first of which that is not known."""
+    """Results after each run in order, up to the first missing one."""
     steps: list[CampaignStep] = []
     task = read_task(folder)
     while (path := _step_path(folder, len(steps) + 1)).is_file():

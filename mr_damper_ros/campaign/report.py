@@ -1,4 +1,4 @@
-"""Report of a campaign: one HTML page that shows how the force of a damper became known."""
+"""Report of a campaign: one HTML page on the accuracy of the force after each run."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ from mr_damper_ros.signals.recording import Recording
 
 @dataclass(frozen=True, eq=False)
 class _Campaign:
-    """All that is in the folder of a campaign."""
+    """The content of the folder of a campaign."""
 
     task: CampaignTask
     runs: list[tuple[PlannedRun, Recording]]
@@ -65,10 +65,10 @@ class _Campaign:
 
 @one_thread()
 def write_campaign_report(folder: Path, reason: str = "") -> Path:
-    """Write ``campaign.html``, its figures and its tables below the folder; returns the page.
+    """Write ``campaign.html`` with its figures and tables to the folder; returns the page.
 
-    ``reason`` says why the campaign ended, in words. Raises ValueError where the folder holds no
-    campaign, or nothing was found yet.
+    ``reason`` is the reason of the end, in words. Raises ValueError if the folder holds no campaign
+    or no result yet.
     """
     task = read_task(folder)
     steps = read_steps(folder)
@@ -215,7 +215,7 @@ def _map(campaign: _Campaign) -> list[Block]:
     figure, axes = panels(1, 1, WIDTH, 3.6)
     axis = axes[0, 0]
     percent = 100.0 * errors
-    # Equal cells: the numbers in them are to be read.
+    # Cells of equal size, so that the numbers are readable.
     image = axis.imshow(percent.T, origin="lower", aspect="auto", cmap="Greys", vmin=0.0)
     dark = 0.55 * float(np.max(percent))
     for row, column in np.ndindex(percent.shape):

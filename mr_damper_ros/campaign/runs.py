@@ -25,21 +25,21 @@ from mr_damper_ros.signals.uniform_grid import Placed
 from mr_damper_ros.signals.zero_order_hold import ZeroOrderHold
 
 STEADY = 0.02
-"""Part of the amplitude by which two cycles of a steady motion differ at most."""
+"""Largest difference of two cycles of a steady motion, relative to the amplitude."""
 
 _SINE = 0.1
-"""Part of the amplitude that a sine leaves of a cycle at most (root mean square)."""
+"""Largest residual of a sine in one cycle, relative to the amplitude (root mean square)."""
 
 _LATE = 1.0
-"""Seconds that the readings of the current may be behind the samples."""
+"""Largest delay [s] of current readings behind the samples."""
 
 _REACH = 1.05
-"""Part of the largest amplitude at which the run is broken off: what is measured has noise."""
+"""Limit of the measured amplitude, relative to the machine limit, with a margin for noise."""
 
 
 @dataclass(frozen=True)
 class DriveSettings(CheckedSettings):
-    """When a machine makes the run that is wanted of it."""
+    """Criteria that a machine follows the commanded run."""
 
     settle_timeout: float = option(
         60.0,
@@ -65,7 +65,7 @@ class DriveSettings(CheckedSettings):
 
 
 class MachineCommand(NamedTuple):
-    """A motion, None for rest, at a ``current`` [A]."""
+    """A motion (None: rest) at a ``current`` [A]."""
 
     motion: PeriodicMotion | None
     current: float
@@ -75,7 +75,7 @@ REST = MachineCommand(None, 0.0)
 
 
 class DriveStage(IntEnum):
-    """How far a run is."""
+    """Progress of a run."""
 
     SETTLING = 0
     RECORDING = 1
@@ -84,10 +84,10 @@ class DriveStage(IntEnum):
 
 
 class RunDriver:
-    """One run: give it all that is measured, and have the machine do what ``command`` says.
+    """Conducts one run: receives all measurements and provides the ``command`` for the machine.
 
-    Once the ``stage`` is DONE there is a ``recording``; BROKEN, the ``fault`` says why in words.
-    ``state`` says in words what is waited for.
+    When the ``stage`` is DONE, there is a ``recording``; when it is BROKEN, ``fault`` gives the
+    reason. ``state`` describes in words what the run is waiting for.
     """
 
     def __init__(
@@ -118,7 +118,7 @@ class RunDriver:
 
     @property
     def command(self) -> MachineCommand:
-        """What the machine is to do now."""
+        """The present command for the machine."""
         if self.stage in (DriveStage.DONE, DriveStage.BROKEN):
             return REST
         passed = self._passed if self.stage is DriveStage.RECORDING else 0.0
@@ -126,15 +126,15 @@ class RunDriver:
         return MachineCommand(self._motion, current)
 
     def add_current(self, stamp_ns: int, current: float) -> None:
-        """Take in a reading of the current [A]; raises CurrentError for one that cannot be used."""
+        """Add a measured current [A]; raises CurrentError if it is invalid."""
         self._current.add(stamp_ns, current)
 
     def add_temperature(self, stamp_ns: int, celsius: float) -> None:
-        """Take in a reading of the damper's temperature [°C]."""
+        """Add a temperature of the damper [°C]."""
         self._celsius.add(stamp_ns, celsius)
 
     def add_block(self, placed: Placed) -> None:
-        """Take in samples that were put on the grid of all samples."""
+        """Add samples on the uniform grid."""
         if placed.continuity.restarts:
             self._begin_anew("samples were lost")
         if placed.continuity.kind == "jump_back":
@@ -164,7 +164,7 @@ class RunDriver:
             self._settle(block)
 
     def _beyond(self, block: SampleBlock) -> bool:
-        """Whether the force is beyond the limit of the machine, which breaks the run off."""
+        """Whether the force exceeds the machine limit, which aborts the run."""
         force = float(np.max(np.abs(block.force)))
         if force <= self._limits.force:
             return False
@@ -178,7 +178,7 @@ class RunDriver:
     def _settle(self, block: SampleBlock) -> None:
         assert self._since_ns is not None
         cycle = self._motion.length
-        # Of what is past only what is looked at is kept.
+        # Only the part needed for the checks is kept.
         self._blocks = _last(self._blocks, 2.0 * cycle)
         unsettled = self._unsettled(block, cycle)
         if not unsettled:
@@ -190,7 +190,7 @@ class RunDriver:
             self.state = unsettled
 
     def _unsettled(self, block: SampleBlock, cycle: float) -> str:
-        """Why the run cannot begin yet, in words; empty where it can."""
+        """Reason why the run cannot start yet, or empty."""
         displacement = np.concatenate([one.displacement for one in self._blocks])
         count = round(cycle / block.period)
         if displacement.size < self._looked_at(count):
@@ -218,11 +218,11 @@ class RunDriver:
         return self._unsettled_current(block)
 
     def _looked_at(self, count: int) -> int:
-        """Samples to be looked at, of a motion that lasts so many."""
+        """Number of samples to check for a motion of this length."""
         return 2 * count if self.run.kind is MotionKind.SINE else count + 1
 
     def _off_motion(self, displacement: Array, period: float) -> str:
-        """How a motion that is no sine differs from the one wanted; empty where it does not."""
+        """Deviation of a motion other than a sine from the command, in words, or empty."""
         if self._match is None:
             self._match = RepeatedMatch(self._motion, period)
         left = self._match.left_of(displacement[-self._match.count :])
@@ -240,7 +240,7 @@ class RunDriver:
         return ""
 
     def _finish(self) -> None:
-        """Make the recording where all samples and their current are there."""
+        """Make the recording once all samples and their currents have arrived."""
         first, last = self._blocks[0], self._blocks[-1]
         count = round(self.run.duration / first.period)
         if self._passed < (count - 0.5) * first.period:
@@ -269,7 +269,7 @@ class RunDriver:
 
 
 class CycleSine(NamedTuple):
-    """A sine through one cycle: its ``size`` [m] and ``phase`` [rad], and the ``rest`` [m]."""
+    """Sine fitted to one cycle: amplitude ``size`` [m], ``phase`` [rad], residual ``rest`` [m]."""
 
     size: float
     phase: float
@@ -277,7 +277,7 @@ class CycleSine(NamedTuple):
 
 
 def sine_of_cycle(displacement: Array) -> CycleSine:
-    """The sine of one cycle in samples (n,) that hold just that cycle."""
+    """The sine fitted to samples (n,) of exactly one cycle."""
     angle = 2.0 * math.pi * np.arange(displacement.size) / displacement.size
     centred = displacement - displacement.mean()
     sine, cosine = (2.0 * float(np.mean(centred * wave(angle))) for wave in (np.sin, np.cos))
@@ -287,7 +287,7 @@ def sine_of_cycle(displacement: Array) -> CycleSine:
 
 
 def _last(blocks: list[SampleBlock], duration: float) -> list[SampleBlock]:
-    """The newest blocks, that hold so much time [s] or a block more."""
+    """The newest blocks that cover at least this time [s]."""
     kept, held = [], 0.0
     for block in reversed(blocks):
         kept.append(block)
@@ -298,14 +298,14 @@ def _last(blocks: list[SampleBlock], duration: float) -> list[SampleBlock]:
 
 
 COLUMNS = ("time:s", "displacement:m", "current:A")
-"""Head of the file, as ``import_record`` takes it."""
+"""Header of the file, in the format of ``import_record``."""
 
 
 def signal(run: PlannedRun, sample_rate: float) -> tuple[Array, Array, Array]:
     """Time [s], displacement [m] and current [A] of a run, each of shape (n,).
 
-    It starts and ends at rest: the motion grows smoothly within two cycles, or a length of a motion
-    that is no sine, at the first current, then comes the run itself, and it fades as it grew.
+    It starts and ends at rest: at the first current the motion grows smoothly, within two cycles of
+    a sine or one length of another motion; the run follows; then the motion fades in the same way.
     """
     motion = run.motion
     grow = motion.growth
@@ -318,7 +318,7 @@ def signal(run: PlannedRun, sample_rate: float) -> tuple[Array, Array, Array]:
 
 
 def write_signal(run: PlannedRun, path: Path, sample_rate: float = 1000.0) -> None:
-    """Write the samples of a run as CSV, units in the head. Raises OSError."""
+    """Write the samples of a run as CSV with units in the header. Raises OSError."""
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
     writer.writerow(COLUMNS)
@@ -328,21 +328,21 @@ def write_signal(run: PlannedRun, path: Path, sample_rate: float = 1000.0) -> No
 
 
 _PLACES = 8
-"""In every cycle, the run may begin at so many places."""
+"""Number of possible starting points of the run per cycle."""
 
 _SETTINGS = DriveSettings()
-"""A run is as wanted where it would be on a machine that is driven."""
+"""The tolerances are those of a driven machine."""
 
 
 class RunNotFoundError(ValueError):
-    """A recording does not hold the run; the message says why."""
+    """A recording does not contain the run; the message gives the reason."""
 
 
 def cut_run(run: PlannedRun, recording: Recording) -> Recording:
-    """The part of a recording in which a run was made, without what was before and after.
+    """The part of a recording that contains a run.
 
-    Where the current is stepped, its first step tells where the run begins; else it is the part in
-    which the motion is steadiest, or most as wanted. Raises RunNotFoundError where there is none.
+    If the current is stepped, its first step locates the run; otherwise it is the part with the
+    steadiest motion, or with the smallest deviation from the command. Raises RunNotFoundError.
     """
     if len(run.currents) == 1 and run.kind is not MotionKind.SINE:
         return _most_as_wanted(run, recording)
@@ -350,9 +350,9 @@ def cut_run(run: PlannedRun, recording: Recording) -> Recording:
 
 
 def run_as_made(recording: Recording) -> PlannedRun:
-    """The run that a recording is, which nobody has planned: a steady sine at one current.
+    """The unplanned run of a recording: a steady sine at one current.
 
-    Raises RunNotFoundError where it is none.
+    Raises RunNotFoundError if the recording is not such a run.
     """
     sine = Window.from_samples(
         recording.displacement, recording.force, recording.current, recording.period

@@ -1,1 +1,1 @@
-"""From a wanted force to a current: inverse laws, control of the force, what is wanted of it."""
+"""Inverse force laws, force control, semi-active controllers, export."""

@@ -1,9 +1,8 @@
-"""The inverse of an identified damper: wanted forces of a motion to currents of its coil.
+"""The inverse of an identified damper: coil currents for desired forces.
 
-The force is not monotone in the current: of several currents the lowest is taken, or the one
-nearest to the last, so that a current does not jump where the force moves on. Beyond what the
-limits of the current allow, the nearest force is aimed at, with the lowest current that gives it:
-above one ampere a damper may have nearly all of its force.
+The force is not monotonic in the current. Of several currents, the lowest is returned, or the one
+nearest to the last current, so that the current does not jump. An unattainable force is replaced by
+the nearest attainable one, at the lowest current that gives it, because the force saturates.
 
 Each sample is searched by itself in floating-point scalars: the law's force at some sixty nodes of
 the current shows brackets; within one the secant method refines, falling back to bisection.
@@ -29,30 +28,30 @@ from mr_damper_ros.models.quantities import State
 from mr_damper_ros.signals.arrays import Array
 
 TOLERANCE = 1e-6
-"""Part of the span, the forces that the currents can give, by which the force may be missed; a
-command of the supply resolves a thousandth."""
+"""Tolerance of the force relative to the span of attainable forces; the supply resolves a
+thousandth."""
 
 _WITHIN = 0.4
-"""Part of that by which the ends of the span are drawn in, so that they can be met too."""
+"""Margin at the ends of the span relative to the tolerance, so that they are attainable."""
 
 _CLOSE = 1e-3
-"""Part of that at which a search ends: the next step of the secant costs less than a miss."""
+"""Termination of the search relative to the tolerance."""
 
 _MOST_STEPS = 80
-"""A bisection alone would need 55."""
+"""Largest number of steps; bisection alone would need 55."""
 
 _LEAST_GAIN = 0.5
-"""A step of the secant that leaves more than this part of the error is followed by a bisection."""
+"""A secant step that leaves more than this fraction of the error is followed by a bisection."""
 
 _GOLDEN = 0.5 * (math.sqrt(5.0) - 1.0)
 _GOLDEN_STEPS = 30
-"""They narrow a cell to a millionth: the force at an extremum is flat, or has a kink."""
+"""Golden-section steps, which narrow a cell to a millionth."""
 
 _STEP = 1e-6
-"""Amperes over which the slope of a force is taken."""
+"""Step [A] of the finite difference for the slope."""
 
 _TOGETHER = 32
-"""Samples whose forces at the nodes are computed at once."""
+"""Number of samples whose node forces are computed together."""
 
 _ROUNDING = 4.0 * float(np.finfo(float).eps)
 
@@ -62,10 +61,10 @@ Force = Callable[[float], float]
 
 @dataclass(frozen=True, eq=False)
 class Inversion:
-    """Currents for wanted forces; all of shape (n,).
+    """Currents for desired forces; all of shape (n,).
 
-    ``current`` [A] of the coil, the ``force`` [N] that it gives, and whether that is what was
-    wanted (``attainable``); ``least`` and ``most`` [N]: the forces that could be had.
+    Coil ``current`` [A], its ``force`` [N], and whether this is the desired force (``attainable``);
+    ``least`` and ``most`` [N]: range of attainable forces.
     """
 
     current: Array
@@ -76,7 +75,7 @@ class Inversion:
 
 
 class SampleInversion(NamedTuple):
-    """What :class:`Inversion` holds, of one sample."""
+    """The :class:`Inversion` of one sample."""
 
     current: float
     force: float
@@ -95,9 +94,9 @@ class SampleResponse(NamedTuple):
 class InverseModel:
     """The inverse of a parameter set between two currents [A] of the coil.
 
-    ``gradual_reversal``: of the law without its jumps, as the force is predicted. Raises ValueError
-    where the highest current is not above the lowest; warns where the set was identified at one
-    current.
+    ``gradual_reversal``: use the law without jumps at reversals, as in the prediction. Raises
+    ValueError if the highest current is not above the lowest; warns if the set was identified at
+    one current.
     """
 
     def __init__(
@@ -131,11 +130,10 @@ class InverseModel:
         period: float = 1e-3,
         state: State | None = None,
     ) -> Inversion:
-        """Currents for the forces ``wanted`` (n,) [N] at the samples of a motion.
+        """Currents for the desired forces ``wanted`` (n,) [N] at the samples of a motion.
 
-        ``last`` [A]: of several currents the nearest to it is meant, without it the lowest. The
-        samples each follow the ``state``, ``period`` [s] after it: of a law that remembers, give
-        one.
+        ``last`` [A]: the nearest of several currents is returned, without it the lowest. Each
+        sample follows the ``state`` by ``period`` [s]; a law with memory needs a state.
         """
         forces = np.broadcast_to(np.asarray(wanted, dtype=float), motion.velocity.shape)
         near: list[float] | list[None] = [None] * forces.size
@@ -189,7 +187,7 @@ class InverseModel:
     def at(
         self, sample: MotionSample, *, period: float = 1e-3, state: State | None = None
     ) -> SampleResponse:
-        """Force of one sample over the current, ``period`` [s] after the state."""
+        """Force of one sample as a function of the current, ``period`` [s] after the state."""
         held = sample.held_within(*self._range)
 
         def at_nodes() -> list[float]:
@@ -208,10 +206,10 @@ class InverseModel:
     def follow(
         self, motion: Motion, wanted: ArrayLike, period: float, state: State | None = None
     ) -> tuple[Inversion, State | None]:
-        """Currents sample by sample, each with what the law remembers of those before.
+        """Currents sample by sample, each from the state after the previous sample.
 
-        Shapes as for :meth:`currents`; also the state after the last sample. Each current is the
-        one nearest to that before.
+        Shapes as in :meth:`currents`; also returns the state after the last sample. Each current
+        is the one nearest to the previous current.
         """
         forces = np.broadcast_to(np.asarray(wanted, dtype=float), motion.velocity.shape)
         found: list[SampleInversion] = []
@@ -230,13 +228,13 @@ def _together(found: list[SampleInversion]) -> Inversion:
 
 
 def _each(current: ArrayLike, motion: Motion) -> Array:
-    """A current for every sample, (n, 1)."""
+    """One current per sample, (n, 1)."""
     every = np.broadcast_to(np.asarray(current, dtype=float), motion.velocity.shape)
     return every[:, np.newaxis]
 
 
 def in_coil(parameters: ParameterSet) -> Array:
-    """Values (p,) of a set for a law that is given the current of the coil: it lags no more."""
+    """Values (p,) of a set without coil lag, for use with the coil current."""
     values = parameters.values.copy()
     names = parameters.law.parameter_names
     if COIL in names:
@@ -245,7 +243,7 @@ def in_coil(parameters: ParameterSet) -> Array:
 
 
 def coil_time_constant(parameters: ParameterSet) -> float:
-    """Time constant [s] of the coil that a set knows; 0 where it knows of none."""
+    """Coil time constant [s] of a set; 0 if it has none."""
     return parameters.as_dict().get(COIL, 0.0)
 
 
@@ -256,12 +254,12 @@ def _search(
     wanted: float,
     last: float | None,
 ) -> SampleInversion:
-    """That of a sample with these forces [N] at the nodes."""
+    """The inversion of one sample with these node forces [N]."""
     rising = sorted(forces)
     least, most = rising[0], rising[-1]
     falling = rising[::-1]
     winding = forces not in (rising, falling)
-    # A force that only an extremum between two nodes may give.
+    # Only an extremum between two nodes may attain this force.
     if wanted < least or wanted > most:
         bend = _furthest_bend(force_at, nodes, forces, 1.0 if wanted > most else -1.0, winding)
         if bend is not None:
@@ -286,7 +284,7 @@ def _search(
 
 
 def _cell(nodes: list[float], above: list[bool], last: float | None) -> int:
-    """The cell of which one end is above: the first, or the nearest to last."""
+    """The bracketing cell: the first, or the one nearest to the last current."""
     best, least, place = 0, math.inf, 0
     while True:
         try:
@@ -306,7 +304,7 @@ def _cell(nodes: list[float], above: list[bool], last: float | None) -> int:
 def _root(
     force_at: Force, aimed: float, nodes: list[float], forces: list[float], close: float
 ) -> tuple[float, float]:
-    """The current between two that gives the force to within ``close``, and its force."""
+    """The current between two currents whose force is within ``close``, and this force."""
     (low, high), (at_low, at_high) = nodes, (force - aimed for force in forces)
     rises = at_low <= 0.0
     run = at_low - at_high
@@ -338,9 +336,9 @@ def _root(
 def _furthest_bend(
     force_at: Force, nodes: list[float], forces: list[float], sign: float, winding: bool
 ) -> tuple[list[float], list[float]] | None:
-    """Nodes and forces, the node at the furthest bend up (or down, by ``sign``) moved onto it.
+    """Nodes and forces, one node moved onto the largest maximum (or minimum, by ``sign``).
 
-    None where there is none that is further than its node.
+    None if no extremum exceeds its node.
     """
     heights = [sign * force for force in forces]
     last = len(heights) - 1
@@ -349,7 +347,7 @@ def _furthest_bend(
         for place in range(1, last if winding else 0)
         if heights[place - 1] < heights[place] >= heights[place + 1]
     ]
-    # Beside the first or the last node there is one only where the force rises inwards.
+    # Next to the first or last node there is an extremum only if the force rises inwards.
     if heights[0] >= heights[1] and sign * _slope(force_at, nodes[0]) > 0.0:
         bends.append(0)
     if heights[last] > heights[last - 1] and sign * _slope(force_at, nodes[last]) < 0.0:
@@ -373,10 +371,9 @@ def _slope(force_at: Force, current: float) -> float:
 
 
 def _extremum(force_at: Force, low: float, high: float, sign: float, close: float) -> float:
-    """The current of the largest force (or the least, by ``sign``), by golden section.
+    """The current of the largest force (or the smallest, by ``sign``), by golden-section search.
 
-    Two equal forces may lie on both sides of it; two pairs in a row differ by less than ``close``
-    [N] only on top of it.
+    Ends when two successive pairs of forces differ by less than ``close`` [N].
     """
     left, right = high - _GOLDEN * (high - low), low + _GOLDEN * (high - low)
     at_left, at_right = sign * force_at(left), sign * force_at(right)

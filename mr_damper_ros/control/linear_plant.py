@@ -1,6 +1,6 @@
-"""Linear plants that a damper is built into, and a quarter of a car on a road.
+"""Linear plants with a damper, and a quarter car on a road.
 
-The quarter car has the parameters of a usual car in Savaresi, Poussot-Vassal, Spelta, Sename and
+The quarter car has the parameters of a typical car in Savaresi, Poussot-Vassal, Spelta, Sename and
 Dugard, Semi-Active Suspension Control Design for Vehicles, 2010.
 """
 
@@ -27,9 +27,9 @@ class DamperMotion(NamedTuple):
 class LinearPlant:
     """x' = ``dynamics`` x + ``by_force`` F + ``by_input`` w.
 
-    F is the damper's force [N], tension positive, and w what moves the plant from outside, such as
-    the velocity of a road. Shapes (n, n), (n,), (n,). ``displacement`` and ``velocity`` (n,) give
-    the damper's extension [m] and its velocity [m/s] from the states.
+    F is the damper force [N], tension positive, and w the external input, such as the velocity of a
+    road. Shapes (n, n), (n,), (n,). ``displacement`` and ``velocity`` (n,) are output vectors for
+    the extension of the damper [m] and its velocity [m/s].
     """
 
     dynamics: Array
@@ -40,7 +40,7 @@ class LinearPlant:
 
 
 class MovingPlant:
-    """A linear plant step by step, exactly for a force and an input that hold."""
+    """A linear plant, solved exactly step by step for constant force and input."""
 
     def __init__(self, plant: LinearPlant, period: float) -> None:
         from scipy.linalg import expm  # here: see mr_damper_ros.entry_points
@@ -55,7 +55,7 @@ class MovingPlant:
         self.state = np.zeros(count)
 
     def step(self, force: float, moved: float) -> Array:
-        """The states (n,) a period later, for a force [N] and an input."""
+        """The states (n,) after one period with a force [N] and an input."""
         self.state = self._step @ np.concatenate([self.state, (force, moved)])
         self._force, self._input = force, moved
         return self.state
@@ -72,7 +72,7 @@ class MovingPlant:
 
     @property
     def damper(self) -> DamperMotion:
-        """How the damper moves."""
+        """Motion of the damper."""
         plant, state = self._plant, self.state
         return DamperMotion(
             float(plant.displacement @ state),
@@ -82,11 +82,11 @@ class MovingPlant:
 
 
 ROUGHNESS = {"A": 16e-6, "B": 64e-6, "C": 256e-6, "D": 1024e-6, "E": 4096e-6}
-"""Density [m³] of the road's height at 0.1 cycles/m, by the class of ISO 8608: geometric means."""
+"""Spectral density [m³] of the road height at 0.1 cycles/m by ISO 8608 class: geometric means."""
 
 _REFERENCE = 0.1
 _LONGEST, _SHORTEST = 0.01, 4.0
-"""Waves [cycles/m] that a road has here."""
+"""Range of spatial frequencies [cycles/m] of a road."""
 
 
 @dataclass(frozen=True)
@@ -100,7 +100,7 @@ class QuarterCar:
 
     @property
     def dynamics(self) -> Array:
-        """Matrix (4, 4) of the states' derivatives."""
+        """State matrix (4, 4)."""
         return np.array(
             [
                 [0.0, 1.0, 0.0, -1.0],
@@ -112,12 +112,12 @@ class QuarterCar:
 
     @property
     def by_force(self) -> Array:
-        """What the damper's force, tension positive, adds to them (4,)."""
+        """Input vector (4,) of the damper force, tension positive."""
         return np.array([0.0, -1.0 / self.body, 0.0, 1.0 / self.wheel])
 
     @property
     def plant(self) -> LinearPlant:
-        """The car, moved by the velocity of the road [m/s]."""
+        """The car with the velocity of the road [m/s] as its input."""
         return LinearPlant(
             self.dynamics,
             self.by_force,
@@ -129,10 +129,10 @@ class QuarterCar:
 
 @dataclass(frozen=True)
 class IsoRoad:
-    """A road of an ISO 8608 class under a wheel at a ``speed`` [m/s], for ever.
+    """An endless road of an ISO 8608 class under a wheel at a ``speed`` [m/s].
 
-    A sum of sines of random phases, whose height has the density G(n) = G(n0) (n / n0)^-2; no wave
-    is faster than ``highest`` [Hz]. Raises ValueError for a class that there is not.
+    A sum of sines with random phases and the spectral density G(n) = G(n0) (n / n0)^-2, up to the
+    frequency ``highest`` [Hz]. Raises ValueError for an unknown class.
     """
 
     roughness: str
@@ -147,7 +147,7 @@ class IsoRoad:
             )
 
     def at(self, time: Array) -> Array:
-        """Velocity (n,) [m/s] with which it lifts the wheel at these times (n,) [s]."""
+        """Vertical velocity (n,) [m/s] of the wheel contact at these times (n,) [s]."""
         rng = np.random.default_rng(self.seed)
         edges = np.geomspace(_LONGEST, min(_SHORTEST, self.highest / self.speed), 401)
         waves, widths = np.sqrt(edges[1:] * edges[:-1]), np.diff(edges)
@@ -163,9 +163,9 @@ class IsoRoad:
 
 @dataclass(frozen=True)
 class Bump:
-    """A bump of a cosine's shape, ``height`` [m] by ``length`` [m], at a ``speed`` [m/s].
+    """A cosine-shaped bump of ``height`` [m] by ``length`` [m], passed at a ``speed`` [m/s].
 
-    It begins ``start`` seconds after the start, on an even road or on this ``road``.
+    It begins ``start`` seconds after the start, on a flat road or on this ``road``.
     """
 
     height: float
@@ -175,7 +175,7 @@ class Bump:
     road: IsoRoad | None = None
 
     def at(self, time: Array) -> Array:
-        """Velocity (n,) [m/s] with which it lifts the wheel at these times (n,) [s]."""
+        """Vertical velocity (n,) [m/s] of the wheel contact at these times (n,) [s]."""
         since = time - self.start
         rate = 2.0 * math.pi * self.speed / self.length
         within = (since >= 0.0) & (since < self.length / self.speed)

@@ -1,12 +1,12 @@
 """Semi-active control of a suspension: controllers by name, and the gains of the optimal ones.
 
-A controller is a function from the moment of a suspension to the force [N] that the damper should
-have, tension positive; a user may give one of their own. The inverse model clips the force to what
-the damper can give. A positive force pulls the body down and the wheel up; the damper resists where
-the body moves away from the wheel.
+A controller is a function from the state of a suspension to the desired damper force [N], tension
+positive; users may provide their own. The inverse model clips the force to the attainable range. A
+positive force pulls the body down and the wheel up; it is dissipative while the body moves away
+from the wheel.
 
 The linear-quadratic regulator is that of Anderson and Moore, Optimal Control: Linear Quadratic
-Methods, 1990. Clipped to what a damper can give, it is the clipped-optimal control of Dyke,
+Methods, 1990. Clipped to attainable forces, it is the clipped-optimal control of Dyke,
 Spencer, Sain and Carlson, Smart Materials and Structures 5, 1996.
 """
 
@@ -28,10 +28,10 @@ from mr_damper_ros.signals.blocks import Moment
 def regulator_gain(
     plant: LinearPlant, outputs: Array, direct: Array, weights: Array, effort: float
 ) -> Array:
-    """Gain (n,) with which F = -gain x costs least.
+    """Gain (n,) that minimises the cost of F = -gain x.
 
-    The cost is the integral of the ``weights`` (k,) times the squares of the outputs, which are
-    ``outputs`` (k, n) x + ``direct`` (k,) F, and ``effort`` F².
+    The cost is the integral of ``weights`` (k,) times the squared outputs, ``outputs`` (k, n) x +
+    ``direct`` (k,) F, plus ``effort`` F².
     """
     from scipy.linalg import solve_continuous_are  # here: see mr_damper_ros.entry_points
 
@@ -52,7 +52,7 @@ def passive(damping: float) -> Controller:
 
 
 def skyhook(damping: float) -> Controller:
-    """A damper [N s/m] between the body and the sky.
+    """A damper [N s/m] between the body and an inertial reference (the sky).
 
     Karnopp, Crosby and Harwood, J. Engineering for Industry 96, 1974.
     """
@@ -68,7 +68,7 @@ def groundhook(damping: float) -> Controller:
 
 
 def hybrid(damping: float, share: float) -> Controller:
-    """Skyhook to this share, groundhook for the rest [N s/m].
+    """Weighted sum of skyhook (this share) and groundhook [N s/m].
 
     Ahmadian and Pare, J. Intelligent Material Systems and Structures 11, 2000.
     """
@@ -76,7 +76,7 @@ def hybrid(damping: float, share: float) -> Controller:
 
 
 def acceleration_driven(low: float, high: float) -> Controller:
-    """ADD: the high damping [N s/m] where it slows the body's acceleration, else the low one.
+    """ADD: high damping [N s/m] while it reduces the body acceleration, otherwise low damping.
 
     Savaresi, Silani and Bittanti, J. Dynamic Systems, Measurement and Control 127, 2005.
     """
@@ -88,7 +88,7 @@ def acceleration_driven(low: float, high: float) -> Controller:
 
 
 def mixed_skyhook_add(low: float, high: float, crossover: float) -> Controller:
-    """SH-ADD: skyhook for slow motion, ADD for fast; they meet at ``crossover`` [rad/s].
+    """SH-ADD: skyhook for slow motion, ADD for fast motion, divided at ``crossover`` [rad/s].
 
     Savaresi and Spelta, J. Dynamic Systems, Measurement and Control 129, 2007.
     """
@@ -110,7 +110,7 @@ def linear_feedback(gain: Array) -> Controller:
 
 
 class Weights(NamedTuple):
-    """Weights of the squares of body acceleration, suspension travel, tyre travel and force."""
+    """Weights of squared body acceleration, suspension stroke, tyre deflection and force."""
 
     acceleration: float = 1.0
     apart: float = 1e3
@@ -122,9 +122,9 @@ def optimal_gain(car: QuarterCar, weights: Weights) -> Array:
     """Gain (4,) of the linear-quadratic regulator of a car, for :func:`linear_feedback`.
 
     See :mod:`mr_damper_ros.control.semi_active`. An estimator, where the states are not
-    measured, changes nothing of it (the separation principle).
+    measured, does not change the gain (separation principle).
     """
-    # The acceleration of the body is the second state's derivative, which the force enters.
+    # The body acceleration is the derivative of the second state and depends on the force.
     outputs = np.stack([car.dynamics[1], np.eye(4)[0], np.eye(4)[2]])
     direct = np.array([car.by_force[1], 0.0, 0.0])
     squares = np.array([weights.acceleration, weights.apart, weights.tyre])
@@ -133,7 +133,7 @@ def optimal_gain(car: QuarterCar, weights: Weights) -> Array:
 
 @dataclass(frozen=True)
 class OptimalSettings(CheckedSettings):
-    """The car that ``controller: optimal`` is for, and what it weighs."""
+    """Car and weights of ``controller: optimal``."""
 
     body: float = option(400.0, "Mass [kg] above the spring.", minimum=1e-3, maximum=1e6)
     wheel: float = option(50.0, "Mass [kg] of the wheel.", minimum=1e-3, maximum=1e6)
@@ -153,7 +153,7 @@ class OptimalSettings(CheckedSettings):
 
 @dataclass(frozen=True)
 class SuspensionSettings(CheckedSettings):
-    """What force a suspension wants of its damper."""
+    """Options of the desired force of a suspension."""
 
     controller: str = option(
         "skyhook",
@@ -219,7 +219,7 @@ _CONTROLLERS: dict[str, Callable[[SuspensionSettings], Controller]] = {
 
 
 def _own(place: str) -> Controller:
-    """A function by its module and its name."""
+    """Import a function by module and name."""
     module, _, name = place.partition(":")
     if not module or not name:
         raise ValueError(

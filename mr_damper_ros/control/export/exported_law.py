@@ -1,4 +1,4 @@
-"""What every format of an export is made from: constants, formulas, observer, nodes."""
+"""Common content of all export formats: constants, formulas, observer, inverse nodes."""
 
 from __future__ import annotations
 
@@ -18,16 +18,16 @@ from mr_damper_ros.settings.option_table import CheckedSettings, option
 from mr_damper_ros.signals.arrays import Array
 
 _SATURATED, _BEYOND = 0.1, 1e4
-"""Part of the points of a table that are beyond all measure, and by how much."""
+"""Fraction of the test vectors with extreme values, and their factor."""
 
 
 class ExportError(SpokenError):
-    """A set that cannot be exported; the message says why, and what to change."""
+    """A set cannot be exported; the message gives the reason and what to change."""
 
 
 @dataclass(frozen=True)
 class ExportSettings(CheckedSettings):
-    """For what kind of controller the code is made."""
+    """Options of the target controller."""
 
     period: float = option(1e-3, "Time between two samples [s].", minimum=1e-6, maximum=1.0)
     bandwidth: float = option(
@@ -46,24 +46,24 @@ class ExportSettings(CheckedSettings):
 
 @dataclass(frozen=True, eq=False)
 class ExportedLaw:
-    """A parameter set, written for a controller of one sample period."""
+    """A parameter set prepared for a controller with a fixed sample period."""
 
     parameters: ParameterSet
     settings: ExportSettings
     formulas: WrittenLaw
     constants: dict[str, float]
     observer: Array
-    """Matrix (4, 4) of the states of the observer."""
+    """State matrix (4, 4) of the observer."""
     observer_gain: Array
-    """And what a sample adds to them, (4,)."""
+    """Input vector (4,) of the observer."""
     settling: int
-    """Samples after which the observer has forgotten its start."""
+    """Number of samples until the observer has settled."""
     nodes: Array
-    """Currents [A] at which the inverse looks first."""
+    """Nodes [A] of the inverse."""
 
     @classmethod
     def of(cls, parameters: ParameterSet, settings: ExportSettings) -> ExportedLaw:
-        """Raises ExportError where the model has no formulas, or the settings do not fit."""
+        """Raises ExportError if the model has no formulas or the settings are invalid."""
         formulas = parameters.law.formulas
         if formulas is None:
             raise ExportError(
@@ -95,13 +95,13 @@ class ExportedLaw:
 
     @property
     def held(self) -> tuple[float, float]:
-        """Peak velocities [m/s] within which the law is held."""
+        """Range of peak velocities [m/s] in which v_m is held."""
         low, high = self.parameters.peak_velocity_range
         return low, high
 
     @property
     def provenance(self) -> str:
-        """What a reader of the code should know of the set, in a line."""
+        """Description of the set in one line, for the header of the code."""
         low, high = self.parameters.peak_velocity_range
         doubt = self.parameters.doubt_over_current
         return (
@@ -113,7 +113,7 @@ class ExportedLaw:
 
 @dataclass(frozen=True, eq=False)
 class Vectors:
-    """Points of the law, saturated ones among them: inputs (n, 5), coefficients (7, n), force (n,).
+    """Test vectors, including saturated ones: inputs (n, 5), coefficients (7, n), force (n,).
 
     Columns of the inputs: v, v_m, i, s, change.
     """
@@ -136,12 +136,12 @@ class Vectors:
         return cls(inputs, *law.formulas.expected(law.parameters.values, inputs))
 
     def csv(self) -> str:
-        """As a table, to the last digit."""
+        """The test vectors as CSV with full precision."""
         header = "v,v_m,i,s,change,f_t,alpha,k_c,k_e,v_h,v_d,f_d,force"
         rows = np.column_stack((self.inputs, self.coefficients.T, self.force))
         return "\n".join([header, *(",".join(map(repr, row)) for row in rows.tolist())]) + "\n"
 
 
 def number(value: float) -> str:
-    """A number as C and M-code take it; what is infinite becomes 1e100."""
+    """A number in C and M-code syntax; infinity becomes 1e100."""
     return repr(min(max(float(value), -1e100), 1e100))

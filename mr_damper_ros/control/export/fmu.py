@@ -1,4 +1,4 @@
-"""The law as an FMU: FMI 2.0 for co-simulation, made by the C compiler of this machine."""
+"""The law as an FMI 2.0 co-simulation FMU, compiled with the C compiler of this machine."""
 
 from __future__ import annotations
 
@@ -19,18 +19,18 @@ from mr_damper_ros.control.export.source_code import filled, header, template
 from mr_damper_ros.processes.files import write_bytes
 
 WARNINGS = ("-std=c99", "-Wall", "-Wextra", "-pedantic")
-"""The code gives no warning with these."""
+"""Warning options; the code compiles without warnings."""
 
 
 def compiler() -> str | None:
-    """Path of the compiler, that of the variable CC first; None where there is none."""
+    """Path of the C compiler, the variable CC first; None without a compiler."""
     chosen = os.environ.get("CC")
     found = (shutil.which(name) for name in ((chosen,) if chosen else ("cc", "gcc", "clang")))
     return next((path for path in found if path), None)
 
 
 def compile_library(source: Path, library: Path, *options: str) -> str:
-    """Make a shared library; returns what the compiler said. Raises ExportError where it fails."""
+    """Compile a shared library; returns the compiler output. Raises ExportError on failure."""
     found = compiler()
     if found is None:
         raise ExportError(
@@ -62,11 +62,11 @@ _VARIABLES = (
 )
 
 _EPOCH = (1980, 1, 1, 0, 0, 0)
-"""Time in the archive: the same set gives the same bytes."""
+"""Fixed time stamp in the archive, so that the same set gives the same bytes."""
 
 
 def write_fmu(law: ExportedLaw, name: str, path: Path) -> None:
-    """Write the FMU. Raises ExportError where there is no compiler, or it fails; OSError."""
+    """Write the FMU. Raises ExportError without a compiler or if it fails, and OSError."""
     code = header(law, name)
     guid = hashlib.sha256(code.encode()).hexdigest()[:32]
     source = filled(template("fmu.c.in"), {"GUARD": name.upper(), "NAME": name, "GUID": guid})
@@ -90,7 +90,7 @@ def write_fmu(law: ExportedLaw, name: str, path: Path) -> None:
 
 
 def _platform() -> str:
-    """Folder of the binaries, as FMI 2.0 names it."""
+    """Name of the folder of the binaries in FMI 2.0."""
     system = {"linux": "linux", "darwin": "darwin", "win32": "win"}.get(sys.platform, sys.platform)
     return system + platform.architecture()[0].removesuffix("bit")
 

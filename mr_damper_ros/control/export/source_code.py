@@ -1,4 +1,4 @@
-"""The law as a C99 header and as M-code, its formulas written in these languages."""
+"""The law as a C99 header and as M-code, generated from its formulas."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ _NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]{0,40}")
 
 
 def template(file: str) -> str:
-    """The text of a template of this folder."""
+    """The text of a template in this folder."""
     return resources.files(__package__).joinpath(file).read_text("utf-8")
 
 
@@ -48,7 +48,7 @@ def filled(text: str, values: dict[str, str]) -> str:
 
 
 def header(law: ExportedLaw, name: str) -> str:
-    """The header; all that it defines begins with ``name``. Raises ExportError for no such name."""
+    """The header; all its names begin with ``name``. Raises ExportError for an invalid name."""
     if not _NAME.fullmatch(name):
         raise ExportError(
             f"'{name}' cannot be the name of something in C: begin with a letter, go on with "
@@ -86,7 +86,7 @@ def _with_constants(line: str, law: ExportedLaw, guard: str) -> str:
 
 
 def functions(law: ExportedLaw) -> dict[str, str]:
-    """The text of each file by its name."""
+    """The text of each file by file name."""
     formulas = (*law.formulas.coefficients, *law.formulas.force)
     values = {
         "PROVENANCE": law.provenance,
