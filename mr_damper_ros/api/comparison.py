@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from mr_damper_ros.api.findings import html_table
+from mr_damper_ros.api.inertia import without_inertia
 from mr_damper_ros.api.measured_runs import MeasuredRun, RunSource, measured_runs, remarks_on
 from mr_damper_ros.models.parameter_set import ParameterSet
 from mr_damper_ros.processes.blas_threads import one_thread
@@ -304,6 +305,7 @@ def validate(
     current: ArrayLike | None = None,
     period: float | None = None,
     accept_doubtful: bool = False,
+    mass: float = 0.0,
 ) -> Validation:
     """Compare the force that a parameter set predicts with that of runs.
 
@@ -311,7 +313,7 @@ def validate(
     ----------
     parameters
         A parameter set of any model, or its file.
-    *runs, displacement, force, current, period, accept_doubtful
+    *runs, displacement, force, current, period, accept_doubtful, mass
         As in :func:`identify`.
 
     Raises
@@ -338,6 +340,7 @@ def validate(
         (displacement, force, current, period),
         accept_doubtful=accept_doubtful,
     )
+    measured = without_inertia(measured, mass)
     return Validation(
         parameters,
         tuple(ValidatedRun(compare(parameters, run), _remark(parameters, run)) for run in measured),

@@ -58,6 +58,8 @@ class Estimate:
     def __str__(self) -> str:
         if not self.observable or self.only_with:
             return f"{self.value:.6g} {self.unit}, {_error(self)}"
+        if math.isnan(self.standard_error):
+            return f"{self.value:.6g} {self.unit}"
         return f"{self.value:.6g} ± {self.standard_error:.2g} {self.unit}"
 
 

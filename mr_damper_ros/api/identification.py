@@ -33,6 +33,7 @@ from mr_damper_ros.api.findings import (
     temperature_maps,
     text_table,
 )
+from mr_damper_ros.api.inertia import fitted_mass, without_inertia
 from mr_damper_ros.api.measured_runs import (
     MeasuredRun,
     RunSource,
@@ -95,7 +96,8 @@ class Identification(ComparedRuns):
     ``parameter_set`` is what was found, ``runs`` how it fits each run, in the order given;
     ``searches`` holds every search that was made; ``duration`` [s] is what they took; ``remarks``
     say what seems wrong with the runs. ``choice``: how the law was chosen, where "auto" was asked
-    for; ``profiles`` are those that were asked for.
+    for; ``profiles`` are those that were asked for; ``mass`` [kg]: that whose inertia was taken
+    off the force.
     """
 
     parameter_set: ParameterSet
@@ -106,6 +108,7 @@ class Identification(ComparedRuns):
     remarks: tuple[str, ...] = ()
     choice: LawChoice | None = None
     profiles: Findings = field(default_factory=lambda: Findings([], {}))
+    mass: Estimate | None = None
 
     @property
     def parameters(self) -> dict[str, Estimate]:
@@ -237,6 +240,7 @@ class Identification(ComparedRuns):
             "method": self.method,
             "success": self.success,
             "message": self.message,
+            **({} if self.mass is None else {"mass": json_ready(vars(self.mass))}),
             "remarks": list(self.remarks),
             "bags": [_entry(run) for run in self.runs],
         }
@@ -247,6 +251,8 @@ class Identification(ComparedRuns):
             parts += [self._at_point, text_table("coefficient", self.coefficients), ""]
         parts += [text_table("parameter", self.parameters), ""]
         parts += [_line(run) for run in self.runs]
+        if self.mass is not None:
+            parts.append(f"without the inertia of {self.mass} between load cell and damper")
         parts.append(
             f"{self.method}: {self.evaluations} evaluations in {self.duration:.2f} s, "
             f"{self.message}"
@@ -320,6 +326,8 @@ def identify(
     resume: str | os.PathLike[str] | None = None,
     profile: Sequence[str] = (),
     level_per_record: float = 0.0,
+    mass: float = 0.0,
+    fit_mass: bool = False,
     report: Report | None = None,
 ) -> Identification:
     """Fit one parameter set to all runs given.
@@ -358,6 +366,9 @@ def identify(
     level_per_record
         Spread, such as 0.1, of a force scale that each run has for itself, drawn to 1, besides a
         force zero: temperature, filling and the load cell's zero then do not bend the law. 0: none.
+    mass, fit_mass
+        Mass [kg] that moves between load cell and damper, whose inertia the force includes; or
+        whether it is to be identified, which needs motion that is not one sine.
     report
         Called with the progress; where it returns False, the best so far is the result.
 
@@ -397,6 +408,7 @@ def identify(
             accept_doubtful=accept_doubtful,
             processes=processes,
         )
+        measured = without_inertia(measured, 0.0 if fit_mass else mass)
         if start_values is None:
             runs_of_windows = [run.windows for run in measured]
             seeded = EvolutionSettings(seed=seed)
@@ -416,9 +428,11 @@ def identify(
             resume=None if resume is None else Path(resume),
             profile=profile,
             level_per_record=level_per_record,
+            fit_mass=fit_mass,
             report=report,
         )
-    return replace(found, choice=choice)
+    known = Estimate(mass, math.nan, "kg") if mass and not fit_mass else found.mass
+    return replace(found, choice=choice, mass=known)
 
 
 def identify_measured(
@@ -433,6 +447,7 @@ def identify_measured(
     resume: Path | None = None,
     profile: Sequence[str] = (),
     level_per_record: float = 0.0,
+    fit_mass: bool = False,
     report: Report | None = None,
 ) -> Identification:
     """:func:`identify` for runs that are read already, from values (p,) to start with."""
@@ -460,6 +475,21 @@ def identify_measured(
     if profile and not searches.best.stopped:
         fit, found = profiled(searches.best, windows, profile, settings, processes, report)
         searches, profiles = searches.replaced(fit), findings.profiles(fit, found)
+    if fit_mass and not searches.best.stopped:
+        mass = fitted_mass(searches.best, windows)
+        again = identify_measured(
+            without_inertia(measured, mass.value),
+            model=model,
+            method=method,
+            start_values=start_values,
+            settings=settings,
+            starts=starts,
+            processes=processes,
+            profile=profile,
+            level_per_record=level_per_record,
+            report=report,
+        )
+        return replace(again, mass=mass, duration=time.monotonic() - began)
     duration = time.monotonic() - began
     fitted = _fitted(searches, measured)
     nrmse = error_over(run.comparison for run in fitted).nrmse

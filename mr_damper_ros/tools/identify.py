@@ -54,6 +54,8 @@ _HELPS = {
     "result",
     "resume": "keep in this file what each search has found, also when stopped, and go on from it: "
     "finished searches are not done again, one that was stopped is, from what it had found",
+    "mass": "that moves between load cell and damper [kg], whose inertia the force includes",
+    "fit_mass": "identify that mass too; needs motion that is not one sine",
     "profile": "profile likelihood of these parameters, with their 95 % intervals; where one has "
     "its minimum elsewhere, the search starts again from there",
 }

@@ -8,7 +8,14 @@ from pathlib import Path
 
 from mr_damper_ros.api.comparison import validate
 from mr_damper_ros.processes.files import write_text
-from mr_damper_ros.tools.console import add_plot_options, add_run_options, program, write_plots
+from mr_damper_ros.tools.console import (
+    add_arguments,
+    add_plot_options,
+    add_run_options,
+    arguments_of,
+    program,
+    write_plots,
+)
 
 
 def _parser() -> argparse.ArgumentParser:
@@ -19,13 +26,16 @@ def _parser() -> argparse.ArgumentParser:
         "parameters", type=Path, metavar="PARAMETERS.yaml", help="as written by identify --output"
     )
     add_run_options(parser)
+    add_arguments(parser, validate, {"mass": "as for identify [kg]"})
     parser.add_argument("--json", type=Path, metavar="FILE", help="write the errors as JSON")
     add_plot_options(parser)
     return parser
 
 
 def _validate(options: argparse.Namespace) -> int:
-    result = validate(options.parameters, options.bags, accept_doubtful=options.accept_doubtful)
+    result = validate(
+        options.parameters, options.bags, **arguments_of(options, validate, "parameters")
+    )
     print(result)
     if options.json is not None:
         write_text(options.json, json.dumps(result.document(), indent=2, allow_nan=False) + "\n")
