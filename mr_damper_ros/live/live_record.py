@@ -298,6 +298,7 @@ class LiveRecord:
         self._add_table("history", RollingTable(HISTORY, HISTORY_KEPT, _joined_ranges))
         self._add_table("windows", RollingTable(WINDOWS, WINDOWS_KEPT, first_of_two))
         self._tenth: list[tuple[float, ...]] = []
+        self._marks.clear()
         # The level of the current, the one that may become the next, since when, from when on.
         self._level = self._next_level = math.nan
         self._level_since = self._level_left = -math.inf

@@ -18,6 +18,7 @@ from browser import PATIENCE, Browser
 from mr_damper_ros.live.live_record import Concern, LiveRecord
 from mr_damper_ros.live.page_server import PageServer
 from mr_damper_ros.live.recorded import empty_record, replay_into
+from mr_damper_ros.tools import live_bag
 
 SECONDS = 12
 
@@ -406,6 +407,13 @@ def test_a_recording_is_opened_on_the_page(browser: Browser) -> None:
         assert grey(browser) == set()
         assert browser.errors == []
         leave(browser)
+
+
+def test_a_recording_that_is_missing_is_one_sentence(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert live_bag.main(["--bag", str(tmp_path / "none"), "--port", "0"]) == 2
+    assert capsys.readouterr().err.startswith("live: there is no bag at ")
 
 
 def record_length(record: LiveRecord) -> float:

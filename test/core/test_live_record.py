@@ -7,6 +7,7 @@ import math
 from dataclasses import replace
 from typing import Any
 
+import numpy as np
 import pytest
 
 from mr_damper_ros.live import live_record
@@ -188,3 +189,90 @@ def test_a_node_that_died_is_a_fault_until_seen_also_where_nobody_looked(clock: 
     record.add_concern(Concern("supply: current", 0, "0.5 A", {}))
     assert faults(record) == [("supply", False, False)]
     assert status(record)["faults"][0]["since"] == 0.0
+
+
+def follow(record: LiveRecord, begin: float, duration: float, current: float) -> None:
+    for number in range(round(100.0 * duration)):
+        at = begin + 0.01 * number
+        force = 400.0 if number % 10 else 900.0
+        record.add_signals(T0 + at, 0.001, 0.02, current, force, 380.0, valid=number % 2 == 0)
+
+
+def marks(record: LiveRecord) -> list[tuple[str, str]]:
+    return [(mark["kind"], mark["text"]) for mark in status(record)["marks"]]
+
+
+def test_the_history_has_the_range_of_each_tenth_of_a_second() -> None:
+    record = LiveRecord()
+    follow(record, 0.0, 1.0, 0.5)
+    rows = record.rows("history", -1, -1)
+    assert rows is not None
+    found = dict(zip(rows.columns, rows.values[0], strict=True))
+    assert found["time"] == T0
+    assert (found["measured_force_low"], found["measured_force_high"]) == (400.0, 900.0)
+    assert (found["force_error_low"], found["force_error_high"]) == (-520.0, -20.0)
+    assert found["valid"] == 0.5
+    assert len(rows.values) == 9
+
+
+def test_joined_rows_of_the_history_keep_the_whole_range(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(live_record, "HISTORY_KEPT", 8)
+    record = LiveRecord()
+    follow(record, 0.0, 2.0, 0.5)
+    rows = record.rows("history", -1, -1)
+    assert rows is not None
+    high = rows.columns.index("measured_force_high")
+    assert len(rows.values) <= 8
+    assert rows.values[0, 1] == T0
+    assert np.all(rows.values[:, high] == 900.0)
+
+
+def test_a_step_of_the_current_is_marked_where_both_levels_are_held() -> None:
+    record = LiveRecord()
+    follow(record, 0.0, 1.0, 0.5)
+    follow(record, 1.0, 1.0, 1.5)
+    assert marks(record) == [("current", "0.5 to 1.5 A")]
+    assert status(record)["marks"][0]["time"] == pytest.approx(T0 + 1.0)
+
+
+def test_a_current_under_control_is_not_marked() -> None:
+    record = LiveRecord()
+    follow(record, 0.0, 1.0, 0.5)
+    for number in range(100):
+        follow(record, 1.0 + 0.1 * number, 0.1, 0.5 + 0.1 * (number % 7))
+    assert marks(record) == []
+
+
+def test_sets_and_faults_are_marked_until_the_stamps_fall_back() -> None:
+    record = LiveRecord()
+    signals(record, T0 + 100.0)
+    record.set_parameters(a_set("f0"))
+    record.add_concern(Concern("supply: supply", 2, "tripped", {}))
+    record.add_concern(Concern("supply: supply", 2, "tripped, still", {}))
+    assert marks(record) == [("set", "nm-1 (nelder mead)"), ("fault", "supply: supply: tripped")]
+    signals(record, T0)
+    assert marks(record) == []
+
+
+def test_what_is_commanded_is_shown_as_long_as_it_is_heard() -> None:
+    clock = 0.0
+    record = LiveRecord(lambda: clock)
+    record.set_point("desired_force", 300.0)
+    signals(record, T0)
+    clock = 10.0
+    signals(record, T0 + 0.01)
+    rows = record.rows("signals", -1, -1)
+    assert rows is not None
+    desired = rows.values[:, rows.columns.index("desired_force")]
+    assert desired[0] == 300.0
+    assert math.isnan(desired[1])
+
+
+def test_samples_are_kept_at_the_full_rate() -> None:
+    record = LiveRecord()
+    block = np.arange(10.0)
+    record.add_samples(T0, 1e-3, block, 2.0 * block, 3.0 * block, np.ones(10))
+    rows = record.rows("samples", -1, -1)
+    assert rows is not None
+    np.testing.assert_allclose(np.diff(rows.values[:, 1]), 1e-3, rtol=1e-3)
+    np.testing.assert_array_equal(rows.values[:, 4], 3.0 * block)
