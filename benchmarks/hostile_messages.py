@@ -5,9 +5,10 @@ The rig runs meanwhile. A node is deaf as long as it leaves a service call unans
 
 from __future__ import annotations
 
+import hashlib
 import math
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -37,6 +38,7 @@ from mr_damper_ros.models.sigmoid.law import PARAMETER_NAMES
 from mr_damper_ros.nodes import quality
 from mr_damper_ros.nodes.messages import to_field
 from mr_damper_ros.processes.programs import PATIENCE, resident_bytes
+from mr_damper_ros.signals.arrays import Array
 from mr_damper_ros.signals.blocks import MOST_SAMPLES
 
 _MB = 1e6
@@ -206,9 +208,18 @@ def _peak_bytes(pid: int) -> int:
 def cases() -> Iterator[HostileMessage]:
     """All of them."""
     yield from _samples()
-    yield from _small_topics()
-    yield from _results()
-    yield from _own_services()
+    for kind, topic in _TOPICS.items():
+        for what, message in _spoilt(kind, _usual(kind)):
+            yield HostileMessage(f"{topic} with {what}", message, topic)
+    for kind, service in ((SaveParameters, "save_parameters"), (LoadParameters, "load_parameters")):
+        for what, request in _spoilt(kind.Request, {}):
+            yield HostileMessage(f"{service} with {what}", request, "", "identifier", service, kind)
+    for what, goal in _spoilt(IdentifyGlobal.Goal, {}):
+        kind = IdentifyGlobal.Impl.SendGoalService
+        request = kind.Request(goal=goal)
+        request.goal_id.uuid = np.frombuffer(hashlib.md5(what.encode()).digest(), dtype=np.uint8)
+        service = "identify_global/_action/send_goal"
+        yield HostileMessage(f"a goal with {what}", request, "", "identifier", service, kind)
     yield from _parameter_services()
 
 
@@ -216,9 +227,10 @@ def _samples() -> Iterator[HostileMessage]:
     chance = np.random.default_rng(0)
     most = _SIZE // 16
     alternating = np.tile([1e-3, -1e-3], most // 2)
+    noise = 1e-3 * chance.normal(size=most)
     signals = {
         "of a sine": 5e-3 * np.sin(2e-3 * math.pi * np.arange(most)),
-        "of noise": 1e-3 * chance.normal(size=most),
+        "of noise": noise,
         "that alternate": alternating,
         "of zeros": np.zeros(most),
         "of spikes": 1e12 * np.sign(alternating),
@@ -228,124 +240,80 @@ def _samples() -> Iterator[HostileMessage]:
             *((most, 1e-3), (18_750, 1000.0)),
             *((MOST_SAMPLES, 1e-3), (MOST_SAMPLES, 1e-5), (10, 1.0), (1, 1.0)),
         ):
-            yield _block(f"{count} samples {what}, {period:g} s apart", signal[:count], period)
+            block = _block(signal[:count], 1e5 * signal[:count], period)
+            name = f"{count} samples {what}, {period:g} s apart"
+            yield HostileMessage(name, block, "mts/samples")
     for count in (0, 1, 10):
-        odd = _block(f"{most} displacements and {count} forces", signals["of noise"], 1e-3)
-        odd.message.force = to_field(np.zeros(count))
-        yield odd
-    for what, stamp in _STAMPS.items():
-        yield _block(f"a block {what}", alternating[:10], 1e-3, stamp=stamp)
-    for sequence in (0, 2**64 - 1, 2**63):
-        yield _block(f"a block with seq {sequence}", alternating[:10], 1e-3, sequence=sequence)
-    for period in (0.0, -1.0, math.nan, math.inf, 1e-320):
-        yield _block(f"a block of period {period}", alternating[:10], period)
+        odd = _block(noise, np.zeros(count), 1e-3)
+        yield HostileMessage(f"{most} displacements and {count} forces", odd, "mts/samples")
 
 
-_STAMPS = {
-    "from 1902": Time(sec=-(2**31)),
-    "from 2038": Time(sec=2**31 - 1, nanosec=999_999_999),
-    "from 1970": Time(),
-    "with four seconds of nanoseconds": Time(sec=1_700_000_000, nanosec=2**32 - 1),
+def _block(displacement: Array, force: Array, period: float) -> MtsSamples:
+    return MtsSamples(
+        header=Header(stamp=Time(sec=int(time.time())), frame_id="damper"),
+        period=period,
+        displacement=to_field(displacement),
+        force=to_field(force),
+    )
+
+
+_TOPICS = {
+    MtsSamples: "mts/samples",
+    SupplyCurrent: "supply/current",
+    Temperature: "temperature",
+    DamperParameters: "damper/parameters",
+    FitReport: "damper/fit_report",
 }
 
 
-def _block(
-    name: str,
-    displacement: np.ndarray,
-    period: float,
-    *,
-    sequence: int = 0,
-    stamp: Time | None = None,
-) -> HostileMessage:
-    if stamp is None:
-        stamp = Time(sec=int(time.time()))
-    message = MtsSamples(
-        header=Header(stamp=stamp, frame_id="damper"),
-        seq=sequence,
-        period=period,
-        displacement=to_field(displacement),
-        force=to_field(1e5 * displacement),
-    )
-    return HostileMessage(name, message, topic="mts/samples")
+def _usual(kind: type) -> dict[str, Any]:
+    """The fields of a message that means well, where others than those by default are needed."""
+    if kind is MtsSamples:
+        small = to_field(1e-3 * np.ones(10))
+        return {"period": 1e-3, "displacement": small, "force": small}
+    if kind is FitReport:
+        return {"confirms": True}
+    if kind is DamperParameters:
+        count = len(PARAMETER_NAMES)
+        return {
+            "id": "hostile",
+            "model": "sigmoid",
+            "names": list(PARAMETER_NAMES),
+            "units": ["1"] * count,
+            "values": to_field(THESIS_28_CELSIUS),
+            "standard_errors": to_field(np.full(count, math.nan)),
+            "observable": [True] * count,
+            "source": "file",
+            "peak_velocity_max": 1.0,
+            "current_max": 2.0,
+        }
+    return {}
 
 
-def _small_topics() -> Iterator[HostileMessage]:
-    long = Header(frame_id="x" * _SIZE)
-    for what, stamp in _STAMPS.items():
-        header = Header(stamp=stamp)
-        yield HostileMessage(
-            f"a current {what}", SupplyCurrent(header=header, current=1.0), "supply/current"
-        )
-        yield HostileMessage(f"a temperature {what}", Temperature(header=header), "temperature")
-    for value in (math.nan, math.inf, -1e300, 1e300):
-        header = Header(stamp=Time(sec=int(time.time())))
-        current = SupplyCurrent(header=header, current=value)
-        yield HostileMessage(f"a current of {value} A", current, "supply/current")
-        temperature = Temperature(header=header, temperature=value)
-        yield HostileMessage(f"a temperature of {value} degrees", temperature, "temperature")
-    for message, topic in (
-        (SupplyCurrent(header=long), "supply/current"),
-        (Temperature(header=long), "temperature"),
-        (MtsSamples(header=long, period=1e-3), "mts/samples"),
-    ):
-        yield HostileMessage(f"a frame of 1 MB on {topic}", message, topic)
+_VALUES: dict[str, dict[str, Any]] = {
+    "double": {f"{value}": value for value in (math.nan, math.inf, -1e300, 1e300, 1e-320)},
+    "uint32": {"all bits": 2**32 - 1},
+    "uint64": {"all bits": 2**64 - 1, "the highest bit": 2**63},
+    "string": {"1 MB": "x" * _SIZE, "1 MB of ../": "../" * (_SIZE // 3)},
+    "sequence<string>": {"1 MB": ["x"] * (_SIZE // 8)},
+    "sequence<double>": {"1 MB": to_field(np.ones(_SIZE // 8))},
+    "sequence<boolean>": {"1 MB": [True] * _SIZE},
+    "std_msgs/Header": {
+        "a frame of 1 MB": Header(frame_id="x" * _SIZE),
+        "a stamp of 1902": Header(stamp=Time(sec=-(2**31))),
+        "a stamp of 2038": Header(stamp=Time(sec=2**31 - 1, nanosec=999_999_999)),
+        "a stamp of 1970": Header(stamp=Time()),
+        "four seconds of nanoseconds": Header(stamp=Time(sec=1_700_000_000, nanosec=2**32 - 1)),
+    },
+}
+"""What no program writes, by type of a field."""
 
 
-def _results() -> Iterator[HostileMessage]:
-    """On the topics from the identifier to the model."""
-    count = len(PARAMETER_NAMES)
-    usual: dict[str, Any] = {
-        "id": "hostile",
-        "model": "sigmoid",
-        "names": list(PARAMETER_NAMES),
-        "units": ["1"] * count,
-        "values": to_field(THESIS_28_CELSIUS),
-        "standard_errors": to_field(np.full(count, math.nan)),
-        "observable": [True] * count,
-        "source": "file",
-        "peak_velocity_max": 1.0,
-        "current_max": 2.0,
-    }
-    text, texts = "x" * _SIZE, ["x"] * (_SIZE // 8)
-    numbers, flags = to_field(np.ones(_SIZE // 8)), [True] * _SIZE
-    for field, value in {
-        **dict.fromkeys(("id", "model", "source"), text),
-        **dict.fromkeys(("names", "units"), texts),
-        **dict.fromkeys(("values", "standard_errors", "discrepancies"), numbers),
-        "observable": flags,
-    }.items():
-        message = DamperParameters(**{**usual, field: value})
-        yield HostileMessage(f"parameters with 1 MB of {field}", message, "damper/parameters")
-    for field, value in {
-        **dict.fromkeys(("method", "reason", "parameter_set"), text),
-        "coefficient_names": texts,
-        **dict.fromkeys(
-            ("coefficients", "coefficient_standard_errors", "coefficient_discrepancies"), numbers
-        ),
-    }.items():
-        report = FitReport(**{"confirms": True, field: value})
-        yield HostileMessage(f"a report with 1 MB of {field}", report, "damper/fit_report")
-
-
-def _own_services() -> Iterator[HostileMessage]:
-    for kind, service in ((SaveParameters, "save_parameters"), (LoadParameters, "load_parameters")):
-        for what, name in {"1 MB": "x" * _SIZE, "1 MB of ../": "../" * (_SIZE // 3)}.items():
-            request = kind.Request(name=name)
-            yield HostileMessage(f"{service} of {what}", request, "", "identifier", service, kind)
-    for what, goal in {
-        "a strategy of 1 MB": IdentifyGlobal.Goal(strategy="x" * _SIZE),
-        "all generations": IdentifyGlobal.Goal(generations=2**32 - 1),
-    }.items():
-        request = IdentifyGlobal.Impl.SendGoalService.Request(goal=goal)
-        request.goal_id.uuid = np.frombuffer(f"{what:16.16}".encode(), dtype=np.uint8)
-        yield HostileMessage(
-            f"a goal of {what}",
-            request,
-            "",
-            "identifier",
-            "identify_global/_action/send_goal",
-            IdentifyGlobal.Impl.SendGoalService,
-        )
+def _spoilt(kind: Any, usual: Mapping[str, Any]) -> Iterator[tuple[str, Any]]:
+    """Messages of a kind, one field of each as no program writes it."""
+    for field, type_ in kind.get_fields_and_field_types().items():
+        for what, value in _VALUES.get(type_, {}).items():
+            yield f"{what} as {field}", kind(**{**usual, field: value})
 
 
 def _parameter_services() -> Iterator[HostileMessage]:

@@ -15,7 +15,7 @@ from dataclasses import dataclass
 from functools import partial
 
 import numpy as np
-from scipy.optimize import differential_evolution, minimize
+from scipy.optimize import differential_evolution
 
 from benchmarks.figure import Measured
 from mr_damper_ros.api.replay import replay
@@ -57,6 +57,7 @@ from mr_damper_ros.models.sigmoid.law import (
 from mr_damper_ros.signals.arrays import Array
 from mr_damper_ros.signals.recording import Recording
 from studies.recordings import window_of
+from studies.thesis.nelder_mead import fminsearch
 from studies.thesis.published_runs import DISPLACEMENT_NOISE, PHASE, synthesise
 
 _LAW = MODELS["sigmoid"]
@@ -201,8 +202,6 @@ def stream_figures(runs: int | None = None) -> Measured:
 
 REFITTED = ("2.5mm_1Hz_0.0A", "5.0mm_1Hz_1.5A", "5.0mm_3Hz_0.5A", "7.5mm_1Hz_1.0A")
 RESIDUAL_LIMIT = 1.001
-_TOLERANCE = 1e-4
-"""MATLAB's default TolX and TolFun of fminsearch."""
 
 
 @dataclass(frozen=True)
@@ -214,21 +213,14 @@ class Refit:
 
 
 def reference_fit(window: Window, start: Array) -> tuple[Array, float]:
-    """Parameters (16,) and norm of the residual [N], as the thesis does it.
+    """Parameters (16,) and norm of the residual [N], as the thesis does it (eq. 12).
 
-    SciPy's Nelder-Mead over all sixteen parameters on the norm of the residual (thesis eq. 12),
-    with the limits and tolerances that fminsearch has by default.
+    Nelder-Mead over all sixteen parameters, with the limits and tolerances of fminsearch.
     """
-    m = window.motion
-
-    def norm(trial: Array) -> float:
-        predicted = sine_force(trial, m.displacement, m.velocity, m.acceleration, window.current)
-        return float(np.linalg.norm(predicted - window.force))
-
-    budget = 200 * start.size
-    limits = {"maxfev": budget, "maxiter": budget, "xatol": _TOLERANCE, "fatol": _TOLERANCE}
-    found = minimize(norm, start, method="Nelder-Mead", options=limits)
-    return found.x, float(found.fun)
+    found, norm, _ = fminsearch(
+        lambda trial: float(np.linalg.norm(_LAW.window_force(window, trial) - window.force)), start
+    )
+    return found, norm
 
 
 def measured_refit(condition_name: str, repetitions: int, samples: int = 1000) -> Refit:

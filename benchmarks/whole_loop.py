@@ -24,6 +24,7 @@ from benchmarks.figure import PROCESSES, Measured, in_processes, parts, table
 from benchmarks.foreign_laws import LAWS, ForeignDamper
 from benchmarks.other_dampers import DAMPERS as OTHER_DAMPERS
 from benchmarks.other_dampers import random_motion
+from mr_damper_ros.api.replay import replay
 from mr_damper_ros.control.force_controller import ForceController, ForceControlSettings
 from mr_damper_ros.control.linear_plant import IsoRoad, QuarterCar
 from mr_damper_ros.control.semi_active import SuspensionSettings, controller_of
@@ -49,7 +50,8 @@ from mr_damper_ros.models.parameter_set import ParameterSet
 from mr_damper_ros.models.published import THESIS_28_CELSIUS
 from mr_damper_ros.rig.sources.emulated_source import moment_of
 from mr_damper_ros.signals.arrays import Array
-from mr_damper_ros.signals.blocks import RigBlock, SampleBlock
+from mr_damper_ros.signals.blocks import RigBlock
+from mr_damper_ros.signals.recording import Recording
 from mr_damper_ros.tracking.engine import Engine, EngineSettings
 from mr_damper_ros.tracking.predictor import PredictorSettings
 from mr_damper_ros.tracking.validity import DoubtKind
@@ -125,19 +127,32 @@ def driven(
     )
     wanted = controller_of(SuspensionSettings())
     choice = chosen(lambda _: wanted(moment_of(rig)), known, Engine(start=known if given else None))
-    exact = _alone(known)
-    rows, commands = [], []
+    rows: list[list[Array]] = []
+    commands = []
     for measured, _ in turned(rig, knob, choice, BLOCK, duration):
         assert choice.predicted is not None
         assert choice.last is not None
         assert rig.motion is not None
         predicted = choice.predicted
         rows.append(
-            np.stack([predicted.force, predicted.doubts, exact(measured), rig.motion.force])
+            [
+                *(predicted.force, predicted.doubts.astype(float), rig.motion.force),
+                *(measured.displacement, measured.force, measured.current),
+            ]
         )
         commands.append((choice.last.current, choice.last.falls_back))
-    predicted, doubts, right, true = np.concatenate(rows, axis=1)[:, round(SETTLED / PERIOD) :]
-    valid = doubts == 0.0
+    every = np.concatenate(rows, axis=1)
+    # The force that the right set gives, whatever is measured.
+    unwatched = EngineSettings(predictor=PredictorSettings(maximum_error=0.0)).for_law(known.model)
+    exact = replay(
+        Recording("drive", rig.settings.start_ns, PERIOD, *every[3:]),
+        known,
+        identify=False,
+        settings=unwatched,
+    )
+    late = slice(round(SETTLED / PERIOD), None)
+    predicted, doubts, true = every[:3, late]
+    right, valid = exact.predicted[late], doubts == 0.0
     spread = float(np.std(true[valid]))
     windows = [report for report in choice.reports if report.frequency == report.frequency]
     currents, falls = np.array(commands)[round(SETTLED / PERIOD / BLOCK) :].T
@@ -176,21 +191,6 @@ def chosen(
     controller = ForceController(settings)
     controller.predictor.set_parameters(known)
     return ForceChoice(controller, wanted, engine)
-
-
-def _alone(known: ParameterSet) -> Callable[[RigBlock], Array]:
-    """The force that a set gives, whatever is measured."""
-    settings = EngineSettings(predictor=PredictorSettings(maximum_error=0.0)).for_law(known.model)
-    engine = Engine(settings, known, identify=False)
-
-    def predict(made: RigBlock) -> Array:
-        engine.add_current(made.start_ns, float(made.current[0]))
-        block = SampleBlock(
-            made.start_ns, made.sequence, made.period, made.displacement, made.force
-        )
-        return engine.predict(block).force
-
-    return predict
 
 
 _MOVES = 0.02
@@ -274,32 +274,19 @@ def switched(seed: int, duration: float = SWITCHED) -> Switched:
         CurrentSchedule(times.tolist(), levels.tolist()),
         settings=RigSettings(displacement_noise=1e-6, seed=seed),
     )
-    engine, known, reports, rows = Engine(), -1.0, [], []
-    for _ in range(round(duration / PERIOD / BLOCK)):
-        made = rig.next_block(BLOCK)
-        for place, current in enumerate(made.current.tolist()):
-            if current != known:
-                engine.add_current(made.stamp_ns(place), current)
-                known = current
-        block = SampleBlock(made.start_ns, made.sequence, PERIOD, made.displacement, made.force)
-        prediction = engine.predict(block)
-        reports += [each.report for each in engine.take_publications()]
-        rows.append([prediction.force, prediction.valid_samples, made.force])
-    engine.finish()
-    reports += [each.report for each in engine.take_publications()]
-    windows = [each for each in reports if each.sample_count and each.method in _OF_WINDOWS]
-    predicted, valid, measured = np.concatenate(rows, axis=1)
-    late = np.arange(valid.size) * PERIOD > 2.0 / 3.0 * duration
-    right = (valid > 0.0) & late
-    end_ns = rig.settings.start_ns + 2.0 / 3.0 * duration * 1e9
+    said = replay(rig.record(duration))
+    windows = [each for each in said.reports if each.sample_count and each.method in _OF_WINDOWS]
+    late = said.time > 2.0 / 3.0 * duration
+    right = said.valid & late
+    end_ns = said.start_ns + 2.0 / 3.0 * duration * 1e9
     last = [report.confirms for report in windows if report.stamp_ns > end_ns]
-    error = (predicted - measured)[right]
+    error = (said.predicted - said.measured)[right]
     return Switched(
         f"seed {seed}: {damper}, {motion}",
         float(np.mean([report.confirms for report in windows])),
         not any(last),
-        float(np.sqrt(np.mean(error**2)) / np.std(measured[late])) if right.any() else np.nan,
-        float(np.mean(valid[late])),
+        float(np.sqrt(np.mean(error**2)) / np.std(said.measured[late])) if right.any() else np.nan,
+        float(np.mean(said.valid[late])),
     )
 
 
