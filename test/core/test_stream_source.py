@@ -331,6 +331,14 @@ def test_a_line_is_read_or_refused(line: bytes, force: float | None) -> None:
     assert (row and row.measured.force) == force
 
 
+@pytest.mark.parametrize(
+    ("cell", "number"), [(b"12.000000", 12), (b" 120. ", 120), (b"12.5", None)]
+)
+def test_a_count_may_be_written_with_a_point(cell: bytes, number: int | None) -> None:
+    row = parse_row_format("count:64,displacement:mm,force:N").row([cell, b"2", b"500"])
+    assert (None if row is None else row.number) == number
+
+
 LAYOUT = "<HffxB"
 RECORDS = "count:16,displacement:mm,force:N,-"
 

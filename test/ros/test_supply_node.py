@@ -238,4 +238,4 @@ def test_where_the_node_is_gone_or_frozen_the_watchdog_switches_off(
     listener.until(off(server), "no current")
     if number == signal.SIGSTOP:
         node.send_signal(signal.SIGCONT)
-        listener.wait_for_finding("supply: current", "where 0.700 A are set")
+        listener.wait_for_finding("supply: current", "instead of 0.700 A")
