@@ -50,11 +50,11 @@ class Client:
         rows = np.frombuffer(self.get("/tables/signals")[1]).reshape(-1, len(SIGNALS) + 1)
         return dict(zip(("index", *SIGNALS), rows.T, strict=True))
 
-    def command(self, name: str, **told: str) -> int:
+    def command(self, command: str, **told: str) -> int:
         connection = http.client.HTTPConnection(self.netloc, timeout=PATIENCE)
         try:
             origin = {"Origin": f"http://{self.netloc}"}
-            connection.request("POST", f"/command?{urlencode(told)}", name, origin)
+            connection.request("POST", f"/command?{urlencode(told)}", command, origin)
             return connection.getresponse().status
         finally:
             connection.close()
