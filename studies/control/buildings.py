@@ -42,6 +42,7 @@ from studies.control.ground_motion import (
 )
 from studies.control.recorded_damper import recorded_damper
 from studies.control.shear_building import BUILDINGS, STOREYS, ShearBuilding, StateEstimator
+from studies.drawing import heads
 
 DAMPERS = 4
 """Side by side: the authors' model multiplies the force of the damper by four."""
@@ -402,16 +403,9 @@ def building_chapter(found: Buildings) -> Chapter:
             Table(
                 "buildings",
                 f"Coil lag {1e3 * LAG:.0f} ms. In percent of the building without dampers.",
-                (
-                    "building",
-                    "earthquake",
-                    "controller",
-                    "RMS displ.",
-                    "RMS accel.",
-                    "peak displ.",
-                    "peak accel.",
-                    "force (kN)",
-                    "reversals/s",
+                heads(
+                    "building | earthquake | controller | RMS displ. | RMS accel. | peak displ. | "
+                    "peak accel. | force (kN) | reversals/s"
                 ),
                 rows,
             ),

@@ -10,7 +10,6 @@ import numpy as np
 from mr_damper_ros.emulation.plant_rig import HIGHEST_CURRENT, invented_damper
 from mr_damper_ros.kinematics.motion import Motion
 from mr_damper_ros.report.document import (
-    DASHES,
     GREY,
     INK,
     MARKS,
@@ -37,6 +36,7 @@ from studies.control.car_drives import (
     Drive,
     DriveResult,
 )
+from studies.drawing import heads, line
 
 
 @dataclass(frozen=True)
@@ -84,7 +84,7 @@ def damper_chapter() -> Chapter:
         )
         force = known.law.force(known.values, motion, np.full(time.size, current), 1e-3)
         late = slice(1000, None)
-        style = {"color": INK[place], "linestyle": DASHES[place]}
+        style = line(place)
         axes[0, 0].plot(motion.velocity[late], 1e-3 * force[late], label=f"{current:g} A", **style)
         axes[0, 1].plot(1e3 * motion.displacement[late], 1e-3 * force[late], **style)
     axes[0, 0].set(xlabel="velocity (m/s)", ylabel="force (kN)")
@@ -147,17 +147,9 @@ def roads_chapter(drives: Drives) -> Chapter:
         "suspension's. Power: mean that the damper takes. Coil: mean square of its current. Met: "
         "share of the time in which the wanted force could be had. The changes are against "
         "passive-off on the same road.",
-        (
-            "road",
-            "controller",
-            "comfort (m/s²)",
-            "change (%)",
-            "holding (%)",
-            "change (%)",
-            "travel (mm)",
-            "power (W)",
-            "coil (A²)",
-            "met (%)",
+        heads(
+            "road | controller | comfort (m/s²) | change (%) | holding (%) | change (%) | "
+            "travel (mm) | power (W) | coil (A²) | met (%)"
         ),
         rows,
     )
@@ -266,15 +258,9 @@ def lag_chapter(drives: Drives) -> Chapter:
             Table(
                 "lag",
                 "Without lag and with it.",
-                (
-                    "controller",
-                    "road",
-                    "comfort, none (m/s²)",
-                    "10 ms",
-                    "change (%)",
-                    "holding, none (%)",
-                    "10 ms",
-                    "change (%)",
+                heads(
+                    "controller | road | comfort, none (m/s²) | 10 ms | change (%) | "
+                    "holding, none (%) | 10 ms | change (%)"
                 ),
                 rows,
             ),
@@ -361,13 +347,7 @@ def _spectra(drives: Drives) -> object:
         late = acceleration[time > SETTLED]
         frequency, density = welch(late, rate, nperseg=min(round(4.0 * rate), late.size))
         chosen = (frequency >= 0.4) & (frequency <= 30.0)
-        axes[0, 0].loglog(
-            frequency[chosen],
-            density[chosen],
-            color=INK[place],
-            linestyle=DASHES[place],
-            label=strategy,
-        )
+        axes[0, 0].loglog(frequency[chosen], density[chosen], label=strategy, **line(place))
     axes[0, 0].set(xlabel="frequency (Hz)", ylabel="density ((m/s²)²/Hz)")
     axes[0, 0].legend()
     return figure
@@ -380,7 +360,7 @@ def _bump(drives: Drives) -> object:
         time, acceleration, load, current = drives.of(strategy, BUMP_ROAD, LAG).series
         chosen = (time > BUMP.start - 0.1) & (time < BUMP.start + 2.4)
         since = time[chosen] - BUMP.start
-        style = {"color": INK[place], "linestyle": DASHES[place]}
+        style = line(place)
         axes[0, 0].plot(since, acceleration[chosen], label=strategy, **style)
         axes[1, 0].plot(since, 1e-3 * load[chosen], **style)
         axes[2, 0].plot(since, current[chosen], **style)

@@ -18,8 +18,6 @@ from mr_damper_ros.emulation.commanded_rig import commanded
 from mr_damper_ros.emulation.emulator import SupplyKnob, ThermalModel
 from mr_damper_ros.emulation.plant_rig import invented_damper
 from mr_damper_ros.report.document import (
-    DASHES,
-    INK,
     Chapter,
     Picture,
     Table,
@@ -37,6 +35,7 @@ from studies.control.car_drives import (
     car_rig,
     force_choice,
 )
+from studies.drawing import heads, line
 
 THERMAL = ThermalModel(capacity=215.0)
 """Half of the usual heat capacity, so that the drive may be short."""
@@ -155,7 +154,7 @@ def heated_chapter(found: Mapping[bool, HeatedResult], task: HeatedDrive) -> Cha
     """What is lost with an old set; ``found`` by whether it is identified meanwhile."""
     figure, axes = panels(3, 1, 6.6, 4.8, sharex=True)
     for place, learns in enumerate((False, True)):
-        result, style = found[learns], {"color": INK[place], "linestyle": DASHES[place]}
+        result, style = found[learns], line(place)
         axes[0, 0].plot(result.time, result.celsius, label=_NAMES[learns], **style)
         axes[1, 0].plot(result.time, 100.0 * result.missed / result.wanted, **style)
         axes[2, 0].plot(result.time, 100.0 * result.share, **style)
@@ -202,17 +201,9 @@ def heated_chapter(found: Mapping[bool, HeatedResult], task: HeatedDrive) -> Cha
                 f"{_BEGINNING[0]:g} to {_BEGINNING[1]:g} s and in the last {_END:g} s. Missed: "
                 "RMSE over the RMS of the wanted force. Came: the part of the wanted force that "
                 "the damper gave, by least squares.",
-                (
-                    "set",
-                    "hottest (°C)",
-                    "missed, first (%)",
-                    "missed, last (%)",
-                    "last/first",
-                    "came, first (%)",
-                    "came, last (%)",
-                    "comfort (m/s²)",
-                    "holding (%)",
-                    "sets taken",
+                heads(
+                    "set | hottest (°C) | missed, first (%) | missed, last (%) | last/first | "
+                    "came, first (%) | came, last (%) | comfort (m/s²) | holding (%) | sets taken"
                 ),
                 rows,
             ),

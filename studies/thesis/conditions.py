@@ -33,6 +33,7 @@ from mr_damper_ros.report.document import (
     with_error,
 )
 from mr_damper_ros.signals.arrays import Array
+from studies.drawing import heads, name_axes
 from studies.thesis.campaign import Campaign
 from studies.thesis.errata import METHOD_TITLES, disagreement, find_errata
 from studies.thesis.runs import coefficients, loop, title, window
@@ -164,16 +165,9 @@ def _overview(data: dict[str, Any]) -> Table:
         "conditions",
         "Peak forces of our identified loops beside those of the thesis' Nelder–Mead sets, and the "
         "distance of our loop from both published loops.",
-        (
-            "Condition",
-            "Max ours [N]",
-            "Max thesis [N]",
-            "Min ours [N]",
-            "Min thesis [N]",
-            "From NM [%]",
-            "From DE [%]",
-            "RMSE [N]",
-            "NRMSE [%]",
+        heads(
+            "Condition | Max ours [N] | Max thesis [N] | Min ours [N] | Min thesis [N] | "
+            "From NM [%] | From DE [%] | RMSE [N] | NRMSE [%]"
         ),
         rows,
     )
@@ -297,10 +291,7 @@ def _loops(data: dict[str, Any], current: float, against: str) -> Picture:
                 scale * getattr(own, against), own.force, ls=DASHES[2], color="0.75", label="ours"
             )
             a.locator_params(axis="x", nbins=5)
-    for a in axes[-1]:
-        a.set_xlabel(label)
-    for a in axes[:, 0]:
-        a.set_ylabel("Force [N]")
+    name_axes(axes, label, "Force [N]")
     legend_above(figure, axes[0, 0], 3)
     return Picture(
         f"loops_{against}_{current:.1f}A",

@@ -17,8 +17,9 @@ from mr_damper_ros.models.published import (
     parameters,
 )
 from mr_damper_ros.models.sigmoid.law import PARAMETER_NAMES
-from mr_damper_ros.report.document import DASHES, INK, MARKS, Block, Picture, Table, Text, panels
+from mr_damper_ros.report.document import Block, Picture, Table, Text, panels
 from mr_damper_ros.signals.arrays import Array
+from studies.drawing import line
 from studies.thesis import facts
 from studies.thesis.campaign import Campaign
 from studies.thesis.compared import Compared, comparison
@@ -220,7 +221,7 @@ def _loop_panels(curves: list[tuple[str, Condition, Array]]) -> Any:
     figure, axes = panels(1, 2, 6.6, 2.8)
     for number, (label, condition, values) in enumerate(curves):
         turn = loop(values, condition)
-        style = {"ls": DASHES[number], "color": INK[number], "label": label}
+        style = {**line(number), "label": label}
         axes[0, 0].plot(1e3 * turn.displacement, turn.force, **style)
         axes[0, 1].plot(turn.velocity, turn.force, **style)
     axes[0, 0].set(xlabel="Displacement [mm]", ylabel="Force [N]")
@@ -252,10 +253,8 @@ def _span_figure(data: dict[str, Any]) -> Picture:
             a.plot(
                 group["current"],
                 group["half_span"],
-                ls=DASHES[number],
-                marker=MARKS[number],
-                color=INK[number],
                 label=key.split(", ")[1],
+                **line(number, marked=True),
             )
         a.set(title=amplitude, xlabel="Current [A]", ylim=(0, None))
     axes[0, 0].set_ylabel("Half the force span [N]")

@@ -28,8 +28,9 @@ from mr_damper_ros.models.published import (
     parameters,
 )
 from mr_damper_ros.models.sigmoid.law import PARAMETER_NAMES, operating_point_coefficients
-from mr_damper_ros.report.document import DASHES, INK, Block, Picture, Table, Text, panels
+from mr_damper_ros.report.document import Block, Picture, Table, Text, panels
 from mr_damper_ros.signals.arrays import Array
+from studies.drawing import heads, line
 from studies.thesis import facts
 from studies.thesis.campaign import Campaign
 from studies.thesis.runs import loop, title
@@ -316,14 +317,9 @@ def show(data: dict[str, Any]) -> list[Block]:
             "Nelder–Mead row of 7.5 mm, 3 Hz, 1.5 A, k4 is positive, but so much current "
             "dependence is in k3, a3 and I1 that the hysteresis velocity v_h/v_m is negative like "
             "in all others. The last column is the norm of the difference of both methods' loops.",
-            (
-                "Condition",
-                "Method",
-                "Criteria failed",
-                "Half span [N]",
-                "Offset [N]",
-                "v_h/v_m [1]",
-                "Methods differ by [%]",
+            heads(
+                "Condition | Method | Criteria failed | Half span [N] | Offset [N] | "
+                "v_h/v_m [1] | Methods differ by [%]"
             ),
             rows,
         ),
@@ -353,11 +349,7 @@ def _figure() -> Picture:
         for number, method in enumerate(PUBLISHED_METHODS):
             turn = loop(parameters(condition, method), condition)
             axes[0, place].plot(
-                turn.velocity,
-                turn.force,
-                ls=DASHES[number],
-                color=INK[number],
-                label=METHOD_TITLES[method],
+                turn.velocity, turn.force, label=METHOD_TITLES[method], **line(number)
             )
         axes[0, place].set(title=title(name), xlabel="Velocity [m/s]")
         axes[0, place].locator_params(axis="x", nbins=3)

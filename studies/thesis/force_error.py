@@ -15,8 +15,9 @@ from mr_damper_ros.estimation.window_fit import fit_window
 from mr_damper_ros.models import MODELS
 from mr_damper_ros.models.published import LITERATURE
 from mr_damper_ros.models.sigmoid.law import PARAMETER_NAMES
-from mr_damper_ros.report.document import DASHES, GREY, INK, Block, Picture, Table, Text, panels
+from mr_damper_ros.report.document import GREY, INK, Block, Picture, Table, Text, panels
 from mr_damper_ros.signals.arrays import Array
+from studies.drawing import line
 from studies.thesis import facts
 from studies.thesis.campaign import Campaign
 from studies.thesis.compared import Compared, comparison
@@ -230,7 +231,7 @@ def _force_figure(data: dict[str, Any]) -> Picture:
         x = scale * np.array(data[key])
         a.plot(x, data["force"], ".", ms=2, color=GREY, label="run")
         a.plot(x, data["fitted_force"], color=INK[0], label="identified")
-        a.plot(x, data["literature_force"], ls=DASHES[1], color=INK[1], label="literature")
+        a.plot(x, data["literature_force"], label="literature", **line(1))
         a.set(xlabel=label, ylabel="Force [N]")
         a.locator_params(axis="x", nbins=6)
     axes[0, 1].legend(loc="upper left")

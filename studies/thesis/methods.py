@@ -12,9 +12,7 @@ import numpy as np
 from mr_damper_ros.models.published import LITERATURE, PUBLISHED_METHODS, find, parameters
 from mr_damper_ros.models.sigmoid.law import PARAMETER_NAMES
 from mr_damper_ros.report.document import (
-    DASHES,
     INK,
-    MARKS,
     Block,
     Picture,
     Table,
@@ -23,6 +21,7 @@ from mr_damper_ros.report.document import (
     panels,
 )
 from mr_damper_ros.signals.arrays import Array
+from studies.drawing import heads, line
 from studies.thesis import facts
 from studies.thesis.campaign import Campaign
 from studies.thesis.de import evolve
@@ -147,14 +146,9 @@ def show(data: dict[str, Any]) -> list[Block]:
             "residuals",
             "Residual: RMSE over the standard deviation of the force, in % (thesis Fig. 55). The "
             "noise alone is the floor.",
-            (
-                "Current",
-                "Noise",
-                "Nelder–Mead, ours",
-                "DE, ours",
-                "Published DE set",
-                "Evaluations NM",
-                "Evaluations DE",
+            heads(
+                "Current | Noise | Nelder–Mead, ours | DE, ours | Published DE set | "
+                "Evaluations NM | Evaluations DE"
             ),
             rows,
         ),
@@ -164,15 +158,9 @@ def show(data: dict[str, Any]) -> list[Block]:
             "2.5 mm, 1 Hz, 0 A: literature (Santade 2017), published and our sets (tables 15, 16, "
             "Fig. 56), and how far both methods are apart (“absolute error” in the thesis). k5 of "
             "the literature is printed with either sign.",
-            (
-                "Parameter",
-                "Literature",
-                "NM, thesis",
-                "NM, ours",
-                "DE, thesis",
-                "DE, ours",
-                "Apart, thesis",
-                "Apart, ours",
+            heads(
+                "Parameter | Literature | NM, thesis | NM, ours | DE, thesis | DE, ours | "
+                "Apart, thesis | Apart, ours"
             ),
             literature,
         ),
@@ -241,15 +229,7 @@ def _evolution_figure(data: dict[str, Any]) -> Picture:
                 ),
             )
         ):
-            a.plot(
-                CURRENTS,
-                values,
-                ls=DASHES[number],
-                marker=MARKS[number],
-                ms=3,
-                color=INK[number],
-                label=label,
-            )
+            a.plot(CURRENTS, values, ms=3, label=label, **line(number, marked=True))
         a.set_title(name)
         a.locator_params(axis="y", nbins=4)
     for a in axes[-1]:
@@ -276,9 +256,8 @@ def _loops_figure(data: dict[str, Any]) -> Picture:
                 a.plot(
                     turn.velocity,
                     turn.force,
-                    ls=DASHES[number],
-                    color=INK[number],
                     label=METHOD_TITLES[method] if name == CONDITIONS[1] else None,
+                    **line(number),
                 )
         a.set(title=title, xlabel="Velocity [m/s]")
         a.locator_params(axis="x", nbins=5)

@@ -17,9 +17,7 @@ from mr_damper_ros.kinematics.window import Window
 from mr_damper_ros.models import MODELS
 from mr_damper_ros.models.sigmoid.following import EXTENDED_MODEL, EXTENDED_NAMES
 from mr_damper_ros.report.document import (
-    DASHES,
     GREY,
-    INK,
     Block,
     Picture,
     Table,
@@ -29,6 +27,7 @@ from mr_damper_ros.report.document import (
     shown,
     with_error,
 )
+from studies.drawing import heads, line
 from studies.thesis import model_table
 from studies.thesis.campaign import Campaign
 from studies.thesis.errata import sound_conditions
@@ -177,16 +176,9 @@ def show(data: dict[str, Any]) -> list[Block]:
             "one_set",
             "One set for all, beside the median where each run or record has a set of its own "
             "(section on models). Time: processor time on the machine that made this report.",
-            (
-                "Law",
-                "Data",
-                "Parameters",
-                "Conditions",
-                "NRMSE, median [%]",
-                "Largest [%]",
-                "A set for each, median [%]",
-                "Evaluations",
-                "Time [s]",
+            heads(
+                "Law | Data | Parameters | Conditions | NRMSE, median [%] | Largest [%] | "
+                "A set for each, median [%] | Evaluations | Time [s]"
             ),
             rows,
         ),
@@ -300,7 +292,7 @@ def _loops_figure(data: dict[str, Any]) -> Picture:
         for number, law in enumerate(LAWS):
             values = np.array(runs["laws"][law]["parameters"])
             force = MODELS[law].window_force(whole, values)[cycle]
-            a.plot(v, force, ls=DASHES[number], color=INK[number], label=MODELS[law].title)
+            a.plot(v, force, label=MODELS[law].title, **line(number))
         a.set(title=title(name), xlabel="Velocity [m/s]")
         a.locator_params(axis="x", nbins=5)
     axes[0, 0].set_ylabel("Force [N]")

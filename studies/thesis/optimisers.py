@@ -18,6 +18,7 @@ from scipy.stats import binomtest
 from mr_damper_ros.models.published import find, parameters
 from mr_damper_ros.report.document import DASHES, INK, MARKS, Block, Picture, Table, Text, panels
 from mr_damper_ros.signals.arrays import Array
+from studies.drawing import heads
 from studies.thesis import facts
 from studies.thesis.campaign import Campaign
 from studies.thesis.optimiser_methods import (
@@ -206,16 +207,9 @@ def show(data: dict[str, Any]) -> list[Block]:
             "evaluations of the runs that succeed; processor time; final RMSE (median, 10–90 % of "
             "runs); spread of the parameters (median standard deviation over the width of the "
             "bounds) and of the loops.",
-            (
-                "Method",
-                "Success [%]",
-                "First descent [%]",
-                "Evaluations to success",
-                "Time [s]",
-                "RMSE [N]",
-                "10–90 % [N]",
-                "Parameter spread [1]",
-                "Loop spread [N]",
+            heads(
+                "Method | Success [%] | First descent [%] | Evaluations to success | "
+                "Time [s] | RMSE [N] | 10–90 % [N] | Parameter spread [1] | Loop spread [N]"
             ),
             rows,
         ),

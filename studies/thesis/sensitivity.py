@@ -15,7 +15,6 @@ from mr_damper_ros.models.sigmoid.law import PARAMETER_NAMES, sine_force
 from mr_damper_ros.report.document import (
     DASHES,
     INK,
-    MARKS,
     Block,
     Picture,
     Table,
@@ -23,6 +22,7 @@ from mr_damper_ros.report.document import (
     legend_above,
     panels,
 )
+from studies.drawing import line, name_axes
 from studies.thesis import facts
 from studies.thesis.campaign import Campaign
 from studies.thesis.compared import Compared, comparison, percent
@@ -116,14 +116,7 @@ def _figure(passive: dict[str, list[float]]) -> Picture:
     for place, part in enumerate((names[:5], names[5:])):
         a = axes[0, place]
         for number, name in enumerate(part):
-            a.semilogy(
-                steps,
-                passive[name],
-                ls=DASHES[number],
-                marker=MARKS[number],
-                color=INK[number],
-                label=name,
-            )
+            a.semilogy(steps, passive[name], label=name, **line(number, marked=True))
             a.plot(steps[-1:], facts.SENSITIVITY[name], "x", color=INK[number], ms=6)
         a.set_xlabel("Change of the parameter [%]")
         a.legend(loc="lower right", ncols=2)
@@ -162,10 +155,7 @@ def _changes_figure(passive: dict[str, list[float]]) -> Picture:
             a.plot(1e3 * turn.velocity, moved, label=f"+{100 * change:.0f} %", **_line(number))
         a.set_title(name)
         a.locator_params(axis="y", nbins=4)
-    for a in axes[-1]:
-        a.set_xlabel("Velocity [mm/s]")
-    for a in axes[:, 0]:
-        a.set_ylabel("Change of force [N]")
+    name_axes(axes, "Velocity [mm/s]", "Change of force [N]")
     legend_above(figure, axes[0, 0], 2)
     return Picture(
         "sensitivity_changes",

@@ -19,7 +19,6 @@ from mr_damper_ros.models import MODELS
 from mr_damper_ros.models.parameter_set import ParameterSet
 from mr_damper_ros.processes.files import json_ready
 from mr_damper_ros.report.document import (
-    DASHES,
     GREY,
     INK,
     MARKS,
@@ -34,6 +33,7 @@ from mr_damper_ros.report.document import (
 )
 from mr_damper_ros.signals.arrays import Array
 from studies import earthquake, recordings
+from studies.drawing import line
 
 _RAW_COLUMNS = "time:0.005*s,-,force:980.665*N,displacement:10*mm"
 _RAW_CURRENTS = (0.0, 0.25, 0.5, 0.75, 1.0)
@@ -329,7 +329,7 @@ def earthquake_chapter(found: Recorded) -> Chapter:
         ((static, "sinusoid set"), (online, "identifier running"))
     ):
         if result is not None:
-            style = {"color": INK[place], "linestyle": DASHES[place]}
+            style = line(place)
             axes[0, 0].plot(time, result.predicted[chosen], label=name, **style)
             left = result.predicted - result.measured
             axes[1, 0].plot(time, left[chosen], **style)
