@@ -13,8 +13,7 @@ from typing import NamedTuple
 import numpy as np
 
 from mr_damper_ros.estimation.planned_run import MachineLimits, PlannedRun
-from mr_damper_ros.kinematics.periodic_motion import MotionKind, PeriodicMotion
-from mr_damper_ros.kinematics.repeated_match import RepeatedMatch
+from mr_damper_ros.kinematics.periodic_motion import MotionKind, PeriodicMotion, RepeatedMatch
 from mr_damper_ros.kinematics.window import Window
 from mr_damper_ros.processes.files import write_text
 from mr_damper_ros.settings.option_table import CheckedSettings, option

@@ -15,7 +15,7 @@ import numpy as np
 
 from mr_damper_ros.control.fallback import Fallback, FallbackSettings
 from mr_damper_ros.control.inverse_model import InverseModel, coil_time_constant
-from mr_damper_ros.kinematics.motion_sample import MotionSample
+from mr_damper_ros.kinematics.motion import MotionSample
 from mr_damper_ros.models.parameter_set import ParameterSet
 from mr_damper_ros.models.quantities import State
 from mr_damper_ros.settings.option_table import CheckedSettings, group, option

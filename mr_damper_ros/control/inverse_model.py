@@ -20,8 +20,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from mr_damper_ros.kinematics.motion import Motion
-from mr_damper_ros.kinematics.motion_sample import MotionSample
+from mr_damper_ros.kinematics.motion import Motion, MotionSample
 from mr_damper_ros.models.first_order_lag import COIL
 from mr_damper_ros.models.parameter_set import ParameterSet
 from mr_damper_ros.models.quantities import State

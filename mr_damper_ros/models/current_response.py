@@ -11,7 +11,7 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
-from mr_damper_ros.kinematics.motion_sample import MotionSample
+from mr_damper_ros.kinematics.motion import MotionSample
 from mr_damper_ros.models.quantities import State
 from mr_damper_ros.signals.arrays import Array
 

@@ -13,8 +13,7 @@ import numpy as np
 import yaml
 from numpy.typing import ArrayLike
 
-from mr_damper_ros.kinematics.motion import Motion
-from mr_damper_ros.kinematics.motion_sample import MotionSample
+from mr_damper_ros.kinematics.motion import Motion, MotionSample
 from mr_damper_ros.kinematics.window import Window
 from mr_damper_ros.models import MODELS, Model
 from mr_damper_ros.models.quantities import State

@@ -20,8 +20,7 @@ from mr_damper_ros.estimation.global_fit import GlobalFit, error_of_set, identif
 from mr_damper_ros.estimation.global_search import adapted
 from mr_damper_ros.estimation.window_fit import WindowFit, WindowPrior, fit_window
 from mr_damper_ros.kinematics.motion import DataError
-from mr_damper_ros.kinematics.motion_history import LONGEST_SETTLING
-from mr_damper_ros.kinematics.window import Window
+from mr_damper_ros.kinematics.window import LONGEST_SETTLING, Window
 from mr_damper_ros.models.force_model import Model
 from mr_damper_ros.models.misfit import WindowProblem
 from mr_damper_ros.models.parameter_set import EARLY_SOURCE, ParameterSet

@@ -10,8 +10,7 @@ from known import PLAUSIBLE, controllable
 
 from mr_damper_ros.control.force_controller import ForceControlSettings
 from mr_damper_ros.control.inverse_model import TOLERANCE, InverseModel
-from mr_damper_ros.kinematics.motion import Motion
-from mr_damper_ros.kinematics.motion_sample import MotionSample
+from mr_damper_ros.kinematics.motion import Motion, MotionSample
 from mr_damper_ros.models import MODELS
 from mr_damper_ros.models.parameter_set import ParameterSet
 from mr_damper_ros.models.published import CONDITIONS, PUBLISHED_METHODS, parameters

@@ -11,8 +11,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from mr_damper_ros.kinematics.periodic_motion import MotionKind, PeriodicMotion
-from mr_damper_ros.kinematics.repeated_match import RepeatedMatch
+from mr_damper_ros.kinematics.periodic_motion import MotionKind, PeriodicMotion, RepeatedMatch
 
 ROUNDING = 1e-9
 """Relative."""

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from known import controllable, fixed
 
 from mr_damper_ros.control.inverse_model import TOLERANCE, InverseModel
-from mr_damper_ros.kinematics.motion_sample import MotionSample
+from mr_damper_ros.kinematics.motion import MotionSample
 from mr_damper_ros.models import MODELS
 from mr_damper_ros.models.parameter_set import ParameterSet
 from mr_damper_ros.models.quantities import State

@@ -45,8 +45,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from mr_damper_ros.kinematics.motion import Motion
-from mr_damper_ros.kinematics.motion_sample import MotionSample
+from mr_damper_ros.kinematics.motion import Motion, MotionSample
 from mr_damper_ros.models.current_response import CurrentResponse
 from mr_damper_ros.models.first_order_lag import (
     COIL,

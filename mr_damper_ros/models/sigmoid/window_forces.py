@@ -9,8 +9,7 @@ from itertools import pairwise
 import numpy as np
 
 from mr_damper_ros.kinematics.motion import Motion
-from mr_damper_ros.kinematics.motion_history import MotionHistory
-from mr_damper_ros.kinematics.window import Window
+from mr_damper_ros.kinematics.window import MotionHistory, Window
 from mr_damper_ros.models.first_order_lag import FirstOrderLag, in_coil
 from mr_damper_ros.models.force_model import Model, WindowForces
 from mr_damper_ros.models.sigmoid.following import (
