@@ -27,7 +27,7 @@ def span_of(values: Array) -> tuple[float, float]:
 NOISE_SPAN = 8.0
 """Standard deviations that the white noise of a long signal spans."""
 
-_NORMAL_MEDIAN = 0.6745
+NORMAL_MEDIAN = 0.6745
 """Median size of a normal number over its standard deviation."""
 
 
@@ -40,7 +40,7 @@ def white_noise(values: Array) -> float:
     if values.size < 5:
         return 0.0
     # The sum of the squared binomial coefficients of the fourth difference is 70.
-    return float(np.median(np.abs(np.diff(values, 4))) / _NORMAL_MEDIAN / math.sqrt(70.0))
+    return float(np.median(np.abs(np.diff(values, 4))) / NORMAL_MEDIAN / math.sqrt(70.0))
 
 
 _LEAST_ROOM = 1024

@@ -18,6 +18,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.polynomial import Polynomial
+from numpy.polynomial.polynomial import polyvander
 
 from mr_damper_ros.estimation.covariance import NoiseModel, least_squares_covariance
 from mr_damper_ros.estimation.observability import SURE
@@ -25,7 +27,7 @@ from mr_damper_ros.estimation.window_fit import WindowFit, fit_of
 from mr_damper_ros.kinematics.window import Window
 from mr_damper_ros.models.force_model import Model
 from mr_damper_ros.models.misfit import WindowProblem
-from mr_damper_ros.signals.arrays import Array
+from mr_damper_ros.signals.arrays import NORMAL_MEDIAN, Array
 from mr_damper_ros.tracking.cusum import ScaleFit
 from mr_damper_ros.tracking.operating_point import (
     KnownPoints,
@@ -42,9 +44,6 @@ _ALIKE = 0.5
 
 _REMEMBERED = 40
 _FEWEST_PAIRS = 5
-
-_MEDIAN_SQUARE = 0.4549
-"""Median of a squared normal number."""
 
 
 @dataclass(frozen=True)
@@ -94,7 +93,7 @@ def widened(
     if len(squares) < _FEWEST_PAIRS:
         # Until it is known, it may be all that is not understood.
         return replace(scale, standard_error=max(scale.misfit, scale.standard_error)), seen
-    ratio = math.sqrt(float(np.median(squares)) / _MEDIAN_SQUARE)
+    ratio = math.sqrt(float(np.median(squares))) / NORMAL_MEDIAN
     return replace(scale, standard_error=max(ratio, 1.0) * scale.standard_error), seen
 
 
@@ -234,32 +233,42 @@ class FluidTemperature:
 class TemperatureMap:
     """Force scale over temperature at one operating point (peak velocity [m/s], current [A]).
 
-    Identified from ``low`` to ``high`` [°C] from ``windows`` windows. ``coefficients`` (k,) and
-    their ``covariance`` (k, k) are those of ln s over z, k being 2 or 3; ``scatter`` is the
-    standard deviation of ln s about the map.
+    ``curve`` is ln s over the temperature [°C]; its domain is that of the ``windows`` windows from
+    which it was identified. ``covariance`` (k, k) is that of its k coefficients over z, ``scatter``
+    the standard deviation of ln s about it.
     """
 
     operating_point: OperatingPoint
-    low: float
-    high: float
-    coefficients: Array
+    curve: Polynomial
     covariance: Array
     scatter: float
     windows: int
+
+    @property
+    def low(self) -> float:
+        """Lowest temperature [°C]."""
+        return float(self.curve.domain[0])
+
+    @property
+    def high(self) -> float:
+        """Highest temperature [°C]."""
+        return float(self.curve.domain[1])
+
+    @property
+    def coefficients(self) -> Array:
+        """Those (k,) of ln s over z, k being 2 or 3."""
+        return np.asarray(self.curve.coef)
 
     def scale(self, celsius: float) -> ForceScale:
         """Force scale at a temperature [°C] within the map; unknown outside."""
         if not self.low <= celsius <= self.high:
             return ForceScale()
-        basis = self._basis(celsius)
-        value = math.exp(float(basis @ self.coefficients))
-        return ForceScale(value, value * math.sqrt(float(basis @ self.covariance @ basis)))
+        value = math.exp(float(self.curve(celsius)))
+        return ForceScale(value, value * self._error(celsius))
 
     def slope(self, celsius: float) -> float:
         """Relative change of the force by a kelvin [1/K], also just outside of the map."""
-        z = self._place(celsius)
-        powers = np.arange(1, self.coefficients.size)
-        return float(np.sum(powers * self.coefficients[1:] * z ** (powers - 1))) / self._half
+        return float(self.curve.deriv()(celsius))
 
     def temperature(self, scale: ForceScale) -> FluidTemperature:
         """Temperature that a force scale tells of; unknown where none within the map has it.
@@ -269,28 +278,28 @@ class TemperatureMap:
         """
         if not scale.value > 0.0:
             return FluidTemperature()
-        wanted = math.log(scale.value) - float(self.coefficients[0])
-        places = np.array([wanted / self.coefficients[1]])
-        if self.coefficients.size == 3:
-            places = np.roots([self.coefficients[2], self.coefficients[1], -wanted])
-        inside = [float(z.real) for z in places if abs(z.imag) == 0.0 and -1.0 <= z.real <= 1.0]
+        roots = np.asarray((self.curve - math.log(scale.value)).roots(), dtype=complex)
+        inside = [
+            float(root.real)
+            for root in roots
+            if root.imag == 0.0 and self.low <= root.real <= self.high
+        ]
         if len(inside) != 1:
             return FluidTemperature()
-        celsius = 0.5 * (self.low + self.high) + inside[0] * self._half
-        basis = self._basis(celsius)
-        variance = float(basis @ self.covariance @ basis)
-        variance += max(scale.standard_error / scale.value, self.scatter) ** 2
-        return FluidTemperature(celsius, math.sqrt(variance) / abs(self.slope(celsius)))
+        told = max(scale.standard_error / scale.value, self.scatter)
+        error = math.hypot(self._error(inside[0]), told)
+        return FluidTemperature(inside[0], error / abs(self.slope(inside[0])))
 
-    @property
-    def _half(self) -> float:
-        return 0.5 * (self.high - self.low)
+    def _error(self, celsius: float) -> float:
+        """Standard error of ln s."""
+        basis = _basis(self.curve, celsius)
+        return math.sqrt(float(basis @ self.covariance @ basis))
 
-    def _place(self, celsius: float) -> float:
-        return (celsius - 0.5 * (self.low + self.high)) / self._half
 
-    def _basis(self, celsius: float) -> Array:
-        return np.asarray(self._place(celsius) ** np.arange(self.coefficients.size))
+def _basis(curve: Polynomial, celsius: float | Array) -> Array:
+    """Powers (..., k) of z, by which the coefficients of a curve are multiplied."""
+    offset, factor = curve.mapparms()
+    return polyvander(offset + factor * celsius, curve.degree()).squeeze()
 
 
 def fit_temperature_map(
@@ -306,48 +315,28 @@ def fit_temperature_map(
     celsius, scales, errors = celsius[good], scales[good], errors[good]
     if celsius.size < _FEWEST_WINDOWS or np.ptp(celsius) == 0.0:
         return None
-    low, high = float(celsius.min()), float(celsius.max())
-    z = (2.0 * celsius - (low + high)) / (high - low)
+    ends = [float(celsius.min()), float(celsius.max())]
     logarithm, weights = np.log(scales), (scales / errors) ** 2
-    fits = [_polynomial(z, logarithm, weights, count) for count in (2, 3)]
-    monotone = [fit for fit in fits if _is_monotone(fit[0])]
+
+    def criterion(curve: Polynomial) -> float:
+        """Schwarz' criterion, the smaller the better."""
+        power = max(float(np.sum(weights * (curve(celsius) - logarithm) ** 2)), 1e-300)
+        return celsius.size * math.log(power) + curve.coef.size * math.log(celsius.size)
+
+    curves = (Polynomial.fit(celsius, logarithm, k, ends, w=np.sqrt(weights)) for k in (1, 2))
+    monotone = [each for each in curves if np.prod(each.deriv()(np.array(ends))) > 0.0]
     if not monotone:
         return None
-    coefficients, residual = min(monotone, key=lambda fit: _schwarz(fit[1], weights, fit[0].size))
-    jacobian = z[:, np.newaxis] ** np.arange(coefficients.size)
-    scatter = math.sqrt(float(residual @ residual) / max(z.size - coefficients.size, 1))
-    found = TemperatureMap(
-        operating_point,
-        low,
-        high,
-        coefficients,
-        least_squares_covariance(jacobian, residual, weights),
-        scatter,
-        int(z.size),
-    )
-    for place in (low, 0.5 * (low + high), high):
+    curve = min(monotone, key=criterion)
+    residual = curve(celsius) - logarithm
+    scatter = math.sqrt(float(residual @ residual) / max(celsius.size - curve.coef.size, 1))
+    covariance = least_squares_covariance(_basis(curve, celsius), residual, weights)
+    found = TemperatureMap(operating_point, curve, covariance, scatter, int(celsius.size))
+    for place in (*ends, 0.5 * sum(ends)):
         known_to = math.hypot(scatter, found.scale(place).standard_error / found.scale(place).value)
-        if not known_to < SURE * (high - low) * abs(found.slope(place)):
+        if not known_to < SURE * (ends[1] - ends[0]) * abs(found.slope(place)):
             return None
     return found
-
-
-def _polynomial(z: Array, values: Array, weights: Array, count: int) -> tuple[Array, Array]:
-    """Weighted least-squares coefficients (count,) and the residual (n,)."""
-    basis, root = z[:, np.newaxis] ** np.arange(count), np.sqrt(weights)
-    coefficients = np.linalg.lstsq(basis * root[:, np.newaxis], values * root, rcond=None)[0]
-    return np.asarray(coefficients), np.asarray(basis @ coefficients - values)
-
-
-def _is_monotone(coefficients: Array) -> bool:
-    curvature = 2.0 * abs(float(coefficients[2])) if coefficients.size == 3 else 0.0
-    return bool(abs(float(coefficients[1])) > curvature)
-
-
-def _schwarz(residual: Array, weights: Array, count: int) -> float:
-    """Schwarz' criterion, the smaller the better."""
-    power = max(float(np.sum(weights * residual**2)), 1e-300)
-    return residual.size * math.log(power) + count * math.log(residual.size)
 
 
 def can_be_seen(seen: Array) -> bool:
