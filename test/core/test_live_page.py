@@ -7,13 +7,15 @@ import re
 import threading
 import time
 from collections.abc import Iterator, Mapping
-from contextlib import closing
+from contextlib import closing, contextmanager
 from pathlib import Path
+from typing import Any
 from urllib.parse import urlsplit
 
 import pytest
 import running_damper
 from browser import PATIENCE, Browser
+from waiting import until
 
 from mr_damper_ros.live.live_record import Concern, LiveRecord
 from mr_damper_ros.live.page_server import PageServer
@@ -62,6 +64,15 @@ def leave(browser: Browser) -> None:
     browser.until("location.href === 'about:blank'")
 
 
+@contextmanager
+def opened(browser: Browser, record: LiveRecord, *served: Any) -> Iterator[str]:
+    """The page of a record, opened in the browser and left again; its address."""
+    with closing(PageServer(record, "127.0.0.1", 0, *served)) as server:
+        browser.open(server.address)
+        yield server.address
+        leave(browser)
+
+
 @pytest.fixture
 def page(browser: Browser, record: LiveRecord) -> Iterator[Browser]:
     """The page, open and live; on it no error has been seen at the end."""
@@ -86,25 +97,29 @@ def ink(page: Browser, chart: str) -> str:
     return shown
 
 
+def pixels(chart: str, colour: str) -> str:
+    """Expression: how many pixels of a figure are drawn and have a colour."""
+    return f"""(() => {{
+      const canvas = document.querySelector('[data-chart="{chart}"] canvas');
+      if (!canvas) return 0;
+      const bits = canvas.getContext('2d').getImageData(0, 0, canvas.width, canvas.height).data;
+      let count = 0;
+      for (let k = 0; k < bits.length; k += 4) {{
+        const [red, green, blue] = bits.slice(k, k + 3);
+        count += bits[k + 3] > 0 && {colour};
+      }}
+      return count;
+    }})()"""
+
+
 def test_figures_tiles_windows_and_diagnostics_are_shown(page: Browser) -> None:
     names = page.evaluate("[...document.querySelectorAll('figure canvas')].length")
     # Twelve by name, seven coefficients, sixteen parameters.
     assert names == 12 + 7 + 16
     for chart in ("force-velocity", "force-displacement", "force-time"):
-        colours = page.evaluate(
-            f"""(() => {{
-              const canvas = document.querySelector('[data-chart="{chart}"] canvas');
-              const bits = canvas.getContext('2d')
-                .getImageData(0, 0, canvas.width, canvas.height).data;
-              let blue = 0, orange = 0;
-              for (let k = 0; k < bits.length; k += 4) {{
-                if (bits[k + 3] && bits[k + 2] > bits[k] + 100) blue += 1;
-                if (bits[k + 3] && bits[k] > bits[k + 2] + 100) orange += 1;
-              }}
-              return [blue, orange];
-            }})()"""
-        )
-        assert min(colours) > 50, f"{chart}: measured and predicted are drawn"
+        blue = page.evaluate(pixels(chart, "blue > red + 100"))
+        orange = page.evaluate(pixels(chart, "red > blue + 100"))
+        assert min(blue, orange) > 50, f"{chart}: measured and predicted are drawn"
     assert page.text("#tile-prediction").split() == ["✓", "valid"], "one error, in its own tile"
     assert page.text("#tile-scale").split() == ["0.952", "±", "0.003"]
     assert "5 mm, 1.5 Hz" in page.text("#tile-motion")
@@ -135,42 +150,6 @@ def test_figures_tiles_windows_and_diagnostics_are_shown(page: Browser) -> None:
     assert "✓ good: window 40% full" in shown
 
 
-def point_at(page: Browser, chart: str) -> None:
-    """Move the pointer to the middle of a figure."""
-    at = page.evaluate(
-        f"""(() => {{
-          const over = document.querySelector('{chart} .u-over');
-          over.scrollIntoView({{ block: 'center', behavior: 'instant' }});
-          const box = over.getBoundingClientRect();
-          return [box.x + box.width / 2, box.y + box.height / 2];
-        }})()"""
-    )
-    page.send("Input.dispatchMouseEvent", type="mouseMoved", x=at[0] - 3, y=at[1])
-    page.send("Input.dispatchMouseEvent", type="mouseMoved", x=at[0], y=at[1])
-
-
-@pytest.mark.parametrize(
-    ("chart", "shown"),
-    [("force-time", r"-?[\d.]+ / -?[\d.]+ N at .* s"), ("force-velocity", r"\S+ N at \S+ m/s")],
-)
-def test_a_figure_says_the_values_under_the_pointer(page: Browser, chart: str, shown: str) -> None:
-    figure = f"[data-chart={chart}]"
-    point_at(page, figure)
-    pattern = f"new RegExp({json.dumps(f'^{shown}$')})"
-    page.until(f"{pattern}.test(document.querySelector('{figure} output').value)")
-
-
-def test_an_outlier_does_not_flatten_a_figure(browser: Browser) -> None:
-    record = running_damper.running(3)
-    record.add_signals(running_damper.START + 3.0, 0.0, 0.0, 0.5, 1e6, 0.0, valid=True)
-    running_damper.show_signals(record, 3.01, 1.0)
-    with closing(PageServer(record, "127.0.0.1", 0)) as server:
-        browser.open(server.address)
-        output = "document.querySelector('[data-chart=force-time] output')"
-        browser.until(f"{output}?.value === '1 outside the view'")
-        leave(browser)
-
-
 def place_of(page: Browser, chart: str, across: float) -> tuple[float, float]:
     """Where a part of the width of a figure lies on the screen."""
     x, y = page.evaluate(
@@ -182,6 +161,28 @@ def place_of(page: Browser, chart: str, across: float) -> tuple[float, float]:
         }})()"""
     )
     return x, y
+
+
+@pytest.mark.parametrize(
+    ("chart", "shown"),
+    [("force-time", r"-?[\d.]+ / -?[\d.]+ N at .* s"), ("force-velocity", r"\S+ N at \S+ m/s")],
+)
+def test_a_figure_says_the_values_under_the_pointer(page: Browser, chart: str, shown: str) -> None:
+    figure = f"[data-chart={chart}]"
+    x, y = place_of(page, chart, 0.5)
+    for at in (x - 3, x):
+        page.send("Input.dispatchMouseEvent", type="mouseMoved", x=at, y=y)
+    pattern = f"new RegExp({json.dumps(f'^{shown}$')})"
+    page.until(f"{pattern}.test(document.querySelector('{figure} output').value)")
+
+
+def test_an_outlier_does_not_flatten_a_figure(browser: Browser) -> None:
+    record = running_damper.running(3)
+    record.add_signals(running_damper.START + 3.0, 0.0, 0.0, 0.5, 1e6, 0.0, valid=True)
+    running_damper.show_signals(record, 3.01, 1.0)
+    with opened(browser, record):
+        output = "document.querySelector('[data-chart=force-time] output')"
+        browser.until(f"{output}?.value === '1 outside the view'")
 
 
 def drag(page: Browser, chart: str, begin: float, end: float, down: float = 0.0) -> None:
@@ -212,14 +213,12 @@ RUN = running_damper.running(120)
 @pytest.fixture
 def whole(browser: Browser) -> Iterator[Browser]:
     """The page of a run that stands still."""
-    with closing(PageServer(RUN, "127.0.0.1", 0)) as server:
-        browser.errors.clear()
-        browser.open(server.address)
+    browser.errors.clear()
+    with opened(browser, RUN):
         browser.until("document.querySelectorAll('[data-chart=run] canvas').length")
         browser.until("document.querySelectorAll('[data-chart=force-time] canvas').length")
         yield browser
         assert browser.errors == []
-        leave(browser)
 
 
 def first_and_last_time(page: Browser) -> tuple[float, float]:
@@ -296,8 +295,7 @@ def test_events_are_marked_and_lead_to_their_place(browser: Browser) -> None:
         record.add_signals(at, 0.0, 0.0, current, 0.0, 0.0, valid=True)
     record.add_concern(Concern("supply: supply", 2, "its watchdog has tripped", {}))
     running_damper.show_set(record, 5)
-    with closing(PageServer(record, "127.0.0.1", 0)) as server:
-        browser.open(server.address)
+    with opened(browser, record):
         browser.until("document.querySelectorAll('#mark-rows tr').length >= 4")
         told = browser.text("#mark-rows")
         assert "current: 0.5 to 1.2 A" in told
@@ -309,57 +307,33 @@ def test_events_are_marked_and_lead_to_their_place(browser: Browser) -> None:
         assert browser.evaluate(f"{step}.cells[0].innerText") == "4.5 s"
         browser.evaluate(f"{step}.querySelector('button').click()")
         browser.until(f"!{NEWEST}.hidden")
-        leave(browser)
-
-
-def show_commanded(record: LiveRecord) -> None:
-    record.set_point("current_command", 0.7)
-    record.set_point("desired_force", 333.0)
-    running_damper.show_signals(record, 3.0, 3.0)
 
 
 def test_what_is_commanded_is_drawn_beside_what_there_is(browser: Browser) -> None:
     record = running_damper.running(3)
-    show_commanded(record)
-    with closing(PageServer(record, "127.0.0.1", 0)) as server:
-        browser.open(server.address)
+    record.set_point("current_command", 0.7)
+    record.set_point("desired_force", 333.0)
+    running_damper.show_signals(record, 3.0, 3.0)
+    with opened(browser, record):
         browser.until("document.querySelector('#tile-current')?.innerText.includes('commanded')")
         for chart in ("force-time", "current-time"):
-            browser.until(f"{purple(chart)} > 20")
-        leave(browser)
-
-
-def purple(chart: str) -> str:
-    """Expression: how many pixels of a figure have the colour of what is commanded."""
-    return f"""(() => {{
-      const canvas = document.querySelector('[data-chart="{chart}"] canvas');
-      if (!canvas) return 0;
-      const bits = canvas.getContext('2d').getImageData(0, 0, canvas.width, canvas.height).data;
-      let count = 0;
-      for (let k = 0; k < bits.length; k += 4) {{
-        const [red, green, blue] = bits.slice(k, k + 3);
-        count += bits[k + 3] > 0 && blue > red + 20 && red > green + 15;
-      }}
-      return count;
-    }})()"""
+            browser.until(f"{pixels(chart, 'blue > red + 20 && red > green + 15')} > 20")
 
 
 def test_loops_have_the_full_rate_and_a_reference_behind_them(browser: Browser) -> None:
     record = running_damper.running(6)
     running_damper.show_samples(record, 6.0)
     loop = "document.querySelector('[data-chart=force-velocity]')"
-    with closing(PageServer(record, "127.0.0.1", 0)) as server:
-        browser.open(server.address)
+    with opened(browser, record) as address:
         browser.until(f"Number({loop}?.dataset.rate) > 900")
         browser.evaluate("document.querySelector('#reference').click()")
         browser.until("document.querySelector('#reference-key').innerText.includes('0.5 A')")
         kept = browser.evaluate("JSON.parse(localStorage.getItem('reference')).velocity[0].length")
         assert kept > 1000
-        browser.open(server.address)
+        browser.open(address)
         browser.until("document.querySelector('#reference')?.innerText === 'Drop the reference'")
         browser.evaluate("document.querySelector('#reference').click()")
         assert browser.evaluate("localStorage.getItem('reference')") is None
-        leave(browser)
 
 
 def test_a_run_is_recorded_with_name_operator_and_note(browser: Browser) -> None:
@@ -373,8 +347,7 @@ def test_a_run_is_recorded_with_name_operator_and_note(browser: Browser) -> None
         return True
 
     commands = ("record", "stop_recording")
-    with closing(PageServer(record, "127.0.0.1", 0, "", commands, take)) as server:
-        browser.open(server.address)
+    with opened(browser, record, "", commands, take):
         browser.until("document.querySelector('#record')?.hidden === false")
         browser.press("r")
         browser.until("document.querySelector('#recording').open")
@@ -386,7 +359,6 @@ def test_a_run_is_recorded_with_name_operator_and_note(browser: Browser) -> None
         browser.until("document.querySelector('#mark-rows').innerText.includes('recording begins')")
         browser.evaluate("document.querySelector('#record').click()")
         browser.until("document.querySelector('#record').innerText === '● Record'")
-        leave(browser)
     said = {"name": "warm", "operator": "Ada", "note": "two & three"}
     assert taken == [("record", said), ("stop_recording", {})]
 
@@ -395,9 +367,8 @@ def test_a_recording_is_opened_on_the_page(browser: Browser) -> None:
     bag = Path(__file__).parents[2] / "bags" / "5.0mm_1Hz_1.5A"
     record = empty_record(bag)
     replay_into(record, bag)
-    with closing(PageServer(record, "127.0.0.1", 0)) as server:
-        browser.errors.clear()
-        browser.open(server.address)
+    browser.errors.clear()
+    with opened(browser, record):
         browser.until("document.querySelector('#state')?.innerText.includes('recorded')")
         assert browser.text("#state").startswith("■ recorded: ")
         browser.until("document.querySelectorAll('#window-rows tr').length > 2")
@@ -406,7 +377,6 @@ def test_a_recording_is_opened_on_the_page(browser: Browser) -> None:
         assert end == pytest.approx(record_length(record), rel=0.02)
         assert grey(browser) == set()
         assert browser.errors == []
-        leave(browser)
 
 
 def test_a_recording_that_is_missing_is_one_sentence(
@@ -482,37 +452,32 @@ def test_a_telephone_shows_it_without_scrolling_sideways(page: Browser) -> None:
     page.resize(1280, 900)
 
 
-def by_suffix(folder: Path) -> dict[str, Path]:
-    """The files of a folder that hold something, each under its suffix."""
-    files = [path for path in folder.glob("damper-force-*") if path.stat().st_size]
-    return {path.suffix: path for path in files}
+def saved(folder: Path, pattern: str) -> Path:
+    """The saved file, once it is there and holds something."""
+    found: Path = until(
+        lambda: next((path for path in folder.glob(pattern) if path.stat().st_size), None), pattern
+    )
+    return found
 
 
 def test_figures_and_tables_are_saved(page: Browser, tmp_path: Path) -> None:
     page.send("Browser.setDownloadBehavior", behavior="allow", downloadPath=str(tmp_path))
     page.press("p")
     page.press("c")
-    saved = (".png", ".csv")  # while it is still coming, a download has another suffix
-    deadline = time.monotonic() + PATIENCE
-    while not all(suffix in (found := by_suffix(tmp_path)) for suffix in saved):
-        assert time.monotonic() < deadline
-        time.sleep(0.05)
-    assert found[".png"].read_bytes().startswith(b"\x89PNG")
-    lines = found[".csv"].read_text(encoding="utf-8-sig").splitlines()
+    picture = saved(tmp_path, "damper-force-*.png")
+    table = saved(tmp_path, "damper-force-*.csv")
+    assert picture.read_bytes().startswith(b"\x89PNG")
+    lines = table.read_text(encoding="utf-8-sig").splitlines()
     assert lines[0].startswith(
         "index,time [s],displacement [m],velocity [m/s],current [A],measured_force [N]"
     )
     assert lines[-1].endswith(",yes"), "whether the force is valid, in words"
     assert len(lines) > 100 * SECONDS
-    for path in found.values():
-        path.unlink()
     page.press("2")
     page.until("document.querySelector('nav [aria-current]').hash === '#drift'")
     page.press("c")
-    while not (windows := list(tmp_path.glob("damper-drift-*.csv"))):
-        assert time.monotonic() < deadline
-        time.sleep(0.05)
-    rows = windows[0].read_text(encoding="utf-8-sig").splitlines()
+    windows = saved(tmp_path, "damper-drift-*.csv")
+    rows = windows.read_text(encoding="utf-8-sig").splitlines()
     assert rows[-1].endswith(",disturbed,no")
 
 
@@ -547,8 +512,7 @@ def test_what_is_not_heard_any_more_is_grey_and_says_since_when(browser: Browser
     running_damper.show_signals(record, 0.0, 3.0)
     running_damper.show_window(record, 2)
     running_damper.show_health(record)
-    with closing(PageServer(record, "127.0.0.1", 0)) as server:
-        browser.open(server.address)
+    with opened(browser, record):
         browser.until("document.querySelector('#state')?.innerText === '● live'")
         browser.until(f"document.querySelector('#tile-prediction .sign').innerText && !{GONE}")
         clock = 112.0
@@ -569,7 +533,6 @@ def test_what_is_not_heard_any_more_is_grey_and_says_since_when(browser: Browser
         running_damper.show_health(record)
         browser.until("document.querySelector('#state').innerText === '▲ no signals for 12 s'")
         assert grey(browser) == {"Force", "Error over the span", "Current"}
-        leave(browser)
 
 
 def bar(browser: Browser) -> list[str]:
@@ -582,8 +545,7 @@ def bar(browser: Browser) -> list[str]:
 
 def test_the_alarm_bar_is_in_view_and_keeps_faults_until_they_are_seen(browser: Browser) -> None:
     record = running_damper.running(3, lambda: 100.0)
-    with closing(PageServer(record, "127.0.0.1", 0)) as server:
-        browser.open(server.address)
+    with opened(browser, record):
         browser.until("document.querySelector('#alarms')?.innerText.includes('cannot be kept')")
         assert bar(browser)[:3] == ["✓ on, 0.503 A", "✓ 5 mm, 1.5 Hz", "✓ closed"]
         browser.press("7")
@@ -600,4 +562,3 @@ def test_the_alarm_bar_is_in_view_and_keeps_faults_until_they_are_seen(browser: 
         assert bar(browser)[3] == "✕ 1 acknowledged, not over yet"
         record.add_concern(Concern("safety: interlock", 0, "closed", {}))
         browser.until("document.querySelector('#faults dd').innerText === '✓ none'")
-        leave(browser)
