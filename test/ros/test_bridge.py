@@ -130,12 +130,14 @@ def test_a_motion_stamped_ahead_is_refused_and_two_commanders_are_told_beside(
             one.node.create_publisher(ExcitationCommand, "rig/excitation_command", 10)
             for one in (listener, other)
         )
-        listener.until(commands.get_subscription_count, "the subscription")
-        ahead_ns = listener.node.get_clock().now().nanoseconds + 450_000_000
-        commands.publish(
-            ExcitationCommand(header=header(ahead_ns, "damper"), amplitude=0.005, frequency=1.0)
-        )
+
+        def command() -> None:
+            ahead = header(listener.node.get_clock().now().nanoseconds + 450_000_000, "damper")
+            commands.publish(ExcitationCommand(header=ahead, amplitude=0.005, frequency=1.0))
+
+        timer = listener.node.create_timer(0.05, command)
         found = listener.wait_for_finding("bridge: motion", "s ahead, where 0.05 s are tolerated")
+        listener.node.destroy_timer(timer)
     assert found.level == DiagnosticStatus.ERROR
     assert "the motion is commanded by" in found.message
 
