@@ -15,6 +15,7 @@ import json
 import sys
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
+from dataclasses import replace
 from functools import partial
 from multiprocessing import get_context
 from pathlib import Path
@@ -23,20 +24,17 @@ from typing import Any
 import numpy as np
 
 from benchmarks import foreign_dampers, switched_current
+from benchmarks.figure import PROCESSES
 from benchmarks.real_records import raw_records
 from benchmarks.stream_trial import TrialResult
 from mr_damper_ros.api.replay import Replay, replay
 from mr_damper_ros.models.parameter_set import ParameterSet
 from mr_damper_ros.processes.files import write_text
-from mr_damper_ros.signals.arrays import Array
 from mr_damper_ros.signals.recording import Recording
 from mr_damper_ros.tracking.engine import EngineSettings
-from mr_damper_ros.tracking.reports import Report
 from studies import earthquake, recordings
 
 KEPT = Path(__file__).with_suffix(".json")
-
-PROCESSES = 2
 
 _EVERY = 0.5
 """Seconds between two forces that are kept, each the mean of |F| in between."""
@@ -72,19 +70,13 @@ def _record(read: Callable[[Path], Sequence[Recording]], number: int, law: str) 
     assert place is not None
     record = read(place)[number]
     part = slice(0, round(_LONGEST / record.period))
-    return _of_replay(
-        replay(
-            Recording(
-                record.name,
-                record.start_ns,
-                record.period,
-                record.displacement[part],
-                record.force[part],
-                record.current[part],
-            ),
-            settings=EngineSettings().for_law(law),
-        )
+    begin = replace(
+        record,
+        displacement=record.displacement[part],
+        force=record.force[part],
+        current=record.current[part],
     )
+    return _of_replay(replay(begin, settings=EngineSettings().for_law(law)))
 
 
 def streams() -> dict[str, Callable[[], Said]]:
@@ -107,34 +99,23 @@ def streams() -> dict[str, Callable[[], Said]]:
 
 
 def _of_trial(result: TrialResult) -> Said:
-    return _said(
-        result.reports,
-        [each.parameters for each in result.sets],
-        result.time,
-        result.predicted,
-        result.valid,
-    )
+    return _said(result, [each.parameters for each in result.sets])
 
 
 def _of_replay(result: Replay) -> Said:
-    return _said(result.reports, result.sets, result.time, result.predicted, result.valid)
+    return _said(result, result.sets)
 
 
-def _said(
-    reports: Sequence[Report],
-    sets: Sequence[ParameterSet],
-    time: Array,
-    predicted: Array,
-    valid: np.ndarray,
-) -> Said:
+def _said(result: TrialResult | Replay, sets: Sequence[ParameterSet]) -> Said:
+    time = result.time
     parts = np.searchsorted(time, np.arange(time[0], time[-1], _EVERY))
     counts = np.diff([*parts, time.size])
-    force = np.add.reduceat(np.nan_to_num(np.abs(predicted)), parts) / counts
-    share = np.add.reduceat(valid.astype(float), parts) / counts
+    force = np.add.reduceat(np.nan_to_num(np.abs(result.predicted)), parts) / counts
+    share = np.add.reduceat(result.valid.astype(float), parts) / counts
     return {
         "reports": [
             [each.verdict.name, each.set_id, *map(_rounded, (each.nrmse_before, each.nrmse_after))]
-            for each in reports
+            for each in result.reports
         ],
         "sets": {each.set_id: [_rounded(value) for value in each.values] for each in sets},
         "force": [_rounded(value) for value in force],

@@ -1,13 +1,11 @@
-"""What `check_rig` says of an emulated rig with one fault after the other, and of a sound one."""
+"""An emulated rig with one fault after the other: what `check_rig` must call each of them."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from functools import cache
 
 import numpy as np
 
-from benchmarks.figure import Measured
 from mr_damper_ros.emulation.emulator import ConstantDamper, EmulatedRig, RigSettings
 from mr_damper_ros.emulation.faults import Instruments, faults_of
 from mr_damper_ros.emulation.motions import (
@@ -18,7 +16,6 @@ from mr_damper_ros.emulation.motions import (
     stepped,
 )
 from mr_damper_ros.models.published import THESIS_28_CELSIUS
-from mr_damper_ros.rig_check.checks import check_rig
 from mr_damper_ros.rig_check.record import HeardBlock, RigRecord, Trouble
 
 SECONDS = 30.0
@@ -102,31 +99,3 @@ FAULTS = {
     "tempo:0": Trouble.AT_REST,
 }
 """What each fault is to be called."""
-
-
-def figures(
-    count: int = len(FAULTS),
-    seeds: Sequence[int] = (0, 1, 2),
-    motions: Sequence[str] = tuple(MOTIONS),
-) -> Measured:
-    """The first faults, and sound rigs in some motions with and without current."""
-    faults = dict(list(FAULTS.items())[:count])
-    named, invented, wrong = 0, 0, []
-    for seed in seeds:
-        for fault, trouble in faults.items():
-            called = {finding.trouble for finding in check_rig(record(fault, seed=seed)).findings}
-            named += trouble in called
-            invented += len(called - {trouble})
-            if called != {trouble}:
-                wrong.append(f"{fault} (seed {seed})")
-        for motion in motions:
-            for current in (0.0, 1.0):
-                found = check_rig(record(motion=motion, current=current, seed=seed)).findings
-                invented += len(found)
-                if found:
-                    wrong.append(f"{motion} at {current:g} A (seed {seed})")
-    note = f"Other than so: {', '.join(wrong)}." if wrong else ""
-    return {
-        "check_rig_named": (named / (len(faults) * len(seeds)), note),
-        "check_rig_invented": float(invented),
-    }

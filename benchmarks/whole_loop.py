@@ -16,7 +16,6 @@ import argparse
 import sys
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from functools import partial
 
 import numpy as np
 
@@ -105,13 +104,8 @@ class Driven:
         )
 
 
-def driven(
-    road: str, seed: int, duration: float = DRIVEN, *, given: bool = True, hot_start: float = 28.0
-) -> Driven:
-    """Drive on a road; ``given``: the identifier has the parameter file, too, not only the others.
-
-    ``hot_start`` [°C]: the damper's temperature at the start; the file is that of 28 °C.
-    """
+def driven(road: str, seed: int, duration: float = DRIVEN, *, given: bool = True) -> Driven:
+    """Drive on a road; ``given``: the identifier has the parameter file, too."""
     known = invented_damper(LAG)
     knob = SupplyKnob(0.0)
     car = QuarterCar()
@@ -121,7 +115,7 @@ def driven(
         IsoRoad(road, SPEED, seed),
         knob.schedule,
         settings=RigSettings(displacement_noise=1e-6, seed=seed),
-        thermal=ThermalModel(initial=hot_start, capacity=430.0),
+        thermal=ThermalModel(initial=28.0, capacity=430.0),
         coil_time_constant=LAG,
         substeps=2,
     )
@@ -298,57 +292,55 @@ DEMAND = 9000.0
 
 COLD = replace(invented_damper(LAG), set_id="cold", peak_velocity_range=(0.0, 0.5))
 
-
-@dataclass(frozen=True)
-class Case:
-    """A damper, its motion, and what is known of it; ``right``: it is the set that is known."""
-
-    damper: Callable[[], Damper]
-    motion: Callable[[], Excitation]
-    known: ParameterSet
-    learns: bool = False
-    right: bool = False
-    celsius: float = 28.0
-
-
-def _random() -> Excitation:
-    return random_motion(0.004, 0.5, 3.0, FOLLOWED, seed=0)
-
-
-def _sine() -> Excitation:
-    return SineMotion(0.005, 1.0)
-
-
-def _weak(part: float) -> ParameterSet:
-    values = COLD.values.copy()
-    values[COLD.law.strength_indices] *= part
-    return replace(COLD, values=values)
-
-
-def _heated() -> Damper:
-    return ModelDamper(COLD, PERIOD, HOT_FORCE)
-
-
 BOUC_WEN = replace(
     OTHER_DAMPERS["bouc_wen"], peak_velocity_range=(0.0, 0.5), current_range=(0.0, HIGHEST_CURRENT)
 )
 
+
+@dataclass(frozen=True)
+class Case:
+    """What is known, and a damper with a ``part`` of its force, at some temperature [°C].
+
+    It moves at random or in a ``sine``; ``learns``: it is identified meanwhile.
+    """
+
+    known: ParameterSet = COLD
+    part: float = 1.0
+    celsius: float = 28.0
+    sine: bool = False
+    learns: bool = False
+
+    @property
+    def right(self) -> bool:
+        """Whether the damper is the known one."""
+        return self.part == 1.0 and self.celsius == 28.0
+
+    def damper(self) -> Damper:
+        """The damper, which has less force when it is hot."""
+        values = self.known.values.copy()
+        values[self.known.law.strength_indices] *= self.part
+        hot_force = HOT_FORCE if self.celsius > 28.0 else 1.0
+        return ModelDamper(replace(self.known, values=values), PERIOD, hot_force)
+
+    def motion(self) -> Excitation:
+        """The motion."""
+        if self.sine:
+            return SineMotion(0.005, 1.0)
+        return random_motion(0.004, 0.5, 3.0, FOLLOWED, seed=0)
+
+
 CASES: dict[str, Case] = {
-    "right, random": Case(lambda: ModelDamper(COLD, PERIOD), _random, COLD, right=True),
-    "right, random, learns": Case(
-        lambda: ModelDamper(COLD, PERIOD), _random, COLD, learns=True, right=True
-    ),
-    "sine": Case(lambda: ModelDamper(COLD, PERIOD), _sine, COLD, right=True),
-    "sine, learns": Case(lambda: ModelDamper(COLD, PERIOD), _sine, COLD, learns=True, right=True),
-    "71 °C, learns": Case(_heated, _random, COLD, learns=True, celsius=71.0),
-    "85 %": Case(lambda: ModelDamper(_weak(0.85), PERIOD), _random, COLD),
-    "80 %": Case(lambda: ModelDamper(_weak(0.80), PERIOD), _random, COLD),
-    "80 %, sine": Case(lambda: ModelDamper(_weak(0.80), PERIOD), _sine, COLD),
-    "bouc_wen, learns": Case(
-        lambda: ModelDamper(BOUC_WEN, PERIOD), _random, BOUC_WEN, learns=True, right=True
-    ),
-    "71 °C": Case(_heated, _random, COLD, celsius=71.0),
-    "80 %, learns": Case(lambda: ModelDamper(_weak(0.80), PERIOD), _random, COLD, learns=True),
+    "right, random": Case(),
+    "right, random, learns": Case(learns=True),
+    "sine": Case(sine=True),
+    "sine, learns": Case(sine=True, learns=True),
+    "71 °C, learns": Case(celsius=71.0, learns=True),
+    "85 %": Case(part=0.85),
+    "80 %": Case(part=0.80),
+    "80 %, sine": Case(part=0.80, sine=True),
+    "bouc_wen, learns": Case(BOUC_WEN, learns=True),
+    "71 °C": Case(celsius=71.0),
+    "80 %, learns": Case(part=0.80, learns=True),
 }
 
 
@@ -483,7 +475,7 @@ def _pair(name: str) -> tuple[Followed, Followed]:
 def main() -> int:
     """Measure what is asked for."""
     parser = argparse.ArgumentParser(prog="whole_loop", description=__doc__)
-    parser.add_argument("what", nargs="?", choices=("car", "plain", "hot", "switched", "reversals"))
+    parser.add_argument("what", nargs="?", choices=("car", "switched", "reversals"))
     parser.add_argument("which", nargs="*")
     given = parser.parse_args()
     if given.what is None:
@@ -495,15 +487,9 @@ def main() -> int:
         for name in given.which or CASES:
             print(_told(name, _pair(name)), flush=True)
     else:
-        drives: dict[str, Callable[[str, int], Driven]] = {
-            "car": driven,
-            "plain": partial(driven, given=False),
-            "hot": partial(driven, hot_start=60.0),
-        }
-        drive = drives[given.what]
         road, *seeds = given.which or ("C",)
         for seed in seeds or SEEDS:
-            print(drive(road, int(seed)).told, flush=True)
+            print(driven(road, int(seed)).told, flush=True)
     return 0
 
 

@@ -34,14 +34,14 @@ def processed_records(utfsm: Path) -> list[Recording]:
 
     Amplitude, frequency and current are in the name. Raises ValueError for one that tells none.
     """
-    return [_processed(path)[1] for path in sorted((utfsm / "processed").glob("*.txt"))]
+    return [processed(path)[1] for path in sorted((utfsm / "processed").glob("*.txt"))]
 
 
 def processed_motions(utfsm: Path) -> dict[str, list[Window]]:
     """The same as windows, by amplitude and frequency."""
     motions: dict[str, list[Window]] = {}
     for path in sorted((utfsm / "processed").glob("*.txt")):
-        motion, record = _processed(path)
+        motion, record = processed(path)
         motions.setdefault(motion, []).append(window_of(record))
     return motions
 
@@ -51,7 +51,8 @@ def processed_windows(utfsm: Path) -> list[Window]:
     return [window for windows in processed_motions(utfsm).values() for window in windows]
 
 
-def _processed(path: Path) -> tuple[str, Recording]:
+def processed(path: Path) -> tuple[str, Recording]:
+    """Amplitude and frequency of a sinusoid record, as in its name, and the record."""
     told = _NAME.match(path.stem)
     if told is None:
         raise ValueError(f"{path.name}: the name does not end with a current, such as 0x25A")

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 import time
 from pathlib import Path
 from typing import Any
@@ -10,10 +9,11 @@ from typing import Any
 import numpy as np
 
 from mr_damper_ros.estimation.window_fit import fit_window
-from mr_damper_ros.io.records import read_record
 from mr_damper_ros.kinematics.window import Window
 from mr_damper_ros.models import MODELS
 from mr_damper_ros.report.document import GREY, INK, MARKS, Block, Picture, Table, Text, panels
+from studies.drawing import name_axes
+from studies.recordings import processed, window_of
 from studies.thesis import facts
 from studies.thesis.campaign import Campaign, Settings
 from studies.thesis.errata import sound_conditions
@@ -73,16 +73,10 @@ def resynthesised(name: str, noise_seed: int) -> dict[str, Any]:
     return {"models": results, "shown": shown}
 
 
-def recorded(path: str, current: float) -> dict[str, Any]:
+def recorded(path: str) -> dict[str, Any]:
     """Task: all models on a real record."""
-    whole = read(path, current)
+    whole = window_of(processed(Path(path))[1])
     return {"models": _judged(whole.thinned(SAMPLES), whole)}
-
-
-def read(path: str, current: float) -> Window:
-    """A real record, measured at a current [A]."""
-    record = read_record(path, "time:s,displacement:mm,velocity:mm/s,force:N", current=current)
-    return Window.from_samples(record.displacement, record.force, record.current, record.period)
 
 
 def records(settings: Settings) -> list[Path]:
@@ -91,14 +85,6 @@ def records(settings: Settings) -> list[Path]:
         return []
     paths = sorted(settings.recordings.glob("*.txt"))
     return paths[::7] if settings.quick else paths
-
-
-def current_of(path: Path) -> float:
-    """Current [A] in a record's name: ``25mm0x1Hz0x25A`` has 0.25 A. Raises ValueError."""
-    found = re.fullmatch(r".*Hz([\dx]+)A", path.stem)
-    if found is None:
-        raise ValueError(f"{path.name} does not tell its current: expected a name like 2mm5Hz0x5A")
-    return float(found[1].replace("x", "."))
 
 
 def compute(campaign: Campaign) -> dict[str, Any]:
@@ -112,7 +98,7 @@ def compute(campaign: Campaign) -> dict[str, Any]:
     data: dict[str, Any] = {"runs": runs, "records": None}
     paths = records(settings)
     if paths:
-        tasks = [{"path": str(path), "current": current_of(path)} for path in paths]
+        tasks = [{"path": str(path)} for path in paths]
         results = campaign.each("models_recorded", recorded, tasks)
         data["records"] = dict(zip([path.stem for path in paths], results, strict=True))
     return data
@@ -267,10 +253,7 @@ def _loops_figure(shown: dict[str, Any]) -> Picture:
         a.plot(v, shown["force"], ".", ms=2, color=GREY)
         a.plot([*v, v[0]], [*force, force[0]], color=INK[0])
         a.set_title(MODELS[name].title, fontsize=7.5)
-    for a in axes[1]:
-        a.set_xlabel("Velocity [m/s]")
-    for a in axes[:, 0]:
-        a.set_ylabel("Force [N]")
+    name_axes(axes, "Velocity [m/s]", "Force [N]")
     return Picture(
         "model_loops",
         f"Loops of the models (lines) on {title(_SHOWN)}, re-synthesised (dots).",

@@ -7,6 +7,7 @@ on real recordings.
 from __future__ import annotations
 
 import time
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -28,6 +29,7 @@ from mr_damper_ros.report.document import (
     with_error,
 )
 from studies.drawing import heads, line
+from studies.recordings import processed, window_of
 from studies.thesis import model_table
 from studies.thesis.campaign import Campaign
 from studies.thesis.errata import sound_conditions
@@ -50,9 +52,9 @@ def resynthesised(
     return _identify(windows, law, generations)
 
 
-def recorded(records: list[list[Any]], law: str, generations: int) -> dict[str, Any]:
-    """Task: one set of a law for all real records, each given by its path and current [A]."""
-    return _identify([model_table.read(*record) for record in records], law, generations)
+def recorded(paths: list[str], law: str, generations: int) -> dict[str, Any]:
+    """Task: one set of a law for all real records."""
+    return _identify([window_of(processed(Path(path))[1]) for path in paths], law, generations)
 
 
 def _identify(windows: list[Window], law: str, generations: int) -> dict[str, Any]:
@@ -85,8 +87,8 @@ def compute(campaign: Campaign) -> dict[str, Any]:
     data: dict[str, Any] = {"runs": identified(campaign), "records": None}
     paths = model_table.records(campaign.settings)
     if paths:
-        given = [[str(path), model_table.current_of(path)] for path in paths]
-        tasks = [{"records": given, "law": law, "generations": GENERATIONS} for law in LAWS]
+        given = [str(path) for path in paths]
+        tasks = [{"paths": given, "law": law, "generations": GENERATIONS} for law in LAWS]
         fits = campaign.each("one_set_recorded", recorded, tasks)
         data["records"] = {
             "names": [path.stem for path in paths],
