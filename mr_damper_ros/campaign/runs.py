@@ -18,10 +18,9 @@ from mr_damper_ros.kinematics.window import Window
 from mr_damper_ros.processes.files import write_text
 from mr_damper_ros.settings.option_table import CheckedSettings, option
 from mr_damper_ros.signals.arrays import Array
-from mr_damper_ros.signals.blocks import NANOSECONDS, SampleBlock
+from mr_damper_ros.signals.blocks import NANOSECONDS, SampleBlock, ZeroOrderHold
 from mr_damper_ros.signals.recording import Recording
 from mr_damper_ros.signals.uniform_grid import Placed
-from mr_damper_ros.signals.zero_order_hold import ZeroOrderHold
 
 STEADY = 0.02
 """Largest difference of two cycles of a steady motion, relative to the amplitude."""

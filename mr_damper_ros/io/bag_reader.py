@@ -23,7 +23,14 @@ from mr_damper_ros.io.bag_files import (
 )
 from mr_damper_ros.io.columns import MAXIMUM_SAMPLES
 from mr_damper_ros.signals.arrays import Array
-from mr_damper_ros.signals.blocks import LATE_NS, NANOSECONDS, BlockError, SampleBlock
+from mr_damper_ros.signals.blocks import (
+    LATE_NS,
+    NANOSECONDS,
+    BlockError,
+    CurrentError,
+    SampleBlock,
+    ZeroOrderHold,
+)
 from mr_damper_ros.signals.recording import (
     CurrentReading,
     Recording,
@@ -31,7 +38,6 @@ from mr_damper_ros.signals.recording import (
     TemperatureReading,
 )
 from mr_damper_ros.signals.uniform_grid import Placed, UniformGrid
-from mr_damper_ros.signals.zero_order_hold import CurrentError, ZeroOrderHold
 
 _HOLD_BACK = 1.0
 """Seconds for which blocks that overtook others wait for them: a file is in no hurry."""

@@ -27,19 +27,17 @@ from mr_damper_ros.io.recording_list import (
 from mr_damper_ros.lots.population import KnownDamper, Population
 from mr_damper_ros.models.parameter_set import DEFAULT_MODEL, ParameterSet
 from mr_damper_ros.processes.files import FolderLock, LockHeldError, write_text
-from mr_damper_ros.processes.kept_results import (
-    KeptTask,
-    ResultFolder,
-    file_stem,
-    fingerprint,
-    finish,
-)
 from mr_damper_ros.processes.process_pool import (
     DaskCluster,
     GivenExecutor,
+    KeptTask,
     LocalProcesses,
     ProcessPool,
+    ResultFolder,
     Workforce,
+    file_stem,
+    fingerprint,
+    finish,
 )
 from mr_damper_ros.signals.arrays import Array
 

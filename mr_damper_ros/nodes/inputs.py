@@ -14,9 +14,8 @@ from mr_damper_ros.nodes import quality
 from mr_damper_ros.nodes.diagnostics import OK, WARN, Finding
 from mr_damper_ros.nodes.messages import sample_block, to_nanoseconds
 from mr_damper_ros.nodes.rclpy_internals import waiting_messages
-from mr_damper_ros.signals.blocks import BlockError, SampleBlock, joined
+from mr_damper_ros.signals.blocks import BlockError, CurrentError, SampleBlock, joined
 from mr_damper_ros.signals.uniform_grid import UniformGrid
-from mr_damper_ros.signals.zero_order_hold import CurrentError
 
 SAMPLES_TOPIC = "mts/samples"
 CURRENT_TOPIC = "supply/current"

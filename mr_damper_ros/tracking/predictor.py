@@ -22,9 +22,8 @@ from mr_damper_ros.models.parameter_set import ParameterSet
 from mr_damper_ros.models.quantities import State
 from mr_damper_ros.settings.option_table import option
 from mr_damper_ros.signals.arrays import Array, Mask
-from mr_damper_ros.signals.blocks import SampleBlock
+from mr_damper_ros.signals.blocks import KEEP_CURRENT, SampleBlock, ZeroOrderHold
 from mr_damper_ros.signals.uniform_grid import GridSettings, Placed, UniformGrid
-from mr_damper_ros.signals.zero_order_hold import KEEP_CURRENT, ZeroOrderHold
 from mr_damper_ros.tracking.bumpless_transfer import ForceInUse
 from mr_damper_ros.tracking.model_bank import Choice, ModelBank
 from mr_damper_ros.tracking.reports import WindowVerdict

@@ -18,8 +18,7 @@ from mr_damper_ros.kinematics.motion_follower import MotionFollower
 from mr_damper_ros.models.parameter_set import ParameterSet
 from mr_damper_ros.settings.option_table import CheckedSettings, option
 from mr_damper_ros.signals.arrays import Array, Mask, span_of
-from mr_damper_ros.signals.blocks import NANOSECONDS
-from mr_damper_ros.signals.zero_order_hold import ZeroOrderHold
+from mr_damper_ros.signals.blocks import NANOSECONDS, ZeroOrderHold
 from mr_damper_ros.tracking.acceptance import Verdict
 
 Codes = NDArray[np.uint8]

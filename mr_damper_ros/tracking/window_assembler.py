@@ -16,9 +16,8 @@ from mr_damper_ros.kinematics.peak_velocity import MEMORY, StreamPeakVelocity
 from mr_damper_ros.kinematics.window import averages, holds_cycle
 from mr_damper_ros.settings.option_table import CheckedSettings, option
 from mr_damper_ros.signals.arrays import Array, RollingRows
-from mr_damper_ros.signals.blocks import NANOSECONDS, SampleBlock
+from mr_damper_ros.signals.blocks import KEEP_CURRENT, NANOSECONDS, SampleBlock, ZeroOrderHold
 from mr_damper_ros.signals.uniform_grid import GridSettings, Placed, UniformGrid
-from mr_damper_ros.signals.zero_order_hold import KEEP_CURRENT, ZeroOrderHold
 from mr_damper_ros.tracking.screening import part_at_rest, rests_too_long
 
 

@@ -15,14 +15,16 @@ from typing import Any
 import pool_tasks
 import pytest
 
-from mr_damper_ros.processes.kept_results import (
+from mr_damper_ros.processes.process_pool import (
+    GivenExecutor,
     KeptTask,
+    LocalProcesses,
     ResultFolder,
     WorkersError,
+    Workforce,
     file_stem,
     finish,
 )
-from mr_damper_ros.processes.process_pool import GivenExecutor, LocalProcesses, Workforce
 
 PATIENCE = 60.0
 """Seconds after which what is waited for will not come."""
@@ -126,7 +128,7 @@ PROGRAM = """
 import sys
 sys.path[:] = {path!r}
 from pathlib import Path
-from mr_damper_ros.processes.kept_results import KeptTask, ResultFolder, finish
+from mr_damper_ros.processes.process_pool import KeptTask, ResultFolder, finish
 from mr_damper_ros.processes.process_pool import LocalProcesses
 import pool_tasks
 

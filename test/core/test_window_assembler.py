@@ -10,8 +10,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from mr_damper_ros.signals.blocks import NANOSECONDS, SampleBlock
-from mr_damper_ros.signals.zero_order_hold import ZeroOrderHold
+from mr_damper_ros.signals.blocks import NANOSECONDS, SampleBlock, ZeroOrderHold
 from mr_damper_ros.tracking.window_assembler import RawWindow, WindowAssembler
 
 PERIOD = 1e-3

@@ -11,7 +11,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from mr_damper_ros.signals.zero_order_hold import CurrentError, ZeroOrderHold
+from mr_damper_ros.signals.blocks import CurrentError, ZeroOrderHold
 
 PERIOD = 1e-3
 MILLISECOND = 1_000_000
