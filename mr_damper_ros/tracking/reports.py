@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 
@@ -78,66 +79,60 @@ class Report(WindowVerdict):
         return f"{self.set_id} is in use: " + ", ".join([nrmse, *known])
 
 
-def report_of_window(
-    job: Job, outcome: Outcome, judgement: Judgement, set_id: str, *, global_due: bool
+def report_of(
+    job: Job, outcome: Outcome, judgement: Judgement, set_id: str, *, global_due: bool = False
 ) -> Report:
-    """The report of a window; ``set_id`` names the set in use after it."""
-    raw, fit, evidence, summary = job.samples, outcome.fit, outcome.evidence, outcome.summary
-    names = job.model.coefficient_names
-    coefficients = errors = discrepancies = np.full(len(names), math.nan)
+    """The report of a job; ``set_id`` names the set in use after it."""
+    raw, fit, evidence, summary = job.raw, outcome.fit, outcome.evidence, outcome.summary
+    verdict, model = judgement.verdict, job.model
+    told: dict[str, Any] = {
+        "nrmse_before": evidence.nrmse_before if evidence else math.nan,
+        "nrmse_after": evidence.nrmse_after if evidence else math.nan,
+        "verdict": verdict,
+        "reason": judgement.sentence,
+        "set_id": set_id,
+    }
+    if raw is None:
+        # Linear laws are solved, the others are searched.
+        searched = model.searched_laws(frozenset(model.parameter_names)) > 0
+        return Report(
+            window_start_ns=job.stamp_ns,
+            stamp_ns=job.stamp_ns,
+            sample_count=sum(window.sample_count for window in job.windows),
+            method="differential_evolution" if searched else "least_squares",
+            evaluations=outcome.found.evaluations if outcome.found else 0,
+            # The windows are of the past: that the running set fits them confirms nothing new.
+            confirms=verdict.accepted,
+            **told,
+        )
+    coefficients = errors = discrepancies = np.full(len(model.coefficient_names), math.nan)
     if fit:
         coefficients = fit.coefficients
         errors = _errors(fit.coefficient_covariance)
         if fit.coefficient_discrepancy is not None:
             discrepancies = _errors(fit.coefficient_discrepancy)
-    verdict = judgement.verdict
     return Report(
         window_start_ns=raw.start_ns,
         stamp_ns=raw.end_ns,
         sample_count=raw.force.size,
         method=fit.method if fit else job.options.method,
         evaluations=fit.evaluations if fit else 0,
-        nrmse_before=evidence.nrmse_before if evidence else math.nan,
-        nrmse_after=evidence.nrmse_after if evidence else math.nan,
-        verdict=verdict,
-        reason=judgement.sentence,
         confirms=verdict.confirms,
-        set_id=set_id,
         scale=outcome.scale,
         peak_velocity=fit.operating_point[0] if fit else math.nan,
         amplitude=summary.amplitude if summary else math.nan,
         frequency=summary.frequency if summary else math.nan,
         current=float(np.mean(raw.current)),
         temperature=raw.temperature,
-        coefficient_names=names,
+        coefficient_names=model.coefficient_names,
         coefficients=coefficients,
         coefficient_errors=errors,
         coefficient_discrepancies=discrepancies,
         global_due=global_due,
+        **told,
     )
 
 
 def _errors(covariance: Array) -> Array:
     # Rounding may leave a variance that is as good as zero below it.
     return np.sqrt(np.maximum(np.diag(covariance), 0.0))
-
-
-def report_of_search(job: Job, outcome: Outcome, judgement: Judgement, set_id: str) -> Report:
-    """The report of a global identification; ``set_id`` names the set in use after it."""
-    evidence, law = outcome.evidence, job.running.law
-    # Linear laws are solved, the others are searched.
-    searched = law.searched_laws(frozenset(law.parameter_names)) > 0
-    return Report(
-        window_start_ns=job.stamp_ns,
-        stamp_ns=job.stamp_ns,
-        sample_count=sum(window.sample_count for window in job.windows),
-        method="differential_evolution" if searched else "least_squares",
-        evaluations=outcome.found.evaluations if outcome.found else 0,
-        nrmse_before=evidence.nrmse_before if evidence else math.nan,
-        nrmse_after=evidence.nrmse_after if evidence else math.nan,
-        verdict=judgement.verdict,
-        reason=judgement.sentence,
-        # The windows are of the past: that the running set fits them as well confirms nothing new.
-        confirms=judgement.verdict.accepted,
-        set_id=set_id,
-    )

@@ -8,7 +8,7 @@ import numpy as np
 
 from mr_damper_ros.kinematics.window import holds_cycle
 from mr_damper_ros.settings.option_table import CheckedSettings, option
-from mr_damper_ros.signals.arrays import Array, white_noise
+from mr_damper_ros.signals.arrays import Array, Mask, white_noise
 
 LARGEST_SPAN = 0.5
 """A displacement that spans more [m] is taken for millimetres: no damper has such a stroke."""
@@ -168,12 +168,17 @@ def fault_of_rest(velocity: Array, force: Array) -> str:
 
 def _longest_rest(velocity: Array) -> slice:
     speed = np.abs(velocity)
-    resting = np.concatenate(([0], (speed < _RESTING * speed.max()).view(np.int8), [0]))
-    edges = np.flatnonzero(np.diff(resting))
-    if not edges.size:
-        return slice(0, 0)
-    longest = int(np.argmax(edges[1::2] - edges[::2]))
-    return slice(int(edges[2 * longest]), int(edges[2 * longest + 1]))
+    return _longest(_runs(speed < _RESTING * speed.max()))
+
+
+def _runs(mask: Mask) -> list[slice]:
+    """The stretches of a mask (n,) in which it is true."""
+    edges = np.flatnonzero(np.diff(np.concatenate(([0], mask.view(np.int8), [0])))).tolist()
+    return [slice(*ends) for ends in zip(edges[::2], edges[1::2], strict=True)]
+
+
+def _longest(runs: list[slice]) -> slice:
+    return max(runs, key=lambda run: run.stop - run.start, default=slice(0, 0))
 
 
 def rests_too_long(part: float) -> bool:
@@ -203,12 +208,8 @@ def fault_of_sign(velocity: Array, force: Array) -> str:
 
 def _is_stuck(displacement: Array, force: Array) -> bool:
     """Whether a force stays exactly the same for long, though the motion turns there."""
-    same = np.concatenate(([0], (np.diff(force) == 0.0).view(np.int8), [0]))
-    edges = np.flatnonzero(np.diff(same))
-    if not edges.size:
-        return False
-    longest = int(np.argmax(edges[1::2] - edges[::2]))
-    start, stop = int(edges[2 * longest]), int(edges[2 * longest + 1]) + 1
+    same = _longest(_runs(np.diff(force) == 0.0))
+    start, stop = same.start, same.stop + 1
     if stop - start < _STUCK_PART * force.size:
         return False
     stretch = displacement[start:stop]
@@ -240,23 +241,18 @@ def _is_clipped(array: Array) -> bool:
         at_extreme = array == extreme
         if at_extreme.mean() < _CLIPPED_PART:
             continue
-        edges = np.flatnonzero(np.diff(np.concatenate(([0], at_extreme.view(np.int8), [0]))))
-        stays = [
-            (first, last)
-            for first, last in zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True)
-            if last - first >= _CLIPPED_RUN
-        ]
+        stays = [run for run in _runs(at_extreme) if run.stop - run.start >= _CLIPPED_RUN]
         if stays and _arrives_at_speed(np.abs(array - extreme), stays, finest):
             return True
     return False
 
 
-def _arrives_at_speed(below: Array, stays: list[tuple[int, int]], finest: float) -> bool:
+def _arrives_at_speed(below: Array, stays: list[slice], finest: float) -> bool:
     """Whether a signal, so far ``below`` its extreme (n,), does not slow down before its stays."""
     near, far, count = 0.0, 0.0, 0
-    for first, last in stays:
-        reach = max((last - first) // _APPROACH, _SHORTEST_APPROACH)
-        for edge, way in ((first - 1, -1), (last, 1)):
+    for stay in stays:
+        reach = max((stay.stop - stay.start) // _APPROACH, _SHORTEST_APPROACH)
+        for edge, way in ((stay.start - 1, -1), (stay.stop, 1)):
             if 0 <= edge + way * 2 * reach < below.size:
                 near += float(below[edge + way * reach])
                 far += float(below[edge + way * 2 * reach])

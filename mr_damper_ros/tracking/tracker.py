@@ -40,7 +40,7 @@ from mr_damper_ros.tracking.force_scale import (
 from mr_damper_ros.tracking.jobs import TRACKERS, FitOptions, Job, Kind, Outcome, run
 from mr_damper_ros.tracking.operating_point import KnownPoints
 from mr_damper_ros.tracking.recursive_tracker import FilterState
-from mr_damper_ros.tracking.reports import Report, report_of_search, report_of_window
+from mr_damper_ros.tracking.reports import Report, report_of
 from mr_damper_ros.tracking.running_set import (
     SteadyMotion,
     holds_at,
@@ -60,14 +60,12 @@ _GROWTH = 1.5
 """
 
 
-_PATIENCE = 3
-"""So many windows that the law over the current does not explain are worth another search."""
+_SEVERAL = 3
+"""So many windows of one motion establish the shape of its force, and so many that the law over the
+current does not explain are worth another search."""
 
 _OF_SENSORS = (Verdict.FAULT_OF_DATA, Verdict.DISTURBED, Verdict.BEYOND_LIMITS)
 """What may be the fault of a sensor says nothing of two sets."""
-
-_ESTABLISHED = 3
-"""So many windows of one motion establish the shape of its force."""
 
 
 @dataclass(frozen=True)
@@ -212,7 +210,7 @@ class WindowTracker:
 
     def _remember(self, memory: TrackerMemory) -> None:
         self._now = replace(memory)
-        self._now.unexplained_patience = memory.unexplained_patience or _PATIENCE
+        self._now.unexplained_patience = memory.unexplained_patience or _SEVERAL
         self._gatekeeper = Gatekeeper(self._settings.acceptance, self._now)
         self._seen_ns = 0
         # Whether the law over the current does not explain the newest window.
@@ -336,7 +334,7 @@ class WindowTracker:
         raw = job.samples
         scale, self._now.scales = widened(outcome.scale, self._now.scales, raw.start_ns, raw.end_ns)
         outcome = replace(outcome, scale=scale)
-        report = report_of_window(
+        report = report_of(
             job, outcome, judgement, self.parameters.set_id, global_due=self._global_is_due()
         )
         if outcome.fit is None or not report.confirms:
@@ -375,7 +373,7 @@ class WindowTracker:
             self._unexplained = self._gatekeeper.is_usual(parts.rmse, parts.nrmse)
         force = known_force(fit, summary)
         holds = not self._now.other_damper and holds_at(self.parameters, fit.operating_point)
-        known_motion = self._now.motion.windows_of(summary) >= _ESTABLISHED
+        known_motion = self._now.motion.windows_of(summary) >= _SEVERAL
         found = set_of_window(
             self.parameters,
             fit,
@@ -475,7 +473,7 @@ class WindowTracker:
             f"the force changed by {evidence.force_change:+.0%} at "
             f"t = {self._now.changed_ns / NANOSECONDS:.2f} s: fitted early",
         )
-        report = report_of_window(job, outcome, judgement, set_id, global_due=self._global_is_due())
+        report = report_of(job, outcome, judgement, set_id, global_due=self._global_is_due())
         # One factor says nothing of the coefficients' own errors.
         unknown = np.full_like(report.coefficients, math.nan)
         return replace(report, coefficient_errors=unknown, coefficient_discrepancies=unknown)
@@ -504,7 +502,7 @@ class WindowTracker:
         waits = judgement.verdict is Verdict.UNCONFIRMED
         found = judgement.verdict.accepted or waits
         # A law that cannot follow the current is not searched for again and again.
-        self._now.unexplained_patience = _PATIENCE if found else 2 * self._now.unexplained_patience
+        self._now.unexplained_patience = _SEVERAL if found else 2 * self._now.unexplained_patience
         if found and outcome.found is not None:
             found_set = replace(
                 outcome.found.parameter_set,
@@ -516,7 +514,7 @@ class WindowTracker:
             else:
                 self._rival, self.parameters = None, found_set
                 self._forget_scales()
-        return report_of_search(job, outcome, judgement, self.parameters.set_id)
+        return report_of(job, outcome, judgement, self.parameters.set_id)
 
     def _judge_search(self, job: Job, outcome: Outcome) -> Judgement:
         if outcome.found is None or outcome.evidence is None:
