@@ -19,6 +19,7 @@ from mr_damper_ros.models.parameter_set import ParameterSet
 from mr_damper_ros.settings.option_table import CheckedSettings, option
 from mr_damper_ros.signals.arrays import Array
 from mr_damper_ros.tracking.operating_point import (
+    MOST_WINDOWS,
     KnownForce,
     KnownPoints,
     OperatingPoint,
@@ -202,8 +203,11 @@ def turns_gradually(found: ParameterSet, window: Window) -> bool:
 
     The prediction follows the measured force in this, too: a set is judged as it is used.
     """
+    jumping, gradual = found.law, found.law.continuous
+    if gradual is jumping:
+        return False
     errors = []
-    for law in (found.law, found.law.continuous):
+    for law in (jumping, gradual):
         settled = law.settled(window, found.values)
         force = law.window_force(found.held(window), found.values)
         errors.append(float(np.mean((force - window.force)[settled] ** 2)))
@@ -264,10 +268,6 @@ _SAME_FORCE = 0.05
 _FAR_BETTER = 1.5
 """Where a set holds and the residual stays large, another force is taken for that of a sensor,
 unless it is so near the known one, or the new set leaves so many times less."""
-
-
-_REMEMBERED = 150
-"""Residuals of so many good windows."""
 
 
 class Verdict(IntEnum):
@@ -444,7 +444,7 @@ class Gatekeeper:
             judgement = Judgement(Verdict.POOR_FIT, sentence)
         if judgement.teaches:
             seen = (evidence.rmse_after, evidence.nrmse_after, *(point or ()))
-            self.known.residuals = (*self.known.residuals, seen)[-_REMEMBERED:]
+            self.known.residuals = (*self.known.residuals, seen)[-MOST_WINDOWS:]
             if force is not None:
                 self._learn(force)
         return judgement

@@ -35,7 +35,8 @@ tighter tolerance would make every window of it a new point."""
 
 _MOST_SAMPLES = 500
 _FEWEST_SAMPLES = 125
-_MOST_WINDOWS = 100
+MOST_WINDOWS = 100
+"""So many windows are kept, one of each operating point, thinned to so many samples."""
 
 RECENT = 10.0
 """Operating points of so many seconds are those that a set will be used at."""
@@ -185,7 +186,7 @@ class KnownPoints:
     def with_window(self, kept: Kept, stamp_ns: int = 0) -> KnownPoints:
         """The same with a window up to this stamp in place of the older one at its point."""
         known = self.noted(kept.point, window=kept.window, stamp_ns=stamp_ns)
-        while len(known.kept) > _MOST_WINDOWS:
+        while len(known.kept) > MOST_WINDOWS:
             known = known.noted(known.kept[0].point, window=None)
         return known
 

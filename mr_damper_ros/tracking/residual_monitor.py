@@ -230,11 +230,9 @@ _BACK = 0.9
 
 _CALM, _CALM_PART, _AS_LONG = 0.02, 0.1, 0.125
 """A force is valid again once it has been right for so many seconds, or this part of a half-cycle,
-or the last part of the time for which it was wrong, whichever is least."""
-
-_LONGEST_WILD = 0.02
-"""Samples of the measured force are wild whose error has jumped by more than the peak from one to
-the next, until it is small again; after so many seconds the force is taken to be such."""
+or the last part of the time for which it was wrong, whichever is least. Samples of the measured
+force are wild whose error has jumped by more than the peak from one to the next, until it is small
+again; after as many seconds the force is taken to be such."""
 
 _ENOUGH = 4.0
 """Seconds for which a force was right, if a cycle is longer: those of two windows."""
@@ -262,7 +260,7 @@ class ResidualMonitor:
         self._wrong = False
         # The error [N] of the last sample, and for how many samples the measured force is wild.
         self._error, self._wild_for = 0.0, 0
-        self._longest_wild = max(round(_LONGEST_WILD / period), 1)
+        self._longest_wild = max(round(_CALM / period), 1)
         # Samples until one that is right is valid again, and how many those are at most.
         self._wait, self._calm = 0.0, _CALM / period
         # Seconds for which the forces have been compared without a break.
