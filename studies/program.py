@@ -3,16 +3,19 @@
 from __future__ import annotations
 
 import argparse
+import json
 import os
 import sys
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TypeVar
 
 from mr_damper_ros.processes.blas_threads import one_thread
+from mr_damper_ros.processes.files import write_text
 from mr_damper_ros.processes.process_pool import ProcessPool, Tell
+from mr_damper_ros.report.document import Chapter, styled, write_report
 from mr_damper_ros.tools.console import run_tool
 
 Task = TypeVar("Task")
@@ -72,6 +75,52 @@ class Study:
             sys.stderr.write("\r\033[K")
         print(f"{page} written in {time.monotonic() - began:.0f} s")
         return 0
+
+
+@dataclass(frozen=True)
+class Part:
+    """What a part of a report makes: chapters, a sentence for each, figures for the document."""
+
+    chapters: Sequence[Chapter]
+    headlines: Sequence[str]
+    figures: Mapping[str, object]
+
+
+Make = Callable[[ProcessPool, bool, Say], Part]
+"""A part from the processes, whether the quick variant is wanted, and what is told of progress."""
+
+
+def write_parts(
+    options: argparse.Namespace,
+    say: Say,
+    name: str,
+    title: str,
+    notice: str,
+    makes: Mapping[str, Make],
+) -> Path:
+    """Make the parts that the options name; write ``report.html`` and ``<name>.json``.
+
+    Returns the page.
+    """
+    document: dict[str, object] = {"quick": options.quick}
+    parts: list[Part] = []
+    with ProcessPool(options.workers) as pool, styled():
+        for part, make in makes.items():
+            if part in options.only:
+                say(f"{part} ...")
+                parts.append(make(pool, options.quick, say))
+                if parts[-1].figures:
+                    document[part] = parts[-1].figures
+        page = write_report(
+            options.output,
+            title,
+            notice,
+            [sentence for part in parts for sentence in part.headlines],
+            [chapter for part in parts for chapter in part.chapters],
+        )
+    text = json.dumps(document, indent=2, allow_nan=False)
+    write_text(options.output / f"{name}.json", text + "\n")
+    return page
 
 
 def _say(text: str) -> None:

@@ -3,15 +3,11 @@
 from __future__ import annotations
 
 import argparse
-import json
 import math
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from mr_damper_ros.processes.files import write_text
 from mr_damper_ros.processes.process_pool import ProcessPool
-from mr_damper_ros.report.document import Chapter, styled, write_report
 from studies.control import buildings, car_chapters
 from studies.control.buildings import WEIGHTED, simulate
 from studies.control.car_chapters import Drives
@@ -38,9 +34,7 @@ from studies.control.hybrid import (
     hybrid_chapter,
     missed,
 )
-from studies.program import Say, Study, each_result
-
-PARTS = ("roads", "heated", "buildings", "hybrid")
+from studies.program import Make, Part, Say, Study, each_result, write_parts
 
 _TITLE = "Controllers of an MR damper side by side"
 
@@ -66,38 +60,14 @@ QUICK = Extent(drive=4.0, heated=40.0, earthquake=6.0, hybrid=6.0)
 """Shorter, to see that all works: its figures are not the real ones."""
 
 
-def build_report(options: argparse.Namespace, say: Say) -> Path:
-    """Simulate what the parts need, write ``report.html`` and ``control.json``; return the page."""
-    extent = QUICK if options.quick else FULL
-    chapters: list[Chapter] = []
-    headlines: list[str] = []
-    document: dict[str, object] = {"quick": extent != FULL}
-    with ProcessPool(options.workers) as pool, styled():
-        for part in PARTS:
-            if part in options.only:
-                say(f"{part} ...")
-                found, told, document[part] = _PARTS[part](pool, extent, say)
-                chapters += found
-                headlines += told
-        short = "" if extent == FULL else " Quick variant: drives and earthquakes are cut short."
-        page = write_report(options.output, _TITLE, _NOTICE + short, headlines, chapters)
-    write_text(options.output / "control.json", json.dumps(document, indent=2) + "\n")
-    return page
-
-
-Part = tuple[list[Chapter], list[str], dict[str, object]]
-"""Chapters, a sentence for each, and the figures for the document."""
-
-
-def _roads(pool: ProcessPool, extent: Extent, say: Say) -> Part:
+def _roads(pool: ProcessPool, quick: bool, say: Say) -> Part:
+    seconds = (QUICK if quick else FULL).drive
     tasks = [(strategy, road, LAG) for road in ROADS for strategy in STRATEGIES]
     tasks += [(strategy, road, 0.0) for road in ("A", "C", "E") for strategy in CONTROLLERS]
     tasks += [(name, "C", 0.0) for name in (*STRATEGIES[:2], *CONSTANTS)]
     drives = Drives(
-        each_result(
-            pool, drive, [Drive(*task, duration=extent.drive) for task in tasks], "drives", say
-        ),
-        extent.drive,
+        each_result(pool, drive, [Drive(*task, duration=seconds) for task in tasks], "drives", say),
+        seconds,
     )
     best = car_chapters.best_on(drives, "C")
     here, off, on = (drives.of(name, "C", LAG) for name in (best, *STRATEGIES[:2]))
@@ -122,7 +92,7 @@ def _roads(pool: ProcessPool, extent: Extent, say: Say) -> Part:
         "with passive-off.",
         f"a coil that lags by 10 ms costs at most {worst - 1.0:.0%} of comfort on road C.",
     ]
-    return chapters, told, _against_passive(drives)
+    return Part(chapters, told, _against_passive(drives))
 
 
 def _against_passive(drives: Drives) -> dict[str, object]:
@@ -140,8 +110,9 @@ def _against_passive(drives: Drives) -> dict[str, object]:
     return {"best": best, "worst": worst}
 
 
-def _heated(pool: ProcessPool, extent: Extent, say: Say) -> Part:
-    tasks = [HeatedDrive(learns, duration=extent.heated) for learns in (False, True)]
+def _heated(pool: ProcessPool, quick: bool, say: Say) -> Part:
+    seconds = (QUICK if quick else FULL).heated
+    tasks = [HeatedDrive(learns, duration=seconds) for learns in (False, True)]
     results = each_result(pool, drive_heated, tasks, "heated drives", say)
     found = {task.learns: result for task, result in results.items()}
     chapter = heated_chapter(found, tasks[0])
@@ -150,17 +121,17 @@ def _heated(pool: ProcessPool, extent: Extent, say: Say) -> Part:
         f"beginning with the set of 28 °C, {growth(found[True]):.2f} times with the set identified "
         "on line."
     ]
-    return [chapter], told, {"fixed": growth(found[False]), "identified": growth(found[True])}
+    return Part([chapter], told, {"fixed": growth(found[False]), "identified": growth(found[True])})
 
 
-def _buildings(pool: ProcessPool, extent: Extent, say: Say) -> Part:
-    longest = extent.earthquake
+def _buildings(pool: ProcessPool, quick: bool, say: Say) -> Part:
+    longest = (QUICK if quick else FULL).earthquake
     results = each_result(pool, simulate, buildings.tasks(longest), "earthquakes", say)
     found = buildings.Buildings(results, longest)
     won = buildings.cases_won(found)
     fastest = max(found.of(WEIGHTED, case, buildings.LAG).reversals for case in buildings.CASES)
     chapter = buildings.building_chapter(found)
-    return (
+    return Part(
         [chapter],
         [
             f"the weighted inverse is better than passive-on and bang-bang in both RMS criteria in "
@@ -171,8 +142,9 @@ def _buildings(pool: ProcessPool, extent: Extent, say: Say) -> Part:
     )
 
 
-def _hybrid(pool: ProcessPool, extent: Extent, say: Say) -> Part:
-    tasks = [replace(task, duration=extent.hybrid) for task in TASKS]
+def _hybrid(pool: ProcessPool, quick: bool, say: Say) -> Part:
+    seconds = (QUICK if quick else FULL).hybrid
+    tasks = [replace(task, duration=seconds) for task in TASKS]
     results = each_result(pool, hybrid, tasks, "hybrid simulations", say)
     found = dict(zip(TASKS, results.values(), strict=True))
     reference = found[REFERENCE]
@@ -182,10 +154,10 @@ def _hybrid(pool: ProcessPool, extent: Extent, say: Say) -> Part:
         f"with the damper in an emulated machine that is late the roof is off by {late:.0%}, with "
         f"a command that runs ahead by {ahead:.0%}."
     ]
-    return [chapter], told, {"late": late, "compensated": ahead}
+    return Part([chapter], told, {"late": late, "compensated": ahead})
 
 
-_PARTS: dict[str, Callable[[ProcessPool, Extent, Say], Part]] = {
+_PARTS: dict[str, Make] = {
     "roads": _roads,
     "heated": _heated,
     "buildings": _buildings,
@@ -193,11 +165,16 @@ _PARTS: dict[str, Callable[[ProcessPool, Extent, Say], Part]] = {
 }
 
 
+def _build(options: argparse.Namespace, say: Say) -> Path:
+    short = " Quick variant: drives and earthquakes are cut short." if options.quick else ""
+    return write_parts(options, say, "control", _TITLE, _NOTICE + short, _PARTS)
+
+
 main = Study(
     "control",
     "Simulate a quarter car on roads of ISO 8608 and buildings in earthquakes, with an emulated MR "
     "damper under several controllers, and write one report.",
-    PARTS,
+    tuple(_PARTS),
     "drives and earthquakes cut short",
-    build_report,
+    _build,
 ).main

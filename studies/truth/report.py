@@ -3,17 +3,14 @@
 from __future__ import annotations
 
 import argparse
-import json
 import math
 from dataclasses import dataclass
 from pathlib import Path
 
 from mr_damper_ros.models import MODELS
-from mr_damper_ros.processes.files import write_text
 from mr_damper_ros.processes.process_pool import ProcessPool
-from mr_damper_ros.report.document import Chapter, styled, write_report
 from studies import earthquake, recordings
-from studies.program import Say, Study, each_result
+from studies.program import Make, Part, Say, Study, each_result, write_parts
 from studies.truth.oscillator import (
     EstimationTrial,
     OscillatorTrial,
@@ -36,8 +33,6 @@ from studies.truth.records import (
     record_document,
     sinusoid_chapter,
 )
-
-PARTS = ("recordings", "oscillator")
 
 _TITLE = "What the force laws are worth"
 
@@ -87,33 +82,13 @@ SHORT = TruthExtent(
 """Shorter, to see that all works: its figures are not the real ones."""
 
 
-def build_truth(options: argparse.Namespace, say: Say) -> Path:
-    """Do what the parts need, write ``report.html`` and ``truth.json``; returns the page."""
-    extent = SHORT if options.quick else ALL
-    chapters: list[Chapter] = []
-    told: list[str] = []
-    document: dict[str, object] = {"quick": extent != ALL}
+def _recordings(pool: ProcessPool, quick: bool, say: Say) -> Part:
     utfsm = recordings.folder()
-    with ProcessPool(options.workers) as pool, styled():
-        if "recordings" in options.only and utfsm is not None:
-            found = _recorded(utfsm, pool, extent, say)
-            chapters += [sinusoid_chapter(found), earthquake_chapter(found)]
-            chapters.append(parameter_chapter(found))
-            told += headlines(found)
-            document["recordings"] = record_document(found)
-        if "oscillator" in options.only:
-            chapter, headline, figures = _oscillator(pool, extent, say)
-            chapters.append(chapter)
-            told.append(headline)
-            document["oscillator"] = figures
-        notice = _NO_RECORDINGS if utfsm is None else ""
-        notice += _NOTICE
-        if extent != ALL:
-            notice += " Quick variant: few laws, few and short records; not the real figures."
-        page = write_report(options.output, _TITLE, notice, told, chapters)
-    text = json.dumps(document, indent=2, allow_nan=False)
-    write_text(options.output / "truth.json", text + "\n")
-    return page
+    if utfsm is None:
+        return Part([], [], {})
+    found = _recorded(utfsm, pool, SHORT if quick else ALL, say)
+    chapters = [sinusoid_chapter(found), earthquake_chapter(found), parameter_chapter(found)]
+    return Part(chapters, headlines(found), record_document(found))
 
 
 def _recorded(utfsm: Path, pool: ProcessPool, extent: TruthExtent, say: Say) -> Recorded:
@@ -153,19 +128,29 @@ def _recorded(utfsm: Path, pool: ProcessPool, extent: TruthExtent, say: Say) -> 
     )
 
 
-def _oscillator(
-    pool: ProcessPool, extent: TruthExtent, say: Say
-) -> tuple[Chapter, str, dict[str, object]]:
+def _oscillator(pool: ProcessPool, quick: bool, say: Say) -> Part:
+    extent = SHORT if quick else ALL
     tasks = [OscillatorTrial(law, extent.count, law not in _NEEDS_PEAKS) for law in extent.laws]
     results = each_result(pool, judge_on_oscillator, tasks, "laws on the benchmark", say)
     found = {task.law: result for task, result in results.items()}
     say("the benchmark in its own form")
     estimation = estimate_oscillator(EstimationTrial(extent.count, extent.steps, extent.sweep))
-    return (
-        oscillator_chapter(found, estimation),
-        oscillator_headline(found, estimation),
+    return Part(
+        [oscillator_chapter(found, estimation)],
+        [oscillator_headline(found, estimation)],
         oscillator_document(found, estimation),
     )
+
+
+_PARTS: dict[str, Make] = {"recordings": _recordings, "oscillator": _oscillator}
+
+
+def _build(options: argparse.Namespace, say: Say) -> Path:
+    notice = _NO_RECORDINGS if recordings.folder() is None else ""
+    notice += _NOTICE
+    if options.quick:
+        notice += " Quick variant: few laws, few and short records; not the real figures."
+    return write_parts(options, say, "truth", _TITLE, notice, _PARTS)
 
 
 main = Study(
@@ -173,7 +158,7 @@ main = Study(
     "Judge every force law on the recordings in the folder that the variable MR_DAMPER_DATA names, "
     "where it is set, and on the re-created hysteretic benchmark of Noël and Schoukens; write one "
     "report, report.html, and its figures, truth.json.",
-    PARTS,
+    tuple(_PARTS),
     "few laws, few and short records",
-    build_truth,
+    _build,
 ).main
