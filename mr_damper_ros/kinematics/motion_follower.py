@@ -1,8 +1,9 @@
 """Motion of a stream of displacement, block by block, from the past alone.
 
-A steady sine is followed by its fit, any other motion by the observer of
-:mod:`mr_damper_ros.kinematics.observer`, whose bandwidth may follow the motion
-(:mod:`mr_damper_ros.kinematics.observer`).
+A steady sine is followed by its fit to the latest cycles, which gives velocity and acceleration
+without delay and nearly without noise: it averages a cycle of samples, an observer some
+milliseconds. As soon as the newest samples leave the sine by more than their noise, the motion is
+that of :mod:`mr_damper_ros.kinematics.observer`.
 """
 
 from __future__ import annotations
@@ -26,6 +27,7 @@ _CYCLES = 1.5
 
 _FEWEST_CYCLES = 1.0
 """A new sine is fitted to so many: it need not wait for what was before it to be forgotten."""
+
 _POINTS = 256
 """The fit takes every so-many-th sample, so that its cost does not grow with the rate."""
 

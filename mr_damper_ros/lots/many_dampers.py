@@ -29,7 +29,6 @@ from mr_damper_ros.models.parameter_set import DEFAULT_MODEL, ParameterSet
 from mr_damper_ros.processes.files import FolderLock, LockHeldError, write_text
 from mr_damper_ros.processes.process_pool import (
     DaskCluster,
-    GivenExecutor,
     KeptTask,
     LocalProcesses,
     ProcessPool,
@@ -317,7 +316,7 @@ def identify_many(
 def _workforce(workers: int, executor: Executor | None, scheduler: str | None) -> Workforce:
     if scheduler is not None:
         return DaskCluster(scheduler)
-    return LocalProcesses(workers) if executor is None else GivenExecutor(executor)
+    return LocalProcesses(workers) if executor is None else Workforce(executor)
 
 
 def _groups(recordings: Iterable[ListedRecording]) -> dict[str, list[ListedRecording]]:

@@ -31,7 +31,7 @@ from functools import partial
 from multiprocessing.queues import SimpleQueue
 from pathlib import Path
 from types import TracebackType
-from typing import Any, Protocol, TypeVar
+from typing import Any, TypeVar
 
 from mr_damper_ros.processes import child_process
 from mr_damper_ros.processes.blas_threads import one_thread
@@ -201,35 +201,38 @@ _AT_ONCE = 64
 """Tasks given at once to an executor whose size is not known."""
 
 
-class Workforce(Protocol):
-    """``at_once``: so many tasks are given out at a time.
+class Workforce:
+    """An executor that somebody else owns and ends, and what is known of its workers.
 
-    ``shares_folders``: whether the workers see the folders of this process. ``breaks_with``: what a
-    future raises where its worker has died and all others with it; ``loses_with``: where its worker
-    has died again and again with this one task.
+    ``at_once``: number of tasks submitted at a time. ``shares_folders``: whether the workers see
+    the folders of this process. ``breaks_with``: what a future raises where its worker has died and
+    all others with it; ``loses_with``: where workers have died repeatedly with this one task.
     """
 
-    at_once: int
-    shares_folders: bool
-    breaks_with: tuple[type[Exception], ...]
-    loses_with: tuple[type[Exception], ...]
+    at_once = _AT_ONCE
+    shares_folders = False
+    breaks_with: tuple[type[Exception], ...] = ()
+    loses_with: tuple[type[Exception], ...] = ()
+
+    def __init__(self, executor: Executor) -> None:
+        self._executor = executor
 
     def start(self) -> Executor:
-        """An executor; again after the one before was broken."""
+        """The executor, a new one where the one before was broken."""
+        return self._executor
 
     def end(self) -> None:
-        """Let the executor go; what it is doing is given up."""
+        """Release the executor: its owner ends it."""
 
 
-class LocalProcesses:
+class LocalProcesses(Workforce):
     """``count`` fresh processes of this machine, each with one BLAS thread.
 
     Raises ValueError for less than one.
     """
 
     shares_folders = True
-    breaks_with: tuple[type[Exception], ...] = (BrokenExecutor,)
-    loses_with: tuple[type[Exception], ...] = ()
+    breaks_with = (BrokenExecutor,)
 
     def __init__(self, count: int) -> None:
         if count < 1:
@@ -261,34 +264,12 @@ class LocalProcesses:
         self._pool = None
 
 
-class GivenExecutor:
-    """An executor of somebody else, who ends it. Whoever it is, its processes are theirs."""
-
-    at_once = _AT_ONCE
-    shares_folders = False
-    breaks_with: tuple[type[Exception], ...] = ()
-    loses_with: tuple[type[Exception], ...] = ()
-
-    def __init__(self, executor: Executor) -> None:
-        self._executor = executor
-
-    def start(self) -> Executor:
-        """The executor given."""
-        return self._executor
-
-    def end(self) -> None:
-        """Leave it to its owner."""
-
-
-class DaskCluster:
+class DaskCluster(Workforce):
     """The workers of a Dask cluster that runs already, found by the address of its scheduler.
 
     They need this package and the paths of the recordings, nothing else. Raises ValueError where
     Dask is not installed, and OSError where nobody answers.
     """
-
-    shares_folders = False
-    breaks_with: tuple[type[Exception], ...] = ()
 
     def __init__(self, address: str) -> None:
         try:
@@ -306,7 +287,7 @@ class DaskCluster:
             self._client.close()
             raise OSError(f"the Dask scheduler at {address} has no workers: start some")
         self.at_once = _AHEAD * threads
-        self.loses_with: tuple[type[Exception], ...] = (KilledWorker,)
+        self.loses_with = (KilledWorker,)
 
     def start(self) -> Executor:
         """The executor of the cluster."""

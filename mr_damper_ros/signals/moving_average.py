@@ -29,13 +29,6 @@ _PERIODS = 40
 """A record is so many times as long as the average, for its holes to be resolved."""
 
 
-def averaged(values: Array, count: int) -> Array:
-    """Mean of each sample (n,) and the ``count - 1`` before it, at rest before the first."""
-    sums = np.cumsum(values - values[0])
-    before = np.concatenate([np.zeros(count), sums[:-count]])[: sums.size]
-    return np.asarray(values[0] + (sums - before) / count)
-
-
 def undo_average(values: Array, count: int) -> Array:
     """What was averaged over ``count`` samples, from the rest at its begin; shape (n,)."""
     steps = count * np.diff(values, prepend=values[0])

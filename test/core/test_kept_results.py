@@ -16,7 +16,6 @@ import pool_tasks
 import pytest
 
 from mr_damper_ros.processes.process_pool import (
-    GivenExecutor,
     KeptTask,
     LocalProcesses,
     ResultFolder,
@@ -65,8 +64,8 @@ class Work:
         return {task.name for task in self.tasks if self.results.kept(task) is not None}
 
 
-def in_threads() -> GivenExecutor:
-    return GivenExecutor(ThreadPoolExecutor(2))
+def in_threads() -> Workforce:
+    return Workforce(ThreadPoolExecutor(2))
 
 
 def work(folder: Path, count: int = 6, seconds: float = 0.0) -> Work:

@@ -15,7 +15,6 @@ from mr_damper_ros.api.measured_runs import measured_runs, remarks_on
 from mr_damper_ros.io.columns import RecordError
 from mr_damper_ros.signals.arrays import Array
 from mr_damper_ros.signals.moving_average import (
-    averaged,
     find_average,
     undo_average,
     undo_average_in_motion,
@@ -29,6 +28,13 @@ LOST = 0.02
 
 SAMPLES = 6000
 COUNT = 50
+
+
+def averaged(values: Array, count: int) -> Array:
+    """Mean of each sample (n,) and the ``count - 1`` before it, at rest before the first."""
+    sums = np.cumsum(values - values[0])
+    before = np.concatenate([np.zeros(count), sums[:-count]])[: sums.size]
+    return np.asarray(values[0] + (sums - before) / count)
 
 
 def motion(seed: int = 0, samples: int = SAMPLES) -> Array:
