@@ -11,7 +11,7 @@ import struct
 import tempfile
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import ExitStack, closing, contextmanager
+from contextlib import ExitStack, closing, nullcontext
 from pathlib import Path
 from typing import Any
 
@@ -416,16 +416,8 @@ def page_ratio(
         for number in range(2 * segments):
             both.node.forget()
             both.relay.forget()
-            with _either(watched(both.domain) if number % 2 else None):
+            with watched(both.domain) if number % 2 else nullcontext():
                 both.send(blocks)
             found[number % 2].append(both.latencies(round(SETTLED * RATE))[0])
     without, beside = (1e3 * float(np.quantile(np.concatenate(x), 0.99)) for x in found)
     return beside / without, f"{beside:.2f} ms beside {without:.2f} ms."
-
-
-@contextmanager
-def _either(context: Any) -> Iterator[None]:
-    with ExitStack() as stack:
-        if context is not None:
-            stack.enter_context(context)
-        yield
