@@ -26,7 +26,7 @@ from mr_damper_ros.processes.programs import Program
 
 RELAY_SAMPLES, RELAY_FORCE, RELAY_COMMAND = "relay/samples", "relay/force", "relay/current_command"
 
-_SIGNALS_EVERY, _STATUS_EVERY = 0.1, 0.5
+_SIGNALS_EVERY, _SAMPLES_EVERY, _STATUS_EVERY = 0.1, 0.25, 0.5
 
 
 def start_helper(name: str, *arguments: str, environment: dict[str, str] | None = None) -> Program:
@@ -124,15 +124,18 @@ class Viewer(threading.Thread):
 
     def run(self) -> None:
         """Ask and ask again."""
-        due, status_due = time.monotonic(), 0.0
+        due, status_due, samples_due = time.monotonic(), 0.0, 0.0
         while True:
             try:
                 self._ask("signals")
+                if time.monotonic() >= samples_due:
+                    samples_due = time.monotonic() + _SAMPLES_EVERY
+                    self._ask("samples")
                 if time.monotonic() >= status_due:
                     status_due = time.monotonic() + _STATUS_EVERY
                     before = self._window
                     if self.windows() > before:
-                        for table in ("windows", "coefficients", "parameters"):
+                        for table in ("windows", "coefficients", "parameters", "history"):
                             self._ask(table)
             except (OSError, http.client.HTTPException):
                 return

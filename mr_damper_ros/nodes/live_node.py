@@ -25,7 +25,6 @@ from mr_damper_msgs.msg import (
 from mr_damper_msgs.srv import SaveParameters
 from rclpy.node import Node
 from rclpy.qos import HistoryPolicy, QoSProfile, ReliabilityPolicy
-from rclpy.subscription import Subscription
 from rclpy.task import Future
 from sensor_msgs.msg import Temperature
 from std_srvs.srv import Trigger
@@ -36,7 +35,7 @@ from mr_damper_ros.nodes import quality
 from mr_damper_ros.nodes.bag_recorder import BagRecorder
 from mr_damper_ros.nodes.command_topic import COMMAND_TOPIC, DEMAND_TOPIC
 from mr_damper_ros.nodes.messages import from_field, parameter_set, to_nanoseconds
-from mr_damper_ros.nodes.mirrors import SIGNALS_TOPIC
+from mr_damper_ros.nodes.mirrors import JOINED_FORCES_TOPIC, JOINED_SAMPLES_TOPIC, SIGNALS_TOPIC
 from mr_damper_ros.nodes.node_parameters import ConfigurationError, NodeParameters
 from mr_damper_ros.nodes.spinning import run
 from mr_damper_ros.settings.option_table import ParameterTable, option
@@ -57,10 +56,6 @@ _OF_A_SET = ("model", "source", "node", "nrmse")
 _ARRAYS_OF_A_SET = ("names", "units", "values", "standard_errors", "observable")
 """What of a set is called as in DamperParameters."""
 
-_SHORTEST_BLOCK = 0.004
-"""Seconds of samples in a message from which on the loops are drawn at the full rate: a message
-costs as much whatever it holds."""
-
 
 def listen(node: Node, record: LiveRecord) -> _Ear:
     """Subscribe a node to all that is shown, in its namespace, and keep it in the record."""
@@ -74,56 +69,41 @@ def listen(node: Node, record: LiveRecord) -> _Ear:
         (Temperature, "damper/fluid_temperature", seen.temperature, quality.stream(_WAITING)),
         (FitReport, "damper/fit_report", seen.report, quality.stream(_WAITING)),
         (DiagnosticArray, "/diagnostics", seen.diagnostics, quality.stream(_WAITING)),
+        (MtsSamples, JOINED_SAMPLES_TOPIC, seen.samples, looking),
+        (PredictedForce, JOINED_FORCES_TOPIC, seen.forces, looking),
         (CurrentCommand, COMMAND_TOPIC, seen.command, looking),
         (DesiredForce, DEMAND_TOPIC, seen.demand, looking),
     ):
         node.create_subscription(kind, topic, hear, profile)
-    seen.at_full_rate = [
-        node.create_subscription(kind, topic, hear, looking)
-        for kind, topic, hear in (
-            (MtsSamples, "mts/samples", seen.samples),
-            (PredictedForce, "damper/predicted_force", seen.forces),
-        )
-    ]
     return seen
 
 
 class _Ear:
     """Takes messages apart; ``namespace`` is that of the diagnostics to keep, empty for all.
 
-    ``newest_set`` is the last set that was published. ``blocks_are_small``: samples come in so many
-    messages that listening to all of them (``at_full_rate``) costs too much.
+    ``newest_set`` is the last set that was published.
     """
 
     def __init__(self, record: LiveRecord, namespace: str) -> None:
         self._record = record
         self._prefix = f"{namespace}/" if namespace else ""
-        self._blocks: deque[MtsSamples] = deque(maxlen=_WAITING)
+        self._samples: deque[MtsSamples] = deque(maxlen=_WAITING)
         self.newest_set: DamperParameters | None = None
-        self.at_full_rate: list[Subscription] = []
-        self.blocks_are_small = False
 
     def samples(self, message: MtsSamples) -> None:
-        self._blocks.append(message)
-        self.blocks_are_small = len(message.force) * message.period < _SHORTEST_BLOCK
+        self._samples.append(message)
 
     def forces(self, message: PredictedForce) -> None:
-        """Join predicted forces with the samples that they are of."""
-        while self._blocks and self._blocks[0].seq + len(self._blocks[0].force) <= message.seq:
-            self._blocks.popleft()
-        count = len(message.force)
-        if not self._blocks or not count:
+        """Join predicted forces with the samples that they are of, which come before them."""
+        same = [block for block in self._samples if block.seq == message.seq]
+        self._samples.clear()
+        if not same or len(same[0].force) != len(message.force):
             return
-        block = self._blocks[0]
-        first = message.seq - block.seq
-        if not 0 <= first <= len(block.force) - count:
-            return
-        part = slice(first, first + count)
         self._record.add_samples(
             to_nanoseconds(message.header.stamp) / NANOSECONDS,
             message.period,
-            from_field(block.displacement)[part],
-            from_field(block.force)[part],
+            from_field(same[0].displacement),
+            from_field(same[0].force),
             from_field(message.force),
             np.frombuffer(message.sample_doubts, dtype=np.uint8) == PredictedForce.NONE,
         )
@@ -324,9 +304,6 @@ class LiveNode(Node):
                 self._call(name)
         if self._recorder is not None and self._recorder.failure:
             self._stop_recording()
-        if self._ear.blocks_are_small and self._ear.at_full_rate:
-            while self._ear.at_full_rate:
-                self.destroy_subscription(self._ear.at_full_rate.pop())
         return _LOOK
 
     def _take_command(self, name: str, arguments: Mapping[str, str]) -> bool:

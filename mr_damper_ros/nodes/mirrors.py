@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
+from array import array
 from collections.abc import Callable, Iterator
 
+import numpy as np
 from geometry_msgs.msg import Vector3, Wrench, WrenchStamped
-from mr_damper_msgs.msg import DamperSignals
+from mr_damper_msgs.msg import DamperSignals, MtsSamples, PredictedForce
 from rclpy.node import Node
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Header
 
 from mr_damper_ros.nodes import quality
-from mr_damper_ros.nodes.messages import header, set_stamp
+from mr_damper_ros.nodes.messages import header, set_stamp, to_field
 from mr_damper_ros.rig.blocks import Decimator
 from mr_damper_ros.signals.blocks import NANOSECONDS, RigBlock, SampleBlock
 from mr_damper_ros.tracking.predictor import Prediction
@@ -53,6 +55,66 @@ class SignalMirror:
             message.force_error = predicted - message.measured_force
             message.valid = not prediction.doubts[k]
             self._publisher.publish(message)
+
+
+JOINED_SAMPLES_TOPIC, JOINED_FORCES_TOPIC = "damper/joined_samples", "damper/joined_forces"
+
+_JOINED = 0.1
+"""Seconds of samples in a joined block."""
+
+
+class JoinedMirror:
+    """All samples and their predicted force in larger blocks, where anybody listens.
+
+    A message costs the same however many samples it holds. There are two, of one number and stamp,
+    each tenth of a second.
+    """
+
+    def __init__(self, node: Node, frame_id: str) -> None:
+        self._frame_id = frame_id
+        self._samples = quality.publisher(node, MtsSamples, JOINED_SAMPLES_TOPIC)
+        self._forces = quality.publisher(node, PredictedForce, JOINED_FORCES_TOPIC)
+        self._first: Prediction | None = None
+        self._parts: list[tuple[np.ndarray, ...]] = []
+
+    def publish(self, prediction: Prediction, block: SampleBlock) -> None:
+        """Add a block, and publish where there is enough, or this one does not follow the last."""
+        if not quality.heard(self._samples):
+            self._first, self._parts = None, []
+            return
+        count = sum(part[0].size for part in self._parts)
+        if self._first is not None and prediction.sequence != self._first.sequence + count:
+            self._send(self._first)
+            count = 0
+        self._first = self._first or prediction
+        displacement, force = map(prediction.at_its_samples, (block.displacement, block.force))
+        self._parts.append((displacement, force, prediction.force, prediction.doubts))
+        if (count + prediction.force.size) * prediction.period >= _JOINED:
+            self._send(self._first)
+
+    def _send(self, first: Prediction) -> None:
+        joined = map(np.concatenate, zip(*self._parts, strict=True))
+        displacement, measured, predicted, doubts = joined
+        self._first, self._parts = None, []
+        stamped = header(first.start_ns, self._frame_id)
+        self._samples.publish(
+            MtsSamples(
+                header=stamped,
+                seq=first.sequence,
+                period=first.period,
+                displacement=to_field(displacement),
+                force=to_field(measured),
+            )
+        )
+        self._forces.publish(
+            PredictedForce(
+                header=stamped,
+                seq=first.sequence,
+                period=first.period,
+                force=to_field(predicted),
+                sample_doubts=array("B", doubts.astype(np.uint8).tobytes()),
+            )
+        )
 
 
 class WrenchMirror:

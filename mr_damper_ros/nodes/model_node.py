@@ -12,7 +12,7 @@ from mr_damper_ros.nodes.block_node import BlockNode
 from mr_damper_ros.nodes.diagnostics import ERROR, OK, STALE, WARN, Finding
 from mr_damper_ros.nodes.inputs import CURRENT_TOPIC, SAMPLES_TOPIC
 from mr_damper_ros.nodes.messages import PredictionMessage
-from mr_damper_ros.nodes.mirrors import SignalMirror, WrenchMirror
+from mr_damper_ros.nodes.mirrors import JoinedMirror, SignalMirror, WrenchMirror
 from mr_damper_ros.nodes.parameter_input import PARAMETERS_TOPIC, SetOptions
 from mr_damper_ros.nodes.spinning import run
 from mr_damper_ros.processes.programs import HELP
@@ -89,6 +89,7 @@ class ModelNode(BlockNode[ModelParameters, Prediction]):
         self._last: Prediction | None = None
         self._force = quality.publisher(self, PredictedForce, "damper/predicted_force")
         self._wrench = WrenchMirror(self, options.wrench_rate, options.frame_id)
+        self._joined = JoinedMirror(self, options.frame_id)
         self._signals = SignalMirror(
             self, options.signals_rate, options.frame_id, predictor.current_at
         )
@@ -116,6 +117,7 @@ class ModelNode(BlockNode[ModelParameters, Prediction]):
         if prediction.continuity:
             self.get_logger().warning(prediction.continuity, throttle_duration_sec=10.0)
         self._signals.publish(prediction, block)
+        self._joined.publish(prediction, block)
         measured = prediction.at_its_samples(block.force)
         if prediction.valid:
             self._error.add(prediction.force, measured, block.period)
