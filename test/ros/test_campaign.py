@@ -7,6 +7,7 @@ import signal
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 from mr_damper_msgs.action import RunCampaign
 from mr_damper_msgs.msg import CurrentCommand, ExcitationCommand
@@ -18,6 +19,7 @@ from support import Listener
 from mr_damper_ros.campaign.folder import read_campaign_runs, read_steps
 from mr_damper_ros.kinematics.periodic_motion import MotionKind, PeriodicMotion
 from mr_damper_ros.models import MODELS
+from mr_damper_ros.models.parameter_set import ParameterSet
 from mr_damper_ros.nodes.command_topic import command_message, motion_of
 
 MACHINE = {
@@ -34,12 +36,17 @@ MACHINE = {
 """A goal that few runs meet, with the law that is identified and planned for in no time."""
 
 
-def rig(start: Any) -> Any:
+def rig(start: Any, folder: Path) -> Any:
+    # A damper that the law follows.
+    damper = folder.with_suffix(".yaml")
+    values = np.array([600.0, 1500.0, 0.0, 0.5, 0.0, 0.0, 0.0])
+    ParameterSet(values, model="bingham").save(damper)
     # The emulated rig goes so many times as fast as a real one.
     return start(
         "bridge",
         rate=4.0,
         **{
+            "emulated.damper": damper,
             "emulated.sample_rate": 500.0,
             "emulated.command_timeout": 2.0,
             "emulated.conductance": 1e4,
@@ -60,7 +67,7 @@ def test_a_goal_is_reached_on_the_emulated_rig(
 ) -> None:
     motions = listener.listen(ExcitationCommand, "rig/excitation_command")
     currents = listener.listen(CurrentCommand, "supply/current_command")
-    rig(start)
+    rig(start, tmp_path)
     node = campaign(start, tmp_path)
     client = ActionClient(listener.node, RunCampaign, "campaign/run_campaign")
     listener.until(client.server_is_ready, "the action")
@@ -94,7 +101,7 @@ def test_a_goal_is_reached_on_the_emulated_rig(
 
 
 def test_killed_it_goes_on_where_it_was(start: Any, listener: Listener, tmp_path: Path) -> None:
-    rig(start)
+    rig(start, tmp_path)
     node = campaign(start, tmp_path, autostart=True, most_runs=1)
     listener.until(lambda: runs_in(tmp_path), "the first run", patience=60.0)
     os.killpg(node.pid, signal.SIGKILL)
@@ -113,7 +120,7 @@ def test_killed_it_goes_on_where_it_was(start: Any, listener: Listener, tmp_path
 
 def test_it_pauses_resumes_and_stops(start: Any, listener: Listener, tmp_path: Path) -> None:
     motions = listener.listen(ExcitationCommand, "rig/excitation_command")
-    rig(start)
+    rig(start, tmp_path)
     campaign(start, tmp_path, autostart=True)
     listener.until(lambda: motions and motions[-1].amplitude > 0.0, "a motion")
     assert listener.call(Trigger, "campaign/pause").success
