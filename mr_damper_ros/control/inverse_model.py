@@ -26,6 +26,9 @@ from mr_damper_ros.models.parameter_set import ParameterSet
 from mr_damper_ros.models.quantities import State
 from mr_damper_ros.signals.arrays import Array
 
+NODES = 65
+"""Currents at which a force is looked at first: between two of them it should bend once at most."""
+
 TOLERANCE = 1e-6
 """Tolerance of the force relative to the span of attainable forces; the supply resolves a
 thousandth."""
@@ -116,7 +119,7 @@ class InverseModel:
         self.law = parameters.law.continuous if gradual_reversal else parameters.law
         self.values = in_coil(parameters)
         self._range = parameters.peak_velocity_range
-        self._nodes = self.law.current_nodes(self.values, lowest_current, highest_current)
+        self._nodes = np.linspace(lowest_current, highest_current, NODES)
         self._node_list: list[float] = self._nodes.tolist()
         self._response = self.law.current_response(self.values)
 

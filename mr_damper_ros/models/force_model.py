@@ -18,7 +18,7 @@ from numpy.typing import ArrayLike
 
 from mr_damper_ros.kinematics.motion import Motion
 from mr_damper_ros.kinematics.window import Window
-from mr_damper_ros.models.current_response import CurrentResponse, even_nodes
+from mr_damper_ros.models.current_response import CurrentResponse
 from mr_damper_ros.models.formulas import WrittenLaw
 from mr_damper_ros.models.machine_code import as_machine_code
 from mr_damper_ros.models.quantities import (
@@ -269,10 +269,6 @@ class Model(ABC):
         weakest = parameters.copy()
         weakest[self.strength_indices] = 0.0
         return self.window_force(window, np.clip(weakest, *self.bounds))
-
-    def current_nodes(self, parameters: Array, lowest: float, highest: float) -> Array:
-        """Currents (m,) [A], first and last included, between which a force bends once at most."""
-        return even_nodes(lowest, highest)
 
     @property
     def formulas(self) -> WrittenLaw | None:

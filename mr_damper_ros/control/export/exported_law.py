@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from mr_damper_ros.control.inverse_model import in_coil
+from mr_damper_ros.control.inverse_model import NODES
 from mr_damper_ros.kinematics.observer import (
     closed_loop,
     possible_bandwidths,
@@ -90,7 +90,7 @@ class ExportedLaw:
             matrix,
             gain,
             settling_samples(settings.period, settings.bandwidth),
-            parameters.law.current_nodes(in_coil(parameters), low, high),
+            np.linspace(low, high, NODES),
         )
 
     @property

@@ -109,12 +109,10 @@ def fit_laws(
             )
             values.update(zip(names, best.tolist(), strict=True))
         values.update(problem.solve({name: np.array([[values[name]]]) for name in names})[1])
-    v = table.peak_velocity
-    if "k6" in free:
-        values["k6"] = _through_origin(v, table.coefficients[:, 5], table.weights(5))
     if "k5" in free:
-        yield_force, offset = table.coefficients[:, 0], table.coefficients[:, 6]
-        values["k5"] = _through_origin(yield_force, offset, table.weights(6))
+        weights = table.weights(6)
+        yield_force, offset = (weights * table.coefficients[:, place] for place in (0, 6))
+        values["k5"] = float(_least_squares(yield_force[np.newaxis, np.newaxis], offset)[0, 0])
     return np.array([values[name] for name in PARAMETER_NAMES])
 
 
@@ -168,42 +166,27 @@ class _LawProblem:
         for column, name in self._law.scales:
             weights = self._weights[column]
             target = weights * self._table.coefficients[:, column]
-            if name not in self._free:
-                given = float(self._values[name])
-                misfit += np.sum((given * constant * weights - target) ** 2, axis=-1)
-            elif gain_is_free:
-                scale, product, cost = _two_scales(constant * weights, step * weights, target)
-                misfit += cost
-                found[name] = float(scale[-1])
-                found[self._law.gain] = float(product[-1] / scale[-1]) if scale[-1] else 0.0
+            parts = [constant, step] if gain_is_free else [constant]
+            basis = weights * np.stack(parts, axis=1)
+            if name in self._free:
+                factors = _least_squares(basis, target)
+                found[name] = scale = float(factors[-1, 0])
+                if gain_is_free:
+                    found[self._law.gain] = float(factors[-1, 1]) / scale if scale else 0.0
             else:
-                scale, cost = _one_scale(constant * weights, target)
-                misfit += cost
-                found[name] = float(scale[-1])
+                given = float(self._values[name])
+                factors = given * np.array([[1.0, self._values[self._law.gain]][: len(parts)]])
+            misfit += np.sum((np.einsum("sc,sck->sk", factors, basis) - target) ** 2, axis=-1)
         return misfit, found
 
 
-def _one_scale(x: Array, target: Array) -> tuple[Array, Array]:
-    power = np.sum(x * x, axis=-1)
-    scale = np.sum(x * target, axis=-1) / np.where(power > 0.0, power, 1.0)
-    return scale, np.sum((scale[:, np.newaxis] * x - target) ** 2, axis=-1)
-
-
-def _two_scales(x: Array, y: Array, target: Array) -> tuple[Array, Array, Array]:
-    xx, xy, yy = (np.sum(p * q, axis=-1) for p, q in ((x, x), (x, y), (y, y)))
-    # A trace of damping keeps the solution finite where both columns look alike.
-    xx, yy = xx * (1.0 + 1e-9) + 1e-300, yy * (1.0 + 1e-9) + 1e-300
-    xt, yt = np.sum(x * target, axis=-1), np.sum(y * target, axis=-1)
-    determinant = xx * yy - xy * xy
-    first = (yy * xt - xy * yt) / determinant
-    second = (xx * yt - xy * xt) / determinant
-    fitted = first[:, np.newaxis] * x + second[:, np.newaxis] * y
-    return first, second, np.sum((fitted - target) ** 2, axis=-1)
-
-
-def _through_origin(x: Array, y: Array, weights: Array) -> float:
-    power = float(np.sum((weights * x) ** 2))
-    return float(np.sum(weights**2 * x * y)) / power if power > 0.0 else 0.0
+def _least_squares(basis: Array, target: Array) -> Array:
+    """Factors (s, c) of the columns of a basis (s, c, k) that come nearest to a target (k,)."""
+    gram = basis @ basis.swapaxes(1, 2)
+    # A trace of damping keeps the solution finite where two columns look alike, or one is zero.
+    places = np.arange(basis.shape[1])
+    gram[:, places, places] = gram[:, places, places] * (1.0 + 1e-9) + 1e-300
+    return np.asarray(np.linalg.solve(gram, (basis @ target)[..., np.newaxis])[..., 0])
 
 
 _LAWS = (
@@ -211,4 +194,5 @@ _LAWS = (
     _Law.of("steepness", ("alpha",), "", ("k0",)),
     _Law.of("viscous slopes", ("k_c", "k_e"), "", ("a4",)),
     _Law.of("hysteresis", ("v_h",), "k3", ("a3", "I1")),
+    _Law.of("velocity offset", ("v_d",), "", ()),
 )

@@ -161,7 +161,6 @@ _coefficient_derivatives = staged(
     [f"{c}_by_{name}" for c, names in DEPENDENCES.items() for name in names],
     arrays=True,
 )
-_gains = staged(LAW, [PARAMETER_NAMES, ("i",)], ("yield_gain", "width_gain"), arrays=True)
 _force = staged(LAW, _WITH_COEFFICIENTS, ("force",), arrays=True)
 _damping = staged(LAW, _WITH_COEFFICIENTS, ("damping",), arrays=True)
 _force_and_damping = staged(LAW, _WITH_COEFFICIENTS, ("force", "damping"), arrays=True)
@@ -208,12 +207,6 @@ def operating_point_coefficients(
     """
     at = _coefficients(*as_columns(_checked(parameters)))
     return Coefficients(*at(_array(peak_velocity), _array(current)))
-
-
-@_quiet
-def current_gains(parameters: Array, current: ArrayLike) -> Array:
-    """Factors (2, n) of f_t and of v_h at currents (n,) [A], for parameters (16,); 1 at 0 A."""
-    return np.stack(_gains(*parameters.tolist())(_array(current)))
 
 
 @_quiet

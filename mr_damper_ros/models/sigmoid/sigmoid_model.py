@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike
 
 from mr_damper_ros.kinematics.motion import Motion
 from mr_damper_ros.kinematics.window import Window
-from mr_damper_ros.models.current_response import CurrentResponse, nodes_along
+from mr_damper_ros.models.current_response import CurrentResponse
 from mr_damper_ros.models.first_order_lag import (
     COIL,
     PLAUSIBLE_COIL,
@@ -54,7 +54,6 @@ from mr_damper_ros.models.sigmoid.law import (
     SCALE_INDICES,
     SCALE_PARAMETER_NAMES,
     coefficient_parameter_jacobian,
-    current_gains,
     operating_point_coefficients,
     secant_damping,
     sign_of_pair,
@@ -167,11 +166,6 @@ class SigmoidModel(Model):
     def current_response(self, parameters: Array) -> CurrentResponse:
         """Force over the current, of which only two factors depend on it."""
         return SigmoidCurrentResponse(parameters, jumps=self._jumps)
-
-    def current_nodes(self, parameters: Array, lowest: float, highest: float) -> Array:
-        """Closer together where the two factors change."""
-        sixteen = parameters[:SIGMOID_COUNT]
-        return nodes_along(lambda current: current_gains(sixteen, current), lowest, highest)
 
     @property
     def formulas(self) -> WrittenLaw:
