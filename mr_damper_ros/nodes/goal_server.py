@@ -57,9 +57,9 @@ class GoalServer:
             handle_accepted_callback=begin,
             goal_callback=self._judge,
             cancel_callback=self._cancel,
-            goal_service_qos_profile=quality.bursts(),
-            result_service_qos_profile=quality.bursts(),
-            cancel_service_qos_profile=quality.bursts(),
+            goal_service_qos_profile=quality.lossless(),
+            result_service_qos_profile=quality.lossless(),
+            cancel_service_qos_profile=quality.lossless(),
         )
 
     def finish(self, goal: ServerGoalHandle, result: Any) -> None:

@@ -39,17 +39,10 @@ def stream(depth: int = STREAM_DEPTH) -> QoSProfile:
 def lossless() -> QoSProfile:
     """For a subscriber that must take every message, however fast they come.
 
+    Also for a service: by default ten requests wait, and those beyond are never answered.
     With "keep all" the middleware stops acknowledging once a few thousand messages wait, so that
     a sender which waits for acknowledgements (:mod:`mr_damper_ros.nodes.pacing`) goes exactly as
     fast as its slowest such subscriber.
-    """
-    return QoSProfile(reliability=ReliabilityPolicy.RELIABLE, history=HistoryPolicy.KEEP_ALL)
-
-
-def bursts() -> QoSProfile:
-    """For a service that answers every request, however many come at once.
-
-    By default ten wait; those beyond are dropped, and whoever asked is never answered.
     """
     return QoSProfile(reliability=ReliabilityPolicy.RELIABLE, history=HistoryPolicy.KEEP_ALL)
 

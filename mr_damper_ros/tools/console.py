@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import inspect
+import json
 import math
 import os
 import re
@@ -17,6 +18,7 @@ from typing import Any, TypeVar
 
 from mr_damper_ros.api.comparison import FORMATS, Comparison, save_figures
 from mr_damper_ros.estimation.differential_evolution import GlobalProgress
+from mr_damper_ros.processes.files import write_text
 
 Self = TypeVar("Self", bound="StatusLine")
 
@@ -162,6 +164,17 @@ def add_run_options(parser: argparse.ArgumentParser) -> None:
         help="use runs that would be refused (clipped, not dissipative, wrong units), with a "
         "warning",
     )
+
+
+def add_json_option(parser: argparse.ArgumentParser, what: str) -> None:
+    """The option that :func:`write_json` heeds."""
+    parser.add_argument("--json", type=Path, metavar="FILE", help=f"write {what} as JSON")
+
+
+def write_json(options: argparse.Namespace, document: Mapping[str, object]) -> None:
+    """Write the document where it was asked for."""
+    if options.json is not None:
+        write_text(options.json, json.dumps(document, indent=2, allow_nan=False) + "\n")
 
 
 def add_plot_options(parser: argparse.ArgumentParser) -> None:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import json
 from pathlib import Path
 
 from mr_damper_ros.api.findings import Findings, searches
@@ -12,16 +11,17 @@ from mr_damper_ros.estimation.differential_evolution import STRATEGIES
 from mr_damper_ros.estimation.global_fit import GLOBAL_METHODS
 from mr_damper_ros.estimation.record_levels import USUAL_SPREAD
 from mr_damper_ros.models import MODELS
-from mr_damper_ros.processes.files import write_text
 from mr_damper_ros.tools.console import (
     FAILED,
     INTERRUPTED,
     ProgressLine,
     add_arguments,
+    add_json_option,
     add_plot_options,
     add_run_options,
     arguments_of,
     program,
+    write_json,
     write_plots,
 )
 
@@ -92,7 +92,7 @@ def _parser() -> argparse.ArgumentParser:
     )
     add_arguments(parser, Identification.determination, _ADVICE_HELPS)
     parser.add_argument("--output", type=Path, metavar="FILE", help="write the set as YAML")
-    parser.add_argument("--json", type=Path, metavar="FILE", help="write all results as JSON")
+    add_json_option(parser, "all results")
     add_plot_options(parser)
     return parser
 
@@ -113,9 +113,7 @@ def _identify(options: argparse.Namespace) -> int:
     print(more)
     if options.output is not None:
         result.save(options.output)
-    if options.json is not None:
-        document = result.document() | more.document
-        write_text(options.json, json.dumps(document, indent=2, allow_nan=False) + "\n")
+    write_json(options, result.document() | more.document)
     write_plots(options, [run.comparison for run in result.runs])
     return 0 if result.explains else EXPLAINS_TOO_LITTLE
 

@@ -6,7 +6,6 @@ A single plan, or with ``--keep`` a campaign whose runs and plans are kept in a 
 from __future__ import annotations
 
 import argparse
-import json
 import math
 from collections.abc import Sequence
 from dataclasses import asdict
@@ -29,9 +28,8 @@ from mr_damper_ros.io.recording_list import find_recordings
 from mr_damper_ros.kinematics.periodic_motion import MotionKind
 from mr_damper_ros.models import MODELS
 from mr_damper_ros.models.parameter_set import DEFAULT_MODEL
-from mr_damper_ros.processes.files import write_text
 from mr_damper_ros.signals.recording import Recording
-from mr_damper_ros.tools.console import FAILED, program
+from mr_damper_ros.tools.console import FAILED, add_json_option, program, write_json
 
 OUT_OF_REACH = 3
 """Exit code where the goal cannot be met within the limits of the machine."""
@@ -74,7 +72,7 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument(
         "--signal", type=Path, metavar="FILE", help="write the run as CSV, to be played"
     )
-    parser.add_argument("--json", type=Path, metavar="FILE", help="write the plan as JSON")
+    add_json_option(parser, "the plan")
     parser.add_argument(
         "--keep", type=Path, metavar="FOLDER", help="folder of the campaign, which continues"
     )
@@ -160,8 +158,7 @@ def _plan(options: argparse.Namespace) -> int:
         if options.signal is not None:
             write_signal(run, options.signal, limits.sample_rate)
             print(f"signal: {options.signal}")
-    if options.json is not None:
-        write_text(options.json, json.dumps(document, indent=2, allow_nan=False) + "\n")
+    write_json(options, document)
     return OUT_OF_REACH if plan is not None and plan.state is PlanState.OUT_OF_REACH else 0
 
 

@@ -3,15 +3,13 @@
 from __future__ import annotations
 
 import argparse
-import json
 from pathlib import Path
 
 from mr_damper_ros.api.comparison import FORMATS
 from mr_damper_ros.api.replay import replay
 from mr_damper_ros.models import MODELS
 from mr_damper_ros.models.parameter_set import DEFAULT_MODEL
-from mr_damper_ros.processes.files import write_text
-from mr_damper_ros.tools.console import program
+from mr_damper_ros.tools.console import add_json_option, program, write_json
 from mr_damper_ros.tracking.engine import EngineSettings
 from mr_damper_ros.tracking.tracker import OF_THE_SET
 
@@ -34,7 +32,7 @@ def _parser() -> argparse.ArgumentParser:
         f"{DEFAULT_MODEL} without)",
     )
     parser.add_argument("--output", type=Path, metavar="FILE", help="write the newest set as YAML")
-    parser.add_argument("--json", type=Path, metavar="FILE", help="write the result as JSON")
+    add_json_option(parser, "the result")
     parser.add_argument(
         "--plot", type=Path, metavar="FILE", help=f"draw the result ({', '.join(FORMATS)})"
     )
@@ -50,8 +48,7 @@ def _replay(options: argparse.Namespace) -> int:
         if result.parameter_set is None:
             raise ValueError(f"no set was accepted: {options.output} is not written")
         result.parameter_set.save(options.output)
-    if options.json is not None:
-        write_text(options.json, json.dumps(result.document(), indent=2, allow_nan=False) + "\n")
+    write_json(options, result.document())
     if options.plot is not None:
         result.plot().savefig(options.plot)
     return 0

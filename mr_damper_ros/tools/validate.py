@@ -3,17 +3,17 @@
 from __future__ import annotations
 
 import argparse
-import json
 from pathlib import Path
 
 from mr_damper_ros.api.comparison import validate
-from mr_damper_ros.processes.files import write_text
 from mr_damper_ros.tools.console import (
     add_arguments,
+    add_json_option,
     add_plot_options,
     add_run_options,
     arguments_of,
     program,
+    write_json,
     write_plots,
 )
 
@@ -27,7 +27,7 @@ def _parser() -> argparse.ArgumentParser:
     )
     add_run_options(parser)
     add_arguments(parser, validate, {"mass": "as for identify [kg]"})
-    parser.add_argument("--json", type=Path, metavar="FILE", help="write the errors as JSON")
+    add_json_option(parser, "the errors")
     add_plot_options(parser)
     return parser
 
@@ -37,8 +37,7 @@ def _validate(options: argparse.Namespace) -> int:
         options.parameters, options.bags, **arguments_of(options, validate, "parameters")
     )
     print(result)
-    if options.json is not None:
-        write_text(options.json, json.dumps(result.document(), indent=2, allow_nan=False) + "\n")
+    write_json(options, result.document())
     write_plots(options, [run.comparison for run in result.runs])
     return 0
 

@@ -313,7 +313,7 @@ def test_every_goal_of_a_burst_is_answered(
     start("identifier")
     results.wait_for_the_start()
     # A client keeps ten answers by default; it is the server that is tried here.
-    deep = {f"{name}_service_qos_profile": quality.bursts() for name in ("goal", "result")}
+    deep = {f"{name}_service_qos_profile": quality.lossless() for name in ("goal", "result")}
     client = ActionClient(listener.node, IdentifyGlobal, "identifier/identify_global", **deep)
     listener.until(client.server_is_ready, "the action server")
     answers = [client.send_goal_async(IdentifyGlobal.Goal()) for _ in range(100)]
