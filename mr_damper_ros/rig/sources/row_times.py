@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from typing import NamedTuple
 
@@ -31,36 +30,14 @@ class TimedSample(NamedTuple):
     measured: Measured
 
 
-class RowTimes(ABC):
-    """Finds numbers and times of rows as they arrive."""
-
-    @abstractmethod
-    def add(self, row: Row, arrival_ns: int) -> list[TimedSample]:
-        """Take in a row; returns the samples that are certain now."""
-
-    @abstractmethod
-    def fault(self) -> str:
-        """What is wrong with the times, in a sentence; empty for nothing."""
-
-    @abstractmethod
-    def values(self) -> Mapping[str, object]:
-        """What has come, and what of it was of no use."""
-
-    def skip(self) -> None:  # noqa: B027 (stamps tell what is missing)
-        """Leave out a row that cannot be read."""
-
-    def interrupted(self) -> None:  # noqa: B027
-        """Note that the connection was lost, and an unknown number of rows with it."""
-
-
-class CountedRows(RowTimes):
-    """Rows by their count, or by their order."""
+class CountedRows:
+    """Numbers and times of rows by their count, or by their order, as they arrive."""
 
     def __init__(self, times: CountedTimes) -> None:
         self._times = times
 
     def add(self, row: Row, arrival_ns: int) -> list[TimedSample]:
-        """See :class:`RowTimes`."""
+        """Take in a row; returns the samples that are certain now."""
         times = self._times
         index = times.add(row.number, arrival_ns)
         if index is None:
@@ -68,15 +45,15 @@ class CountedRows(RowTimes):
         return [TimedSample(index, times.time_ns(index), times.period, row.measured)]
 
     def skip(self) -> None:
-        """See :class:`RowTimes`."""
+        """Leave out a row that cannot be read."""
         self._times.skip()
 
     def interrupted(self) -> None:
-        """See :class:`RowTimes`."""
+        """Note that the connection was lost, and an unknown number of rows with it."""
         self._times.interrupted()
 
     def fault(self) -> str:
-        """See :class:`RowTimes`."""
+        """What is wrong with the times, in a sentence; empty for nothing."""
         times = self._times
         stated = 1.0 / times.period
         if times.rate_is_wrong:
@@ -89,12 +66,12 @@ class CountedRows(RowTimes):
         return ""
 
     def values(self) -> Mapping[str, object]:
-        """See :class:`RowTimes`."""
+        """What has come, and what of it was of no use."""
         return vars(self._times.counts)
 
 
-class StampedRows(RowTimes):
-    """Rows by the time that the sender puts to them, whose unit is so many seconds."""
+class StampedRows:
+    """Numbers and times of rows by the sender's time, whose unit is so many seconds."""
 
     def __init__(self, unit: float) -> None:
         self._channel: StampedChannel[Measured] = StampedChannel(0.0)
@@ -105,7 +82,7 @@ class StampedRows(RowTimes):
         self._odd = 0
 
     def add(self, row: Row, arrival_ns: int) -> list[TimedSample]:
-        """See :class:`RowTimes`."""
+        """Take in a row; returns the samples that are certain now."""
         assert row.time is not None
         time = self._followed(row.time, arrival_ns)
         if time is None:
@@ -125,8 +102,13 @@ class StampedRows(RowTimes):
             for sample in samples
         ]
 
+    def skip(self) -> None:
+        """Stamps tell what is missing."""
+
+    interrupted = skip
+
     def fault(self) -> str:
-        """See :class:`RowTimes`."""
+        """What is wrong with the times, in a sentence; empty for nothing."""
         if self._rate_is_wrong:
             times = 1.0 / max(1.0 + self._channel.clock.rate, 1e-9)
             return (
@@ -136,7 +118,7 @@ class StampedRows(RowTimes):
         return ""
 
     def values(self) -> Mapping[str, object]:
-        """See :class:`RowTimes`."""
+        """What has come, and what of it was of no use."""
         channel = self._channel
         return {
             **vars(channel.counts),
@@ -175,3 +157,6 @@ class StampedRows(RowTimes):
         self._odd_in_a_row, self._turns = 0, turns
         self._last = (time + turns, arrival_ns)
         return time + turns
+
+
+RowTimes = CountedRows | StampedRows
