@@ -11,23 +11,10 @@ from xml.etree import ElementTree
 import pytest
 
 ROOT = Path(__file__).resolve().parent.parent
-NODES = (
+PROGRAMS = (
     *("bridge", "campaign", "controller", "identifier", "live", "model", "replay", "supply"),
-    "suspension",
-)
-TOOLS = (
-    *(
-        "check_rig",
-        "demo",
-        "export",
-        "identify",
-        "identify_many",
-        "import_record",
-        "plan_run",
-        "replay_recording",
-        "validate",
-    ),
-    "watch",
+    *("suspension", "check_rig", "demo", "export", "identify", "identify_many", "import_record"),
+    *("plan_run", "replay_recording", "validate", "watch"),
 )
 MESSAGES = sorted(path.stem for path in (ROOT / "msg_defs" / "msg").glob("*.msg"))
 
@@ -47,18 +34,27 @@ def version_in(path: Path) -> str:
     return found[1]
 
 
-def test_colcon_sees_both_packages():
-    pytest.importorskip("colcon_core")
-    code = "from colcon_core.command import main; raise SystemExit(main())"
+def said(*arguments: str) -> str:
+    """What Python says when it is called with these arguments, which must please it."""
     done = subprocess.run(
-        [sys.executable, "-c", code, "--log-base", "/dev/null", "list"],
+        [sys.executable, *arguments],
         cwd=ROOT,
         capture_output=True,
         text=True,
         timeout=60,
-        check=True,
+        check=False,
     )
-    listed = sorted(line.split("\t") for line in done.stdout.splitlines())
+    assert (done.returncode, done.stderr) == (0, "")
+    return done.stdout.strip()
+
+
+def test_colcon_sees_both_packages():
+    pytest.importorskip("colcon_core")
+    code = "from colcon_core.command import main; raise SystemExit(main())"
+    listed = sorted(
+        line.split("\t")
+        for line in said("-c", code, "--log-base", "/dev/null", "list").splitlines()
+    )
     assert listed == [
         ["mr_damper_msgs", "msg_defs", "(ros.ament_cmake)"],
         ["mr_damper_ros", ".", "(ros.ament_python)"],
@@ -69,38 +65,19 @@ def test_colcon_sees_both_packages():
 def test_package_xml_is_valid(name):
     pytest.importorskip("lxml")
     pytest.importorskip("catkin_pkg")
-    done = subprocess.run(
-        [sys.executable, str(ROOT / "scripts" / "check_package_xml.py"), str(ROOT / name)],
-        capture_output=True,
-        text=True,
-        timeout=60,
-        check=False,
-    )
-    assert (done.returncode, done.stderr) == (0, "")
+    said("scripts/check_package_xml.py", name)
 
 
 def test_one_version_everywhere():
     version = version_in(ROOT / "package.xml")
     assert version_in(ROOT / "msg_defs" / "package.xml") == version
-    assert described("--version") == version
+    assert said("setup.py", "--version") == version
     assert f"\nversion: {version}\n" in (ROOT / "CITATION.cff").read_text(encoding="utf-8")
     heading = re.search(
         r"^(\S+) \(.*\)\n-+$", (ROOT / "CHANGELOG.rst").read_text(encoding="utf-8"), re.MULTILINE
     )
     assert heading
     assert heading[1] == version
-
-
-def described(*options: str) -> str:
-    """What setup.py says of the package."""
-    return subprocess.run(
-        [sys.executable, "setup.py", *options],
-        cwd=ROOT,
-        capture_output=True,
-        text=True,
-        timeout=60,
-        check=True,
-    ).stdout.strip()
 
 
 KEYS = {
@@ -187,7 +164,7 @@ def test_rosbags_and_the_built_messages_agree_on_the_type_hash(name):
     assert typestore().hash_rihs01(type_name) == hashes[type_name]
 
 
-@pytest.mark.parametrize("program", NODES + TOOLS)
+@pytest.mark.parametrize("program", PROGRAMS)
 def test_programs_lie_where_ros2_run_looks(program):
     path = prefix_of("mr_damper_ros") / "lib" / "mr_damper_ros" / program
     assert path.is_file()

@@ -12,7 +12,10 @@ import rclpy
 from diagnostic_msgs.msg import DiagnosticArray
 from mr_damper_msgs.msg import (
     CurrentCommand,
+    DamperParameters,
+    FitReport,
     MtsSamples,
+    PredictedForce,
     SupplyCurrent,
 )
 from rclpy.executors import SingleThreadedExecutor
@@ -112,6 +115,18 @@ class Observer:
         self.until(
             lambda: self.node.count_subscribers(topic) >= count, f"{count} subscribers of {topic}"
         )
+
+
+def hear_identification(
+    observer: Observer, hear: Callable[[Any], None]
+) -> tuple[list[Any], list[Any], list[Any]]:
+    """Samples, predicted forces and sets as they come; ``hear`` is given each report."""
+    observer.listen(FitReport, "damper/fit_report", hear=hear)
+    return (
+        observer.listen(MtsSamples, SAMPLES_TOPIC),
+        observer.listen(PredictedForce, "damper/predicted_force"),
+        observer.listen(DamperParameters, "damper/parameters", quality.latched()),
+    )
 
 
 def record_rig(node: Node, record: RigRecord) -> None:

@@ -159,17 +159,12 @@ class _Heard:
     """What the nodes publish: samples, forces, reports, each printed as it comes, and sets."""
 
     def __init__(self, observer: Observer) -> None:
-        from mr_damper_msgs.msg import DamperParameters, FitReport, MtsSamples, PredictedForce
-
-        from mr_damper_ros.nodes.quality import latched
+        from mr_damper_ros.nodes.observer import hear_identification
 
         self._observer = observer
         self._last = time.monotonic()
         self.reports: list[Any] = []
-        observer.listen(FitReport, "damper/fit_report", hear=self._tell)
-        self.samples = observer.listen(MtsSamples, "mts/samples")
-        self.forces = observer.listen(PredictedForce, "damper/predicted_force")
-        self.sets = observer.listen(DamperParameters, "damper/parameters", latched())
+        self.samples, self.forces, self.sets = hear_identification(observer, self._tell)
 
     def _tell(self, report: Any) -> None:
         self.reports.append(report)

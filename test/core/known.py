@@ -12,7 +12,6 @@ from typing import Any
 import numpy as np
 import pytest
 from hypothesis import HealthCheck, settings
-from numpy.typing import ArrayLike
 
 from mr_damper_ros.kinematics.peak_velocity import peak_velocity
 from mr_damper_ros.kinematics.window import Window
@@ -95,22 +94,12 @@ def weaker(strength: float) -> Array:
     return np.asarray(PLAUSIBLE * np.where(np.arange(16) == index("f0"), strength, 1.0))
 
 
-def parameter_jacobian(
-    parameters: ArrayLike,
-    displacement: ArrayLike,
-    velocity: ArrayLike,
-    acceleration: ArrayLike,
-    current: ArrayLike,
-) -> Array:
+def parameter_jacobian(values: Array, u: Array, v: Array, a: Array, current: Array) -> Array:
     """Derivatives of the sigmoid force by the sixteen parameters, shape (n, 16)."""
-    v_m = peak_velocity(displacement, velocity, acceleration)
-    coefficients = operating_point_coefficients(parameters, v_m, current)
-    jacobian = np.einsum(
-        "nc,ncp->np",
-        coefficient_jacobian(coefficients, velocity, acceleration),
-        coefficient_parameter_jacobian(parameters, v_m, current),
-    )
-    return np.asarray(jacobian)
+    v_m = peak_velocity(u, v, a)
+    outer = coefficient_jacobian(operating_point_coefficients(values, v_m, current), v, a)
+    inner = coefficient_parameter_jacobian(values, v_m, current)
+    return np.asarray(np.einsum("nc,ncp->np", outer, inner))
 
 
 def index(name: str) -> int:
@@ -150,11 +139,8 @@ class Run:
     @property
     def coefficients(self) -> Array:
         """The seven coefficients (7,) that the run was made with, f_t positive."""
-        return positive(
-            np.concatenate(
-                operating_point_coefficients(self.parameters, self.top_speed, self.current)
-            )
-        )
+        at_the_point = operating_point_coefficients(self.parameters, self.top_speed, self.current)
+        return positive(np.concatenate(at_the_point))
 
     @property
     def noise_rms(self) -> float:
@@ -185,7 +171,7 @@ def run(
     v = amplitude * omega * np.cos(omega * time + phase)
     a = -(omega**2) * u
     clean = sine_force(parameters, u, v, a, current)
-    error = np.zeros(samples) if seed is None else _normal(seed, samples, noise)
+    error = 0.0 if seed is None else np.random.default_rng(seed).normal(0.0, noise, samples)
     return Run(
         parameters=np.asarray(parameters, dtype=float),
         displacement=u,
@@ -197,10 +183,6 @@ def run(
         period=period,
         top_speed=amplitude * omega,
     )
-
-
-def _normal(seed: int, samples: int, noise: float) -> Array:
-    return np.random.default_rng(seed).normal(0.0, noise, samples)
 
 
 def positive(coefficients: Array) -> Array:
@@ -281,12 +263,7 @@ def followed(
     for block in blocks(displacement, force, [100]):
         ready += assembler.add_block(block)
         ready += assembler.add_current(block.end_ns, current)
-    reports = []
-    for raw in ready:
-        report = tracker.follow(raw)
-        if report is not None:
-            reports.append(report)
-    return reports
+    return [report for raw in ready if (report := tracker.follow(raw)) is not None]
 
 
 def drifting_force(run: Run, warm: float) -> Array:
@@ -315,8 +292,3 @@ def recordings_folder() -> Path:
 def confirmation(set_id: str, start_ns: int, stamp_ns: int) -> WindowVerdict:
     """A report that a set fits the window between two stamps."""
     return WindowVerdict(start_ns, stamp_ns, Verdict.NO_BETTER, 0.1, True, set_id)
-
-
-def refusal(verdict: Verdict, nrmse_before: float) -> WindowVerdict:
-    """A report that confirms nothing."""
-    return WindowVerdict(T0, T0, verdict, nrmse_before, False, "any")

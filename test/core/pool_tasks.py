@@ -5,7 +5,6 @@ from __future__ import annotations
 import os
 import signal
 import time
-from pathlib import Path
 
 import numpy as np
 import scipy.linalg  # noqa: F401  # its BLAS is another than NumPy's
@@ -66,16 +65,6 @@ def journalled(argument: tuple[str, str, float]) -> dict[str, str]:
     return {"name": name, "process": str(os.getpid())}
 
 
-def deadly_once(argument: tuple[str, str, float]) -> dict[str, str]:
-    """Its process dies with it the first time."""
-    journal, name, _ = argument
-    begun = Path(journal).read_text("utf-8").split() if Path(journal).exists() else []
-    document = journalled(argument)
-    if name.startswith("deadly") and name not in begun:
-        os.kill(os.getpid(), signal.SIGKILL)
-    return document
-
-
 def deadly(argument: tuple[str, str, float]) -> dict[str, str]:
     """Its process dies with it every time."""
     document = journalled(argument)
@@ -90,7 +79,3 @@ def unwilling(argument: tuple[str, str, float]) -> dict[str, str]:
 
 def always(document: dict[str, str]) -> bool:
     return True
-
-
-def never(document: dict[str, str]) -> bool:
-    return False

@@ -83,22 +83,21 @@ def test_every_kind_is_there_where_the_machine_can_make_it() -> None:
 @RUNS
 def test_a_run_tells_and_demands_what_was_foreseen(run: PlannedRun) -> None:
     foreseen = CandidateRuns(known.SIGMOID, [run], 1000.0).gains(known.PLAUSIBLE, 20.0, 20.0)[0]
-    windows = run.windows(perform(run, noise=0.0, rate=1000.0))
+    recording = perform(run, noise=0.0, rate=1000.0)
+    windows = run.windows(recording)
     found = window_information(known.SIGMOID, windows, [20.0] * len(windows), known.PLAUSIBLE)
     seen = np.diag(found) > 1e-9 * np.diag(found).max()
     # Relative: of the steep parts of a loop few samples hold now more, now less than many.
     assert np.diag(foreseen)[seen] / np.diag(found)[seen] == pytest.approx(1.0, rel=0.6)
     force, heat = CandidateRuns(known.SIGMOID, [run], 1000.0).demands([known.PLAUSIBLE])
-    recording = perform(run, noise=0.0, rate=1000.0)
     assert force[0] == pytest.approx(np.abs(recording.force).max(), rel=0.02)
     velocity = np.gradient(recording.displacement, recording.period)
     work = float(np.sum(recording.force * velocity)) * recording.period
     assert heat[0] == pytest.approx(work, rel=0.05)
-    windows = run.windows(perform(run, noise=0.0, rate=1000.0))
     assert [window.current[0] for window in windows] == list(run.currents)
     for window in windows:
         left = known.SIGMOID.window_force(window, known.PLAUSIBLE) - window.force
-        assert np.sqrt(np.mean(left**2)) < 0.01 * np.sqrt(np.mean(window.force**2))
+        assert known.rms(left) < 0.01 * known.rms(window.force)
 
 
 @RUNS

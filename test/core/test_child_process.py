@@ -11,6 +11,7 @@ from pathlib import Path
 
 import pool_tasks
 import pytest
+from fresh_python import said
 
 from mr_damper_ros.processes import child_process
 
@@ -18,10 +19,7 @@ PATIENCE = 30.0
 
 
 def output(function: Callable[..., object], *arguments: str) -> str:
-    command = child_process.command(function, *arguments)
-    done = subprocess.run(command, capture_output=True, text=True, timeout=PATIENCE, check=False)
-    assert done.returncode == 0, done.stderr
-    return done.stdout
+    return said(*child_process.command(function, *arguments))
 
 
 def test_a_function_is_called_with_its_arguments() -> None:

@@ -1,11 +1,11 @@
 """The examples run, on the data that ships with the package."""
 
 import os
-import subprocess
 import sys
 from pathlib import Path
 
 import pytest
+from fresh_python import said
 
 TOP = Path(__file__).parents[2]
 EXAMPLES = sorted((TOP / "examples").glob("*.py"))
@@ -15,13 +15,5 @@ EXAMPLES = sorted((TOP / "examples").glob("*.py"))
 def test_an_example_runs(example: Path, tmp_path: Path) -> None:
     for folder in ("bags", "doc"):
         (tmp_path / folder).symlink_to(TOP / folder)
-    ran = subprocess.run(
-        [sys.executable, example],
-        cwd=tmp_path,
-        env={**os.environ, "MPLBACKEND": "agg", "PYTHONPATH": str(TOP)},
-        capture_output=True,
-        text=True,
-        check=False,
-    )
-    assert ran.returncode == 0, ran.stderr
-    assert ran.stdout
+    environment = {**os.environ, "MPLBACKEND": "agg", "PYTHONPATH": str(TOP)}
+    assert said(sys.executable, example, cwd=tmp_path, env=environment)

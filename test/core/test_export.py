@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import ctypes
 import shutil
-import subprocess
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from fresh_python import said
 from known import EXAMPLES, PLAUSIBLE
 from random_motion import BandLimitedRandom
 
@@ -198,15 +198,8 @@ def octave(law: ExportedLaw, folder: Path, script: str) -> Array:
     """The numbers that a script prints beside the M-code of a law."""
     for name, text in functions(law).items():
         (folder / name).write_text(text)
-    done = subprocess.run(
-        ["octave", "--no-gui", "--quiet", "--eval", script],
-        cwd=folder,
-        capture_output=True,
-        text=True,
-        check=True,
-        timeout=120,
-    )
-    return np.array(done.stdout.split(), dtype=float)
+    printed = said("octave", "--no-gui", "--quiet", "--eval", script, cwd=folder)
+    return np.array(printed.split(), dtype=float)
 
 
 @needs_octave

@@ -162,16 +162,6 @@ def test_the_extension_is_found_with_the_sixteen(found):
     assert np.all(np.abs(coefficients - known.positive(truth)) < STANDARD_ERRORS * errors)
 
 
-def test_a_simplex_identifies_the_extended_law():
-    windows = runs(TRUTH[16:], (0.6,))[2:]
-    start = np.append(known.PLAUSIBLE, NONE)
-    fit = identify_global(EXTENDED, windows, start, QUICK, method="nelder_mead")
-    assert fit.parameter_set.values.shape == (20,)
-    noise = np.median([known.NOISE / np.std(w.force) for w in windows])
-    # Median NRMSE over that of the noise, after a search that is cut short.
-    assert fit.median_nrmse < 1.2 * noise
-
-
 @pytest.mark.parametrize("seed", [0, 1])
 def test_the_richer_law_leaves_no_more_than_the_one_that_it_contains(seed):
     """Of a force that neither follows: it starts from what the simpler law has found."""

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import math
-import subprocess
-import sys
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -12,6 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 import yaml
+from fresh_python import alone
 
 import mr_damper_ros as mr
 from mr_damper_ros.api import identification
@@ -21,19 +20,6 @@ ROOT = Path(__file__).parents[2]
 ONE_RUN = ROOT / "bags" / "5.0mm_1Hz_1.5A"
 ANOTHER = ROOT / "bags" / "5.0mm_1Hz_0.5A"
 RUN = mr.read_bag(ONE_RUN)[0]
-
-
-def alone(code: str) -> str:
-    """What a fresh Python prints that knows the paths of this one."""
-    done = subprocess.run(
-        [sys.executable, "-c", f"import sys; sys.path[:] = {sys.path!r}\n{code}"],
-        capture_output=True,
-        text=True,
-        timeout=60,
-        check=False,
-    )
-    assert done.returncode == 0, done.stderr
-    return done.stdout
 
 
 @pytest.fixture(scope="module")

@@ -191,7 +191,6 @@ def test_velocity_and_acceleration_of_any_motion_are_near_the_best_there_is(
 ) -> None:
     found, best = smoothed(name, noise)
     assert found[1] < NEAR_THE_BEST * best[1]
-    found, best = smoothed(name, noise)
     assert found[0] < NEAR_THE_BEST * best[0]
 
 

@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import subprocess
-import sys
-
 import pytest
+from fresh_python import alone
 
 
 @pytest.mark.parametrize(
@@ -34,9 +32,4 @@ def loaded_by(modules: str) -> set[str]:
 
 def printed_by(code: str) -> set[str]:
     """Words that a fresh interpreter prints."""
-    # With all paths of this process, but without what it has loaded.
-    path = f"import sys; sys.path[:] = {sys.path!r}; "
-    done = subprocess.run(
-        [sys.executable, "-c", path + code], capture_output=True, text=True, check=True
-    )
-    return set(done.stdout.split())
+    return set(alone(code).split())

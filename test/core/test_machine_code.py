@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import math
-import subprocess
 import sys
 from collections.abc import Callable, Iterator, Sequence
 from typing import Any
 
 import numpy as np
 import pytest
+from fresh_python import alone
 
 from mr_damper_ros.models import bouc_wen, machine_code, series_springs
 from mr_damper_ros.models.machine_code import as_machine_code, run_loop
@@ -84,9 +84,7 @@ def test_without_numba_the_loop_runs_as_it_is() -> None:
 
 
 def test_a_stream_does_not_wait_for_a_compiler() -> None:
-    code = f"""
-import sys
-sys.path[:] = {sys.path!r}
+    code = """
 import numpy as np
 from mr_damper_ros.models import MODELS
 from mr_damper_ros.kinematics.motion import Motion
@@ -96,5 +94,4 @@ for name in ("series_springs", "bouc_wen", "modified_bouc_wen"):
     model.stream(1e-3).follow(model.initial_values()[0], motion, 1.0)
 print("numba" in sys.modules)
 """
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    assert done.stdout.strip() == "False"
+    assert alone(code).strip() == "False"

@@ -128,13 +128,3 @@ OTHER = {
 def test_a_record_of_another_search_is_refused(name: str) -> None:
     with pytest.raises(SearchRecordError, match="it is of another search"):
         empty().take(OTHER[name].document())
-
-
-@pytest.mark.parametrize(
-    "document",
-    [None, [], {}, {"version": 1}, {"version": 9}, {**empty().document(), "found": {"1": {}}}],
-    ids=str,
-)
-def test_what_is_no_record_is_refused(document: object) -> None:
-    with pytest.raises(SearchRecordError, match="begin a new one"):
-        empty().take(document)

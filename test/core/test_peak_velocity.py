@@ -53,19 +53,6 @@ def test_in_a_sine_it_is_the_peak_soon_and_then_more_exactly(frequency: float) -
 
 
 @known.fixed(20)
-@given(sizes=st.lists(st.integers(1, 900), min_size=1, max_size=6))
-def test_it_does_not_depend_on_the_size_of_the_blocks(sizes: list[int]) -> None:
-    velocity, acceleration = random_motion()
-    follower, parts, first, place = PeakVelocity(PERIOD, memory=0.4), [], 0, 0
-    while first < velocity.size:
-        part = slice(first, first + sizes[place % len(sizes)])
-        parts.append(follower.follow(velocity[part], acceleration[part]))
-        first, place = part.stop, place + 1
-    whole = PeakVelocity(PERIOD, memory=0.4).follow(velocity, acceleration)
-    np.testing.assert_allclose(np.concatenate(parts), whole, rtol=ROUNDING)
-
-
-@known.fixed(20)
 @given(faster=st.floats(0.7, 5.0), larger=st.floats(1e-2, 1e2))
 def test_a_faster_or_larger_motion_has_a_peak_velocity_higher_in_proportion(
     faster: float, larger: float

@@ -12,11 +12,9 @@ import numpy as np
 import pytest
 from streamed import START, source_of
 
-from mr_damper_ros.io.bag_files import BagError
 from mr_damper_ros.io.bag_reader import read_bag
-from mr_damper_ros.io.columns import RecordError
 from mr_damper_ros.models.parameter_set import ParameterSet
-from mr_damper_ros.models.published import THESIS_28_CELSIUS, ConditionError
+from mr_damper_ros.models.published import THESIS_28_CELSIUS
 from mr_damper_ros.rig.blocks import Meter
 from mr_damper_ros.rig.sources import SOURCES
 from mr_damper_ros.settings.option_table import build
@@ -124,27 +122,6 @@ def test_the_emulated_damper_is_the_one_that_was_named(damper: str, tmp_path: Pa
     force = next(rig.blocks(START)).force
     assert np.isfinite(force).all()
     assert np.ptp(force) > 100.0
-
-
-@pytest.mark.parametrize(
-    ("name", "settings", "error", "part"),
-    [
-        ("bag", {"bag": "/nowhere"}, BagError, "there is no bag at /nowhere"),
-        (
-            "record",
-            {"file": "/nowhere", "columns": "displacement:mm,force:N", "period": 1e-3},
-            RecordError,
-            "current is not known",
-        ),
-        ("emulated", {"damper": "5mm"}, ConditionError, "no condition '5mm'"),
-        ("emulated", {"damper": "/nowhere.yaml"}, OSError, "No such file"),
-    ],
-)
-def test_what_cannot_be_opened_is_refused(
-    name: str, settings: dict[str, Any], error: type[Exception], part: str
-) -> None:
-    with pytest.raises(error, match=part):
-        source_of(name, **settings).open()
 
 
 @pytest.mark.parametrize(

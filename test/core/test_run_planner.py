@@ -72,18 +72,6 @@ def test_a_campaign_reaches_its_goal_and_claims_what_is_true(campaign: ForceCamp
     assert worst[-1] < 0.1 * worst[0]
 
 
-def test_no_run_leaves_the_limits_and_the_first_is_the_gentlest(
-    campaign: ForceCampaign, machine: Machine
-) -> None:
-    for recording in machine.recordings:
-        assert np.abs(recording.displacement).max() <= LIMITS.amplitude
-        assert np.abs(recording.force).max() <= LIMITS.force
-        assert 0.0 <= recording.current.min() <= recording.current.max() <= LIMITS.current
-    assert all(run.peak_velocity <= LIMITS.peak_velocity for run in machine.runs)
-    assert machine.runs[0] == first_run(GOAL, LIMITS)
-    assert machine.runs[0].peak_velocity <= GOAL.peak_velocity[0]
-
-
 def test_a_campaign_can_be_ended() -> None:
     heard: list[CampaignStep] = []
 

@@ -6,7 +6,6 @@ import dataclasses
 import json
 import os
 import signal
-import subprocess
 import sys
 from pathlib import Path
 from types import SimpleNamespace
@@ -15,6 +14,7 @@ from typing import Any
 import known
 import numpy as np
 import pytest
+from fresh_python import said
 
 from mr_damper_ros.emulation.emulator import ConstantDamper, EmulatedRig, RigSettings
 from mr_damper_ros.emulation.motions import SineMotion
@@ -135,33 +135,6 @@ def test_a_start_with_a_lag_is_refused_for_the_law_without_one(
     assert "give a set of model 'sigmoid'" in capsys.readouterr().err
 
 
-def test_an_interrupted_search_returns_the_best_so_far(tmp_path: Path) -> None:
-    """Ctrl-C once the search has begun, from outside: the result is written and says so."""
-    result = tmp_path / "result.json"
-    program = (
-        "import sys, os, signal\n"
-        "from mr_damper_ros.tools import console, identify\n"
-        "shown = console.ProgressLine.__call__\n"
-        "def interrupted(self, told):\n"
-        "    if told.generation > 0:\n"
-        "        os.kill(os.getpid(), signal.SIGINT)\n"
-        "    return shown(self, told)\n"
-        "console.ProgressLine.__call__ = interrupted\n"
-        "sys.exit(identify.main(sys.argv[1:]))\n"
-    )
-    bags = [str(BAGS / name) for name in ("5.0mm_1Hz_0.5A", "7.5mm_1Hz_1.0A", "5.0mm_1Hz_1.5A")]
-    ended = subprocess.run(
-        [sys.executable, "-c", program, *bags, "--json", str(result)],
-        capture_output=True,
-        text=True,
-        timeout=120,
-        env={**os.environ, "PYTHONPATH": os.pathsep.join(sys.path)},
-        check=False,
-    )
-    assert ended.returncode == 0, ended.stderr
-    assert "stopped" in json.loads(result.read_text())["message"]
-
-
 def test_what_would_be_refused_is_taken_with_a_warning_where_that_is_asked_for(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -229,11 +202,17 @@ PROGRAM = (
 
 STOPPING = PROGRAM.replace(
     "if __name__",
+    "import os, signal\n"
     "from mr_damper_ros.tools.console import ProgressLine\n"
-    "ProgressLine.__call__ = lambda self, progress: False\n"
+    "shown = ProgressLine.__call__\n"
+    "def interrupted(self, progress):\n"
+    "    if progress.generation > 0:\n"
+    "        os.kill(os.getpid(), signal.SIGINT)\n"
+    "    return shown(self, progress)\n"
+    "ProgressLine.__call__ = interrupted\n"
     "if __name__",
 )
-"""The same, stopped as soon as it tells of its progress."""
+"""The same, interrupted by Ctrl-C as soon as it tells of its progress."""
 
 
 @pytest.fixture(scope="module")
@@ -254,15 +233,8 @@ def runs(tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
 
 def in_a_process(tmp_path: Path, program: str, *arguments: str | Path) -> dict[str, Any]:
     path = tmp_path / "result.json"
-    ended = subprocess.run(
-        [sys.executable, "-c", program, *map(str, arguments), "--json", str(path)],
-        capture_output=True,
-        text=True,
-        timeout=120,
-        env={**os.environ, "PYTHONPATH": os.pathsep.join(sys.path)},
-        check=False,
-    )
-    assert ended.returncode == 0, ended.stderr
+    environment = {**os.environ, "PYTHONPATH": os.pathsep.join(sys.path)}
+    said(sys.executable, "-c", program, *arguments, "--json", path, env=environment)
     document: dict[str, Any] = json.loads(path.read_text())
     return document
 
@@ -340,7 +312,7 @@ def test_the_searches_and_their_spread_are_told(
     assert "2 searches left " in said
 
 
-@pytest.mark.parametrize("text", ["", "no JSON", "{}", '{"version": 1, "search": "x"}'])
+@pytest.mark.parametrize("text", ["", "no JSON", "{}", '{"version": 9, "search": "x"}'])
 def test_a_file_that_is_no_record_is_refused_and_left_alone(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], text: str
 ) -> None:

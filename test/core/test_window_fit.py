@@ -130,23 +130,18 @@ def test_many_fits_are_unbiased_and_as_certain_as_they_say(realisations: list[Wi
         # Of 0.95: three standard errors of a share of 200.
         assert share == pytest.approx(0.95, abs=0.046), name
     errors = np.array([fit.coefficients - TRUTH.coefficients for fit in realisations])
-    ratio = np.mean(errors**2, axis=0) / np.diag(cramer_rao_bound(TRUTH))
+    bound = cramer_rao_bound(TRUTH)
+    ratio = np.mean(errors**2, axis=0) / np.diag(bound)
     # Mean variance over the bound: one from 200 draws has a standard error of 0.1.
     assert np.mean(ratio) <= 1.15, dict(zip(COEFFICIENT_NAMES, ratio.round(2), strict=True))
     # Least variance over the bound: four such standard errors; less is a fault of the test.
     assert np.min(ratio) >= 0.6, "below the bound: the test itself is wrong"
     reported = np.mean([fit.coefficient_covariance for fit in realisations], axis=0)
-    bound = cramer_rao_bound(TRUTH)
-    scale = np.sqrt(np.diag(bound))
+    scale = np.sqrt(np.outer(np.diag(bound), np.diag(bound)))
     # Of the bound's variances: the mean of 200 measured variances of the noise errs by 0.2 %.
-    np.testing.assert_allclose(
-        reported / np.outer(scale, scale), bound / np.outer(scale, scale), atol=0.02
-    )
-    errors = np.array([fit.coefficients - TRUTH.coefficients for fit in realisations])
+    np.testing.assert_allclose(reported / scale, bound / scale, atol=0.02)
     bias = errors.mean(axis=0) / (errors.std(axis=0) / math.sqrt(SEEDS))
-    assert np.max(np.abs(bias)) < STANDARD_ERRORS, dict(
-        zip(COEFFICIENT_NAMES, bias.round(1), strict=True)
-    )
+    assert np.max(np.abs(bias)) < STANDARD_ERRORS, bias.round(1)
 
 
 # -- starts ----------------------------------------------------------------------------------

@@ -23,6 +23,7 @@ PARAMETERS: list[tuple[str, dict[str, object], str]] = [
     ("bridge", {"rate": ".inf"}, "rate must be a finite number"),
     ("bridge", {"source": "bag", "bag": "/nowhere/at/all"}, "there is no bag"),
     ("bridge", {"source": "record", "record__file": "/nowhere"}, "record.columns is empty"),
+    ("bridge", {"emulated__damper": "5mm"}, "no condition '5mm'"),
     ("bridge", {"use_sim_time": 3}, "use_sim_time"),
     ("bridge", {**TOPICS, "topics__force_type": "no_msgs/Thing"}, "no message that is installed"),
     ("bridge", {**TOPICS, "topics__force_type": "std_msgs/Float64"}, "no header and so no stamp"),
