@@ -209,8 +209,8 @@ def turns_gradually(found: ParameterSet, window: Window) -> bool:
     errors = []
     for law in (jumping, gradual):
         settled = law.settled(window, found.values)
-        force = law.window_force(found.held(window), found.values)
-        errors.append(float(np.mean((force - window.force)[settled] ** 2)))
+        error = (law.window_force(found.held(window), found.values) - window.force)[settled]
+        errors.append(float(error @ error) / error.size if error.size else math.inf)
     return errors[1] < errors[0]
 
 

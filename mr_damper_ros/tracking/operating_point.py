@@ -118,7 +118,8 @@ class PointRecord:
 
     ``baseline``: the first accepted fit, and ``force``: its force, which nothing later moves;
     ``temperatures`` (n, 3): measured temperature [°C], force scale and its standard error;
-    ``window``: the newest good one, and ``stamp_ns``: that of its last sample.
+    ``window``: the newest good one, ``stamp_ns``: that of its last sample, and its running
+    ``number``.
     """
 
     point: OperatingPoint
@@ -127,6 +128,7 @@ class PointRecord:
     temperatures: Array = field(default_factory=lambda: np.empty((0, 3)))
     window: Window | None = None
     stamp_ns: int = 0
+    number: int = 0
 
 
 @dataclass(frozen=True, eq=False)
@@ -167,7 +169,7 @@ class KnownPoints:
     def kept(self) -> tuple[PointRecord, ...]:
         """Records with a window, of which the newest is the last."""
         with_window = [each for each in self.records if each.window is not None]
-        return tuple(sorted(with_window, key=lambda each: each.stamp_ns))
+        return tuple(sorted(with_window, key=lambda each: each.number))
 
     @property
     def windows(self) -> tuple[Window, ...]:
@@ -185,7 +187,8 @@ class KnownPoints:
 
     def with_window(self, kept: Kept, stamp_ns: int = 0) -> KnownPoints:
         """The same with a window up to this stamp in place of the older one at its point."""
-        known = self.noted(kept.point, window=kept.window, stamp_ns=stamp_ns)
+        number = max((each.number for each in self.records), default=0) + 1
+        known = self.noted(kept.point, window=kept.window, stamp_ns=stamp_ns, number=number)
         while len(known.kept) > MOST_WINDOWS:
             known = known.noted(known.kept[0].point, window=None)
         return known

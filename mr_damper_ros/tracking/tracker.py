@@ -22,6 +22,7 @@ from mr_damper_ros.processes.blas_threads import one_thread
 from mr_damper_ros.settings.option_table import CheckedSettings, group, option
 from mr_damper_ros.signals.blocks import NANOSECONDS
 from mr_damper_ros.tracking.acceptance import (
+    STILL_GOOD,
     AcceptanceSettings,
     Experience,
     Gatekeeper,
@@ -391,10 +392,13 @@ class WindowTracker:
             objection=partial(implausible, found),
         )
         if self._unexplained and judgement.verdict is Verdict.DISTURBED:
+            # The law is at fault, not the samples: a set that is still good is confirmed.
+            good = evidence.nrmse_before <= STILL_GOOD
             judgement = Judgement(
-                Verdict.POOR_FIT,
+                Verdict.NO_BETTER if good else Verdict.POOR_FIT,
                 "the dependence of the force on the current differs from the running set: the "
                 "window is used in the next global identification",
+                usual=False,
             )
         if judgement.teaches:
             # All but the running set learns from every good window; that from those that help.

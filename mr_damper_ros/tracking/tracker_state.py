@@ -76,8 +76,9 @@ def _with_records(data: dict[str, Any]) -> dict[str, Any]:
     fits, windows, points, stamps, temperatures = (data.get(name, []) for name in _OF_EARLIER)
     history = data.get("history", {})
     found = [(fit["operating_point"], {"baseline": fit}) for fit in fits]
-    for window, point, stamp in zip(windows, points, stamps or [0] * len(windows), strict=True):
-        found.append((point, {"window": window, "stamp_ns": stamp}))
+    stamps = stamps or [0] * len(windows)
+    for number, (window, point, stamp) in enumerate(zip(windows, points, stamps, strict=True)):
+        found.append((point, {"window": window, "stamp_ns": stamp, "number": number}))
     for each in temperatures:
         found.append((each["operating_point"], {"temperatures": each["seen"]}))
     for force in history.get("forces", []):
@@ -214,7 +215,7 @@ def _soundness(memory: TrackerMemory, parameter_count: int) -> Iterator[tuple[bo
 
 
 def _record_soundness(record: PointRecord, parameter_count: int) -> Iterator[tuple[bool, str]]:
-    yield abs(record.stamp_ns) < _STAMP_LIMIT, "such a stamp"
+    yield max(abs(record.stamp_ns), abs(record.number)) < _STAMP_LIMIT, "such a stamp"
     seen, force, fit = record.temperatures, record.force, record.baseline
     yield seen.ndim == 2 and seen.shape[1] == 3, "such a temperature history"
     yield can_be_seen(seen), "such a temperature or force scale"
