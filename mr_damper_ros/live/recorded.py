@@ -36,7 +36,7 @@ def title_of(path: Path) -> str:
     """Name, operator and note that were given to a recording, and its file."""
     with opened_bag(path) as bag:
         told = [bag.details.get(key, "") for key in ("name", "operator", "note")]
-    return ", ".join([*filter(None, told), path.name])
+    return ", ".join(dict.fromkeys([*filter(None, told), path.name]))
 
 
 def start_of(path: Path) -> ParameterSet | None:

@@ -370,7 +370,9 @@ def test_a_recording_is_opened_on_the_page(browser: Browser) -> None:
     browser.errors.clear()
     with opened(browser, record):
         browser.until("document.querySelector('#state')?.innerText.includes('recorded')")
-        assert browser.text("#state").startswith("■ recorded: ")
+        assert browser.text("#state") == f"■ recorded: {bag.name}"
+        height = browser.evaluate("document.querySelector('#alarms').clientHeight")
+        assert height == 0, "no node is looked for"
         browser.until("document.querySelectorAll('#window-rows tr').length > 2")
         begin, end = first_and_last_time(browser)
         assert begin < 0.2

@@ -701,6 +701,7 @@ function showCommands() {
 }
 
 function showStatus() {
+  document.body.classList.toggle("recorded", Boolean(status.recorded));
   byId("namespace").textContent = status.title.length > 1 ? status.title : "";
   showAlarms();
   showTiles();
@@ -817,6 +818,8 @@ function markSection() {
   }
 }
 addEventListener("scroll", markSection, { passive: true });
+const head = document.querySelector("header");
+new ResizeObserver(() => { document.documentElement.style.scrollPaddingTop = `${head.offsetHeight + 8}px`; }).observe(head);
 
 applyTheme();
 markSection();
