@@ -45,7 +45,6 @@ from mr_damper_ros.models.published import (
     is_clean,
     parameters,
 )
-from mr_damper_ros.models.sigmoid.coefficient_laws import shape_bounds
 from mr_damper_ros.models.sigmoid.law import (
     PARAMETER_NAMES,
     SCALE_PARAMETER_NAMES,
@@ -54,6 +53,7 @@ from mr_damper_ros.models.sigmoid.law import (
     operating_point_coefficients,
     sine_force,
 )
+from mr_damper_ros.models.sigmoid.sigmoid_model import shape_bounds
 from mr_damper_ros.signals.arrays import Array
 from mr_damper_ros.signals.recording import Recording
 from studies.recordings import window_of

@@ -23,7 +23,6 @@ from numpy.typing import ArrayLike
 
 from mr_damper_ros.kinematics.motion import Motion, MotionSample
 from mr_damper_ros.kinematics.window import Window
-from mr_damper_ros.models.current_response import CurrentResponse
 from mr_damper_ros.models.first_order_lag import (
     COIL,
     PLAUSIBLE_COIL,
@@ -33,7 +32,7 @@ from mr_damper_ros.models.first_order_lag import (
     coil_state,
     coil_unsettled,
 )
-from mr_damper_ros.models.force_model import Model, WindowForces
+from mr_damper_ros.models.force_model import CurrentResponse, Model, WindowForces
 from mr_damper_ros.models.quantities import (
     CoefficientTable,
     LawSearch,

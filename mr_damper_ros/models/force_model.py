@@ -9,16 +9,15 @@ asks which model it is. A stream is the force of a motion that goes on, block by
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from functools import cached_property
 from typing import ClassVar
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from mr_damper_ros.kinematics.motion import Motion
+from mr_damper_ros.kinematics.motion import Motion, MotionSample
 from mr_damper_ros.kinematics.window import Window
-from mr_damper_ros.models.current_response import CurrentResponse
 from mr_damper_ros.models.formulas import WrittenLaw
 from mr_damper_ros.models.machine_code import as_machine_code
 from mr_damper_ros.models.quantities import (
@@ -432,6 +431,29 @@ class WindowForces:
     @cached_property
     def _sizes(self) -> Array:
         return self.model.typical_sizes(self.windows)
+
+
+class CurrentResponse(ABC):
+    """The force of one parameter set as a function of the current in the coil [A], for an inverse.
+
+    The coil's lag is no part of it: an inverse finds the current of the coil, and how the supply
+    brings it there is another matter. Samples each follow the same ``state``, ``period`` [s] after
+    it: of a law that remembers, ask for one.
+    """
+
+    @abstractmethod
+    def forces(
+        self, samples: Sequence[MotionSample], current: Array, period: float, state: State | None
+    ) -> Array:
+        """Force (n, m) [N] of n samples at currents (n, m) or (m,) [A]."""
+
+    def at(
+        self, sample: MotionSample, period: float, state: State | None
+    ) -> Callable[[float], float]:
+        """Force [N] of one sample at a current [A], in scalars."""
+        return lambda current: float(
+            self.forces([sample], np.array([current]), period, state)[0, 0]
+        )
 
 
 class ForceStream:

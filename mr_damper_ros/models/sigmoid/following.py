@@ -46,7 +46,6 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from mr_damper_ros.kinematics.motion import Motion, MotionSample
-from mr_damper_ros.models.current_response import CurrentResponse
 from mr_damper_ros.models.first_order_lag import (
     COIL,
     coil_current,
@@ -56,6 +55,7 @@ from mr_damper_ros.models.first_order_lag import (
     next_lagged,
     one_sample_later,
 )
+from mr_damper_ros.models.force_model import CurrentResponse
 from mr_damper_ros.models.formulas import staged
 from mr_damper_ros.models.quantities import State
 from mr_damper_ros.models.sigmoid.law import (

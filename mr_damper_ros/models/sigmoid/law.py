@@ -162,7 +162,6 @@ _coefficient_derivatives = staged(
     arrays=True,
 )
 _force = staged(LAW, _WITH_COEFFICIENTS, ("force",), arrays=True)
-_damping = staged(LAW, _WITH_COEFFICIENTS, ("damping",), arrays=True)
 _force_and_damping = staged(LAW, _WITH_COEFFICIENTS, ("force", "damping"), arrays=True)
 _FORCE_BY, _DAMPING_BY = (
     [f"{result}_by_{name}" for name in COEFFICIENT_NAMES] for result in ("force", "damping")
@@ -222,22 +221,13 @@ def force_from_coefficients(
 
 
 @_quiet
-def secant_damping(
-    coefficients: Coefficients, velocity: ArrayLike, acceleration: ArrayLike
-) -> Array:
-    """Damping [N s/m] that the sigmoid amounts to: its force over its velocity.
-
-    f_t tanh(alpha x / 2) / x with x = v + sgn(a) v_h + v_d; shapes as for
-    :func:`force_from_coefficients`.
-    """
-    return np.asarray(_damping(*coefficients, *_moving(velocity, acceleration)))
-
-
-@_quiet
 def force_and_damping(
     coefficients: Coefficients, velocity: Array, acceleration: Array
 ) -> ForceAndDamping:
-    """Both of shape (..., n), for coefficients that broadcast against velocity (n,) [m/s]."""
+    """Both of shape (..., n), for coefficients that broadcast against velocity (n,) [m/s].
+
+    The damping is f_t tanh(alpha x / 2) / x, with x = v + sgn(a) v_h + v_d.
+    """
     found = _force_and_damping(*coefficients, *_moving(velocity, acceleration))
     return ForceAndDamping(*found)
 
