@@ -57,9 +57,6 @@ FEW = 256
 _MOST_STEPS = 40
 """Of the search for the most probable parameters, which begins near them."""
 
-_REPETITIONS = 15
-"""Identifications again, to tell an error where a covariance may not."""
-
 _DRAWS = 200
 """Draws from what is plausible, of which the prior is made, and from what may be true."""
 
@@ -330,14 +327,14 @@ def most_probable(
     noise: Sequence[float],
     prior: Array,
     about: Array,
-    start: Array | None = None,
-) -> tuple[Array, float]:
-    """The most probable parameters (p,), and half of what speaks against them.
+    start: Array,
+) -> Array:
+    """The most probable parameters (p,).
 
     All parameters are free, ``about`` (p,) with the information ``prior`` (p, p, diagonal): what
     the data tell little of moves as far as they tell, and what they do not tell stays. A search
     that holds what it cannot determine well would be wrong by more than it claims. It begins at
-    ``start`` (p,), or ``about``.
+    ``start`` (p,).
     """
     from scipy.optimize import least_squares
 
@@ -355,50 +352,11 @@ def most_probable(
         return np.concatenate([*parts, np.diag(weight)])
 
     low, high = model.bounds
-    inside = np.clip(
-        about if start is None else start, np.nextafter(low, np.inf), np.nextafter(high, -np.inf)
-    )
+    inside = np.clip(start, np.nextafter(low, np.inf), np.nextafter(high, -np.inf))
     found = least_squares(
         residual, inside, jacobian, (low, high), x_scale=1.0 / weight, max_nfev=_MOST_STEPS
     )
-    return np.asarray(found.x), float(found.cost)
-
-
-def repeated_error(
-    model: Model,
-    windows: Sequence[Window],
-    noise: Sequence[float],
-    prior: Array,
-    parameters: Array,
-    cycles: Cycles,
-) -> float:
-    """Worst relative error of the force that is as likely exceeded as not, by identifying again.
-
-    Windows with the force of ``parameters`` (p,) and new noise are identified, so that it holds
-    where the law bends too much for a covariance: a parametric bootstrap (Efron and Tibshirani,
-    "An introduction to the bootstrap", 1993). A few samples with less noise stand for all.
-    """
-    rng = np.random.default_rng(0)
-    few = [window.thinned(FEW) for window in windows]
-    sizes = [
-        sigma * math.sqrt(f.sample_count / w.sample_count)
-        for f, w, sigma in zip(few, windows, noise, strict=True)
-    ]
-    forces = [model.window_force(window, parameters) for window in few]
-    deviations = 1.0 / np.sqrt(np.diagonal(prior))
-    low, high = model.bounds
-    true = cycles.force(parameters)
-    largest = np.max(np.abs(true), axis=1, keepdims=True)
-    worst = []
-    for _ in range(_REPETITIONS):
-        again = [
-            replace(window, force=force + sigma * rng.standard_normal(force.size))
-            for window, force, sigma in zip(few, forces, sizes, strict=True)
-        ]
-        about = np.clip(parameters + deviations * rng.standard_normal(parameters.size), low, high)
-        found, _ = most_probable(model, again, sizes, prior, about, parameters)
-        worst.append(float(np.max(np.abs(cycles.force(found) - true) / largest)))
-    return float(np.median(worst))
+    return np.asarray(found.x)
 
 
 def noise_of(model: Model, window: Window, parameters: Array) -> float:
@@ -565,7 +523,7 @@ class RunPlanner:
         ]
         _, values, noise = min(found, key=lambda one: one[0])
         # Few samples tell where the best set is, and only all of them how it lies exactly.
-        return most_probable(self.model, windows, noise, prior, parameters, values)[0]
+        return most_probable(self.model, windows, noise, prior, parameters, values)
 
     def _with_noise(
         self,
@@ -580,7 +538,7 @@ class RunPlanner:
         sizes = np.array([window.sample_count for window in windows], dtype=float)
         least = math.inf
         for _ in range(_ROUNDS):
-            values, _ = most_probable(self.model, few, noise, prior, about, values)
+            values = most_probable(self.model, few, noise, prior, about, values)
             noise = self._noise(windows, values)
             left = float(sizes @ np.log(noise)) / float(sizes.sum())
             if left > least - _SETTLED:
@@ -597,14 +555,9 @@ class RunPlanner:
         information = self._information(windows, noise, parameters)
         return self._errors(parameters, information, self._model_errors(windows, parameters))
 
-    def knowledge(self, windows: Sequence[Window], parameters: Array) -> PointErrors:
-        """As :meth:`errors`; where the goal seems to be met, that is made sure of."""
-        now = self.errors(windows, parameters)
-        return self._confirmed(now, windows, parameters) if now.worst <= self.goal.error else now
-
     def next(self, windows: Sequence[Window], parameters: Array, observable: np.ndarray) -> Plan:
         """What to do next; ``observable`` (p,) tells which parameters the windows determine."""
-        now = self.knowledge(windows, parameters)
+        now = self.errors(windows, parameters)
         if now.worst <= self.goal.error:
             return Plan(PlanState.MET, now, reason=f"the goal is met: {now.sentence}")
         return self.plan_on(windows, parameters, observable, now)
@@ -662,16 +615,6 @@ class RunPlanner:
                 + ", or a larger error",
             )
         return Plan(PlanState.RUN, now, best, expected, left)
-
-    def _confirmed(
-        self, now: PointErrors, windows: Sequence[Window], parameters: Array
-    ) -> PointErrors:
-        """The errors, the worst no smaller than by identifying again: the goal is met for sure."""
-        prior = prior_information(self.model, self._goal_cycles, parameters, self.goal)
-        noise = self._noise(windows, parameters)
-        again = repeated_error(self.model, windows, noise, prior, parameters, self._goal_cycles)
-        larger = max(again / now.worst, 1.0)
-        return replace(now, worst=larger * now.worst, bound=larger * now.bound)
 
     def _errors(self, parameters: Array, information: Array, model_errors: Array) -> PointErrors:
         gradient = relative_gradient(self._goal_cycles, parameters)
