@@ -99,7 +99,7 @@ def _run_node(name: str, *arguments: object) -> int:
 
 
 def _end_at_once(numbers: tuple[signal.Signals, ...], code: int, word: str = "") -> None:
-    """Have these signals end the process with a code, and hear those that were held back."""
+    """Have these signals end the process with a code, and deliver those that were held back."""
 
     def end(number: int, frame: FrameType | None) -> None:
         os.write(2, word.encode())

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable
+from contextlib import ExitStack
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -208,13 +209,8 @@ class CampaignNode(Node):
         self._moving: MachineCommand | None = None
         self._last = ""
         self._failed = False
-        self._motion_publisher, self._current_publisher = (
-            quality.publisher(self, kind, topic)
-            for kind, topic in (
-                (ExcitationCommand, EXCITATION_TOPIC),
-                (CurrentCommand, COMMAND_TOPIC),
-            )
-        )
+        self._motion_publisher = quality.publisher(self, ExcitationCommand, EXCITATION_TOPIC)
+        self._current_publisher = quality.publisher(self, CurrentCommand, COMMAND_TOPIC)
         quality.subscription(
             self,
             Temperature,
@@ -250,9 +246,10 @@ class CampaignNode(Node):
             },
         )
         if self._options.autostart:
-            why_not = self._begin(self._options.goal)
-            if why_not:
-                raise ConfigurationError(why_not)
+            try:
+                self._begin(self._options.goal)
+            except (ValueError, OSError) as error:
+                raise ConfigurationError(str(error)) from error
         else:
             self.get_logger().info(
                 f"waiting for a goal on {self.get_fully_qualified_name()}/run_campaign"
@@ -293,38 +290,34 @@ class CampaignNode(Node):
         return wanted
 
     def _begin_goal(self, goal: ServerGoalHandle) -> None:
-        why_not = self._begin(self._wanted(goal.request))
-        if not why_not:
+        try:
+            self._begin(self._wanted(goal.request))
+        except (ValueError, OSError) as error:
+            self.get_logger().error(f"the campaign cannot begin: {error}")
+            failed = RunCampaign.Result.FAILED
+            result = RunCampaign.Result(outcome=failed, message=str(error), worst_error=math.nan)
+            self._goals.finish(goal, result)
+        else:
             self._goal = goal
-            return
-        self.get_logger().error(f"the campaign cannot begin: {why_not}")
-        failed = RunCampaign.Result.FAILED
-        result = RunCampaign.Result(outcome=failed, message=why_not, worst_error=math.nan)
-        self._goals.finish(goal, result)
 
     def _cancel(self, goal: ServerGoalHandle) -> None:
         if goal == self._goal:
             self._conductor.stop()
 
-    def _begin(self, wanted: GoalOptions) -> str:
-        """Begin a campaign, or go on with it; why not, in words, empty where it has begun."""
+    def _begin(self, wanted: GoalOptions) -> None:
+        """Begin a campaign, or go on with it; raises ValueError or OSError where it cannot."""
         options = self._options
         if not options.folder:
-            return "there is no folder to keep the runs in: set the parameter folder"
-        try:
-            limits = options.machine.limits(manual=options.conduct.manual)
-            task = CampaignTask(wanted.goal(), limits, options.model)
+            raise ValueError("there is no folder to keep the runs in: set the parameter folder")
+        limits = options.machine.limits(manual=options.conduct.manual)
+        task = CampaignTask(wanted.goal(), limits, options.model)
+        with ExitStack() as stack:
             folder = CampaignFolder(Path(options.folder).expanduser().absolute(), task)
-        except (ValueError, OSError) as error:
-            return str(error)
-        try:
+            stack.callback(folder.close)
             course = CampaignCourse(task, folder=folder, most_runs=options.most_runs)
-        except (ValueError, OSError) as error:
-            folder.close()
-            return str(error)
+            stack.pop_all()
         self._last, self._failed = "", False
         self._conductor.begin(course, folder)
-        return ""
 
     def _steer(self, act: Callable[[], None], said: str, _: Any, response: Any) -> Any:
         response.success = self._conductor.running
