@@ -11,7 +11,6 @@ from scipy.signal import lfilter
 
 from benchmarks import following
 from benchmarks.figure import Measured
-from benchmarks.other_dampers import random_motion
 from mr_damper_ros.emulation.emulator import (
     THESIS_FORCE_NOISE,
     ConstantDamper,
@@ -19,7 +18,7 @@ from mr_damper_ros.emulation.emulator import (
     ModelDamper,
     RigSettings,
 )
-from mr_damper_ros.emulation.motions import Excitation, SineMotion
+from mr_damper_ros.emulation.motions import Excitation, SampledMotion, SineMotion
 from mr_damper_ros.estimation.window_fit import fit_window
 from mr_damper_ros.kinematics.window import Window
 from mr_damper_ros.models import MODELS
@@ -142,6 +141,16 @@ def published_scales(
     )
 
 
+def random_motion(duration: float, seed: int) -> SampledMotion:
+    """Gaussian motion of 3 mm rms with a flat spectrum from 0.5 to 3 Hz, of many tones."""
+    period, tones = 0.005, 200
+    rng = np.random.default_rng(seed)
+    rates = 2.0 * np.pi * rng.uniform(0.5, 3.0, tones)
+    angles = np.outer(np.arange(round(duration / period) + 1) * period, rates)
+    amplitudes = 3e-3 / math.sqrt(tones) * rng.standard_normal((2, tones))
+    return SampledMotion(np.sin(angles) @ amplitudes[0] + np.cos(angles) @ amplitudes[1], period)
+
+
 def bouc_wen(yield_length: float) -> ParameterSet:
     """A damper of 0.7 kN of the modified Bouc-Wen law, which the sigmoid law does not follow."""
     model = MODELS["modified_bouc_wen"]
@@ -166,7 +175,7 @@ def figures(
     """A damper of another law in two motions, correlated noise, and an exact damper."""
     counts = {name: exchanges(name, windows) for name in ("window", "recursive")}
     duration = misfit_windows * following.WINDOW + _SETTLING
-    irregular_motion = random_motion(3e-3, 0.5, 3.0, duration, seed=1)
+    irregular_motion = random_motion(duration, seed=1)
     sine = published_scales(SineMotion(5e-3, 1.0), bouc_wen(_SOFT), misfit_windows)
     irregular = published_scales(irregular_motion, bouc_wen(_STIFF), misfit_windows)
     ratios = [error_ratios(memory, realisations) for memory in MEMORIES]

@@ -9,7 +9,6 @@ import pytest
 from scipy.signal import lfilter
 
 from benchmarks import honest_errors
-from benchmarks.other_dampers import random_motion
 from mr_damper_ros.estimation.covariance import NoiseModel, error_covariances
 from mr_damper_ros.signals.arrays import Array
 from mr_damper_ros.tracking.force_scale import ForceScale, SeenScale, widened
@@ -87,7 +86,7 @@ def test_an_irregular_scale_is_as_uncertain_as_it_scatters(widening: float) -> N
 
 
 def test_the_published_errors_of_a_damper_of_another_law_are_its_scatter() -> None:
-    motion = random_motion(3e-3, 0.5, 3.0, 50.0, seed=1)
+    motion = honest_errors.random_motion(50.0, seed=1)
     scales, errors, _ = honest_errors.published_scales(
         motion, honest_errors.bouc_wen(1.5e-4), windows=24
     )
