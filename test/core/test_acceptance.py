@@ -244,3 +244,11 @@ def test_a_set_may_lose_no_more_elsewhere_than_it_gains_here(
     here = dataclasses.replace(here, loss=loss, nrmse_elsewhere=left_elsewhere)
     judgement = Gatekeeper(AcceptanceSettings()).judge(here)
     assert judgement.verdict is (Verdict.ACCEPTED if accepted else Verdict.NO_BETTER)
+
+
+@pytest.mark.parametrize("after", [0.4, math.inf, math.nan])
+def test_one_set_for_all_that_explains_too_little_is_refused(after: float) -> None:
+    gatekeeper = Gatekeeper(AcceptanceSettings(maximum_nrmse=0.3))
+    judgement = gatekeeper.judge_global(Evidence(0.9, after))
+    assert judgement.verdict is Verdict.POOR_FIT
+    assert "more than maximum_nrmse (30%)" in judgement.sentence

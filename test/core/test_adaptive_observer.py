@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
 
 from mr_damper_ros.emulation.motions import SineMotion
 from mr_damper_ros.kinematics.observer import (
@@ -59,20 +57,6 @@ def test_it_widens_when_the_motion_becomes_faster() -> None:
     before = observer.bandwidth
     observer.follow(fast + slow[-1] - fast[0])
     assert observer.bandwidth > 4.0 * before
-
-
-@settings(deadline=None, max_examples=25)
-@given(cuts=st.lists(st.integers(1, 400), min_size=1, max_size=12))
-def test_the_blocks_do_not_matter(cuts: list[int]) -> None:
-    u, _ = measured(2.0, 1e-3, sum(cuts))
-    whole = AdaptiveObserver(1e-3).follow(u)
-    observer = AdaptiveObserver(1e-3)
-    parts = [observer.follow(part) for part in np.split(u, np.cumsum(cuts)[:-1])]
-    for one, other in zip(whole, zip(*parts, strict=True), strict=True):
-        # The sums of a block are taken in another order.
-        np.testing.assert_allclose(
-            np.concatenate(other), one, rtol=1e-6, atol=1e-9 * abs(one).max()
-        )
 
 
 def test_the_gain_of_noise_is_that_of_noise() -> None:

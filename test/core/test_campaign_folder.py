@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from dataclasses import replace
 from pathlib import Path
 
@@ -14,7 +13,6 @@ import mr_damper_ros as mr
 from mr_damper_ros.campaign.course import fault_of_run
 from mr_damper_ros.campaign.folder import CampaignFolder, read_campaign_runs, read_steps, read_task
 from mr_damper_ros.estimation.planned_run import ForceGoal, MachineLimits, PlannedRun
-from mr_damper_ros.kinematics.periodic_motion import MotionKind
 from mr_damper_ros.models.parameter_set import ParameterSet
 from mr_damper_ros.signals.recording import Recording
 
@@ -139,14 +137,3 @@ def test_a_damaged_step_is_named(quick: list[int], tmp_path: Path) -> None:
     (tmp_path / "steps" / "step_002.json").write_text("{")
     with pytest.raises(ValueError, match=r"step_002\.json is damaged: remove it"):
         mr.run_campaign(GOAL, LIMITS, perform, folder=tmp_path)
-
-
-def test_a_campaign_of_before_there_were_other_motions_goes_on(tmp_path: Path) -> None:
-    CampaignFolder(tmp_path, TASK).close()
-    path = tmp_path / "campaign.json"
-    text = json.loads(path.read_text())
-    del text["limits"]["motions"]
-    path.write_text(json.dumps(text))
-    assert read_task(tmp_path) == TASK
-    broad = replace(TASK, limits=replace(LIMITS, motions=tuple(MotionKind)))
-    CampaignFolder(tmp_path, broad).close()

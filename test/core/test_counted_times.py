@@ -89,3 +89,11 @@ def test_nothing_of_another_rate_than_the_stated_one_is_used(rate: float) -> Non
         times.add(None, arrival) is not None for _, _, arrival in arrivals(30_000, rate=rate)
     )
     assert used == 0
+
+
+def test_what_cannot_be_read_has_its_place_where_nobody_counts() -> None:
+    times = CountedTimes(RATE, checks_rate=False)
+    first = times.add(None, BEGIN)
+    times.skip(3)
+    second = times.add(None, BEGIN + 4_000_000)
+    assert (first, second, times.counts.lost) == (0, 4, 3)

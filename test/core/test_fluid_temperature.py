@@ -120,3 +120,15 @@ def test_unknown_temperatures_and_scales_are_left_out() -> None:
         pairs += [(celsius, ForceScale(scale, error)), (math.nan, ForceScale(scale, error))]
         pairs.append((celsius, ForceScale()))
     assert learnt(pairs).windows == 60
+
+
+def test_what_is_kept_of_a_long_run_is_bounded_and_says_the_same() -> None:
+    data = observed(count=3000)
+    pairs = zip(*data, strict=True)
+    kept, whole = learnt((c, ForceScale(scale, error)) for c, scale, error in pairs), fitted(*data)
+    assert kept.windows <= 400
+    assert (kept.low, kept.high) == (whole.low, whole.high)
+    middle = 0.5 * (whole.low + whole.high)
+    expected = whole.scale(middle).value
+    # Of the error of one window, by which a map of kept points may differ from one of all points.
+    assert kept.scale(middle).value == pytest.approx(expected, abs=0.2 * ERROR)

@@ -85,17 +85,6 @@ def test_a_record_survives_json() -> None:
     assert again.fits[3].candidates[0].origin == first.best.candidates[0].origin
 
 
-def test_a_record_from_before_discrepancies_is_taken() -> None:
-    record = empty()
-    searched(1, record=record)
-    document = json.loads(json.dumps(record.document()))
-    for found in document["found"].values():
-        del found["discrepancy"]
-    again = empty()
-    again.take(document)
-    assert all(np.isnan(fit.discrepancy).all() for fit in again.fits.values())
-
-
 @pytest.mark.parametrize(
     ("method", "after"), [("global", 1), ("global", 45), ("differential_evolution", 10)]
 )
