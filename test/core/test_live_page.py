@@ -516,7 +516,7 @@ def test_what_is_not_heard_any_more_is_grey_and_says_since_when(browser: Browser
     running_damper.show_health(record)
     with opened(browser, record):
         browser.until("document.querySelector('#state')?.innerText === '● live'")
-        browser.until(f"document.querySelector('#tile-prediction .sign').innerText && !{GONE}")
+        browser.until(f"document.querySelector('#tile-prediction .sign')?.innerText && !{GONE}")
         clock = 112.0
         running_damper.show_signals(record, 3.0, 1.0)
         others = ("model", "supply", "bridge", "safety", "controller", "campaign")
