@@ -79,14 +79,14 @@ def test_the_commands_are_those_of_the_core(
     listener.until(lambda: len(commands) >= count, "a command for every block")
 
     core = ForceController(ForceControlSettings(demand_timeout=3600.0))
-    core.set_parameters(KNOWN)
+    core.predictor.set_parameters(KNOWN)
     core.want(recording.start_ns, WANTED)
     for index in (*range(0, recording.sample_count, BLOCK), recording.sample_count - 1):
         core.predictor.add_current(recording.stamp_ns(index), float(recording.current[index]))
     expected = []
     for first in range(0, recording.sample_count, BLOCK):
         expected.append(core.command(block(recording, first)))
-        core.catch_up()
+        core.predictor.catch_up()
     got = [command.current for command in commands[:count]]
     np.testing.assert_allclose(got, [command.current for command in expected])
     assert any(not command.doubt and command.attainable for command in expected)
