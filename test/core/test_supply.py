@@ -29,6 +29,7 @@ from mr_damper_ros.rig.supplies.supply import (
     ScpiSupply,
     SupplyDriver,
     SupplyError,
+    SupplyProfile,
     SupplyThread,
     read_profile,
 )
@@ -189,6 +190,11 @@ def test_a_profile_that_cannot_be_used_is_refused(tmp_path: Path, text: str, par
 def test_a_profile_that_is_not_there_is_answered_with_those_that_are() -> None:
     with pytest.raises(ProfileError, match="emulated, keysight_n7900, scpi"):
         read_profile("mine")
+
+
+def test_a_watchdog_is_never_set_shorter_than_wanted_nor_to_a_part_of_its_step() -> None:
+    profile = SupplyProfile(tested="no", watchdog_step=1.0)
+    assert [profile.watchdog_delay(wanted) for wanted in (0.2, 1.0, 1.2)] == [1.0, 1.0, 2.0]
 
 
 # --- a supply behind a socket -------------------------------------------------------------------
