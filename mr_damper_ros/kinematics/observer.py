@@ -177,11 +177,12 @@ def _observer(period: float, bandwidth: float) -> tuple[Array, Array]:
 _STRETCH = 120
 """Samples after which the bandwidth is chosen anew."""
 
-_GROUP, _SURPRISE = 5, 8.0
+_GROUP, _SURPRISE = 10, 6.0
 """The bandwidth widens at once where a group of samples leaves a residual of so many times the
-power expected: white noise does so once in 7 million groups. In 160 emulated starts from a rest, at
-200 and 1000 Hz, the velocity of the first one and a half cycles is off by 3.4 and 1.7 % of its peak
-(median); groups of 10 and a factor of 6 give 4.4 and 2.2 %, no such rule 9.7 and 7.4 %."""
+power expected: white noise does so once in 280 million groups. In 160 emulated starts from a rest,
+at 200 and 1000 Hz, the velocity of the first one and a half cycles is off by 4.4 and 2.2 % of its
+peak (median); groups of 5 and a factor of 8 give 3.4 and 1.7 % and take twice the time of a block
+of ten, no such rule gives 9.7 and 7.4 %."""
 
 _START = 40.0
 """Bandwidth [Hz] before anything is known."""
