@@ -92,7 +92,7 @@ def least_squares_covariance(
     bread = normal_inverse(jacobian)
     drawn = np.zeros((0, jacobian.shape[1]))
     if prior is not None:
-        drawn = math.sqrt(prior.variance) * jacobian[prior.rows]
+        drawn = jacobian[prior.rows] * np.sqrt(np.reshape(prior.variance, (-1, 1)))
         jacobian, residual = jacobian[~prior.rows], residual[~prior.rows]
     n, p = jacobian.shape
     freedom = max(n - p, 1)

@@ -13,6 +13,7 @@ from mr_damper_ros.estimation.covariance import (
     error_covariances,
     least_squares_covariance,
     motion_numbers,
+    normal_inverse,
     samples_per_cycle,
     without_negative_variance,
 )
@@ -128,7 +129,7 @@ def identify_global(
     clock = ProgressClock(1, report)
 
     def searched(known: Array | None, levels: LevelPrior | None) -> GlobalFit:
-        search = GlobalSearch(model, windows, start, settings, clock, known, levels=levels)
+        search = GlobalSearch(model, windows, start, settings, clock, earlier=known, levels=levels)
         try:
             search.run(method)
             ending = Ending.EXHAUSTED if search.exhausted else Ending.CONVERGED
@@ -169,7 +170,7 @@ def _result(search: GlobalSearch, method: str, ending: Ending) -> GlobalFit:
     misfit = search.whole_misfit()
     if places:
         block = np.ix_(places, places)
-        covariance[block], discrepancy[block] = _errors(misfit, best, places)
+        covariance[block], discrepancy[block] = _errors(search, misfit, places)
         errors[places] = np.sqrt(np.diag(covariance[block]))
     speeds = np.concatenate([window.motion.peak_velocity for window in search.windows])
     observable = np.isfinite(errors)
@@ -197,22 +198,30 @@ def _result(search: GlobalSearch, method: str, ending: Ending) -> GlobalFit:
         evaluations=search.evaluations,
         success=ending is Ending.CONVERGED and not search.shortcoming,
         message=search.shortcoming or ending.value,
-        noise=np.array([fit.rmse for fit in search.fits]),
+        noise=search.noise,
         cost=misfit.mean_square(best),
         candidates=tuple(search.candidates),
         stopped=ending is Ending.STOPPED,
     )
 
 
-def _errors(misfit: Misfit, best: Array, places: Sequence[int]) -> tuple[Array, Array]:
+def _errors(search: GlobalSearch, misfit: Misfit, places: Sequence[int]) -> tuple[Array, Array]:
     """Covariance (f, f) of the parameters at some places, and the discrepancy in it."""
-    jacobian, residual = misfit.jacobian(best, places), misfit.residual(best)
     if len(misfit.windows) == 1 and misfit.prior is None:
+        jacobian = misfit.jacobian(search.best, places)
+        residual = misfit.residual(search.best)
         errors = error_covariances(jacobian, residual, samples_per_cycle(misfit.windows[0]))
         discrepancy = without_negative_variance(errors.discrepancy)
         both = without_negative_variance(errors.repeatability) + discrepancy
         return both, np.full_like(both, math.nan)  # one motion tells no scatter between motions
-    covariance = least_squares_covariance(jacobian, residual, prior=misfit.prior)
+    posterior = search.posterior(misfit, places)
+    jacobian = posterior.jacobian(posterior.start)
+    residual = posterior.residual(posterior.start)
+    covariance = least_squares_covariance(jacobian, residual, prior=posterior.prior)
     motions = motion_numbers(misfit.windows)[misfit.row_windows]
-    discrepancy = discrepancy_between(jacobian, residual, motions, covariance)
-    return covariance + np.nan_to_num(discrepancy), discrepancy
+    # The prior is no motion: what it alone holds, no scatter between motions tells of.
+    jacobian, residual = jacobian[: motions.size], residual[: motions.size]
+    told = np.where(np.isnan(normal_inverse(jacobian)), math.nan, covariance)
+    discrepancy = discrepancy_between(jacobian, residual, motions, told)
+    units = np.outer(posterior.widths, posterior.widths)
+    return (covariance + np.nan_to_num(discrepancy)) * units, discrepancy * units

@@ -1,12 +1,17 @@
-"""One parameter set of a model for many windows: the steps of the search.
+"""One parameter set of a model for many windows: the most probable one.
 
 1. Each window gives its own coefficients (least squares, no dependence on velocity or current
    assumed within it); what these leave of the force is the noise of the window.
 2. The laws over operating points are fitted to these coefficients: linear where they are, else by
    differential evolution.
-3. A local search on the samples themselves, over the parameters that the data determine. It
-   begins with what one run determines besides the coefficients, such as a compliance, as the start
-   has it; the first two steps take that as given.
+3. From there, and from a few other starts, least squares on the samples over all parameters that
+   the windows can tell apart, joined by a prior: what dampers are like, in the ranges and sizes
+   that the model states. Samples count once per correlation length.
+
+What the windows determine is read off the posterior: a parameter is known where they say more of
+it than the prior. The law that a model contains as a special case is searched first, as one of the
+starts. Where the windows have something in common besides the coefficients, such as a compliance,
+or the current varies within one, they are fitted once more with what was found.
 """
 
 from __future__ import annotations
@@ -17,18 +22,16 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from mr_damper_ros.estimation.covariance import correlation_length
+from mr_damper_ros.estimation.covariance import correlation_length, triangular_factor
 from mr_damper_ros.estimation.differential_evolution import (
     EvolutionSettings,
     ProgressClock,
     evolve,
 )
-from mr_damper_ros.estimation.local_search import LocalSearch, StopRequestedError
+from mr_damper_ros.estimation.local_search import MOST_STEPS, LocalSearch, StopRequestedError
 from mr_damper_ros.estimation.observability import (
     current_varies,
-    determined_parameters,
     noise_level,
-    not_known,
     operating_points_within,
     parameter_ranges,
     varied_parameters,
@@ -36,9 +39,9 @@ from mr_damper_ros.estimation.observability import (
 from mr_damper_ros.estimation.record_levels import LevelledProblem, LevelPrior
 from mr_damper_ros.estimation.window_fit import WindowFit, fit_window
 from mr_damper_ros.kinematics.motion import DataError
-from mr_damper_ros.kinematics.window import Window
+from mr_damper_ros.kinematics.window import Window, holds_cycle
 from mr_damper_ros.models.force_model import Model
-from mr_damper_ros.models.misfit import Misfit
+from mr_damper_ros.models.misfit import Misfit, PriorRows
 from mr_damper_ros.models.quantities import CoefficientTable
 from mr_damper_ros.signals.arrays import Array
 
@@ -71,15 +74,26 @@ def no_search(
     return start
 
 
+# -- the prior and the posterior -----------------------------------------------------------------
+
 _RIDGE = 1e-4
-"""Weight that keeps a flat direction from running away: no more than a trace of the misfit."""
+"""Weight of a prior that only keeps a flat direction from running away: a trace of the misfit."""
 
 
-class FreeParameters:
-    """A pooled problem for unknowns (f,): the parameters at ``places``, each in its own unit.
+@dataclass(frozen=True, eq=False)
+class Prior:
+    """What dampers are like: parameters about ``centre`` (p,), with standard deviations (p,)."""
 
-    ``values`` (p,) are where it starts, ``sizes`` (f,) the units, ``bounds`` those of all
-    parameters (p,). A ridge keeps flat directions where they are.
+    centre: Array
+    width: Array
+
+
+class Posterior:
+    """Residual of a pooled problem, and below it that of the prior, for unknowns (f,).
+
+    The unknowns are the parameters at ``places``, each in units of its prior's width; the others
+    stay as they are in ``values`` (p,). ``noise`` [1] is the standard deviation of one independent
+    sample of the residual, by which the prior counts; without it next to nothing.
     """
 
     def __init__(
@@ -87,135 +101,118 @@ class FreeParameters:
         pooled: Misfit,
         values: Array,
         places: Sequence[int],
-        sizes: Array,
-        bounds: tuple[Array, Array],
+        prior: Prior,
+        noise: float | None = None,
     ) -> None:
         self._pooled = pooled
         self._values = np.array(values, dtype=float)
         self._places = list(places)
-        self._sizes = sizes
-        self._ridge = _RIDGE * np.sqrt(pooled.sample_count)
-        self.start = self._values[self._places] / sizes
-        low, high = (bound[self._places] / sizes for bound in bounds)
+        self.widths = prior.width[self._places]
+        self._centre = prior.centre[self._places] / self.widths
+        self._weight = _RIDGE * math.sqrt(pooled.sample_count) if noise is None else noise
+        self.start = self._values[self._places] / self.widths
+        low, high = (bound[self._places] / self.widths for bound in pooled.model.bounds)
         unbounded = bool(np.all(np.isinf(low)) and np.all(np.isinf(high)))
         self.bounds = None if unbounded else (low, high)
+
+    @property
+    def prior(self) -> PriorRows:
+        """The rows that are no samples: those of the pooled problem, and these."""
+        own = np.ones(len(self._places), dtype=bool)
+        before = self._pooled.prior
+        rows = (
+            np.zeros(self._pooled.row_windows.size, dtype=bool) if before is None else before.rows
+        )
+        variances = np.full(np.count_nonzero(rows), 0.0 if before is None else before.variance)
+        weights = np.full(own.size, self._weight**2)
+        return PriorRows(np.concatenate((rows, own)), np.concatenate((variances, weights)))
 
     def parameters(self, unknowns: Array) -> Array:
         """All parameters (p,)."""
         values = self._values.copy()
-        values[self._places] = unknowns * self._sizes
+        values[self._places] = unknowns * self.widths
         return values
 
     def residual(self, unknowns: Array) -> Array:
-        """Weighted residual of all windows [1], and below it that of the ridge."""
+        """Weighted residual of all windows [1], then of the prior (f,)."""
         plain = self._pooled.residual(self.parameters(unknowns))
-        return np.concatenate((plain, self._ridge * (unknowns - self.start)))
+        return np.concatenate((plain, self._weight * (unknowns - self._centre)))
 
     def jacobian(self, unknowns: Array) -> Array:
         """Derivatives of the residual by the unknowns."""
-        derivatives = self._pooled.jacobian(self.parameters(unknowns), self._places) * self._sizes
-        return np.concatenate((derivatives, self._ridge * np.eye(len(self._places))))
+        derivatives = self._pooled.jacobian(self.parameters(unknowns), self._places)
+        prior = self._weight * np.eye(len(self._places))
+        return np.concatenate((derivatives * self.widths, prior))
 
 
-_MEANINGLESS = 0.01
-"""A step that lowers the misfit by so many of its variances is a tenth of a standard error."""
+# -- each window by itself -----------------------------------------------------------------------
 
-_SMALLEST = 0.05
-"""A parameter counts as no smaller than this part of its range or typical size."""
-
-_ON_BOUND = 1e-3
-"""A parameter this part of its size from a bound lies on it."""
-
-
-class PooledPolish:
-    """Local searches for a model whose parameters have these ``sizes`` (p,).
-
-    ``clock`` hears of them and may stop them: StopRequestedError is raised, and ``latest`` (p,) is
-    how far the search had come. ``exhausted``: whether the latest one ended at its limit of steps;
-    ``evaluations`` are those of all.
-    """
-
-    def __init__(self, model: Model, sizes: Array, clock: ProgressClock) -> None:
-        self._model = model
-        self._names = model.parameter_names
-        self._sizes = sizes
-        self._clock = clock
-        self.latest: Array | None = None
-        self.exhausted = False
-        self.evaluations = 0
-
-    def search(
-        self,
-        pooled: Misfit,
-        start: Array,
-        free: frozenset[str],
-        *,
-        nelder_mead: bool = False,
-    ) -> Array:
-        """The parameters (p,) that the search ends at; never worse than ``start`` (p,)."""
-        found = self._polished(pooled, start, free, nelder_mead)
-        on_bound = self._nearly_on_bound(found, free)
-        if not on_bound:
-            return found
-        # The best that is allowed lies on the bound, which a search only approaches.
-        low, high = self._model.bounds
-        moved = found.copy()
-        for name in on_bound:
-            place = self._names.index(name)
-            nearer = abs(found[place] - low[place]) < abs(found[place] - high[place])
-            moved[place] = low[place] if nearer else high[place]
-        moved = self._polished(pooled, moved, free - on_bound, False)
-        return min((moved, start), key=pooled.mean_square)
-
-    def _nearly_on_bound(self, values: Array, free: frozenset[str]) -> frozenset[str]:
-        distance = np.minimum(*(np.abs(values - bound) for bound in self._model.bounds))
-        near = distance < _ON_BOUND * self._sizes
-        return frozenset(name for name in free if near[self._names.index(name)])
-
-    def _polished(
-        self, pooled: Misfit, start: Array, free: frozenset[str], nelder_mead: bool
-    ) -> Array:
-        places = [place for place, name in enumerate(self._names) if name in free]
-        residual = pooled.residual(start)
-        with np.errstate(over="ignore"):
-            overflows = not math.isfinite(float(residual @ residual))
-        if not places or overflows:
-            return start
-        sizes = np.maximum(np.abs(start[places]), _SMALLEST * self._sizes[places])
-        problem = FreeParameters(pooled, start, places, sizes, self._model.bounds)
-        stage = "Nelder-Mead" if nelder_mead else "least squares"
-        search = LocalSearch(
-            problem,
-            problem.start,
-            lambda: self._clock.poll(stage, search.best_cost / pooled.sample_count),
-        )
-        try:
-            if nelder_mead:
-                search.nelder_mead()
-            search.least_squares(tolerance=_MEANINGLESS / _independent(residual))
-        except StopRequestedError:
-            self.latest = problem.parameters(search.best)
-            raise
-        finally:
-            self.exhausted = search.exhausted
-            self.evaluations += search.evaluations
-        return problem.parameters(search.best)
-
-
-def _independent(residual: Array) -> float:
-    """How many independent samples (n,) amount to: correlated ones count once together."""
-    return residual.size / max(correlation_length(residual), 1)
-
-
-_SEARCH_SAMPLES = 8000
+SEARCH_SAMPLES = 8000
 _FEWEST_SEARCH_SAMPLES = 250
-"""The search thins the windows to so many samples in all, and each to no fewer than that; the
-last polish uses all samples."""
+"""A search thins the windows to so many samples in all, and each to no fewer than that; the last
+search uses all samples."""
+
+_SEARCH_STEPS = 12000
+_PIECE = 600
+"""Where the past must be followed, through so many steps of it in all, in pieces of three cycles,
+each of which forgets what came before it in the first."""
+
+_SEPARATE = 1e-4
+"""Relative gain of the sum of squares at which the fit of a window by itself ends."""
 
 _STAGE = "each run by itself"
 
 _OTHER_DIRECTION = 0.1
 """Less than this part of the samples in the other direction does not show the reversal."""
+
+
+class Excerpts:
+    """What a search needs of windows: thinned, or in pieces where the law follows the past.
+
+    ``few`` are the pieces, ``stretches`` what each stands for, ``owners`` the place of its window.
+    """
+
+    def __init__(self, model: Model, windows: Sequence[Window]) -> None:
+        most = max(SEARCH_SAMPLES // len(windows), _FEWEST_SEARCH_SAMPLES)
+        count = max(_SEARCH_STEPS // _PIECE // len(windows), 1)
+        self.few: list[Window] = []
+        self.stretches: list[Window] = []
+        owners = []
+        for place, window in enumerate(windows):
+            pairs = _pieces(model, window, count)
+            fewest = max(most // len(pairs), _FEWEST_SEARCH_SAMPLES)
+            for stretch, piece in pairs:
+                self.stretches.append(stretch.thinned(fewest))
+                same = piece is stretch
+                self.few.append(self.stretches[-1] if same else piece.thinned(fewest))
+            owners += [place] * len(pairs)
+        self.owners = np.array(owners)
+        self._model = model
+
+    def misfit(
+        self, noise: Array, levels: LevelPrior | None = None, known: Array | None = None
+    ) -> Misfit:
+        """Of one set to the pieces; ``noise`` (k,) [N] is that of the windows."""
+        pooled = Misfit(self._model, self.few, noise[self.owners].tolist(), known)
+        return levelled(pooled, None if levels is None else levels.of_pieces(self.owners))
+
+
+def _pieces(model: Model, window: Window, count: int) -> list[tuple[Window, Window]]:
+    """Equal stretches of a window, and the middle of each."""
+    if window.steady or not model.needs_past(window):
+        return [(window, window)]
+    history = window.history
+    length = round(_PIECE * history.coarse.period / history.period)
+    if history.current.size <= 2 * count * length:
+        return [(window, window)]
+    edges = np.linspace(0, history.current.size, count + 1).astype(int)
+    found = []
+    for begin, end in zip(edges[:-1].tolist(), edges[1:].tolist(), strict=True):
+        stretch = window if count == 1 else window.stretch(begin, end - begin)
+        piece = window.stretch((begin + end - length) // 2, length)
+        if piece.sample_count > 1 and np.ptp(piece.force) > 0.0:
+            found.append((stretch, piece))
+    return found or [(window, window)]
 
 
 class SeparateFits:
@@ -235,8 +232,8 @@ class SeparateFits:
         levels: LevelPrior | None = None,
     ) -> None:
         self._model = model
+        self._excerpts = Excerpts(model, windows)
         self._levels = levels
-        self._thinned = thinned_for_search(windows)
         self._clock = clock
         self.fits: list[WindowFit] = []
         self.evaluations = 0
@@ -247,43 +244,66 @@ class SeparateFits:
         Without its dependence on the current no law comes near to the force of such a window.
         Raises StopRequestedError where the clock has stopped it; what was known before then stays.
         """
-        found = []
-        for window in self._thinned:
+        found: list[WindowFit] = []
+        scales = self._model.unknown_indices
+        for few, whole in zip(self._excerpts.few, self._excerpts.stretches, strict=True):
             starts = [start]
-            if known is not None and current_varies(window):
-                starts.append(known)
-            fits = [
-                fit_window(
-                    self._model, window, each, method="least_squares", should_stop=self._stops
-                )
-                for each in starts
-            ]
-            found.append(min(fits, key=lambda fit: fit.rmse))
-        self.evaluations += sum(fit.evaluations for fit in found)
+            for other in found:
+                starts.append(start.copy())
+                starts[-1][scales] = other.parameters[scales]
+            # From where another ended no more starts are tried.
+            left = [self._model.window_force(few, each) - few.force for each in starts]
+            fit = self._fit(few, starts[int(np.argmin(np.linalg.norm(left, axis=-1)))])
+            if known is not None and current_varies(few):
+                fit = min(fit, self._fit(few, known), key=lambda found: found.rmse)
+            found.append(fit if whole is few else self._fit(whole, fit.parameters))
         if not (self._clock.stopped and self.fits):
             self.fits = found
-            self.pooled = self.misfit(self._thinned)
+            self.weigh(self._noise())
         if self._clock.stopped:
             raise StopRequestedError
+
+    def weigh(self, noise: Array) -> None:
+        """Weigh the windows by the noise (k,) [N] that was found of each."""
+        self.noise = noise
+        self.pooled = self._excerpts.misfit(noise, self._levels)
+
+    def _fit(self, window: Window, start: Array) -> WindowFit:
+        fit = fit_window(
+            self._model,
+            window,
+            start,
+            method="least_squares",
+            tolerance=_SEPARATE,
+            should_stop=self._stops,
+        )
+        self.evaluations += fit.evaluations
+        return fit
 
     def _stops(self) -> bool:
         return self._clock.poll(_STAGE, math.nan)
 
     def misfit(self, windows: Sequence[Window], known: Array | None = None) -> Misfit:
-        """The misfit of one set to these windows, the same ones, thinned or not."""
-        return levelled(Misfit(self._model, windows, self._noise(), known), self._levels)
+        """The misfit of one set to these windows, the same ones, but with other samples."""
+        return levelled(Misfit(self._model, windows, self.noise.tolist(), known), self._levels)
 
-    def _noise(self) -> list[float]:
-        """RMSE [N] of the fit of each window, for those of one direction at least a usual share.
+    def _noise(self) -> Array:
+        """RMSE [N] of the fits of each window (k,), of one direction at least a usual share.
 
         A part of a stroke is fitted by nearly any law: what that leaves is not what the law leaves.
         """
-        rmse = np.array([fit.rmse for fit in self.fits])
-        size = np.array([np.sqrt(np.mean(window.force**2)) for window in self._thinned])
-        share = float(np.linalg.norm(rmse) / np.linalg.norm(size))
-        rising = np.array([np.mean(window.motion.velocity > 0.0) for window in self._thinned])
-        one_sided = np.abs(rising - 0.5) > 0.5 - _OTHER_DIRECTION
-        return np.where(one_sided, np.maximum(rmse, share * size), rmse).tolist()
+        squares, sizes, one_sided = [], [], []
+        for fit, stretch in zip(self.fits, self._excerpts.stretches, strict=True):
+            residual = self._model.window_force(stretch, fit.parameters) - stretch.force
+            settled = self._model.settled(stretch, fit.parameters)
+            squares.append(float(np.mean(residual[settled] ** 2)))
+            sizes.append(float(np.mean(stretch.force**2)))
+            rising = float(np.mean(stretch.motion.velocity > 0.0))
+            one_sided.append(abs(rising - 0.5) > 0.5 - _OTHER_DIRECTION)
+        usual = sum(squares) / sum(sizes) * np.array(sizes)
+        left = np.where(one_sided, np.maximum(squares, usual), squares)
+        owners = self._excerpts.owners
+        return np.asarray(np.sqrt(np.bincount(owners, left) / np.bincount(owners)))
 
     @property
     def operating_points(self) -> tuple[list[float], list[float]]:
@@ -300,6 +320,8 @@ class SeparateFits:
         Those of one of them, and the laws over all as far as they are linear.
         """
         fitted = [fit for fit in self.fits if fit.success] or self.fits[:1]
+        if not fitted:
+            return []
         free = varied_parameters(self._model, *_points(fitted))
         laws = self._model.fit_laws(_table(fitted), start, free, no_search)
         return [fitted[0].parameters, laws]
@@ -325,25 +347,43 @@ def levelled(pooled: Misfit, levels: LevelPrior | None) -> Misfit:
     return pooled if levels is None else LevelledProblem(pooled, levels)
 
 
-def thinned_for_search(windows: Sequence[Window]) -> list[Window]:
-    """The windows with as many samples as a search needs."""
-    most = max(_SEARCH_SAMPLES // len(windows), _FEWEST_SEARCH_SAMPLES)
-    return [window.thinned(most) for window in windows]
-
+# -- the search ----------------------------------------------------------------------------------
 
 _EVOLUTION_SAMPLES = 200
 """Samples per window where differential evolution evaluates thousands of sets."""
 
-_CLEARLY_BETTER = 0.98
-"""A search from elsewhere must lower the mean square by this factor to be preferred."""
+_AS_GOOD = 1.02
+"""What raises the mean square by no more than this factor, the windows agree with."""
 
-_MOST_ROUNDS = 4
-"""So often the extension is found anew, as long as that changes what the windows determine."""
+_MEANINGLESS = 0.01
+"""A step that lowers the misfit by so many of its variances is a tenth of a standard error."""
+
+_SMALLEST = 0.05
+"""A scale counts as no smaller than this part of its typical size."""
+
+_WIDE = 3.0
+"""A scale scatters about zero by so many times what the windows by themselves have."""
+
+_PLAUSIBLE = 0.25
+"""A shape parameter scatters by this part of its plausible range: its ends are two deviations off.
+"""
+
+_ON_BOUND = 1e-3
+"""A parameter this part of its width from a bound lies on it."""
+
+_NOTICED = 0.1
+"""A scale near zero is known as far as it cannot change the force by this part."""
 
 _POOR = 4.0
 """Mean square of the weighted residual above which one looks further: twice the noise."""
 
-_KNOWN = "an earlier search"
+_MOST_OWN = 4
+"""So many of the windows' own sets are then searched from."""
+
+_HOPELESS = 30.0
+"""A start that leaves so many times what has been found is not worth a search."""
+
+KNOWN = "an earlier search"
 
 
 @dataclass(frozen=True, eq=False)
@@ -359,7 +399,11 @@ class Candidate:
 
 
 class GlobalSearch:
-    """The steps of a global identification, and the best parameters (p,) so far."""
+    """The steps of a global identification, and the best parameters (p,) so far.
+
+    ``free``: the parameters that the windows could tell apart, after the search those that they
+    did; others keep the value of the start, or show no dependence, if the windows allow that.
+    """
 
     def __init__(
         self,
@@ -368,65 +412,54 @@ class GlobalSearch:
         start: Array,
         settings: EvolutionSettings,
         clock: ProgressClock,
-        known: Array | None,
+        earlier: Array | None = None,
         later: int = 0,
         levels: LevelPrior | None = None,
     ) -> None:
         """``later`` generations follow this search; DataError where there are no windows."""
-        self._levels = levels
         if not windows:
             raise DataError("there are no windows to identify from")
         self.model = model
         self.windows = windows
-        self._known = known
+        self._earlier = earlier
         self._start = start
         self._settings = settings
-        self._names = model.parameter_names
+        self._clock = clock
+        self._later = later
+        self._levels = levels
         top_current = max(float(np.max(np.abs(window.current))) for window in windows)
         self._neutral = model.without_dependence(start, top_current)
         self._own_neutral = model.without_dependence(model.initial_values()[0], top_current)
-        self._varied = varied_parameters(model, *operating_points_within(windows))
-        self._bounds = parameter_ranges(model, windows)
-        self._ranges = {name: high - low for name, (low, high) in self._bounds.items()}
-        # What one run determines besides the coefficients, such as a compliance.
-        self._common = model.common_names
-        self._current_varies = any(map(current_varies, windows))
-        # The range of a parameter that has one tells its size, if it has none itself.
-        self._sizes = np.array(
-            [
-                self._ranges.get(name, size)
-                for name, size in zip(self._names, model.typical_sizes(windows), strict=True)
-            ]
-        )
-        self._clock = clock
-        self._later = later
-        self._polish = PooledPolish(model, self._sizes, self._clock)
+        self.free = varied_parameters(model, *operating_points_within(windows))
+        self._ranges = parameter_ranges(model, windows)
+        self._separate = SeparateFits(model, windows, clock, levels)
+        # What one run determines besides the coefficients, such as a compliance, and a current
+        # that varies within a run, are known only after a search.
+        self._again = bool(model.common_names) or any(map(current_varies, windows))
         self._evaluations = 0
-        self.free: frozenset[str] = frozenset()
         self.best = start
+        self.exhausted = False
         self.shortcoming = ""
         self.candidates: list[Candidate] = []
-        self._separate = SeparateFits(model, windows, clock, levels)
 
     @property
     def evaluations(self) -> int:
         """Of the force, or of its cheaper stand-ins, so far."""
-        return self._evaluations + self._polish.evaluations + self._separate.evaluations
+        return self._evaluations + self._separate.evaluations
 
     @property
-    def fits(self) -> list[WindowFit]:
-        """Of each window by itself."""
-        return self._separate.fits
+    def noise(self) -> Array:
+        """What each window's own coefficients leave of its force (k,) [N]."""
+        return self._separate.noise
 
     @property
     def pooled(self) -> Misfit:
         """The misfit that is searched with."""
         return self._separate.pooled
 
-    @property
-    def exhausted(self) -> bool:
-        """Whether the last local search ended at its limit of steps."""
-        return self._polish.exhausted
+    def whole_misfit(self) -> Misfit:
+        """Of all samples, but those that with the best set still depend on an unknown past."""
+        return self._separate.misfit(self.windows, self.best)
 
     def run(self, method: str) -> None:
         """Search by one of the methods of :func:`identify_global`.
@@ -434,236 +467,73 @@ class GlobalSearch:
         Raises StopRequestedError where the report has stopped it; ``best`` then is the best so far.
         """
         try:
-            self._run(method)
+            self.search(method)
+            self._finish()
         except StopRequestedError:
-            known = [self.best, self._start, *self._separate.without_search(self._neutral)]
-            if self._polish.latest is not None:
-                known.append(self._polish.latest)
-            self.best = min(known, key=self.pooled.mean_square)
+            others = [self._start, *self._separate.without_search(self._neutral)]
+            self.best = min((self.best, *others), key=self.pooled.mean_square)
+            self.free = self._told(self.pooled)
             raise
 
-    def _run(self, method: str) -> None:
-        # The laws from two starts, and once more if the samples leave parameters open.
+    def search(self, method: str) -> None:
+        """Find the best set for few samples of the windows."""
+        generations = self._settings.generations * self.model.searched_laws(self.free)
         direct = self._settings.generations if method == "differential_evolution" else 0
-        most = self._most_generations + direct
-        self._clock.expect(2 * most if self.model.simpler else most)
-        self._separate.fit(self._neutral)
-        simple = self._by_simpler_law(method, later=most)
-        self._varied_between = varied_parameters(self.model, *self._separate.operating_points)
-        laws = 2 * self._generations(self._varied_between)
-        again = laws if self._current_varies else 0
-        self._clock.expect(2 * laws + direct + again + self._later)
-        candidates = self._candidates(self._varied_between)
-        self.best = self._best_of(candidates)
-        self.free = self._determined(self.best)
-        if self._varied <= self.free:
-            self._clock.skip(laws)
+        simpler = self._by_simpler_law(method, generations + direct + self._later)
+        self._clock.expect((1 + self._again) * generations + direct + self._later)
+        if simpler is None:
+            self._separate.fit(self._neutral)
+            self._search_from(self._starts(), method)
         else:
-            # The scales must adapt to the values that undetermined parameters are held at.
-            determined = self._varied_between & self.free
-            again = 2 * self._generations(determined)
-            self._clock.skip(laws - again)
-            candidates = self._candidates(determined)
-        if method == "differential_evolution":
-            self.best = self._best_of(candidates)
-            by_laws = self.pooled.mean_square(self.best)
-            candidates = {"all free parameters": self._evolve_samples()}
-        self.best = self._best_of({"laws": self.best, **candidates})
-        if self._clock.stopped:
-            raise StopRequestedError
-        for origin, parameters in {**candidates, **simple}.items():
-            polished = self._polish.search(
-                self.pooled, parameters, self.free, nelder_mead=method == "nelder_mead"
-            )
-            cost = self.pooled.mean_square(polished)
-            self.candidates.append(Candidate(origin, polished, cost))
-            self.best = self._best_of({"so far": self.best, origin: polished})
-        first, best = self.candidates[0], min(self.candidates, key=lambda found: found.cost)
-        # The first keeps most of the start: the others must be better, not just different.
-        clearly = best.cost < _CLEARLY_BETTER * first.cost or best.origin == _KNOWN
-        self.best = (best if clearly else first).parameters
-        if self._current_varies:
-            self._search_again()
-        elif not self._varied <= self.free:
-            self._let_all_move()
-        if self._common or self._current_varies:
-            self._take_in_what_is_common()
-        self._return_to_start()
-        self.best = self._polish.search(self.whole_misfit(), self.best, self.free)
-        self._let_go_of_what_is_not_known()
-        whole = self.whole_misfit()
-        for contained in simple.values():
-            if whole.mean_square(contained) < whole.mean_square(self.best):
-                self.best = self._polish.search(whole, contained, self.free)
-        if method == "differential_evolution" and self.pooled.mean_square(self.best) > by_laws:
-            self.shortcoming = (
-                "differential evolution ended in a poorer minimum than method global: allow "
-                "more generations, or use method global"
-            )
+            self._separate.weigh(simpler.noise)
+            origin = f"the simpler law {simpler.model.name}"
+            self._search_from({origin: self.model.from_simpler(simpler.best)}, method)
+        if self._again:
+            neutral = self._own_neutral.copy()
+            places = self.model.places(self.model.common_names)
+            neutral[places] = self.best[places]
+            self._separate.fit(neutral, self.best)
+            self._search_from({"the windows fitted before": self.best, **self._starts()}, method)
 
-    def _by_simpler_law(self, method: str, later: int) -> dict[str, Array]:
-        """What the law finds that this one contains, as a candidate; none where it contains none.
+    @property
+    def fits(self) -> list[WindowFit]:
+        """Of each window, or piece of one, by itself."""
+        return self._separate.fits
+
+    def _by_simpler_law(self, method: str, later: int) -> GlobalSearch | None:
+        """The search of the law that this one contains; None where it contains none.
 
         A law with more freedom has more minima, of which the simpler one leads to a good one.
         """
         simpler = self.model.simpler
         if simpler is None:
-            return {}
+            return None
         start = self.model.to_simpler(self._start)
         search = GlobalSearch(
             simpler, self.windows, start, self._settings, self._clock, None, later, self._levels
         )
         try:
-            search.run(method)
+            search.search(method)
         finally:
             self._evaluations += search.evaluations
             self.best = self.model.from_simpler(search.best)
-        return {f"the simpler law {simpler.name}": self.best}
+            self._separate.weigh(search.noise)
+        return search
 
-    @property
-    def _most_generations(self) -> int:
-        fits = 6 if self._current_varies else 4
-        return fits * self._generations(frozenset(self._names))
-
-    def _generations(self, free: frozenset[str]) -> int:
-        """At most so many of a fit of the laws."""
-        return self._settings.generations * self.model.searched_laws(free)
-
-    def _return_to_start(self) -> None:
-        """Give what is not determined the start's value, as far as the windows agree with it.
-
-        A search from elsewhere, which was better, holds it elsewhere.
-        """
-        moved = self._moved()
-        laws = [[name for name in law if name in moved] for law in self.model.shape_groups]
-        for names in (moved, *laws, *([name] for name in moved)):
-            still = self._moved()
-            if names and set(names) <= set(still):
-                self._try_start_of(names)
-
-    def _let_go_of_what_is_not_known(self) -> None:
-        """Hold what all samples, at the very minimum, do not determine after all.
-
-        At its start's value, where the windows agree with that; else where it is. Of those that
-        trade with each other the one is held that can be at its start.
-        """
-        while self.free:
-            whole = self.whole_misfit()
-            names = not_known(self.model, whole, self.best, self.free, self._ranges)
-            if not names:
-                return
-            possible = (name for name in names if self._try_start_of([name]))
-            self.free -= {next(possible, names[0])}
-            self.best = self._polish.search(self.whole_misfit(), self.best, self.free)
-
-    def _moved(self) -> list[str]:
-        """Shape parameters that are not determined and not where the start has them."""
-        determined = self._determined(self.best)
-        return [
-            name
-            for name in self.model.shape_names
-            if not (name in self.free and name in determined)
-            and self.best[self._names.index(name)] != self._start[self._names.index(name)]
-        ]
-
-    def _try_start_of(self, names: Sequence[str]) -> bool:
-        """Give the named parameters the start's values; False where the windows do not agree."""
-        best, free = self.best, self.free
-        places = [self._names.index(name) for name in names]
-        trial = best.copy()
-        trial[places] = self._start[places]
-        self.free = free.difference(names)
-        linear = self.free.intersection(self.model.linear)
-        try:
-            follows = adapted(self.model, self.windows, best, trial, linear)
-            found = self._polish.search(self.pooled, follows, self.free)
-        except StopRequestedError:
-            self.best, self.free = best, free
-            raise
-        if _CLEARLY_BETTER * self.pooled.mean_square(found) <= self.pooled.mean_square(best):
-            self.best = found
-            return True
-        self.free = free
-        return False
-
-    def _let_all_move(self) -> None:
-        """Search over all that was varied: what of it is determined, only a good fit can tell.
-
-        Where the outcome is poor, too from what every window by itself has found, which is good
-        where one of them shows more than the others, such as the reversal; the scales first.
-        """
-        starts = [found.parameters for found in self.candidates]
-        best = self._best_polished(starts, self._varied)
-        if self.pooled.mean_square(best) > _POOR:
-            scales = self._varied.intersection(self.model.linear)
-            own = [self._polish.search(self.pooled, fit.parameters, scales) for fit in self.fits]
-            best = min(best, self._best_polished(own, self._varied), key=self.pooled.mean_square)
-        if self.pooled.mean_square(best) < _CLEARLY_BETTER * self.pooled.mean_square(self.best):
-            self.best = best
-            self.free = self._determined(best)
-
-    def _search_again(self) -> None:
-        """From the laws over coefficients that the varying current no longer blurs.
-
-        All that was varied may move: what of it is determined, only a good fit can tell.
-        """
-        self._separate.fit(self._neutral, self.best)
-        self.best = self._best_of({found.origin: found.parameters for found in self.candidates})
-        self.free = self._varied
-        for origin, parameters in self._candidates(self._varied_between).items():
-            found = self._polish.search(self.pooled, parameters, self.free)
-            self.best = self._best_of({"so far": self.best, origin: found})
-        self.free = self._determined(self.best)
-
-    def _take_in_what_is_common(self) -> None:
-        """Fit the windows with what was found for all of them, and see what they determine now.
-
-        Before, what a lag, for one, or a varying current does to the force stood for noise, in
-        which much is lost. The fits begin with the model's own initial set: the noise that weighs
-        the windows must not depend on where this search began.
-        """
-        places = self.model.places(self._common)
-        for _ in range(_MOST_ROUNDS):
-            before = self.free
-            neutral = self._own_neutral.copy()
-            neutral[places] = self.best[places]
-            self._separate.fit(neutral, self.best)
-            self.free = self._determined(self.best)
-            self.best = self._polish.search(self.pooled, self.best, self.free)
-            if self.free == before:
-                break
-
-    def whole_misfit(self) -> Misfit:
-        """Of all samples, but those that with the best set still depend on an unknown past."""
-        return self._separate.misfit(self.windows, self.best)
-
-    def _candidates(self, free: frozenset[str]) -> dict[str, Array]:
-        """Where to start on the samples, by origin.
-
-        The laws, with the start's values for what is not free or with none of its dependences;
-        and the best of the windows' own fits, which assume no dependence at all.
-        """
-        candidates = {
-            "laws, as the start has the rest": self._fit_laws(self._start, free),
-            "laws, no other dependence": self._fit_laws(self._neutral, free),
-            "coefficients of one window": min(
+    def _starts(self) -> dict[str, Array]:
+        """Where to start on the samples, by origin."""
+        between = self.free & varied_parameters(self.model, *self._separate.operating_points)
+        table, centre = self._separate.table(), self._prior().centre
+        starts = {
+            "the laws of the coefficients": self.model.fit_laws(
+                table, centre, between, self._search_law
+            ),
+            "the coefficients of one window": min(
                 (fit.parameters for fit in self.fits), key=self.pooled.mean_square
             ),
+            "the start": self._start,
         }
-        if self._known is not None:
-            candidates[_KNOWN] = self._known
-        return candidates
-
-    def _best_polished(self, starts: Sequence[Array], free: frozenset[str]) -> Array:
-        found = (self._polish.search(self.pooled, start, free) for start in starts)
-        return min(found, key=self.pooled.mean_square)
-
-    def _best_of(self, candidates: Mapping[str, Array]) -> Array:
-        return min(candidates.values(), key=self.pooled.mean_square)
-
-    def _fit_laws(self, start: Array, free: frozenset[str]) -> Array:
-        table = self._separate.table()
-        return self.model.fit_laws(table, start, free, self._search_law)
+        return starts if self._earlier is None else {**starts, KNOWN: self._earlier}
 
     def _search_law(
         self,
@@ -678,20 +548,217 @@ class GlobalSearch:
         self._evaluations += count
         return best
 
-    def _determined(self, parameters: Array) -> frozenset[str]:
-        jacobian = self.pooled.jacobian(parameters) / noise_level(self.pooled, parameters)
-        return determined_parameters(self.model, jacobian, self._varied, self._ranges)
+    def _prior(self) -> Prior:
+        """What dampers are like, about the start where it is plausible."""
+        model = self.model
+        sizes = _SMALLEST * model.typical_sizes(self.windows)
+        if self.fits:
+            of_fits = np.abs([fit.parameters for fit in self.fits])
+            sizes = np.maximum(sizes, np.median(of_fits, axis=0))
+        centre, width = np.zeros(sizes.size), _WIDE * np.maximum(sizes, np.abs(self._start))
+        for place, name in enumerate(model.parameter_names):
+            if name in self._ranges:
+                low, high = self._ranges[name]
+                plausible = low <= self._start[place] <= high
+                centre[place] = (self._start if plausible else self._neutral)[place]
+                width[place] = _PLAUSIBLE * (high - low)
+        return Prior(centre, width)
+
+    def _search_from(self, starts: Mapping[str, Array], method: str) -> None:
+        """Least squares from each of the starts, roughly, and from the best of them to the end."""
+        if self._clock.stopped:
+            raise StopRequestedError
+        by_laws = math.inf
+        self.best = min((self.best, *starts.values()), key=self.pooled.mean_square)
+        if method == "differential_evolution":
+            by_laws = self.pooled.mean_square(self.best)
+            starts = {"all free parameters": self._evolve_samples()}
+        rough = self.model.effort
+        found: list[Candidate] = []
+        for origin, start in sorted(
+            starts.items(), key=lambda item: self.pooled.mean_square(item[1])
+        ):
+            least = min((each.cost for each in found), default=math.inf)
+            if not self.pooled.mean_square(start) < _HOPELESS * least:
+                continue
+            ended = self._least_squares(
+                self.pooled,
+                start,
+                self.free,
+                tolerance=rough.rough_tolerance,
+                most_steps=rough.rough_steps,
+            )
+            found.append(Candidate(origin, ended, self.pooled.mean_square(ended)))
+        least = min(candidate.cost for candidate in found)
+        cycles = any(holds_cycle(window.motion.displacement) for window in self.windows)
+        if least > _POOR and not cycles and method != "differential_evolution":
+            # Of parts of strokes one window may show more than all others.
+            scales = self.free.intersection(self.model.linear)
+            own = [self._least_squares(self.pooled, fit.parameters, scales) for fit in self.fits]
+            for start in sorted(own, key=self.pooled.mean_square)[:_MOST_OWN]:
+                ended = self._least_squares(self.pooled, start, self.free)
+                found.append(Candidate("one window", ended, self.pooled.mean_square(ended)))
+        self.candidates += found
+        self.best = min(found, key=lambda candidate: candidate.cost).parameters
+        if method == "nelder_mead":
+            self.best = self._least_squares(self.pooled, self.best, self.free, simplex=True)
+        self.best = self._most_probable(self.pooled, self.best, self.free)
+        self.shortcoming = ""
+        if self.pooled.mean_square(self.best) > by_laws:
+            self.shortcoming = (
+                "differential evolution ended in a poorer minimum than method global: allow "
+                "more generations, or use method global"
+            )
+
+    def _finish(self) -> None:
+        """Return what is open to the start, and search once with all samples."""
+        open_ = frozenset(self.model.parameter_names) - self._told(self.pooled)
+        # What is held leaves others open; what cannot be returned, the windows contradict.
+        while returned := self._returned(open_):
+            self.free -= returned
+            open_ = self.free - self._told(self.pooled)
+        self.best = self._most_probable(self.whole_misfit(), self.best, self.free)
+
+    def _returned(self, names: frozenset[str]) -> frozenset[str]:
+        """Those of the names that have the start's value, or show no dependence.
+
+        All together, law by law, or each by itself: as far as the windows agree.
+        """
+        held: frozenset[str] = frozenset()
+        laws = [names.intersection(law) for law in self.model.shape_groups]
+        prior, names_of_law = self._prior(), self.model.parameter_names
+        shapes = np.array([name in self._ranges and name in self.free for name in names_of_law])
+        for target in (np.where(shapes, prior.centre, self._start), self._neutral):
+            for group in (names, *laws, *(frozenset({name}) for name in sorted(names))):
+                asked = group - held
+                places = self.model.places(sorted(asked))
+                if not np.array_equal(self.best[places], target[places]):
+                    trial, others = self.best.copy(), self.free - held - asked
+                    trial[places] = target[places]
+                    linear = others.intersection(self.model.linear)
+                    trial = adapted(self.model, self.windows, self.best, trial, linear)
+                    trial = self._most_probable(self.pooled, trial, others)
+                    left = self.pooled.mean_square(trial)
+                    if not left <= _AS_GOOD * self.pooled.mean_square(self.best):
+                        continue
+                    self.best = trial
+                held |= asked
+        return held
+
+    def _told(self, misfit: Misfit) -> frozenset[str]:
+        """The free parameters of which the windows say more than the prior.
+
+        And of a scale to its own size, or to what changes the force by a tenth. The others may
+        take any of their values meanwhile.
+        """
+        names = [name for name in self.model.parameter_names if name in self.free]
+        places, values = self.model.places(names), self.best
+        if not names:
+            return frozenset()
+        width = self._prior().width[places]
+        noise = noise_level(misfit, values)
+        factor = triangular_factor(misfit.jacobian(values, places.tolist())) * width / noise
+        information = factor.T @ factor
+        errors = np.sqrt(np.diag(np.linalg.inv(information + np.eye(len(names)))))
+        strong = np.isin(places, self.model.strength_indices)
+        force = float(np.linalg.norm(factor[:, strong] @ (values[places] / width)[strong]))
+        lengths = np.linalg.norm(factor, axis=0)
+        own = np.abs(values[places]) / width
+        own = np.maximum(own, _NOTICED * force / np.where(lengths > 0.0, lengths, np.inf))
+        shapes = np.array([name in self._ranges for name in names])
+        known = errors < np.where(shapes, math.sqrt(0.5), np.minimum(own, math.sqrt(0.5)))
+        return frozenset(name for name, told in zip(names, known, strict=True) if told)
+
+    def posterior(self, misfit: Misfit, places: Sequence[int]) -> Posterior:
+        """That of the parameters at some places, about the best ones."""
+        noise = noise_level(misfit, self.best)
+        return Posterior(misfit, self.best, places, self._prior(), noise)
+
+    def _most_probable(self, pooled: Misfit, start: Array, names: frozenset[str]) -> Array:
+        """The end (p,) of a search over the named parameters in the posterior.
+
+        The best that is allowed may lie on a bound, which a search only approaches: what is there
+        stays there, unless the misfit falls towards the inside.
+        """
+        low, high = self.model.bounds
+        every = np.array(self.model.parameter_names)
+        held = names.intersection(every[(start <= low) | (start >= high)])
+        noise = noise_level(pooled, start)
+        found = self._least_squares(pooled, start, names - held, noise=noise)
+        places = self.model.places(sorted(held))
+        if held:
+            gradient = pooled.jacobian(found, places.tolist()).T @ pooled.residual(found)
+            inwards = np.where(found[places] <= low[places], gradient < 0.0, gradient > 0.0)
+            if np.any(inwards):
+                released = names - held | frozenset(every[places[inwards]])
+                found = self._least_squares(pooled, found, released, noise=noise)
+        near = _ON_BOUND * self._prior().width
+        at_low, at_high = np.abs(found - low) < near, np.abs(found - high) < near
+        moved = np.where(at_low, low, np.where(at_high, high, found))
+        if np.array_equal(moved, found):
+            return found
+        inside = names.intersection(every[~(at_low | at_high)])
+        moved = self._least_squares(pooled, moved, inside, noise=noise)
+        return min((moved, found), key=pooled.mean_square)
+
+    def _least_squares(
+        self,
+        pooled: Misfit,
+        start: Array,
+        names: frozenset[str],
+        *,
+        noise: float = 1.0,
+        tolerance: float | None = None,
+        most_steps: int = MOST_STEPS,
+        simplex: bool = False,
+    ) -> Array:
+        """The parameters (p,) that a local search over the named ones ends at."""
+        places = [place for place, name in enumerate(self.model.parameter_names) if name in names]
+        residual = pooled.residual(start)
+        with np.errstate(over="ignore"):
+            overflows = not math.isfinite(float(residual @ residual))
+        if not places or overflows:
+            return start
+        problem = Posterior(pooled, start, places, self._prior(), noise)
+        stage = "Nelder-Mead" if simplex else "least squares"
+        search = LocalSearch(
+            problem,
+            problem.start,
+            lambda: self._clock.poll(stage, search.best_cost / pooled.sample_count),
+        )
+        try:
+            if simplex:
+                search.nelder_mead()
+            else:
+                independent = residual.size / max(correlation_length(residual), 1)
+                search.least_squares(
+                    tolerance=tolerance or _MEANINGLESS / independent, most_steps=most_steps
+                )
+        except StopRequestedError:
+            ended = problem.parameters(search.best)
+            self.best = min((self.best, ended), key=pooled.mean_square)
+            raise
+        finally:
+            self.exhausted = search.exhausted
+            self._evaluations += search.evaluations
+        return problem.parameters(search.best)
 
     def _evolve_samples(self) -> Array:
-        names = [name for name in self._names if name in self.free]
-        places = [self._names.index(name) for name in names]
+        names = [name for name in self.model.parameter_names if name in self.free]
+        places = self.model.places(names)
         centre = self.best
-        bounds = []
-        for name, place in zip(names, places, strict=True):
-            reach = 3.0 * max(abs(float(centre[place])), 1e-3)
-            low, high = self._bounds.get(name, (-reach, reach))
-            parameter = self.model.parameters[place]
-            bounds.append((max(low, parameter.low), min(high, parameter.high)))
+        reach = 3.0 * np.maximum(np.abs(centre[places]), 1e-3)
+        bounds = [
+            (
+                max(low, parameter.low),
+                min(high, parameter.high),
+            )
+            for parameter, (low, high) in zip(
+                (self.model.parameters[place] for place in places),
+                (self._ranges.get(n, (-r, r)) for n, r in zip(names, reach.tolist(), strict=True)),
+                strict=True,
+            )
+        ]
         few = [window.thinned(_EVOLUTION_SAMPLES) for window in self.windows]
         misfit = self._separate.misfit(few)
 
@@ -706,7 +773,7 @@ class GlobalSearch:
             self._settings,
             self._clock,
             stage="all free parameters",
-            start=None if self._known is None else self._known[places],
+            start=None if self._earlier is None else self._earlier[places],
         )
         self._evaluations += count
         result = centre.copy()

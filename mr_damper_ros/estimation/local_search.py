@@ -29,7 +29,7 @@ _MOST_RESTARTS = 5
 _HUBER = 1.345
 """Huber's constant: 95 % efficiency where the noise is normal after all."""
 
-_MOST_STEPS = 300
+MOST_STEPS = 300
 
 _MINPACK_LIMIT, _TRUST_REGION_LIMIT = 5, 0
 """What the two solvers say where they end at their limit of evaluations."""
@@ -149,7 +149,7 @@ class LocalSearch(Generic[P]):
         self,
         weights: Array | None = None,
         tolerance: float = _LAST_DIGITS,
-        most_steps: int = _MOST_STEPS,
+        most_steps: int = MOST_STEPS,
     ) -> None:
         """Least squares from the best so far; ``weights`` (n,) on the squares.
 

@@ -32,10 +32,10 @@ from mr_damper_ros.estimation.differential_evolution import (
 )
 from mr_damper_ros.estimation.global_fit import GlobalFit, identify_global
 from mr_damper_ros.estimation.global_search import (
-    FreeParameters,
+    Excerpts,
+    Posterior,
+    Prior,
     adapted,
-    levelled,
-    thinned_for_search,
 )
 from mr_damper_ros.estimation.local_search import LocalSearch, StopRequestedError
 from mr_damper_ros.estimation.observability import parameter_ranges, parameter_spans
@@ -180,7 +180,7 @@ class _Walk:
         self._misfit = misfit
         self._place = model.parameter_names.index(name)
         self._places = [place for place in range(start.size) if place != self._place]
-        self._sizes = spans[self._places]
+        self._spans = spans
         self._linear = frozenset(model.linear) - {name}
         self._held = np.isin(np.arange(start.size), [*seen, self._place])
         self._top_current = max(float(np.max(np.abs(w.current))) for w in misfit.windows)
@@ -195,9 +195,8 @@ class _Walk:
         """Fit the others from the starts, the best first, until the cost is low ``enough``."""
         best, least = starts[0], math.inf
         for values in sorted(starts, key=self._cost):
-            others = FreeParameters(
-                self._misfit, values, self._places, self._sizes, self._model.bounds
-            )
+            # A trace of a prior keeps flat directions where they are.
+            others = Posterior(self._misfit, values, self._places, Prior(values, self._spans))
             search = LocalSearch(others, others.start, self._should_stop)
             search.try_out(others.start)
             search.least_squares(tolerance=_TOLERANCE)
@@ -291,9 +290,7 @@ _Ranges = Mapping[str, tuple[float, float]]
 def search_misfit(fit: GlobalFit, windows: Sequence[Window]) -> Misfit:
     """The misfit that the set was searched with."""
     found = fit.parameter_set
-    few = thinned_for_search(windows)
-    pooled = Misfit(found.law, few, fit.noise.tolist(), found.values)
-    return levelled(pooled, fit.levels)
+    return Excerpts(found.law, windows).misfit(fit.noise, fit.levels, found.values)
 
 
 def record_levels(fit: GlobalFit, windows: Sequence[Window]) -> list[Level]:

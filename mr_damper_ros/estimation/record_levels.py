@@ -57,6 +57,10 @@ class LevelPrior:
     spread: float = USUAL_SPREAD
     counted_samples: float = math.inf
 
+    def of_pieces(self, owners: np.ndarray) -> LevelPrior:
+        """The same for pieces (m,) of the windows, each with the place of its window."""
+        return replace(self, records=tuple(self.records[owner] for owner in owners))
+
     def __post_init__(self) -> None:
         if not 0.0 < self.spread < 1.0:
             raise ValueError(

@@ -120,6 +120,7 @@ def fit_window(
     method: str = "nelder_mead",
     robust: bool = False,
     prior: WindowPrior | None = None,
+    tolerance: float | None = None,
     should_stop: Callable[[], bool] | None = None,
 ) -> WindowFit:
     """Fit what of a model one window determines, from the parameters ``start`` of shape (p,).
@@ -128,8 +129,9 @@ def fit_window(
     model reads off the window. ``robust`` bounds the influence of outliers (Huber's weights).
     ``prior`` joins the samples in what is minimised; it must agree with the start in what a window
     does not determine. Where the window determines the unknowns, the fit hardly changes.
-    ``should_stop`` is asked at every evaluation; where it says so, the best so far is returned with
-    ``success`` False.
+    ``tolerance``: relative gain of the sum of squares at which the search ends, if it is not the
+    model's own. ``should_stop`` is asked at every evaluation; where it says so, the best so far is
+    returned with ``success`` False.
 
     Raises DataError for a force that does not change, ValueError for an unknown method.
     """
@@ -154,7 +156,9 @@ def fit_window(
         if prior is not None:
             weighed = _Weighed.of(model, window, prior, cycle)
         if weighed is None:
-            search.least_squares(tolerance=effort.tolerance, most_steps=effort.most_steps)
+            search.least_squares(
+                tolerance=tolerance or effort.tolerance, most_steps=effort.most_steps
+            )
             exhausted, unknowns = search.exhausted, search.best
             if robust:
                 weights = search.reweighted_least_squares()

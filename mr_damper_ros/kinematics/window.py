@@ -306,6 +306,16 @@ class Window:
         whole = None if self.steady else self
         return Window(motion, self.force, current, self.period, places, whole)
 
+    def stretch(self, begin: int, count: int) -> Window:
+        """So many samples of the whole from one on, as a window with no past of its own."""
+        whole = self.whole or self
+        part = slice(begin, begin + count)
+        cut = Window(whole.motion.part(part), whole.force[part], whole.current[part], whole.period)
+        if self.places is None:
+            return cut
+        inside = (self.places >= begin) & (self.places <= begin + cut.sample_count - 1)
+        return replace(self.part(inside), places=self.places[inside] - begin, whole=cut)
+
     def held_within(self, low: float, high: float) -> Window:
         """The same window, the peak velocity of its motion held; see :meth:`Motion.held_within`."""
         whole = None if self.whole is None else self.whole.held_within(low, high)

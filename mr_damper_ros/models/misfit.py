@@ -16,13 +16,13 @@ from mr_damper_ros.signals.arrays import Array
 
 
 class PriorRows(NamedTuple):
-    """Rows of a residual that are no samples: the mask (n,) of them, and the variance of each [1].
+    """Rows of a residual that are no samples: the mask (n,) of them, and their variances (m,) [1].
 
     What they scatter by is known, and not told by those few that there are.
     """
 
     rows: np.ndarray
-    variance: float
+    variance: float | Array
 
 
 class Misfit:
@@ -54,6 +54,7 @@ class Misfit:
         """  # noqa: D205
         if not windows:
             raise ValueError("there are no windows to identify from")
+        self.model = model
         self.windows = tuple(windows)
         self.given = model, self.windows, noise, known
         self.forces = model.window_forces(windows) if forces is None else forces
