@@ -13,7 +13,6 @@ from mr_damper_ros.estimation.covariance import (
     error_covariances,
     least_squares_covariance,
     motion_numbers,
-    normal_inverse,
     samples_per_cycle,
     without_negative_variance,
 )
@@ -221,7 +220,7 @@ def _errors(search: GlobalSearch, misfit: Misfit, places: Sequence[int]) -> tupl
     motions = motion_numbers(misfit.windows)[misfit.row_windows]
     # The prior is no motion: what it alone holds, no scatter between motions tells of.
     jacobian, residual = jacobian[: motions.size], residual[: motions.size]
-    told = np.where(np.isnan(normal_inverse(jacobian)), math.nan, covariance)
-    discrepancy = discrepancy_between(jacobian, residual, motions, told)
+    by_samples = least_squares_covariance(jacobian, residual, prior=misfit.prior)
+    discrepancy = discrepancy_between(jacobian, residual, motions, by_samples)
     units = np.outer(posterior.widths, posterior.widths)
     return (covariance + np.nan_to_num(discrepancy)) * units, discrepancy * units

@@ -86,7 +86,7 @@ def test_a_record_survives_json() -> None:
 
 
 @pytest.mark.parametrize(
-    ("method", "after"), [("global", 1), ("global", 45), ("differential_evolution", 10)]
+    ("method", "after"), [("global", 1), ("global", 35), ("differential_evolution", 10)]
 )
 def test_a_resumed_search_ends_no_worse(method: str, after: int) -> None:
     record = empty(method)

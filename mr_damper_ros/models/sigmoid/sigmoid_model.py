@@ -263,7 +263,8 @@ class _LawProblem:
                     found[self._law.gain] = float(factors[-1, 1]) / scale if scale else 0.0
             else:
                 given = float(self._values[name])
-                factors = given * np.array([[1.0, self._values[self._law.gain]][: len(parts)]])
+                gain = self._values.get(self._law.gain, 0.0)
+                factors = given * np.array([[1.0, gain][: len(parts)]])
             misfit += np.sum((np.einsum("sc,sck->sk", factors, basis) - target) ** 2, axis=-1)
         return misfit, found
 
