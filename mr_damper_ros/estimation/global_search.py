@@ -470,10 +470,14 @@ class GlobalSearch:
             self.search(method)
             self._finish()
         except StopRequestedError:
-            others = [self._start, *self._separate.without_search(self._neutral)]
-            self.best = min((self.best, *others), key=self.pooled.mean_square)
-            self.free = self._told(self.pooled)
+            self._stop()
             raise
+
+    def _stop(self) -> None:
+        """Take the best that is known where a search was stopped before its end."""
+        others = [self._start, *self._separate.without_search(self._neutral)]
+        self.best = min((self.best, *others), key=self.pooled.mean_square)
+        self.free = self._told(self.pooled)
 
     def search(self, method: str) -> None:
         """Find the best set for few samples of the windows."""
@@ -514,6 +518,9 @@ class GlobalSearch:
         )
         try:
             search.search(method)
+        except StopRequestedError:
+            search._stop()
+            raise
         finally:
             self._evaluations += search.evaluations
             self.best = self.model.from_simpler(search.best)
@@ -566,10 +573,10 @@ class GlobalSearch:
 
     def _search_from(self, starts: Mapping[str, Array], method: str) -> None:
         """Least squares from each of the starts, roughly, and from the best of them to the end."""
-        if self._clock.stopped:
-            raise StopRequestedError
         by_laws = math.inf
         self.best = min((self.best, *starts.values()), key=self.pooled.mean_square)
+        if self._clock.stopped:
+            raise StopRequestedError
         if method == "differential_evolution":
             by_laws = self.pooled.mean_square(self.best)
             starts = {"all free parameters": self._evolve_samples()}
