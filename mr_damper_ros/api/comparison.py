@@ -75,7 +75,9 @@ def compare(found: ParameterSet, run: MeasuredRun) -> Comparison:
         displacement=np.concatenate([window.motion.displacement for window in run.windows]),
         velocity=np.concatenate([window.motion.velocity for window in run.windows]),
         measured=np.concatenate([window.force for window in run.windows]),
-        predicted=np.concatenate([found.window_force(window) for window in run.windows]),
+        predicted=np.concatenate(
+            [found.window_force(window, gradual=None) for window in run.windows]
+        ),
         provenance=run.provenance,
     )
 

@@ -266,7 +266,7 @@ def _loops(campaign: _Campaign) -> list[Block]:
             velocity = window.motion.velocity
             every = max(velocity.size // 400, 1)
             axis.plot(velocity[::every], 1e-3 * window.force[::every], ".", color=GREY, ms=1.5)
-            predicted = found.window_force(window)
+            predicted = found.window_force(window, gradual=None)
             cycle = slice(0, min(round(1.0 / (run.frequency * window.period)) + 1, velocity.size))
             axis.plot(
                 velocity[cycle],
@@ -301,7 +301,7 @@ def _fit_table(campaign: _Campaign) -> Table:
 def _error_of(campaign: _Campaign, run: PlannedRun, recording: Recording) -> ErrorSums:
     found = campaign.last.parameter_set
     windows = run.windows(recording)
-    predicted = np.concatenate([found.window_force(window) for window in windows])
+    predicted = np.concatenate([found.window_force(window, gradual=None) for window in windows])
     return ErrorSums.of(predicted, np.concatenate([window.force for window in windows]))
 
 

@@ -192,10 +192,10 @@ class ParameterSet:
                 self.values, self.held(motion), current, period, state
             )
 
-    def window_force(self, window: Window, *, gradual: bool | None = None) -> Array:
+    def window_force(self, window: Window, *, gradual: bool | None = False) -> Array:
         """Force (n,) [N] that the set predicts at the samples of a window.
 
-        ``gradual`` as for :meth:`law_turning`; by default unless the motion is a steady sine, whose
+        ``gradual`` as for :meth:`law_turning`; None: unless the motion is a steady sine, whose
         acceleration is free of noise.
         """
         law = self.law_turning(gradual=window.motion.sine is None if gradual is None else gradual)
@@ -229,7 +229,8 @@ class ParameterSet:
                 f"the times are from {np.min(steps):g} to {np.max(steps):g} s apart: give samples "
                 "in even steps"
             )
-        return self.window_force(Window.from_samples(moved, np.zeros_like(moved), amperes, period))
+        window = Window.from_samples(moved, np.zeros_like(moved), amperes, period)
+        return self.window_force(window, gradual=None)
 
     @property
     def has_evidence(self) -> bool:
