@@ -283,7 +283,7 @@ class Window:
         motion = Motion.of_sine(sine, period * np.arange(_CYCLE, dtype=float), peak_velocity)
         return cls(motion, np.zeros(_CYCLE), np.full(_CYCLE, current), period)
 
-    def part(self, chosen: slice | Array) -> Window:
+    def part(self, chosen: slice | np.ndarray) -> Window:
         """The chosen samples: a slice, or a mask of shape (n,)."""
         motion = self.motion.part(chosen)
         places = self._places
