@@ -4,8 +4,7 @@ The law is linearised about a parameter set: the Fisher information of the sampl
 plausible of any damper as prior information, gives the covariance of the parameters, and that the
 standard error of the force at every phase of a cycle. What the data leave open counts by as much as
 it matters for the force. What the law leaves of the force and repeats is no noise: its largest
-share of a cycle's force, in windows that the set is predicted for from all others, is an error
-wherever no window is.
+part of the force in the windows is an error between them and beyond, too.
 
 Of all runs within the limits of the machine, that one is chosen after which the force is expected
 to be known best where it is known worst (G-optimality: Pukelsheim, "Optimal design of experiments",
