@@ -9,6 +9,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from benchmarks.figure import Measured
+from benchmarks.foreign_laws import LAWS, ForeignDamper
 from mr_damper_ros.campaign.course import planned
 from mr_damper_ros.emulation.emulator import (
     ConstantDamper,
@@ -24,7 +25,14 @@ from mr_damper_ros.estimation.experiment_design import (
     PointErrors,
     RunPlanner,
 )
-from mr_damper_ros.estimation.planned_run import ForceGoal, MachineLimits, PlannedRun, first_run
+from mr_damper_ros.estimation.planned_run import (
+    PHASES,
+    ForceGoal,
+    MachineLimits,
+    PlannedRun,
+    first_run,
+)
+from mr_damper_ros.kinematics.motion import Motion
 from mr_damper_ros.kinematics.periodic_motion import MotionKind
 from mr_damper_ros.kinematics.window import Window
 from mr_damper_ros.models import MODELS
@@ -270,4 +278,61 @@ def figures(dampers: int = 30) -> Measured:
         "planned_runs_inside": float(np.mean([each.inside for each in trials])),
         "planned_runs_claim": float(np.median([c.claimed / c.true for c in courses])),
         "planned_runs_bound": float(np.mean([c.true <= c.bound for c in courses])),
+    }
+
+
+_FOREIGN_GOAL = ForceGoal(_ERROR, (0.02, 0.2), (0.0, 1.5), amplitude=0.008)
+_FOREIGN_LIMITS = MachineLimits(0.008, 0.2, 1e5, 1.5, _DURATION)
+_FOREIGN_RUNS, _STAIRS = 4, 3
+"""Runs: the first, and others at so many currents at least."""
+
+_RATE, _REST = 1000, 1000
+"""Samples a second, and those before a run, in which the damper comes to its cycle."""
+
+
+def _foreign_run(name: str, run: PlannedRun, rng: np.random.Generator) -> Recording:
+    """What the machine measures of a damper of a law that the package does not have."""
+    time = np.arange(round(run.duration * _RATE) + _REST) / _RATE
+    u, v, a = run.motion.at(time)
+    current = run.current_at(np.maximum(time - _REST / _RATE, 0.0))
+    damper = ForeignDamper(LAWS[name](1.0), 1.0 / _RATE)
+    force = damper.force(Motion(u, v, a, np.abs(v), sine=None), current, 28.0)[_REST:]
+    force = force + rng.normal(0.0, _NOISE * float(np.sqrt(np.mean(force**2))), force.size)
+    return Recording(name, 0, 1.0 / _RATE, u[_REST:], force, current[_REST:])
+
+
+def _foreign_cycles(name: str) -> Array:
+    """Its force (k, phases) [N] over settled cycles at the points of the goal."""
+    forces = []
+    for speed, current in _FOREIGN_GOAL.points:
+        omega = speed / _FOREIGN_GOAL.amplitude
+        steps = math.ceil(2.0 * math.pi / omega * _RATE / PHASES)
+        count = PHASES * steps
+        phase = 2.0 * math.pi * (np.arange(-2 * count, count) / steps + 0.5) / PHASES
+        u, v = _FOREIGN_GOAL.amplitude * np.sin(phase), speed * np.cos(phase)
+        motion = Motion(u, v, -(omega**2) * u, np.abs(v), sine=None)
+        damper = ForeignDamper(LAWS[name](1.0), 2.0 * math.pi / omega / count)
+        force = damper.force(motion, np.full(u.size, current), 28.0)
+        forces.append(force[2 * count :: steps])
+    return np.array(forces)
+
+
+def foreign_figures(laws: int = len(LAWS), model: str = "sigmoid") -> Measured:
+    """How the true worst error of so many foreign laws compares with the one that is told."""
+    planner = RunPlanner(MODELS[model], _FOREIGN_GOAL, _FOREIGN_LIMITS)
+    cycles = Cycles(planner.model, _FOREIGN_GOAL.cycles())
+    stairs = [run for run in planner.candidates if len(run.currents) >= _STAIRS]
+    ratios = []
+    for seed, name in enumerate(list(LAWS)[:laws]):
+        rng = np.random.default_rng(seed)
+        chosen = rng.choice(len(stairs), _FOREIGN_RUNS - 1, replace=False)
+        runs = [first_run(_FOREIGN_GOAL, _FOREIGN_LIMITS), *(stairs[place] for place in chosen)]
+        windows = [w for run in runs for w in run.windows(_foreign_run(name, run, rng))]
+        found, plan = planned(planner, windows)
+        true = _foreign_cycles(name)
+        missed = np.max(np.abs(cycles.force(found.values) - true), axis=1)
+        ratios.append(float(np.max(missed / np.max(np.abs(true), axis=1))) / plan.now.worst)
+    return {
+        "foreign_claim": float(np.quantile(ratios, 0.9)),
+        "foreign_claim_median": float(np.median(ratios)),
     }

@@ -79,7 +79,7 @@ _SURELY = 4.0
 
 _BETWEEN = 1.35
 """The law follows motions between the windows, or beyond, so many times less well: for eleven
-foreign laws the true worst error is then at most 1.3 times the one that is told in 90 %."""
+foreign laws the true worst error is then at most 1.3 to 1.44 times the one that is told in 90 %."""
 
 _NEAR = 0.1
 """Windows so near to a point, in parts of the range, count alike."""
