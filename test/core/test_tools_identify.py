@@ -211,8 +211,8 @@ STOPPING = PROGRAM.replace(
     "    return shown(self, progress)\n"
     "ProgressLine.__call__ = interrupted\n"
     "if __name__",
-)
-"""The same, interrupted by Ctrl-C as soon as it tells of its progress."""
+).replace("sys.exit(identify.main(sys.argv[1:]))", "assert identify.main(sys.argv[1:]) in (0, 3)")
+"""The same, interrupted by Ctrl-C as soon as it tells of its progress; its set may be poor."""
 
 
 @pytest.fixture(scope="module")
