@@ -1,4 +1,4 @@
-"""The ROS 2 nodes: parameters in, messages in and out; all computation is done by the layers below.
+"""The ROS 2 nodes: they convert parameters and messages, and the layers below do the computation.
 
 This is the only part of the package that imports rclpy.
 """

@@ -1,4 +1,4 @@
-"""Records what a run needs to be replayed into a bag, beside the nodes that make the run."""
+"""Records into a bag all that a replay of a run needs, alongside the nodes of the run."""
 
 from __future__ import annotations
 
@@ -39,9 +39,10 @@ _TOPICS: tuple[tuple[type, str], ...] = (
 
 
 class BagRecorder:
-    """One recording, from its making until it is closed; the messages are written unconverted.
+    """One recording, from its creation until it is closed; the messages are written unconverted.
 
-    ``failure`` says why it ended by itself. Raises OSError where the folder cannot be written.
+    ``failure`` gives the reason if the recording stopped by itself. Raises OSError if the folder
+    cannot be written.
     """
 
     def __init__(self, node: Node, folder: Path, details: Mapping[str, str]) -> None:
@@ -75,7 +76,7 @@ class BagRecorder:
             self.failure = error.strerror or str(error)
 
     def close(self) -> None:
-        """End the recording; the bag is at ``path`` then. Raises OSError."""
+        """End the recording; the finished bag is at ``path``. Raises OSError."""
         for subscription in self._subscriptions:
             self._node.destroy_subscription(subscription)
         self._bag.close()

@@ -1,4 +1,4 @@
-"""What model and controller share: each block of samples is answered at once, by the newest set."""
+"""Common part of model and controller: they answer each block at once with the newest set."""
 
 from __future__ import annotations
 
@@ -27,17 +27,17 @@ Answer = TypeVar("Answer")
 
 
 class BlockNode(Node, Generic[Options, Answer]):
-    """Publishes an answer to each block, and does a moment later what else the block needs.
+    """Publishes an answer to each block at once, and completes the remaining work a moment later.
 
-    A block whose samples are older than :attr:`_late` [s] is skipped where newer ones wait: those
-    skipped are only followed.
+    If a block is older than :attr:`_late` [s] and newer blocks wait, the node answers only the
+    newest. The predictor follows the skipped blocks, but the node does not answer them.
     """
 
     answer: ClassVar[str]
-    """What a block is answered with, such as "prediction"."""
+    """Name of the answer in messages, such as "prediction"."""
 
     doing: ClassVar[str]
-    """What the node does with a set, such as "predicting"."""
+    """Use of the parameter set in messages, such as "predicting"."""
 
     def __init__(self, name: str, table: type[Options], cli_args: list[str] | None = None) -> None:
         super().__init__(name, cli_args=cli_args)
@@ -52,10 +52,10 @@ class BlockNode(Node, Generic[Options, Answer]):
         max_age: float,
         error: RunningError | None = None,
     ) -> None:
-        """Hear samples, currents and sets, and hand them to the predictor.
+        """Subscribe to samples, currents and sets, and pass them to the predictor.
 
-        Samples older than ``max_age`` [s] are told; 0: they may be of any age. A set that replaces
-        another begins the ``error`` of the diagnostics anew.
+        The diagnostics warn of samples older than ``max_age`` [s]; 0 allows any age. A new set
+        resets the ``error`` of the diagnostics.
         """
         self._predictor = predictor
         self._max_age = max_age
@@ -65,7 +65,7 @@ class BlockNode(Node, Generic[Options, Answer]):
         self._inputs = Inputs(self, quality.stream, self._take_block, predictor.add_current)
 
     def _diagnose(self, concerns: dict[str, Callable[[], Finding]]) -> None:
-        """Report on these concerns, and on what all such nodes have."""
+        """Report on these concerns, and on those common to all block nodes."""
         self._diagnostics = Diagnostics(
             self,
             {
@@ -79,11 +79,11 @@ class BlockNode(Node, Generic[Options, Answer]):
 
     @abstractmethod
     def _publish_answer(self, block: SampleBlock, now_ns: int) -> Answer:
-        """Answer a block at the node's time [ns]."""
+        """Publish the answer to a block at the node's time [ns], and return it."""
 
     @abstractmethod
     def _finish(self, answer: Answer, block: SampleBlock) -> None:
-        """Do what a block needs besides its answer."""
+        """Complete the remaining work on a block after its answer."""
 
     def _take_block(self, block: SampleBlock) -> None:
         began = time.perf_counter()
@@ -100,7 +100,7 @@ class BlockNode(Node, Generic[Options, Answer]):
         self._oldest = float(np.fmax(self._oldest, freshness.age))
 
     def finish_in_time(self) -> float:
-        """Do the rest of the work on the last block; see :class:`PostponedWork`."""
+        """Complete the remaining work on the last block; see :class:`PostponedWork`."""
         return self._rest.finish_in_time()
 
     def _latency_finding(self) -> Finding:

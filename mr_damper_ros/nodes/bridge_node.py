@@ -1,7 +1,7 @@
-"""The test machine and the supply as ROS topics, from any of the sources of samples.
+"""Publishes the test machine and the supply as ROS topics, from any source of samples.
 
-It is a managed node: configuring opens the source, activating streams. By itself it does both at
-the start, so that ``ros2 run`` gives data.
+It is a managed node: configuring opens the source, activating starts the stream. By default it does
+both at the start, so that ``ros2 run`` gives data.
 """
 
 from __future__ import annotations
@@ -52,7 +52,7 @@ _TOPICS = {
 }
 
 _CURRENT_STEP = 0.005
-"""Change [A] of the current that is published at once; smaller ones wait for the next reading."""
+"""A current change above this [A] is published at once; smaller ones wait for the next reading."""
 
 _TEMPERATURE_PERIOD = 1.0
 
@@ -61,12 +61,12 @@ GROUP = "mr_damper_ros.sources"
 
 
 def _others() -> dict[str, type[Source]]:
-    """The sources of other packages; one that cannot be loaded is told, and is not there."""
+    """The sources of other packages; a source that cannot be loaded is reported and left out."""
     found: dict[str, type[Source]] = {}
     for point in entry_points(group=GROUP):
         try:
             kind = point.load()
-        except Exception as error:  # another's package: the bridge works without it
+        except Exception as error:  # Code of another package: the bridge works without it.
             print(f"the source {point.name} cannot be loaded: {error}", file=sys.stderr)
             continue
         if not (isinstance(kind, type) and issubclass(kind, Source)):
@@ -77,11 +77,11 @@ def _others() -> dict[str, type[Source]]:
 
 
 ALL_SOURCES: dict[str, type[Source]] = {**SOURCES, "topics": TopicSource, **_others()}
-"""By the name that the parameter ``source`` has for each."""
+"""Source classes by the value of the parameter ``source``."""
 
 
 def source_of(name: str, settings: Any, stream: StreamSettings, node: Node) -> Source:
-    """The source of a name, for a bridge."""
+    """Return the source of this name for a bridge."""
     kind = ALL_SOURCES[name]
     if issubclass(kind, TopicSource):
         return kind(settings, stream, node)
@@ -92,10 +92,10 @@ def source_of(name: str, settings: Any, stream: StreamSettings, node: Node) -> S
 class BridgeParameters(ParameterTable):
     """Parameters of the bridge node.
 
-    It publishes displacement and force of the test machine on mts/samples, the supply's current on
-    supply/current, the temperature (where it is known) on temperature, and a thinned-out mirror of
-    the samples on joint_states. The first sample is stamped with the time of activation; from there
-    on stamps follow the clock of the samples, whatever stamps a recording has.
+    It publishes displacement and force of the test machine on mts/samples, the supply current on
+    supply/current, the temperature (if it is known) on temperature, and a subsampled copy of the
+    samples on joint_states. The first sample is stamped with the time of activation. From then on
+    the stamps follow the clock of the samples; stamps in a recording are ignored.
     """
 
     source: str = option(
@@ -174,7 +174,7 @@ class BridgeParameters(ParameterTable):
     )
 
     def objection(self) -> str:
-        """Say what the chosen source lacks."""
+        """Return the reason if the chosen source lacks an option, or an empty string."""
         if self.source == "topics" and self.mirror_rate > 0.0:
             read = self.sources["topics"]
             assert isinstance(read, TopicOptions)
@@ -187,10 +187,11 @@ class BridgeParameters(ParameterTable):
 
 
 class BridgeNode(ManagedNode):
-    """Publishes the samples of a source, stamped on their own clock, at their time.
+    """Publishes the samples of a source at the right time, with stamps on the source's own clock.
 
-    The first sample is stamped with the node's time when it is ready to be sent, whatever stamps a
-    recording has: the bridge stands for a live machine (the replay node keeps recorded stamps).
+    The first sample is stamped with the node's time when it is ready to be sent. Stamps in a
+    recording are ignored, because the bridge represents a live machine (the replay node keeps
+    recorded stamps).
     """
 
     def __init__(self) -> None:
@@ -217,7 +218,7 @@ class BridgeNode(ManagedNode):
             self._start_by_itself()
 
     def destroy_node(self) -> None:
-        """End the sending before its publishers go."""
+        """Stop sending before the publishers are destroyed."""
         self._stop()
         super().destroy_node()
 
@@ -229,7 +230,7 @@ class BridgeNode(ManagedNode):
         if source.commander is not None and f"{source.prefix}current" in changed:
             source.commander.set_by_hand(source.settings.current)
 
-    # --- life cycle: rclpy's calls these, and swallows what they raise --------------------------
+    # --- life cycle: rclpy calls these methods and swallows their exceptions --------------------
 
     def on_configure(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Open the source and announce the topics."""
@@ -296,7 +297,7 @@ class BridgeNode(ManagedNode):
     # --- sending, in its own thread -------------------------------------------------------------
 
     def _send(self, sender: PacedSender, blocks: Iterator[RigBlock]) -> None:
-        """Publish all blocks, until the sender is stopped."""
+        """Publish all blocks until the sender is stopped."""
         values = self.parameters.values
         frame_id = values.frame_id
 
@@ -310,14 +311,16 @@ class BridgeNode(ManagedNode):
         mirror = JointMirror(values.mirror_rate, frame_id)
         block = None
         for block in blocks:
-            # What belongs to the samples goes first, so that it is known when they arrive.
+            # Current and temperature go first, so that subscribers know them when the samples
+            # arrive.
             for reading in supply.read(block, block.current, block.supply_ahead_ns):
                 publish_current(reading)
             for reading in thermometer.read(block, block.temperature):
                 stamp = header(reading.stamp_ns, frame_id)
                 sender.publish("temperature", Temperature(header=stamp, temperature=reading.value))
             if block.suspension is not None:
-                # A force is wanted by the time the controller of the damper has the samples.
+                # The desired force must be known when the controller of the damper receives the
+                # samples.
                 stamp = header(_last_stamp(block), frame_id)
                 sender.publish(SUSPENSION_TOPIC, suspension_message(block.suspension, stamp))
             sender.publish("mts/samples", samples_message(block, frame_id))
@@ -336,7 +339,7 @@ class BridgeNode(ManagedNode):
         self.get_logger().info(f"end of the recording: {self._sent} samples were sent")
 
     def _as_they_come(self, sender: PacedSender, blocks: Iterator[RigBlock]) -> Iterator[RigBlock]:
-        """Those of a live source, with their stamps."""
+        """Yield the blocks of a live source with their own stamps."""
         for block in blocks:
             if sender.stopped:
                 return
@@ -344,15 +347,15 @@ class BridgeNode(ManagedNode):
                 yield block
 
     def _paced(self, sender: PacedSender, blocks: Iterator[RigBlock]) -> Iterator[RigBlock]:
-        """Those of other sources, each when its last sample is due, stamped anew.
+        """Yield the blocks of any other source when their last sample is due, with new stamps.
 
-        The first sample is taken when all is ready to send it. Where sending was held up for longer
-        than can be made good, the stamps pause, too.
+        The first sample is taken once everything is ready to send it. If sending is held up for
+        longer than the sender can catch up, the stamps pause, too.
         """
         later_ns: int | None = None
         for made in blocks:
             if later_ns is None and made.sample_count > 0:
-                # Its first sample is taken now, and it goes out with its last.
+                # The first sample is taken now, but is sent with the last sample of its block.
                 first_ns = made.due_ns - (_last_stamp(made) - made.start_ns)
                 later_ns = self.get_clock().now().nanoseconds - first_ns
                 sender.begin(first_ns)

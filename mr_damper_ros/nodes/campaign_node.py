@@ -1,4 +1,4 @@
-"""Node that makes a damper known: it chooses the runs of a test machine and has them made."""
+"""Node that characterises a damper: it chooses the runs of a test machine and commands them."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ from mr_damper_ros.signals.blocks import SampleBlock
 
 @dataclass(frozen=True)
 class GoalOptions(ParameterTable):
-    """What is to be known of the damper; a goal of the action may say otherwise."""
+    """The accuracy and the operating range to reach; a goal of the action may override them."""
 
     error: float = option(
         0.01,
@@ -68,7 +68,7 @@ class GoalOptions(ParameterTable):
     )
 
     def goal(self) -> ForceGoal:
-        """The goal; raises ValueError, in a sentence, where it cannot be meant."""
+        """Return the goal; raises ValueError, with a sentence, if it is not possible."""
         return ForceGoal(
             self.error,
             (self.lowest_peak_velocity, self.highest_peak_velocity),
@@ -78,7 +78,7 @@ class GoalOptions(ParameterTable):
 
 @dataclass(frozen=True)
 class MachineOptions(ParameterTable):
-    """What the machine may do; no goal of the action can widen it."""
+    """The limits of the machine; a goal of the action cannot widen them."""
 
     amplitude: float = option(
         0.01, "Largest amplitude [m] about the centre.", minimum=1e-5, maximum=0.25
@@ -122,7 +122,7 @@ class MachineOptions(ParameterTable):
     )
 
     def limits(self, *, manual: bool) -> MachineLimits:
-        """The limits; by hand nobody steps a current within a run, or makes more than sines.
+        """Return the limits; a manual press makes only sines, at constant current within a run.
 
         Raises ValueError.
         """
@@ -144,12 +144,12 @@ class MachineOptions(ParameterTable):
 class CampaignParameters(ParameterTable):
     """Parameters of the campaign node.
 
-    A goal of the action ~/run_campaign begins, or goes on. It commands the machine
-    (rig/excitation_command) and the supply (supply/current_command), waits until both do what is
-    commanded, keeps the samples of the run as a bag, identifies from all runs and chooses the next,
-    until the force is known as well as wanted. ~/pause lets the machine rest, ~/resume goes on,
-    ~/stop ends the campaign. It may be killed at any moment: the same goal goes on with the runs
-    that are kept.
+    A goal of the action ~/run_campaign begins or continues a campaign. The node commands the
+    machine (rig/excitation_command) and the supply (supply/current_command), and waits until both
+    follow the commands. It stores the samples of the run as a bag, identifies from all runs and
+    chooses the next run, until the force is known to the desired accuracy. ~/pause stops the
+    machine, ~/resume continues the campaign, ~/stop ends it. The node may be killed at any moment:
+    the same goal continues with the stored runs.
     """
 
     folder: str = option(
@@ -178,7 +178,7 @@ class CampaignParameters(ParameterTable):
     frame_id: str = option("damper", "Frame of the commands.")
 
     def objection(self) -> str:
-        """Say what goal or limits cannot be meant, or what a start by itself lacks."""
+        """Return the reason if goal, limits or automatic start are invalid; empty if valid."""
         try:
             self.goal.goal()
             self.machine.limits(manual=self.conduct.manual)
@@ -190,15 +190,15 @@ class CampaignParameters(ParameterTable):
 
 
 _ATTENTION_PERIOD = 0.05
-"""Seconds between two looks at the worker, and two commands: a machine that hears none for half a
-second comes to rest."""
+"""Seconds between two polls of the worker, and between two commands: a machine that receives no
+command for half a second stops."""
 
 _FEEDBACK = 10
-"""Looks between two feedbacks."""
+"""Polls per feedback message."""
 
 
 class CampaignNode(Node):
-    """Hands what arrives to the conductor, and its commands to the machine."""
+    """Passes incoming data to the conductor, and the conductor's commands to the machine."""
 
     def __init__(self, worker: Worker) -> None:
         super().__init__("campaign")
@@ -258,7 +258,7 @@ class CampaignNode(Node):
         self.create_timer(_ATTENTION_PERIOD, self._attend, clock=steady)
 
     def destroy_node(self) -> None:
-        """Let the machine rest; what is finished is on disk."""
+        """Stop the machine; completed runs are on disk."""
         if self.context.ok() and self._moving is not None:
             self._publish(REST)
         super().destroy_node()
@@ -266,7 +266,7 @@ class CampaignNode(Node):
     # --- goals ----------------------------------------------------------------------------------
 
     def _refusal(self, request: RunCampaign.Goal) -> str:
-        """Why a goal cannot be meant now, or is beyond the machine, in words; empty if it can."""
+        """Return the reason to refuse a goal, or an empty string if it is accepted."""
         options = self._options
         if self._conductor.running:
             return "a campaign is running; stop it first, or wait for its end"
@@ -305,7 +305,7 @@ class CampaignNode(Node):
             self._conductor.stop()
 
     def _begin(self, wanted: GoalOptions) -> None:
-        """Begin a campaign, or go on with it; raises ValueError or OSError where it cannot."""
+        """Begin or continue a campaign; raises ValueError or OSError if that is not possible."""
         options = self._options
         if not options.folder:
             raise ValueError("there is no folder to keep the runs in: set the parameter folder")
@@ -365,7 +365,7 @@ class CampaignNode(Node):
             self._say(status)
 
     def _feed_back(self, status: CampaignStatus) -> None:
-        """Tell whoever asked for the campaign how it stands."""
+        """Send the status of the campaign to the client of the goal."""
         if self._goal is not None:
             self._goal.publish_feedback(
                 RunCampaign.Feedback(
@@ -378,7 +378,7 @@ class CampaignNode(Node):
             )
 
     def _say(self, status: CampaignStatus) -> None:
-        """Tell whoever sets the press what to set, once."""
+        """Log the settings of the next run once, for the operator of a manual press."""
         if self._options.conduct.manual and status.sentence and status.sentence != self._last:
             self._last = status.sentence
             self.get_logger().info(f"set run {status.run}: {status.sentence}")

@@ -1,4 +1,4 @@
-"""The topics that command current and motion: each command holds for a while, and is judged."""
+"""Command topics for current and motion; each command is checked and holds for a limited time."""
 
 from __future__ import annotations
 
@@ -19,16 +19,16 @@ from mr_damper_ros.rig.commander import Commander, CurrentCommander, MotionComma
 from mr_damper_ros.signals.blocks import NANOSECONDS
 
 _DEPTH = 10
-"""Commands that may wait: only the newest matters."""
+"""Queue length: only the newest command matters."""
 
 
 class CommandTopic(ABC):
-    """Hands the commands of a topic to a commander, and says how they come."""
+    """Passes the commands of a topic to a commander, and reports on them."""
 
     kind: ClassVar[type]
     topic: ClassVar[str]
     what: ClassVar[str]
-    """What is commanded, such as "the current"."""
+    """The commanded quantity in messages, such as "the current"."""
 
     def __init__(self, node: Node, commander: Commander) -> None:
         self._node = node
@@ -40,16 +40,16 @@ class CommandTopic(ABC):
         )
 
     def close(self) -> None:
-        """Hear no more commands."""
+        """End the subscription."""
         self._node.destroy_subscription(self._subscription)
 
     @abstractmethod
     def _obey(self, message: Any, stamp_ns: int, age: float, now: float) -> str:
-        """Hand on a command decided ``age`` [s] ago; returns why not, empty if it holds."""
+        """Pass on a command decided ``age`` [s] ago; returns the reason if it is refused, or ""."""
 
     @abstractmethod
     def _state(self, now: float) -> Finding:
-        """What the commander makes of the commands now."""
+        """The state of the commander."""
 
     def _take(self, message: Any) -> None:
         stamp_ns = to_nanoseconds(message.header.stamp)
@@ -62,7 +62,7 @@ class CommandTopic(ABC):
             )
 
     def finding(self) -> Finding:
-        """What is commanded, and all that is wrong with the commands."""
+        """The present command, and all faults of the commands."""
         state = self._state(time.monotonic())
         refused, self._told = self._counted.refused - self._told, self._counted.refused
         values = {"refused": self._counted.refused, **state.values}
@@ -83,7 +83,7 @@ DEMAND_TOPIC = "damper/desired_force"
 
 
 class CurrentCommands(CommandTopic):
-    """Hands commands of the current on; ``heard`` is called after each that holds."""
+    """Passes on commands of the current; ``heard`` is called after each accepted command."""
 
     kind, topic, what = CurrentCommand, COMMAND_TOPIC, "the current"
 
@@ -110,11 +110,11 @@ class CurrentCommands(CommandTopic):
 EXCITATION_TOPIC = "rig/excitation_command"
 
 _KINDS = (MotionKind.SINE, MotionKind.SWEEP, MotionKind.RANDOM)
-"""In the order of their numbers in ExcitationCommand.msg."""
+"""In the order of the constants in ExcitationCommand.msg."""
 
 
 class MotionCommands(CommandTopic):
-    """Hands commands of the motion on to the commander of a machine."""
+    """Passes commands of the motion to the commander of a machine."""
 
     kind, topic, what = ExcitationCommand, EXCITATION_TOPIC, "the motion"
 
@@ -140,11 +140,11 @@ class MotionCommands(CommandTopic):
 
 
 _OF_A_MOTION = ("amplitude", "frequency", "highest_frequency", "period", "seed")
-"""Called alike in a command and in a motion."""
+"""Names of the fields that the command and the motion share."""
 
 
 def command_message(header: Header, motion: PeriodicMotion | None) -> ExcitationCommand:
-    """The command of a motion, None for rest."""
+    """The command for a motion; None commands rest."""
     if motion is None:
         return ExcitationCommand(header=header)
     values = {name: getattr(motion, name) for name in _OF_A_MOTION}
@@ -152,12 +152,12 @@ def command_message(header: Header, motion: PeriodicMotion | None) -> Excitation
 
 
 def motion_of(message: ExcitationCommand) -> PeriodicMotion | None:
-    """The motion of a command, None for rest. Raises ValueError where it makes no sense."""
+    """The motion in a command, None for rest. Raises ValueError if the command is invalid."""
     if message.amplitude == 0.0:
         return None
     if message.motion >= len(_KINDS):
         raise ValueError(f"the motion {message.motion} is unknown")
     kind = _KINDS[message.motion]
-    # The others have no meaning for a sine.
+    # The other fields have no meaning for a sine.
     names = _OF_A_MOTION[:2] if kind is MotionKind.SINE else _OF_A_MOTION
     return PeriodicMotion(kind, **{name: getattr(message, name) for name in names})

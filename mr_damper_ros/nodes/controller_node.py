@@ -32,24 +32,26 @@ from mr_damper_ros.signals.error_sums import RunningError
 from mr_damper_ros.signals.uniform_grid import GridSettings
 
 _LATE = 0.05
-"""Seconds: a computer with a processor to spare is late by less; a command is for what is now."""
+"""Age [s] from which on a block is skipped if a newer one waits: a command is for the present. A
+computer with a free core stays below this age."""
 
 _LAST_WORD = 1.0
-"""Seconds that the supply has to take the last command."""
+"""Time limit [s] for the supply to receive the last command."""
 
 _DEMANDS = 1
-"""Desired forces that may wait: only the newest matters."""
+"""Queue length: only the newest desired force matters."""
 
 
 @dataclass(frozen=True)
 class ControllerParameters(SetOptions):
     """Parameters of the controller node.
 
-    For every block on mts/samples it publishes the current that brings the desired force
-    (damper/desired_force) nearest, on supply/current_command, by the newest parameters. Where the
-    model would mark its force as not valid the current stays for a moment, then goes to the safe
-    current; where the desired force is too old it goes there at once, and without samples it is
-    commanded at once. The diagnostics say why.
+    For every block on mts/samples the node computes, with the newest parameters, the current whose
+    force is nearest to the desired force (damper/desired_force), and publishes it on
+    supply/current_command. If the model would mark its force as invalid, the node keeps the current
+    for a moment, then goes to the safe current. If the desired force is too old, it goes to the
+    safe current at once. Without samples it commands the safe current directly. The diagnostics
+    give the reason.
     """
 
     samples_timeout: float = option(
@@ -70,7 +72,7 @@ class ControllerParameters(SetOptions):
     frame_id: str = option("damper", "Frame of the commands.")
 
     def objection(self) -> str:
-        """Say that the limits leave nothing to command."""
+        """Return the reason if the limits leave no current to command, or an empty string."""
         low, high = self.control.lowest_current, self.control.highest_current
         if not low < high:
             return f"highest_current is {high:g} A: it must be above lowest_current, {low:g} A"
@@ -88,7 +90,7 @@ class ControllerParameters(SetOptions):
 
 
 class ControllerNode(BlockNode[ControllerParameters, Command]):
-    """Publishes a command for every block of samples, and the safe current where none come."""
+    """Publishes a command for every block of samples, and the safe current if samples stop."""
 
     answer, doing = "command", "controlling"
 
@@ -101,7 +103,7 @@ class ControllerNode(BlockNode[ControllerParameters, Command]):
         self._last: Command | None = None
         self._commands = self._met = self._unknown = 0
         self._heard = -math.inf
-        # One for all: what is published has been copied.
+        # One message for all commands: publishing copies it.
         self._message = CurrentCommand(header=Header(frame_id=options.frame_id))
         self._refused_demand = ""
         self._command = quality.publisher(self, CurrentCommand, COMMAND_TOPIC)
@@ -146,7 +148,7 @@ class ControllerNode(BlockNode[ControllerParameters, Command]):
         self._publish(self._controller.give_up(), self.get_clock().now().nanoseconds)
 
     def _watch(self) -> None:
-        """Command the safe current where no samples come."""
+        """Command the safe current if no samples arrive."""
         if time.monotonic() - self._heard > self._options.samples_timeout:
             self._give_up()
 
@@ -154,7 +156,7 @@ class ControllerNode(BlockNode[ControllerParameters, Command]):
         continuity = command.prediction.continuity
         if continuity:
             self.get_logger().warning(continuity, throttle_duration_sec=10.0)
-        # What was commanded after the block before has made the force of this one.
+        # The command after the previous block produced the force of this block.
         before, self._last = self._last, command
         if before is not None and not before.doubt:
             self._commands += 1
@@ -166,10 +168,10 @@ class ControllerNode(BlockNode[ControllerParameters, Command]):
         self._controller.predictor.catch_up()
 
     def destroy_node(self) -> None:
-        """Leave the supply with the safe current."""
+        """Leave the supply at the safe current."""
         if self.context.ok():
             self._give_up()
-            # What has not been taken goes with the publisher.
+            # Destroying the publisher drops messages that have not been received.
             self._command.wait_for_all_acked(Duration(seconds=_LAST_WORD))
         super().destroy_node()
 

@@ -1,4 +1,4 @@
-"""The state of a node in words, on /diagnostics, once a second."""
+"""The state of a node in words, published on /diagnostics once a second."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ STALE = DiagnosticStatus.STALE
 
 @dataclass(frozen=True)
 class Finding:
-    """One concern: how it stands (``level``), in words, and figures by name."""
+    """The state of one concern: its ``level``, a sentence, and values by name."""
 
     level: bytes
     message: str
@@ -25,10 +25,10 @@ class Finding:
 
 
 class Diagnostics:
-    """Publishes what the ``concerns`` (a function per name) find, every second.
+    """Publishes the findings of all ``concerns`` (one function per name) every second.
 
-    The timer runs on the steady clock: with ``use_sim_time`` the node's clock may stand still,
-    and that is when one wants to know why nothing happens.
+    The timer runs on the steady clock: with ``use_sim_time`` the node's clock may stop, and exactly
+    then the diagnostics are needed.
     """
 
     def __init__(self, node: Node, concerns: Mapping[str, Callable[[], Finding]]) -> None:

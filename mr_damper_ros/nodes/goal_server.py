@@ -1,6 +1,6 @@
-"""Actions whose goals take long: each waits for its result without the executor.
+"""Action servers for long goals, which wait for their results without using the executor.
 
-Among them the one that asks for a global identification.
+One of them serves requests for a global identification.
 """
 
 from __future__ import annotations
@@ -24,12 +24,12 @@ from mr_damper_ros.tracking.identifier import Identifier, Search, SearchEnded, S
 class GoalServer:
     """Serves an action of a node.
 
-    ``begin`` is given a goal that is accepted; ``refusal`` says why a request cannot be one now,
-    empty where it can; ``cancel`` is told of a goal that its client wants no longer; ``succeeded``
-    judges a result.
+    ``begin`` receives each accepted goal. ``refusal`` returns the reason to refuse a request now,
+    or an empty string. ``cancel`` receives a goal that its client cancels. ``succeeded`` tells
+    whether a result is a success.
 
-    A goal is "accepted" until :meth:`finish` and "executing" only while its result is handed over:
-    a coroutine that waits would be resumed by the executor again and again, which takes two thirds
+    A goal stays "accepted" until :meth:`finish`, and is "executing" only while its result is
+    delivered. The executor would resume a waiting coroutine again and again, which takes two thirds
     of a core.
     """
 
@@ -63,7 +63,7 @@ class GoalServer:
         )
 
     def finish(self, goal: ServerGoalHandle, result: Any) -> None:
-        """Give whoever sent the goal its result."""
+        """Deliver the result of a goal to its client."""
         self._results[bytes(goal.goal_id.uuid)] = result
         goal.execute()
 
@@ -75,7 +75,7 @@ class GoalServer:
         return GoalResponse.REJECT
 
     def _hand_over(self, goal: ServerGoalHandle) -> Any:
-        """End a goal, called by the action server once its result is there."""
+        """End a goal; the action server calls this once the result is there."""
         result = self._results.pop(bytes(goal.goal_id.uuid))
         if goal.is_cancel_requested:
             goal.canceled()
@@ -94,7 +94,7 @@ _REFUSED = "global-refused"
 """Id of a set that was found but is not in use."""
 
 _MOST_GOALS = 20
-"""Goals that may wait; a search takes up to minutes, so nobody waits for more of them."""
+"""Largest number of waiting goals: a search may take minutes, so a longer queue is of no use."""
 
 
 class SearchGoals:
@@ -119,7 +119,7 @@ class SearchGoals:
         )
 
     def tell(self, event: SearchProgress) -> None:
-        """Tell whoever asked for a search how far it is."""
+        """Send the progress of a search to the client of its goal."""
         if event.search in self._goals:
             progress = event.progress
             self._goals[event.search].publish_feedback(
@@ -133,7 +133,7 @@ class SearchGoals:
             )
 
     def end(self, event: SearchEnded) -> None:
-        """Give whoever asked for a search its result."""
+        """Deliver the result of a search to the client of its goal."""
         if event.search in self._goals:
             self._server.finish(self._goals.pop(event.search), self._result(event))
 

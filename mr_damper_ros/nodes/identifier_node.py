@@ -1,4 +1,4 @@
-"""Node that identifies the damper while it runs: window by window, and as a whole now and then."""
+"""Node that identifies the damper during operation, by windows and now and then globally."""
 
 from __future__ import annotations
 
@@ -55,12 +55,11 @@ from mr_damper_ros.tracking.window_assembler import WindowAssembler, WindowSetti
 class IdentifierParameters(ParameterTable):
     """Parameters of the identifier node.
 
-    Samples and supply current are collected into windows. Each window is fitted, in the order of
-    the data, starting from the set in use. The fitted set comes into use if it predicts samples of
-    the window that the fit has not seen better than the set before it. Now and then all parameters
-    of the law are identified at once, from windows that fit at different operating points (peak
-    velocity, current). Only the stamps of the data count, so a bag gives the same sets at any rate
-    of replay.
+    Samples and supply current are collected into windows. The node fits the windows in the order of
+    the data, each starting from the set in use. The fitted set comes into use if it predicts
+    hold-out samples of the window better than the previous set. From time to time all parameters of
+    the law are identified at once, from windows at different operating points (peak velocity,
+    current). Only the stamps of the data matter, so a bag gives the same sets at any replay rate.
     """
 
     windows: WindowSettings = group(WindowSettings, flat=True)
@@ -89,15 +88,15 @@ class IdentifierParameters(ParameterTable):
 
 
 _ATTENTION_PERIOD = 0.02
-"""Seconds between two looks at the worker.
+"""Seconds between two polls of the worker.
 
-A guard condition would need no looking, but the events executor supports none. A timer would have
-to wait behind all samples that a busy node is behind, and no window would be fitted meanwhile.
+The events executor does not support guard conditions, which would make polling unnecessary. A timer
+of an overloaded node would wait behind all queued samples, and no window would be fitted meanwhile.
 """
 
 
 class IdentifierNode(Node):
-    """Feeds what arrives to the identification, and publishes what comes of it."""
+    """Passes incoming data to the identification, and publishes its results."""
 
     def __init__(self, worker: Worker, cli_args: list[str] | None = None) -> None:
         super().__init__("identifier", cli_args=cli_args)
@@ -137,7 +136,7 @@ class IdentifierNode(Node):
             self, self._identifier, options.tracking.evolution, self._frame_id
         )
         self._worker = worker
-        # A refused fit is worth a warning only where the set in use predicts worse than this.
+        # A refused fit is worth a warning only if the NRMSE of the set in use is above this limit.
         self._maximum_nrmse = options.tracking.acceptance.maximum_nrmse
         sequence = self._identifier.assembler.sequence
         self._diagnostics = Diagnostics(
@@ -166,7 +165,7 @@ class IdentifierNode(Node):
             )
 
     def destroy_node(self) -> None:
-        """Keep and publish what waits, then end."""
+        """Store and publish pending results, then end."""
         self._identifier.close()
         self._publish(self._identifier.flush())
         super().destroy_node()
@@ -187,7 +186,7 @@ class IdentifierNode(Node):
             self.get_logger().warning(event, throttle_duration_sec=1.0)
 
     def attend_in_time(self) -> float:
-        """Look at the worker if it is time to; returns the seconds until it is again."""
+        """Poll the worker if it is due; returns the seconds until the next poll."""
         left = self._next_look - time.monotonic()
         if left > 0.0:
             return left
@@ -251,7 +250,7 @@ class IdentifierNode(Node):
         return self._identifier.state.acknowledge() or "there was nothing to acknowledge"
 
     def _switch(self, to_another_set: Callable[[], str]) -> str:
-        """Publish what still comes from the set in use, then put another one in use."""
+        """Publish pending results of the set in use, then put the other set in use."""
         self._publish(self._identifier.flush())
         fault = to_another_set()
         parameters = self._identifier.tracker.parameters
@@ -261,7 +260,7 @@ class IdentifierNode(Node):
     # --- state ----------------------------------------------------------------------------------
 
     def _find_window(self) -> Finding:
-        """How far the next window is."""
+        """The progress of the next window."""
         assembler = self._identifier.assembler
         if assembler.waits_for_current:
             return Finding(
@@ -272,7 +271,7 @@ class IdentifierNode(Node):
         return Finding(OK, f"window {assembler.fill:.0%} full")
 
     def _find_fit(self) -> Finding:
-        """What became of the last window."""
+        """The result of the last window."""
         report, tracker = self._identifier.last_report, self._identifier.tracker
         if report is None:
             return Finding(STALE, "no window has been fitted yet")
@@ -295,7 +294,7 @@ class IdentifierNode(Node):
         return Finding(OK if good else WARN, f"not accepted: {report.reason}", values)
 
     def _find_worker(self) -> Finding:
-        """What the worker does, and whether it keeps up."""
+        """The activity of the worker, and whether it keeps up with the data."""
         worker, identifier = self._worker, self._identifier
         dropped = identifier.dropped_windows
         values = {
@@ -339,7 +338,7 @@ class IdentifierNode(Node):
         return Finding(OK, f"running with {parameters.set_id}", values)
 
     def _find_state(self) -> Finding:
-        """Whether what is known is on disk."""
+        """Whether the state is stored on disk."""
         state = self._identifier.state
         if state.fault:
             return Finding(ERROR, state.fault)
@@ -351,7 +350,7 @@ class IdentifierNode(Node):
 
 
 def _answer(act: Callable[[Any], str], request: Any, response: Any) -> Any:
-    """The answer of a service: what was done, or why not."""
+    """The answer of a service: the action taken, or the reason for its failure."""
     try:
         response.message = act(request)
         response.success = True

@@ -1,4 +1,4 @@
-"""The two streams that identifier and model take in: samples of the press and supply current."""
+"""The two input streams of identifier and model: samples of the test machine and supply current."""
 
 from __future__ import annotations
 
@@ -21,16 +21,17 @@ SAMPLES_TOPIC = "mts/samples"
 CURRENT_TOPIC = "supply/current"
 
 _PACE_TOLERANCE = 0.2
-"""Blocks of a tenth of a second make the number in a second uncertain by so much."""
+"""Relative tolerance of the sample count over a second: a block of 0.1 s more or less changes it by
+10 %."""
 
 _SILENCE = 2.0
 """Seconds without a message after which a stream counts as silent."""
 
 
 class Stream:
-    """What has come in on a topic: how much, how fast, and what could not be used.
+    """Statistics of the messages on a topic: count, rate and rejected messages.
 
-    ``advice`` says what to do if nothing publishes it.
+    ``advice`` says what to do if nothing publishes the topic.
     """
 
     def __init__(
@@ -52,12 +53,12 @@ class Stream:
         self.rejected = 0
 
     def accept(self, count: int) -> None:
-        """Count samples that were taken."""
+        """Count accepted samples."""
         self._count += count
         self._last = time.monotonic()
 
     def reject(self, reason: str) -> None:
-        """Count a message that could not be used."""
+        """Count a rejected message."""
         self.rejected += 1
         self._rejected_since += 1
         self._rejection = reason
@@ -68,7 +69,7 @@ class Stream:
 
     @property
     def silent(self) -> bool:
-        """Whether nothing has come for a while, or ever."""
+        """Whether no message has arrived recently, or ever."""
         return self._last is None or time.monotonic() - self._last >= _SILENCE
 
     def take_rate(self) -> float:
@@ -79,7 +80,7 @@ class Stream:
         return rate
 
     def take_fault(self) -> str:
-        """What is wrong with the stream since the last call, in a sentence; empty for nothing."""
+        """The fault of the stream since the last call, as a sentence; empty if there is none."""
         rejected, self._rejected_since = self._rejected_since, 0
         if rejected:
             return f"{rejected} messages on {self._topic} could not be used: {self._rejection}"
@@ -95,7 +96,7 @@ class Stream:
         return f"nothing arrives on {self._topic}: has its publisher stopped?"
 
     def _refuses_all(self) -> bool:
-        """Whether every publisher offers less than is asked for."""
+        """Whether the reliability of every publisher is too low for the subscription."""
         return self._profile.reliability == ReliabilityPolicy.RELIABLE and all(
             publisher.qos_profile.reliability == ReliabilityPolicy.BEST_EFFORT
             for publisher in self._node.get_publishers_info_by_topic(self._topic)
@@ -103,7 +104,7 @@ class Stream:
 
 
 class Inputs:
-    """Subscribes both streams, hands on what can be used, and counts the rest."""
+    """Subscribes to both streams, passes on valid messages, and counts the rejected ones."""
 
     def __init__(
         self,
@@ -112,7 +113,7 @@ class Inputs:
         on_block: Callable[[SampleBlock], None],
         on_current: Callable[[int, float], None],
     ) -> None:
-        # Overrides by the user change these in place.
+        # Overrides by the user change these profiles in place.
         samples_profile, current_profile = profile(), profile()
         self._samples = Stream(node, SAMPLES_TOPIC, samples_profile)
         self._current = Stream(node, CURRENT_TOPIC, current_profile)
@@ -130,10 +131,10 @@ class Inputs:
     def skip_to_newest(
         self, block: SampleBlock, follow: Callable[[SampleBlock], object]
     ) -> tuple[SampleBlock, int]:
-        """The newest block that has come since this one, and how many were skipped for it.
+        """Return the newest block in the queue, and the number of blocks skipped for it.
 
-        ``follow`` is called with those skipped, as few blocks as can hold them. The currents that
-        wait are taken too, and handed on as ever.
+        ``follow`` is called with the skipped samples, joined into as few blocks as possible. Queued
+        currents are passed on as usual.
         """
         for message in waiting_messages(self._current_in):
             self._take_current(message)
@@ -149,7 +150,7 @@ class Inputs:
             self._on_block(block)
 
     def _block(self, message: MtsSamples) -> SampleBlock | None:
-        """The block in a message, counted; None where it cannot be used."""
+        """Return the block in a message and count it; None if the message is rejected."""
         try:
             block = sample_block(message)
         except BlockError as error:
@@ -169,11 +170,11 @@ class Inputs:
 
     @property
     def silent(self) -> bool:
-        """Whether no samples have come for a while, or ever."""
+        """Whether no samples have arrived recently, or ever."""
         return self._samples.silent
 
     def samples_finding(self, sequence: UniformGrid) -> Finding:
-        """How the samples come in, and how they followed each other in the node's ``sequence``."""
+        """The rate and faults of the samples, with the interruptions in the node's ``sequence``."""
         rate, fault = self._samples.take_rate(), self._samples.take_fault()
         before, self._interruptions = self._interruptions, sequence.interruptions
         interruptions = self._interruptions - before
@@ -195,7 +196,7 @@ class Inputs:
         )
 
     def current_finding(self) -> Finding:
-        """How the supply current comes in."""
+        """The value and faults of the supply current."""
         rate, fault = self._current.take_rate(), self._current.take_fault()
         return Finding(
             WARN if fault else OK,
@@ -209,7 +210,7 @@ class Inputs:
 
 
 def _pace(rate: float, sequence: UniformGrid) -> str:
-    """A remark where samples come faster or slower than their period says; empty elsewhere."""
+    """A remark if the sample rate does not match the sample period, or an empty string."""
     pace = rate * sequence.last.period if sequence.last else 0.0
     if abs(pace - 1.0) <= _PACE_TOLERANCE or rate == 0.0:
         return ""

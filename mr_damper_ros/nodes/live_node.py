@@ -1,4 +1,4 @@
-"""Node that serves a page on which people see the running system."""
+"""Node that serves a web page which shows the running system."""
 
 from __future__ import annotations
 
@@ -43,22 +43,22 @@ from mr_damper_ros.signals.blocks import NANOSECONDS
 from mr_damper_ros.tracking.acceptance import Verdict
 
 _WAITING = 50
-"""Signals that may wait; then the oldest go. Nobody waits for whoever only looks."""
+"""Queue length for signals; the oldest are dropped, so that a viewer exerts no back-pressure."""
 
 _SAME = (
     *("nrmse_before", "nrmse_after", "force_scale", "temperature", "current", "peak_velocity"),
     *("amplitude", "frequency"),
 )
-"""Figures of a window that are called as in FitReport."""
+"""Fields of a window with the same name as in FitReport."""
 
 
 _OF_A_SET = ("model", "source", "node", "nrmse")
 _ARRAYS_OF_A_SET = ("names", "units", "values", "standard_errors", "observable")
-"""What of a set is called as in DamperParameters."""
+"""Fields of a set with the same name as in DamperParameters."""
 
 
 def listen(node: Node, record: LiveRecord) -> _Ear:
-    """Subscribe a node to all that is shown, in its namespace, and keep it in the record."""
+    """Subscribe a node to all topics of the page in its namespace, and store them in the record."""
     seen = _Ear(record, node.get_namespace().strip("/"))
     looking = QoSProfile(
         reliability=ReliabilityPolicy.BEST_EFFORT, history=HistoryPolicy.KEEP_LAST, depth=_WAITING
@@ -79,7 +79,7 @@ def listen(node: Node, record: LiveRecord) -> _Ear:
 
 
 class _Ear:
-    """Takes messages apart; ``namespace`` is that of the diagnostics to keep, empty for all.
+    """Stores the content of messages; only diagnostics of ``namespace`` are kept, of all if empty.
 
     ``newest_set`` is the last set that was published.
     """
@@ -94,7 +94,7 @@ class _Ear:
         self._samples.append(message)
 
     def forces(self, message: PredictedForce) -> None:
-        """Join predicted forces with the samples that they are of, which come before them."""
+        """Join predicted forces with their samples, which arrive before them."""
         same = [block for block in self._samples if block.seq == message.seq]
         self._samples.clear()
         if not same or len(same[0].force) != len(message.force):
@@ -194,12 +194,12 @@ _COMMANDS = {
 """Services of the identifier that the page may call, with empty requests."""
 
 _RECORD, _STOP = "record", "stop_recording"
-"""The commands that this node carries out itself."""
+"""Commands that this node carries out itself."""
 
 _WAITING_COMMANDS = 4
 
 _LOOK = 0.1
-"""Seconds between two looks whether somebody has pressed a button."""
+"""Seconds between two checks for commands from the page."""
 
 
 @dataclass(frozen=True)
@@ -246,7 +246,7 @@ class LiveParameters(ParameterTable):
 
 
 class LiveNode(Node):
-    """Keeps what the others publish; threads of the page's server read it."""
+    """Stores the messages of the other nodes; threads of the page's server read them."""
 
     def __init__(self) -> None:
         super().__init__("live")
@@ -293,7 +293,7 @@ class LiveNode(Node):
         super().destroy_node()
 
     def attend(self) -> float:
-        """Pass on what was asked for on the page; returns the seconds until the next look."""
+        """Carry out the commands from the page; returns the seconds until the next check."""
         while not self._waiting.empty():
             name, arguments = self._waiting.get_nowait()
             if name == _RECORD:
@@ -307,7 +307,7 @@ class LiveNode(Node):
         return _LOOK
 
     def _take_command(self, name: str, arguments: Mapping[str, str]) -> bool:
-        """Called by the threads of the server."""
+        """Queue a command from a thread of the server; returns False if the queue is full."""
         try:
             self._waiting.put_nowait((name, arguments))
         except queue.Full:

@@ -1,4 +1,4 @@
-"""Managed nodes: how one configures, activates, stops, and lets its device go."""
+"""Base class of the managed nodes: configure, activate, stop and release the device."""
 
 from __future__ import annotations
 
@@ -9,10 +9,10 @@ from mr_damper_ros.nodes.node_parameters import ConfigurationError
 
 
 class ManagedNode(LifecycleNode):
-    """A lifecycle node, which refuses what its state does not allow.
+    """A lifecycle node, which refuses transitions that its state does not allow.
 
-    A node says how it configures and activates, how it stops (:meth:`_stop`) and how it lets its
-    device go (:meth:`_close`).
+    A subclass implements ``on_configure`` and ``on_activate``, stopping (:meth:`_stop`) and the
+    release of its device (:meth:`_close`).
     """
 
     def __init__(self, name: str) -> None:
@@ -30,32 +30,32 @@ class ManagedNode(LifecycleNode):
         self._starting = False
 
     def _fail(self, what: str, error: object) -> TransitionCallbackReturn:
-        """Note the problem, and tell it unless the start does."""
+        """Store the problem, and log it unless the node is just starting."""
         self._problem = f"{what}: {error}"
         if not self._starting:
             self.get_logger().error(self._problem)
         return TransitionCallbackReturn.FAILURE
 
     def _stop(self) -> None:
-        """Undo the activation, if there was one."""
+        """Undo the activation, if the node is active."""
         raise NotImplementedError
 
     def _close(self) -> None:
-        """Undo the configuration, if there was one."""
+        """Undo the configuration, if the node is configured."""
         raise NotImplementedError
 
     def on_deactivate(self, state: LifecycleState) -> TransitionCallbackReturn:
-        """Stop; rclpy calls it, as the two below."""
+        """Stop; rclpy calls this and the next two methods."""
         self._stop()
         return TransitionCallbackReturn.SUCCESS
 
     def on_cleanup(self, state: LifecycleState) -> TransitionCallbackReturn:
-        """Let the device go."""
+        """Release the device."""
         self._close()
         return TransitionCallbackReturn.SUCCESS
 
     def on_shutdown(self, state: LifecycleState) -> TransitionCallbackReturn:
-        """Stop for good."""
+        """Stop and release the device for good."""
         self._stop()
         self._close()
         return TransitionCallbackReturn.SUCCESS

@@ -1,4 +1,4 @@
-"""Between messages and what the core works with: arrays, stamps, parameter sets, reports."""
+"""Converts between messages and the core types: arrays, stamps, parameter sets, reports."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ _SECOND = 1_000_000_000
 
 
 def to_stamp(nanoseconds: int) -> Time:
-    """A stamp from nanoseconds since the epoch; raises ValueError where a stamp cannot hold it."""
+    """A stamp from nanoseconds since the epoch; raises ValueError if a stamp cannot hold it."""
     stamp = Time()
     set_stamp(stamp, nanoseconds)
     return stamp
@@ -66,12 +66,12 @@ def to_field(values: Array) -> array.array[float]:
 
 
 def from_field(field: array.array[float]) -> Array:
-    """The values of a ``float64[]`` field, without copying; read-only use is expected."""
+    """The values of a ``float64[]`` field as a view without copying; do not write to it."""
     return np.frombuffer(field, dtype=np.float64)
 
 
 def samples_message(block: SampleBlock | RigBlock, frame_id: str) -> MtsSamples:
-    """The message of a block, whatever a rig's instruments say."""
+    """The message for a block; only displacement and force are part of it."""
     return MtsSamples(
         header=header(block.start_ns, frame_id),
         seq=block.sequence,
@@ -82,7 +82,7 @@ def samples_message(block: SampleBlock | RigBlock, frame_id: str) -> MtsSamples:
 
 
 def sample_block(message: MtsSamples) -> SampleBlock:
-    """The block in a message; raises BlockError, with a sentence, where it cannot be used."""
+    """The block in a message; raises BlockError, with a sentence, if it is invalid."""
     block = SampleBlock(
         start_ns=to_nanoseconds(message.header.stamp),
         sequence=message.seq,
@@ -100,18 +100,18 @@ def sample_block(message: MtsSamples) -> SampleBlock:
 
 
 def current_message(stamp_ns: int, current: float, frame_id: str) -> SupplyCurrent:
-    """The message of one value of the supply current [A]."""
+    """The message for one value of the supply current [A]."""
     return SupplyCurrent(header=header(stamp_ns, frame_id), current=current)
 
 
 SUSPENSION_TOPIC = "suspension/motion"
 
 BODY, WHEEL, SUSPENSION, TYRE = "body", "wheel", "suspension", "tyre"
-"""Joints of the state that tells how a suspension moves."""
+"""Names of the joints that describe the motion of a suspension."""
 
 
 def suspension_message(now: Moment, stamped: Header) -> JointState:
-    """The motion of a suspension as the state of its joints; NaN where one has no such value."""
+    """The motion of a suspension as joint states; NaN if a joint lacks the value."""
     return JointState(
         header=stamped,
         name=[BODY, WHEEL, SUSPENSION, TYRE],
@@ -121,9 +121,9 @@ def suspension_message(now: Moment, stamped: Header) -> JointState:
 
 
 def suspension_moment(message: JointState, acceleration: float) -> Moment:
-    """What a message says of a suspension, whose body has this acceleration [m/s²].
+    """The suspension state in a message, for this acceleration of the body [m/s²].
 
-    Raises ValueError, in a sentence, where body or wheel have no velocity.
+    Raises ValueError, with a sentence, if body or wheel have no velocity.
     """
     velocity = dict(zip(message.name, message.velocity, strict=False))
     position = dict(zip(message.name, message.position, strict=False))
@@ -141,11 +141,11 @@ def suspension_moment(message: JointState, acceleration: float) -> Moment:
 
 _OF_A_SET = ("model", "source", "nrmse", "largest_force")
 _ARRAYS_OF_A_SET = ("values", "standard_errors", "discrepancies")
-"""Called alike in a message and in a set."""
+"""Names of the fields that the message and the set share."""
 
 
 def parameters_message(parameters: ParameterSet, frame_id: str, node: str) -> DamperParameters:
-    """The message of a parameter set, from the node of this fully qualified name."""
+    """The message for a parameter set, from the node of this fully qualified name."""
     low, high = zip(parameters.peak_velocity_range, parameters.current_range, strict=True)
     return DamperParameters(
         header=header(parameters.stamp_ns, frame_id),
@@ -166,7 +166,7 @@ def parameters_message(parameters: ParameterSet, frame_id: str, node: str) -> Da
 def parameter_set(message: DamperParameters) -> ParameterSet:
     """The parameter set in a message.
 
-    Raises ParameterError, with a sentence, where the message cannot be used.
+    Raises ParameterError, with a sentence, if the message is invalid.
     """
     law = known_model(message.model)
     check_name("name of the node", message.node)
@@ -176,7 +176,7 @@ def parameter_set(message: DamperParameters) -> ParameterSet:
             "in this order"
         )
     arrays: dict[str, Any] = {name: np.array(getattr(message, name)) for name in _ARRAYS_OF_A_SET}
-    if not arrays["discrepancies"].size:  # of an older sender
+    if not arrays["discrepancies"].size:  # a message of an older sender
         arrays["discrepancies"] = np.full(len(law.parameter_names), np.nan)
     return ParameterSet(
         set_id=message.id,
@@ -193,11 +193,11 @@ _OF_A_REPORT = (
     *("method", "evaluations", "nrmse_before", "nrmse_after", "verdict", "accepted", "confirms"),
     *("peak_velocity", "amplitude", "frequency", "current", "temperature"),
 )
-"""Called alike in a message and in a report."""
+"""Names of the fields that the message and the report share."""
 
 
 def report_message(report: Report, duration: float, frame_id: str, node: str) -> FitReport:
-    """The message of a report; ``duration`` [s] is the time that the fit took."""
+    """The message for a report; ``duration`` [s] is the computing time of the fit."""
     return FitReport(
         header=header(report.stamp_ns, frame_id),
         window_start=to_stamp(report.window_start_ns),
@@ -219,7 +219,7 @@ def report_message(report: Report, duration: float, frame_id: str, node: str) ->
 
 
 def fluid_temperature_message(report: Report, frame_id: str) -> Temperature:
-    """The message of the temperature that the force of a report's window tells."""
+    """The message for the fluid temperature estimated from the force of a window."""
     return Temperature(
         header=header(report.stamp_ns, frame_id),
         temperature=report.fluid.celsius,
@@ -248,10 +248,10 @@ def parameter_numbers_message(parameters: ParameterSet, frame_id: str) -> Diagno
 def _named_numbers(
     set_id: str, names: Iterable[str], values: Array, errors: Array
 ) -> DiagnosticStatus:
-    """Plotting tools know this message: each of its pairs is a curve, called by its key.
+    """A status whose key-value pairs plotting tools show as curves, each named by its key.
 
-    An error is called as its value, with ``_error`` after it; those that are not known are left
-    out.
+    The key of an error is the name of its value with ``_error`` appended. Values that are not
+    finite are left out.
     """
     named = zip(names, values, errors, strict=True)
     pairs = [pair for name, x, error in named for pair in ((name, x), (f"{name}_error", error))]
@@ -263,13 +263,13 @@ def _named_numbers(
 
 
 class PredictionMessage:
-    """The message of the prediction for one block, always the same one: made anew it costs more."""
+    """The message for the prediction of a block; it is reused, because a new one takes longer."""
 
     def __init__(self, frame_id: str) -> None:
         self._message = PredictedForce(header=Header(frame_id=frame_id))
 
     def of(self, prediction: Prediction) -> PredictedForce:
-        """Fill the message; it holds until the next call."""
+        """Fill the message; its content is valid until the next call."""
         message = self._message
         set_stamp(message.header.stamp, prediction.start_ns)
         message.seq = prediction.sequence

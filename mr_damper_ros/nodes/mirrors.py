@@ -1,4 +1,4 @@
-"""Mirrors for people and standard tools: some of the samples and forces, as other messages."""
+"""Copies of samples and forces, subsampled or joined, as messages for people and standard tools."""
 
 from __future__ import annotations
 
@@ -22,10 +22,10 @@ SIGNALS_TOPIC = "damper/signals"
 
 
 class SignalMirror:
-    """Measured and predicted force of the same samples as named numbers, where anybody listens.
+    """Publishes measured and predicted force of the same samples, if there are subscribers.
 
-    ``rate``: at most so many a second of data; 0 for none. ``current_at`` gives the current [A] at
-    a stamp [ns].
+    ``rate`` is the largest number of samples per second of data; 0 for none. ``current_at`` returns
+    the current [A] at a stamp [ns].
     """
 
     def __init__(
@@ -37,7 +37,7 @@ class SignalMirror:
         self._publisher = quality.publisher(node, DamperSignals, SIGNALS_TOPIC)
 
     def publish(self, prediction: Prediction, block: SampleBlock) -> None:
-        """Publish the samples of a block that are due; only its new ones have a prediction."""
+        """Publish the samples of a block that are due; only samples with a prediction are used."""
         if not quality.heard(self._publisher):
             return
         message = self._message
@@ -64,10 +64,10 @@ _JOINED = 0.1
 
 
 class JoinedMirror:
-    """All samples and their predicted force in larger blocks, where anybody listens.
+    """Publishes all samples and their predicted force in larger blocks, if there are subscribers.
 
-    A message costs the same however many samples it holds. There are two, of one number and stamp,
-    each tenth of a second.
+    The cost of a message hardly depends on its number of samples. Every 0.1 s of data gives two
+    messages with the same sequence number and stamp.
     """
 
     def __init__(self, node: Node, frame_id: str) -> None:
@@ -78,7 +78,7 @@ class JoinedMirror:
         self._parts: list[tuple[np.ndarray, ...]] = []
 
     def publish(self, prediction: Prediction, block: SampleBlock) -> None:
-        """Add a block, and publish where there is enough, or this one does not follow the last."""
+        """Add a block; publish if the joined block is complete, or before a numbering gap."""
         if not quality.heard(self._samples):
             self._first, self._parts = None, []
             return
@@ -118,7 +118,7 @@ class JoinedMirror:
 
 
 class WrenchMirror:
-    """The last sample of valid blocks as wrenches, at most ``rate`` a second of data."""
+    """Publishes the last force of valid blocks as a wrench, at most ``rate`` per second of data."""
 
     def __init__(self, node: Node, rate: float, frame_id: str) -> None:
         self._decimator = Decimator(rate)
@@ -126,7 +126,7 @@ class WrenchMirror:
         self._publisher = quality.publisher(node, WrenchStamped, "damper/predicted_wrench")
 
     def publish(self, prediction: Prediction) -> None:
-        """Publish the last sample of a block, where one is due and heard."""
+        """Publish the last sample of a block, if it is due and there are subscribers."""
         if not quality.heard(self._publisher):
             return
         period = prediction.period
@@ -138,9 +138,9 @@ class WrenchMirror:
 
 
 class JointMirror:
-    """Samples as joint states, at most ``rate`` a second of data.
+    """Converts samples to joint states, at most ``rate`` per second of data.
 
-    The velocity is the mean since the message before.
+    The velocity is the mean since the previous message.
     """
 
     def __init__(self, rate: float, joint: str) -> None:
@@ -149,7 +149,7 @@ class JointMirror:
         self._last: tuple[int, float] | None = None
 
     def messages(self, block: RigBlock, *, heard: bool) -> Iterator[JointState]:
-        """Those of a block, none where nobody hears them."""
+        """Yield the messages of a block; none without subscribers (``heard`` is false)."""
         for k, stamp_ns in self._decimator.due(block.start_ns, block.period, block.sample_count):
             position = float(block.displacement[k])
             if heard and self._last is not None and stamp_ns > self._last[0]:

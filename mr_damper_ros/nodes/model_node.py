@@ -1,4 +1,4 @@
-"""Node that predicts the damper's force, block by block, for controllers."""
+"""Node that predicts the force of the damper, block by block, for controllers."""
 
 from __future__ import annotations
 
@@ -23,10 +23,11 @@ from mr_damper_ros.signals.uniform_grid import GridSettings
 from mr_damper_ros.tracking.predictor import ForcePredictor, Prediction, PredictorSettings
 
 _LATE = 0.8
-"""Share of ``max_age`` from which on the forces of older samples would soon be invalid."""
+"""Fraction of ``max_age``: a block older than this is skipped if a newer one waits, because its
+force would soon be invalid."""
 
 _POOR_NRMSE, _BAD_NRMSE = 0.3, 0.6
-"""Errors of valid forces over the last seconds that deserve a warning, and an error."""
+"""NRMSE of valid forces over the last seconds that gives a warning, and an error."""
 
 
 @dataclass(frozen=True)
@@ -34,8 +35,8 @@ class ModelParameters(SetOptions):
     """Parameters of the model node.
 
     For every block on mts/samples it publishes the predicted force on damper/predicted_force, from
-    the displacement, the supply current and the newest parameters. A force that should not be
-    relied on is marked ``valid: false``, with the reason in words.
+    the displacement, the supply current and the newest parameters. An unreliable force is marked
+    ``valid: false``, with the reason in words.
     """
 
     predictor: PredictorSettings = group(PredictorSettings, flat=True)

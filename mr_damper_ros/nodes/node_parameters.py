@@ -1,9 +1,9 @@
 """The parameters of a running node, from a table of options.
 
-A node says ``self.parameters = NodeParameters(self, ModelParameters, changed=self._changed)`` and
-reads ``self.parameters.values.staleness`` (not ``_parameters``, which is rclpy's own name). Every
-option that is not read-only must be applied when it changes: read it where it is used, or apply it
-in ``changed``.
+A node sets ``self.parameters = NodeParameters(self, ModelParameters, changed=self._changed)`` and
+reads ``self.parameters.values.staleness`` (``_parameters`` is a name of rclpy). The node must apply
+every change of an option that is not read-only: it reads the option at each use, or applies it in
+``changed``.
 """
 
 from __future__ import annotations
@@ -26,23 +26,23 @@ from mr_damper_ros.nodes import quality, rclpy_internals
 from mr_damper_ros.settings.option_table import Option, ParameterTable, build, options
 
 _NOT_OURS = ("use_sim_time", "start_type_description_service")
-"""Overrides that rclpy itself declares."""
+"""Overrides of parameters that rclpy itself declares."""
 
 T = TypeVar("T", bound=ParameterTable)
 
 
 class ConfigurationError(ValueError):
-    """The node cannot start as it is configured; the message is a sentence that says why."""
+    """The configuration of the node is invalid; the message is a sentence with the reason."""
 
 
 class NodeParameters(Generic[T]):
     """The parameters of a running node, declared, validated and kept up to date.
 
-    Raises ConfigurationError where a value given at the start is unknown, of the wrong type or
-    not allowed. Later changes are accepted or rejected with a sentence as the reason; ``changed``
-    is called after each that is accepted, with the values and the names of those that were set,
-    be it to the same value. ``configured`` is given by a managed node: as long as it is false, what
-    is read-only may be set, too. ``values`` are the present ones.
+    Raises ConfigurationError if a value given at the start is unknown, of the wrong type or not
+    allowed. Later changes are accepted, or rejected with a sentence as the reason. ``changed`` is
+    called after each accepted change, with the values and the names that were set, even if a value
+    is the same as before. A managed node passes ``configured``: while it returns false, read-only
+    options may be set, too. ``values`` are the present values.
     """
 
     def __init__(
@@ -81,13 +81,13 @@ class NodeParameters(Generic[T]):
 
     def _given(self, node: Node) -> dict[str, Any]:
         """Values from the command line and from parameter files, by name."""
-        # rclpy ignores values for undeclared parameters without a word, so that a misspelt name
-        # would leave the default in force.
+        # rclpy silently ignores values for undeclared parameters: after a misspelt name the default
+        # would remain in force.
         given: dict[str, Any] = {}
         for name, value in rclpy_internals.given_parameters(node).items():
             if name.startswith(quality.OVERRIDES):
                 self._raise_first([quality.objection(name, value)])
-                continue  # rclpy declares it, with the publisher or subscription that it is for
+                continue  # rclpy declares it with its publisher or subscription
             if name.startswith(_NOT_OURS):
                 continue
             if name not in self._options:
@@ -98,7 +98,7 @@ class NodeParameters(Generic[T]):
         return given
 
     def _merged(self, parameters: list[Parameter]) -> T:
-        """The table after a change; other parameters, such as use_sim_time, are not in it."""
+        """The table after a change, without other parameters such as use_sim_time."""
         present = {name: self._node.get_parameter(name).value for name in self._options}
         new = {p.name: p.value for p in parameters if p.name in self._options}
         return build(self._table, present | new)

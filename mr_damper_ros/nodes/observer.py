@@ -35,9 +35,9 @@ Self = TypeVar("Self", bound="Observer")
 
 
 class Observer:
-    """A node in a context of its own: what it hears is kept, or given to who asks.
+    """A node in a context of its own, which stores messages or passes them to a callback.
 
-    Without a ``domain`` it is in the one of this process.
+    Without a ``domain`` it joins the domain of this process.
     """
 
     def __init__(
@@ -79,17 +79,17 @@ class Observer:
         *,
         raw: bool = False,
     ) -> list[Any]:
-        """Subscribe: each message goes to ``hear``, or into the list that is returned."""
+        """Subscribe: each message goes to ``hear``, or into the returned list."""
         heard: list[Any] = []
         self.node.create_subscription(message_type, topic, hear or heard.append, quality, raw=raw)
         return heard
 
     def spin_once(self, timeout: float = 0.1) -> None:
-        """Take what comes next, if anything comes within ``timeout`` [s]."""
+        """Process the next message, if one arrives within ``timeout`` [s]."""
         self._executor.spin_once(timeout_sec=timeout)
 
     def spin_for(self, duration: float) -> None:
-        """Take what comes in the next ``duration`` seconds."""
+        """Process messages for ``duration`` seconds."""
         end = time.monotonic() + duration
         while (left := end - time.monotonic()) > 0.0:
             self.spin_once(left)
@@ -105,13 +105,13 @@ class Observer:
             self.spin_once(tick)
 
     def wait_for_publishers(self, topic: str, count: int = 1) -> None:
-        """Wait until so many publishers of a topic are known: their nodes are ready."""
+        """Wait for ``count`` publishers of a topic: their nodes are then ready."""
         self.until(
             lambda: self.node.count_publishers(topic) >= count, f"{count} publishers of {topic}"
         )
 
     def wait_for_subscribers(self, topic: str, count: int = 1) -> None:
-        """Wait until so many subscribers of a topic are known: their nodes are ready."""
+        """Wait for ``count`` subscribers of a topic: their nodes are then ready."""
         self.until(
             lambda: self.node.count_subscribers(topic) >= count, f"{count} subscribers of {topic}"
         )
@@ -120,7 +120,7 @@ class Observer:
 def hear_identification(
     observer: Observer, hear: Callable[[Any], None]
 ) -> tuple[list[Any], list[Any], list[Any]]:
-    """Samples, predicted forces and sets as they come; ``hear`` is given each report."""
+    """Lists of samples, predicted forces and sets as they arrive; ``hear`` receives each report."""
     observer.listen(FitReport, "damper/fit_report", hear=hear)
     return (
         observer.listen(MtsSamples, SAMPLES_TOPIC),
@@ -130,7 +130,7 @@ def hear_identification(
 
 
 def record_rig(node: Node, record: RigRecord) -> None:
-    """Put all that comes from now on into a record, while the node is spun."""
+    """Subscribe a node to the topics of a rig, and store their messages while the node spins."""
     namespace = node.get_namespace().strip("/")
     prefix = f"{namespace}/" if namespace else ""
 

@@ -1,16 +1,16 @@
-"""Sends recorded or made-up data at their pace, or as fast as every subscriber can take them.
+"""Sends recorded or generated data at their rate, or as fast as the subscribers can receive.
 
-At a pace, messages go out when their time has come on the steady clock. The due times are counted
-from one anchor, so that nothing drifts. Being late by up to a quarter of a second is made good by
-sending what is due at once; what is more (the process was stopped, the machine slept) is left
-out, and the stream goes on later instead of in a burst.
+At a given rate, messages are sent when they are due on the steady clock. The due times count from a
+single start time, so that errors do not accumulate. After a delay of up to a quarter of a second
+the sender catches up by sending all overdue messages at once. After a longer delay (the process was
+stopped, the machine was suspended) it shifts the due times instead of sending a burst.
 
-As fast as possible, a sender must not overrun its subscribers. The only word that DDS gives back
-is the acknowledgement, and it means "arrived in the subscriber's queue", not "taken from it".
-A subscriber that keeps *all* messages (:func:`mr_damper_ros.nodes.quality.lossless`) stops
-acknowledging once its queue is full. So the sender waits for acknowledgement each time its own
-queue is full, and is then held up by the slowest such subscriber; of a subscriber that keeps only
-the *last* messages it cannot know how far it is, and that one may lose some: play to it at a rate.
+At full speed, a sender must not overrun its subscribers. DDS offers only acknowledgements, and an
+acknowledgement means "arrived in the subscriber's queue", not "taken from the queue". A subscriber
+that keeps *all* messages (:func:`mr_damper_ros.nodes.quality.lossless`) stops acknowledging once
+its queue is full. Therefore the sender waits for acknowledgement each time its own queue is full,
+and goes at the speed of the slowest such subscriber. For a subscriber that keeps only the *last*
+messages it has no such information, and the subscriber may lose messages: send to it at a rate.
 """
 
 from __future__ import annotations
@@ -26,28 +26,28 @@ from rclpy.publisher import Publisher
 from mr_damper_ros.nodes import quality
 
 _FORGIVEN_NS = 250_000_000
-"""Lateness that is made good; see above."""
+"""Longest delay that the sender catches up with; see above."""
 
 _QUEUE = 100
-"""Messages between two waits. It is the depth of the publisher too: with a full queue the
-middleware asks for acknowledgements at once, otherwise only every three seconds."""
+"""Messages between two waits for acknowledgement, and the depth of the publisher. If the queue is
+full, the middleware requests acknowledgements at once, otherwise only every three seconds."""
 
 _PATIENCE = 30.0
-"""Seconds to wait for a subscriber that acknowledges nothing before going on without it. DDS
-itself takes 20 s to find out that a process was killed."""
+"""Seconds to wait for a subscriber that does not acknowledge before continuing without it. DDS
+itself takes 20 s to detect a killed process."""
 
 _SETTLE = 0.3
-"""Seconds for which the subscribers must have been the same, so that all their topics are there."""
+"""Seconds for which the set of subscribers must not change, so that all their topics are found."""
 
 _POLL = 0.05
 
 
 class PacedSender:
-    """Publishes on these topics in a thread of its own, so that the node goes on answering.
+    """Publishes on these topics in its own thread, so that the node stays responsive.
 
-    ``rate`` is the speed relative to the data's time; 0: as fast as subscribers acknowledge.
-    Topics of ``latched`` keep their last message. ``state`` and ``failure`` say in words what it
-    does, and what went wrong.
+    ``rate`` is the speed relative to the data's time; 0: as fast as subscribers acknowledge. Topics
+    in ``latched`` keep their last message. ``state`` and ``failure`` describe the activity and the
+    fault in words.
     """
 
     def __init__(
@@ -62,11 +62,11 @@ class PacedSender:
         self._node = node
         self._rate = rate
         self.paused = paused
-        """Whether the sending is held up."""
+        """Whether the sending is paused."""
         self.stopped = False
         """Whether the sending is to end."""
         self.left_out_ns = 0
-        """Of the data's time, since the start: so much later it is now than its stamps say."""
+        """Accumulated shift of the due times since the start, in the data's time."""
         self.state = self.failure = ""
         self._steps = 0
         self._anchor: tuple[int, int] | None = None
@@ -84,7 +84,7 @@ class PacedSender:
     # --- the thread -----------------------------------------------------------------------------
 
     def start(self, send: Callable[[], None], nodes: int, timeout: float) -> None:
-        """Call ``send`` once so many nodes subscribe, or a ``timeout`` [s] is over."""
+        """Call ``send`` once ``nodes`` nodes subscribe, or after the ``timeout`` [s]."""
         self.stopped, self._steps, self._anchor, self.left_out_ns = False, 0, None, 0
         self.failure = ""
         self._thread = threading.Thread(
@@ -94,7 +94,7 @@ class PacedSender:
 
     @property
     def active(self) -> bool:
-        """Whether it was started, and has not been stopped since."""
+        """Whether the sender has been started, and not stopped since."""
         return self._thread is not None
 
     @property
@@ -103,7 +103,7 @@ class PacedSender:
         return self._thread is None or not self._thread.is_alive()
 
     def stop(self) -> None:
-        """End the sending and wait until it has ended."""
+        """End the sending and wait for the thread."""
         with self._changed:
             self.stopped = True
             self._changed.notify_all()
@@ -112,7 +112,7 @@ class PacedSender:
             self._thread = None
 
     def close(self) -> None:
-        """Withdraw the topics."""
+        """Destroy the publishers."""
         for publisher in self.publishers.values():
             self._node.destroy_publisher(publisher)
 
@@ -122,16 +122,17 @@ class PacedSender:
             if nodes:
                 self._wait_for_subscribers(nodes, timeout)
             send()
-        except Exception as error:  # a thread that dies must not die unheard
+        except Exception as error:  # report any failure of the thread
             self.failure = f"sending failed: {error}"
             self._node.get_logger().error(self.failure)
 
     # --- pace -----------------------------------------------------------------------------------
 
     def wait_until(self, data_ns: int, *, is_step: bool = True) -> bool:
-        """Wait for the data's time; returns False where the sending is to end.
+        """Wait until a time of the data is due; returns False if the sending is to end.
 
-        While paused, one step lets everything pass up to the first that ``is_step``.
+        While paused, one step lets all calls pass up to and including the next one with
+        ``is_step``.
         """
         with self._changed:
             while not self.stopped:
@@ -158,12 +159,12 @@ class PacedSender:
             return False
 
     def begin(self, data_ns: int | None) -> None:
-        """Let the data's time be this now; None: the one that is waited for next."""
+        """Set the present time of the data; None: the time of the next :meth:`wait_until`."""
         with self._changed:
             self._anchor = None if data_ns is None else (time.monotonic_ns(), data_ns)
 
     def pause(self, *, paused: bool = True) -> None:
-        """Hold up the sending, or let it go on."""
+        """Pause or continue the sending."""
         with self._changed:
             self.paused = paused
             self._steps = 0
@@ -178,7 +179,7 @@ class PacedSender:
     # --- subscribers ----------------------------------------------------------------------------
 
     def publish(self, topic: str, message: object) -> None:
-        """Publish a message, or the bytes of one."""
+        """Publish a message, or a serialised message."""
         self.publishers[topic].publish(message)
         if topic in self._unacknowledged:
             self._unacknowledged[topic] += 1
@@ -186,7 +187,7 @@ class PacedSender:
                 self._wait_for_acknowledgement(topic)
 
     def wait_for_acknowledgements(self) -> None:
-        """Wait until every subscriber has all messages, or the sending is to end."""
+        """Wait until every subscriber has acknowledged all messages, or the sending is to end."""
         for topic in self.publishers:
             self._wait_for_acknowledgement(topic)
 

@@ -1,4 +1,4 @@
-"""The parameters that a node works with: those that it is sent, and what the identifier says."""
+"""Parameter sets from messages or a file, and the identifier's reports about them."""
 
 from __future__ import annotations
 
@@ -24,19 +24,19 @@ PARAMETERS_TOPIC = "damper/parameters"
 REPORT_TOPIC = "damper/fit_report"
 
 _UNKNOWN = "_NODE_NAME_UNKNOWN_"
-"""Stands in the graph for a node whose name has not been heard of yet."""
+"""Part of the name that the graph shows for a node whose name is not yet known."""
 
 _REPORTS = 10
-"""Reports that may wait: only the newest ones matter."""
+"""Queue length for reports: only the newest matter."""
 
 
 _SHOWN = 100
-"""Characters of a name that are repeated: a message may hold a megabyte of them."""
+"""Shown characters of a name: a message may hold a megabyte of them."""
 
 
 @dataclass(frozen=True)
 class SetOptions(ParameterTable):
-    """Which parameters a node works with."""
+    """Options that choose the parameter set of a node."""
 
     parameter_file: str = option(
         "",
@@ -56,17 +56,17 @@ class SetOptions(ParameterTable):
 
 
 class ParameterInput:
-    """Subscribes parameters and reports, and hands on what can be used.
+    """Subscribes to parameter sets and reports, and passes on valid ones.
 
-    ``use`` takes a set, with the stamp of the last sample that it is known to fit, None for none.
-    The ``predictor`` is told what the identifier says of the set in use; where that is replaced,
-    ``error`` begins anew. Parameters of a file are used at once; raises ConfigurationError where
-    they cannot be.
+    ``use`` receives a set and the stamp of the last sample that it is known to fit, None if
+    unknown. The ``predictor`` receives the identifier's reports about the set in use. A new set
+    resets ``error``. Parameters of a file are used at once; raises ConfigurationError if they are
+    invalid.
 
-    With a ``trusted_source`` messages of other nodes are left out. The graph tells which nodes
-    publish a topic. rclpy of Jazzy does not tell which of them sent a message (later ones have
-    ``publisher_gid``): where several publish, the name in the message counts as well, which any
-    node can write. The names in the graph are not authenticated without SROS2 either.
+    With a ``trusted_source``, messages of other nodes are ignored. The graph shows which nodes
+    publish a topic. rclpy of Jazzy does not show which of them sent a message (later versions have
+    ``publisher_gid``). If several nodes publish, the node name in the message counts as well, which
+    any node can forge. The names in the graph are not authenticated without SROS2 either.
     """
 
     def __init__(
@@ -99,7 +99,7 @@ class ParameterInput:
         )
 
     def _objection(self, topic: str, claimed: str) -> str:
-        """Why a message is not to be used that claims to come from a node; empty where it is."""
+        """Reason to ignore a message that names ``claimed`` as its node; empty if there is none."""
         names = set(quality.publishing_nodes(self._node, topic))
         if len(names) > 1 and self._trusted in names:
             names = {claimed[:_SHOWN] or "a node that does not state its name"}
@@ -112,7 +112,7 @@ class ParameterInput:
         self._unattributed = None
         self._refused = self._objection(PARAMETERS_TOPIC, message.node)
         if self._refused:
-            # The graph may know later who publishes: messages may be sooner.
+            # A message may arrive before the graph knows its publisher; it is checked again later.
             names = quality.publishing_nodes(self._node, PARAMETERS_TOPIC)
             if not names or any(_UNKNOWN in name for name in names):
                 self._unattributed = message
@@ -149,7 +149,7 @@ class ParameterInput:
         )
 
     def finding(self, doing: str) -> Finding:
-        """Which set is in use; ``doing`` says for what, such as "predicting"."""
+        """The set in use; ``doing`` is its use in messages, such as "predicting"."""
         if self._unattributed is not None:
             self._take(self._unattributed)
         parameters = self._predictor.parameters

@@ -1,4 +1,4 @@
-"""Quality of service of the topics, and that users may override it.
+"""Quality of service of the topics, and its overrides by the user.
 
 Each function makes a new profile: rclpy changes a profile in place when it applies an override.
 """
@@ -15,40 +15,40 @@ from rclpy.qos_overriding_options import QoSOverridingOptions
 from rclpy.subscription import Subscription
 
 STREAM_DEPTH = 1000
-"""Messages that a stream may be behind: ten seconds at 1 kHz in blocks of ten."""
+"""Queue length of a stream: ten seconds at 1 kHz in blocks of ten."""
 
 
 OVERRIDES = "qos_overrides."
-"""Beginning of the names of the parameters that override quality of service."""
+"""Prefix of the parameters that override quality of service."""
 
 _OVERRIDABLE: dict[QoSPolicyKind, tuple[str, ...]] = {
     QoSPolicyKind.RELIABILITY: ("reliable", "best_effort", "system_default"),
     QoSPolicyKind.HISTORY: ("keep_last", "keep_all", "system_default"),
     QoSPolicyKind.DEPTH: (),
 }
-"""What may be overridden, and the values that it may have; a depth is a number."""
+"""Policies that may be overridden, and their allowed values; a depth is a number."""
 
 
 def stream(depth: int = STREAM_DEPTH) -> QoSProfile:
-    """A stream of messages of which none should be lost."""
+    """Reliable, for a stream of messages; a full queue drops its oldest messages."""
     return QoSProfile(
         reliability=ReliabilityPolicy.RELIABLE, history=HistoryPolicy.KEEP_LAST, depth=depth
     )
 
 
 def lossless() -> QoSProfile:
-    """For a subscriber that must take every message, however fast they come.
+    """For a subscriber that must receive every message at any rate.
 
-    Also for a service: by default ten requests wait, and those beyond are never answered.
-    With "keep all" the middleware stops acknowledging once a few thousand messages wait, so that
-    a sender which waits for acknowledgements (:mod:`mr_damper_ros.nodes.pacing`) goes exactly as
-    fast as its slowest such subscriber.
+    It is also for a service: the default queue holds ten requests, and further requests are never
+    answered. With "keep all" the middleware stops acknowledging once a few thousand messages wait.
+    A sender that waits for acknowledgements (:mod:`mr_damper_ros.nodes.pacing`) therefore goes
+    exactly as fast as its slowest such subscriber.
     """
     return QoSProfile(reliability=ReliabilityPolicy.RELIABLE, history=HistoryPolicy.KEEP_ALL)
 
 
 def latched() -> QoSProfile:
-    """A value of which late subscribers get the last one."""
+    """For a value whose last message late subscribers receive, too."""
     return QoSProfile(
         reliability=ReliabilityPolicy.RELIABLE,
         durability=DurabilityPolicy.TRANSIENT_LOCAL,
@@ -58,12 +58,12 @@ def latched() -> QoSProfile:
 
 
 def heard(publisher: Publisher) -> bool:
-    """Whether anybody subscribes: a message for nobody costs as much as any other."""
+    """Whether a publisher has subscribers; publishing without any costs the same time."""
     return publisher.get_subscription_count() > 0
 
 
 def publisher(node: Node, kind: type, topic: str, profile: QoSProfile | None = None) -> Publisher:
-    """A publisher, of a stream unless a profile is given, whose quality users may override.
+    """A publisher, by default of a stream, whose quality of service users may override.
 
     They set ``qos_overrides.<topic>.publisher.<policy>`` at the start.
     """
@@ -79,7 +79,7 @@ def subscription(
     take: Callable[[Any], None],
     profile: QoSProfile | None = None,
 ) -> Subscription:
-    """A subscription, as :func:`publisher`."""
+    """A subscription whose quality of service users may override, as for :func:`publisher`."""
     return node.create_subscription(
         kind, topic, take, profile or stream(), qos_overriding_options=_overridable()
     )
@@ -98,9 +98,9 @@ def _overridable() -> QoSOverridingOptions:
 
 
 def objection(name: str, value: object) -> str:
-    """Why quality of service cannot be overridden so, in a sentence; empty where it can.
+    """Reason why an override of quality of service is invalid, as a sentence; empty if valid.
 
-    rclpy tells this in a traceback, or not at all.
+    rclpy reports this in a traceback, or not at all.
     """
     choices = {kind.name.lower(): values for kind, values in _OVERRIDABLE.items()}
     *_, entity, policy = ("", *name.split("."))

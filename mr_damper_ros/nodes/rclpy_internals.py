@@ -1,4 +1,4 @@
-"""All that touches private parts of rclpy: here it may break with another version of it."""
+"""All access to private parts of rclpy: another version of rclpy may break this module only."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from rclpy.subscription import Subscription
 from mr_damper_ros.nodes.quality import STREAM_DEPTH
 
 RCLError = rclpy_implementation.RCLError
-"""What the middleware raises."""
+"""The exceptions of the middleware."""
 
 
 def given_parameters(node: Node) -> dict[str, Any]:
@@ -22,9 +22,9 @@ def given_parameters(node: Node) -> dict[str, Any]:
 
 
 def waiting_messages(subscription: Subscription) -> list[Any]:
-    """The messages that wait in a subscription's queue, not more than it can hold.
+    """Take the waiting messages of a subscription, at most as many as a stream's queue holds.
 
-    The executor finds nothing later on, which is usual for it.
+    The executor then finds an empty queue, which is normal for it.
     """
     messages: list[Any] = []
     with subscription.handle:
@@ -37,10 +37,11 @@ def waiting_messages(subscription: Subscription) -> list[Any]:
 
 
 def refuse_wrong_transitions(node: LifecycleNode) -> None:
-    """Have a managed node refuse the transitions that its state does not allow.
+    """Make a managed node refuse the transitions that its state does not allow.
 
-    rclpy raises out of the executor there, and the node would be gone: a manager may well ask a
-    node to deactivate that has just lost its device and is inactive.
+    By default rclpy raises an exception through the executor, which ends the node. Such requests
+    are normal: a manager may ask a node to deactivate that has just lost its device and is
+    inactive.
     """
     service = node._service_change_state
     change = service.callback

@@ -27,7 +27,7 @@ from mr_damper_ros.nodes.spinning import FAILURE, SUCCESS, run
 from mr_damper_ros.settings.option_table import ParameterTable, option
 
 INPUTS = "inputs"
-"""Stands for the topics of a test machine: those of a bag that end in one of these names."""
+"""Value of ``topics`` that selects the topics of a test machine by the ends of their names."""
 
 _INPUT_TOPICS = ("/mts/samples", "/supply/current", "/temperature")
 
@@ -35,11 +35,11 @@ _INPUT_TOPICS = ("/mts/samples", "/supply/current", "/temperature")
 class RecordedBag:
     """An open bag: its topics, its provenance, its messages in the order of recording.
 
-    ``topics`` names the topics to read, separated by blanks: all where it is empty, those of the
-    test machine where it is ``INPUTS``. Raises ConfigurationError where the bag cannot be read, or
-    lacks a wanted topic. ``types`` are the message classes by topic, ``latched`` the topics whose
-    last message was kept. ``omitted`` says in sentences which topics cannot be published here and
-    why.
+    ``topics`` names the topics to read, separated by blanks: all if it is empty, those of the test
+    machine if it is ``INPUTS``. Raises ConfigurationError if the bag cannot be read or lacks a
+    requested topic. ``types`` are the message classes by topic, ``latched`` the topics that were
+    recorded with transient-local durability. ``omitted`` lists, in sentences, the topics that
+    cannot be published here and the reasons.
     """
 
     def __init__(self, path: str, topics: str = "") -> None:
@@ -62,7 +62,7 @@ class RecordedBag:
         self.omitted: list[str] = []
         self._connections: list[Connection] = []
         recorded = {connection.topic for connection in self._reader.connections}
-        wanted = recorded - {"/clock"}  # two clocks would contradict each other
+        wanted = recorded - {"/clock"}  # there must be only one clock
         if topics == INPUTS:
             wanted = {topic for topic in recorded if topic.endswith(_INPUT_TOPICS)}
         elif topics:
@@ -80,7 +80,7 @@ class RecordedBag:
         self.duration = float(self._reader.duration * 1e-9)
 
     def messages(self) -> Iterator[tuple[str, int, bytes]]:
-        """Topic, time of recording [ns] and serialised message of each message."""
+        """Yield the topic, recording time [ns] and serialised data of each message."""
         for connection, stamp, data in self._reader.messages(self._connections):
             yield connection.topic, stamp, data
 
@@ -104,7 +104,7 @@ class RecordedBag:
 
 
 def _definition_problem(connection: Connection) -> str:
-    """Why messages of this type cannot be published here; empty where they can."""
+    """Reason why messages of this type cannot be published here; empty if they can."""
     package, kind, name = connection.msgtype.split("/")
     try:
         import_module(f"{package}.{kind}")
@@ -123,17 +123,17 @@ def _definition_problem(connection: Connection) -> str:
 
 
 _CLOCK_PERIOD_NS = 10_000_000
-"""Time between two /clock messages, of the computer's time, or of the bag's where that is less."""
+"""Time between two /clock messages, in the computer's time, or the bag's if that is shorter."""
 
 
 @dataclass(frozen=True)
 class ReplayParameters(ParameterTable):
     """Parameters of the replay node.
 
-    It publishes the messages of a bag, unchanged, on the topics they were recorded from (on others
-    by the usual remapping, ``-r /mts/samples:=/left/mts/samples``), and the bag's time on /clock.
-    It ends when all subscribers have received the last message. The services ~/pause, ~/resume and
-    ~/step steer it.
+    It publishes the messages of a bag, unchanged, on their recorded topics, and the bag's time on
+    /clock. Remapping changes the topics (``-r /mts/samples:=/left/mts/samples``). The node ends
+    when all subscribers have received the last message. The services ~/pause, ~/resume and ~/step
+    control it.
     """
 
     bag: str = option("", "Path of the bag to play: a folder or a file.")
@@ -173,7 +173,7 @@ class ReplayParameters(ParameterTable):
 
 
 class ReplayNode(Node):  # type: ignore[misc]
-    """Publishes the messages of a bag, unchanged, at their time."""
+    """Publishes the messages of a bag, unchanged, when they are due."""
 
     def __init__(self) -> None:
         super().__init__("replay")
@@ -206,7 +206,7 @@ class ReplayNode(Node):  # type: ignore[misc]
         self._sender.start(self._send, values.wait_for_subscribers, values.wait_timeout)
 
     def destroy_node(self) -> None:
-        """End the sending before its publishers go."""
+        """Stop sending before the publishers are destroyed."""
         self._sender.stop()
         self._bag.close()
         super().destroy_node()
@@ -229,7 +229,7 @@ class ReplayNode(Node):  # type: ignore[misc]
         self.get_logger().info(f"end of the bag: {self._sent} messages were sent")
 
     def _find_others(self) -> None:
-        """Say which topics another node publishes too: who listens gets a mixture."""
+        """Warn of topics that another node publishes too: subscribers receive a mixture."""
         own = self.get_fully_qualified_name()
         for topic in (each.topic_name for each in self._sender.publishers.values()):
             for name in sorted({*quality.publishing_nodes(self, topic)} - {own}):
@@ -242,7 +242,7 @@ class ReplayNode(Node):  # type: ignore[misc]
     def _play_once(self) -> bool:
         tick: int | None = None
         for topic, stamp, data in self._bag.messages():
-            # The clock goes on between messages too, and never runs ahead of the next one.
+            # The clock advances between messages too, and never runs ahead of the next one.
             while tick is not None and tick < stamp:
                 if not self._sender.wait_until(tick, is_step=False):
                     return False
@@ -260,7 +260,7 @@ class ReplayNode(Node):  # type: ignore[misc]
     def _tick(self, stamp: int) -> None:
         self._clock_publisher.publish(Clock(clock=to_stamp(stamp)))
 
-    # --- steering -----------------------------------------------------------------------------
+    # --- control ------------------------------------------------------------------------------
 
     def _steer(
         self, asked: str, _: Trigger.Request, response: Trigger.Response
@@ -280,7 +280,7 @@ class ReplayNode(Node):  # type: ignore[misc]
     # --- state --------------------------------------------------------------------------------
 
     def exit_code(self) -> int | None:
-        """None while there is something to send, then whether all of it was."""
+        """Return None while there is something to send, then the exit code of the replay."""
         if not self._sender.finished:
             return None
         return FAILURE if self._sender.failure else SUCCESS

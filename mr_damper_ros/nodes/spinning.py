@@ -40,10 +40,10 @@ BAD_CONFIGURATION = 2
 _LOG_ADVICE = "set ROS_LOG_DIR to a folder that the log can be written to"
 
 _WAKE_UP = 0.1
-"""Seconds after which a spinning node looks whether it is to stop, or at its end."""
+"""Largest time [s] between two checks whether a spinning node is to stop or has finished."""
 
 _LAST_CHANCE = 10.0
-"""Seconds that the middleware has to take a node down."""
+"""Time limit [s] for the middleware to destroy a node."""
 
 N = TypeVar("N", bound=Node)
 
@@ -59,14 +59,14 @@ def run(
 ) -> int:
     """Run a node until SIGINT, SIGTERM or the end of its work; returns the exit code.
 
-    With ``hosted``, the help on it, it may be a node in each of several namespaces: the factory is
-    then called with ``cli_args`` for each, as rclpy's Node takes them. ``shared_workers``: these
-    share worker processes, whose number may be given.
+    ``hosted`` is the help for hosting a node in each of several namespaces. The factory is then
+    called for each namespace with ``cli_args``, as rclpy's Node takes them. With ``shared_workers``
+    the nodes share worker processes, and the command line may give their number.
 
-    ``ended`` is the exit code once the node's work is over, None as long as it is not. ``between``
-    is called between two callbacks, for what need not be done in one; it returns after how many
-    seconds it is to be called again where no callback comes before. A
-    configuration that the node cannot start with is one sentence on stderr and exit code 2.
+    ``ended`` returns the exit code once the node's work is over, None before. ``between`` is called
+    between two callbacks for work outside callbacks. It returns the seconds until the next call,
+    which comes earlier if there is a callback before. An invalid configuration gives one sentence
+    on stderr and exit code 2.
     """
     keep_one_thread(with_scipy=False)  # only workers compute with it
     arguments = list(sys.argv if arguments is None else arguments)
@@ -91,10 +91,9 @@ def run(
             )
         if not any(os.environ.get(name) for name in ("HOME", "ROS_HOME", "ROS_LOG_DIR")):
             raise ConfigurationError(f"HOME is not set: {_LOG_ADVICE}")
-        # rclpy's own handlers shut the context down in the midst of whatever is being done:
-        # callbacks fail, and the events executor may abort the process when that happens in its
-        # first spin. With these the node ends in good order, and a signal before rclpy has started
-        # is not lost.
+        # rclpy's own handlers shut the context down while callbacks are running: callbacks fail,
+        # and the events executor may abort the process if that happens in its first spin. With
+        # these handlers the node ends cleanly, and a signal before the start of rclpy is not lost.
         stop = _Stop()
         for number in (signal.SIGINT, signal.SIGTERM):
             signal.signal(number, stop)
@@ -111,11 +110,11 @@ def run(
 
 @contextmanager
 def _refusals(what: str) -> Iterator[None]:
-    """Make a ConfigurationError of what rcl raises, whose errors share no public base class."""
+    """Convert errors of rcl, which share no public base class, to ConfigurationError."""
     try:
         yield
     except Exception as error:
-        # Without the place in its source.
+        # The position in the source code of rcl is removed.
         reason = str(error).removeprefix("Failed to parse ROS arguments: ").split(", at /")[0]
         reason = " ".join(reason.split())
         advice = f"{reason}: {_LOG_ADVICE}" if "logging" in reason else f"{what}: {reason}"
@@ -123,7 +122,7 @@ def _refusals(what: str) -> Iterator[None]:
 
 
 class _Stop:
-    """Remembers a signal. An Event would not do: a second signal in its ``set`` locks it up."""
+    """Stores that a signal came. An Event would deadlock on a second signal during its ``set``."""
 
     def __init__(self) -> None:
         self.requested = False
@@ -133,7 +132,7 @@ class _Stop:
 
 
 def _nodes(factory: Callable[..., N], places: Sequence[Place]) -> list[N]:
-    """The node, or that of each place."""
+    """The nodes of all places, or the single node if there are no places."""
     if not places:
         return [_node(factory)]
     nodes = []
@@ -166,8 +165,8 @@ def _spin(
     executor = make_executor()
     for node in nodes:
         executor.add_node(node)
-    # What was made so far stays to the end. Looking through it for garbage takes some tens of
-    # milliseconds, in which blocks would wait.
+    # All objects so far live until the end. Their garbage collection would take some tens of
+    # milliseconds, during which blocks would wait.
     gc.collect()
     gc.freeze()
     try:
@@ -185,12 +184,12 @@ def _spin(
 
 
 def _end_in_any_case() -> None:
-    """End the process soon, even if what takes the node down never returns.
+    """End the process soon, even if the destruction of the node never returns.
 
-    Fast DDS 2.14 has been seen to lock up when a writer was deleted while another participant
-    left, with Python's own lock held: no Python code runs any more, nor any signal's.
-    faulthandler waits in a thread without that lock. What a node has to keep is on disk before its
-    publishers go.
+    Fast DDS 2.14 has been seen to deadlock when a writer was deleted while another participant
+    left. It held Python's global lock, so that neither Python code nor signal handlers ran any
+    more. The thread of faulthandler waits without that lock. All state of the node is on disk
+    before its publishers are destroyed.
     """
     nowhere = os.open(os.devnull, os.O_WRONLY)
     faulthandler.dump_traceback_later(_LAST_CHANCE, exit=True, file=nowhere)
@@ -207,12 +206,12 @@ _CONFIGURATION_ERRORS = (
 
 
 def make_executor(context: Context | None = None) -> Executor:
-    """The executor that all nodes use; ``context`` None is rclpy's own.
+    """The executor of all nodes; ``context`` None is rclpy's default context.
 
     The events executor takes half of the processor time of the single-threaded one and has the
-    shorter tail of latencies; services, timers, lifecycle transitions and actions were tried with
-    it. It must be driven by ``spin_once`` with a timeout: its ``spin`` waits in an undefined way
-    before rclpy 7.1.8. Jazzy had none before rclpy 7.1.4.
+    shorter tail of latencies. It was tested with services, timers, lifecycle transitions and
+    actions. It must be driven by ``spin_once`` with a timeout: before rclpy 7.1.8, its ``spin``
+    waits in an undefined way. Jazzy has it since rclpy 7.1.4.
     """
     try:
         from rclpy.experimental import EventsExecutor

@@ -1,7 +1,7 @@
 """Node that drives the supply of the coil: commands in, measured current out.
 
-It is a managed node: configuring connects and sets the instrument up, activating switches its
-output on. By itself it does both at the start. The output is off whenever it is not active.
+It is a managed node: configuring connects to the instrument and sets it up, activating switches its
+output on. By default it does both at the start. The output is off whenever the node is not active.
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ _NOT_OFF = "the output may still be on: the node keeps trying to switch it off"
 class SupplyParameters(ParameterTable):
     """Parameters of the supply node.
 
-    It takes stamped commands on supply/current_command, sets the instrument, and publishes the
+    It receives stamped commands on supply/current_command, sets the instrument, and publishes the
     current that the instrument measures on supply/current. The output is off whenever the node is
     not active, and after SIGINT and SIGTERM.
     """
@@ -111,7 +111,7 @@ class SupplyParameters(ParameterTable):
     frame_id: str = option("damper", "Frame of the measured current.")
 
     def objection(self) -> str:
-        """Say which current is beyond the limits, or why the watchdog may bite."""
+        """Return the reason if a current or the watchdog is invalid, or an empty string."""
         low, high = self.commands.smallest_current, self.commands.largest_current
         if not low <= self.current <= high:
             return (
@@ -127,10 +127,10 @@ class SupplyParameters(ParameterTable):
 
 
 class SupplyNode(ManagedNode):
-    """Commands and readings run in a thread of their own: an instrument may take its time.
+    """Drives a supply; commands and readings run in their own thread, as an instrument may be slow.
 
-    A supply that is lost makes the node inactive at once, as a lifecycle manager must know that
-    commands are not obeyed; the thread goes on trying to switch the output off.
+    If the supply is lost, the node becomes inactive at once, so that a lifecycle manager learns
+    that commands have no effect. The thread goes on trying to switch the output off.
     """
 
     def __init__(self) -> None:
@@ -158,7 +158,7 @@ class SupplyNode(ManagedNode):
                 raise
 
     def destroy_node(self) -> None:
-        """See that the supply is off before its node goes."""
+        """Switch the supply off before the node is destroyed."""
         self._stop()
         self._close()
         super().destroy_node()
@@ -172,7 +172,7 @@ class SupplyNode(ManagedNode):
             self._commander.set_by_hand(values.current)
             self._drive.hurry()
 
-    # --- life cycle: rclpy's calls these, and swallows what they raise --------------------------
+    # --- life cycle: rclpy calls these methods and swallows their exceptions --------------------
 
     def on_configure(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Connect to the instrument and set it up, with its output off."""
@@ -194,7 +194,7 @@ class SupplyNode(ManagedNode):
         return TransitionCallbackReturn.SUCCESS
 
     def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
-        """Switch the output on, and hear commands. A current of before does not come back."""
+        """Switch the output on and accept commands; the last command is not restored."""
         assert self._supply is not None
         values = self.parameters.values
         if self._drive is not None:
@@ -206,11 +206,11 @@ class SupplyNode(ManagedNode):
             try:
                 driver.start(time.monotonic())
             except LinkLostError:
-                # What went down meanwhile may be back.
+                # The instrument may be reachable again.
                 self._supply.open()
                 driver.start(time.monotonic())
         except (ValueError, OSError) as error:
-            if self._supply.switched_on:  # at no current, but on
+            if self._supply.switched_on:  # output on, zero current
                 self._drive = self._thread(driver, str(error))
             return self._fail("the supply cannot be switched on", error)
         self._problem, self._by_hand = "", 0.0
@@ -234,7 +234,7 @@ class SupplyNode(ManagedNode):
             self._commands = None
         drive = self._drive
         if drive is None or drive.failure:
-            return  # a lost supply is being switched off
+            return  # the thread already switches a lost supply off
         if drive.stop():
             self._drive = None
         else:
@@ -262,7 +262,7 @@ class SupplyNode(ManagedNode):
         self._publisher.publish(current_message(stamp_ns, current, self.parameters.values.frame_id))
 
     def watch(self) -> float:
-        """Deactivate where the supply is lost, and say when it is off again; returns no hurry."""
+        """Deactivate if the supply is lost, and report when its output is off; returns infinity."""
         drive = self._drive
         if drive is not None and drive.failure:
             if self._commands is not None:

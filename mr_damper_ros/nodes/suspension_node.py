@@ -1,4 +1,4 @@
-"""Node that says what force the damper of a suspension should have."""
+"""Node that computes the desired force of a damper in a suspension."""
 
 from __future__ import annotations
 
@@ -25,17 +25,17 @@ from mr_damper_ros.settings.option_table import ParameterTable, group, option
 from mr_damper_ros.signals.blocks import NANOSECONDS
 
 _LONGEST_STEP = 0.1
-"""Seconds between two messages beyond which they tell no acceleration."""
+"""Longest time [s] between two messages from which an acceleration is computed."""
 
 _MOTIONS = 1
-"""Motions that may wait: only the newest matters."""
+"""Queue length for motions: only the newest matters."""
 
 
 @dataclass(frozen=True)
 class SuspensionParameters(ParameterTable):
     """Parameters of the suspension node.
 
-    For every motion on suspension/motion it publishes the force that the damper should have, on
+    For every motion on suspension/motion it publishes the desired force of the damper on
     damper/desired_force. The node ``controller`` commands the current for it.
     """
 
@@ -59,7 +59,7 @@ class SuspensionNode(Node):
         self._wanted = self._failed = 0
         self._last = math.nan
         self._problem = ""
-        # The body's velocity [m/s] and its stamp.
+        # Velocity of the body [m/s] and its stamp.
         self._body = math.nan, 0
         self._demand = quality.publisher(self, DesiredForce, DEMAND_TOPIC)
         quality.subscription(
@@ -80,7 +80,7 @@ class SuspensionNode(Node):
             return
         try:
             force = float(self._controller(now))
-        except Exception as error:  # another's function: what it raises must not end the node
+        except Exception as error:  # a user's function: its errors must not end the node
             self._give_up(f"the controller failed: {type(error).__name__}: {error}")
             return
         if not math.isfinite(force):
@@ -97,7 +97,7 @@ class SuspensionNode(Node):
         self._demand.publish(demand)
 
     def _acceleration(self, message: JointState) -> float:
-        """The mean acceleration [m/s²] of the body since the last message; 0 if long ago."""
+        """Mean acceleration [m/s²] of the body since the last message; 0 after a long pause."""
         velocity = dict(zip(message.name, message.velocity, strict=False)).get(BODY, math.nan)
         stamp_ns = to_nanoseconds(message.header.stamp)
         (before, before_ns), self._body = self._body, (velocity, stamp_ns)
@@ -105,7 +105,7 @@ class SuspensionNode(Node):
         return (velocity - before) / passed if 0.0 < passed < _LONGEST_STEP else 0.0
 
     def _give_up(self, problem: str) -> None:
-        """Want nothing: the controller of the damper falls back to its safe current."""
+        """Publish no desired force: the damper controller then falls back to its safe current."""
         self._problem = problem
         self._failed += 1
         self.get_logger().error(problem, throttle_duration_sec=10.0)

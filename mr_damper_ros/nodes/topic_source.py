@@ -1,8 +1,8 @@
 """Stamped topics of other nodes as a source of samples: joint states, wrenches, any stamped number.
 
-What drives a press or a shaker by ros2_control publishes `sensor_msgs/JointState` and
+A press or a shaker driven by ros2_control publishes `sensor_msgs/JointState` and
 `geometry_msgs/WrenchStamped`. Displacement and force may come in one message or on two topics, each
-with stamps of its own; they are joined on the samples of the force.
+with its own stamps; they are joined at the sample times of the force.
 """
 
 from __future__ import annotations
@@ -27,10 +27,10 @@ from mr_damper_ros.signals.blocks import NANOSECONDS, RigBlock, fits_a_stamp
 from mr_damper_ros.signals.stamped_channel import ChannelJoin, StampedChannel
 
 _POLL = 0.005
-"""Seconds between two looks at what has come."""
+"""Seconds between two checks for new messages."""
 
 _NOTICED_RATE = 5e-6
-"""Difference of the rates of two clocks that is told."""
+"""Difference between the rates of two clocks from which on it is reported."""
 
 _FIELD = re.compile(r"(?P<path>\w+(?:\.\w+)*)(?:\[(?P<element>[^\]]+)\])?")
 
@@ -79,7 +79,7 @@ class TopicOptions(ParameterTable):
     )
 
     def objection(self) -> str:
-        """Say what is missing."""
+        """Return the reason if an option is missing or invalid, or an empty string."""
         if not self.displacement_topic:
             return (
                 "source is topics, but topics.displacement_topic is empty: name the topic with the "
@@ -92,7 +92,7 @@ class TopicOptions(ParameterTable):
 
 
 class TopicSource(Source):
-    """Samples from what other nodes publish; messages are taken in where the node spins."""
+    """Samples from the topics of other nodes; messages are received where the node spins."""
 
     options = TopicOptions
     prefix = "topics."
@@ -105,7 +105,7 @@ class TopicSource(Source):
         self._join = self._new_join()
 
     def open(self) -> list[str]:
-        """Subscribe; raises ValueError where a type or a field is none."""
+        """Subscribe; raises ValueError if a type or a field is invalid."""
         given = self.settings
         force_topic = given.force_topic or given.displacement_topic
         try:
@@ -121,7 +121,7 @@ class TopicSource(Source):
         return [f"{item.name} from {item.topic}, {item.field}" for item in self._inputs]
 
     def blocks(self, start_ns: int) -> Iterator[RigBlock]:
-        """The samples as they come, with the stamps of the force."""
+        """Yield the samples as they arrive, with the stamps of the force."""
         displacement, force = self._inputs
         join = self._join = self._new_join()
         for item in self._inputs:
@@ -141,7 +141,7 @@ class TopicSource(Source):
             yield from made
 
     def state(self) -> SourceState:
-        """How the topics come in, and what of it was of no use."""
+        """The counts of received, lost and unusable messages, and the fault."""
         join = self._join
         values: dict[str, object] = {
             f"{name} {what}": count
@@ -157,7 +157,7 @@ class TopicSource(Source):
         return SourceState(self._fault(), values)
 
     def close(self) -> None:
-        """Hear nothing more."""
+        """End the subscriptions."""
         for item in self._inputs:
             item.close()
         self._inputs = []
@@ -172,7 +172,7 @@ class TopicSource(Source):
         )
 
     def _fault(self) -> str:
-        """What is wrong with the topics, in a sentence; empty for nothing."""
+        """The fault of the topics, as a sentence; empty if there is none."""
         for item in self._inputs:
             fault = item.fault()
             if fault:
@@ -188,7 +188,7 @@ class TopicSource(Source):
 
 
 class _Input:
-    """One topic: what has arrived, as stamp, arrival and value."""
+    """One topic: the stamp, arrival time and value of each received message."""
 
     def __init__(
         self, node: Node, name: str, topic: str, kind: str, field: str, scale: float
@@ -198,7 +198,7 @@ class _Input:
         self._scale = scale
         self._read = _reader(field, name)
         self.arrived: deque[tuple[int, int, float]] = deque()
-        # A busy computer may be behind by more than a queue of fixed length.
+        # A busy computer may fall behind by more than a queue of fixed length.
         profile = quality.lossless()
         self._subscription = quality.subscription(
             node, _message_type(kind, name), topic, self._take, profile
@@ -208,11 +208,11 @@ class _Input:
         self.fault = self._stream.take_fault
 
     def close(self) -> None:
-        """Hear nothing more."""
+        """End the subscription."""
         self._node.destroy_subscription(self._subscription)
 
     def hand_on(self, take: Callable[[int, int, float], None]) -> None:
-        """Hand on what has arrived."""
+        """Pass on the received values."""
         while self.arrived:
             take(*self.arrived.popleft())
 
@@ -231,7 +231,7 @@ class _Input:
 
 
 def _reader(field: str, name: str) -> Callable[[Any], float]:
-    """What takes a number out of a message; raises ValueError where the field is none."""
+    """Return a function that reads a number from a message; raises ValueError for a bad field."""
     match = _FIELD.fullmatch(field.strip())
     if match is None:
         raise ValueError(
@@ -253,7 +253,7 @@ def _reader(field: str, name: str) -> Callable[[Any], float]:
 
 
 def _message_type(text: str, name: str) -> type:
-    """The type of a text such as sensor_msgs/JointState; raises ValueError."""
+    """The message type of a name such as sensor_msgs/JointState; raises ValueError."""
     package, _, kind = text.replace("/msg/", "/").partition("/")
     try:
         found: Any = getattr(import_module(f"{package}.msg"), kind)
