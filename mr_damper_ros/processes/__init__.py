@@ -1,1 +1,1 @@
-"""Other processes and threads: the supervised worker, the pool, the background writer."""
+"""Processes and threads: the supervised worker, the process pool, the background writer."""

@@ -1,6 +1,6 @@
-"""One thread of BLAS: the arrays here are small, and more threads would wait for each other.
+"""One BLAS thread: the arrays here are small, and more threads would only wait for each other.
 
-The same sums come out on every computer, too: they depend on the number of threads.
+Sums depend on the number of threads, so one thread also gives the same results on every computer.
 """
 
 from __future__ import annotations
@@ -17,10 +17,10 @@ _limits: Any = None
 
 @contextmanager
 def one_thread() -> Iterator[None]:
-    """Compute with one thread of BLAS; also a decorator of functions.
+    """Compute with one BLAS thread; also a decorator of functions.
 
-    The process gets its threads back when the last of those that compute, in whatever threads of
-    Python, has ended.
+    The process gets its BLAS threads back when the last such context, in any Python thread, has
+    ended.
     """
     _load()
     global _users, _limits
@@ -38,10 +38,10 @@ def one_thread() -> Iterator[None]:
 
 
 def keep_one_thread(*, with_scipy: bool = True) -> None:
-    """Have this process compute with one thread of BLAS for all its life.
+    """Make this process compute with one BLAS thread for the rest of its life.
 
-    Without SciPy, which takes half a second to load, it holds for NumPy, and for SciPy where that
-    is loaded already.
+    Without SciPy, whose import takes half a second, the limit applies to NumPy, and to SciPy only
+    if it is already loaded.
     """
     if with_scipy:
         _load()
@@ -49,7 +49,7 @@ def keep_one_thread(*, with_scipy: bool = True) -> None:
 
 
 def _load() -> None:
-    # Its BLAS is another than NumPy's, and what is loaded later would not be limited.
+    # SciPy has its own BLAS, and a library loaded later would not be limited.
     import scipy.linalg  # noqa: F401  # here: see mr_damper_ros.entry_points
 
 

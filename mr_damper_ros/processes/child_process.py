@@ -1,8 +1,8 @@
-"""What all child processes of this package have in common.
+"""Common properties of all child processes of this package.
 
-A child is a fresh interpreter, never a fork: DDS threads do not survive one. It finds the modules
-that its parent finds, and nothing in the folder in which the program was called; it leaves Ctrl-C,
-which goes to a whole terminal, to its parent; and it dies with its parent, however that one ends.
+A child is a fresh interpreter, never a fork: DDS threads do not survive a fork. It finds the
+modules of its parent, but none in the working directory of the program. It leaves Ctrl-C, which
+goes to all processes of a terminal, to its parent. It dies with its parent, however that one ends.
 """
 
 from __future__ import annotations
@@ -33,38 +33,38 @@ _START = (
 def command(function: Callable[..., object], *arguments: str) -> list[str]:
     """Command line of a child that calls ``function(*arguments)``, a function of a module.
 
-    Start it in a session of its own.
+    Start the child in its own session.
     """
     call = [str(os.getpid()), function.__module__, function.__qualname__, *arguments]
     paths = map(os.path.abspath, sys.path)
-    # Isolated: the import paths are those handed over, whatever the environment says.
+    # Isolated: only the given import paths count, not the environment.
     return [sys.executable, "-I", "-c", _START, str(len(call)), *call, *paths]
 
 
 def compute_for(parent: int) -> None:
-    """As :func:`live_with`, for a child that computes, with one thread of BLAS."""
+    """As :func:`live_with`, for a child that computes, with one BLAS thread."""
     live_with(parent)
     keep_one_thread()
 
 
 def live_with(parent: int) -> None:
-    """Leave Ctrl-C to the parent, the process of this id, and die with it. Called by a child."""
+    """Leave Ctrl-C to the parent process with this id, and die with it. The child calls this."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     if sys.platform == "linux":
         with contextlib.suppress(OSError):
             ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGKILL)
-    # It may have died before that was said.
+    # The parent may have died before the call of prctl.
     if os.getppid() != parent:
         os._exit(1)
 
 
 class _FreshProcess(SpawnProcess):
-    """One that does not read its parent's program."""
+    """A process that does not run the parent's main script."""
 
     @staticmethod
     def _Popen(process_obj: BaseProcess) -> Any:  # noqa: N802
         program = sys.modules["__main__"]
-        # There is nothing to be read in it.
+        # The empty module gives the child no main script to run.
         sys.modules["__main__"] = ModuleType("__main__")
         try:
             return SpawnProcess._Popen(process_obj)  # type: ignore[attr-defined]
@@ -73,18 +73,18 @@ class _FreshProcess(SpawnProcess):
 
 
 class FreshContext(SpawnContext):
-    """Of processes that multiprocessing starts for functions of modules, not of the program.
+    """A multiprocessing context for functions of modules, whose children skip the main script.
 
-    It has its children read their parent's program first, whose imports may take seconds and are
-    of no use to them; and what is not guarded in it they would do again. ``children`` are those
-    that it has started.
+    By default, ``multiprocessing`` lets each child run the parent's main script first. Its imports
+    may take seconds and are of no use to the child, and unguarded code in it would run again.
+    ``children`` are the started processes.
     """
 
     def __init__(self) -> None:
         self.children: list[SpawnProcess] = []
 
     def Process(self, *args: Any, **options: Any) -> SpawnProcess:  # type: ignore[override]  # noqa: N802
-        """A process that has not started yet; see :class:`multiprocessing.Process`."""
+        """A new process, not yet started; see :class:`multiprocessing.Process`."""
         self.children.append(_FreshProcess(*args, **options))
         return self.children[-1]
 

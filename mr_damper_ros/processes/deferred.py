@@ -1,4 +1,4 @@
-"""Work that must not hold up a node: what is written to disk, and what publishing can go before."""
+"""Work that must not hold up a node: writing to disk, and work after publishing."""
 
 from __future__ import annotations
 
@@ -13,9 +13,10 @@ T = TypeVar("T")
 
 
 class BackgroundWriter(Generic[T]):
-    """Calls ``write`` with the newest item in a thread of its own.
+    """Calls ``write`` with the newest item in its own thread; older pending items are skipped.
 
-    ``write`` may raise OSError or ValueError; :attr:`fault` is what the last call said.
+    ``write`` may raise OSError or ValueError; :attr:`fault` is the message of the last call, or
+    empty.
     """
 
     def __init__(self, write: Callable[[T], object]) -> None:
@@ -23,9 +24,9 @@ class BackgroundWriter(Generic[T]):
         self._changed = threading.Condition()
         self._newest: tuple[int, T] | None = None
         self.given = 0
-        """Number of items given so far: that of the newest one."""
+        """Number of items given so far, and number of the newest one."""
         self.done = 0
-        """Number of the newest item that was written, or could not be; it includes all before."""
+        """Number of the newest item that was written or failed; all older items count as done."""
         self._closed = False
         self.fault = ""
         self._thread = threading.Thread(target=self._work, name="state", daemon=True)
@@ -39,12 +40,12 @@ class BackgroundWriter(Generic[T]):
             self._changed.notify_all()
 
     def wait(self, timeout: float) -> bool:
-        """Wait until the newest item is written; False where that takes more than ``timeout`` s."""
+        """Wait until the newest item is written; False if that takes more than ``timeout`` [s]."""
         with self._changed:
             return self._changed.wait_for(lambda: self.done == self.given, timeout)
 
     def close(self, timeout: float) -> None:
-        """Write what waits, for at most ``timeout`` seconds, and end."""
+        """Write the pending item, for at most ``timeout`` [s], and end."""
         with self._changed:
             self._closed = True
             self._changed.notify_all()
@@ -69,9 +70,9 @@ class BackgroundWriter(Generic[T]):
 
 
 class Outbox(Generic[T]):
-    """Items that go out in their order, each once the state of its number is written.
+    """Items that go out in order, each once its state is written to disk.
 
-    A disk must not hold up everything: after ``patience`` seconds an item goes out all the same.
+    A slow disk must not hold up the items: after ``patience`` seconds an item goes out anyway.
     """
 
     def __init__(self, patience: float, clock: Callable[[], float] = time.monotonic) -> None:
@@ -79,14 +80,14 @@ class Outbox(Generic[T]):
         self._clock = clock
         self._waiting: deque[tuple[T, int, float]] = deque()
         self.late = 0
-        """Items that have gone out before their state was written."""
+        """Number of items that have gone out before their state was written."""
 
     def add(self, item: T, number: int) -> None:
-        """Have an item go out with the state of this number, as a BackgroundWriter counts them."""
+        """Add an item that waits for the state of this number, as counted by a BackgroundWriter."""
         self._waiting.append((item, number, self._clock() + self._patience))
 
     def take(self, written: int) -> list[T]:
-        """The items that may go out now that this state, and all before it, are written."""
+        """Remove and return the items that may go out; ``written`` is the last written state."""
         ready = []
         while self._waiting:
             item, number, deadline = self._waiting[0]
@@ -99,36 +100,36 @@ class Outbox(Generic[T]):
         return ready
 
     def take_all(self) -> list[T]:
-        """All items, written or not."""
+        """Remove and return all items, whether their states are written or not."""
         items = [item for item, _, _ in self._waiting]
         self._waiting.clear()
         return items
 
 
 _HEAD_START = 1e-3
-"""Seconds from what was published to the rest of the work: on a computer with no processor to
-spare who waits for it may be put on this one, and would wait for that work, too."""
+"""Seconds from publishing to the remaining work. Without a free core, the scheduler may put a
+subscriber on the core of this process, where the subscriber would wait for this work."""
 
 
 class PostponedWork:
-    """The rest of the work on the newest block, until its time has come."""
+    """The remaining work on the newest block, until it is due."""
 
     def __init__(self) -> None:
         self._work: Callable[[], None] | None = None
         self._due = math.inf
 
     def postpone(self, work: Callable[[], None]) -> None:
-        """Do this a moment from now; what was postponed before has been done."""
+        """Do this work a moment from now; :meth:`finish` must have done the previous work."""
         self._work, self._due = work, time.perf_counter() + _HEAD_START
 
     def finish(self) -> None:
-        """Do it now, unless it is done already."""
+        """Do the work now, unless it is done already."""
         work, self._work = self._work, None
         if work is not None:
             work()
 
     def finish_in_time(self) -> float:
-        """Do it if its time has come; returns the seconds until then, infinite for nothing."""
+        """Do the work if it is due; returns the seconds until then, infinite if there is none."""
         if self._work is None:
             return math.inf
         left = self._due - time.perf_counter()

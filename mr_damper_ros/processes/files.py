@@ -1,4 +1,4 @@
-"""Files that appear whole or not at all, what goes into them, locks that end with their process."""
+"""Atomic writing of files, values for JSON, and locks that end with their process."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ def write_text(path: Path, text: str) -> None:
 
 
 def write_bytes(path: Path, content: bytes) -> None:
-    """Write a file whole or not at all; missing folders are made. Raises OSError."""
+    """Write a file completely or not at all; missing folders are created. Raises OSError."""
     path.parent.mkdir(parents=True, exist_ok=True)
     fresh = path.with_name(f".{path.name}.{os.getpid()}")
     try:
@@ -30,7 +30,7 @@ def write_bytes(path: Path, content: bytes) -> None:
 
 
 def json_ready(value: Any) -> Any:
-    """A value, with all that it contains, as JSON can hold it: null where it is not finite."""
+    """A value with all its content in a form that JSON can hold: null if a number is not finite."""
     if isinstance(value, Mapping):
         return {str(key): json_ready(entry) for key, entry in value.items()}
     if isinstance(value, (list, tuple)):
@@ -39,11 +39,11 @@ def json_ready(value: Any) -> Any:
 
 
 _NO_LOCKS = (errno.ENOLCK, errno.EOPNOTSUPP, errno.ENOSYS)
-"""What a file system says that knows no locks, as some of networks do."""
+"""Errors of file systems without locks, such as some network file systems."""
 
 
 class LockHeldError(Exception):
-    """Another process holds the lock; ``holder`` is its number, 0 where it cannot be read."""
+    """Another process holds the lock; ``holder`` is its process id, 0 if it cannot be read."""
 
     def __init__(self, holder: int) -> None:
         super().__init__(f"held by process {holder}")
@@ -53,14 +53,14 @@ class LockHeldError(Exception):
 class FolderLock:
     """A lock file that this process holds until :meth:`release` or its end.
 
-    The file stays behind: it is the lock on it that counts, and the kernel releases that when the
-    process ends, be it killed. Where the file system knows no locks, nobody is kept out.
+    Only the lock counts: the file itself stays. The kernel releases the lock when the process ends,
+    even if it is killed. On a file system without locks, the lock excludes no other process.
     """
 
     def __init__(self, path: Path) -> None:
-        """Take the lock; missing folders are made. Raises LockHeldError and OSError."""
+        """Take the lock; missing folders are created. Raises LockHeldError and OSError."""
         path.parent.mkdir(parents=True, exist_ok=True)
-        # Not inherited by the processes that this one starts, which may outlive it.
+        # The lock is not inherited by child processes, which may outlive this one.
         flags = os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW | os.O_NONBLOCK
         self._descriptor: int | None = os.open(path, flags, 0o666)
         try:
@@ -73,12 +73,12 @@ class FolderLock:
             if error.errno not in _NO_LOCKS:
                 self.release()
                 raise
-        with contextlib.suppress(OSError):  # the number is for people
+        with contextlib.suppress(OSError):  # the process id is for people
             os.ftruncate(self._descriptor, 0)
             os.pwrite(self._descriptor, b"%d\n" % os.getpid(), 0)
 
     def release(self) -> None:
-        """Let another one have it."""
+        """Release the lock for other processes."""
         if self._descriptor is not None:
             os.close(self._descriptor)
             self._descriptor = None
@@ -101,9 +101,9 @@ _KINDS = {
 
 
 def irregularity(path: Path) -> str:
-    """What a path is instead of a regular file, in words, links followed; empty where it is one.
+    """The kind of a path that is not a regular file, in words, links followed; empty if it is one.
 
-    Raises OSError where there is nothing.
+    Raises OSError if the path does not exist.
     """
     kind = stat.S_IFMT(path.stat().st_mode)
     return "" if kind == stat.S_IFREG else _KINDS.get(kind, "no file")

@@ -1,11 +1,12 @@
 """Independent tasks in several processes, with the same results for any number of them.
 
-A task is a picklable function of one picklable argument and of nothing else. Each process computes
-with one thread of BLAS, on whose number sums depend: the results agree to the last digit.
+A task is a picklable function of one picklable argument, and depends on nothing else. Each process
+computes with one BLAS thread, because sums depend on the number of threads: the results agree to
+the last digit.
 
-Results may be kept (:func:`finish`), each in a file of its own, as they are there. What is kept is
-never computed again, however the program ended: a file appears whole or not at all. Such a task
-returns a JSON document and raises nothing; what it cannot do is part of its document.
+Results may be stored (:func:`finish`), each in its own file as soon as it is complete. A stored
+result is never computed again, however the program ended: a file is written completely or not at
+all. Such a task returns a JSON document and raises no exception; a failure is part of its document.
 """
 
 from __future__ import annotations
@@ -41,20 +42,21 @@ Task = TypeVar("Task")
 Result = TypeVar("Result")
 
 Tell = Callable[[Any], bool]
-"""Given to a task to tell of its progress; False where it should return soon with what it has."""
+"""Callback for the progress of a task; if it returns False, the task should return its present
+result soon."""
 
 Listen = Callable[[int, Any], bool]
-"""Hears of the progress of the task of this index; returning False stops all tasks."""
+"""Receives the index of a task and its progress; returning False stops all tasks."""
 
 _PATIENCE = 0.05
-"""Seconds between two looks at what the processes tell."""
+"""Seconds between two checks for progress of the processes."""
 
 
 class ProcessPool:
     """A context with ``count`` processes, started when there are tasks for them.
 
-    With one, and in a process that may not have children (a daemon of ``multiprocessing``), the
-    tasks are done here. Raises ValueError for less than one.
+    With a count of one, or in a process that may not have children (a daemon of
+    ``multiprocessing``), the tasks run in this process. Raises ValueError for a count below one.
     """
 
     def __init__(self, count: int = 1) -> None:
@@ -83,10 +85,11 @@ class ProcessPool:
         listen: Listen | None = None,
         done: Callable[[int, Result], None] | None = None,
     ) -> list[Result | None]:
-        """``function(task, tell)`` of every task, in order; None where it was not begun.
+        """``function(task, tell)`` of every task, in order; None if a task was not started.
 
-        ``listen`` hears what the tasks tell and may stop them; those that run then return what
-        they have. ``done`` is called with each result as soon as it is there, in any order.
+        ``listen`` receives the progress of the tasks and may stop them; running tasks then return
+        their present results. ``done`` is called with each result as soon as it is complete, in any
+        order.
         """
         hear = listen or _go_on
         if self.count == 1 or len(tasks) < 2:
@@ -112,7 +115,7 @@ class ProcessPool:
             self._end(waiting)
             while waiting:
                 waiting = wait(waiting, timeout=_PATIENCE).not_done
-                # Who is not heard cannot end.
+                # A process whose progress is not read cannot end.
                 self._heard()
             raise
         return results
@@ -172,7 +175,7 @@ def _one_after_another(
 
 
 _channel: tuple[Any, SimpleQueue[tuple[int, Any]]] | None = None
-"""In a process of a pool: whether to stop, and where to tell."""
+"""In a pool process: the stop event and the queue for progress."""
 
 
 def _begin(parent: int, stop: Any, told: SimpleQueue[tuple[int, Any]]) -> None:
@@ -195,18 +198,19 @@ def _call(function: Callable[[Task, Tell], Result], task: Task, index: int) -> R
 
 
 _AHEAD = 2
-"""Tasks given out for each process, so that none waits for its next one."""
+"""Submitted tasks per process, so that no process waits for its next task."""
 
 _AT_ONCE = 64
-"""Tasks given at once to an executor whose size is not known."""
+"""Number of tasks submitted at once to an executor of unknown size."""
 
 
 class Workforce:
-    """An executor that somebody else owns and ends, and what is known of its workers.
+    """An executor that belongs to the caller, and the properties of its workers.
 
-    ``at_once``: number of tasks submitted at a time. ``shares_folders``: whether the workers see
-    the folders of this process. ``breaks_with``: what a future raises where its worker has died and
-    all others with it; ``loses_with``: where workers have died repeatedly with this one task.
+    ``at_once`` is the number of tasks submitted at a time. ``shares_folders`` tells whether the
+    workers see the folders of this process. ``breaks_with`` are the exceptions of a future if its
+    worker and all others have died. ``loses_with`` are those if workers have repeatedly died with
+    this one task.
     """
 
     at_once = _AT_ONCE
@@ -218,7 +222,7 @@ class Workforce:
         self._executor = executor
 
     def start(self) -> Executor:
-        """The executor, a new one where the one before was broken."""
+        """Return the executor, or a new one if the previous one is broken."""
         return self._executor
 
     def end(self) -> None:
@@ -226,9 +230,9 @@ class Workforce:
 
 
 class LocalProcesses(Workforce):
-    """``count`` fresh processes of this machine, each with one BLAS thread.
+    """``count`` fresh processes on this machine, each with one BLAS thread.
 
-    Raises ValueError for less than one.
+    Raises ValueError for a count below one.
     """
 
     shares_folders = True
@@ -243,7 +247,7 @@ class LocalProcesses(Workforce):
         self._pool: ProcessPoolExecutor | None = None
 
     def start(self) -> Executor:
-        """An executor whose processes die with this one."""
+        """Return a new executor whose processes die with this one."""
         self.end()
         self._context = child_process.FreshContext()
         self._pool = ProcessPoolExecutor(
@@ -255,7 +259,7 @@ class LocalProcesses(Workforce):
         return self._pool
 
     def end(self) -> None:
-        """End the processes, whatever they are doing."""
+        """End the processes, even if they are busy."""
         if self._pool is None:
             return
         self._pool.shutdown(wait=False, cancel_futures=True)
@@ -265,10 +269,10 @@ class LocalProcesses(Workforce):
 
 
 class DaskCluster(Workforce):
-    """The workers of a Dask cluster that runs already, found by the address of its scheduler.
+    """The workers of a running Dask cluster, found by the address of its scheduler.
 
-    They need this package and the paths of the recordings, nothing else. Raises ValueError where
-    Dask is not installed, and OSError where nobody answers.
+    They need only this package and the paths of the recordings. Raises ValueError if Dask is not
+    installed, and OSError if no scheduler answers or it has no workers.
     """
 
     def __init__(self, address: str) -> None:
@@ -290,30 +294,33 @@ class DaskCluster(Workforce):
         self.loses_with = (KilledWorker,)
 
     def start(self) -> Executor:
-        """The executor of the cluster."""
+        """Return the executor of the cluster."""
         executor: Executor = self._client.get_executor(pure=False)
         return executor
 
     def end(self) -> None:
-        """Leave the cluster; it drops what it was doing for this process."""
+        """Leave the cluster; it drops the tasks of this process."""
         self._client.close()
 
 
 Document = dict[str, Any]
 
 _SUSPECT = 2
-"""A task that has been under way so often when a process died is done alone from then on."""
+"""After so many deaths of processes while it was running, a task runs alone."""
 
 _GIVEN_UP = 4
-"""A task that has been under way so often when a process died is not tried again."""
+"""After so many deaths of processes while it was running, a task is given up."""
 
 _SLUG = 60
-"""Characters of a task's name that show in the name of its file."""
+"""Largest number of characters of a task's name in the name of its file."""
 
 
 @dataclass(frozen=True)
 class KeptTask:
-    """``name`` tells tasks apart; ``fingerprint`` changes with whatever the result depends on."""
+    """A task with a stored result.
+
+    ``name`` is unique; ``fingerprint`` changes with everything that the result depends on.
+    """
 
     name: str
     fingerprint: str
@@ -321,21 +328,21 @@ class KeptTask:
 
 
 class WorkersError(OSError):
-    """The workers cannot do any task; the message says why."""
+    """The workers cannot run any task; the message gives the reason."""
 
 
 class ResultFolder:
-    """One file for each finished task: its document, and the fingerprint that it was made for."""
+    """One file for each finished task, with its document and the fingerprint of its input."""
 
     def __init__(self, folder: Path) -> None:
         self._folder = folder
 
     def path(self, name: str) -> Path:
-        """File of the task of this name."""
+        """Path of the file for the task of this name."""
         return self._folder / f"{file_stem(name)}.json"
 
     def kept(self, task: KeptTask) -> Document | None:
-        """The document of a task, None where it is to be done."""
+        """The stored document of a task, None if the task must be run."""
         try:
             found = json.loads(self.path(task.name).read_text(encoding="utf-8"))
         except (OSError, ValueError):
@@ -346,13 +353,13 @@ class ResultFolder:
         return document if isinstance(document, dict) else None
 
     def keep(self, task: KeptTask, document: Document) -> None:
-        """Write the document of a task, whole or not at all. Raises OSError."""
+        """Write the document of a task, completely or not at all. Raises OSError."""
         entry = {"fingerprint": task.fingerprint, "document": document}
         write_text(self.path(task.name), json.dumps(entry, allow_nan=False) + "\n")
 
 
 def file_stem(name: str) -> str:
-    """A name for a file, readable and different for different names."""
+    """A readable file name, different for different names."""
     slug = re.sub(r"[^\w.=+-]+", "_", name).strip("._")[:_SLUG]
     return f"{slug}-{hashlib.sha256(name.encode()).hexdigest()[:8]}"
 
@@ -367,12 +374,11 @@ def finish(
     finished: Callable[[KeptTask, Document], None],
     lost: Callable[[KeptTask], None],
 ) -> None:
-    """Do the tasks and keep their documents; ``finished`` hears of each as soon as it is there.
+    """Run the tasks and store their documents; ``finished`` receives each one at once.
 
-    Where ``final`` says no, a document is told of and not kept, so that its task is done again the
-    next time. A task whose process dies with it again and again is given up, and ``lost`` hears of
-    it. Raises WorkersError where the workers can do nothing at all, and OSError where a result
-    cannot be written.
+    If ``final`` returns False, a document is reported but not stored, so that its task runs again
+    the next time. A task whose process dies repeatedly is given up and passed to ``lost``. Raises
+    WorkersError if the workers cannot run tasks at all, and OSError if a result cannot be written.
     """
     call = _Call(function, results if workforce.shares_folders else None, final)
     waiting, suspects = deque(tasks), deque[KeptTask]()
@@ -427,9 +433,9 @@ def _sort_out(
     finished: Callable[[KeptTask, Document], None],
     lost: Callable[[KeptTask], None],
 ) -> None:
-    """A process has died and taken all with it: what was under way is done again, or given up."""
+    """After the death of all processes, repeat the interrupted tasks or give them up."""
     for task in under_way.values():
-        # It may have been finished and kept before its process could say so.
+        # The task may have stored its document before its process could report it.
         document = results.kept(task)
         if document is not None:
             finished(task, document)
@@ -446,14 +452,14 @@ def _sort_out(
 
 @dataclass(frozen=True)
 class _Call:
-    """What a worker does: the task, and where the folder is shared, the keeping too."""
+    """The call in a worker: run the task, and store its document if the folder is shared."""
 
     function: Callable[[Any], Document]
     results: ResultFolder | None
     final: Callable[[Document], bool]
 
     def __call__(self, task: KeptTask) -> Document:
-        with one_thread():  # of a process that may be another's
+        with one_thread():  # the process may belong to another program
             document = self.function(task.argument)
         if self.results is not None and self.final(document):
             self.results.keep(task, document)
@@ -461,6 +467,6 @@ class _Call:
 
 
 def fingerprint(content: Mapping[str, Any]) -> str:
-    """A short text that changes with the content, which JSON must be able to hold."""
+    """A short text that changes with the content; JSON must be able to hold the content."""
     text = json.dumps(content, sort_keys=True)
     return hashlib.sha256(text.encode()).hexdigest()[:24]

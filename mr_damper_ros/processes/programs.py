@@ -1,4 +1,4 @@
-"""Programs of nodes: their arguments, their processes, and a ROS domain for them alone."""
+"""Programs of nodes: their arguments, their processes, and a ROS domain of their own."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ WORKERS_HELP = """\
 """
 
 _NAME = re.compile(r"/?[A-Za-z_][A-Za-z0-9_]*(/[A-Za-z_][A-Za-z0-9_]*)*")
-"""What ROS takes for a namespace, with others before it or not."""
+"""A ROS namespace, possibly nested."""
 
 _NAMESPACE, _WORKERS = "--namespace", "--workers"
 
@@ -41,14 +41,14 @@ class Place:
 
     @property
     def arguments(self) -> list[str]:
-        """What the node of this place is made with, besides what holds for all."""
+        """ROS arguments for the node of this place, in addition to those common to all nodes."""
         file = ["--params-file", self.file] if self.file else []
         return ["--ros-args", "-r", f"__ns:=/{self.namespace}", *file]
 
 
 @dataclass(frozen=True)
 class Hosting:
-    """``places`` of nodes, none for the usual single one, and the ``rest`` of the arguments."""
+    """``places`` of nodes, empty for a single node as usual, and the ``rest`` of the arguments."""
 
     places: tuple[Place, ...]
     workers: int
@@ -56,11 +56,11 @@ class Hosting:
 
 
 def hosting(arguments: Sequence[str], *, shared_workers: bool = True) -> Hosting:
-    """Read the arguments of a program, without its name and those for ROS.
+    """Parse the arguments of a program, without its name and the ROS arguments.
 
-    Where its nodes share no workers, a number of these stays with the rest.
+    If its nodes share no workers, the option for their number stays in ``rest``.
 
-    Raises ValueError, with a sentence, where they cannot be used.
+    Raises ValueError, with a sentence, if the arguments are invalid.
     """
     places: list[Place] = []
     workers = 0
@@ -89,35 +89,35 @@ def hosting(arguments: Sequence[str], *, shared_workers: bool = True) -> Hosting
 
 
 def worker_count(arguments: Sequence[str]) -> int:
-    """Worker processes that a command line, with its arguments for ROS, asks for."""
+    """Number of worker processes that a command line, including ROS arguments, asks for."""
     own = list(arguments)
     if "--ros-args" in own:
         own = own[: own.index("--ros-args")]
     try:
         return hosting(own).workers
-    except ValueError:  # said, and the program ended, where it starts its nodes
+    except ValueError:  # the start of the nodes reports the error and ends the program
         return 1
 
 
 def _processors() -> int:
-    """Those that this process may use."""
+    """Number of processors that this process may use."""
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 PATIENCE = 60.0
-"""Deadline [s] of what is waited for; generous, for a loaded machine."""
+"""Deadline [s] for waiting; generous, for a loaded machine."""
 
 _TICKS = os.sysconf("SC_CLK_TCK")
 
 
 class ProgramError(RuntimeError):
-    """A program did not do what was waited for; the message has the end of what it said."""
+    """A program did not behave as expected; the message has the end of its output."""
 
 
 class Program:
     """A running program; its output is kept in memory, so that it never blocks.
 
-    ``environment`` is added to that of this process. Raises OSError where there is no such program.
+    ``environment`` is added to that of this process. Raises OSError if the program does not exist.
     """
 
     def __init__(
@@ -127,7 +127,8 @@ class Program:
         self._stdout = os.memfd_create("stdout")
         self._stderr = os.memfd_create("stderr")
         try:
-            # A group of its own, so that a Ctrl-C in the terminal ends this process, which ends it.
+            # In its own group: Ctrl-C in the terminal ends this process, which then ends the
+            # program.
             self._process = subprocess.Popen(
                 command,
                 stdin=subprocess.DEVNULL,
@@ -139,57 +140,57 @@ class Program:
         except BaseException:
             self._forget_output()
             raise
-        # Where this process fails, nothing of it goes on.
+        # If this process fails, nothing of the program continues.
         atexit.register(self._process.kill)
 
     @property
     def pid(self) -> int:
-        """Id of the process, and of the group of all that it starts."""
+        """Id of the process, and of the group of all its children."""
         return self._process.pid
 
     @property
     def running(self) -> bool:
-        """Whether it has not ended yet."""
+        """Whether the program is running."""
         return self._process.poll() is None
 
     @property
     def exit_code(self) -> int | None:
-        """Its exit code, negative the signal that ended it; None while it runs."""
+        """The exit code, negative the signal that ended the program; None while it runs."""
         return self._process.poll()
 
     @property
     def output(self) -> str:
-        """What it has written to its standard output so far."""
+        """The standard output so far."""
         return _content(self._stdout)
 
     @property
     def errors(self) -> str:
-        """What it has written to its standard error so far, where a node's log goes."""
+        """The standard error so far, which contains the log of a node."""
         return _content(self._stderr)
 
     @property
     def log(self) -> str:
-        """Both of them."""
+        """Standard output and standard error so far."""
         return self.output + self.errors
 
     @property
     def last_words(self) -> str:
-        """The last lines of what it has written, in one line."""
+        """The last lines of the output, joined in one line."""
         return " / ".join(self.log.strip().splitlines()[-3:])
 
     @property
     def resident_bytes(self) -> int:
-        """Memory [B] that it has in use (resident set), without its children's."""
+        """Memory in use [B] (resident set), without child processes."""
         return resident_bytes(self.pid)
 
     @property
     def cpu_seconds(self) -> float:
-        """Processor time [s] that it has used so far, without its children's."""
+        """Processor time used so far [s], without child processes."""
         return cpu_seconds(self.pid)
 
     @property
     def children(self) -> list[int]:
-        """Ids of the processes that it has started and that still run."""
+        """Ids of its running child processes."""
         found = []
         for entry in Path("/proc").iterdir():
             if entry.name.isdigit():
@@ -199,9 +200,9 @@ class Program:
         return found
 
     def wait_for_log(self, part: str, patience: float = PATIENCE) -> None:
-        """Wait until its standard error has this text.
+        """Wait until the standard error contains this text.
 
-        Raises ProgramError where it has ended before, or after ``patience`` [s].
+        Raises ProgramError if the program ends before, or after ``patience`` [s].
         """
         deadline = time.monotonic() + patience
         while part not in self.errors:
@@ -212,23 +213,26 @@ class Program:
             time.sleep(0.02)
 
     def wait(self, patience: float = PATIENCE) -> int:
-        """Wait for its end; returns the exit code. Raises ProgramError after ``patience`` [s]."""
+        """Wait for the end of the program; returns the exit code.
+
+        Raises ProgramError after ``patience`` [s].
+        """
         try:
             return self._process.wait(patience)
         except subprocess.TimeoutExpired:
             raise ProgramError(f"{self.name} did not end within {patience:g} s") from None
 
     def send_signal(self, number: signal.Signals) -> None:
-        """Send it a signal; nothing happens where it has ended."""
+        """Send the program a signal; no effect if it has ended."""
         self._process.send_signal(number)
 
     def kill(self) -> None:
-        """End it at once, without a chance to tidy up, and wait until it is gone."""
+        """Kill the program, without a chance to clean up, and wait for its end."""
         self._process.kill()
         self._process.wait(PATIENCE)
 
     def stop(self, number: signal.Signals = signal.SIGINT, patience: float = PATIENCE) -> int:
-        """Ask it to end as Ctrl-C does and return its exit code; killed where it does not end."""
+        """End the program as Ctrl-C does, or kill it if that fails; returns the exit code."""
         self.send_signal(number)
         try:
             return self.wait(patience)
@@ -237,12 +241,12 @@ class Program:
             return self._process.returncode
 
     def close(self) -> None:
-        """End it and forget its output."""
+        """End the program and discard its output."""
         self.stop()
         self.forget()
 
     def forget(self) -> None:
-        """Forget the output of a program that has ended."""
+        """Discard the output of a program that has ended."""
         self._process.wait(PATIENCE)
         self._forget_output()
         atexit.unregister(self._process.kill)
@@ -266,13 +270,13 @@ def node_arguments(
 
 
 def resident_bytes(pid: int) -> int:
-    """Memory [B] that a process has in use (resident set), shared libraries included."""
+    """Memory in use [B] of a process (resident set), shared libraries included."""
     pages = int(Path(f"/proc/{pid}/statm").read_text().split()[1])
     return pages * os.sysconf("SC_PAGE_SIZE")
 
 
 def cpu_seconds(pid: int) -> float:
-    """Processor time [s] that a process has used so far, without its children's."""
+    """Processor time used so far [s] by a process, without child processes."""
     fields = _fields(pid)
     return (int(fields[11]) + int(fields[12])) / _TICKS
 
@@ -282,22 +286,22 @@ def _content(file: int) -> str:
 
 
 def _fields(pid: int) -> list[str]:
-    """State, parent's id and the following fields that Linux has of a process."""
-    # The name, in parentheses, may hold blanks: the fields are counted from its end.
+    """State, parent id and the following fields of Linux's /proc/PID/stat."""
+    # The name, in parentheses, may contain blanks: the fields are counted from its end.
     return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
 
 
 _NUMBERS = range(61, 101)
-"""Above the numbers that people choose by hand; below those whose ports may be taken (102)."""
+"""Above the numbers that people usually choose; below those whose ports may be taken (102)."""
 
 _FIRST_PORT = 20_000
-"""A domain is held by the port of its number above this one, which nobody else can bind."""
+"""An open port, this number plus the number of the domain, reserves the domain."""
 
 
 class RosDomain:
-    """A domain that no other object of this kind has, in whatever process, until it is closed.
+    """A ROS domain reserved for this object, across all processes, until it is closed.
 
-    Raises RuntimeError where none is left.
+    Raises RuntimeError if no domain is free.
     """
 
     def __init__(self) -> None:
@@ -314,7 +318,7 @@ class RosDomain:
 
     @property
     def environment(self) -> dict[str, str]:
-        """What a program must be started with to be in this domain, and in no other's reach."""
+        """Environment variables of a program in this domain, invisible to other computers."""
         return {
             "ROS_DOMAIN_ID": str(self.number),
             "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST",
@@ -323,7 +327,7 @@ class RosDomain:
 
     @contextmanager
     def entered(self) -> Iterator[None]:
-        """Let this process and what it starts meanwhile be in it; afterwards all is as before."""
+        """Set the environment of this process to the domain, and restore it at the end."""
         before = dict(os.environ)
         os.environ.update(self.environment)
         try:
@@ -333,7 +337,7 @@ class RosDomain:
             os.environ.update(before)
 
     def close(self) -> None:
-        """Let others have the domain."""
+        """Release the domain."""
         self._socket.close()
 
     def __enter__(self) -> RosDomain:

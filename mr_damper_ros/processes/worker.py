@@ -1,13 +1,13 @@
 """Supervised worker processes: long computations, while the node goes on receiving.
 
-A process is a fresh interpreter (nothing is forked: DDS threads do not survive a fork), started
-by hand rather than by ``multiprocessing``, which would run the node's main script again in the
-child and load rclpy there. Tasks and answers are pickles over a private socket pair.
+A process is a fresh interpreter (nothing is forked: DDS threads do not survive a fork). It is not
+started by ``multiprocessing``, which would run the node's main script again in the child and load
+rclpy there. Tasks and answers are pickles over a private socket pair.
 
-- A worker that dies is noticed at once and replaced; the interrupted task is tried once more. So
-  it is where a worker gives no sign of life, because it is stopped or hangs in a call into C.
-- A task that exceeds its time budget is asked to stop with what it has; a worker that does not
-  answer is killed and replaced, and the task has failed.
+- A worker that dies is detected at once and replaced; the interrupted task is tried once more. The
+  same holds for a worker without a sign of life, because it is stopped or hangs in a call into C.
+- A task that exceeds its time budget is asked to stop and return its present result. If the worker
+  does not answer, it is killed and replaced, and the task has failed.
 - The worker dies with its parent, however that one ends.
 """
 
@@ -35,33 +35,34 @@ from mr_damper_ros.processes import child_process
 from mr_damper_ros.processes.blas_threads import keep_one_thread
 
 _GRACE = 1.0
-"""Seconds that a task has for stopping by itself after it was asked to."""
+"""Seconds for a task to stop after it was asked to."""
 
 _START_LIMIT = 60.0
-"""Seconds after which a process that has not reported for work counts as dead."""
+"""Seconds after which a process that has not reported ready counts as dead."""
 
 _BEAT = 0.25
-"""Seconds between two signs of life of a worker, whatever it works on."""
+"""Seconds between two signs of life of a worker, also during a task."""
 
 _SILENCE_LIMIT = 1.5
-"""Seconds without a sign of life after which a worker is taken to hang."""
+"""Seconds without a sign of life after which a worker counts as hanging."""
 
 _LONGEST_LOOK = 0.1
-"""What passes between two looks counts as silence up to this [s]: a node that was itself held up,
-with the whole computer perhaps, has not listened."""
+"""Largest time [s] between two polls that counts as silence: a node that was itself held up,
+perhaps with the whole computer, has not read the signs of life."""
 
 _RESTART_PAUSE = 1.0
-"""Seconds between two starts where the process does not even come up."""
+"""Seconds between two starts if the process does not even become ready."""
 
 _TASK, _STOP = b"t", b"s"
-"""First byte of what the node sends; then the number of the task, and of one to do the call."""
+"""First byte of a message to the worker; then follows the number of the task, and its pickled call
+for a new task."""
 
 _NUMBER = struct.Struct("<Q")
 
 
 @dataclass(frozen=True)
 class Progress:
-    """Something that the running task reported."""
+    """A progress value that the running task reported."""
 
     task: int
     value: Any
@@ -69,7 +70,7 @@ class Progress:
 
 @dataclass(frozen=True)
 class Done:
-    """The task returned."""
+    """The task returned a result."""
 
     task: int
     result: Any
@@ -87,7 +88,7 @@ Outcome = Progress | Done | Failed
 
 
 class TaskRunner(Protocol):
-    """What runs one task at a time, here or elsewhere; see :class:`Worker`."""
+    """Runs one task at a time, in this or another process; see :class:`Worker`."""
 
     @property
     def busy(self) -> bool:
@@ -97,17 +98,17 @@ class TaskRunner(Protocol):
         """Start a task and return its number."""
 
     def cancel(self) -> None:
-        """Ask the running task to return soon with what it has."""
+        """Ask the running task to stop and return its present result."""
 
     def poll(self) -> list[Outcome]:
-        """What has happened since the last call."""
+        """The outcomes since the last call."""
 
     def take_notices(self) -> list[str]:
         """Sentences about the runner itself since the last call."""
 
 
 class Control:
-    """What a task in the worker is given to talk to the node; its methods may be called often."""
+    """The connection of a task in the worker to the node; its methods may be called often."""
 
     def __init__(self, number: int, send: Callable[[Any], None], stopped: set[int]) -> None:
         self._number = number
@@ -115,11 +116,11 @@ class Control:
         self._stopped = stopped
 
     def should_stop(self) -> bool:
-        """Whether the task should return soon with what it has."""
+        """Whether the task should stop and return its present result."""
         return self._number in self._stopped
 
     def report(self, value: Any) -> bool:
-        """Deliver any picklable value as a :class:`Progress`; False where the task should stop."""
+        """Report any picklable value as a :class:`Progress`; False if the task should stop."""
         self._send(("progress", self._number, value))
         return not self.should_stop()
 
@@ -137,7 +138,7 @@ class _Process:
                 child_process.command(serve, str(theirs.fileno()), module),
                 stdin=subprocess.DEVNULL,
                 pass_fds=[theirs.fileno()],
-                # Ctrl-C goes to the whole group of the terminal; the worker must not see it.
+                # Ctrl-C goes to the whole group of the terminal; the worker must not receive it.
                 start_new_session=True,
             )
         self._connection = Connection(ours.detach())
@@ -155,12 +156,12 @@ class _Process:
         except Exception:  # closed, or half a message of a killed process
             self._inbox.put(("gone",))
         finally:
-            # Not under a sending, which ends by itself: nobody is left to read.
+            # Wait for a running send, which ends by itself: nothing reads it any more.
             with self._sending:
                 self._connection.close()
 
     def messages(self) -> list[Any]:
-        """What has arrived since the last call; ("gone",) is the last message of all."""
+        """The messages since the last call; ("gone",) is the last message of all."""
         received = []
         with contextlib.suppress(queue.Empty):
             while True:
@@ -168,10 +169,10 @@ class _Process:
         return received
 
     def send(self, message: bytes) -> None:
-        """Send bytes. A stopped process does not read, so the sending has a thread of its own."""
+        """Send bytes in a separate thread, because a stopped process does not read."""
 
         def work() -> None:
-            # A broken pipe is a dead worker, which the receiving thread reports.
+            # A broken pipe means a dead worker, which the receiving thread reports.
             with self._sending, contextlib.suppress(OSError):
                 self._connection.send_bytes(message)
 
@@ -184,7 +185,7 @@ class _Process:
 
 
 class _Slot:
-    """A place for one process: what dies, hangs or does not come up is replaced."""
+    """A place for one process: a process that dies, hangs or does not become ready is replaced."""
 
     def __init__(self, module: str) -> None:
         self.replaced = 0
@@ -195,9 +196,10 @@ class _Slot:
         self.process: _Process | None = _Process(module)
 
     def look(self) -> list[Any]:
-        """What the process has sent since the last call. Never blocks.
+        """The messages of the process since the last call. Never blocks.
 
-        ("lost", why) follows where it was replaced, ("started",) where that had to wait.
+        ("lost", reason) is appended if the process was replaced. ("started",) follows later if the
+        replacement had to wait.
         """
         now, process = time.monotonic(), self.process
         self._silence += min(now - self._looked, _LONGEST_LOOK)
@@ -224,7 +226,7 @@ class _Slot:
         return messages
 
     def replace(self) -> None:
-        """Take the process away and start another, after a pause where it has not come up."""
+        """Kill the process and start another, after a pause if it was not yet ready."""
         process = self.process
         assert process is not None
         process.kill()
@@ -233,7 +235,7 @@ class _Slot:
         self._next_start = time.monotonic() + _RESTART_PAUSE
 
     def close(self) -> None:
-        """End the process, and start none."""
+        """End the process, and start no other."""
         if self.process is not None:
             self.process.kill()
         self.process, self._next_start = None, math.inf
@@ -242,9 +244,9 @@ class _Slot:
 class WorkerPool:
     """``count`` supervised processes, which load ``module`` before their first task.
 
-    That is the module that the tasks come from: loading it, which takes seconds on a busy computer,
-    does not count as a task's time. Whoever has a task gets a :meth:`worker` once and polls it;
-    that keeps all processes going.
+    ``module`` contains the tasks. Loading it takes seconds on a busy computer, and does not count
+    towards the time budget of a task. A user of the pool gets a :meth:`worker` once and polls it,
+    which also supervises all processes.
     """
 
     def __init__(self, module: str, count: int = 1) -> None:
@@ -253,35 +255,35 @@ class WorkerPool:
         self._waiting: deque[Worker] = deque()
         self._notices: list[str] = []
         self.tickets = itertools.count(1)
-        """Numbers of the tasks of all workers, for the processes."""
+        """Numbers for the tasks of all workers, unique in the pool."""
 
     @property
     def ready(self) -> bool:
-        """Whether there is a process that has come up."""
+        """Whether at least one process is ready."""
         return any(slot.process is not None and slot.process.ready for slot in self._slots)
 
     @property
     def replaced(self) -> int:
-        """Processes that have been replaced so far."""
+        """Number of processes replaced so far."""
         return sum(slot.replaced for slot in self._slots)
 
     @property
     def pid(self) -> int | None:
-        """Id of the process that is free next; None where there is none."""
+        """Id of the next free process; None if there is none."""
         process = self._next().process if self._free else None
         return None if process is None else process.pid
 
     def worker(self) -> Worker:
-        """A share of the processes, for one who has one task at a time."""
+        """A worker that runs one task at a time in a process of this pool."""
         return Worker(self)
 
     def close(self) -> None:
-        """End the processes. They hold nothing that could be lost."""
+        """End the processes. They hold no data that could be lost."""
         for slot in self._slots:
             slot.close()
 
     def queue(self, worker: Worker) -> None:
-        """Give this one a process in its turn."""
+        """Give the worker a process when its turn comes."""
         self._waiting.append(worker)
         self.look_after()
 
@@ -291,7 +293,7 @@ class WorkerPool:
         self.look_after()
 
     def look_after(self) -> None:
-        """Replace free processes that have died, and give free ones to those that wait."""
+        """Replace free processes that have died, and assign free ones to waiting workers."""
         for slot in self._free:
             lost = [message[1] for message in slot.look() if message[0] == "lost"]
             self._notices += [f"{why}: the worker is replaced" for why in lost]
@@ -306,16 +308,16 @@ class WorkerPool:
         return notices
 
     def _next(self) -> _Slot:
-        """One that is coming up still counts where there is no other."""
+        """The first ready place; without one, a place whose process is still starting."""
         ready = (slot for slot in self._free if slot.process is not None and slot.process.ready)
         return next(ready, self._free[0])
 
 
 class Worker:
-    """Runs one function call at a time in a process of a pool; now and then it waits for one.
+    """Runs one function call at a time in a process of a pool; it may have to wait for a process.
 
-    Call :meth:`poll` often: it brings the results, enforces time budgets and replaces a process
-    that has died.
+    Call :meth:`poll` often: it returns the results, enforces time budgets and replaces a dead
+    process.
     """
 
     def __init__(self, pool: WorkerPool) -> None:
@@ -327,7 +329,7 @@ class Worker:
         self._task: bytes | None = None
         self._budget = math.inf
         self._retried = False
-        self._started: float | None = None  # the task, in a process that is ready
+        self._started: float | None = None  # start time of the task, in a process that is ready
         self._stop_asked: float | None = None
 
     @property
@@ -342,17 +344,17 @@ class Worker:
 
     @property
     def ready(self) -> bool:
-        """Whether there is a process that has come up."""
+        """Whether at least one process of the pool is ready."""
         return self._pool.ready
 
     @property
     def replaced(self) -> int:
-        """Processes of the pool that have been replaced so far."""
+        """Number of processes of the pool replaced so far."""
         return self._pool.replaced
 
     @property
     def pid(self) -> int | None:
-        """Id of the process that is at the task, or would be; None where there is none."""
+        """Id of the process for the task, or of the next free one; None if there is none."""
         if self._slot is None:
             return self._pool.pid
         return None if self._slot.process is None else self._slot.process.pid
@@ -360,9 +362,9 @@ class Worker:
     def submit(self, function: Callable[..., Any], *args: Any, budget: float = math.inf) -> int:
         """Start ``function(*args, control)`` in a process and return the task's number.
 
-        The function must be importable there; it is given a :class:`Control`. ``budget`` is the
-        time [s] that it may take once a process has it. Raises RuntimeError while another task
-        runs.
+        The process must be able to import the function, and passes it a :class:`Control`.
+        ``budget`` is the time limit [s] from the start in the process. Raises RuntimeError while
+        another task runs.
         """
         if self.busy:
             raise RuntimeError("the worker is busy: wait for its task to end")
@@ -376,19 +378,19 @@ class Worker:
         return self._number
 
     def take(self, slot: _Slot) -> None:
-        """Have the task done by the process in this place."""
+        """Run the task in the process of this place."""
         self._slot = slot
         self._begin(slot)
 
     def cancel(self) -> None:
-        """Ask the task to return soon with what it has; it still ends with an outcome, in turn."""
+        """Ask the task to stop with its present result; :meth:`poll` still returns it."""
         if self.busy and self._stop_asked is None:
             self._stop_asked = time.monotonic()
             if self._slot is not None and self._slot.process is not None:
                 self._slot.process.send(_STOP + self._ticket)
 
     def poll(self) -> list[Outcome]:
-        """What has happened since the last call, and what is overdue. Never blocks."""
+        """Return the outcomes since the last call, and end overdue tasks. Never blocks."""
         self._pool.look_after()
         self._notices += self._pool.take_notices()
         slot = self._slot
@@ -409,7 +411,7 @@ class Worker:
         return notices
 
     def _begin(self, slot: _Slot) -> None:
-        """Give the task to the process, if there is one."""
+        """Send the task to the process, if there is one."""
         self._started = None
         if self._task is None or slot.process is None:
             return
@@ -448,7 +450,7 @@ class Worker:
         return self._lost(slot, f"{why} and did not stop when asked to", retry=False)
 
     def _lost(self, slot: _Slot, why: str, *, retry: bool = True) -> list[Outcome]:
-        """Try the task again in the next process, once."""
+        """Try the task once more in the next process, otherwise give it up."""
         again = retry and not self._retried and self._stop_asked is None
         what = (
             ""
@@ -467,9 +469,9 @@ class Worker:
 
 
 def serve(descriptor: str, module: str) -> None:
-    """Be the worker on this socket, until it closes, for the tasks of a module."""
+    """Run the tasks of a module as the worker at this socket, until the socket closes."""
     import_module(module)
-    keep_one_thread(with_scipy=False)  # the module has loaded what its tasks need
+    keep_one_thread(with_scipy=False)  # the module has loaded all libraries of its tasks
     connection = Connection(int(descriptor))
     tasks: queue.SimpleQueue[tuple[int, memoryview]] = queue.SimpleQueue()
     stopped: set[int] = set()
@@ -515,12 +517,12 @@ def _answer(number: int, call: memoryview, control: Control) -> bytes:
 
 
 class InlineWorker:
-    """Runs a task when it is submitted; its outcome is handed out some time of the data later.
+    """Runs a task when it is submitted, and returns its outcome after a latency in data time.
 
-    ``now`` [s] is the time of the data: the user sets it. Where it goes back, because a clock was
-    set, what waits comes no later for that. ``latency`` returns the seconds until
-    the outcome of a task, of which it is given the first argument. ``processor_time`` [s] is what
-    the tasks have taken so far.
+    The user sets ``now`` [s], the time of the data. If it jumps back because a clock was set, a
+    pending outcome is not delayed by the jump. ``latency`` returns the seconds until the outcome of
+    a task, from the task's first argument. ``processor_time`` [s] is the processor time of all
+    tasks so far.
     """
 
     def __init__(self, latency: Callable[[Any], float]) -> None:
@@ -544,15 +546,15 @@ class InlineWorker:
 
     @property
     def busy(self) -> bool:
-        """Whether a task has been submitted whose outcome has not been handed out."""
+        """Whether a task has been submitted whose outcome has not been returned."""
         return self._outcome is not None
 
     def submit(self, function: Callable[..., Any], *args: Any, budget: float = math.inf) -> int:
         """Run ``function(*args, control)`` and return the task's number.
 
-        The ``budget`` of a worker process bounds a wall-clock time and has no meaning here. An
+        ``budget`` limits the wall-clock time in a worker process and has no effect here. An
         exception becomes a :class:`Failed`, as in a worker process. Raises RuntimeError while
-        another task runs.
+        another task waits.
         """
         if self.busy:
             raise RuntimeError("the worker is busy: wait for its task to end")
@@ -568,16 +570,16 @@ class InlineWorker:
         return self._number
 
     def cancel(self) -> None:
-        """Hand out the outcome at the next :meth:`poll`."""
+        """Return the outcome at the next :meth:`poll`."""
         self._due = self.now
 
     def poll(self) -> list[Outcome]:
-        """The outcome that is due, if there is one."""
+        """The outcome, if it is due."""
         if self._outcome is None or self.now < self._due:
             return []
         outcome, self._outcome = self._outcome, None
         return [outcome]
 
     def take_notices(self) -> list[str]:
-        """Nothing happens to a process that is one's own."""
+        """Always empty: there is no separate process that could fail."""
         return []
