@@ -1,4 +1,4 @@
-"""Blocks between a source and its topics: samples are cut, aligned and metered."""
+"""Blocks between a source and its topics: cutting, alignment of the channels and subsampling."""
 
 from __future__ import annotations
 
@@ -13,11 +13,11 @@ from mr_damper_ros.signals.arrays import Array
 from mr_damper_ros.signals.blocks import NANOSECONDS, RigBlock
 
 _LARGEST = 1e9
-"""No press moves so many metres or pulls so many newtons."""
+"""Upper limit of displacement [m] and force [N]; larger values are implausible for any press."""
 
 
 class Measured(NamedTuple):
-    """What was measured at one time [m, N, A, °C]; NaN where there is no such channel."""
+    """The values measured at one time [m, N, A, °C]; NaN if there is no such channel."""
 
     displacement: float
     force: float
@@ -26,12 +26,12 @@ class Measured(NamedTuple):
 
     @property
     def possible(self) -> bool:
-        """Whether displacement and force are numbers, and such as there can be."""
+        """Whether displacement and force are finite and plausible."""
         return abs(self.displacement) < _LARGEST and abs(self.force) < _LARGEST
 
 
 class BlockMaker:
-    """Cuts blocks of ``size`` samples; shorter ones end where a sample is missing."""
+    """Cuts blocks of ``size`` samples; a block ends early if a sample is missing."""
 
     def __init__(self, size: int) -> None:
         self._size = size
@@ -42,7 +42,7 @@ class BlockMaker:
         """Stamp of the last sample."""
 
     def add(self, index: int, stamp_ns: int, period: float, measured: Measured) -> None:
-        """Take in a sample by its number, its stamp [ns] and the time [s] to the next."""
+        """Add a sample with its number, its stamp [ns] and the time [s] to the next sample."""
         first, _, begun_period = self._first
         if self._begun and (index != first + len(self._begun) or period != begun_period):
             self.cut()
@@ -54,7 +54,7 @@ class BlockMaker:
             self.cut()
 
     def cut(self) -> None:
-        """What has begun is a block now."""
+        """End the current block, even if it is not full."""
         if not self._begun:
             return
         displacement, force, current, temperature = np.array(self._begun, dtype=np.float64).T.copy()
@@ -65,7 +65,7 @@ class BlockMaker:
         )
 
     def take(self) -> list[RigBlock]:
-        """The blocks that are ready; one without samples where none is."""
+        """Remove and return the complete blocks; one block without samples if there are none."""
         made, self._made = self._made, []
         if made:
             return made
@@ -74,15 +74,16 @@ class BlockMaker:
 
 
 _NODES = 4
-"""Samples that a cubic goes through."""
+"""Number of samples in the cubic interpolation."""
 
 
 def aligned(blocks: Iterable[RigBlock], lateness: float) -> Iterator[RigBlock]:
-    """The blocks, whose force comes ``lateness`` [s] later than the displacement, set right.
+    """Yield the blocks with displacement and force aligned; the force lags by ``lateness`` [s].
 
-    Negative: the displacement comes later. The channel that is ahead is delayed, by a cubic through
-    four of its samples, and the stamps are set back to when both were measured. After a gap the
-    first samples, whose partners never came, are left out.
+    For a negative ``lateness`` the displacement lags. The leading channel is delayed by cubic
+    interpolation of four samples, and the stamps are moved back to the time of measurement. After a
+    gap the first samples are left out, because the matching values of the other channel are
+    missing.
     """
     if lateness == 0.0:
         yield from blocks
@@ -100,7 +101,7 @@ def aligned(blocks: Iterable[RigBlock], lateness: float) -> Iterator[RigBlock]:
         expected = block.sequence + block.sample_count
         known = np.concatenate([past, getattr(block, ahead)])
         past = known[-(back + _NODES) :]
-        # Value k is made of those from k - back - 3 to k - back.
+        # Value k is interpolated from the samples k - back - 3 to k - back.
         delayed = np.convolve(known, weights, "valid")[: max(known.size - _NODES + 1 - back, 0)]
         skipped = block.sample_count - min(delayed.size, block.sample_count)
         if skipped == block.sample_count:
@@ -117,7 +118,7 @@ def aligned(blocks: Iterable[RigBlock], lateness: float) -> Iterator[RigBlock]:
 
 
 def _weights(delay: float) -> tuple[int, Array]:
-    """Whole samples back, and weights of the four samples before that, the newest first."""
+    """Whole samples of delay, and weights of the four samples before, the newest first."""
     back = max(math.floor(delay) - 1, 0)
     place = delay - back  # counted from the newest of the four
     nodes = np.arange(_NODES)
@@ -145,9 +146,9 @@ def _without_first(block: RigBlock, count: int) -> RigBlock:
 
 
 class Decimator:
-    """Picks at most ``rate`` samples a second of data, none for 0.
+    """Picks at most ``rate`` samples per second of data, none for 0.
 
-    Where stamps fall back it begins anew.
+    It starts anew if the stamps jump back.
     """
 
     def __init__(self, rate: float) -> None:
@@ -155,13 +156,17 @@ class Decimator:
         self._due_ns = 0
 
     def due(self, start_ns: int, period: float, count: int) -> Iterator[tuple[int, int]]:
-        """Indices and stamps [ns] of those among ``count`` samples, ``period`` [s] apart."""
+        """Indices and stamps [ns] of the samples to pick.
+
+        The block has ``count`` samples, ``period`` [s] apart.
+        """
         if self._interval_ns == 0:
             return
         period_ns = period * NANOSECONDS
         if not -self._interval_ns <= start_ns - self._due_ns <= self._interval_ns:
             self._due_ns = start_ns
-        # Half a sample: of stamps that are rounded none comes a whole sample late.
+        # The tolerance of half a sample covers rounded stamps: no sample is picked one sample too
+        # late.
         k = max(math.ceil((self._due_ns - start_ns) / period_ns - 0.5), 0)
         while k < count:
             stamp_ns = start_ns + round(k * period_ns)
@@ -179,10 +184,10 @@ class Reading(NamedTuple):
 
 
 class Meter:
-    """Picks from samples what an instrument with a slower rate of its own would have reported.
+    """Picks the readings that an instrument with a lower sample rate would report.
 
-    That is a reading every ``period`` seconds, and one wherever the value has moved by more than
-    ``step`` since the last. Unknown values (NaN) are not reported.
+    It gives a reading every ``period`` seconds, and one whenever the value has changed by more than
+    ``step`` since the last reading. Unknown values (NaN) are not reported.
     """
 
     def __init__(self, period: float, *, step: float = math.inf) -> None:
@@ -193,7 +198,7 @@ class Meter:
     def read(self, block: RigBlock, values: Array, ahead_ns: int = 0) -> list[Reading]:
         """Return the readings in a block; ``values`` has shape (n,).
 
-        ``ahead_ns``: how far the instrument's own clock is ahead of that of the samples.
+        ``ahead_ns`` is the offset of the instrument's clock from that of the samples.
         """
         due = self._decimator.due(block.start_ns, block.period, values.size)
         regular = {index for index, _ in due}

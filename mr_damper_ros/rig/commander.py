@@ -11,14 +11,14 @@ from mr_damper_ros.kinematics.periodic_motion import PeriodicMotion
 from mr_damper_ros.settings.option_table import CheckedSettings, option
 
 STAMP_TOLERANCE = 0.05
-"""Seconds that a command may be stamped ahead: what the clocks of two computers may differ."""
+"""Largest time [s] by which a stamp may be ahead: the clocks of two computers may differ."""
 
 
 T = TypeVar("T")
 
 
 class Commander(Generic[T]):
-    """The latest of commands that come and stop coming; each holds for a while from its stamp on.
+    """The latest command; a command holds for a limited time from its stamp on.
 
     Times are seconds of one steady clock. ``timeout`` [s] is how long a command holds,
     ``tolerance`` [s] how far ahead it may be stamped. ``refused`` counts the refused commands.
@@ -38,26 +38,26 @@ class Commander(Generic[T]):
         return reason
 
     def command(self, wanted: T, stamp_ns: int, age: float, now: float) -> str:
-        """Take in a command that was decided ``age`` [s] ago; returns why not, empty if it holds.
+        """Accept a command decided ``age`` [s] ago; returns the reason if it is refused, or "".
 
-        ``stamp_ns`` is the time of the decision: a command that was overtaken is refused.
+        ``stamp_ns`` is the time of the decision: a command older than the one in force is refused.
         """
         objection = self._beyond(wanted) or self._untimely(stamp_ns, age, now)
         if objection:
             return self.refuse(objection)
-        # Another thread may ask in between: what is wanted is there before it holds.
+        # Another thread may read in between: the value must be set before it comes into force.
         self._wanted = self._within(wanted)
         self._until = now + self._timeout - max(age, 0.0)
-        # One that is stamped ahead must not keep out those that are stamped right.
+        # A command stamped ahead must not exclude later commands with correct stamps.
         self._stamp_ns = stamp_ns + round(1e9 * min(age, 0.0))
         return ""
 
     def _beyond(self, wanted: T) -> str:
-        """Why a command is refused whenever it comes, in words; empty where it is not."""
+        """Reason why a command is refused at any time, in words; empty if it is valid."""
         return ""
 
     def _within(self, wanted: T) -> T:
-        """What is made of a command."""
+        """Limit a command to the allowed range."""
         return wanted
 
     def _untimely(self, stamp_ns: int, age: float, now: float) -> str:
@@ -77,7 +77,7 @@ class Commander(Generic[T]):
 
 
 class MotionCommander(Commander[PeriodicMotion | None]):
-    """A motion that is commanded, None for rest. Without commands the machine comes to rest.
+    """The commanded motion, None for rest. The machine stops when the commands stop.
 
     Motions beyond the ``amplitude`` [m] or the ``velocity`` [m/s] are refused.
     """
@@ -89,11 +89,11 @@ class MotionCommander(Commander[PeriodicMotion | None]):
 
     @property
     def commanded(self) -> bool:
-        """Whether there ever was a command; before, the machine moves by itself."""
+        """Whether there has been a command; before the first one, the machine moves by itself."""
         return self._stamp_ns is not None
 
     def wanted(self, now: float) -> PeriodicMotion | None:
-        """The motion to make now; None for rest."""
+        """The present motion; None for rest."""
         return self._wanted if now < self._until else None
 
     def _beyond(self, motion: PeriodicMotion | None) -> str:
@@ -113,7 +113,7 @@ _RAMP_STEP = 0.01
 
 @dataclass(frozen=True)
 class CommandSettings(CheckedSettings):
-    """What a supply makes of commands."""
+    """Limits and timeouts for commands to a supply."""
 
     largest_current: float = option(
         2.0,
@@ -152,7 +152,7 @@ class CommandSettings(CheckedSettings):
 
 
 class Origin(Enum):
-    """Where the present current comes from."""
+    """Origin of the present current."""
 
     HAND = "set by hand"
     COMMAND = "commanded"
@@ -160,11 +160,11 @@ class Origin(Enum):
 
 
 class CurrentCommander(Commander[float]):
-    """Current [A] from commands, each of which holds for a while, or set by hand, which lasts.
+    """Current [A] from commands, which hold for a limited time, or set by hand, which lasts.
 
-    A command takes the place of what was set by hand; when the commands stop, the current is zero
-    at once, and stays so until another command comes or it is set by hand again. ``cut`` counts the
-    commands that were cut to the limits.
+    A command replaces a current set by hand. When the commands stop, the current is zero at once,
+    until another command arrives or the current is set by hand again. ``cut`` counts the commands
+    that were limited.
     """
 
     def __init__(self, settings: CommandSettings, by_hand: float = 0.0) -> None:
@@ -175,18 +175,18 @@ class CurrentCommander(Commander[float]):
         self.set_by_hand(by_hand)
 
     def set_by_hand(self, current: float) -> None:
-        """Give this current from now on, until a command comes."""
+        """Set this current until a command arrives."""
         self._wanted, self._stamp_ns = self._limited(current), None
         self._until = math.inf
 
     def origin(self, now: float) -> Origin:
-        """Where the current comes from now."""
+        """Origin of the current at this time."""
         if math.isinf(self._until):
             return Origin.HAND
         return Origin.COMMAND if now < self._until else Origin.TIMED_OUT
 
     def step(self, now: float) -> float:
-        """The current [A] to give now; within the slew rate of that of the last call."""
+        """The present current [A]; its change since the last call is within the slew rate."""
         elapsed, self._at = max(now - self._at, 0.0), now
         if self.origin(now) is Origin.TIMED_OUT:
             self._given = 0.0
@@ -197,14 +197,14 @@ class CurrentCommander(Commander[float]):
         return self._given
 
     def wait(self, now: float) -> float:
-        """Seconds until the current changes by itself, in a ramp or at a time-out."""
+        """Seconds until the current changes without a new command, in a ramp or at the timeout."""
         origin = self.origin(now)
         if origin is Origin.TIMED_OUT:
             return math.inf
         return _RAMP_STEP if self._given != self._wanted else max(self._until - now, 0.0)
 
     def start(self, now: float) -> None:
-        """Begin at zero current: the output has just been switched on."""
+        """Start at zero current: the output has just been switched on."""
         self._given, self._at = 0.0, now
 
     def _beyond(self, current: float) -> str:

@@ -1,4 +1,4 @@
-"""Sources of samples: one file each, and one line here."""
+"""Sources of samples: one module each, and one entry in ``SOURCES``."""
 
 from mr_damper_ros.rig.sources.daq_source import DaqSource
 from mr_damper_ros.rig.sources.emulated_source import EmulatedSource, QuarterCarSource
@@ -14,4 +14,4 @@ SOURCES: dict[str, type[Source]] = {
     "stream": StreamSource,
     "daq": DaqSource,
 }
-"""By the name that the parameter ``source`` of the bridge has for each."""
+"""Source classes by the value of the bridge's parameter ``source``."""

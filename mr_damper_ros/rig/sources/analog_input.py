@@ -1,4 +1,4 @@
-"""Data acquisition devices: the channels wanted, readings of them, and the vendors' libraries."""
+"""Data acquisition devices: channels, readings, and the libraries of the vendors."""
 
 from __future__ import annotations
 
@@ -18,16 +18,16 @@ from mr_damper_ros.rig.sources.device_source import POLL, SILENCE, Portions
 from mr_damper_ros.signals.arrays import Array
 
 MOST_READ = 10_000
-"""Readings of a channel that are taken at a time."""
+"""Largest number of readings per channel in one read."""
 
 BUFFERED = 10.0
-"""Seconds that the driver keeps for a computer that is busy."""
+"""Length of the driver's buffer [s], for a busy computer."""
 
 
 class Readings(NamedTuple):
-    """``values`` (channels, n) [V], in the order of the channels, taken at a ``rate`` [Hz].
+    """``values`` (channels, n) [V], in the order of the channels, at a sample ``rate`` [Hz].
 
-    Of a device that stamps, ``stamps`` (n,) [s] on any clock, and the rate is of no meaning.
+    If the device has stamps, ``stamps`` (n,) [s] are on any clock, and ``rate`` has no meaning.
     """
 
     values: Array
@@ -37,7 +37,7 @@ class Readings(NamedTuple):
 
 @dataclass(frozen=True)
 class AnalogChannels:
-    """The channels of a ``device`` that are wanted, each from -range to +range [V]."""
+    """The requested channels of a ``device``, each from -range to +range [V]."""
 
     device: str
     names: tuple[str, ...]
@@ -48,9 +48,9 @@ class AnalogChannels:
 
 @dataclass(frozen=True)
 class Driver:
-    """Reads channels through a library: a Python module, and what has to be installed for it.
+    """Reads channels through a library: a Python module, and the packages to install for it.
 
-    ``what`` stands for a device that has no name.
+    ``what`` is the name in messages for a device without a name.
     """
 
     read: Callable[[Any, AnalogChannels], Portions[Readings]]
@@ -59,7 +59,7 @@ class Driver:
     what: str = ""
 
     def connector(self, channels: AnalogChannels) -> Callable[[], Portions[Readings]]:
-        """What connects to the channels; raises ValueError where the library is missing."""
+        """A function that connects to the channels; raises ValueError if the library is missing."""
         library = None
         if self.module:
             try:
@@ -73,7 +73,7 @@ class Driver:
 
 
 def _national_instruments(library: Any, channels: AnalogChannels) -> Portions[Readings]:
-    """One task with all channels, by nidaqmx and the driver NI-DAQmx."""
+    """One task with all channels, through nidaqmx and the driver NI-DAQmx."""
     constants = library.constants
     wiring = constants.TerminalConfiguration
     with library.Task() as task:
@@ -105,25 +105,25 @@ def _national_instruments(library: Any, channels: AnalogChannels) -> Portions[Re
 
 
 _SINGLE_ENDED = 199
-"""What LJM calls the ground as the negative input of a channel."""
+"""LJM's number for ground as the negative input of a channel."""
 
 _MISSED = -9999.0
-"""Stands in the readings of a LabJack where it had to leave one out."""
+"""Reading of a LabJack in place of a skipped sample."""
 
 
 def _labjack(ljm: Any, channels: AnalogChannels) -> Portions[Readings]:
-    """The stream of a T4, T7 or T8, by labjack-ljm and LabJack's library LJM."""
+    """The stream of a T4, T7 or T8, through labjack-ljm and LabJack's library LJM."""
     names = list(channels.names)
     with ExitStack() as stack:
         try:
             handle = ljm.openS("ANY", "ANY", channels.device or "ANY")
-        except AttributeError:  # its functions are those of None
+        except AttributeError:  # the module has no functions then
             raise OSError("LabJack's library LJM is not installed") from None
         stack.callback(ljm.close, handle)
         settings: dict[str, float] = {}
         for name, limit in zip(names, channels.ranges, strict=True):
             settings[f"{name}_RANGE"] = limit
-            # Wired differentially, a channel has the next one as its negative input.
+            # The negative input of a differential channel is the next channel.
             number = int("".join(filter(str.isdigit, name)) or 0)
             negative = number + 1 if channels.differential else _SINGLE_ENDED
             settings[f"{name}_NEGATIVE_CH"] = negative
@@ -153,7 +153,7 @@ def _labjack(ljm: Any, channels: AnalogChannels) -> Portions[Readings]:
 
 
 def _measurement_computing(uldaq: Any, channels: AnalogChannels) -> Portions[Readings]:
-    """A scan without end over the channels from the lowest to the highest, by uldaq."""
+    """An endless scan over the channels from the lowest to the highest, through uldaq."""
     found = uldaq.get_daq_device_inventory(uldaq.InterfaceType.ANY)
     named = [each for each in found if channels.device in ("", each.unique_id, str(each))]
     if not named:
@@ -204,7 +204,7 @@ def _measurement_computing(uldaq: Any, channels: AnalogChannels) -> Portions[Rea
 
 
 def _mcc_range(ranges: Any, wanted: float) -> Any:
-    """The smallest range of the device from minus to plus what is wanted [V]; raises OSError."""
+    """The smallest range of the device that includes ±``wanted`` [V]; raises OSError."""
     fitting = {}
     for each in ranges:
         match = re.fullmatch(r"BIP(\d*)(?:PT(\d+))?VOLTS", each.name)
@@ -218,9 +218,9 @@ def _mcc_range(ranges: Any, wanted: float) -> Any:
 
 
 def _lab_stream(pylsl: Any, channels: AnalogChannels) -> Portions[Readings]:
-    """A stream of the lab streaming layer, by pylsl.
+    """A stream of the lab streaming layer, through pylsl.
 
-    Its stamps are those of its sender on the clock of this computer.
+    Its stamps come from the sender, converted to the clock of this computer.
     """
     found = pylsl.resolve_byprop("name", channels.device, 1, SILENCE)
     if not found:
@@ -251,7 +251,7 @@ def _lab_stream(pylsl: Any, channels: AnalogChannels) -> Portions[Readings]:
 
 
 def _place(name: str, labels: list[str | None], count: int) -> int:
-    """The place of a channel, by its label or its number from 0; raises OSError."""
+    """Index of a channel, by its label or its number from 0; raises OSError."""
     if name in labels:
         return labels.index(name)
     if name.isdigit() and int(name) < count:
@@ -261,7 +261,7 @@ def _place(name: str, labels: list[str | None], count: int) -> int:
 
 
 def _simulated(_: Any, channels: AnalogChannels) -> Portions[Readings]:
-    """1 Hz: 5 V of displacement, 7 V of force, 1.5 V of current; clipped at the ranges."""
+    """At 1 Hz: 5 V of displacement, 7 V of force; 1.5 V of current. Clipped at the ranges."""
     limits = np.array(channels.ranges)[:, np.newaxis]
     began, taken = time.monotonic(), 0
     while True:
@@ -291,4 +291,4 @@ DRIVERS = {
     ),
     "lsl": Driver(_lab_stream, "pylsl", "pylsl==1.18.6"),
 }
-"""By the name that the option ``driver`` has for each."""
+"""Drivers by the value of the option ``driver``."""

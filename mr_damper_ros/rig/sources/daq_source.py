@@ -22,10 +22,10 @@ from mr_damper_ros.signals.clocks import CountedTimes
 _QUANTITIES = ("displacement", "force", "current")
 
 SATURATED = "at the end of its range"
-"""What follows the name of a channel in the key of a count of :meth:`Source.state`."""
+"""Suffix after the name of a channel in the keys of :meth:`Source.state`: a sample count."""
 
 _FULL = 0.999
-"""Part of the range from which on a channel counts as saturated."""
+"""Fraction of the range from which on a channel counts as saturated."""
 
 
 def _scale(name: str, unit: str) -> float:
@@ -90,7 +90,7 @@ class DaqOptions(ParameterTable):
     current_range: float = _range("current")
 
     def objection(self) -> str:
-        """Say what is missing."""
+        """Return the reason if an option is missing or invalid, or an empty string."""
         if self.driver in ("nidaqmx", "lsl") and not self.device:
             what = "the device, such as Dev1" if self.driver == "nidaqmx" else "the LSL stream"
             return f"daq.driver is {self.driver}, but daq.device is empty: name {what}"
@@ -107,21 +107,21 @@ class DaqOptions(ParameterTable):
 
 
 class DaqSource(DeviceSource[Readings]):
-    """Samples of analogue channels; a device that is lost is connected to again."""
+    """Samples of analogue channels; the source reconnects to a lost device."""
 
     options = DaqOptions
     prefix = "daq."
 
     def __init__(self, settings: DaqOptions, stream: StreamSettings) -> None:
         super().__init__(settings, stream)
-        # Samples at the end of its range, by channel: in all, and when that was last told.
+        # Number of saturated samples by channel: in total, and at the last report.
         self._saturated: dict[str, int] = {}
         self._told: dict[str, int] = {}
         self._missing = 0
 
     @property
     def _wanted(self) -> list[str]:
-        """The quantities that there are channels of."""
+        """The quantities with a channel."""
         given = self.settings
         return [
             name for name in _QUANTITIES
@@ -129,7 +129,7 @@ class DaqSource(DeviceSource[Readings]):
         ]  # fmt: skip
 
     def open(self) -> list[str]:
-        """Load the library; the device is connected to when the streaming starts."""
+        """Load the library; the connection is made when the streaming starts."""
         given: DaqOptions = self.settings
         wanted = self._wanted
         channels = AnalogChannels(
@@ -149,7 +149,7 @@ class DaqSource(DeviceSource[Readings]):
         ]
 
     def blocks(self, start_ns: int) -> Iterator[RigBlock]:
-        """The samples as the device takes them."""
+        """Yield the samples as the device takes them."""
         self._saturated = dict.fromkeys(self._wanted, 0)
         self._told = dict(self._saturated)
         self._missing = 0
@@ -157,7 +157,7 @@ class DaqSource(DeviceSource[Readings]):
         return self._read(self._connect, self._name, start_ns)
 
     def state(self) -> SourceState:
-        """How the device is, and which channels were at the end of their range."""
+        """The state of the device, and the number of saturated samples by channel."""
         reader = self._reader
         if reader is None:
             return SourceState("", {})
@@ -170,7 +170,7 @@ class DaqSource(DeviceSource[Readings]):
         return SourceState(self._fault(reader.fault), values)
 
     def _samples(self, portion: Portion[Readings], *, begins: bool) -> Iterator[TimedSample | None]:
-        """Bring readings to their units and times; the last of them was taken just now."""
+        """Convert readings to units and times; the last one was taken at the arrival."""
         values, rate, stamps = portion.data
         if self._times is None:
             self._times = (
@@ -185,11 +185,11 @@ class DaqSource(DeviceSource[Readings]):
         stamped = [None] * count if stamps is None else stamps.tolist()
         for stamp, taken_ns, row in zip(stamped, taken.tolist(), channels.T.tolist(), strict=True):
             for sample in self._times.add(Row(Measured(*row), None, stamp), taken_ns):
-                # The others have a number, too, so that they are seen to be missing.
+                # Unusable samples have a number, too, so that they count as missing.
                 yield sample if sample.measured.possible else None
 
     def _in_units(self, volts: Array) -> Array:
-        """The channels in units (3, n); NaN where one is not known, or at the end of its range."""
+        """The channels in units, shape (3, n); NaN if a value is missing or saturated."""
         channels = np.full((len(_QUANTITIES), volts.shape[1]), math.nan)
         for name, values in zip(self._wanted, volts, strict=True):
             scale, offset, limit = (
@@ -204,7 +204,7 @@ class DaqSource(DeviceSource[Readings]):
         return channels
 
     def _fault(self, of_device: str) -> str:
-        """What is wrong, in a sentence; empty for nothing."""
+        """The present fault, as a sentence; empty if there is none."""
         told, self._told = self._told, dict(self._saturated)
         if of_device:
             return of_device

@@ -1,4 +1,4 @@
-"""Sources of a device that is read in a thread of its own, and connected to again."""
+"""Sources that read a device in a separate thread and reconnect to it."""
 
 from __future__ import annotations
 
@@ -18,24 +18,24 @@ from mr_damper_ros.signals.blocks import RigBlock
 T = TypeVar("T")
 
 _MOST_WAITING = 256
-"""Portions that wait to be taken; a device that brings more is not read meanwhile."""
+"""Largest number of waiting portions; until there is room, the device is not read."""
 
 POLL = 0.1
-"""Seconds after which whatever waits for a device looks whether it is to end."""
+"""Longest wait [s] for a device before the waiting code checks whether to end."""
 
 SILENCE = 2.0
 """Seconds without an answer after which a device, a sender or a driver counts as silent."""
 
 _IDLE = 0.005
-"""Seconds until a device that had nothing is looked at again."""
+"""Pause [s] before the next read of a device without new data."""
 
 Portions = Generator[T | None, None, None]
-"""What a connected device brings: None first, once it is connected, and again where nothing came
-within a tenth of a second or so. It may raise anything; closing it lets the device go."""
+"""The data of a connected device: None first, once it is connected, and again if there was no data
+for about 0.1 s. It may raise any exception; closing it releases the device."""
 
 
 class Portion(NamedTuple, Generic[T]):
-    """What one read gave, when [ns of the steady clock], and by which connection, from 1."""
+    """The data of one read, its arrival [ns, steady clock], and the connection's number from 1."""
 
     data: T
     arrival_ns: int
@@ -43,7 +43,7 @@ class Portion(NamedTuple, Generic[T]):
 
 
 class DeviceReader(Generic[T]):
-    """Reads a device of this name until closed; one that is lost is connected to again."""
+    """Reads the device of this name until closed, and reconnects if the device is lost."""
 
     def __init__(self, connect: Callable[[], Portions[T]], name: str) -> None:
         self._connect = connect
@@ -52,15 +52,15 @@ class DeviceReader(Generic[T]):
         self._ended = threading.Event()
         self.connections = 0
         self.fault = "not connected yet"
-        """Why there is no connection, in a sentence; empty while there is one."""
+        """The reason why there is no connection, as a sentence; empty while there is one."""
         self._thread = threading.Thread(target=self._run, name="device", daemon=True)
         self._thread.start()
 
     def take(self) -> list[Portion[T]]:
-        """All that has come; waits for a tenth of a second where nothing has."""
+        """Return all waiting portions; waits for up to 0.1 s if there are none."""
         try:
             found = [self._waiting.get(timeout=POLL)]
-            # No more than were there: who brings without end must not keep us.
+            # Only the portions present now: a continuous stream of data must not block the caller.
             for _ in range(self._waiting.qsize()):
                 found.append(self._waiting.get_nowait())
         except queue.Empty:
@@ -68,7 +68,7 @@ class DeviceReader(Generic[T]):
         return found
 
     def close(self) -> None:
-        """End it, without waiting for a driver that hangs."""
+        """End the thread, without waiting for a driver that hangs."""
         self._ended.set()
         self._thread.join(SILENCE)
 
@@ -82,9 +82,9 @@ class DeviceReader(Generic[T]):
                     self.connections += 1
                     self.fault = ""
                     self._read(portions)
-            except Exception as error:  # drivers are others': this thread must not die of them
+            except Exception as error:  # drivers are foreign code: this thread must survive them
                 self.fault = f"{failed}: {_why(error)}"
-            self._ended.wait(5.0 * POLL)  # until the next attempt to connect
+            self._ended.wait(5.0 * POLL)  # pause before the next attempt to connect
 
     def _read(self, portions: Portions[T]) -> None:
         for data in portions:
@@ -106,20 +106,20 @@ class DeviceReader(Generic[T]):
 
 
 def _why(error: Exception) -> str:
-    """What a library says, in one line, without the codes that follow in a paragraph of its own."""
+    """The message of a library in one line, without the paragraph of codes that may follow."""
     told = getattr(error, "error_message", None) or getattr(error, "strerror", None) or str(error)
     text = " ".join(str(told).split("\n\n")[0].split())
     return text if isinstance(error, OSError) and text else f"{type(error).__name__}: {text}"
 
 
 _SET_NS = 20_000_000
-"""The computer's clock was set where it has moved by more than so many nanoseconds."""
+"""A jump [ns] between the clocks above which the computer's clock counts as set."""
 
 
 class HostClock:
-    """Makes stamps of times of the steady clock; the two show ``start_ns`` now.
+    """Converts times of the steady clock to stamps; the present stamp is ``start_ns``.
 
-    When the computer's clock is set, the stamps follow it, as those of other devices do.
+    When the computer's clock is set, the stamps follow it, like those of other devices.
     """
 
     def __init__(
@@ -131,10 +131,10 @@ class HostClock:
         self._steady, self._wall = steady, wall
         self._apart_ns = wall() - steady()
         self.ahead_ns = start_ns - steady()
-        """What is to be added to a time of the steady clock for its stamp."""
+        """Offset to add to a time of the steady clock to get its stamp."""
 
     def look(self) -> bool:
-        """Whether the computer's clock was set since the last look."""
+        """Whether the computer's clock was set since the last call; updates the offset."""
         moved_ns = self._wall() - self._steady() - self._apart_ns
         if abs(moved_ns) > _SET_NS:
             self._apart_ns += moved_ns
@@ -144,7 +144,7 @@ class HostClock:
 
 
 class DeviceSource(Source, Generic[T]):
-    """Samples from a device that brings portions of type ``T``."""
+    """Samples from a device whose reads give portions of type ``T``."""
 
     live: ClassVar[bool] = True
 
@@ -160,13 +160,13 @@ class DeviceSource(Source, Generic[T]):
 
     @abstractmethod
     def _samples(self, portion: Portion[T], *, begins: bool) -> Iterable[TimedSample | None]:
-        """The samples of a portion, which may be the first of its connection; None: one is missing.
+        """The samples of a portion, None for a missing one; ``begins`` marks a new connection.
 
-        A block that has begun does not wait for what may come after the missing one.
+        A missing sample ends the current block at once.
         """
 
     def close(self) -> None:
-        """Let the device go."""
+        """Release the device."""
         if self._reader is not None:
             self._reader.close()
             self._reader = None
@@ -174,7 +174,7 @@ class DeviceSource(Source, Generic[T]):
     def _read(
         self, connect: Callable[[], Portions[T]], name: str, start_ns: int
     ) -> Iterator[RigBlock]:
-        """Connect, and give the blocks as they come."""
+        """Connect, and yield the blocks as they arrive."""
         self.close()
         self._heard = time.monotonic()
         self._reader = DeviceReader(connect, name)
@@ -196,7 +196,8 @@ class DeviceSource(Source, Generic[T]):
                             continue
                         stamp_ns = sample.time_ns + clock.ahead_ns
                         maker.add(sample.number, stamp_ns, sample.period, sample.measured)
-                    # However much waits, it does not keep the bridge from stopping.
+                    # Yield within the loop, so that a long queue does not delay the end of the
+                    # bridge.
                     yield from maker.take()
                 if clock.look():
                     maker.cut()

@@ -1,4 +1,4 @@
-"""Emulated sources: a test rig, and a quarter car with a damper in it, which commands move."""
+"""Emulated sources that obey commands: a test rig, and a quarter car with a damper."""
 
 from __future__ import annotations
 
@@ -50,14 +50,14 @@ from mr_damper_ros.settings.option_table import ParameterTable, option, with_def
 from mr_damper_ros.signals.blocks import Moment, RigBlock
 
 MOST_CURRENT = 10.0
-"""Largest current [A] of an emulated supply, of either sign."""
+"""Largest magnitude of the current [A] of an emulated supply."""
 
 _THESIS_TEMPERATURES = "thesis_temperatures"
 
 
 @dataclass(frozen=True)
 class _RigOptions(ParameterTable):
-    """What the emulated rig and the emulated quarter car have in common."""
+    """Options common to the emulated rig and the emulated quarter car."""
 
     hot_force: float = option(
         1.0,
@@ -196,7 +196,7 @@ class EmulatedOptions(_RigOptions):
     )
 
     def objection(self) -> str:
-        """Say which fault cannot be had."""
+        """Return the reason if an option is invalid, or an empty string."""
         try:
             faults_of(self.faults.split())
         except FaultError as error:
@@ -217,7 +217,7 @@ class EmulatedOptions(_RigOptions):
 
 
 class _EmulatedSupply(Source):
-    """What both have in common: a supply with a knob, which takes commands."""
+    """Common base of both: a supply whose current is commanded or set by hand."""
 
     _damper: Any = None
 
@@ -241,12 +241,12 @@ class _EmulatedSupply(Source):
         )
 
     def close(self) -> None:
-        """Take the damper out."""
+        """Discard the damper and the commanders."""
         self._damper = self.commander = self.mover = None
 
 
 class EmulatedSource(_EmulatedSupply):
-    """An emulated rig, for ever; its supply has a knob, and both take commands."""
+    """An endless emulated rig; its supply and its motion take commands."""
 
     options = EmulatedOptions
     prefix = "emulated."
@@ -268,7 +268,7 @@ class EmulatedSource(_EmulatedSupply):
         return []
 
     def blocks(self, start_ns: int) -> Iterator[RigBlock]:
-        """The samples of a rig that starts now."""
+        """Yield the samples of a rig that starts now."""
         assert self._damper is not None
         assert self.commander is not None
         assert self.mover is not None
@@ -299,7 +299,7 @@ class EmulatedSource(_EmulatedSupply):
             rig.surround(self.settings.ambient_temperature)
             rig.live = commander.origin(now) is not Origin.HAND or mover.commanded
             if mover.commanded:
-                # Up to a chunk of samples may have been made before they were asked for.
+                # Up to a chunk of samples may already have been computed ahead.
                 begin = (taken + CHUNK) * settings.period
                 if motion is None:
                     motion = CommandedMotion(self._excitation, begin)
@@ -314,7 +314,7 @@ class EmulatedSource(_EmulatedSupply):
 
 
 def _excitation(rig: EmulatedOptions) -> Excitation:
-    """The motion of the parameters; raises ValueError or OSError."""
+    """The motion that the options describe; raises ValueError or OSError."""
     low, high = rig.frequency, rig.highest_frequency
     if rig.excitation == "chirp":
         return chirp(rig.amplitude, low, high, rig.sweep_time)
@@ -325,14 +325,14 @@ def _excitation(rig: EmulatedOptions) -> Excitation:
     if rig.excitation == "recorded":
         from mr_damper_ros.io.records import read_record
 
-        # Only its motion is wanted: any current will do.
+        # Only the displacement is used: any current will do.
         record = read_record(rig.motion_file, rig.motion_columns, current=0.0)
         return SampledMotion(record.displacement, record.period)
     return SineMotion(rig.amplitude, low)
 
 
 def _damper(rig: EmulatedOptions) -> Damper:
-    """Return the damper of the parameters; raises ValueError or OSError."""
+    """The damper that the options describe; raises ValueError or OSError."""
     if rig.damper == _THESIS_TEMPERATURES:
         return TemperatureDependentDamper(
             THESIS_28_CELSIUS, scaled(THESIS_71_CELSIUS, rig.hot_force)
@@ -375,7 +375,7 @@ class QuarterCarOptions(_RigOptions):
 
 
 class QuarterCarSource(_EmulatedSupply):
-    """A car on its road, for ever; its supply has a knob, and takes commands."""
+    """An endless drive of a car on its road; its supply takes commands."""
 
     options = QuarterCarOptions
     prefix = "quarter_car."
@@ -398,7 +398,7 @@ class QuarterCarSource(_EmulatedSupply):
         return []
 
     def blocks(self, start_ns: int) -> Iterator[RigBlock]:
-        """The samples of a car that starts now."""
+        """Yield the samples of a car that starts now."""
         assert self._damper is not None
         assert self.commander is not None
         given = self.settings
@@ -422,7 +422,7 @@ class QuarterCarSource(_EmulatedSupply):
 
 
 def moment_of(rig: PlantRig) -> Moment:
-    """What the controllers of a suspension see of a car now."""
+    """The present suspension state of a car, as input of the suspension controllers."""
     apart, body, tyre, wheel = rig.plant.state.tolist()
     return Moment(body, wheel, float(rig.plant.rates[1]), apart, tyre)
 

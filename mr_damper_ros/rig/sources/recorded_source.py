@@ -16,16 +16,16 @@ from mr_damper_ros.signals.blocks import NANOSECONDS, RigBlock
 from mr_damper_ros.signals.recording import Recording
 
 _PAUSE_NS = NANOSECONDS
-"""Time left out of the stamps between two recordings, and before a recording starts again: no
-window may reach from the end of one motion into the beginning of another."""
+"""Gap in the stamps between two recordings, and before a recording repeats: no window may span two
+motions."""
 
 
 def recorded_blocks(
     recordings: Sequence[Recording], stream: StreamSettings, start_ns: int
 ) -> Iterator[RigBlock]:
-    """Blocks of recordings one after the other, stamped from ``start_ns`` on and counted through.
+    """Blocks of successive recordings, with stamps from ``start_ns`` on and continuous numbering.
 
-    Where it loops, stamps and count go on. Unknown temperatures are NaN.
+    In a loop, stamps and numbering continue. Unknown temperatures are NaN.
     """
     sequence = 0
     for _ in itertools.count() if stream.loop else range(1):
@@ -50,7 +50,7 @@ def recorded_blocks(
 
 
 def checked(recordings: Sequence[Recording]) -> list[str]:
-    """What the recordings are, in sentences; raises RecordingError where one is not plausible."""
+    """Describe the recordings in sentences; raises RecordingError if one is not plausible."""
     found = []
     for recording in recordings:
         recording.check_plausible()
@@ -71,7 +71,7 @@ class BagOptions(ParameterTable):
     )
 
     def objection(self) -> str:
-        """Say that the path is missing."""
+        """Return the reason if the path is missing, or an empty string."""
         if not self.bag:
             return "source is bag, but no bag is given: set the parameter bag to the path of one"
         return ""
@@ -84,7 +84,7 @@ class RecordedSource(Source):
 
     @abstractmethod
     def _read(self) -> list[Recording]:
-        """The recordings of the file; raises ValueError or OSError."""
+        """Read the recordings of the file; raises ValueError or OSError."""
 
     def open(self) -> list[str]:
         """Read the file."""
@@ -92,11 +92,11 @@ class RecordedSource(Source):
         return checked(self._recordings)
 
     def blocks(self, start_ns: int) -> Iterator[RigBlock]:
-        """The samples of all recordings."""
+        """Yield the samples of all recordings."""
         return recorded_blocks(self._recordings, self.stream, start_ns)
 
     def close(self) -> None:
-        """Forget the recordings."""
+        """Discard the recordings."""
         self._recordings = ()
 
 
@@ -133,7 +133,7 @@ class RecordOptions(ParameterTable):
     variable: str = option("", "Name of the matrix in a MAT file with several matrices.")
 
     def objection(self) -> str:
-        """Say what is missing."""
+        """Return the reason if an option is missing, or an empty string."""
         if not self.file:
             return (
                 "source is record, but no file is given: set the parameter record.file to the "

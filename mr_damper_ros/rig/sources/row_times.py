@@ -1,4 +1,4 @@
-"""When the rows of a sender were measured: by its count and a rate, or by its stamps."""
+"""Sample times of a sender's rows: by its count and a rate, or by its stamps."""
 
 from __future__ import annotations
 
@@ -12,17 +12,17 @@ from mr_damper_ros.signals.clocks import ArrivalClock, CountedTimes
 from mr_damper_ros.signals.stamped_channel import StampedChannel
 
 _WRONG_RATE = 0.02
-"""Difference of a sender's clock from this computer's at which its unit must be wrong."""
+"""Relative rate error of a sender's clock above which its time unit must be wrong."""
 
 _ODD_AHEAD, _ODD_BACK = 10.0, 1.0
-"""Seconds that a stamp may be ahead of the time that has passed, and back."""
+"""Largest plausible jump [s] of a stamp ahead of the elapsed time, and back."""
 
 _ODD_IN_A_ROW = 16
-"""So many stamps that do not go on are a clock that was set; fewer are wrong."""
+"""This many implausible stamps in a row mean that the clock was set; fewer are errors."""
 
 
 class TimedSample(NamedTuple):
-    """A sample by its number, its time [ns of the steady clock], and the period [s]."""
+    """A sample with its number, its time [ns, steady clock], and the period [s]."""
 
     number: int
     time_ns: int
@@ -31,13 +31,13 @@ class TimedSample(NamedTuple):
 
 
 class CountedRows:
-    """Numbers and times of rows by their count, or by their order, as they arrive."""
+    """Numbers and times of rows by their count, or by the order of arrival."""
 
     def __init__(self, times: CountedTimes) -> None:
         self._times = times
 
     def add(self, row: Row, arrival_ns: int) -> list[TimedSample]:
-        """Take in a row; returns the samples that are certain now."""
+        """Add a row; returns the samples that are certain now."""
         times = self._times
         index = times.add(row.number, arrival_ns)
         if index is None:
@@ -45,15 +45,15 @@ class CountedRows:
         return [TimedSample(index, times.time_ns(index), times.period, row.measured)]
 
     def skip(self) -> None:
-        """Leave out a row that cannot be read."""
+        """Skip the number of an unreadable row."""
         self._times.skip()
 
     def interrupted(self) -> None:
-        """Note that the connection was lost, and an unknown number of rows with it."""
+        """Note that the connection, and with it an unknown number of rows, was lost."""
         self._times.interrupted()
 
     def fault(self) -> str:
-        """What is wrong with the times, in a sentence; empty for nothing."""
+        """The fault of the times, as a sentence; empty if there is none."""
         times = self._times
         stated = 1.0 / times.period
         if times.rate_is_wrong:
@@ -66,23 +66,23 @@ class CountedRows:
         return ""
 
     def values(self) -> Mapping[str, object]:
-        """What has come, and what of it was of no use."""
+        """The counts of received, lost and unusable rows."""
         return vars(self._times.counts)
 
 
 class StampedRows:
-    """Numbers and times of rows by the sender's time, whose unit is so many seconds."""
+    """Numbers and times of rows by the sender's time in units of ``unit`` [s]."""
 
     def __init__(self, unit: float) -> None:
         self._channel: StampedChannel[Measured] = StampedChannel(0.0)
-        # A counter of 32 bits begins at 0 again, as micros() of a microcontroller.
+        # A counter of 32 bits wraps around to 0, such as micros() of a microcontroller.
         self._around, self._turns = 2.0**32 * unit, 0.0
         self._last: tuple[float, int] | None = None
         self._odd_in_a_row = 0
         self._odd = 0
 
     def add(self, row: Row, arrival_ns: int) -> list[TimedSample]:
-        """Take in a row; returns the samples that are certain now."""
+        """Add a row; returns the samples that are certain now."""
         assert row.time is not None
         time = self._followed(row.time, arrival_ns)
         if time is None:
@@ -103,12 +103,12 @@ class StampedRows:
         ]
 
     def skip(self) -> None:
-        """Stamps tell what is missing."""
+        """Do nothing: the stamps show missing samples."""
 
     interrupted = skip
 
     def fault(self) -> str:
-        """What is wrong with the times, in a sentence; empty for nothing."""
+        """The fault of the times, as a sentence; empty if there is none."""
         if self._rate_is_wrong:
             times = 1.0 / max(1.0 + self._channel.clock.rate, 1e-9)
             return (
@@ -118,7 +118,7 @@ class StampedRows:
         return ""
 
     def values(self) -> Mapping[str, object]:
-        """What has come, and what of it was of no use."""
+        """The counts of received, lost and unusable rows."""
         channel = self._channel
         return {
             **vars(channel.counts),
@@ -133,9 +133,9 @@ class StampedRows:
         return abs(self._channel.clock.rate) > _WRONG_RATE
 
     def _followed(self, time: float, arrival_ns: int) -> float | None:
-        """The time, over the turns of a counter of 32 bits; None where it does not go on.
+        """The time with the wraps of a counter of 32 bits added; None if it is implausible.
 
-        Several in a row that do not go on are a clock that was set.
+        Several implausible times in a row mean that the clock was set.
         """
         if self._last is None:
             self._last = (time, arrival_ns)

@@ -1,4 +1,4 @@
-"""Rows of numbers that a sender sends: their format, as lines of text or binary records."""
+"""Rows of numbers from a sender: their format, as lines of text or binary records."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ _BITS = (8, 16, 32, 64)
 
 
 class Row(NamedTuple):
-    """A line or a record: what was measured, the sender's count or its time [s]; None without."""
+    """A line or a record: measured values, the sender's count or its time [s]; None if absent."""
 
     measured: Measured
     number: int | None
@@ -31,9 +31,10 @@ class Row(NamedTuple):
 
 @dataclass(frozen=True)
 class RowFormat:
-    """The columns of a sender. ``width`` is how many there are, None where others may follow.
+    """The columns of a sender.
 
-    ``count`` is the place of the sender's count, None without, which has ``bits``.
+    ``width`` is the number of columns, None if others may follow. ``count`` is the index of the
+    sender's count, None without one; the count has ``bits`` bits.
     """
 
     columns: tuple[Column, ...]
@@ -44,11 +45,11 @@ class RowFormat:
 
     @property
     def time_unit(self) -> float | None:
-        """What the sender's time counts in [s]; None where it has none."""
+        """The unit [s] of the sender's time; None without a time."""
         return next((item.factor for item in self.columns if item.quantity == "time"), None)
 
     def row(self, values: Sequence[float | bytes]) -> Row | None:
-        """The row of these cells; None where they are not such."""
+        """The row with these cells; None if they do not match the format."""
         if len(values) != self.width and (self.width is not None or len(values) < self.least):
             return None
         found: dict[str, float] = {}
@@ -67,7 +68,7 @@ class RowFormat:
 
     @property
     def least(self) -> int:
-        """How many cells there must be."""
+        """Smallest number of cells."""
         places = [column.position for column in self.columns]
         return max([*places, -1 if self.count is None else self.count]) + 1
 
@@ -75,9 +76,9 @@ class RowFormat:
 def parse_row_format(text: str) -> RowFormat:
     """The format from a description such as ``count:16,displacement:mm,-,force:kN``.
 
-    That of the columns of a record (:func:`mr_damper_ros.io.columns.parse_columns`), with ``count``
-    for a number that the sender counts up, and after a colon how many bits it has (32 where that is
-    left out). Raises ColumnError, in one sentence that says what to change.
+    It is the format for the columns of a record (:func:`mr_damper_ros.io.columns.parse_columns`)
+    with an additional column ``count``: the sender increments this number. Its bits follow after a
+    colon (32 by default). Raises ColumnError, with a sentence that says what to change.
     """
     entries = [entry.strip() for entry in text.split(",")]
     counting = [place for place, entry in enumerate(entries) if _COUNT.fullmatch(entry)]
@@ -120,15 +121,15 @@ def _whole(cell: float | bytes) -> int:
 
 
 _LONGEST_LINE = 1024
-"""Bytes; what is longer is no line of numbers."""
+"""Bytes; longer data is not a line of numbers."""
 
 _LAYOUT = re.compile(r"[<>](?:\d*x|[bBhHiIqQefd])+")
 _SURE = 3
-"""Records in a row that must fit before a stream that was out of step is believed."""
+"""Number of records in a row that must match before the decoder is in step again."""
 
 
 class RowDecoder(ABC):
-    """Takes bytes in as they come. ``example`` is the last that could not be read, for people."""
+    """Decodes bytes into rows; ``example`` is the last unreadable data, for messages."""
 
     def __init__(self, form: RowFormat) -> None:
         self._form = form
@@ -136,11 +137,11 @@ class RowDecoder(ABC):
 
     @abstractmethod
     def begin(self, *, whole: bool) -> None:
-        """Forget what has begun. ``whole``: what comes next begins with a row."""
+        """Discard incomplete data. ``whole``: the next data begins with a row."""
 
     @abstractmethod
     def feed(self, data: bytes) -> list[Row | None]:
-        """The rows that are complete now; None for each that was there and cannot be read."""
+        """Add data; returns the complete rows, None for each unreadable one."""
 
     def _unreadable(self, data: bytes) -> None:
         shown = data[:40].decode("ascii", "replace")
@@ -148,7 +149,7 @@ class RowDecoder(ABC):
 
 
 class LineDecoder(RowDecoder):
-    """Numbers in lines, between commas, semicolons, tabs or blanks; a line of # is a remark."""
+    """Numbers in lines, separated by commas, semicolons, tabs or blanks; # marks a comment line."""
 
     def __init__(self, form: RowFormat) -> None:
         super().__init__(form)
@@ -156,15 +157,15 @@ class LineDecoder(RowDecoder):
         self._skips = True
 
     def begin(self, *, whole: bool) -> None:
-        """Forget the line that has begun; the next may be the end of one that is not wanted."""
+        """Discard incomplete data; the next data may begin in the middle of a line."""
         self._rest, self._skips = b"", not whole
 
     def feed(self, data: bytes) -> list[Row | None]:
-        """The rows of the lines that are complete now."""
+        """Add data; returns the rows of the complete lines."""
         *lines, rest = (self._rest + data).split(b"\n")
         rows = [row for line in lines for row in self._rows_of(line)]
         if len(rest) > _LONGEST_LINE:
-            # The end of it is no line either.
+            # The end of an overlong line is not a line either.
             if not self._skips:
                 self._unreadable(rest)
                 rows.append(None)
@@ -173,7 +174,7 @@ class LineDecoder(RowDecoder):
         return rows
 
     def _rows_of(self, line: bytes) -> list[Row | None]:
-        """The row of a line; none of an empty one, of a remark, of the end of a line."""
+        """The row of a line; none for an empty line, a comment or the rest of a line."""
         if self._skips:
             self._skips = False
             return []
@@ -187,15 +188,15 @@ class LineDecoder(RowDecoder):
 
 
 def _separator(line: bytes) -> bytes | None:
-    """What separates the cells; blanks around it belong to none of them."""
+    """Separator of the cells in a line; None for blanks."""
     return next((mark for mark in (b";", b",", b"\t") if mark in line), None)
 
 
 class RecordDecoder(RowDecoder):
-    """Records of a fixed ``layout`` (as of :mod:`struct`), each after the bytes ``mark``.
+    """Records of a fixed ``layout`` (as in :mod:`struct`), each after the bytes ``mark``.
 
-    ``check`` is a sum over the record, and stands behind it. Bytes that were lost or added show by
-    mark and sum: what comes then is believed when several records in a row fit.
+    ``check`` is the checksum at the end of a record. Mark and checksum show lost or additional
+    bytes. After an error, the decoder skips data until several records in a row match.
     """
 
     def __init__(self, form: RowFormat, layout: str, mark: bytes, check: str) -> None:
@@ -208,11 +209,11 @@ class RecordDecoder(RowDecoder):
         self._in_step = True
 
     def begin(self, *, whole: bool) -> None:
-        """Forget the record that has begun."""
+        """Discard incomplete data."""
         self._rest, self._in_step = b"", whole or not (self._mark or self._size)
 
     def feed(self, data: bytes) -> list[Row | None]:
-        """The rows of the records that are complete now."""
+        """Add data; returns the rows of the complete records."""
         data, at, skipped = self._rest + data, 0, 0
         rows: list[Row | None] = []
         while len(data) - at >= self._whole:
@@ -265,11 +266,11 @@ CHECKS: dict[str, tuple[int, Callable[[bytes], bytes]]] = {
     "xor8": (1, _xor8),
     "crc16": (2, _crc16),
 }
-"""Bytes of each check, and how it is reckoned over mark and record."""
+"""Length in bytes of each check, and its function of mark and record."""
 
 
 def check_layout(layout: str, form: RowFormat) -> None:
-    """Raise ValueError, with a sentence, where a layout is none or does not have these columns."""
+    """Raise ValueError, with a sentence, if a layout is invalid or does not match the columns."""
     if _LAYOUT.fullmatch(layout) is None:
         raise ValueError(
             f"the layout '{layout}' cannot be used: begin with < (low byte first) or > and write a "
@@ -293,7 +294,7 @@ def check_layout(layout: str, form: RowFormat) -> None:
 
 
 class SimulatedSender:
-    """Sends 5 mm at 1 Hz, 1 kN, 1.5 A and 25 °C in a format; records after the ``mark``."""
+    """Simulates a sender: 5 mm at 1 Hz, 1 kN, 1.5 A and 25 °C; records follow the ``mark``."""
 
     def __init__(
         self, form: RowFormat, rate: float, layout: str = "", mark: bytes = b"", check: str = "none"
@@ -303,7 +304,7 @@ class SimulatedSender:
         self._layout, self._mark, self._check = layout, mark, CHECKS[check]
 
     def portions(self) -> Generator[bytes | None, None, None]:
-        """What is due, each time that it is asked for."""
+        """Yield the data that is due at each request."""
         began, sent = time.monotonic(), 0
         while True:
             until = math.floor((time.monotonic() - began) * self._rate)

@@ -1,4 +1,4 @@
-"""What the bridge asks of a source of samples. Nothing here, and in no source, knows ROS."""
+"""The interface of a source of samples for the bridge. Sources are independent of ROS."""
 
 from __future__ import annotations
 
@@ -14,14 +14,14 @@ from mr_damper_ros.signals.blocks import RigBlock
 
 @dataclass(frozen=True)
 class StreamSettings:
-    """``block_size`` samples come in a block; a recording begins again at its end to ``loop``."""
+    """``block_size`` is the number of samples per block; ``loop`` repeats a recording endlessly."""
 
     block_size: int
     loop: bool = False
 
 
 class SourceState(NamedTuple):
-    """How a live source is: what is wrong with it, in a sentence (empty: nothing), and figures."""
+    """State of a source: its ``fault`` as a sentence (empty without a fault), and values."""
 
     fault: str
     values: Mapping[str, object]
@@ -30,30 +30,30 @@ class SourceState(NamedTuple):
 class Source(ABC):
     """Samples of displacement, force, current and temperature, block by block.
 
-    A source is a class in a file of this folder and a line in ``SOURCES``. What only it needs,
-    such as the library of a device, is imported in :meth:`open`. Its options are those of the
-    bridge, with ``prefix`` before their names.
+    A source is a class in a module of this folder and an entry in ``SOURCES``. :meth:`open` imports
+    the libraries of this source only, such as that of a device. The bridge has its options, with
+    ``prefix`` before their names.
 
-    ``settings`` is a table of type ``options``; the bridge puts another one in its place when an
-    option changes while it runs.
+    ``settings`` is a table of type ``options``; the bridge replaces it when an option changes at
+    run time.
     """
 
     options: ClassVar[type[ParameterTable]]
-    """Its options; ``objection`` of the table says what the source lacks to be opened."""
+    """Table of its options; ``objection`` returns the reason why the source cannot be opened."""
 
     prefix: ClassVar[str]
 
     live: ClassVar[bool] = False
-    """Whether the samples are measured right now, and stamped: they are sent as they come."""
+    """Whether the samples are measured live and stamped: they are sent as they arrive."""
 
     suspended: ClassVar[bool] = False
-    """Whether its damper is in a suspension, whose motion the blocks tell too."""
+    """Whether the damper is in a suspension; its state is then part of the blocks."""
 
     commander: CurrentCommander | None = None
-    """Takes commands of the current, in a source that has a supply of its own, while it is open."""
+    """Takes commands of the current while the source is open; None if it has no supply."""
 
     mover: MotionCommander | None = None
-    """Takes commands of the motion, in a source that moves as it is told, while it is open."""
+    """Takes commands of the motion while the source is open; None if it takes no commands."""
 
     def __init__(self, settings: Any, stream: StreamSettings) -> None:
         self.settings = settings
@@ -61,24 +61,24 @@ class Source(ABC):
 
     @abstractmethod
     def open(self) -> list[str]:
-        """Read the file, connect to the device. Returns what was found, in sentences for a log.
+        """Read the file or connect to the device; returns sentences about it for the log.
 
         Raises ValueError or OSError, with a sentence that says what to change.
         """
 
     @abstractmethod
     def blocks(self, start_ns: int) -> Iterator[RigBlock]:
-        """The blocks from the beginning, sample 0 stamped ``start_ns`` [ns], until there are none.
+        """Yield the blocks from the beginning; sample 0 has the stamp ``start_ns`` [ns].
 
-        Called each time that streaming starts, in an open source. The bridge holds back a block
-        whose time has not come. A source that has to wait for a device gives a block without
-        samples every tenth of a second or so, so that streaming can be ended meanwhile.
+        It is called each time that streaming starts, in an open source. The bridge holds back a
+        block until it is due. A source that waits for a device yields a block without samples about
+        every 0.1 s, so that streaming can be stopped meanwhile.
         """
 
     def state(self) -> SourceState:
-        """How it is, about once a second, while it is open."""
+        """The state of the open source; the bridge calls this about once a second."""
         return SourceState("", {})
 
     @abstractmethod
     def close(self) -> None:
-        """Let the file or the device go; it may be opened again."""
+        """Release the file or the device; the source may be opened again."""

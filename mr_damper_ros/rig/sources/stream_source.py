@@ -29,10 +29,10 @@ from mr_damper_ros.signals.blocks import RigBlock
 from mr_damper_ros.signals.clocks import CountedTimes
 
 _LARGEST = 65535
-"""Bytes that are read at once: those of the largest datagram."""
+"""Largest number of bytes in one read, which is that of the largest datagram."""
 
 _KEEP_ALIVE = (("TCP_KEEPIDLE", 2), ("TCP_KEEPINTVL", 1), ("TCP_KEEPCNT", 3))
-"""A silent peer is asked whether it is there: a cable that was pulled says nothing by itself."""
+"""TCP keep-alive options: only they detect a disconnected cable on a silent connection."""
 
 _FORM = re.compile(
     r"serial:(?P<port>\S+)|(?P<kind>tcp|udp):(?P<host>\[[0-9a-fA-F:.]+\]|[^\s:\[\]]+):"
@@ -42,7 +42,7 @@ _FORM = re.compile(
 
 @dataclass(frozen=True)
 class LinkAddress:
-    """``kind`` is serial, tcp, udp or simulated; ``host`` is the name of a serial line's port."""
+    """``kind`` is serial, tcp, udp or simulated; ``host`` is also the name of a serial port."""
 
     kind: str
     host: str
@@ -69,7 +69,7 @@ def parse_address(text: str) -> LinkAddress:
 
 
 def connector(address: LinkAddress, baud: int) -> Callable[[], Portions[bytes]]:
-    """What connects to an address; raises ValueError where a library is missing."""
+    """A function that connects to an address; raises ValueError if a library is missing."""
     if address.kind == "serial":
         try:
             serial: Any = import_module("serial")
@@ -109,7 +109,7 @@ def _tcp_connection(address: LinkAddress) -> Portions[bytes]:
 
 
 def _datagrams(address: LinkAddress) -> Portions[bytes]:
-    """Datagrams of one sender at a time: two would be mixed up."""
+    """Datagrams of one sender at a time: those of two senders would be mixed up."""
     family = socket.AF_INET6 if ":" in address.host else socket.AF_INET
     with socket.socket(family, socket.SOCK_DGRAM) as receiver:
         receiver.bind((address.host, address.number))
@@ -128,12 +128,12 @@ def _datagrams(address: LinkAddress) -> Portions[bytes]:
 
 
 _MANY = 0.05
-"""Part of the rows that cannot be read which is told."""
+"""Fraction of unreadable rows above which a fault is reported."""
 
 
 @dataclass(frozen=True)
 class StreamOptions(ParameterTable):
-    """What comes in by ``source: stream``."""
+    """The data of ``source: stream``."""
 
     address: str = option(
         "",
@@ -166,7 +166,7 @@ class StreamOptions(ParameterTable):
     )
 
     def objection(self) -> str:
-        """Say what is missing, or does not go together."""
+        """Return the reason if options are missing or contradictory, or an empty string."""
         if not self.address:
             return "source is stream, but stream.address is empty: say where the stream comes from"
         if not self.columns:
@@ -209,7 +209,7 @@ class StreamOptions(ParameterTable):
 
 
 class StreamSource(DeviceSource[bytes]):
-    """Samples from whatever sends them; a link that is lost is made again."""
+    """Samples from any sender; the source reconnects if the link is lost."""
 
     options = StreamOptions
     prefix = "stream."
@@ -218,12 +218,12 @@ class StreamSource(DeviceSource[bytes]):
         super().__init__(settings, stream)
         self._address = parse_address("udp:[::]:1")
         self._decoder: RowDecoder | None = None
-        # Rows that could and could not be read: in all, and when that was last told.
+        # Number of readable and unreadable rows: in total, and at the last report.
         self._readable, self._unreadable = 0, 0
         self._told = (0, 0)
 
     def open(self) -> list[str]:
-        """See what is to be read; the link is made when the streaming starts."""
+        """Check the options; the connection is made when the streaming starts."""
         given: StreamOptions = self.settings
         self._address = parse_address(given.address)
         self._form = given.row_format()
@@ -237,13 +237,13 @@ class StreamSource(DeviceSource[bytes]):
         return [f"{kind} from {given.address}: {given.columns}"]
 
     def blocks(self, start_ns: int) -> Iterator[RigBlock]:
-        """The samples as they come."""
+        """Yield the samples as they arrive."""
         self._decoder, self._times = self._new_decoder(), self._new_times()
         self._readable, self._unreadable, self._told = 0, 0, (0, 0)
         return self._read(self._connect, str(self._address), start_ns)
 
     def state(self) -> SourceState:
-        """How the link is, what of it could not be read, and what is wrong with the times."""
+        """The state of the link, the number of unreadable rows, and the fault of the times."""
         reader, times = self._reader, self._times
         if reader is None or times is None:
             return SourceState("", {})
@@ -255,7 +255,7 @@ class StreamSource(DeviceSource[bytes]):
         assert decoder is not None
         assert times is not None
         if begins or datagrams:
-            # A serial line is joined in the middle of something.
+            # Reading from a serial line starts in the middle of a row.
             decoder.begin(whole=self._address.kind != "serial")
         end = b"\n" if datagrams and not self.settings.layout else b""
         for row in decoder.feed(portion.data + end):
@@ -280,7 +280,7 @@ class StreamSource(DeviceSource[bytes]):
         return CountedRows(CountedTimes(self.settings.rate, counts))
 
     def _fault(self, of_link: str, times: RowTimes) -> str:
-        """What is wrong, in a sentence; empty for nothing."""
+        """The present fault, as a sentence; empty if there is none."""
         told, self._told = self._told, (self._readable, self._unreadable)
         read, unread = self._readable - told[0], self._unreadable - told[1]
         if of_link:

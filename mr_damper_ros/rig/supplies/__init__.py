@@ -1,1 +1,1 @@
-"""Supplies of current: instruments that speak SCPI, and what they shall give."""
+"""Supplies of current: instruments that speak SCPI, and their control."""

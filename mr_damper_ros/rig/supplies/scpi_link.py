@@ -13,7 +13,7 @@ from contextlib import contextmanager, suppress
 from typing import Any, Protocol
 
 _PORT = 5025
-"""Where instruments listen for SCPI over plain TCP."""
+"""Usual port of instruments for SCPI over plain TCP."""
 
 _LONGEST_ANSWER = 4096
 
@@ -23,10 +23,10 @@ class LinkLostError(OSError):
 
 
 class Patience:
-    """How long an answer may take: ``timeout`` [s] each, and none beyond ``end``.
+    """Time limit for answers: ``timeout`` [s] for each, and none beyond ``end``.
 
-    Another thread may set ``end`` (on the clock of ``time.monotonic``) while an answer is waited
-    for.
+    Another thread may set ``end`` (on the clock of ``time.monotonic``) during the wait for an
+    answer.
     """
 
     def __init__(self, timeout: float) -> None:
@@ -34,29 +34,28 @@ class Patience:
         self.end = math.inf
 
     def left(self, since: float) -> float:
-        """Seconds left for an answer that is waited for since then; not positive when over."""
+        """Seconds left for an answer requested at ``since``; not positive when the time is over."""
         return min(since + self.timeout, self.end) - time.monotonic()
 
 
 class ScpiLink(Protocol):
-    """Lines to an instrument and back; each method raises LinkLostError."""
+    """A connection to an instrument by lines; each method raises LinkLostError."""
 
     def write(self, line: str) -> None:
-        """Send a line that is not answered."""
+        """Send a line without an answer."""
 
     def query(self, line: str) -> str:
-        """Send a line and return the answer to it."""
+        """Send a line and return its answer."""
 
     def close(self) -> None:
-        """Let the instrument go."""
+        """Close the connection; the instrument keeps its state."""
 
 
 class SocketLink:
     """A plain TCP connection ("SCPI-RAW").
 
-    The patience is that for the connection, and for each answer as a whole, however its bytes come.
-    What has not answered in time is given up: a late answer would be taken for that to the next
-    line.
+    ``patience`` limits the time for the connection, and for each answer as a whole. After a timeout
+    the link is given up: a late answer would be taken for the answer to the next line.
     """
 
     def __init__(self, host: str, port: int, patience: Patience) -> None:
@@ -68,13 +67,13 @@ class SocketLink:
             self._socket.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
 
     def write(self, line: str) -> None:
-        """Send a line that is not answered."""
+        """Send a line without an answer."""
         with _failures_of(self._name):
             self._socket.settimeout(self._left(time.monotonic()))
             self._socket.sendall(line.encode("ascii") + b"\n")
 
     def query(self, line: str) -> str:
-        """Send a line and return the answer to it."""
+        """Send a line and return its answer."""
         asked = time.monotonic()
         self.write(line)
         with _failures_of(self._name):
@@ -91,7 +90,7 @@ class SocketLink:
         return answer.decode("ascii", "replace").strip()
 
     def close(self) -> None:
-        """Let the instrument go."""
+        """Close the connection; the instrument keeps its state."""
         self._socket.close()
 
     def _left(self, since: float) -> float:
@@ -106,7 +105,7 @@ class SocketLink:
 class VisaLink:
     """An instrument by its VISA resource name, through PyVISA with PyVISA-py or a vendor's VISA.
 
-    VISA counts its time-out per answer. One that has begun cannot be cut short.
+    VISA applies its timeout to each answer. A wait that has begun cannot be shortened.
     """
 
     def __init__(self, resource: str, patience: Patience) -> None:
@@ -126,19 +125,19 @@ class VisaLink:
             self._resource.read_termination = self._resource.write_termination = "\n"
 
     def write(self, line: str) -> None:
-        """Send a line that is not answered."""
+        """Send a line without an answer."""
         with _failures_of(self._name):
             self._resource.timeout = self._milliseconds()
             self._resource.write(line)
 
     def query(self, line: str) -> str:
-        """Send a line and return the answer to it."""
+        """Send a line and return its answer."""
         with _failures_of(self._name):
             self._resource.timeout = self._milliseconds()
             return str(self._resource.query(line)).strip()
 
     def close(self) -> None:
-        """Let the instrument go."""
+        """Close the connection; the instrument keeps its state."""
         with _failures_of(self._name):
             self._resource.close()
             self._manager.close()
@@ -149,7 +148,7 @@ class VisaLink:
 
 @contextmanager
 def _failures_of(name: str) -> Iterator[None]:
-    """Make a LinkLostError of whatever a link of this name raises."""
+    """Convert any error of a link of this name to LinkLostError."""
     try:
         yield
     except LinkLostError:
@@ -165,9 +164,9 @@ _VISA_SOCKET = re.compile(r"TCPIP\d*::(?P<host>[^:]+)::(?P<port>\d{1,5})::SOCKET
 def connect(address: str, patience: Patience) -> ScpiLink:
     """The link to an address: ``host``, ``host:port``, or a VISA resource name with ``::`` in it.
 
-    A VISA name of a plain socket needs no VISA, and PyVISA-py 0.8.1 waits without end for one whose
-    answer comes byte by byte. Raises LinkLostError where nobody answers, ValueError where the
-    address is none of these.
+    A VISA name of a plain socket is opened without VISA: PyVISA-py 0.8.1 waits endlessly for a
+    socket whose answer comes byte by byte. Raises LinkLostError if the instrument does not answer,
+    ValueError if the address is invalid.
     """
     plain = _VISA_SOCKET.fullmatch(address)
     if plain is not None:
@@ -189,7 +188,7 @@ _YES = {"ON": True, "1": True, "OFF": False, "0": False}
 class EmulatedInstrument:
     """One output on a coil of ``time_constant`` [s], up to ``largest_current`` [A].
 
-    ``clock`` gives seconds. It may be used by several threads.
+    ``clock`` returns seconds. Several threads may use the instrument.
     """
 
     def __init__(
@@ -211,7 +210,7 @@ class EmulatedInstrument:
         self._at = self._heard = clock()
 
     def current(self) -> float:
-        """The current in the coil now [A]."""
+        """The present current in the coil [A]."""
         with self._lock:
             self._advance(self._clock())
             return self._coil
@@ -224,7 +223,7 @@ class EmulatedInstrument:
             return not self._on or self._tripped
 
     def hear(self, line: str) -> str | None:
-        """Take in a line; returns the answer, None where there is none."""
+        """Process a line; returns the answer, None if there is none."""
         with self._lock:
             now = self._clock()
             self._advance(now)
@@ -281,13 +280,13 @@ class EmulatedInstrument:
             self._delay = value
 
     def _complain(self, error: str) -> None:
-        if len(self._errors) >= 10:  # the last place says that there were more
+        if len(self._errors) >= 10:  # the last entry of a full queue says that errors were lost
             self._errors[-1] = '-350,"Queue overflow"'
         else:
             self._errors.append(error)
 
     def _advance(self, now: float) -> None:
-        """Let the coil follow up to now, and the watchdog bite where it was due."""
+        """Advance the coil current to ``now``, and trip the watchdog at its due time."""
         due = self._heard + self._delay
         if self._on and self._watched and not self._tripped and now > due:
             self._follow(due)
@@ -307,15 +306,15 @@ class EmulatedLink:
         self._instrument = instrument
 
     def write(self, line: str) -> None:
-        """Send a line that is not answered."""
+        """Send a line without an answer."""
         self._instrument.hear(line)
 
     def query(self, line: str) -> str:
-        """Send a line and return the answer to it."""
+        """Send a line and return its answer."""
         answer = self._instrument.hear(line)
         if answer is None:
             raise LinkLostError(f"the emulated instrument does not answer {line}")
         return answer
 
     def close(self) -> None:
-        """Let the instrument go."""
+        """Do nothing: there is no connection to close."""

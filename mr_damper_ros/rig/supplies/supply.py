@@ -1,4 +1,4 @@
-"""A supply that speaks SCPI, by the profile of its kind, and the thread that drives it."""
+"""A supply that speaks SCPI, by the profile of its type, and the thread that drives it."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from mr_damper_ros.rig.commander import CurrentCommander
 from mr_damper_ros.rig.supplies.scpi_link import LinkLostError, Patience, ScpiLink
 
 _FILLED_IN = {"current": 1.0, "voltage": 1.0, "seconds": 1.0}
-"""What a command may have in braces."""
+"""Allowed names in the braces of a command."""
 
 
 class ProfileError(ValueError):
@@ -24,16 +24,16 @@ class ProfileError(ValueError):
 
 @dataclass(frozen=True)
 class SupplyProfile:
-    """Lines of SCPI by what they do. A line may hold ``{current}``, ``{voltage}``, ``{seconds}``.
+    """SCPI lines by their effect. A line may hold ``{current}``, ``{voltage}``, ``{seconds}``.
 
-    ``setup`` is sent once, with the output off and no current. ``watchdog`` makes the instrument
-    switch off by itself where it hears nothing for ``{seconds}``, a whole multiple of
-    ``watchdog_step`` [s] of at least that; without these lines it has none. ``rearm`` makes it take
-    ``output_on`` again after that. An answer to ``read_error`` that begins with ``no_error`` says
-    that there are no errors (any more). ``tested`` says in a sentence what the profile was tried
-    on.
+    ``setup`` is sent once, with the output off and zero current. After the lines of ``watchdog``,
+    the instrument switches its output off if it receives no line for ``{seconds}``: the smallest
+    multiple of ``watchdog_step`` [s] that is not shorter than the requested time. Without these
+    lines there is no watchdog. ``rearm`` makes it accept ``output_on`` again after the watchdog has
+    tripped. An answer to ``read_error`` that begins with ``no_error`` means that there are no more
+    errors. ``tested`` says in a sentence with which instruments the profile was tested.
 
-    Raises ProfileError where a line has something else in braces.
+    Raises ProfileError if a line has other names in braces.
     """
 
     tested: str
@@ -73,7 +73,7 @@ def shipped_profiles() -> list[str]:
 
 def read_profile(name: str) -> SupplyProfile:
     """The profile of a name, or of the path of a YAML file; raises ProfileError."""
-    import yaml  # here: a node that has no supply does without
+    import yaml  # here: a node without a supply needs no YAML
 
     path = Path(name) if name.endswith((".yaml", ".yml")) else _FOLDER / f"{name}.yaml"
     try:
@@ -116,22 +116,22 @@ def _profile(content: Any, name: str) -> SupplyProfile:
 _FOLDER = Path(__file__).parent / "profiles"
 
 _MOST_ERRORS = 50
-"""More than a queue of errors holds: one that never ends is no queue."""
+"""Longer than any queue of errors: a longer one means that the profile does not fit."""
 
 _NOT_A_NUMBER = 9.9e37
-"""What is as large stands for infinity or for no number at all (SCPI-99, volume 1, 7.2.1)."""
+"""Values from here on mean infinity or not a number (SCPI-99, volume 1, 7.2.1)."""
 
 
 class SupplyError(ValueError):
-    """The instrument answers, but not what it should; the message is a sentence."""
+    """The instrument gives an unexpected answer; the message is a sentence."""
 
 
 class ScpiSupply:
-    """One instrument; every method raises LinkLostError where it does not answer.
+    """One instrument; every method raises LinkLostError if it does not answer.
 
-    ``connect`` makes a link to it, in which each answer comes within ``timeout`` [s]. ``voltage``
-    [V] is the most that it may put on the coil, ``watchdog`` [s] after how long without a line it
-    shall switch off by itself, where it can.
+    ``connect`` opens a link, on which each answer must come within ``timeout`` [s]. ``voltage`` [V]
+    is the largest coil voltage. ``watchdog`` [s] is the time without a line after which the
+    instrument switches off by itself, if its profile has a watchdog.
     """
 
     def __init__(
@@ -151,17 +151,17 @@ class ScpiSupply:
         self._link: ScpiLink | None = None
         self._given = ""
         self.switched_on = False
-        """Whether the output has been switched on, and not been heard to be off since."""
+        """Whether the output has been switched on, and not confirmed as off since."""
 
     @property
     def watchdog(self) -> float:
-        """Seconds after which the instrument switches off by itself; NaN where it does not."""
+        """Watchdog delay of the instrument [s]; NaN if it has no watchdog."""
         return self._delay if self._profile.watchdog else math.nan
 
     def open(self) -> str:
-        """Connect, switch the output off and set the instrument up; returns what it calls itself.
+        """Connect, switch the output off and set the instrument up; returns its identification.
 
-        Raises SupplyError where it does not understand that.
+        Raises SupplyError if the instrument reports an error.
         """
         self.close()
         self.patience.end = math.inf
@@ -174,7 +174,7 @@ class ScpiSupply:
         return name
 
     def switch_on(self) -> None:
-        """Switch the output on, at no current; raises SupplyError where the instrument objects."""
+        """Switch the output on, at zero current; raises SupplyError if the instrument objects."""
         self.patience.end = math.inf
         self.switch_off()
         for line in (*self._profile.rearm, *self._profile.watchdog):
@@ -188,25 +188,25 @@ class ScpiSupply:
             raise
 
     def switch_off(self) -> None:
-        """Take the current away and switch the output off, and see that this was heard."""
+        """Set zero current, switch the output off, and check that the lines have arrived."""
         self._given = ""
         self.give(0.0)
         self._write(self._profile.output_off)
-        # An answer says that the lines before it have come. What is complained of may be older.
+        # An answer confirms that the lines before it have arrived. Reported errors may be older.
         if self.errors():
             self._write(self._profile.output_off)
             self._require_no_errors("switching the output off")
         self.switched_on = False
 
     def give(self, current: float) -> None:
-        """Set the current [A], unless it is set already."""
+        """Set the current [A], unless it is already set."""
         line = self._profile.set_current.format(current=current)
         if line != self._given:
             self._write(line)
             self._given = line
 
     def measured(self) -> float:
-        """The current [A] that the instrument measures; raises SupplyError where that is none."""
+        """The current [A] measured by the instrument; raises SupplyError for a bad answer."""
         answer = self._query(self._profile.read_current)
         try:
             value = float(answer)
@@ -220,12 +220,12 @@ class ScpiSupply:
         return value
 
     def next_error(self) -> str:
-        """The oldest in the instrument's queue of errors; empty where there is none."""
+        """Read the oldest error in the instrument's queue; empty if there is none."""
         answer = self._query(self._profile.read_error)
         return "" if answer.startswith(self._profile.no_error) else answer
 
     def errors(self) -> list[str]:
-        """All that waits in the instrument's queue of errors."""
+        """Read all errors in the instrument's queue."""
         found: list[str] = []
         while len(found) < _MOST_ERRORS:
             error = self.next_error()
@@ -238,15 +238,15 @@ class ScpiSupply:
         )
 
     def rescue(self) -> None:
-        """Switch the output off over a new link, however little time the old one was given."""
+        """Switch the output off over a new link, regardless of the time limit of the old link."""
         self.patience.end = math.inf
-        with suppress(LinkLostError):  # of the old one, which is given up
+        with suppress(LinkLostError):  # errors of the old link, which is given up
             self.close()
         self._link = self._connect(self.patience)
         self.switch_off()
 
     def close(self) -> None:
-        """Let the instrument go, as it is."""
+        """Close the link; the instrument keeps its state."""
         link, self._link = self._link, None
         if link is not None:
             link.close()
@@ -271,16 +271,16 @@ class ScpiSupply:
 
 
 _SETTLING = 1.0
-"""Seconds that a coil and a supply may take to reach a new current, and between two looks into the
-instrument's queue of errors."""
+"""Settling time [s] of a coil and a supply at a new current; also the interval between two checks
+of the instrument's queue of errors."""
 
 
 class SupplyDriver:
-    """A supply under command; times are seconds of one steady clock.
+    """A supply that follows commands; times are seconds of one steady clock.
 
-    ``given`` and ``measured`` are currents [A]; the supply ``deviates`` where they differ by more
-    than the ``tolerance`` [A] for too long. What the supply raises passes through: whoever drives
-    it then has to see that it is off.
+    ``given`` and ``measured`` are currents [A]; the supply ``deviates`` if they differ by more than
+    the ``tolerance`` [A] for longer than the settling time. Errors of the supply pass through: the
+    caller must then switch it off.
     """
 
     def __init__(self, supply: ScpiSupply, commander: CurrentCommander, tolerance: float) -> None:
@@ -296,18 +296,18 @@ class SupplyDriver:
         self.wait = commander.wait
 
     def start(self, now: float) -> None:
-        """Switch on, at no current."""
+        """Switch on, at zero current."""
         self._agreed = now
         self.supply.switch_on()
         self._commander.start(now)
 
     def obey(self, now: float) -> None:
-        """Set the current that is to be given now."""
+        """Set the present commanded current."""
         self.given = self._commander.step(now)
         self.supply.give(self.given)
 
     def read(self, now: float) -> float:
-        """The measured current [A]."""
+        """Read the measured current [A]."""
         self.measured = self.supply.measured()
         if abs(self.measured - self.given) <= self._tolerance:
             self._agreed = now
@@ -315,7 +315,7 @@ class SupplyDriver:
         return self.measured
 
     def check(self, now: float) -> None:
-        """Read one of the instrument's complaints, now and then, and while there are more."""
+        """Read the next error of the instrument: regularly, and at once while there are more."""
         if now - self._asked < _SETTLING:
             return
         complaint = self.supply.next_error()
@@ -327,23 +327,23 @@ class SupplyDriver:
 
 
 _STOP = 3.0
-"""Seconds that a supply has to switch off and say so; the process has ten to end."""
+"""Time limit [s] for a supply to switch off and confirm it; the process has ten seconds to end."""
 
 _LAST_ANSWER = 0.5 * _STOP
-"""Seconds that an instrument has to answer over its present link once it is to switch off."""
+"""Time limit [s] for the last answers over the present link when switching off."""
 
 _RESCUE = 0.5
 """Seconds between two attempts to switch off a supply that does not answer."""
 
 
 class SupplyThread:
-    """Drives a supply that is on; where that fails, or it is stopped, it switches it off.
+    """Drives a supply that is on, and switches it off at the end or after an error.
 
-    Where an instrument does not answer, it is told again and again over a new link to switch off,
-    until it has confirmed that, or :meth:`end` is called. ``failure`` says in a sentence why the
-    supply is driven no more; given at the start, the supply is only switched off. ``publish`` is
-    given each measured current [A] with its time [ns] on the clock ``clock_ns``; ``say`` is given
-    what has gone wrong.
+    If the instrument does not answer, the thread repeats the command to switch off over a new link,
+    until the instrument confirms it or :meth:`end` is called. ``failure`` is the reason, as a
+    sentence, why the supply is no longer driven. If it is given at the start, the supply is only
+    switched off. ``publish`` receives each measured current [A] after its time [ns] on the clock
+    ``clock_ns``; ``say`` receives error messages.
     """
 
     def __init__(
@@ -372,17 +372,17 @@ class SupplyThread:
 
     @property
     def finished(self) -> bool:
-        """Whether it has come to its end: the output is off, or it was told to end."""
+        """Whether the thread has ended: the output is off, or :meth:`end` was called."""
         return not self._thread.is_alive()
 
     def hurry(self) -> None:
-        """There is something new to obey."""
+        """Wake the thread: there is a new command."""
         self._wake.set()
 
     def stop(self) -> bool:
-        """Switch off; returns whether the output was heard to be off within some seconds.
+        """Switch off; returns whether the instrument confirms it within some seconds.
 
-        They count from the first call. Where it was not, the thread goes on trying.
+        The time limit counts from the first call. Without confirmation, the thread goes on trying.
         """
         now = time.monotonic()
         if not self._stopping:
@@ -396,7 +396,7 @@ class SupplyThread:
         return self.finished and not self._supply.switched_on
 
     def end(self) -> None:
-        """Try no more to switch off."""
+        """Give up trying to switch off, and end the thread."""
         self._ended.set()
         self._supply.patience.end = 0.0
         self._thread.join(1.0)
@@ -405,7 +405,7 @@ class SupplyThread:
         try:
             if not self.failure:
                 self._follow()
-        except Exception as error:  # whatever it is: the current must not stay on
+        except Exception as error:  # after any error: the current must not stay on
             self.failure = (
                 str(error)
                 if isinstance(error, (LinkLostError, SupplyError))
@@ -415,7 +415,7 @@ class SupplyThread:
         while self._supply.switched_on and not self._ended.is_set():
             try:
                 self._supply.rescue()
-            except Exception:  # whatever it is, as above
+            except Exception:  # after any error, as above
                 self._ended.wait(_RESCUE)
 
     def _follow(self) -> None:
@@ -428,7 +428,7 @@ class SupplyThread:
                 asked_ns = self._clock_ns()
                 measured = self.driver.read(now)
                 self._publish((asked_ns + self._clock_ns()) // 2, measured)
-                # An answer may have taken long.
+                # The answer may have taken long.
                 self.driver.obey(time.monotonic())
                 self.driver.check(now)
                 due = max(due + self._period, time.monotonic())
