@@ -1,4 +1,4 @@
-"""``check_rig``: listens to a rig for half a minute and says in words what is wrong with it."""
+"""``check_rig``: checks the live signals of a rig for half a minute and reports faults in words."""
 
 from __future__ import annotations
 
@@ -39,4 +39,4 @@ def _check(options: argparse.Namespace) -> int:
 
 
 main = program(_parser, _check)
-"""Returns 1 where something is wrong with the signals."""
+"""Check the rig; returns 1 if the signals have a fault."""

@@ -1,4 +1,4 @@
-"""What command-line programs share: errors as sentences, progress, Ctrl-C, exit codes."""
+"""Common parts of the command-line programs: error sentences, progress, Ctrl-C, exit codes."""
 
 from __future__ import annotations
 
@@ -25,16 +25,16 @@ Self = TypeVar("Self", bound="StatusLine")
 _ROS = ("rclpy", "ament_index_python")
 
 FAILED = 2
-"""Exit code where the input or the options cannot be used."""
+"""Exit code if the input or the options are invalid."""
 
 INTERRUPTED = 130
-"""Exit code after Ctrl-C, as shells have it."""
+"""Exit code after Ctrl-C, as in shells."""
 
 
 def program(
     parser: Callable[[], argparse.ArgumentParser], run: Callable[[argparse.Namespace], int]
 ) -> Callable[..., int]:
-    """The ``main`` of a program, which takes the arguments as :func:`run_tool`."""
+    """Return the ``main`` of a program, which takes the arguments of :func:`run_tool`."""
     return lambda arguments=None: run_tool(parser(), run, arguments)
 
 
@@ -43,11 +43,11 @@ def run_tool(
     run: Callable[[argparse.Namespace], int],
     arguments: Sequence[str] | None = None,
 ) -> int:
-    """Parse the arguments (those of the process where None) and return the exit code of ``run``.
+    """Parse the arguments (None: those of the process) and return the exit code of ``run``.
 
-    What a user can mend (ValueError and its kinds in this package, OSError, data larger than the
-    memory, a missing ROS) becomes one sentence on standard error and exit code 2; anything else is
-    a fault of the program and keeps its traceback.
+    A user error gives one sentence on standard error and exit code 2: ValueError and its subclasses
+    in this package, OSError, data larger than the memory, a missing ROS. Any other exception is a
+    fault of the program and keeps its traceback.
     """
     given = sys.argv[1:] if arguments is None else arguments
     try:
@@ -58,7 +58,8 @@ def run_tool(
         sys.stderr.write(f"\n{parser.prog}: stopped by Ctrl-C\n")
         return INTERRUPTED
     except BrokenPipeError:
-        # The reader of a pipe has seen enough; Python would complain again when it flushes.
+        # The reader of the pipe has closed it; without this, Python would fail again in its final
+        # flush.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 0
     except OSError as error:
@@ -80,9 +81,9 @@ def run_tool(
 
 
 def _joined(parser: argparse.ArgumentParser, arguments: Sequence[str]) -> list[str]:
-    """The arguments, a value that begins with a minus sign joined to the option before it.
+    """Join each value that begins with a minus sign to the option before it.
 
-    The library would take ``--columns -,force:N`` for two options.
+    ``argparse`` would take ``--columns -,force:N`` for two options.
     """
     takes_one = {
         name for action in parser._actions for name in action.option_strings if action.nargs is None
@@ -114,10 +115,10 @@ def add_arguments(
     choices: Mapping[str, Sequence[str]] | None = None,
     flags: Mapping[str, str] | None = None,
 ) -> None:
-    """Add an option for each parameter of a function that has a help.
+    """Add an option for each parameter of a function that has a help text in ``helps``.
 
-    Type and default are those of the function. The unit in the help, such as [A], stands for the
-    value. ``flags`` are those of options that are not called as the parameter.
+    Type and default are those of the function. The unit in the help text, such as [A], becomes the
+    placeholder of the value. ``flags`` gives the option if its name differs from the parameter.
     """
     parameters = inspect.signature(function).parameters
     for name, text in helps.items():
@@ -148,13 +149,13 @@ def add_arguments(
 def arguments_of(
     options: argparse.Namespace, function: Callable[..., object], *left_out: str
 ) -> dict[str, Any]:
-    """What was given for the parameters of a function, by name, without some of them."""
+    """The given arguments for the parameters of a function, by name, except ``left_out``."""
     names = inspect.signature(function).parameters.keys() - set(left_out)
     return {name: value for name, value in vars(options).items() if name in names}
 
 
 def add_run_options(parser: argparse.ArgumentParser) -> None:
-    """What programs that read runs take."""
+    """Add the options common to programs that read runs."""
     parser.add_argument(
         "bags", nargs="+", type=Path, metavar="BAG", help="bag folder or .mcap file"
     )
@@ -167,18 +168,18 @@ def add_run_options(parser: argparse.ArgumentParser) -> None:
 
 
 def add_json_option(parser: argparse.ArgumentParser, what: str) -> None:
-    """The option that :func:`write_json` heeds."""
+    """Add the option for :func:`write_json`."""
     parser.add_argument("--json", type=Path, metavar="FILE", help=f"write {what} as JSON")
 
 
 def write_json(options: argparse.Namespace, document: Mapping[str, object]) -> None:
-    """Write the document where it was asked for."""
+    """Write the document as JSON if the option is given."""
     if options.json is not None:
         write_text(options.json, json.dumps(document, indent=2, allow_nan=False) + "\n")
 
 
 def add_plot_options(parser: argparse.ArgumentParser) -> None:
-    """The options that :func:`write_plots` heeds."""
+    """Add the options for :func:`write_plots`."""
     parser.add_argument(
         "--plot", type=Path, metavar="FOLDER", help="draw measured and predicted force of each run"
     )
@@ -192,18 +193,18 @@ def add_plot_options(parser: argparse.ArgumentParser) -> None:
 
 
 def write_plots(options: argparse.Namespace, comparisons: Iterable[Comparison]) -> None:
-    """Draw the figures that were asked for, and say where they are."""
+    """Draw the figures if the option is given, and print their paths."""
     if options.plot is not None:
         written = save_figures(comparisons, options.plot, options.plot_format)
         print("figures: " + ", ".join(map(str, written)))
 
 
 _LATE = 0.5
-"""Part of the time estimated below which the time left that was told is no longer true."""
+"""If the displayed time left is below this fraction of the estimate, a sentence replaces it."""
 
 
 class StatusLine:
-    """A context with one line on the terminal, written again and again; none without a terminal."""
+    """A context with one line on the terminal that is updated in place; none without a terminal."""
 
     _shown = False
 
@@ -212,7 +213,7 @@ class StatusLine:
         return self
 
     def _begin(self) -> None:
-        """Do what the context needs."""
+        """Enter the context; subclasses override this."""
 
     def __exit__(
         self,
@@ -224,7 +225,7 @@ class StatusLine:
             sys.stderr.write("\n")
 
     def show(self, text: str) -> None:
-        """Write it anew."""
+        """Replace the text of the line."""
         if sys.stderr.isatty():
             self._shown = True
             sys.stderr.write(f"\r{text}\033[K")
@@ -232,9 +233,9 @@ class StatusLine:
 
 
 class ProgressLine(StatusLine):
-    """The progress of a search: called with it, it returns whether to go on.
+    """The progress of a search; a call returns whether the search should go on.
 
-    Within the context Ctrl-C asks the search to stop; a second one ends the program.
+    Within the context, Ctrl-C asks the search to stop; a second Ctrl-C ends the program.
     """
 
     def __init__(self) -> None:
@@ -257,16 +258,16 @@ class ProgressLine(StatusLine):
         if self.stopped:
             raise KeyboardInterrupt
         self.stopped = True
-        # Not through sys.stderr: the signal may have come while something is written there.
+        # Not through sys.stderr: the signal may interrupt a write to it.
         os.write(2, b"\nstopping with the best so far (Ctrl-C again ends at once)\n")
 
     def __call__(self, progress: GlobalProgress) -> bool:
-        """Show how far the search is; False once Ctrl-C was pressed."""
+        """Show the progress of the search; False after Ctrl-C."""
         self.show(self._told(progress))
         return not self.stopped
 
     def _told(self, progress: GlobalProgress) -> str:
-        """What is known of the progress, in words."""
+        """The progress in words."""
         parts = []
         if progress.generation > 0:
             parts.append(f"generation {progress.generation} of at most {progress.generations}")
@@ -274,7 +275,7 @@ class ProgressLine(StatusLine):
             parts.append(f"misfit so far {math.sqrt(progress.best_cost):.5g}")
         if math.isfinite(progress.time_left):
             now = time.monotonic()
-            # An estimate that grew would count upward.
+            # The displayed time left must not increase, even if the estimate does.
             self._end = min(self._end, now + progress.time_left)
             left = self._end - now
             late = left < _LATE * progress.time_left

@@ -1,8 +1,8 @@
-"""``demo``: identifier and model as processes at work, on a bag or on the emulated rig.
+"""``demo``: demonstrates identifier and model as processes, on a bag or on the emulated rig.
 
-It plays a bag once and shows the outcome, or with ``--live`` serves the page until Ctrl-C. A tool
-like the others, with the table and the figures of one: all that it knows of ROS is a watcher from
-the nodes, loaded when it runs.
+It plays a bag once and shows the results, or with ``--live`` serves the page until Ctrl-C. Its
+table and figures are those of the other tools. It uses ROS only through an observer from the nodes,
+which it loads at run time.
 """
 
 from __future__ import annotations
@@ -36,11 +36,11 @@ _SETTLE = 2.0
 
 
 _LOOK = 0.2
-"""Seconds between two looks whether all nodes still run."""
+"""Seconds between two checks that all nodes are still running."""
 
 
 class DemoError(ValueError):
-    """The demonstration cannot go on: a node is not there, or has failed; the message says why."""
+    """The demonstration cannot go on, because a node is missing or has failed."""
 
 
 def _parser() -> argparse.ArgumentParser:
@@ -115,7 +115,7 @@ def _live(options: argparse.Namespace) -> int:
             running["replay"] = started("replay", wait_for_subscribers=2, **bag)
         else:
             running["bridge"] = started("bridge", wait_for_subscribers=2)
-        with suppress(KeyboardInterrupt):  # the way to end it
+        with suppress(KeyboardInterrupt):  # Ctrl-C ends the demonstration
             while True:
                 check_running(running)
                 time.sleep(_LOOK)
@@ -124,13 +124,13 @@ def _live(options: argparse.Namespace) -> int:
 
 @contextmanager
 def _own_domain() -> Iterator[ExitStack]:
-    """A domain that touches nothing of a laboratory that is running."""
+    """A reserved domain, so that the demonstration does not affect a running laboratory."""
     with RosDomain() as domain, domain.entered(), ExitStack() as stack:
         yield stack
 
 
 def start_node(name: str, **parameters: object) -> Program:
-    """Start a node of this installation; raises DemoError where it is not built."""
+    """Start a node of this installation; raises DemoError if the package is not built."""
     path = Path(sys.argv[0]).resolve().parent / name
     if not path.exists():
         raise DemoError(f"{path} is not there: build the package with `make setup`")
@@ -138,14 +138,14 @@ def start_node(name: str, **parameters: object) -> Program:
 
 
 def check_running(running: Mapping[str, Program]) -> None:
-    """Raise DemoError where a node has failed, with the end of what it said."""
+    """Raise DemoError if a node has failed, with the end of its output."""
     for name, node in running.items():
         if node.exit_code:
             raise DemoError(f"{name} ended with code {node.exit_code}: {node.last_words}")
 
 
 def page_of(live: Program) -> str:
-    """Address of the page that a node live serves; raises DemoError where it serves none."""
+    """Address of the page that the live node serves; raises DemoError if it serves none."""
     try:
         live.wait_for_log("the page is at")
     except ProgramError as error:
@@ -156,7 +156,7 @@ def page_of(live: Program) -> str:
 
 
 class _Heard:
-    """What the nodes publish: samples, forces, reports, each printed as it comes, and sets."""
+    """Messages of the nodes: samples, forces, sets, and reports, which are also printed."""
 
     def __init__(self, observer: Observer) -> None:
         from mr_damper_ros.nodes.observer import hear_identification
@@ -180,7 +180,7 @@ class _Heard:
         )
 
     def wait_for_nodes(self, running: Mapping[str, Program]) -> None:
-        """Wait until identifier and model are there. Raises DemoError."""
+        """Wait until identifier and model are running. Raises DemoError."""
         deadline = time.monotonic() + _START_LIMIT
         while not set(_NODES) <= set(self._observer.node.get_node_names()):
             check_running(running)
@@ -189,7 +189,7 @@ class _Heard:
             self._observer.spin_once()
 
     def follow(self, running: Mapping[str, Program]) -> None:
-        """Listen until the bag is at its end and the identifier has finished. Raises DemoError."""
+        """Receive until the bag has ended and the identifier has finished. Raises DemoError."""
         print("\nwindow        held-back samples: before -> after the fit")
         while running["replay"].running or time.monotonic() - self._last < _SETTLE:
             check_running(running)

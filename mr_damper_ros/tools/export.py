@@ -1,4 +1,4 @@
-"""``export``: a parameter set as code for a controller: C, an FMU, M-code."""
+"""``export``: writes a parameter set as code for a controller: C, an FMU, M-code."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from mr_damper_ros.settings.option_table import Option, options
 from mr_damper_ros.tools.console import program
 
 _POINTS = 1000
-"""Points in the table of test vectors."""
+"""Number of points in the table of test vectors."""
 
 
 def _parser() -> argparse.ArgumentParser:

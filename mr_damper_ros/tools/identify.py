@@ -1,4 +1,4 @@
-"""``identify``: one parameter set of a force law for all bags given."""
+"""``identify``: fits one parameter set of a force law to all given bags."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ from mr_damper_ros.tools.console import (
 )
 
 EXPLAINS_TOO_LITTLE = 3
-"""Exit code where the set found leaves more of the force than a reader would accept."""
+"""Exit code if the fitted set leaves a larger error than a user would accept."""
 
 SEARCH_HELPS = {
     "model": "force law; sigmoid_lag: with the lag of the force, a stiffness and an offset as well",
@@ -39,7 +39,7 @@ SEARCH_HELPS = {
     "seed": "of the random numbers",
     "generations": "of differential evolution, at most",
 }
-"""Of what a program takes that identifies."""
+"""Help texts of the options for an identification."""
 
 SEARCH_CHOICES = {"model": tuple(MODELS), "method": GLOBAL_METHODS}
 
@@ -102,7 +102,7 @@ def _identify(options: argparse.Namespace) -> int:
         given = arguments_of(options, identify)
         result = identify(options.bags, report=progress, **given)
         more = Findings([], {})
-        # Who has pressed Ctrl-C wants the result, and not what may take as long again.
+        # After Ctrl-C the user wants the result at once, without another long computation.
         if not progress.stopped:
             more += result.determination(**arguments_of(options, Identification.determination))
         more += searches(result.searches)

@@ -1,4 +1,4 @@
-"""``identify_many``: a parameter set of every damper that there are recordings of."""
+"""``identify_many``: identifies every damper for which there are recordings."""
 
 from __future__ import annotations
 
@@ -26,10 +26,10 @@ from mr_damper_ros.tools.console import (
 from mr_damper_ros.tools.identify import SEARCH_CHOICES, SEARCH_HELPS
 
 LEFT_OUT = 3
-"""Exit code where a file was left out or a damper not identified; all others are there."""
+"""Exit code if a file was left out or a damper not identified; all other results are complete."""
 
 _MOST_NAMED = 10
-"""So many of what went wrong are named on the terminal; the report names all."""
+"""Largest number of faults shown on the terminal; the report lists all."""
 
 _HELPS = {
     "listed": "CSV file with columns path, damper and, where wanted, current in ampere",
@@ -123,7 +123,7 @@ def _tell(found: ManyDampers, page: Path) -> None:
 
 
 class _Progress(StatusLine):
-    """How many dampers are done, and how long the rest may take."""
+    """The number of finished dampers, and the estimated time left."""
 
     def __init__(self) -> None:
         self._began = time.monotonic()

@@ -1,4 +1,4 @@
-"""``import_record``: a laboratory's file becomes a bag, or a bag for each of its runs."""
+"""``import_record``: converts a laboratory's file to a bag, or to one bag per run."""
 
 from __future__ import annotations
 
@@ -114,7 +114,10 @@ def _import_runs(options: argparse.Namespace) -> int:
 
 
 def _currents(options: argparse.Namespace, runs: RunsOfFile) -> list[float | None] | None:
-    """The current [A] of each run, None where it is left out; none where a column holds them."""
+    """The current [A] of each run, None for a run to leave out.
+
+    The whole result is None if no currents are given, as for a file with a current column.
+    """
     if options.currents is not None:
         return [_ampere(text) for text in options.currents.split(",")]
     if options.current is not None:

@@ -1,4 +1,4 @@
-"""``live --bag``: a recording on the page of the running system; no ROS."""
+"""``live --bag``: shows a recording on the page of the running system, without ROS."""
 
 from __future__ import annotations
 

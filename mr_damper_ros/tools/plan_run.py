@@ -1,6 +1,7 @@
-"""``plan_run``: which run to make next, so that the force is soon known well enough; no ROS.
+"""``plan_run``: recommends the next run to know the force accurately after few runs, without ROS.
 
-A single plan, or with ``--keep`` a campaign whose runs and plans are kept in a folder.
+It computes a single plan, or with ``--keep`` runs a campaign whose runs and plans are kept in a
+folder.
 """
 
 from __future__ import annotations
@@ -32,7 +33,7 @@ from mr_damper_ros.signals.recording import Recording
 from mr_damper_ros.tools.console import FAILED, add_json_option, program, write_json
 
 OUT_OF_REACH = 3
-"""Exit code where the goal cannot be met within the limits of the machine."""
+"""Exit code if the goal cannot be reached within the limits of the machine."""
 
 _NEEDED = ("velocity", "current", "amplitude", "force")
 
@@ -221,7 +222,7 @@ def _recordings(sources: Sequence[Path]) -> list[Recording]:
 
 
 def _go_on(course: CampaignCourse, waiting: Sequence[Recording]) -> None:
-    """Find what is to be found, and take the runs that wait; those taken before are left out."""
+    """Identify from the runs so far, and add waiting recordings; those added before are skipped."""
     waiting = [one for one in waiting if not _taken(course, one)]
     while course.outcome is None:
         if course.work is not None:
@@ -258,7 +259,7 @@ def _taken(course: CampaignCourse, recording: Recording) -> bool:
 
 
 def _goal_of(options: argparse.Namespace) -> ForceGoal:
-    """The goal that is meant. Raises ValueError."""
+    """The goal given by the options. Raises ValueError."""
     return ForceGoal(options.error, tuple(options.velocity), tuple(options.current))
 
 

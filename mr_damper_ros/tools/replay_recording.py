@@ -1,4 +1,4 @@
-"""``replay_recording``: what identifier and model would have said of a bag, without ROS."""
+"""``replay_recording``: reports the results of identifier and model for a bag, without ROS."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""``validate``: the error of a parameter set on each bag."""
+"""``validate``: reports the error of a parameter set on each bag."""
 
 from __future__ import annotations
 

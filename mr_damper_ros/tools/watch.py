@@ -1,4 +1,4 @@
-"""``watch``: how the running system stands, in lines for a terminal, printed in place."""
+"""``watch``: shows the state of the running system as text in a terminal, updated in place."""
 
 from __future__ import annotations
 
@@ -15,16 +15,16 @@ from mr_damper_ros.live.live_record import SILENT_AFTER, LiveRecord
 from mr_damper_ros.tools.console import program
 
 _SIGNS = ("+", "!", "x", "?")
-"""Of the levels good, warning, error and stale."""
+"""Signs for the levels good, warning, error and stale."""
 
 _INDENT = 25
-"""Columns before the text of a line."""
+"""Width of the column before the text of a line."""
 
 _ENTRY = 28
-"""Columns of a parameter, three more between two of them."""
+"""Width of a parameter; three more columns separate two of them."""
 
 _ERROR_OVER = 500
-"""Samples that the present error is taken over."""
+"""Number of samples for the present error."""
 
 
 def summary(record: LiveRecord, width: int = 80) -> str:
@@ -114,13 +114,13 @@ def _concerns(record: LiveRecord) -> list[str]:
 
 
 def _silence_of(record: LiveRecord, *nodes: str) -> float:
-    """Seconds since one of these nodes was last heard; 0 where none has ever been."""
+    """Seconds since the last message of any of these nodes; 0 if there was none."""
     silences = [s for concern, s in record.concerns if concern.name.partition(": ")[0] in nodes]
     return min(silences, default=0.0)
 
 
 def _since(silence: float) -> str:
-    """Since when something has not been heard; empty for what is heard."""
+    """The time of the last message, in words; empty if it is recent."""
     if silence < SILENT_AFTER:
         return ""
     clock = time.strftime("%H:%M:%S", time.localtime(time.time() - silence))
@@ -130,7 +130,7 @@ def _since(silence: float) -> str:
 _HOME_AND_CLEAR = "\x1b[H\x1b[J"
 _WITHOUT_CURSOR, _WITH_CURSOR = "\x1b[?25l", "\x1b[?25h"
 _AT_LEAST = 3.0
-"""Seconds after which everybody who is there has been heard: diagnostics come once a second."""
+"""Seconds after which every running node has been heard: diagnostics come once a second."""
 
 
 def _parser() -> argparse.ArgumentParser:

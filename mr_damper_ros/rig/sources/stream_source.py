@@ -133,7 +133,7 @@ _MANY = 0.05
 
 @dataclass(frozen=True)
 class StreamOptions(ParameterTable):
-    """The data of ``source: stream``."""
+    """The sender of ``source: stream`` and the format of its rows."""
 
     address: str = option(
         "",
