@@ -21,8 +21,7 @@ SAMPLES_TOPIC = "mts/samples"
 CURRENT_TOPIC = "supply/current"
 
 _PACE_TOLERANCE = 0.2
-"""Relative tolerance of the sample count over a second: a block of 0.1 s more or less changes it by
-10 %."""
+"""Relative tolerance of the sample rate, which whole blocks of 0.1 s make uncertain."""
 
 _SILENCE = 2.0
 """Seconds without a message after which a stream counts as silent."""

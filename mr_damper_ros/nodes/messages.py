@@ -71,7 +71,7 @@ def from_field(field: array.array[float]) -> Array:
 
 
 def samples_message(block: SampleBlock | RigBlock, frame_id: str) -> MtsSamples:
-    """The message for a block; only displacement and force are part of it."""
+    """The message for a block; it holds displacement and force, but no other channels."""
     return MtsSamples(
         header=header(block.start_ns, frame_id),
         seq=block.sequence,
