@@ -1,1 +1,1 @@
-"""An emulated rig: motions, dampers, plants, and faults."""
+"""An emulated test rig: motions, dampers, plants and faults."""

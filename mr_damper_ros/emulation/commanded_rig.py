@@ -1,4 +1,7 @@
-"""A rig whose current is chosen block by block: off line what the nodes do in real time."""
+"""Closed-loop current control of an emulated rig, off line.
+
+The current is chosen block by block, as the nodes do in real time.
+"""
 
 from __future__ import annotations
 
@@ -15,7 +18,7 @@ from mr_damper_ros.tracking.reports import Report
 
 
 class CommandedBlock(NamedTuple):
-    """What was measured, what was the case, and the current [A] that is commanded thereafter."""
+    """The measured block, the true motion, and the current [A] commanded after the block."""
 
     measured: RigBlock
     motion: PlantMotion
@@ -29,7 +32,10 @@ Choice = Callable[[RigBlock], float]
 def commanded(
     rig: PlantRig, knob: SupplyKnob, choose: Choice, block_size: int, duration: float
 ) -> Iterator[CommandedBlock]:
-    """Let the plant move for ``duration`` [s]; a choice takes effect with the next block."""
+    """Run the plant for ``duration`` [s] and yield its blocks.
+
+    The current chosen after a block takes effect in the next block.
+    """
     for measured, current in turned(rig, knob, choose, block_size, duration):
         assert rig.motion is not None
         yield CommandedBlock(measured, rig.motion, current)
@@ -38,7 +44,7 @@ def commanded(
 def turned(
     rig: MeasuredRig, knob: SupplyKnob, choose: Choice, block_size: int, duration: float
 ) -> Iterator[tuple[RigBlock, float]]:
-    """The blocks of ``duration`` [s] and the current [A] that is chosen after each."""
+    """Run the rig for ``duration`` [s]; yield each block and the current [A] chosen after it."""
     period = rig.settings.period
     for number in range(1, round(duration / period / block_size) + 1):
         measured = rig.next_block(block_size)
@@ -48,10 +54,11 @@ def turned(
 
 
 class ForceChoice:
-    """Chooses the current for the force [N] that ``wanted`` gives, as the controller node does.
+    """Chooses the current for a desired force, as the controller node does.
 
-    With an ``engine`` the damper is identified meanwhile, as by identifier and model, and the
-    controller takes what that publishes; ``predicted`` is the engine's prediction of the block.
+    ``wanted`` returns the desired force [N] after a block. With an ``engine``, the damper is
+    identified during the run, as the identifier and model nodes do, and the controller follows the
+    published reports and parameters. ``predicted`` is the engine's prediction for the last block.
     """
 
     def __init__(
@@ -68,7 +75,7 @@ class ForceChoice:
         self.reports: list[Report] = []
 
     def __call__(self, measured: RigBlock) -> float:
-        """The current [A] after a block."""
+        """The current [A] to supply after this block."""
         controller, engine = self.controller, self._engine
         block = SampleBlock(
             measured.start_ns,
@@ -77,7 +84,7 @@ class ForceChoice:
             measured.displacement,
             measured.force,
         )
-        # The current changes between blocks alone.
+        # The current changes only between blocks.
         current = measured.start_ns, float(measured.current[0])
         controller.predictor.add_current(*current)
         controller.want(block.end_ns, self._wanted(measured))

@@ -1,7 +1,7 @@
-"""An emulated test rig: a damper of known parameters, moved, heated, measured with noise.
+"""An emulated test rig: a damper with known parameters, its motion, its temperature and noise.
 
-It knows no wall clock: samples are asked for, and the stream is the same whatever the size of the
-blocks. With the same settings and seed it gives the same samples.
+The rig produces samples on request and uses no wall clock. The samples depend on the settings and
+the seed, but not on the block size.
 """
 
 from __future__ import annotations
@@ -31,36 +31,39 @@ from mr_damper_ros.signals.blocks import NANOSECONDS, RigBlock
 from mr_damper_ros.signals.recording import DEFAULT_START_NS, Recording
 
 THESIS_FORCE_NOISE = 5.53
-"""Standard deviation [N] of the force error after the fit in the thesis (section 4.6)."""
+"""Standard deviation [N] of the force residual after the fit in the thesis (section 4.6)."""
 
 _COLD, _HOT = 28.0, 71.0
 """Temperatures [°C] at which the thesis identified its damper."""
 
 CHUNK = 100
-"""Samples of one temperature and one draw of noise; fixed, so that blocks do not matter."""
+"""Number of samples that share one temperature and one draw of noise.
+
+It is fixed, so that the samples do not depend on the block size.
+"""
 
 
 class EmulatorError(ValueError):
-    """Settings of the emulated rig that cannot be used; the message says what to change."""
+    """Invalid settings of the emulated rig; the message says what to change."""
 
 
 def scaled(parameters: Array, factor: float) -> Array:
-    """Parameters (16,) of a damper whose force is ``factor`` times that of ``parameters``."""
+    """Parameters (16,) of a damper with ``factor`` times the force of ``parameters``."""
     values = np.array(parameters, dtype=np.float64)
     values[PARAMETER_NAMES.index("f0")] *= factor
     return values
 
 
 class Damper(Protocol):
-    """What is in the machine."""
+    """The damper in the test machine."""
 
     def force(self, motion: Motion, current: Array, celsius: float) -> Array:
-        """Force [N], shape (n,); the displacement is measured from the centre of the motion."""
+        """Force [N], shape (n,); the displacement is relative to the centre of the motion."""
 
 
 @dataclass(frozen=True, eq=False)
 class ConstantDamper:
-    """A damper that does not mind its temperature; ``parameters`` has shape (16,)."""
+    """A damper that is independent of temperature; ``parameters`` has shape (16,)."""
 
     parameters: Array
 
@@ -71,12 +74,14 @@ class ConstantDamper:
 
 @dataclass(frozen=True, eq=False)
 class TemperatureDependentDamper:
-    """A damper known at two temperatures; in between, its *forces* are interpolated linearly.
+    """A damper with parameters at two temperatures, between which its *forces* are interpolated.
 
-    ``cold`` and ``hot`` have shape (16,). Parameters of the two may lie in different basins, so
-    they are never interpolated themselves. Outside the two temperatures the nearer one holds. For
-    a uniform loss of force give ``hot=scaled(cold, 0.74)``.
-    Raises EmulatorError where the hot temperature is not above the cold one.
+    ``cold`` and ``hot`` have shape (16,). The forces are interpolated linearly, and the parameters
+    are not, because the two sets may lie in different basins. Outside the temperature range, the
+    force is that of the nearer temperature. ``hot=scaled(cold, 0.74)`` gives a uniform loss of
+    force.
+
+    Raises EmulatorError if the hot temperature is not above the cold temperature.
     """
 
     cold: Array
@@ -105,10 +110,10 @@ def _force(parameters: Array, motion: Motion, current: Array) -> Array:
 
 
 class ModelDamper:
-    """A damper of any model, whose strength changes linearly with its temperature.
+    """A damper of any model whose gain parameters change linearly with temperature.
 
-    ``hot_force`` is the factor on it at 71 °C, relative to 28 °C. It follows samples ``period``
-    [s] apart and remembers their motion as its model does.
+    ``hot_force`` is the factor on the gain parameters at 71 °C, relative to 28 °C. ``period`` [s]
+    is the sample period. The damper keeps the state of its model from call to call.
     """
 
     def __init__(self, parameters: ParameterSet, period: float, hot_force: float = 1.0) -> None:
@@ -126,12 +131,14 @@ class ModelDamper:
 
 @dataclass(frozen=True)
 class ThermalModel:
-    """One heat capacity [J/K] that takes the dissipated power and loses heat to the ambient air.
+    """A lumped heat capacity, heated by the dissipated power and cooled by the ambient air.
 
-    ``conductance`` [W/K] is that of the convection, ``ambient`` and ``initial`` are in °C. The
-    defaults are an assumption: about a kilogram of steel that settles some 50 K above the ambient
-    air at 25 W, with a time constant of 14 minutes.
-    Raises EmulatorError where a value is out of range.
+    ``capacity`` is the heat capacity [J/K], ``conductance`` the conductance of the convection
+    [W/K], and ``ambient`` and ``initial`` are temperatures [°C]. The defaults are assumed: about
+    one kilogram of steel that settles some 50 K above the ambient air at 25 W, with a time constant
+    of 14 minutes.
+
+    Raises EmulatorError if a value is out of range.
     """
 
     ambient: float = 22.0
@@ -148,7 +155,7 @@ class ThermalModel:
             )
 
     def after(self, celsius: float, power: float, duration: float) -> float:
-        """Temperature [°C] after ``power`` [W] for ``duration`` [s], exactly for constant power."""
+        """Temperature [°C] after constant ``power`` [W] for ``duration`` [s]; exact."""
         if self.conductance == 0.0:
             return celsius + power * duration / self.capacity
         settled = self.ambient + power / self.conductance
@@ -159,9 +166,12 @@ class ThermalModel:
 
 @dataclass(frozen=True)
 class CurrentSchedule:
-    """Current [A] in steps: each holds from its time [s] to the next, the first from the start.
+    """Current [A] in steps: each value holds from its time [s] until the next time.
 
-    Raises EmulatorError where there are none, times do not rise, or a value is not finite.
+    The first value also holds before its time.
+
+    Raises EmulatorError if the schedule is empty, the times do not increase, or a value is not
+    finite.
     """
 
     times: Sequence[float]
@@ -180,22 +190,25 @@ class CurrentSchedule:
 
     @classmethod
     def constant(cls, current: float) -> CurrentSchedule:
-        """The same current [A] throughout."""
+        """A schedule of constant current [A]."""
         return cls((0.0,), (current,))
 
     def at(self, time: Array) -> Array:
         """Current [A] at the times [s], shape (n,)."""
-        # A sample that falls on a step already has the new current, whatever the rounding.
+        # The margin lets a sample at a step have the new current in spite of rounding errors.
         index = np.searchsorted(self.times, time + 1e-9, side="right") - 1
         return np.asarray(self.currents, dtype=np.float64)[np.maximum(index, 0)]
 
 
 @dataclass(frozen=True)
 class RigSettings:
-    """How the emulated rig measures: ``sample_rate`` [Hz], noise [N] and [m], seed, start.
+    """Sampling and noise of an emulated rig.
 
-    The noises are standard deviations of white Gaussian noise. ``seed`` is a number or several.
-    Raises EmulatorError where a value is out of range.
+    ``sample_rate`` [Hz]; ``force_noise`` [N] and ``displacement_noise`` [m] are standard deviations
+    of white Gaussian noise; ``seed`` is one integer or several; ``start_ns`` is the stamp of the
+    first sample [ns].
+
+    Raises EmulatorError if a value is out of range.
     """
 
     sample_rate: float = 1000.0
@@ -221,10 +234,10 @@ class RigSettings:
 
 
 class MeasuredRig(ABC):
-    """A rig that gives samples, at a current that may change from block to block.
+    """Base class of emulated rigs, which produce blocks of samples.
 
-    ``current`` is a schedule or one value [A]; without a ``thermal`` model the temperature stays
-    at 28 °C, that of the thesis' cold damper.
+    ``current`` is a schedule or one value [A]. Without a ``thermal`` model, the temperature stays
+    at 28 °C, the temperature of the cold damper in the thesis.
     """
 
     def __init__(
@@ -239,7 +252,7 @@ class MeasuredRig(ABC):
             else CurrentSchedule.constant(float(current))
         )
         self.settings = settings or RigSettings()
-        """How the rig measures."""
+        """Sampling and noise."""
         self._thermal = thermal
         self._celsius = thermal.initial if thermal else _COLD
         self._rng = np.random.default_rng(self.settings.seed)
@@ -251,19 +264,23 @@ class MeasuredRig(ABC):
         """The next ``count`` samples."""
 
     def _block(self, first: int, rows: Array) -> RigBlock:
-        """Displacement, force, current, temperature (4, n) from sample ``first`` on."""
+        """A block that begins with sample number ``first``.
+
+        ``rows`` (4, n): displacement, force, current and temperature.
+        """
         period = self.settings.period
         start_ns = self.settings.start_ns + round(first * period * NANOSECONDS)
         return RigBlock(start_ns, first, period, *rows)
 
 
 class EmulatedRig(MeasuredRig):
-    """A damper in a test machine, sample by sample.
+    """A damper in a test machine with prescribed motion.
 
-    The current in the coil follows that of the supply, which is measured, with
-    ``coil_time_constant`` [s]. Of the ``faults`` it has those of machine
-    and damper; what instruments make of its samples is for :class:`Instruments`.
-    Raises EmulatorError where the time constant is negative.
+    The rig measures the current of the supply. The current in the coil follows it with a lag of
+    ``coil_time_constant`` [s]. The rig applies the ``faults`` of the machine and the damper;
+    :class:`Instruments` applies the faults of instruments and transmission.
+
+    Raises EmulatorError if the time constant is negative.
     """
 
     def __init__(
@@ -277,7 +294,7 @@ class EmulatedRig(MeasuredRig):
         faults: Sequence[Fault] = (),
         coil_time_constant: float = 0.0,
     ) -> None:
-        # A damper may remember the motion: each rig has its own.
+        # A damper may have a state, so each rig has its own copy.
         self._damper = deepcopy(damper)
         self._excitation = excitation
         super().__init__(current, settings, thermal)
@@ -292,18 +309,22 @@ class EmulatedRig(MeasuredRig):
         self._taken = 0
         self._ready = np.empty((4, 0))
         self.live = False
-        """Whether no sample is made before it is asked for: commands hold at once, at some cost."""
+        """Whether samples are computed only when they are requested.
+
+        Commands then take effect at once, which costs computing time. Otherwise the rig computes
+        whole chunks in advance.
+        """
         self._power = np.empty(CHUNK)
         self.break_with(faults)
 
     def break_with(self, faults: Sequence[Fault]) -> None:
-        """Have these faults besides those that it has; they must not have begun."""
+        """Add faults; each must begin after the samples produced so far."""
         own = deepcopy(list(faults))
         self._go_on(self._excitation, own)
         self._faults += own
 
     def move(self, excitation: Excitation) -> None:
-        """Move so from the next samples on; it must go on from where the motion is."""
+        """Change the motion from the next samples on; it must continue the present one smoothly."""
         self._go_on(excitation, self._faults)
 
     def _go_on(self, excitation: Excitation, faults: Sequence[Fault]) -> None:
@@ -317,16 +338,16 @@ class EmulatedRig(MeasuredRig):
         self._excitation = excitation
 
     def supply(self, current: CurrentSchedule) -> None:
-        """Follow this schedule from the next samples on, which is as before up to now."""
+        """Follow this schedule from the next samples on; the past must be unchanged."""
         self._current = current
 
     def surround(self, ambient: float) -> None:
-        """Let the air around the damper be so warm [°C], where it has a thermal model."""
+        """Set the ambient temperature [°C]; without a thermal model, this has no effect."""
         if self._thermal is not None:
             self._thermal = replace(self._thermal, ambient=ambient)
 
     def next_block(self, count: int) -> RigBlock:
-        """The next ``count`` samples; raises EmulatorError where that is less than one."""
+        """The next ``count`` samples; raises EmulatorError if ``count`` is less than one."""
         if count < 1:
             raise EmulatorError(f"{count} samples were requested: request at least one")
         parts = [self._ready]
@@ -346,7 +367,10 @@ class EmulatedRig(MeasuredRig):
     def record(
         self, duration: float, *, name: str = "emulated", details: dict[str, str] | None = None
     ) -> Recording:
-        """The next ``duration`` [s] as a recording; raises EmulatorError where it is too short."""
+        """The next ``duration`` [s] as a recording.
+
+        Raises EmulatorError if the duration holds no sample.
+        """
         block = self.next_block(round(duration * self.settings.sample_rate))
         return Recording(
             name=name,
@@ -368,7 +392,7 @@ class EmulatedRig(MeasuredRig):
             self._noise = self._rng.standard_normal((2, CHUNK))
         time = np.arange(self._made, self._made + count, dtype=np.float64) * period
         if is_sine(self._excitation) != (self._peak is None):
-            # It has been commanded to move otherwise.
+            # A command has changed the kind of motion.
             self._go_on(self._excitation, ())
         moved = self._excitation.at(time)
         displacement, velocity, acceleration = moved
@@ -402,7 +426,7 @@ class EmulatedRig(MeasuredRig):
         )
 
     def _peak_so_far(self, excitation: Excitation) -> PeakVelocity:
-        """The motion has gone on for long, also when the recording begins."""
+        """The peak velocity, as if the motion had been running for a long time."""
         period = self.settings.period
         before: Array = np.arange(-round(MEMORY / period), 0, dtype=np.float64) + self._made
         peak = PeakVelocity(period)
@@ -412,17 +436,17 @@ class EmulatedRig(MeasuredRig):
 
 
 class SupplyKnob:
-    """The current of a supply, as a schedule that goes on from block to block."""
+    """The setpoint of a supply: a current schedule that grows while the rig runs."""
 
     def __init__(self, current: float = 0.0) -> None:
-        # The schedule reads these lists, which grow while the rig runs.
+        # The schedule refers to these lists and thus sees every change.
         self._times, self._currents = [0.0], [current]
         self.schedule = CurrentSchedule(self._times, self._currents)
 
     def turn(self, time: float, current: float) -> None:
-        """Supply this current [A] from a time [s] on, or from right after the last turn."""
+        """Supply this current [A] from ``time`` [s] on, or from just after the previous change."""
         if current != self._currents[-1]:
-            # Of what is past only the latest matters.
+            # Of the past, only the latest setpoint is needed.
             del self._times[:-1], self._currents[:-1]
             self._times.append(max(time, math.nextafter(self._times[-1], math.inf)))
             self._currents.append(current)

@@ -1,6 +1,7 @@
-"""Faults of an emulated rig: in the machine, in the instruments, and on the way.
+"""Faults of an emulated rig: in the machine, in the instruments and in transmission.
 
-A kind of fault is a row of :data:`KINDS`: where it acts, and a function of time and value.
+Each kind of fault is a row of :data:`KINDS`, with the stage at which it acts and the function that
+applies it.
 """
 
 from __future__ import annotations
@@ -20,24 +21,27 @@ from mr_damper_ros.signals.arrays import Array
 from mr_damper_ros.signals.blocks import NANOSECONDS, RigBlock
 
 CHANNELS = ("displacement", "force", "current", "temperature")
-"""What a rig measures, as :class:`RigBlock` names it."""
+"""Names of the measured channels in :class:`RigBlock`."""
 
 _ROUNDING = 1e-9
-"""A sample that falls on the beginning already has the fault, whatever the rounding [s]."""
+"""Tolerance [s], so that a sample at the beginning of a fault has the fault."""
 
 _CHANGE = 0.1
-"""Time [s] that the machine takes to change its motion."""
+"""Time [s] in which the machine changes its motion."""
 
 
 class FaultError(ValueError):
-    """A fault that cannot be had; the message says what to change."""
+    """An invalid fault; the message says what to change."""
 
 
 class Stage(Enum):
-    """Where a fault acts, and what its function takes besides the fault, and returns."""
+    """The stage at which a fault acts.
+
+    The function of the fault receives the fault and the object named here.
+    """
 
     MOTION = auto()
-    """An :class:`Excitation`: the motion that the machine makes."""
+    """An :class:`Excitation`, the motion of the machine; returns another excitation."""
 
     COIL = auto()
     """:class:`Samples` of the current [A] in the coil; returns other values (n,)."""
@@ -49,17 +53,17 @@ class Stage(Enum):
     """:class:`Samples` of one instrument; returns what it shows instead (n,)."""
 
     BLOCK = auto()
-    """A :class:`RigBlock`, where more than one channel is concerned; returns another block."""
+    """A :class:`RigBlock`, for faults of several channels; returns another block."""
 
     DELIVERY = auto()
-    """A block that is to be sent; returns the blocks that are sent now."""
+    """A block to be sent; returns the list of blocks to send now."""
 
     LABEL = auto()
-    """A block; returns it with the stamp, the period and the number that it is sent with."""
+    """A block; returns it with the stamp, the period and the number to send."""
 
 
 class Samples(NamedTuple):
-    """``values`` (n,) at the times ``time`` (n,) [s], ``period`` [s] apart, and the motion."""
+    """``values`` (n,) at ``time`` (n,) [s] with sample ``period`` [s], and the true motion."""
 
     time: Array
     values: Array
@@ -71,9 +75,11 @@ class Samples(NamedTuple):
 class Kind:
     """A row of the table of faults.
 
-    ``meaning`` is for the documentation. ``unit`` of the value is empty for a fault without one,
-    "channel" for that of the channel; ``usual`` and ``least`` are in it. A ``masked`` function
-    need not know when the fault is there: at other times its result is not used.
+    ``meaning`` is the description for the documentation. ``unit`` is the unit of the value:
+    "channel" is the unit of the channel, and an empty string means that the fault has no value.
+    ``usual`` is the default value and ``least`` the smallest valid value. If ``masked``, the result
+    of ``act`` is used only while the fault is active; otherwise ``act`` is always used and handles
+    the times itself.
     """
 
     name: str
@@ -87,20 +93,20 @@ class Kind:
 
     @property
     def channels(self) -> tuple[str, ...]:
-        """The channels that it may be of; empty for one that is of none."""
+        """The channels that can have the fault; empty if it does not act on a channel."""
         return CHANNELS if self.stage is Stage.CHANNEL else ()
 
 
 @dataclass(eq=False)
 class Fault:
-    """Something that is wrong from ``begin`` to ``end`` [s] since the rig started.
+    """A fault that is active from ``begin`` to ``end`` [s] after the start of the rig.
 
-    ``channel`` is that of a kind which acts on one. ``value`` says how much, in the unit of the
-    kind; None stands for the usual one. ``memory`` is what its function remembers: each rig
-    copies its own.
+    ``channel`` is the affected channel, if the kind acts on one. ``value`` is in the unit of the
+    kind; None selects the default. ``memory`` is the state of the fault's function; each rig uses
+    its own copy of the fault.
 
-    Raises FaultError where the channel is none of its own, the value is not finite or out of
-    range, or the end is not after the beginning.
+    Raises FaultError if the kind does not act on the channel, the value is not finite or too small,
+    the beginning is negative, or the end is not after the beginning.
     """
 
     kind: Kind
@@ -133,22 +139,25 @@ class Fault:
         self.memory: Any = None
 
     def active(self, time: Array) -> np.ndarray:
-        """Mask (n,) of the times [s] at which it is there."""
+        """Mask (n,): whether the fault is active at each time [s]."""
         return np.asarray((time >= self.begin - _ROUNDING) & (time < self.end - _ROUNDING))
 
     def concerns(self, block: RigBlock) -> bool:
-        """Whether it is there at the first sample of a block that is not yet labelled."""
+        """Whether the fault is active at the first sample of a block.
+
+        The block must still have the number of the rig.
+        """
         return bool(self.active(np.array([block.sequence * block.period]))[0])
 
     def moved(self, excitation: Excitation) -> Excitation:
-        """The motion that the machine makes instead."""
+        """The motion of the machine with this fault."""
         if self.kind.stage is not Stage.MOTION:
             return excitation
         moved: Excitation = self.kind.act(self, excitation)
         return moved
 
     def changed(self, stage: Stage, samples: Samples) -> Array:
-        """The values (n,) of these samples behind a stage."""
+        """The values (n,) of the samples after a stage."""
         if self.kind.stage is not stage:
             return samples.values
         values: Array = self.kind.act(self, samples)
@@ -163,30 +172,33 @@ def _changed_by(faults: Sequence[Fault], stage: Stage, samples: Samples) -> Arra
 
 
 def in_coil(faults: Sequence[Fault], time: Array, current: Array) -> Array:
-    """Current [A] in the coil, shape (n,), where the supply says ``current``."""
+    """Current [A] in the coil, shape (n,), when the supply reports ``current``."""
     return _changed_by(faults, Stage.COIL, Samples(time, current))
 
 
 def at_load_cell(faults: Sequence[Fault], time: Array, motion: Kinematics, force: Array) -> Array:
-    """Force [N] between rod and load cell, shape (n,), where the damper's is ``force``."""
+    """Force [N] between rod and load cell, shape (n,), for the damper force ``force``."""
     return _changed_by(faults, Stage.FORCE, Samples(time, force, motion=motion))
 
 
 class Delivery(NamedTuple):
-    """A block as it is sent, and the number of its first sample in the rig's own count."""
+    """A block as it is sent, and the number that the rig gave to its first sample."""
 
     block: RigBlock
     first: int
 
 
 class Instruments:
-    """What measures a rig and sends the samples, with its faults in the order given."""
+    """The instruments of a rig and the transmission of their samples.
+
+    The faults act in the given order.
+    """
 
     def __init__(self, faults: Sequence[Fault] = ()) -> None:
         self._faults = deepcopy(list(faults))
 
     def read(self, block: RigBlock) -> list[Delivery]:
-        """What is sent once the rig has made a block: none, or one, or several."""
+        """The blocks that are sent after the rig has produced a block; there may be none."""
         time = (block.sequence + np.arange(block.sample_count, dtype=np.float64)) * block.period
         for fault in self._faults:
             kind = fault.kind
@@ -210,7 +222,7 @@ class Instruments:
         return sent
 
 
-# --- of any value -------------------------------------------------------------------------------
+# --- any quantity -------------------------------------------------------------------------------
 
 
 def _gain(fault: Fault, samples: Samples) -> Array:
@@ -233,7 +245,7 @@ def _wear(fault: Fault, samples: Samples) -> Array:
 
 def _friction(fault: Fault, samples: Samples) -> Array:
     assert samples.motion is not None
-    # The sign of the velocity, rounded within 1 mm/s.
+    # The sign of the velocity, smoothed within 1 mm/s.
     return samples.values + fault.amount * np.tanh(samples.motion.velocity / 1e-3)
 
 
@@ -249,7 +261,10 @@ def _end_stop(fault: Fault, samples: Samples) -> Array:
 
 
 def _backlash(fault: Fault, samples: Samples) -> Array:
-    """After each reversal the rod, which is remembered, follows only when the play is used up."""
+    """After each reversal, the rod follows the machine only when the play is used up.
+
+    ``fault.memory`` is the position of the rod [m].
+    """
     assert samples.motion is not None
     result, half = samples.values.copy(), 0.5 * fault.amount
     for place in np.flatnonzero(fault.active(samples.time)):
@@ -284,7 +299,10 @@ def _stuck(fault: Fault, samples: Samples) -> Array:
 
 
 def _outages(instead: float) -> Callable[[Fault, Samples], Array]:
-    """Short outages at random; the end of the last one is remembered."""
+    """Random outages of 20 ms with the value ``instead``.
+
+    ``fault.memory`` is the end of the last outage [s].
+    """
 
     def act(fault: Fault, samples: Samples) -> Array:
         time, values, period, _ = samples
@@ -359,11 +377,11 @@ def _repeated_buffer(fault: Fault, block: RigBlock) -> RigBlock:
     return replace(block, displacement=last.displacement, force=last.force)
 
 
-# --- on the way ---------------------------------------------------------------------------------
+# --- in transmission ----------------------------------------------------------------------------
 
 
 def _chosen(fault: Fault, block: RigBlock) -> bool:
-    """Whether a block is one of those, by chance, that have the fault."""
+    """Draw whether this block has the fault."""
     return bool(fault.rng.random() < fault.amount) and fault.concerns(block)
 
 
@@ -394,7 +412,7 @@ def _late(fault: Fault, block: RigBlock) -> list[RigBlock]:
 
 
 def _ahead(block: RigBlock, seconds: float) -> RigBlock:
-    """The block stamped so much later."""
+    """The block with its stamp shifted by ``seconds``."""
     shift = round(seconds * NANOSECONDS)
     return replace(block, start_ns=block.start_ns + shift, ahead_ns=block.ahead_ns + shift)
 
@@ -504,7 +522,7 @@ KINDS: tuple[Kind, ...] = (
          "the stamps of the current are so much later than those of the samples",
          _supply_clock, "s", 2.0),
 )
-"""Every kind of fault: a new one is a function and a row here."""
+"""All kinds of fault. A new kind needs a function and a row here."""
 # fmt: on
 
 FAULTS: dict[str, tuple[Kind, str]] = {
@@ -512,7 +530,7 @@ FAULTS: dict[str, tuple[Kind, str]] = {
     for kind in KINDS
     for channel in kind.channels or ("",)
 }
-"""Kind and channel by the name in a text, such as ``force_gain``."""
+"""Kind and channel by the name of the fault, such as ``force_gain``."""
 
 _NUMBER = r"[-+]?(?:\d+\.?\d*|\.\d+)(?:e[-+]?\d+)?"
 _TEXT = re.compile(
@@ -523,10 +541,11 @@ _TEXT = re.compile(
 
 
 def fault_of(text: str, seed: int = 0) -> Fault:
-    """The fault of a text ``name[:value][@begin[-end]]``; times in seconds since the start.
+    """Parse a fault from ``name[:value][@begin[-end]]``.
 
-    Without a value it has its usual one; without times it is there all the time, without an end
-    for ever. Raises FaultError, with one sentence.
+    The times are in seconds after the start of the rig. Without a value, the fault has its default
+    value. Without times, it is always active; without an end, it never ends. Raises FaultError if
+    the text or the fault is invalid.
     """
     match = _TEXT.fullmatch(text.strip())
     if match is None:
@@ -546,5 +565,5 @@ def fault_of(text: str, seed: int = 0) -> Fault:
 
 
 def faults_of(texts: Sequence[str], seed: int = 0) -> list[Fault]:
-    """The faults of several texts, each with a seed of its own; raises FaultError."""
+    """Parse several faults, each with its own seed; raises FaultError."""
     return [fault_of(text, seed=seed + place) for place, text in enumerate(texts)]

@@ -14,7 +14,7 @@ from mr_damper_ros.signals.arrays import Array
 
 
 class ExcitationError(ValueError):
-    """A motion that cannot be made; the message says what to change."""
+    """An invalid motion; the message says what to change."""
 
 
 class Kinematics(NamedTuple):
@@ -26,11 +26,11 @@ class Kinematics(NamedTuple):
 
 
 class Excitation(Protocol):
-    """A motion as a function of time; ``centre`` [m] is the displacement it moves about."""
+    """A motion as a function of time about ``centre`` [m]."""
 
     @property
     def centre(self) -> float:
-        """Displacement [m] that the motion is about."""
+        """Centre of the motion [m]."""
 
     def at(self, time: Array) -> Kinematics:
         """Kinematics at the times [s], shape (n,)."""
@@ -44,13 +44,13 @@ def _require_positive(**values: float) -> None:
 
 @dataclass(frozen=True)
 class SineMotion:
-    """offset + A sin(2 pi f t + phase), or, with ``triangularity`` above 0, a rounded triangle.
+    """offset + A sin(2 pi f t + phase), or a rounded triangle if ``triangularity`` is positive.
 
-    ``amplitude`` [m], ``frequency`` [Hz], ``phase`` [rad], ``offset`` [m]. ``triangularity`` lies
-    in 0 to below 1: a test machine that cannot follow a sine (above about 3 Hz in the thesis)
-    makes a motion of nearly constant speed with short turns.
+    ``amplitude`` [m], ``frequency`` [Hz], ``phase`` [rad], ``offset`` [m]. ``triangularity`` is at
+    least 0 and less than 1. It describes a test machine that cannot follow a sine (above about 3 Hz
+    in the thesis): its speed is nearly constant, with short reversals.
 
-    Raises ExcitationError where a value is out of range.
+    Raises ExcitationError if a value is out of range.
     """
 
     amplitude: float
@@ -68,7 +68,7 @@ class SineMotion:
 
     @property
     def centre(self) -> float:
-        """Displacement [m] that the motion is about."""
+        """Centre of the motion [m]."""
         return self.offset
 
     def at(self, time: Array) -> Kinematics:
@@ -82,7 +82,7 @@ class SineMotion:
             return Kinematics(
                 self.offset + scale * sine, scale * rate * cosine, -scale * rate**2 * sine
             )
-        # asin(s sin x) / asin(s) goes from the sine (s = 0) to the triangle (s = 1).
+        # asin(s sin x) / asin(s) is a sine for s = 0 and a triangle for s = 1.
         scale = self.amplitude / math.asin(s)
         root = np.sqrt(1.0 - (s * sine) ** 2)
         return Kinematics(
@@ -94,14 +94,14 @@ class SineMotion:
 
 @dataclass(frozen=True)
 class RepeatedMotion:
-    """A motion that repeats, about ``centre`` [m]."""
+    """A periodic motion about ``centre`` [m]."""
 
     motion: PeriodicMotion
     centre: float = 0.0
 
     @property
     def is_sine(self) -> bool:
-        """Whether it is a plain sine."""
+        """Whether the motion is a sine."""
         return self.motion.kind is MotionKind.SINE
 
     def at(self, time: Array) -> Kinematics:
@@ -111,10 +111,10 @@ class RepeatedMotion:
 
 
 class SampledMotion:
-    """Any motion given by samples, such as an earthquake; a cubic spline goes through them.
+    """A motion given by samples, such as an earthquake, interpolated by a cubic spline.
 
-    After the last sample (and before the first) it stands still at the value there, for which the
-    spline starts and ends at rest.
+    Before the first sample and after the last, the motion rests at the value of that sample.
+    Therefore the spline has zero velocity at both ends.
     """
 
     def __init__(self, displacement: Array, period: float) -> None:
@@ -149,7 +149,10 @@ class _Ramp(NamedTuple):
 
 
 def _ramp(time: Array, begin: float, duration: float) -> _Ramp:
-    """From 0 before ``begin`` to 1 ``duration`` [s] later, twice continuously differentiable."""
+    """A step from 0 to 1 within ``duration`` [s], twice continuously differentiable.
+
+    It starts at ``begin`` [s].
+    """
     x = np.clip((time - begin) / duration, 0.0, 1.0)
     return _Ramp(
         x**3 * (10.0 - 15.0 * x + 6.0 * x**2),
@@ -159,7 +162,7 @@ def _ramp(time: Array, begin: float, duration: float) -> _Ramp:
 
 
 def _ramp_integral(time: Array, begin: float, duration: float) -> Array:
-    """Integral of :func:`_ramp` over the time [s]."""
+    """Integral of :func:`_ramp` over time [s]."""
     x = np.clip((time - begin) / duration, 0.0, 1.0)
     within = duration * x**4 * (2.5 - 3.0 * x + x**2)
     return np.asarray(within + np.maximum(time - begin - duration, 0.0))
@@ -167,10 +170,10 @@ def _ramp_integral(time: Array, begin: float, duration: float) -> Array:
 
 @dataclass(frozen=True)
 class EnvelopedMotion:
-    """A motion that is ``factor`` times as large about its centre from ``begin`` to ``end`` [s].
+    """A motion whose amplitude is multiplied by ``factor`` from ``begin`` to ``end`` [s].
 
-    It changes smoothly within ``duration`` [s], and back again after the end, which may be
-    infinite.
+    The amplitude changes smoothly within ``duration`` [s] after ``begin``, and back again after
+    ``end``, which may be infinite.
     """
 
     motion: Excitation
@@ -181,7 +184,7 @@ class EnvelopedMotion:
 
     @property
     def centre(self) -> float:
-        """Displacement [m] that the motion is about."""
+        """Centre of the motion [m]."""
         return self.motion.centre
 
     def at(self, time: Array) -> Kinematics:
@@ -200,10 +203,10 @@ class EnvelopedMotion:
 
 @dataclass(frozen=True)
 class WarpedMotion:
-    """A motion that goes on ``tempo`` times as fast from ``begin`` to ``end`` [s]; 0: it stands.
+    """A motion whose speed is multiplied by ``tempo`` from ``begin`` to ``end`` [s].
 
-    The tempo changes smoothly within ``duration`` [s], and back again after the end, which may be
-    infinite.
+    A tempo of 0 stops the motion. The tempo changes smoothly within ``duration`` [s] after
+    ``begin``, and back again after ``end``, which may be infinite.
     """
 
     motion: Excitation
@@ -214,7 +217,7 @@ class WarpedMotion:
 
     @property
     def centre(self) -> float:
-        """Displacement [m] that the motion is about."""
+        """Centre of the motion [m]."""
         return self.motion.centre
 
     def at(self, time: Array) -> Kinematics:
@@ -231,20 +234,22 @@ class WarpedMotion:
 
 
 _SINES = 48
-"""Sines that a random motion is made of."""
+"""Number of sines in a random motion."""
 
 _CREST = 3.0
-"""Amplitude of a random motion over its standard deviation."""
+"""Ratio of the amplitude of a random motion to its standard deviation."""
 
 _TURN = 0.1
-"""Part of a step in which the frequency goes over to the next one."""
+"""Fraction of a step in which the frequency changes to the next one."""
 
 
 class SweptSine:
-    """A sin(2 pi phi(t)) with a frequency that goes on straight lines between ``times`` [s].
+    """A sin(2 pi phi(t)) with a frequency that is piecewise linear between ``times`` [s].
 
-    ``frequencies`` [Hz] has as many values; the last time begins again with the first. Raises
-    ExcitationError where times do not rise from 0, or a frequency is not positive.
+    ``frequencies`` [Hz] has one value per time. The sweep repeats after the last time.
+
+    Raises ExcitationError if the times do not start at 0 and increase, the numbers of times and
+    frequencies differ, or a frequency is not positive.
     """
 
     centre = 0.0
@@ -277,7 +282,7 @@ class SweptSine:
         slope = self._slopes[place]
         frequency = self._frequencies[place] + slope * since
         cycles = self._cycles[place] + (self._frequencies[place] + 0.5 * slope * since) * since
-        # Whole cycles leave the sine as it is: the phase of the turns stays small.
+        # Whole cycles are removed to keep the phase small and thus accurate.
         angle = 2.0 * np.pi * (cycles + np.mod(turns * self._cycles[-1], 1.0))
         rate, bend = 2.0 * np.pi * frequency, 2.0 * np.pi * slope
         sine, cosine = np.sin(angle), np.cos(angle)
@@ -286,12 +291,12 @@ class SweptSine:
 
 
 def chirp(amplitude: float, low: float, high: float, duration: float) -> SweptSine:
-    """A sine that goes from ``low`` to ``high`` [Hz] and back within ``duration`` [s]."""
+    """A sine swept from ``low`` to ``high`` [Hz] and back within ``duration`` [s]."""
     return SweptSine(amplitude, (0.0, 0.5 * duration, duration), (low, high, low))
 
 
 def stepped(amplitude: float, low: float, high: float, duration: float) -> SweptSine:
-    """A sine at four frequencies from ``low`` to ``high`` [Hz], each for a part of ``duration``."""
+    """A sine at four frequencies from ``low`` to ``high`` [Hz], within ``duration`` [s]."""
     length = duration / 4.0
     times, frequencies = [], []
     for step, frequency in enumerate(np.geomspace(low, high, 4).tolist()):
@@ -301,9 +306,10 @@ def stepped(amplitude: float, low: float, high: float, duration: float) -> Swept
 
 
 class BandLimitedMotion:
-    """Random motion from ``low`` to ``high`` [Hz], seldom beyond ``amplitude`` [m]: many sines.
+    """Random motion between ``low`` and ``high`` [Hz], as a sum of sines with random phases.
 
-    Raises ExcitationError where the band is empty.
+    The displacement seldom exceeds ``amplitude`` [m]. Raises ExcitationError if the band is empty
+    or a limit is not positive and finite.
     """
 
     centre = 0.0
@@ -318,7 +324,7 @@ class BandLimitedMotion:
         edges = np.geomspace(low, high, _SINES + 1)
         self._rates = 2.0 * np.pi * rng.uniform(edges[:-1], edges[1:])
         self._phases = rng.uniform(0.0, 2.0 * np.pi, _SINES)
-        # As much speed from each part of the band.
+        # Each part of the band contributes equally to the velocity.
         sizes = 1.0 / self._rates
         spread = float(np.sqrt(0.5 * np.sum(sizes**2)))
         self._sizes = sizes * amplitude / (_CREST * spread)
@@ -335,12 +341,12 @@ class BandLimitedMotion:
 
 
 _SURRENDER = 2.0
-"""Seconds within which a motion that is no sine fades when the first command comes."""
+"""Time [s] in which a motion other than a sine fades after the first command."""
 
 
 @dataclass(frozen=True)
 class _Moved:
-    """A motion that begins to grow and to fade at these times [s]."""
+    """A motion that starts to grow at ``begin`` [s] and to fade at ``end`` [s]."""
 
     motion: PeriodicMotion
     begin: float
@@ -348,17 +354,17 @@ class _Moved:
 
     @property
     def change(self) -> float:
-        """Time [s] in which it grows, and fades."""
+        """Duration [s] of the growth and of the fading."""
         return self.motion.growth
 
     @property
     def over(self) -> float:
-        """When it has faded [s]."""
+        """Time [s] at which the motion has faded."""
         return self.end + self.change
 
     def at(self, time: Array) -> Kinematics:
-        """Kinematics at the times [s], shape (n,), zero before the beginning."""
-        # It has been let fade for ever, and comes back at the beginning.
+        """Kinematics at the times [s], shape (n,); zero before the beginning."""
+        # An envelope with the factor 0 since minus infinity, which ends at the beginning.
         whole = RepeatedMotion(self.motion)
         grown = EnvelopedMotion(whole, 0.0, -math.inf, self.begin, self.change)
         return _faded(grown, self.end, self.change).at(time)
@@ -371,10 +377,11 @@ def _faded(motion: Excitation, end: float, duration: float) -> Excitation:
 
 
 class CommandedMotion:
-    """A motion by itself, ``before``, until the first command at ``time`` [s]; then as commanded.
+    """A motion that follows commands.
 
-    A new command lets what moves fade, and the new motion grow after that, about the same centre.
-    A motion that grows is let grow first.
+    The motion is ``before`` until the first command at ``time`` [s]. After each command, the
+    present motion fades, and the new motion then grows about the same centre. A motion that is
+    still growing completes its growth before it fades.
     """
 
     def __init__(self, before: Excitation, time: float) -> None:
@@ -389,13 +396,13 @@ class CommandedMotion:
 
     @property
     def is_sine(self) -> bool:
-        """Whether nothing but sines is under way, or to come."""
+        """Whether all present and pending motions are sines."""
         return all(one.motion.kind is MotionKind.SINE for one in self._stretches)
 
     def command(self, motion: PeriodicMotion | None, time: float) -> None:
-        """Make a motion from ``time`` [s] on, None for rest.
+        """Command a motion from ``time`` [s] on; None commands rest.
 
-        The times of commands rise, and no sample after this one has been asked for yet.
+        The times of commands must increase, and no later sample may have been requested.
         """
         if self._before is not None and time >= self._free:
             self._before = None
@@ -427,7 +434,7 @@ class CommandedMotion:
 
 
 def is_sine(excitation: Excitation) -> bool:
-    """Whether the peak velocity is known at every sample, and need not be waited for."""
+    """Whether the motion is a sine, so that each sample determines the peak velocity."""
     if isinstance(excitation, (RepeatedMotion, CommandedMotion)):
         return excitation.is_sine
     return isinstance(excitation, SineMotion) and excitation.triangularity == 0.0

@@ -1,7 +1,7 @@
-"""An emulated damper that is built into a plant: its force moves the plant, which moves it.
+"""An emulated damper in a plant; the force of the damper and the motion of the plant interact.
 
-Like :class:`mr_damper_ros.emulation.emulator.EmulatedRig` it knows no wall clock, and
-gives the same samples whatever the size of the blocks.
+Like :class:`mr_damper_ros.emulation.emulator.EmulatedRig`, the rig uses no wall clock, and its
+samples do not depend on the block size.
 """
 
 from __future__ import annotations
@@ -33,23 +33,27 @@ from mr_damper_ros.signals.arrays import Array
 from mr_damper_ros.signals.blocks import RigBlock
 
 _ACCELERATION_MEMORY = 0.008
-"""Time constant [s] of the acceleration that the law's peak velocity is reckoned from: that of the
-very force which depends on it would drive itself. Observers of a recorded motion smooth it too."""
+"""Time constant [s] of the low-pass filter of the acceleration for the peak velocity.
+
+The force depends on the peak velocity, and the acceleration depends on the force. The filter opens
+this algebraic loop. Observers of recorded motion also smooth the acceleration.
+"""
 
 
 class Surroundings(Protocol):
-    """What moves a plant from outside, as a function of time: a road, the ground."""
+    """The external input of a plant as a function of time, such as a road or the ground."""
 
     def at(self, time: Array) -> Array:
-        """The plant's input (n,) at these times (n,) [s]: of a road, its velocity [m/s]."""
+        """The input (n,) at the times (n,) [s]; for a road, its vertical velocity [m/s]."""
 
 
 @dataclass(frozen=True, eq=False)
 class PlantMotion:
-    """What no instrument measures, at the samples of a block.
+    """True, unmeasured quantities at the samples of a block.
 
-    ``states`` and their derivatives ``rates`` have shape (n, states); ``force`` [N] is the true one
-    of a damper, shape (n,), ``velocity`` [m/s] that of its extension, ``coil`` [A] its current.
+    ``states`` of the plant and their derivatives ``rates`` have shape (n, states). The others have
+    shape (n,): the ``force`` of one damper [N], the ``velocity`` of its extension [m/s] and the
+    current in its ``coil`` [A].
     """
 
     states: Array
@@ -60,11 +64,12 @@ class PlantMotion:
 
 
 class BuiltInDamper:
-    """A damper of any law, without the jumps where the motion turns, which no plant would bear.
+    """A damper of any law in its continuous form, for simulation in a plant.
 
-    Beyond the peak velocities of its set it has the coefficients of the nearest one.
-    ``hot_force`` is the factor on its strength at 71 °C, relative to 28 °C; in between the strength
-    changes linearly.
+    The continuous form has no force jumps at reversals of the motion. Outside the peak velocity
+    range of its set, the damper uses the coefficients of the nearest peak velocity. ``hot_force``
+    is the factor on the gain parameters at 71 °C, relative to 28 °C; between these temperatures the
+    gain parameters change linearly.
     """
 
     def __init__(self, parameters: ParameterSet, hot_force: float = 1.0) -> None:
@@ -76,7 +81,10 @@ class BuiltInDamper:
         self._state: State | None = None
 
     def force(self, motion: Motion, coil: Array, celsius: float, period: float) -> float:
-        """Force [N] of the next sample, ``period`` [s] after the one before; ``coil`` [A]."""
+        """Force [N] of the next sample, ``period`` [s] after the previous one.
+
+        ``motion`` has one sample; ``coil`` (1,) is the coil current [A].
+        """
         if celsius != self._warm[0]:
             values = self._values.copy()
             values[self._law.strength_indices] *= 1.0 + (self._hot_force - 1.0) * float(
@@ -89,12 +97,12 @@ class BuiltInDamper:
 
 
 class PlantRig(MeasuredRig):
-    """A plant with a damper in it, sample by sample.
+    """A damper in a plant.
 
-    The plant is solved exactly for a force that holds for a ``substeps``-th part of a sample's
-    period; the force of the damper follows its motion at every such step. ``dampers`` of them act
-    side by side, of which one is measured. The current in the coil follows that of the supply with
-    ``coil_time_constant`` [s].
+    Each sample period has ``substeps`` steps. The force of the damper is computed at every step and
+    held during it; for this held force, the solution of the plant is exact. ``dampers`` equal
+    dampers act in parallel, and one of them is measured. The current in the coil follows the supply
+    with a lag of ``coil_time_constant`` [s].
     """
 
     def __init__(
@@ -110,14 +118,14 @@ class PlantRig(MeasuredRig):
         dampers: int = 1,
         substeps: int = 4,
     ) -> None:
-        # A damper may remember the motion: each rig has its own.
+        # A damper may have a state, so each rig has its own copy.
         self._damper = deepcopy(damper)
         self._surroundings = surroundings
         super().__init__(current, settings, thermal)
         self._dampers, self._substeps = dampers, substeps
         self._step = self.settings.period / substeps
         self.plant = MovingPlant(plant, self._step)
-        """The plant as it is now."""
+        """The plant in its present state."""
         self._peak = PeakVelocity(self._step)
         decay = math.exp(-self._step / coil_time_constant) if coil_time_constant > 0.0 else 0.0
         self._coil_decay, self._coil = decay, float(self._current.at(np.zeros(1))[0])
@@ -127,7 +135,7 @@ class PlantRig(MeasuredRig):
         self._ahead: deque[list[float]] = deque()
         self._heat = 0.0
         self.motion: PlantMotion | None = None
-        """Of the last block."""
+        """True quantities of the last block; None before the first."""
 
     def next_block(self, count: int) -> RigBlock:
         """The next ``count`` samples."""
@@ -145,7 +153,7 @@ class PlantRig(MeasuredRig):
         return self._block(first, np.stack([displacement, force, supplied, celsius]))
 
     def _moved_next(self) -> list[float]:
-        """What comes from outside in the steps of the next sample."""
+        """The external inputs in the steps of the next sample."""
         if not self._ahead:
             steps = self._asked + np.arange(CHUNK * self._substeps, dtype=np.float64)
             self._asked += steps.size
@@ -154,7 +162,11 @@ class PlantRig(MeasuredRig):
         return self._ahead.popleft()
 
     def _next_sample(self, supplied: float, moved: list[float]) -> tuple[float, ...]:
-        """Displacement, measured force, temperature; true force, velocity, coil."""
+        """The next sample.
+
+        Returns the measured displacement and force, the temperature, the true force, the velocity
+        and the coil current.
+        """
         place = self._made % CHUNK
         if place == 0:
             self._noise = self._rng.standard_normal((2, CHUNK))
@@ -190,7 +202,7 @@ class PlantRig(MeasuredRig):
         )
 
     def _warm(self, heat: float) -> None:
-        """Take the heat [J] of a sample."""
+        """Add the heat [J] of a sample; update the temperature at the end of each chunk."""
         self._heat += heat
         if self._made % CHUNK == 0:
             if self._thermal is not None:
@@ -200,7 +212,10 @@ class PlantRig(MeasuredRig):
 
 
 HOT_FORCE = 989.0 / 1332.0
-"""What the thesis' damper keeps of its force at 71 °C: tables 8 and 9, 5 mm, 1 Hz, 1.5 A."""
+"""Force at 71 °C relative to 28 °C of the damper in the thesis.
+
+Tables 8 and 9, at 5 mm, 1 Hz and 1.5 A.
+"""
 
 HIGHEST_CURRENT = 1.6
 
@@ -228,7 +243,7 @@ _VALUES = {
 
 
 def invented_damper(coil_time_constant: float) -> ParameterSet:
-    """What is known of it at 28 °C, with a coil that lags by so many seconds."""
+    """Parameter set of an invented damper at 28 °C, with the given coil time constant [s]."""
     values = {**_VALUES, COIL: coil_time_constant}
     names = MODELS["sigmoid_lag"].parameter_names
     return replace(
