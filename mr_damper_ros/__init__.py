@@ -1,6 +1,6 @@
-"""Identify a magnetorheological damper, and predict its force.
+"""Identification of magnetorheological dampers and prediction of their force.
 
-The Python interface, which needs no ROS::
+The Python interface works without ROS::
 
     import mr_damper_ros as mr
 
@@ -10,8 +10,8 @@ The Python interface, which needs no ROS::
     result.save("damper.yaml")
     result.plot().savefig("damper.png")
 
-Names are loaded when they are used first. All numbers are in SI units; extension and tension are
-positive.
+Modules are loaded when a name is first used. All quantities are in SI units; extension and tension
+are positive.
 """
 
 from importlib import import_module
@@ -106,10 +106,10 @@ _HOMES = {
 }
 """The module of each name."""
 
-if not TYPE_CHECKING:  # a type checker knows the names from the imports above, and no others
+if not TYPE_CHECKING:  # a type checker sees only the imports above
 
     def __getattr__(name: str) -> object:
-        """Load a name of the interface when it is used first."""
+        """Load a name of the interface on its first use."""
         if name not in _HOMES:
             raise AttributeError(f"module '{__name__}' has no attribute '{name}'")
         value = getattr(import_module(f"{__name__}.{_HOMES[name]}"), name)
@@ -117,5 +117,5 @@ if not TYPE_CHECKING:  # a type checker knows the names from the imports above, 
         return value
 
     def __dir__() -> list[str]:
-        """The names of the interface, loaded or not."""
+        """All names of the interface, loaded or not."""
         return sorted({*globals(), *__all__})

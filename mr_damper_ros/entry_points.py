@@ -1,13 +1,14 @@
-"""Starts the programs: loads them with a stop signal already heard.
+"""Entry points of the programs; they handle stop signals from the beginning.
 
-Loading rclpy and SciPy takes a second or two. A signal that comes meanwhile ends the program as it
-does later: a node with exit code 0, a tool with a sentence, neither with a traceback. The installed
-programs hold signals back (see setup.py) while Python itself starts, and from their end on they are
-ignored.
+Loading rclpy and SciPy takes a second or two. A stop signal during this time ends the program as it
+does later: a node exits with code 0, a tool prints a message, and neither prints a traceback. The
+installed programs block the signals while Python itself starts (see setup.py). After the program
+has ended, the signals are ignored.
 
-SciPy takes the most of it. A node that was killed should be back soon, so what a node loads
-imports SciPy only where it is called. The identifier's worker, which loads it before its first
-task, is started before the node is loaded: it takes longer than the node and its first window.
+SciPy takes most of the loading time. A killed node should restart quickly, so the modules of a node
+import SciPy only inside the functions that use it. The identifier's worker loads SciPy before its
+first task. It starts before the node is loaded, because loading SciPy takes longer than loading the
+node and receiving its first window.
 """
 
 from __future__ import annotations
@@ -26,14 +27,14 @@ _WORK = {
     "identifier": "mr_damper_ros.tracking.worker_preload",
     "campaign": "mr_damper_ros.campaign.worker_preload",
 }
-"""What the worker of a node must load for its tasks."""
+"""The module that the worker of each node loads for its tasks."""
 
 _SIGNALS = (signal.SIGINT, signal.SIGTERM)
 
 _NOT_INSTALLED = 2
 
 _INTERRUPTED = 130
-"""Exit code after Ctrl-C, as shells have it."""
+"""Exit code after Ctrl-C, by the convention of shells."""
 
 _MISSING = {
     "mr_damper_msgs": "The package mr_damper_msgs is missing: build it too (in a workspace: ln -s "
@@ -44,12 +45,12 @@ _MISSING = {
         for name in ("rosbags", "threadpoolctl")
     },
 }
-"""What to do where a module cannot be imported."""
+"""Message for each module that may be missing."""
 
 
 def tool(name: str) -> int:
-    """Run the tool of this name, a module of the room tools; returns its exit code."""
-    # It may not heed Ctrl-C, as in the background of a shell.
+    """Run the module of this name in the package ``tools``; returns its exit code."""
+    # A process in the background of a shell ignores Ctrl-C, and must go on ignoring it.
     heeded = _SIGNALS[: signal.getsignal(signal.SIGINT) is not signal.SIG_IGN]
     _end_at_once(heeded, _INTERRUPTED, f"\n{name}: stopped by Ctrl-C\n")
     main: Callable[[], int] = import_module(f"mr_damper_ros.tools.{name}").main
@@ -62,10 +63,10 @@ def tool(name: str) -> int:
 
 
 def _run(name: str) -> int:
-    """Run a node, or one in each of several namespaces, which share workers."""
+    """Run a node, or one node in each of several namespaces with shared workers."""
     if name == "live" and any(word.partition("=")[0] == "--bag" for word in sys.argv[1:]):
         return tool("live_bag")
-    # Nothing has been started that would have to be ended; modules half loaded are best left so.
+    # Nothing needs an orderly shutdown yet, so the process may exit during an import.
     _end_at_once(_SIGNALS, 0)
     if name not in _WORK:
         return _run_node(name)
@@ -80,7 +81,7 @@ def _run_node(name: str, *arguments: object) -> int:
     try:
         node = import_module(f"mr_damper_ros.nodes.{name}_node")
     except ModuleNotFoundError as error:
-        # Without ROS many modules are missing, of which that of rclpy need not be the first.
+        # Without ROS, several modules are missing, and rclpy may not be the first of them.
         missing = (error.name or "").partition(".")[0] if find_spec("rclpy") else "rclpy"
         if missing not in _MISSING:
             raise
@@ -89,7 +90,7 @@ def _run_node(name: str, *arguments: object) -> int:
     try:
         code: int = node.main(*arguments)
         sys.stdout.flush()
-    except BrokenPipeError:  # who was reading has enough; Python must not try to flush again
+    except BrokenPipeError:  # the reader has closed the pipe; Python must not flush again
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         code = 0
     finally:
@@ -99,7 +100,10 @@ def _run_node(name: str, *arguments: object) -> int:
 
 
 def _end_at_once(numbers: tuple[signal.Signals, ...], code: int, word: str = "") -> None:
-    """Have these signals end the process with a code, and deliver those that were held back."""
+    """Let these signals end the process with an exit code, and unblock all stop signals.
+
+    ``word`` is a message for the standard error stream.
+    """
 
     def end(number: int, frame: FrameType | None) -> None:
         os.write(2, word.encode())
@@ -111,7 +115,7 @@ def _end_at_once(numbers: tuple[signal.Signals, ...], code: int, word: str = "")
 
 
 def __getattr__(name: str) -> Callable[[], int]:
-    """What runs the node of this name, and returns its exit code."""
+    """The function that runs the node of this name and returns its exit code."""
     if name.startswith("_") or find_spec(f"mr_damper_ros.nodes.{name}_node") is None:
         raise AttributeError(f"there is no node {name}")
     return partial(_run, name)

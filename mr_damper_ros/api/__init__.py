@@ -1,1 +1,1 @@
-"""The Python interface: what ``import mr_damper_ros`` offers for recordings."""
+"""The Python interface for recordings, available from ``import mr_damper_ros``."""

@@ -1,4 +1,4 @@
-"""Measured against predicted force: errors, figures, and the validation of a parameter set."""
+"""Comparison of measured and predicted force: errors, figures and validation of a set."""
 
 from __future__ import annotations
 
@@ -34,11 +34,11 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, eq=False)
 class Comparison:
-    """Measured and predicted force of one run along its motion.
+    """Measured and predicted force of one run.
 
-    Arrays of shape (n,): ``time`` [s] from the first sample, ``displacement`` [m] from the centre
+    Arrays of shape (n,): ``time`` [s] since the first sample, ``displacement`` [m] from the centre
     of the motion, ``velocity`` [m/s], ``measured`` and ``predicted`` force [N]. ``name`` and
-    ``provenance`` are those of the run.
+    ``provenance`` are copied from the run.
     """
 
     name: str
@@ -61,9 +61,9 @@ class Comparison:
 
 
 def compare(found: ParameterSet, run: MeasuredRun) -> Comparison:
-    """The force that a parameter set of any model gives for a run, next to that measured.
+    """Compare the force of a parameter set with the measured force of a run.
 
-    As the set is used in a prediction: with the peak velocity held within its range.
+    As in a prediction, the peak velocity is limited to the range of the set.
     """
     time = [
         start + window.period * np.arange(window.sample_count)
@@ -83,18 +83,18 @@ def compare(found: ParameterSet, run: MeasuredRun) -> Comparison:
 
 
 def error_over(comparisons: Iterable[Comparison]) -> ErrorSums:
-    """Error of the predictions of several runs, all their samples together."""
+    """Prediction error over the samples of all runs."""
     return pooled(comparison.error for comparison in comparisons)
 
 
 class ComparedRun:
-    """What is the same for each run of a result: name and error of its ``comparison``."""
+    """Base class of the runs of a result: name and error of the ``comparison``."""
 
     comparison: Comparison
 
     @property
     def name(self) -> str:
-        """Name of the run: the path of its bag, or that of the recording."""
+        """Path of the bag, or name of the recording."""
         return self.comparison.name
 
     @property
@@ -104,13 +104,13 @@ class ComparedRun:
 
 
 class ComparedRuns:
-    """What is the same for each result with ``runs``: their error together, and their figures."""
+    """Base class of results with ``runs``: overall error and figures."""
 
     runs: tuple[ComparedRun, ...]
 
     @property
     def error(self) -> ErrorSums:
-        """RMSE, NRMSE and R² of the set on the samples of all runs together."""
+        """RMSE, NRMSE and R² of the set over the samples of all runs."""
         return error_over(run.comparison for run in self.runs)
 
     @property
@@ -120,16 +120,16 @@ class ComparedRuns:
 
     @property
     def nrmse(self) -> float:
-        """RMSE over the standard deviation of the force [1], all runs together."""
+        """RMSE relative to the standard deviation of the force [1], over all runs."""
         return self.error.nrmse
 
     def plot(self, run: int = 0) -> Figure:
-        """Figure of one run: both loops, the force and the residual over time, its histogram."""
+        """Figure of one run: both loops, force and residual over time, residual histogram."""
         return comparison_figure(self.runs[run].comparison)
 
 
 def error_entry(error: ErrorSums) -> dict[str, Any]:
-    """RMSE [N], NRMSE, R2 and the number of samples as JSON can hold them."""
+    """RMSE [N], NRMSE, R² and the number of samples as JSON-compatible values."""
     return {
         "rmse": error.rmse,
         "nrmse": error.nrmse,
@@ -141,18 +141,18 @@ def error_entry(error: ErrorSums) -> dict[str, Any]:
 FORMATS = ("png", "svg", "pdf")
 
 _LEGEND = 0.06
-"""Part of the height that the legend takes."""
+"""Fraction of the height of the figure for the legend."""
 
 _MEASURED = {"color": "0.65", "linestyle": "none", "marker": ".", "markersize": 3.0}
 _PREDICTED = {"color": "#8f1023", "linewidth": 1.2}
-"""Light dots and a dark line: they differ in grey and in form too."""
+"""Light dots and a dark line, which also differ without colour."""
 
 
 def comparison_figure(comparison: Comparison, title: str = "") -> Figure:
-    """Figure of a comparison: both loops, force and residual over time, the residual's histogram.
+    """Figure of a comparison: both loops, force and residual over time, residual histogram.
 
-    ``title``: what the prediction is, where that needs saying; name, NRMSE and provenance of the
-    run are told in any case.
+    ``title`` is an additional line in the heading. The heading always contains name, NRMSE, RMSE
+    and provenance of the run.
     """
     with styled():
         return _drawn(comparison, title)
@@ -161,7 +161,7 @@ def comparison_figure(comparison: Comparison, title: str = "") -> Figure:
 def save_figures(
     comparisons: Iterable[Comparison], folder: Path, formats: Sequence[str], title: str = ""
 ) -> list[Path]:
-    """Draw each comparison into files of its name; returns their paths. Raises OSError."""
+    """Save a figure of each comparison in all formats; returns the paths. Raises OSError."""
     written: list[Path] = []
     for comparison in comparisons:
         figure = comparison_figure(comparison, title)
@@ -175,7 +175,7 @@ def save_figures(
 
 
 def _file_name(name: str, taken: set[str]) -> str:
-    """A plain file name from the name of a run, which may be a path."""
+    """A valid, unused file name from the name of a run, which may be a path."""
     stem = re.sub(r"[^\w.+-]+", "_", Path(name).name.removesuffix(".mcap")).strip("._") or "run"
     free, number = stem, 1
     while free in taken:
@@ -186,7 +186,7 @@ def _file_name(name: str, taken: set[str]) -> str:
 
 def _drawn(comparison: Comparison, title: str) -> Figure:
     figure = figure_of(7.2, 7.6)
-    # Room for the legend: loc="outside …" is not known to the Matplotlib of Ubuntu 24.04.
+    # Space for the legend; the Matplotlib of Ubuntu 24.04 does not support loc="outside …".
     figure.get_layout_engine().set(rect=(0.0, _LEGEND, 1.0, 1.0 - _LEGEND))
     axes: dict[str, Any] = figure.subplot_mosaic(
         [["velocity"] * 2 + ["displacement"] * 2, ["force"] * 4, ["residual"] * 3 + ["histogram"]],
@@ -226,7 +226,7 @@ def _pair(axes: Any, x: Array, comparison: Comparison, gaps: NDArray[np.intp]) -
 
 
 def _broken(gaps: NDArray[np.intp], *arrays: Array) -> tuple[Array, ...]:
-    """The arrays with a break in the line where samples are missing."""
+    """The arrays with a NaN at each gap, which interrupts the line."""
     return tuple(np.insert(array, gaps, np.nan) for array in arrays)
 
 
@@ -235,7 +235,7 @@ def _title(comparison: Comparison, title: str) -> str:
     lines = [Path(comparison.name).name, f"NRMSE {error.nrmse:.2%}, RMSE {error.rmse:.3g} N"]
     if title:
         lines.insert(1, title)
-    lines += textwrap.wrap(comparison.provenance, 92)  # characters of the width
+    lines += textwrap.wrap(comparison.provenance, 92)  # characters per line
     return "\n".join(lines)
 
 
@@ -244,7 +244,10 @@ _MARGINS = PredictorSettings()
 
 @dataclass(frozen=True, eq=False)
 class ValidatedRun(ComparedRun):
-    """Error of the set on one run; ``remark`` says where the run is not what the set is for."""
+    """Error of the set on one run.
+
+    ``remark``: a sentence if the run lies outside the range of the set, otherwise empty.
+    """
 
     comparison: Comparison
     remark: str
@@ -252,9 +255,9 @@ class ValidatedRun(ComparedRun):
 
 @dataclass(frozen=True, eq=False)
 class Validation(ComparedRuns):
-    """Outcome of :func:`validate`: the set and its error on each run, in the order given.
+    """Result of :func:`validate`: the set and its error on each run, in the given order.
 
-    ``remarks`` say what seems wrong with the runs.
+    ``remarks`` describe possible problems of the runs.
     """
 
     parameter_set: ParameterSet
@@ -262,7 +265,7 @@ class Validation(ComparedRuns):
     remarks: tuple[str, ...] = ()
 
     def document(self) -> dict[str, Any]:
-        """The result as JSON can hold it."""
+        """The result as JSON-compatible values."""
         return {
             "bags": [
                 {"bag": run.name, "metrics": error_entry(run.error), "remark": run.remark}
@@ -309,19 +312,19 @@ def validate(
     accept_doubtful: bool = False,
     mass: float = 0.0,
 ) -> Validation:
-    """Compare the force that a parameter set predicts with that of runs.
+    """Compare the predicted force of a parameter set with the measured force of runs.
 
     Parameters
     ----------
     parameters
-        A parameter set of any model, or its file.
+        A parameter set of any model, or the path of its file.
     *runs, displacement, force, current, period, accept_doubtful, mass
         As in :func:`identify`.
 
     Raises
     ------
     ValueError
-        In one sentence that says what to change, where the set or a run cannot be used.
+        If the set or a run cannot be used; the message says what to change.
 
     Examples
     --------
@@ -351,7 +354,7 @@ def validate(
 
 
 def _remark(found: ParameterSet, run: MeasuredRun) -> str:
-    """Where a run lies outside of what the set was identified from, by the predictor's margins."""
+    """A sentence if a run lies outside the identified range plus the margins of the predictor."""
     remarks = []
     speeds, currents = zip(*(window.operating_point for window in run.windows), strict=True)
     low, high = found.peak_velocity_range

@@ -1,4 +1,4 @@
-"""What is said of an identified set: numbers with their errors, findings, and tables of them."""
+"""Results of an identification: estimates with standard errors, findings, and their tables."""
 
 from __future__ import annotations
 
@@ -39,12 +39,13 @@ from mr_damper_ros.tracking.operating_point import KnownPoints
 
 @dataclass(frozen=True)
 class Estimate:
-    """A number with its standard error, both in ``unit``; NaN where the error is unknown.
+    """A value with its standard error, both in ``unit``; an unknown standard error is NaN.
 
-    ``observable``: whether the data determined it; else it kept the value of the start.
-    ``discrepancy``: the part of the standard error that comes from what the law cannot follow, and
-    that only another motion shows; NaN where it is unknown. ``only_with``: the parameters with
-    which alone it is known, as a product, for one: it then has no error of its own.
+    ``observable``: whether the data determine the value; otherwise, it is the start value.
+    ``discrepancy``: the part of the standard error that is caused by model error. It becomes
+    visible only with a different motion; NaN if it is unknown. ``only_with``: the parameters with
+    which the value is determined only jointly, for example as a product. Such a value has no
+    standard error of its own.
     """
 
     value: float
@@ -69,7 +70,10 @@ Estimates = Mapping[str, Estimate]
 def parameter_estimates(
     found: ParameterSet, partners: Mapping[str, tuple[str, ...]] | None = None
 ) -> dict[str, Estimate]:
-    """The parameters of a set by name; ``partners``: see :meth:`Determination.partners`."""
+    """The estimates of a parameter set, by name.
+
+    ``partners`` is the result of :meth:`Determination.partners`.
+    """
     partners = partners or {}
     errors = found.standard_errors.tolist(), found.observable, found.discrepancies.tolist()
     rows = zip(found.law.parameters, found.values.tolist(), *errors, strict=True)
@@ -87,11 +91,11 @@ def parameter_estimates(
 
 
 _SURELY = 2.0
-"""A coefficient is negative by so many of its standard errors before that is remarked."""
+"""Number of standard errors below zero from which a negative coefficient is reported."""
 
 
 def negative_slopes(runs: Mapping[str, Estimates], found: ParameterSet) -> list[str]:
-    """Remarks on stiffnesses and viscous slopes below zero; ``runs``: coefficients by run."""
+    """Remarks on negative stiffnesses and viscous slopes; ``runs``: coefficients by run."""
     entries: dict[str, list[tuple[str, Estimate]]] = {}
     for run, estimates in runs.items():
         for name, entry in estimates.items():
@@ -113,7 +117,7 @@ def negative_slopes(runs: Mapping[str, Estimates], found: ParameterSet) -> list[
 
 
 def text_table(heading: str, estimates: Estimates) -> str:
-    """A table for a terminal: name, value, standard error, discrepancy in it, unit, meaning."""
+    """A table for a terminal: name, value, standard error, discrepancy, unit and meaning."""
     width = max(map(len, (heading, *estimates)))
     lines = [f"{heading:>{width}} {'value':>12}  standard error  discrepancy  unit"]
     lines += [
@@ -160,24 +164,24 @@ def _discrepancy(entry: Estimate) -> str:
 
 
 _MOST_PARTNERS = 2
-"""So many parameters are named with which one is known together."""
+"""Largest number of jointly determined parameters that a table names."""
 
 _CYCLES = 2.0
-"""Cycles of a piece; of a motion that is no sine a piece takes ``_DURATION`` seconds."""
+"""Cycles per piece; if the motion has no frequency, a piece lasts ``_DURATION`` seconds."""
 
 _DURATION = 4.0
 _SAMPLES = 500
-"""Samples of a piece are thinned to about so many, and there are no more pieces."""
+"""Approximate number of samples of a piece, and largest number of pieces per window."""
 
 _STEADY_CURRENT = 0.02
-"""Change [A] of the current that a piece may have."""
+"""Largest change [A] of the current within a piece."""
 
 
 def temperature_maps(runs: Sequence[MeasuredRun], found: ParameterSet) -> list[TemperatureMap]:
-    """Maps from all runs together, of each operating point where they identify one.
+    """Temperature maps from all runs, for each operating point at which they determine a map.
 
-    ``found`` is the set identified from the runs. Each run is cut into pieces of a few cycles,
-    whose fitted scales give the force scale. Pieces whose force cannot be fitted are left out.
+    ``found`` is the set identified from the runs. Each run is cut into pieces of a few cycles. A
+    window fit of each piece gives its force scale. Pieces that cannot be fitted are ignored.
     """
     known = KnownPoints()
     for run in runs:
@@ -209,14 +213,15 @@ def _pieces(window: Window, celsius: Array) -> Iterator[tuple[Window, float]]:
 
 
 _MEASURE = "in residuals of the runs fitted one by one"
-"""What a search leaves: the root of its cost."""
+"""Unit of the square root of the cost of a search."""
 
 
 @dataclass(frozen=True, eq=False)
 class Findings:
-    """What there is to say of a set besides the set.
+    """Further results of an identification, besides the parameter set.
 
-    ``lines`` are for a reader, one finding each; ``document`` holds the same for JSON.
+    ``lines`` hold one finding each, as text; ``document`` holds the same findings as
+    JSON-compatible values.
     """
 
     lines: list[str]
@@ -230,7 +235,7 @@ class Findings:
 
 
 def determination_of(fit: GlobalFit, windows: Sequence[Window]) -> Determination:
-    """What the windows determine of the parameters of a fit to them."""
+    """The combinations of parameters that the windows of a fit determine."""
     found = fit.parameter_set
     misfit = search_misfit(fit, windows)
     jacobian = misfit.jacobian(found.values) / noise_level(misfit, found.values)
@@ -241,7 +246,7 @@ def determination_of(fit: GlobalFit, windows: Sequence[Window]) -> Determination
 def determined(
     fit: GlobalFit, windows: Sequence[Window], rig: RigRange, result: Determination
 ) -> Findings:
-    """What the windows determine, and the runs within the range of the rig that would do more."""
+    """The determined parameters, and runs within the range of the rig that determine more."""
     found = fit.parameter_set
     misfit = search_misfit(fit, windows)
     noise = float(np.median(fit.noise))
@@ -294,7 +299,7 @@ def _determination_entry(result: Determination) -> dict[str, Any]:
 
 
 def profiles(fit: GlobalFit, found: Sequence[Profile]) -> Findings:
-    """What the profiles of a fit say."""
+    """The profile likelihoods of a fit as findings."""
     values = fit.parameter_set.as_dict()
     lines = [
         f"profile of {p.name}: least at {p.best:.6g}, 95 % interval "
@@ -319,7 +324,7 @@ def profiles(fit: GlobalFit, found: Sequence[Profile]) -> Findings:
 
 
 def searches(found: MultiStart) -> Findings:
-    """Costs of the searches and of their candidates, and how far they agree."""
+    """Costs of the searches and their candidates, and the agreement of the best searches."""
     best = found.best
     names = best.parameter_set.law.parameter_names
     lines = []
@@ -361,7 +366,7 @@ def searches(found: MultiStart) -> Findings:
 
 
 def temperatures(maps: Sequence[TemperatureMap]) -> Findings:
-    """How the force falls with temperature, and how well it tells the temperature."""
+    """Change of the force with temperature, and accuracy of the temperature from the force."""
     lines, entries = [], []
     for found in maps:
         speed, current = found.operating_point

@@ -1,4 +1,4 @@
-"""One parameter set for all runs given, and the force law that they support."""
+"""Identification of one parameter set from all runs, and choice of the force law."""
 
 from __future__ import annotations
 
@@ -66,20 +66,20 @@ if TYPE_CHECKING:
     pass
 
 MOST_LEFT = 0.3
-"""A set that leaves more than this part of the force's standard deviation explains too little."""
+"""Largest acceptable NRMSE of a run; above it, the set explains too little of the force."""
 
 
 AUTO = "auto"
-"""In place of a law's name: the one that the runs support."""
+"""Value of ``model`` that lets the runs decide on the law."""
 
 
 @dataclass(frozen=True, eq=False)
 class FittedRun(ComparedRun):
-    """What the identified set makes of one run.
+    """The fit of the identified set to one run.
 
-    ``operating_point``: peak velocity [m/s] and current [A] that stand for the run;
-    ``coefficients``: those of the law there, by name; ``level``: force scale and zero of the run's
-    own, None where none were asked for. The ``error`` is that of the set without them.
+    ``operating_point``: representative peak velocity [m/s] and current [A] of the run;
+    ``coefficients``: the coefficients of the law at this point, by name; ``level``: gain and offset
+    of the run, None without ``level_per_record``. The ``error`` does not include the level.
     """
 
     measured: MeasuredRun
@@ -91,13 +91,13 @@ class FittedRun(ComparedRun):
 
 @dataclass(frozen=True, eq=False)
 class Identification(ComparedRuns):
-    """Outcome of :func:`identify`.
+    """Result of :func:`identify`.
 
-    ``parameter_set`` is what was found, ``runs`` how it fits each run, in the order given;
-    ``searches`` holds every search that was made; ``duration`` [s] is what they took; ``remarks``
-    say what seems wrong with the runs. ``choice``: how the law was chosen, where "auto" was asked
-    for; ``profiles`` are those that were asked for; ``mass`` [kg]: that whose inertia was taken
-    off the force.
+    ``parameter_set`` is the identified set; ``runs`` are its fits to the runs, in the given order;
+    ``searches`` holds all searches, and ``duration`` [s] is their computing time; ``remarks``
+    describe possible problems of the runs. ``choice``: the choice of the law, for the model "auto";
+    ``profiles``: the requested profile likelihoods; ``mass``: the mass [kg] whose inertia was
+    subtracted from the force.
     """
 
     parameter_set: ParameterSet
@@ -112,7 +112,7 @@ class Identification(ComparedRuns):
 
     @property
     def parameters(self) -> dict[str, Estimate]:
-        """Value, standard error, unit and whether the data determined it, by name."""
+        """Value, standard error, unit and observability of each parameter, by name."""
         found = self.parameter_set
         errors = dict(zip(found.law.parameter_names, found.standard_errors.tolist(), strict=True))
         return parameter_estimates(found, self._determination.partners(errors))
@@ -130,42 +130,42 @@ class Identification(ComparedRuns):
     def coefficients(self) -> dict[str, Estimate]:
         """The operating-point coefficients of the first run, by name.
 
-        Those of the others are in ``runs[k].coefficients``.
+        ``runs[k].coefficients`` holds the coefficients of the other runs.
         """
         return self.runs[0].coefficients
 
     @property
     def covariance(self) -> Array:
-        """Covariance (p, p) of the parameters, zero where one was held."""
+        """Covariance (p, p) of the parameters; zero for fixed parameters."""
         return self.searches.best.covariance
 
     @property
     def evaluations(self) -> int:
-        """Evaluations of the force law, or of its cheaper stand-ins, by the best search."""
+        """Evaluations of the force law, or of cheaper approximations, in the best search."""
         return self.searches.best.evaluations
 
     @property
     def explains(self) -> bool:
-        """Whether the set leaves no more than 30 % of the force's standard deviation, in each run.
+        """Whether the NRMSE is at most 30 % in each run.
 
-        With the level of each run, where the runs have any.
+        If the runs have gains and offsets of their own, the NRMSE includes them.
         """
         return not self._unexplained
 
     @property
     def _unexplained(self) -> list[tuple[float, str]]:
-        """NRMSE and name of the runs of which the set leaves too much, the worst first."""
+        """NRMSE and name of the runs with too large an NRMSE, the worst first."""
         left = [((run.level or run.error).nrmse, run.name) for run in self.runs]
         return sorted((entry for entry in left if entry[0] > MOST_LEFT), reverse=True)
 
     @property
     def success(self) -> bool:
-        """Whether the search came to its end and the set explains the force."""
+        """Whether the search was completed and the set explains the force."""
         return self.searches.best.success and self.explains
 
     @property
     def message(self) -> str:
-        """How it ended, in words."""
+        """Outcome of the search, in words."""
         ended = self.searches.best.message
         if self.explains:
             return ended
@@ -181,10 +181,10 @@ class Identification(ComparedRuns):
     def determination(
         self, *, top_velocity: float | None = None, top_current: float | None = None
     ) -> Findings:
-        """What the runs determine, and which further runs would determine the rest.
+        """The parameters that the runs determine, and further runs to determine the others.
 
-        ``top_velocity`` [m/s] and ``top_current`` [A]: the most that a run may ask of the rig;
-        without them no more than was done already.
+        ``top_velocity`` [m/s] and ``top_current`` [A] are the limits of the rig. Their defaults are
+        the largest values of the present runs.
         """
         windows = self._windows
         done = RigRange.of_windows(windows)
@@ -199,9 +199,9 @@ class Identification(ComparedRuns):
     def profile(self, *names: str, workers: int = 1, report: Report | None = None) -> Findings:
         """Profile likelihood of the named parameters, with 95 % intervals.
 
-        An interval may lie off the value found: then there is a lower minimum, from which
-        ``identify(..., profile=names)`` searches again. Raises ValueError for a name that the model
-        does not have.
+        If an interval does not contain the identified value, there is a lower minimum, from which
+        ``identify(..., profile=names)`` searches again. Raises ValueError if the model has no
+        parameter of a given name.
         """
         windows, fit = self._windows, self.searches.best
         with ProcessPool(workers) as processes:
@@ -210,7 +210,7 @@ class Identification(ComparedRuns):
 
     @one_thread()
     def temperature_maps(self) -> Findings:
-        """How the force falls with temperature, from runs in which it was measured."""
+        """Change of the force with temperature, from runs with measured temperature."""
         measured = [run.measured for run in self.runs]
         if all(celsius is None for run in measured for celsius in run.temperatures):
             return Findings([], {})
@@ -220,12 +220,12 @@ class Identification(ComparedRuns):
     def save(self, path: str | os.PathLike[str]) -> None:
         """Write the parameter set as YAML, for ``ParameterSet.load``, ``validate`` and the nodes.
 
-        Raises OSError where the file cannot be written.
+        Raises OSError if the file cannot be written.
         """
         self.parameter_set.save(path)
 
     def document(self) -> dict[str, Any]:
-        """The result as JSON can hold it."""
+        """The result as JSON-compatible values."""
         return {
             "model": self.parameter_set.model,
             "parameters": self.parameter_set.as_dict(),
@@ -330,7 +330,7 @@ def identify(
     fit_mass: bool = False,
     report: Report | None = None,
 ) -> Identification:
-    """Fit one parameter set to all runs given.
+    """Fit one parameter set to all given runs.
 
     Parameters
     ----------
@@ -338,52 +338,55 @@ def identify(
         Paths of bags, recordings (:func:`read_bag`, :func:`read_record`), or lists of these.
     displacement, force, current, period
         A run as arrays of shape (n,): displacement [m], extension positive; force [N], tension
-        positive; current [A], a number where it is constant; and the time between samples [s].
+        positive; current [A], or one number if it is constant; and the sample period [s].
     model
-        Name of the force law, a key of ``MODELS``; "auto": the one that :func:`choose_law` takes.
+        Name of the force law, a key of ``MODELS``, or "auto" for the choice of
+        :func:`choose_law`.
     method
-        "global": the laws of the coefficients by differential evolution, then least squares on the
-        samples; "nelder_mead" or "least_squares": local search on the samples;
-        "differential_evolution": over all free parameters at once.
+        "global": differential evolution on the coefficients of the operating points, then least
+        squares on the samples; "nelder_mead" or "least_squares": local search on the samples;
+        "differential_evolution": search over all free parameters at once.
     start
-        Parameter set, or its file, whose values undetermined parameters keep; without it the
-        model's own initial values, which are the literature's set for the sigmoid law.
+        Parameter set with start values, or its file. Undetermined parameters keep these values.
+        Default: the initial values of the model; for the sigmoid law, the set of the literature.
     seed, strategy, generations
-        Of differential evolution; ``generations`` at most.
+        Options of differential evolution; ``generations`` is the largest number of generations.
     starts
-        Search from so many seeds; the best is the result.
+        Number of searches with different seeds; the result is the best of them.
     workers
-        Processes; the result does not depend on it. A script that asks for more than one needs the
-        usual ``if __name__ == "__main__":``.
+        Number of processes; the result does not depend on it. A script with more than one process
+        needs the usual ``if __name__ == "__main__":``.
     accept_doubtful
-        Take runs that would be refused as clipped, driven by the force, or in wrong units; what
-        seems wrong is then a remark.
+        Accept runs that would be rejected as clipped, driven by the force, or in wrong units. A
+        remark then describes the problem.
     resume
-        File that keeps what each search has found, to go on from.
+        File with the progress of the searches. A repeated call continues from it.
     profile
-        Names of parameters whose profile likelihood is wanted. Where one has its minimum far from
-        the value found, the search starts again from there.
+        Names of parameters for which to compute the profile likelihood. If the minimum of a profile
+        lies far from the identified value, the search starts again from the minimum.
     level_per_record
-        Spread, such as 0.1, of a force scale that each run has for itself, drawn to 1, besides a
-        force zero: temperature, filling and the load cell's zero then do not bend the law. 0: none.
+        Standard deviation about 1, such as 0.1, of a gain for each run; each run then also has an
+        offset. Temperature, filling and the zero of the load cell then do not distort the law.
+        0: no gains and offsets.
     mass, fit_mass
-        Mass [kg] that moves between load cell and damper, whose inertia the force includes; or
-        whether it is to be identified, which needs motion that is not one sine.
+        Moving mass [kg] between load cell and damper, whose inertia the measured force includes; or
+        whether to identify the mass, which needs more than a single sine.
     report
-        Called with the progress; where it returns False, the best so far is the result.
+        Called with the progress. If it returns False, the search stops with the best result so
+        far.
 
     Returns
     -------
     Identification
-        ``success`` is False where the search was stopped, or where the set leaves more than 30 %
-        of the force's standard deviation; ``remarks`` say what seems wrong with the runs.
+        ``success`` is False if the search was stopped, or if the NRMSE of a run is above 30 %;
+        ``remarks`` describe possible problems of the runs.
 
     Raises
     ------
     ValueError
-        In one sentence that says what to change, where a run or an option cannot be used.
+        If a run or an option cannot be used; the message says what to change.
     OSError
-        Where a file cannot be read or written.
+        If a file cannot be read or written.
 
     Examples
     --------
@@ -450,7 +453,7 @@ def identify_measured(
     fit_mass: bool = False,
     report: Report | None = None,
 ) -> Identification:
-    """:func:`identify` for runs that are read already, from values (p,) to start with."""
+    """:func:`identify` for runs that are already loaded, with start values (p,)."""
     windows = all_windows(measured)
     law = MODELS[model]
     levels = _levels_of(measured, level_per_record) if level_per_record else None
@@ -510,7 +513,7 @@ def identify_measured(
 
 
 def start_values_of(source: ParameterSet | str | os.PathLike[str] | None, model: str) -> Array:
-    """Values (p,) that a search of the model starts from; the model's own where there is None."""
+    """Start values (p,) for a search with the model; for None, the initial values of the model."""
     law = known_model(model)
     if source is None:
         return law.initial_values()[0]
@@ -574,27 +577,28 @@ def choose_law(
     accept_doubtful: bool = False,
     report: Report | None = None,
 ) -> LawChoice:
-    """Compare force laws on motions that they were not fitted to, and choose the simplest good one.
+    """Cross-validate force laws on unseen motions and choose the simplest good law.
 
     Parameters
     ----------
     *runs, displacement, force, current, period, workers, accept_doubtful, report
-        As in :func:`identify`. Where ``report`` stops it, the laws that are finished are compared.
+        As in :func:`identify`. If ``report`` returns False, only the completed laws are compared.
     models
         Names of the laws, keys of ``MODELS``.
     seed
-        Of the identifications' random numbers.
+        Seed of the random numbers of the identifications.
 
     Returns
     -------
     LawChoice
-        ``chosen`` is the law, ``trials`` what was left by each, and its text a table of them.
+        ``chosen`` is the chosen law, ``trials`` are the errors of all laws, and the text of the
+        result is their table.
 
     Raises
     ------
     ValueError
-        In one sentence that says what to change, where a run cannot be used, a law is unknown, or
-        there is too little to leave a part out.
+        If a run cannot be used, a law is unknown, or there is too little data for
+        cross-validation; the message says what to change.
 
     Examples
     --------

@@ -1,7 +1,8 @@
-"""The inertia of what moves between load cell and damper: rod, clevis, half of the load cell.
+"""Inertia of the mass between load cell and damper: rod, clevis and half of the load cell.
 
-The load cell measures the force of the damper and mass * acceleration. The mass belongs to the rig,
-whatever the law: it is taken off the force before a law is fitted or judged.
+The load cell measures the force of the damper plus mass * acceleration. The mass belongs to the rig
+and not to the force law. Its inertia is therefore subtracted from the force before a law is fitted
+or validated.
 """
 
 from __future__ import annotations
@@ -21,13 +22,13 @@ from mr_damper_ros.models.misfit import Misfit
 from mr_damper_ros.signals.arrays import Array
 
 _SAMPLES = 8000
-"""All windows together are thinned to so many samples: they tell a mass as well."""
+"""Approximate number of samples, over all windows; more do not improve the mass."""
 
 _MOST_STEPS = 40
 
 
 def without_inertia(runs: Sequence[MeasuredRun], mass: float) -> tuple[MeasuredRun, ...]:
-    """The runs with the force of the damper alone, for a mass [kg]. ValueError where it is none."""
+    """The runs without the inertia of ``mass`` [kg]; raises ValueError if the mass is invalid."""
     if not (math.isfinite(mass) and mass >= 0.0):
         raise ValueError(f"the mass is {mass}: give kilograms, or 0 for none")
     if mass == 0.0:
@@ -40,7 +41,7 @@ def _less(window: Window, mass: float) -> Window:
 
 
 def fitted_mass(fit: GlobalFit, windows: Sequence[Window]) -> Estimate:
-    """The mass [kg], by least squares together with what the windows determine of the law."""
+    """The mass [kg], by least squares together with the observable parameters of the law."""
     from scipy.optimize import least_squares  # here: see mr_damper_ros.entry_points
 
     found = fit.parameter_set

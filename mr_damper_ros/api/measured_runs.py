@@ -1,4 +1,4 @@
-"""Runs of a damper, from whatever users have: bags, recordings, arrays."""
+"""Runs of a damper from bags, recordings and arrays."""
 
 from __future__ import annotations
 
@@ -27,10 +27,10 @@ from mr_damper_ros.tracking.screening import (
 )
 
 RunSource = str | os.PathLike[str] | Recording | Iterable["RunSource"]
-"""A bag's path, a recording, or any number of these."""
+"""The path of a bag, a recording, or an iterable of these."""
 
 RunArrays = tuple[ArrayLike | None, ArrayLike | None, ArrayLike | None, float | None]
-"""Displacement [m], force [N] and current [A] of a run, and the time between samples [s]."""
+"""Displacement [m], force [N] and current [A] of a run, and the sample period [s]."""
 
 _WAY_OUT = "accept_doubtful, --accept-doubtful: use it anyway"
 
@@ -39,12 +39,12 @@ _LIMITS = Screening(minimum_amplitude=1e-6, current_tolerance=2.0 * LARGEST_CURR
 
 @dataclass(frozen=True, eq=False)
 class MeasuredRun:
-    """One run of a damper, checked and ready to be identified from.
+    """One run of a damper, checked and ready for identification.
 
-    ``windows``: one for each stretch without a gap, which begins at ``starts`` [s] from the first
-    sample. ``temperatures``: of each window that of its samples (n,) [°C], None where it was not
-    measured. ``provenance``: what the recording says of where it comes from, in words; ``remarks``:
-    what seems wrong with it.
+    ``windows``: one per section without gaps; ``starts``: their times [s] after the first sample;
+    ``temperatures``: the temperature (n,) [°C] of the samples of each window, None if it was not
+    measured; ``provenance``: the origin of the data according to the recording; ``remarks``:
+    possible problems of the run.
     """
 
     name: str
@@ -56,17 +56,17 @@ class MeasuredRun:
 
     @property
     def longest(self) -> Window:
-        """The window that stands for the run: the one with the most samples."""
+        """The window with the most samples, which represents the run."""
         return max(self.windows, key=lambda window: window.sample_count)
 
 
 def measured_run(
     source: str | os.PathLike[str] | Recording, accept_doubtful: bool = False
 ) -> MeasuredRun:
-    """A run from a bag or a recording; ValueError with a sentence where it cannot be used.
+    """A run from a bag or a recording.
 
-    Where ``accept_doubtful``, what would be refused is a remark, as long as there is any motion and
-    force.
+    Raises ValueError if the run cannot be used. With ``accept_doubtful``, a problem becomes a
+    remark instead, unless the displacement or the force is constant.
     """
     if isinstance(source, Recording):
         name, recordings = source.name, [source]
@@ -110,9 +110,9 @@ def measured_runs(
     accept_doubtful: bool = False,
     processes: ProcessPool | None = None,
 ) -> tuple[MeasuredRun, ...]:
-    """All runs given, in their order; that of the ``arrays``, if they are given, is the last.
+    """All runs in the given order, followed by the run of the ``arrays``, if given.
 
-    Raises ValueError, in one sentence, where there are none or one cannot be used.
+    Raises ValueError if there is no run, or one cannot be used.
     """
     flat = _flat(sources)
     if any(given is not None for given in arrays):
@@ -159,7 +159,7 @@ def _recordings(path: Path) -> list[Recording]:
             f"{path} is not a bag: describe its columns and units to read_record in Python, or "
             "convert it with import_record"
         )
-    from mr_damper_ros.io.bag_reader import read_bag  # here: only bags need it
+    from mr_damper_ros.io.bag_reader import read_bag  # imported here, because only bags need it
 
     return read_bag(path)
 
@@ -189,22 +189,25 @@ def _from_arrays(
 
 
 _FULL_SPEED = 0.85
-"""Cycles are compared that reach this part of the fastest one's peak velocity."""
+"""Compared cycles reach at least this fraction of the largest peak velocity."""
 
 _SAME_SPEED = 0.2
-"""Runs are compared whose peak velocities differ by less, in parts of the larger one."""
+"""Largest difference of the peak velocities of compared runs, relative to the larger one."""
 
 _SAME_CURRENT = 0.05
-"""Currents [A] that count as the same."""
+"""Largest difference [A] between equal currents."""
 
 _TURNED = 0.1
-"""Part of the peak velocity at which a stroke has begun."""
+"""Fraction of the peak velocity from which a stroke has begun."""
 
 _CONTRADICTING = 1.5
-"""Loops at one current that differ in height by this factor: heating to 70 °C takes 1.35."""
+"""Ratio of loop heights from which runs contradict each other.
+
+Heating to 70 °C causes a ratio of 1.35.
+"""
 
 _MOST = 3
-"""Pairs of runs that are named."""
+"""Largest number of runs, or pairs of runs, that a remark names."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -221,7 +224,7 @@ class _Cycles:
 
 
 def remarks_on(runs: Sequence[MeasuredRun]) -> tuple[str, ...]:
-    """All that seems wrong with runs: with each of them, their currents and their making."""
+    """Possible problems of the runs, their currents and the processing of their forces."""
     return (
         *(remark for run in runs for remark in run.remarks),
         *doubts_of_currents(runs),
@@ -230,7 +233,7 @@ def remarks_on(runs: Sequence[MeasuredRun]) -> tuple[str, ...]:
 
 
 def _averages(runs: Sequence[MeasuredRun]) -> list[str]:
-    """A sentence on the runs whose makers have averaged the force."""
+    """A remark on runs whose force was smoothed by a moving average."""
     counts = {run.name: find_average(run.longest.force) for run in runs}
     named = [f"{name} ({count} samples)" for name, count in counts.items() if count > 1]
     if not named:
@@ -246,9 +249,9 @@ def _averages(runs: Sequence[MeasuredRun]) -> list[str]:
 
 
 def doubts_of_currents(runs: Sequence[MeasuredRun]) -> list[str]:
-    """Sentences on currents that the heights of the loops contradict.
+    """Remarks on currents that are inconsistent with the heights of the loops.
 
-    The force rises with the current, and it is the same at the same current and speed, but for the
+    The force increases with the current. At equal current and speed, it changes only with the
     temperature.
     """
     fast = [_cycles(run.windows).fast() for run in runs]
@@ -277,7 +280,7 @@ def _cycles(windows: Sequence[Window]) -> _Cycles:
 
 
 def _strokes(velocity: Array) -> list[tuple[int, int]]:
-    """First index and last + 1 of each stretch of a motion in one direction."""
+    """First index and last index + 1 of each stroke of the motion."""
     limit = _TURNED * float(np.max(np.abs(velocity)))
     moving = np.flatnonzero(np.abs(velocity) > limit)
     turns = moving[1:][np.diff(np.sign(velocity[moving])) != 0.0]
@@ -285,7 +288,10 @@ def _strokes(velocity: Array) -> list[tuple[int, int]]:
 
 
 def _within(run: MeasuredRun, cycles: _Cycles) -> list[str]:
-    """Heights at one current that differ, two cycles of each: a single jolt says nothing."""
+    """Remarks on different loop heights at one current.
+
+    Each height needs two cycles, so that a single disturbance causes no remark.
+    """
     doubts = []
     for current in np.unique(np.round(cycles.current / _SAME_CURRENT)) * _SAME_CURRENT:
         heights = np.sort(cycles.height[np.abs(cycles.current - current) <= _SAME_CURRENT])

@@ -1,4 +1,4 @@
-"""A recording or a bag replayed through the engine: what the nodes would have said of it."""
+"""Replay of a recording or a bag through the engine, with the same results as the nodes."""
 
 from __future__ import annotations
 
@@ -39,13 +39,13 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, eq=False)
 class Replay:
-    """What identifier and model would have said of a recording, sample by sample.
+    """Results of the identifier and the model node for a recording, sample by sample.
 
-    Arrays of shape (n,): ``time`` [s] from the first sample, by the stamps; ``displacement`` [m];
-    ``measured`` and ``predicted`` force [N], NaN where none was predicted; ``doubts``: why the
-    prediction is not valid, the codes of :class:`DoubtKind`, 0 where it is valid. ``reports``: the
-    verdicts on windows and global identifications; ``sets``: those that were accepted. Both are in
-    the order in which they took effect. ``start_ns`` is the stamp of the first sample.
+    Arrays of shape (n,): ``time`` [s] since the first sample, by the stamps; ``displacement`` [m];
+    ``measured`` and ``predicted`` force [N], NaN without a prediction; ``doubts``: reason codes of
+    :class:`DoubtKind` why the prediction is invalid, 0 if it is valid. ``reports``: the results for
+    windows and global identifications; ``sets``: the accepted sets. Both are in the order in which
+    they took effect. ``start_ns`` is the stamp of the first sample [ns].
     """
 
     name: str
@@ -70,17 +70,17 @@ class Replay:
 
     @property
     def parameter_set(self) -> ParameterSet | None:
-        """The newest accepted set; None where none was accepted."""
+        """The newest accepted set; None without an accepted set."""
         return self.sets[-1] if self.sets else None
 
     def invalid_share(self) -> dict[DoubtKind, float]:
-        """Share of the samples that each reason made invalid, largest first."""
+        """Fraction of invalid samples by reason, the largest first."""
         kinds, counts = np.unique(self.doubts[~self.valid], return_counts=True)
         order = np.argsort(-counts)
         return {DoubtKind(kinds[k]): float(counts[k] / self.doubts.size) for k in order}
 
     def plot(self) -> Figure:
-        """Figure: measured and predicted force, the error of the valid force, the force scale."""
+        """Figure: measured and predicted force, error of the valid force, force scale."""
         from mr_damper_ros.report.document import GREY, INK, panels, styled
 
         with styled():
@@ -117,7 +117,7 @@ class Replay:
         return figure
 
     def document(self) -> dict[str, Any]:
-        """The result as JSON can hold it, without the samples."""
+        """The result without the samples, as JSON-compatible values."""
         error = self.error
         return {
             "recording": self.name,
@@ -203,13 +203,13 @@ def replay(
 ) -> Replay:
     """Replay a recording, or the messages of a bag, through the engine of the nodes.
 
-    ``parameters``: the set, or its file, to begin with, as the launch argument of that name;
-    without one the identification begins from nothing. ``identify``: false for what the model node
-    says by itself, with ``parameters`` alone. ``settings``: those of the nodes. ``block_size``:
-    samples at a time of a recording; a bag is replayed in its own blocks.
+    ``parameters``: the initial set, or its file, as the launch argument of that name; without it,
+    there is no initial set. ``identify``: if False, the model node works alone with ``parameters``.
+    ``settings``: the settings of the nodes. ``block_size``: samples per block of a recording; a bag
+    is replayed in its own blocks.
 
-    Raises BagError, StateError and ParameterError where the bag or the parameters cannot be used,
-    ValueError for a block size below 1.
+    Raises BagError, StateError or ParameterError if the bag or the parameters cannot be used, and
+    ValueError if the block size is less than 1 or there are no samples.
 
     Examples
     --------
@@ -271,12 +271,14 @@ def _replayed(name: str, stream: Iterable[StreamItem], engine: Engine) -> Replay
 def follow(
     tracker: WindowTracker, recording: Recording, *, window: float = 2.0, hop: float = 1.0
 ) -> Iterator[Report]:
-    """Let a tracker follow a recording, window by window; a report for each, as it comes.
+    """Let a tracker follow a recording window by window, and yield its reports.
 
-    ``window`` [s] is the length of a window, ``hop`` [s] the time from one to the next. The set in
-    use is ``tracker.parameters``; ``tracker.identify()`` identifies globally from the windows kept.
+    ``window`` [s] is the length of a window, ``hop`` [s] the time between the starts of successive
+    windows. The set in use is ``tracker.parameters``; ``tracker.identify()`` identifies globally
+    from the stored windows.
 
-    Raises ValueError where window or hop is not positive, or the hop is longer than the window.
+    Raises ValueError if ``window`` or ``hop`` is not positive, or ``hop`` is longer than
+    ``window``.
 
     Examples
     --------

@@ -1,10 +1,12 @@
-"""What becomes of the current while the force is in doubt: no jump, and never up.
+"""Fallback to the safe current while the force is invalid.
 
-A doubt of a moment leaves the current where it is, or lets it slide towards the safe current. One
-that lasts takes it to the safe current. The time in doubt is counted up, and down again while the
-force is valid: it lasts from ``doubt_time`` on. Control comes back after as long without doubt, and
-after twice as long each time that it has not lasted: a force that is right at the safe current
-alone would else call it back again and again.
+During fallback, the current does not jump and does not move away from the safe current. At first,
+it stays constant or moves slowly towards the safe current. After ``doubt_time`` of invalid force,
+it goes to the safe current. Time of valid force is subtracted from the time of invalid force.
+
+Control returns after the same time of valid force. If control is lost again soon, this wait
+doubles. Otherwise a force that is valid only at the safe current would switch control on and off
+without end.
 """
 
 from __future__ import annotations
@@ -18,7 +20,7 @@ HOLD, SLIDE = "hold", "slide"
 
 @dataclass(frozen=True)
 class FallbackSettings(CheckedSettings):
-    """How the command falls back to the safe current, and comes back."""
+    """Options of the fallback to the safe current and of the return to control."""
 
     safe_current: float = option(
         0.0,
@@ -53,17 +55,20 @@ class FallbackSettings(CheckedSettings):
 
 
 _ROUNDING = 1e-9
-"""Seconds."""
+"""Tolerance of times [s] against rounding errors."""
 
 _LASTING = 10.0
-"""Control has lasted after so many times ``doubt_time``."""
+"""Duration of stable control, in multiples of ``doubt_time``; it resets the wait."""
 
 _LONGEST = 32.0
-"""It is waited for as often as that at most."""
+"""Longest wait for valid force, in multiples of ``doubt_time``."""
 
 
 class Fallback:
-    """Follows the doubts of a controller whose currents lie ``span`` [A] apart."""
+    """Limits the current around the safe current according to the validity of the force.
+
+    ``span`` [A] is the range of the currents of the controller.
+    """
 
     def __init__(self, settings: FallbackSettings, span: float) -> None:
         self._settings = settings
@@ -73,24 +78,25 @@ class Fallback:
 
     @property
     def lasts(self) -> bool:
-        """Whether the doubt lasts: the command is the safe current, or on its way there."""
+        """Whether the command is the safe current, or moves towards it."""
         return self._lasts
 
     @property
     def left(self) -> float:
-        """Time [s] without doubt until control comes back."""
+        """Time [s] of valid force that is still needed until control returns."""
         return self._wait - self._calm if self._lasts else 0.0
 
     def give_up(self) -> None:
-        """The safe current is commanded: control has to begin anew."""
+        """Go to the safe current at once; control must start again."""
         self._lasts, self._reach = True, 0.0
-        # Seconds: in doubt, less those without; without, less those in doubt; since it began.
+        # Times [s]: invalid minus valid; valid minus invalid; since the start of control.
         self._doubted = self._calm = self._controlled = 0.0
 
     def follow(self, duration: float, *, doubted: bool, at_once: bool = False) -> bool:
-        """Follow so many seconds with or without doubt: whether control goes on.
+        """Update with ``duration`` [s] of valid or invalid (``doubted``) force.
 
-        ``at_once``: the doubt has lasted before it was raised.
+        Returns whether the controller may command its own current. ``at_once``: fall back without
+        waiting for ``doubt_time``.
         """
         step = duration if doubted else -duration
         if self._lasts:
@@ -109,7 +115,7 @@ class Fallback:
         return not doubted
 
     def away_from(self, current: float, duration: float) -> float:
-        """The current [A] while control does not go on, from that before."""
+        """The current [A] without control, ``duration`` [s] after ``current`` [A]."""
         safe, settings = self._settings.safe_current, self._settings
         time = settings.fade_time
         if not self._lasts:
@@ -119,12 +125,12 @@ class Fallback:
         return self.within_reach(current)
 
     def towards(self, current: float, duration: float) -> float:
-        """A wanted current [A], as far as the way back from the safe one has come."""
+        """The wanted current [A], limited by the ramp from the safe current back to control."""
         step = self._span * duration / self._settings.fade_time
         self._reach = min(self._reach + step, self._span)
         return self.within_reach(current)
 
     def within_reach(self, current: float) -> float:
-        """The nearest current [A] to one that is within reach of the safe one."""
+        """The current [A], limited to the present distance from the safe current."""
         safe = self._settings.safe_current
         return min(max(current, safe - self._reach), safe + self._reach)

@@ -1,8 +1,8 @@
-"""Control of the damper's force: from a wanted force to a command for the supply, block by block.
+"""Force control of the damper: from the desired force to a supply command, block by block.
 
-Feedforward by the inverse of the identified law, and, where asked for, feedback of the measured
-force. Nothing uncertain drives the current up: where the model would call its force not valid, the
-current stays for a moment, then goes to the safe current (:mod:`mr_damper_ros.control.fallback`).
+The controller uses the inverse of the identified law as feedforward and, optionally, feedback of
+the measured force. When the predicted force is invalid, the current stays constant for a short
+time and then goes to the safe current (:mod:`mr_damper_ros.control.fallback`).
 """
 
 from __future__ import annotations
@@ -27,10 +27,11 @@ from mr_damper_ros.tracking.validity import NO_DOUBT, Doubt, DoubtKind
 
 
 def coil_command(wanted: float, coil: float, horizon: float, time_constant: float) -> float:
-    """Current [A] of the supply that brings the coil from ``coil`` to ``wanted`` [A].
+    """Supply current [A] that moves the coil current from ``coil`` to ``wanted`` [A].
 
-    The coil's current follows that of the supply with a first-order lag of the time constant [s], 0
-    for none (:mod:`mr_damper_ros.models.first_order_lag`); it is there by the end of a horizon [s].
+    The coil current reaches ``wanted`` at the end of the ``horizon`` [s]. It follows the supply
+    with a first-order lag (:mod:`mr_damper_ros.models.first_order_lag`) of ``time_constant`` [s]; 0
+    means no lag.
     """
     if time_constant == 0.0:
         return wanted
@@ -38,12 +39,15 @@ def coil_command(wanted: float, coil: float, horizon: float, time_constant: floa
 
 
 _LEAST = 0.05
-"""Of the largest force wanted so far: what is smaller tells nothing of the factor."""
+"""Smallest desired force used for feedback, relative to the largest desired force so far.
+
+Smaller forces do not determine the factor.
+"""
 
 
 @dataclass(frozen=True)
 class FeedbackSettings(CheckedSettings):
-    """How much the measured force counts."""
+    """Options of the feedback of the measured force."""
 
     feedback_gain: float = option(
         0.0,
@@ -61,7 +65,7 @@ class FeedbackSettings(CheckedSettings):
 
 
 class ForceFeedback:
-    """Follows wanted and measured forces; ``factor`` is by what the wanted force is multiplied."""
+    """Integral feedback of the measured force; ``factor`` multiplies the desired force."""
 
     def __init__(self, settings: FeedbackSettings) -> None:
         self._settings = settings
@@ -70,13 +74,13 @@ class ForceFeedback:
         self.factor = 1.0
 
     def expect(self, wanted: float) -> None:
-        """The force [N] that the next block should have; NaN where it cannot be had."""
+        """Set the desired force [N] of the next block; NaN if it is not attainable."""
         self._expected = wanted
         if not math.isnan(wanted):
             self._largest = max(self._largest, abs(wanted))
 
     def follow(self, measured: Array, duration: float) -> None:
-        """Correct the factor by the force (n,) [N] of a block of this duration [s]."""
+        """Correct the factor by the measured force (n,) [N] of a block of ``duration`` [s]."""
         wanted, gain = self._expected, self._settings.feedback_gain
         if gain == 0.0 or not abs(wanted) > _LEAST * self._largest:
             return
@@ -86,18 +90,18 @@ class ForceFeedback:
 
 
 _CONFIRMED = 1.0
-"""Seconds in which the highest current was needed and the force was valid, until the next step."""
+"""Time [s] of valid force, with more current needed, before the next step."""
 
 _REFUTED = 30.0
-"""Seconds until it is tried again after the force was wrong."""
+"""Time [s] without probing after the force was wrong."""
 
 _REFUTES = (DoubtKind.WRONG, DoubtKind.DRIVING, DoubtKind.TOO_LARGE, DoubtKind.SENSOR)
 
 
 class Probe:
-    """Follows whether currents ``beyond`` [A] the identified ones are right, in steps of ``step``.
+    """Extends the range of currents beyond the identified range in steps of ``step`` [A].
 
-    A step of 0 [A] never goes beyond.
+    ``beyond`` [A] is the present extension. A step of 0 disables probing.
     """
 
     def __init__(self, step: float) -> None:
@@ -106,7 +110,7 @@ class Probe:
         self.beyond = 0.0
 
     def follow(self, duration: float, doubt: Doubt, needed: bool) -> None:
-        """Follow so many seconds in which more current was ``needed``, or not."""
+        """Update after ``duration`` [s]; ``needed``: whether more current was needed."""
         if self._step == 0.0:
             return
         self._refuted = max(self._refuted - duration, 0.0)
@@ -122,18 +126,18 @@ class Probe:
 
 
 _MOMENTS = (0.5, 1.0, 1.5)
-"""Parts of the time ahead at which the force of a current is looked at ..."""
+"""Moments, as fractions of the time ahead, at which the force of a current is evaluated."""
 
 _MIDDLE = 1
-"""... the one that it is chosen for."""
+"""Index of the moment for which the current is computed."""
 
 _FOUND, _LOWEST, _KEPT = range(3)
-"""Currents to choose from: that of the inverse, the lowest, the last one."""
+"""Indices of the candidate currents: of the inverse, the lowest, the last one."""
 
 
 @dataclass(frozen=True)
 class ForceControlSettings(CheckedSettings):
-    """What is commanded, and when it is the safe current instead."""
+    """Options of the force controller."""
 
     lowest_current: float = option(
         0.0,
@@ -188,7 +192,10 @@ class ForceControlSettings(CheckedSettings):
     predictor: PredictorSettings = group(PredictorSettings, flat=True)
 
     def limited(self, command: float, before: float, duration: float) -> float:
-        """The command [A] within the limits; it may move from ``before`` for ``duration`` [s]."""
+        """The command [A] within the limits of current and slew rate.
+
+        ``before`` [A] is the previous command, ``duration`` [s] the time since then.
+        """
         command = min(max(command, self.lowest_current), self.highest_current)
         if self.slew_rate > 0.0:
             reach = self.slew_rate * duration
@@ -197,7 +204,7 @@ class ForceControlSettings(CheckedSettings):
 
 
 class Demand(NamedTuple):
-    """A wanted force [N] and its stamp."""
+    """A desired force [N] and its stamp [ns]."""
 
     stamp_ns: int
     force: float
@@ -205,12 +212,13 @@ class Demand(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Command:
-    """What the supply is told: ``current`` [A], which does not follow the demand in ``doubt``.
+    """Supply command ``current`` [A]; it tracks the desired force only without a ``doubt``.
 
-    ``wanted`` [N] is the demand, NaN without one; ``expected`` [N] the force that the current
-    brings, and ``attainable`` whether that is the wanted one; ``prediction`` is that of the block.
-    ``falls_back``: the current is the safe one, or on its way there. ``unknown``: the demand needs
-    a current at which nothing is known of the damper.
+    ``wanted`` is the desired force [N], NaN without one; ``expected`` is the force [N] that the
+    current produces, NaN during fallback; ``attainable``: whether the expected force is the desired
+    force; ``prediction``: of the block. ``falls_back``: whether the current is the safe current or
+    moves towards it. ``unknown``: whether the desired force needs a current outside the identified
+    range.
     """
 
     current: float
@@ -227,27 +235,33 @@ REMEDY = (
     "by a manual run (parameter current of the bridge or the supply) or by a campaign, or set "
     "probe_step"
 )
-"""How more comes to be known of a damper."""
+"""How to extend the identified range of currents."""
 
 _AT_ONCE = (DoubtKind.MISSING, DoubtKind.OUTDATED)
-"""Doubts that have lasted, or that nobody expects to be over in a moment."""
+"""Reasons for immediate fallback: they have already lasted, or will not end soon."""
 
 
 class ForceController:
-    """Turns blocks of samples and demands into commands; driven by the stamps of the data."""
+    """Computes supply commands from blocks of samples and desired forces.
+
+    All times are those of the stamps of the data.
+    """
 
     def __init__(self, settings: ForceControlSettings, grid: GridSettings | None = None) -> None:
         self.settings = settings
         self.predictor = ForcePredictor(settings.predictor, grid)
-        """Judges the force. Give it the sets to control with, currents, reports, and blocks for
-        which it is too late to command anything; let it catch up once a command is sent."""
+        """Predicts the force and its validity.
+
+        The caller passes it parameter sets, currents, reports, and blocks that came too late for a
+        command. After sending a command, the caller lets the predictor catch up.
+        """
         self._feedback = ForceFeedback(settings.feedback)
         self._demand: Demand | None = None
         self._inverse: _Inverse | None = None
-        # The set that it is the inverse of, whether without jumps, and how far [A] beyond it.
+        # The inverted set, whether its reversals are gradual, and the extension of its range [A].
         self._inverted: tuple[ParameterSet, bool, float] | None = None
         self._unusable = NO_DOUBT
-        # Current of the coil that was wanted last, and the last command.
+        # The last wanted coil current and the last command [A].
         self._wanted: float | None = None
         self._commanded = settings.fallback.safe_current
         span = settings.highest_current - settings.lowest_current
@@ -257,16 +271,16 @@ class ForceController:
 
     @property
     def feedback_factor(self) -> float:
-        """Factor on the wanted force that the feedback has come to."""
+        """Present factor of the feedback on the desired force."""
         return self._feedback.factor
 
     @property
     def highest_known(self) -> float:
-        """Highest current [A] that is commanded; NaN where there is no choice of one."""
+        """Highest usable current [A]; NaN if no set can be inverted."""
         return math.nan if self._inverse is None else self._inverse.highest
 
     def _take_set_in_use(self) -> None:
-        """Invert the set that the force is predicted with, which may be one of before again."""
+        """Invert the set in use of the predictor, if it or its range has changed."""
         parameters, gradual = self.predictor.parameters, self.predictor.gradual
         if parameters is None:
             return
@@ -285,14 +299,14 @@ class ForceController:
         self._unusable = NO_DOUBT
 
     def want(self, stamp_ns: int, force: float) -> str:
-        """Want this force [N] from now on; returns why it cannot be used, empty where it can."""
+        """Set the desired force [N]; returns an objection, empty if the force is usable."""
         if not math.isfinite(force):
             return f"the desired force is {force}: it must be a finite number"
         self._demand = Demand(stamp_ns, force)
         return ""
 
     def command(self, block: SampleBlock, now_ns: int | None = None) -> Command:
-        """What to command after a block; ``now_ns`` as for :meth:`ForcePredictor.predict`."""
+        """The command after a block; ``now_ns`` as in :meth:`ForcePredictor.predict`."""
         prediction = self.predictor.predict(block, now_ns)
         duration = block.sample_count * block.period
         self._take_set_in_use()
@@ -328,14 +342,15 @@ class ForceController:
     def _fall_back(
         self, prediction: Prediction, doubt: Doubt, wanted: float, duration: float
     ) -> Command:
-        """Command what goes without a force that can be relied on."""
+        """The command without a valid force."""
         self._feedback.expect(math.nan)
         safe = self.settings.fallback.safe_current
-        # A coil that lags was given more than it should have: that is not to be held.
+        # With a lagging coil, the command overshoots the wanted coil current. The current to hold
+        # is the one that is closer to the safe current.
         held = self._commanded if self._wanted is None else self._wanted
         held = min(held, self._commanded, key=lambda current: abs(current - safe))
         if self._inverse is not None:
-            # What was tried beyond the identified currents is not to be held either.
+            # A current that was probed beyond the identified range is not held either.
             held = min(held, max(self._inverse.highest, safe))
         self._wanted = self._fallback.away_from(held, duration)
         self._commanded = self.settings.limited(self._wanted, self._commanded, duration)
@@ -355,7 +370,7 @@ class ForceController:
         )
 
     def give_up(self) -> float:
-        """Forget what was commanded: returns the safe current [A]."""
+        """Reset to the safe current [A] and return it."""
         self._wanted = None
         self._commanded = self.settings.fallback.safe_current
         self._fallback.give_up()
@@ -382,10 +397,10 @@ class ForceController:
 
 
 class _Aim(NamedTuple):
-    """Current of the coil [A], the force [N] that it brings, and whether that was wanted.
+    """Coil current [A], the resulting force [N], and whether it is the desired force.
 
-    ``unknown``: more force was wanted, and nothing is known of the higher currents that may be
-    commanded.
+    ``unknown``: whether the desired force needs a current that the limits allow, but that lies
+    outside the identified range.
     """
 
     current: float
@@ -395,7 +410,7 @@ class _Aim(NamedTuple):
 
 
 class _Now(NamedTuple):
-    """The last sample of a motion, what the law remembers after it, the supply's current [A]."""
+    """The last sample of the motion, the state of the law after it, and the supply current [A]."""
 
     sample: MotionSample
     memory: State | None
@@ -403,7 +418,7 @@ class _Now(NamedTuple):
 
     @classmethod
     def after(cls, prediction: Prediction, memory: State | None) -> _Now:
-        """That after a prediction without a doubt."""
+        """The situation after a valid prediction."""
         motion, current = prediction.motion, prediction.current
         assert motion is not None
         assert current is not None
@@ -412,7 +427,7 @@ class _Now(NamedTuple):
 
 
 class _Inverse:
-    """A set's inverse and its coil."""
+    """Inverse of a parameter set, with its coil lag and its limits of current."""
 
     def __init__(
         self,
@@ -434,13 +449,17 @@ class _Inverse:
         self._ends_early = high < settings.highest_current
         self._model = InverseModel(parameters, low, high, gradual_reversal=gradual)
         self._time_constant = coil_time_constant(parameters)
-        # Also on the way to another current: beyond those identified no force would be valid.
+        # The limits also hold while the coil is driven: outside the identified range, no force is
+        # valid.
         self._limits = replace(settings, lowest_current=low, highest_current=high)
         self._lowest, self.highest = low, high
         self._deadband = settings.force_deadband
 
     def aim(self, now: _Now, wanted: float, last: float | None, horizon: float) -> _Aim:
-        """The current for a force at the end of the horizon [s]; ``last`` [A] is that before."""
+        """The coil current for a desired force [N] within the ``horizon`` [s].
+
+        ``last`` [A] is the previous coil current, None without one.
+        """
         ahead = horizon if self._time_constant > 0.0 else 0.5 * horizon
         responses = []
         for part in _MOMENTS:
@@ -449,10 +468,11 @@ class _Inverse:
             responses.append(self._model.at(sample, period=later, state=now.memory))
         found = self._model.current(responses[_MIDDLE], wanted, last)
         currents = found.current, self._lowest, self._lowest if last is None else last
-        # Where the motion is about to turn, a current that is right at one moment is far off at
-        # another: the coil is not that quick.
+        # Just before a reversal, a current that fits one moment is far off at another, and the coil
+        # cannot follow. Therefore each candidate is judged at several moments.
         forces = [[response.force(current) for response in responses] for current in currents]
-        # Against a force far beyond all that can be had, every current would miss alike.
+        # The desired force is limited to the range of the candidates: the misses from a far larger
+        # force would be almost equal.
         every = [each for several in forces for each in several]
         sought = min(max(wanted, min(every)), max(every))
         misses = [math.dist(force, [sought] * len(_MOMENTS)) for force in forces]
@@ -460,10 +480,10 @@ class _Inverse:
         deadband = self._deadband * math.sqrt(len(_MOMENTS))
         if last is not None and misses[_KEPT] <= misses[best] + deadband:
             best = _KEPT
-        # The inverse asks for another current, which would miss by more on the way.
+        # The current of the inverse is rejected if its miss over the moments is larger.
         given_up = best == _LOWEST and found.current != self._lowest
         met = found.attainable and not given_up
-        # Of the motion's own sign and larger than any: more current is what it would take.
+        # A desired force of the same sign as the attainable force, but larger, needs more current.
         more = wanted * found.force > 0.0 and abs(wanted) > abs(found.force)
         unknown = self._ends_early and more and not found.attainable
         return _Aim(currents[best], forces[best][_MIDDLE], met, unknown)
@@ -471,7 +491,10 @@ class _Inverse:
     def drive(
         self, now: _Now, wanted: float, before: float, horizon: float, duration: float
     ) -> float:
-        """Command [A] of the supply, whose last command was ``before``, for a current [A]."""
+        """Supply command [A] that drives the coil to ``wanted`` [A] within ``horizon`` [s].
+
+        ``before`` [A] is the previous command, ``duration`` [s] the time since then.
+        """
         coil = now.supplied
         if self._time_constant > 0.0 and now.memory is not None:
             coil = float(now.memory[-1])

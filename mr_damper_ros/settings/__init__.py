@@ -1,1 +1,1 @@
-"""What may be set: options with their defaults, descriptions and ranges, and tables of them."""
+"""Options with defaults, descriptions and ranges, and tables of options."""

@@ -1,8 +1,8 @@
-"""Tables of options: one table is declaration, validation and documentation.
+"""Tables of options: each table declares, validates and documents its options.
 
-A table is a frozen dataclass. Each field is an :func:`option` with its default, its description
-and what values it takes, or a :func:`group` of options, another such dataclass, whose names are
-prefixed by the group's and a dot unless it is flat::
+A table is a frozen dataclass. Each field is an :func:`option` with its default, description and
+valid values, or a :func:`group`, which is another table. The names of the options of a group have
+the name of the group and a dot as prefix, unless the group is flat::
 
     @dataclass(frozen=True)
     class PredictorSettings(CheckedSettings):
@@ -13,9 +13,10 @@ prefixed by the group's and a dot unless it is flat::
         predictor: PredictorSettings = group(PredictorSettings, flat=True)
         frame_id: str = option("damper", "Frame of the published forces.")
 
-What works in the core has :class:`CheckedSettings`: they cannot be made with values that are not
-allowed. A node makes parameters of its table (:mod:`mr_damper_ros.nodes.node_parameters`) and takes
-the settings of the core into it; a source of samples brings a table of its own.
+Settings of the core derive from :class:`CheckedSettings` and reject invalid values when they are
+created. A node declares its ROS parameters from its table
+(:mod:`mr_damper_ros.nodes.node_parameters`), which contains the settings of the core as groups.
+Each source of samples has its own table.
 """
 
 from __future__ import annotations
@@ -34,9 +35,9 @@ _TYPE_NAMES = {bool: "true or false", int: "an integer", float: "a number", str:
 
 @dataclass(frozen=True)
 class Option:
-    """One parameter of a node; ``minimum`` and ``maximum`` belong to the allowed values.
+    """One parameter of a node; the range includes ``minimum`` and ``maximum``.
 
-    Where the default is NaN, NaN means "not given" and is allowed.
+    If the default is NaN, NaN is valid and means "not given".
     """
 
     name: str
@@ -54,19 +55,19 @@ class Option:
         return type(self.default)
 
     def normalised(self, value: Any) -> Any:
-        """The value, an integer made a float where a float is expected (``rate: 1``)."""
+        """The value; an integer becomes a float if the option is a float (``rate: 1``)."""
         if self.kind is float and type(value) is int:
             return float(value)
         return value
 
     def objection(self, value: Any) -> str:
-        """Why a value is not allowed, in a sentence; empty where it is."""
+        """A sentence why the value is invalid; empty if it is valid."""
         if type(value) is not self.kind:
             return f"parameter {self.name} must be {_TYPE_NAMES[self.kind]}, not {value!r}"
         return self.out_of_range(value)
 
     def out_of_range(self, value: Any) -> str:
-        """Why a value of the right type is not allowed, in a sentence; empty where it is."""
+        """A sentence why a value of the correct type is invalid; empty if it is valid."""
         if isinstance(value, float) and not math.isfinite(value):
             if math.isnan(value) and self.default != self.default:
                 return ""
@@ -82,7 +83,7 @@ class Option:
 
     @property
     def range_text(self) -> str:
-        """The allowed range in words; empty where there is none."""
+        """The valid range in words; empty without a range."""
         if self.minimum is None and self.maximum is None:
             return ""
         if self.maximum is None:
@@ -98,17 +99,17 @@ def _shown(limit: float | None) -> str:
 
 @dataclass(frozen=True)
 class ParameterTable:
-    """Base of a node's parameter table."""
+    """Base class of the parameter tables of nodes."""
 
     def objection(self) -> str:
-        """Why these values do not go together, in a sentence; empty where they do."""
+        """A sentence why the values are inconsistent; empty if they are consistent."""
         return ""
 
 
 class CheckedSettings:
-    """Base of the settings of something in the core: a table that is checked when it is made.
+    """Base class of settings of the core, which are checked when they are created.
 
-    Raises ValueError, in a sentence, for a value that is not allowed.
+    Raises ValueError if a value is invalid.
     """
 
     def __post_init__(self) -> None:
@@ -133,17 +134,17 @@ def option(
     read_only: bool = True,
     start_only: bool = False,
 ) -> Any:
-    """A field of a parameter table: one parameter.
+    """A field of a parameter table with one option.
 
-    ``read_only``: fixed while the node works, as most are. ``start_only``: fixed even where a
-    managed node does not work yet.
+    ``read_only``: fixed while the node works. ``start_only``: for lifecycle nodes, fixed from the
+    start of the node, even before it is configured.
     """
     details = Option("", default, description, minimum, maximum, choices, read_only, start_only)
     return dataclasses.field(default=default, metadata={"option": details})
 
 
 def with_default(table: type, name: str, default: Value) -> Any:
-    """The field of this name of another table, with another default."""
+    """The field ``name`` of another table, with a different default."""
     found: Option = {field.name: field for field in dataclasses.fields(table)}[name].metadata[
         "option"
     ]
@@ -153,23 +154,23 @@ def with_default(table: type, name: str, default: Value) -> Any:
 
 @dataclass(frozen=True)
 class _Group:
-    """What a field holds that is a group of options."""
+    """Metadata of a field that is a group of options."""
 
     table: type
     flat: bool
 
     def prefix(self, name: str) -> str:
-        """What goes before the options' names where the field has this name."""
+        """The prefix of the names of the options if the field has this name."""
         return "" if self.flat else f"{name}."
 
 
 def group(table: type, *, flat: bool = False) -> Any:
-    """A field of a parameter table: further options, prefixed by its name unless ``flat``."""
+    """A field with further options; unless ``flat``, its name prefixes their names."""
     return dataclasses.field(default_factory=table, metadata={"group": _Group(table, flat)})
 
 
 def groups(tables: Mapping[str, tuple[str, type]]) -> Any:
-    """A field of a parameter table: tables by name, each with the prefix of its options."""
+    """A field with several tables by name, each with the prefix of its options."""
 
     def defaults() -> dict[str, Any]:
         return {name: table() for name, (_, table) in tables.items()}
@@ -178,7 +179,7 @@ def groups(tables: Mapping[str, tuple[str, type]]) -> Any:
 
 
 def options(table: type, prefix: str = "") -> Iterator[Option]:
-    """All parameters of a table, groups included, by their full names."""
+    """All options of a table and its groups, with their full names."""
     for field in dataclasses.fields(table):
         if "group" in field.metadata:
             inner: _Group = field.metadata["group"]
@@ -192,9 +193,9 @@ def options(table: type, prefix: str = "") -> Iterator[Option]:
 
 
 def build(table: type[T], values: Mapping[str, Value], prefix: str = "") -> T:
-    """The table filled from values by full name; what is missing keeps its default.
+    """The table with values by full name; missing options keep their defaults.
 
-    Raises ValueError, in a sentence, where settings of the core do not go together.
+    Raises ValueError if settings of the core are invalid.
     """
     filled: dict[str, Any] = {}
     for field in dataclasses.fields(table):  # type: ignore[arg-type]
@@ -213,7 +214,7 @@ def build(table: type[T], values: Mapping[str, Value], prefix: str = "") -> T:
 
 
 def describe(table: type) -> str:
-    """The table as text for a terminal."""
+    """Description of all options, as text for a terminal."""
     parts = []
     for item in options(table):
         notes = [f"default {item.default!r}"]
