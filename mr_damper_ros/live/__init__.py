@@ -1,1 +1,1 @@
-"""What a running system shows of itself: a record of the newest, and the page that displays it."""
+"""The live page: a record of the newest data of a running system, and its web server."""

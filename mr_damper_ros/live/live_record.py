@@ -1,7 +1,8 @@
-"""What is known of a running system: the newest signals, windows, parameters and diagnostics.
+"""The newest signals, windows, parameters and diagnostics of a running system.
 
-A node fills it, any number of viewers read it, each as fast as it can: they ask for what came after
-the row that they have. Nothing is kept for a viewer, so that none costs memory or delays another.
+A node fills the record. Any number of viewers read it at their own pace: each viewer requests the
+rows after its last row. The record stores nothing per viewer, so viewers need no memory here and
+exert no back-pressure.
 """
 
 from __future__ import annotations
@@ -22,22 +23,22 @@ from mr_damper_ros.processes.files import json_ready
 from mr_damper_ros.signals.arrays import Array
 
 _PART = 4
-"""A full table loses so large a part of its rows at once: making room costs little per row."""
+"""A full table frees a quarter (1 / ``_PART``) of its rows at once; this is cheap per row."""
 
 Join = Callable[[Array], Array]
-"""Makes one row of each two: (k, 2, columns) to (k, columns)."""
+"""Joins pairs of rows: (k, 2, columns) to (k, columns)."""
 
 
 def first_of_two(pairs: Array) -> Array:
-    """The first row of each two."""
+    """The first row of each pair."""
     return pairs[:, 0]
 
 
 class RollingTable:
-    """Rows of numbers, counted from 0 since the beginning.
+    """Rows of numbers with consecutive indices from 0.
 
-    A full table loses its oldest quarter. One that can ``join`` rows does so in its older half
-    instead: what lies far back stays in view, ever more coarsely.
+    A full table discards its oldest quarter. With ``join``, it joins the pairs of rows of its older
+    half instead, so that the past stays in the table with decreasing resolution.
     """
 
     def __init__(self, columns: Sequence[str], capacity: int, join: Join | None = None) -> None:
@@ -45,21 +46,21 @@ class RollingTable:
             raise ValueError(f"capacity must be at least {2 * _PART}, not {capacity}")
         self.columns = ("index", *columns)
         self._join = join
-        # Filled, so that all of the memory is taken at once.
+        # Filling the array allocates all of its memory at once.
         self._rows = np.full((capacity, len(self.columns)), np.nan)
         self._size = 0
         self.next_index = 0
-        """The number that the next row will have."""
+        """Index of the next row."""
 
     def __len__(self) -> int:
         return self._size
 
     def append(self, values: Sequence[float]) -> None:
-        """Add a row; raises ValueError where the values are not as many as the columns."""
+        """Add a row; raises ValueError if the number of values is wrong."""
         self.extend(np.array([values], dtype=np.float64))
 
     def extend(self, values: Array) -> None:
-        """Add rows (k, columns); raises ValueError where they have other columns."""
+        """Add rows (k, columns); raises ValueError if the number of columns is wrong."""
         if values.ndim != 2 or values.shape[1] != len(self.columns) - 1:
             given = values.shape[-1]
             raise ValueError(f"{given} values do not fill {len(self.columns) - 1} columns")
@@ -75,7 +76,7 @@ class RollingTable:
             self.next_index += len(part)
 
     def after(self, index: int) -> Array:
-        """The rows after the one of this number, shape (k, columns), their numbers first."""
+        """The rows after the row ``index``, shape (k, columns); the first column is the index."""
         start = int(np.searchsorted(self._rows[: self._size, 0], index, side="right"))
         return self._rows[start : self._size].copy()
 
@@ -99,13 +100,16 @@ SIGNALS = (
 """Columns of the table ``signals`` after the index, in SI units; ``valid`` is 1 or 0."""
 
 SAMPLES = ("time", "displacement", "measured_force", "predicted_force", "valid")
-"""Columns of the table ``samples``: the newest at the full rate, for the loops."""
+"""Columns of the table ``samples``: the newest samples at the full rate, for the loops."""
 
 _RANGED = SIGNALS[1:7]
 
 HISTORY = ("time", *(f"{name}_{end}" for name in _RANGED for end in ("low", "high")), "valid")
-"""Columns of the table ``history``: least and largest values of each tenth of a second, and the
-share of valid force; of the error only that of valid force counts."""
+"""Columns of the table ``history``, one row per tenth of a second.
+
+They hold the smallest and largest values and the fraction of valid force. The error is that of
+valid force only.
+"""
 
 WINDOWS = (
     *("time", "nrmse_before", "nrmse_after", "force_scale", "force_scale_error"),
@@ -125,44 +129,44 @@ UNITS = {
     "frequency": "Hz",
     "fit_duration": "s",
 }
-"""Of the columns of both; those that are not here have none."""
+"""Units of the columns; other columns have no unit."""
 
 SIGNALS_KEPT = 6000
 SAMPLES_KEPT = 10_000
 HISTORY_KEPT = 36_000
-"""An hour at a tenth of a second; a longer run is kept whole, its older half more coarsely."""
+"""Rows of one hour; the older half of a longer run is kept at a lower resolution."""
 
 _HISTORY_STEP = 0.1
 MARKS_KEPT = 500
 
 _LEVEL = 0.05
-"""Amperes by which two levels of the current differ, ..."""
+"""Smallest difference [A] between two levels of the current."""
 
 _HELD = 0.5
-"""... and seconds for which each is held: what a controller does all the time is no step."""
+"""Shortest duration [s] of a level; it excludes the continuous changes of a controller."""
 
 WINDOWS_KEPT = 2000
 SETS_KEPT = 1000
 SENTENCES_KEPT = 200
 CONCERNS_KEPT = 200
-"""Names of diagnostics; nodes that come and go must not fill the memory."""
+"""Largest number of diagnostic names, so that a changing set of nodes cannot fill the memory."""
 
 SILENT_AFTER = 2.0
-"""Seconds after which what was last heard is no longer shown as the present state."""
+"""Age [s] from which the last values are no longer shown as the present state."""
 
 _ERROR = 2
-"""The level of an error."""
+"""Diagnostic level of an error."""
 
 _JUMP = 1.0
-"""Stamps that fall back by more than this [s] are those of another recording."""
+"""Stamps that go back by more than this time [s] start a new recording."""
 
 
 @dataclass(frozen=True)
 class WindowSeen:
-    """What became of a window; times [s] since the epoch, by the data's stamps."""
+    """The result of a window; times [s] since the epoch, by the stamps of the data."""
 
     figures: Mapping[str, float]
-    """By the names of :data:`WINDOWS`; what is missing is not known."""
+    """Values by the names of :data:`WINDOWS`; unknown values are missing."""
     verdict: str
     reason: str
     parameter_set: str
@@ -195,7 +199,7 @@ class Concern:
     """A diagnostic: ``level`` 0 good, 1 warning, 2 error, 3 stale."""
 
     name: str
-    """Node and what it is about: ``model: input``."""
+    """Node and subject, such as ``model: input``."""
     level: int
     message: str
     values: Mapping[str, str]
@@ -203,7 +207,7 @@ class Concern:
 
 @dataclass(frozen=True)
 class Mark:
-    """An event on the axis of time [s since the epoch]: a set, a fault, a step of the current."""
+    """An event at ``time`` [s since the epoch]: a set, a fault or a step of the current."""
 
     number: int
     time: float
@@ -213,14 +217,14 @@ class Mark:
 
 @dataclass(frozen=True)
 class Fault:
-    """An error that stays listed until somebody has seen it, also where it is over by then."""
+    """An error that stays listed until a viewer acknowledges it, even if it is over."""
 
     number: int
     name: str
-    """Of the diagnostic, or of a node that is not heard any more."""
+    """Name of the diagnostic, or of the silent node."""
     message: str
     since: float
-    """By the record's clock [s]."""
+    """Time [s] on the clock of the record."""
     active: bool = True
     seen: bool = False
 
@@ -228,10 +232,11 @@ class Fault:
 def fault_after(
     fault: Fault | None, name: str, message: str, now: float, number: int, *, wrong: bool
 ) -> Fault | None:
-    """What a fault, or none, has become at ``now`` [s]; a new one has this number.
+    """The fault after a new diagnostic at ``now`` [s]; None if there is no fault to list.
 
-    One that comes back before it was seen keeps its time. A fault that is over goes once it is
-    seen.
+    ``wrong``: whether the error is present; ``number``: the number of a new fault. A fault that
+    returns before it is acknowledged keeps its start time. A fault that is over is removed when it
+    is acknowledged.
     """
     if wrong and fault is not None and fault.active:
         return replace(fault, message=message)
@@ -244,7 +249,10 @@ def fault_after(
 
 @dataclass(frozen=True, eq=False)
 class Rows:
-    """Rows of a table, of which run and shape, with the names of the columns."""
+    """Rows of a table with the names of its columns.
+
+    ``generation`` identifies the table among those of earlier runs and other columns.
+    """
 
     generation: int
     columns: tuple[str, ...]
@@ -252,9 +260,10 @@ class Rows:
 
 
 class LiveRecord:
-    """Collects what comes; all methods may be called from any thread.
+    """The record of a running system or a recording; all methods are thread-safe.
 
-    ``recorded`` names the recording that it is of; empty for a running system.
+    ``clock`` returns the time [s]. ``recorded`` is the name of the recording, empty for a running
+    system. ``signals_kept`` is the capacity of the table ``signals``.
     """
 
     def __init__(
@@ -268,13 +277,13 @@ class LiveRecord:
         self._recorded = recorded
         self._signals_kept = signals_kept
         self._lock = threading.Lock()
-        # Not those of the process before: a viewer that stays asks this one, too.
+        # The random start differs from that of an earlier process, whose viewers may still ask.
         self._generations = secrets.randbits(31)
         self._tables: dict[str, tuple[int, RollingTable]] = {}
         self._sentences: deque[tuple[int, bytes]] = deque(maxlen=SENTENCES_KEPT)
         self._windows_seen = 0
         self.last_window: WindowSeen | None = None
-        """What became of the last window; None before the first."""
+        """The result of the last window; None before the first."""
         self.parameters: SetSeen | None = None
         """The set in use; None before the first."""
         self._concerns: dict[str, tuple[Concern, float]] = {}
@@ -299,7 +308,8 @@ class LiveRecord:
         self._add_table("windows", RollingTable(WINDOWS, WINDOWS_KEPT, first_of_two))
         self._tenth: list[tuple[float, ...]] = []
         self._marks.clear()
-        # The level of the current, the one that may become the next, since when, from when on.
+        # Level of the current and candidate for the next level; start time of the candidate, and
+        # time at which the present level was left.
         self._level = self._next_level = math.nan
         self._level_since = self._level_left = -math.inf
         self._origin = math.nan
@@ -320,7 +330,7 @@ class LiveRecord:
         *,
         valid: bool,
     ) -> None:
-        """Add what was measured and predicted at one stamp [s]; SI units."""
+        """Add the measured and predicted signals at one stamp [s]; SI units."""
         row = (time_s, displacement, velocity, current, measured, predicted)
         with self._lock:
             if time_s < self._last_time - _JUMP:
@@ -343,7 +353,7 @@ class LiveRecord:
         self._tenth.append(row)
 
     def _follow_current(self, time_s: float, current: float) -> None:
-        """Mark a step from one level of the current to another."""
+        """Add a mark for each step of the current from one level to the next."""
         if not abs(current - self._next_level) <= _LEVEL:
             if self._next_level == self._level:
                 self._level_left = time_s
@@ -355,13 +365,13 @@ class LiveRecord:
             self._level = self._next_level
 
     def add_samples(self, start_s: float, period: float, *columns: Array) -> None:
-        """Add samples at the full rate: the columns (n,) of :data:`SAMPLES` after the time."""
+        """Add samples at the full rate: the columns (n,) of :data:`SAMPLES` except the time."""
         time_s = start_s + period * np.arange(columns[0].size)
         with self._lock:
             self._tables["samples"][1].extend(np.column_stack([time_s, *columns]))
 
     def set_point(self, name: str, value: float) -> None:
-        """Take note of what is commanded: ``current_command`` [A] or ``desired_force`` [N]."""
+        """Set the present ``current_command`` [A] or ``desired_force`` [N]."""
         with self._lock:
             self._set_points[name] = value, self._clock()
 
@@ -370,7 +380,7 @@ class LiveRecord:
         return value if self._clock() - heard <= SILENT_AFTER else math.nan
 
     def set_recording(self, recording: Mapping[str, str] | None) -> None:
-        """Take note of the recording that is under way: its name and where it goes; None: none."""
+        """Set the name and the path of the recording in progress, or None."""
         with self._lock:
             self._recording = recording
             self._mark("record", f"recording {'begins' if recording else 'ends'}", self._last_time)
@@ -380,12 +390,12 @@ class LiveRecord:
         self._marks.append(Mark(self._mark_count, time_s, kind, text))
 
     def add_fluid_temperature(self, celsius: float, error: float) -> None:
-        """Take note of the temperature [°C] that the force of the next window tells."""
+        """Set the fluid temperature [°C] of the next window, estimated from the force."""
         with self._lock:
             self._fluid = (celsius, error)
 
     def add_window(self, window: WindowSeen) -> None:
-        """Add what became of a window."""
+        """Add the result of a window."""
         figures = {
             "fluid_temperature": self._fluid[0],
             "fluid_temperature_error": self._fluid[1],
@@ -411,16 +421,16 @@ class LiveRecord:
                 self._trace("coefficients", figures.get("time", math.nan), pairs, WINDOWS_KEPT)
 
     def set_parameters(self, seen: SetSeen) -> None:
-        """Take note of the set in use from now on."""
+        """Set the parameter set in use."""
         with self._lock:
             self.parameters = seen
-            # What comes from no samples holds from now on.
+            # A set without a stamp was not identified from samples; it is in use from now on.
             since = seen.time if seen.time > 0.0 else self._last_time
             self._trace_set(seen, since)
             self._mark("set", f"{seen.set_id} ({seen.source.replace('_', ' ')})", since)
 
     def _trace_set(self, seen: SetSeen, since: float) -> None:
-        """Add a set to the table; ``since`` is infinite where it holds from the beginning."""
+        """Add a set to the table; ``since`` [s] is infinite if it is in use from the beginning."""
         named = zip(seen.names, seen.values, seen.standard_errors, seen.observable, strict=True)
         pairs = {
             name: (value, error if determined else math.nan)
@@ -431,7 +441,7 @@ class LiveRecord:
     def _trace(
         self, name: str, time_s: float, pairs: Mapping[str, tuple[float, float]], capacity: int
     ) -> None:
-        """Add values with their errors to a table that has two columns for each of these names."""
+        """Add values and errors to a table; a change of the names starts a new table."""
         columns = ("time", *pairs, *(f"{key}_error" for key in pairs))
         _, table = self._tables.get(name, (0, None))
         if table is None or table.columns[1:] != columns:
@@ -442,7 +452,7 @@ class LiveRecord:
         table.append((time_s, *values, *errors))
 
     def add_concern(self, concern: Concern) -> None:
-        """Take note of how something stands."""
+        """Add a diagnostic."""
         with self._lock:
             if concern.name in self._concerns or len(self._concerns) < CONCERNS_KEPT:
                 self._judge_silences()
@@ -451,7 +461,7 @@ class LiveRecord:
                 self._judge(concern.name, concern.message, wrong=concern.level == _ERROR)
 
     def _judge_silences(self) -> None:
-        """List the nodes that are not heard any more as faults."""
+        """List silent nodes as faults."""
         now = self._clock()
         heard: dict[str, float] = {}
         for name, (_, when) in self._concerns.items():
@@ -472,7 +482,7 @@ class LiveRecord:
         self._fault_count = max(self._fault_count, fault.number)
 
     def acknowledge(self, number: int) -> None:
-        """Take the faults up to this number as seen."""
+        """Acknowledge all faults up to this number."""
         with self._lock:
             seen = {
                 name: replace(fault, seen=fault.seen or fault.number <= number)
@@ -483,14 +493,15 @@ class LiveRecord:
             }
 
     def add_event(self, sentence: str) -> None:
-        """Take note of what was done from here."""
+        """Add a sentence about an action of this program."""
         with self._lock:
             self._events.append(sentence)
 
     def rows(self, name: str, after: int, generation: int) -> Rows | None:
-        """Rows of a table after that of a number; all where ``generation`` is another one's.
+        """Rows of a table after the index ``after``.
 
-        None where there is no such table (yet).
+        Returns all rows if ``generation`` is not that of the present table, and None if there is no
+        such table yet.
         """
         with self._lock:
             if name not in self._tables:
@@ -500,7 +511,7 @@ class LiveRecord:
 
     @property
     def concerns(self) -> list[tuple[Concern, float]]:
-        """The newest diagnostics, by name, and the seconds since each was heard."""
+        """The newest diagnostics, sorted by name, each with its age [s]."""
         with self._lock:
             now = self._clock()
             return [
@@ -509,13 +520,14 @@ class LiveRecord:
 
     @property
     def silence(self) -> float:
-        """Seconds since the last signals; infinite before the first."""
+        """Time [s] since the last signals; infinite before the first."""
         return self._clock() - self._heard
 
     def status(self, windows_after: int, marks_after: int = 0) -> bytes:
-        """All that is no table, as JSON: what the page asks for now and then.
+        """The status of the system without the tables, as JSON.
 
-        ``windows_after``, ``marks_after``: numbers of the last ones that the viewer knows.
+        ``windows_after`` and ``marks_after`` are the numbers of the last window and the last mark
+        that the viewer has.
         """
         with self._lock:
             tables = {
@@ -551,14 +563,14 @@ class LiveRecord:
 
 
 def _range_of(rows: Array) -> Array:
-    """A row of the history of signals (n, 8): time, six signals, whether the force is valid."""
+    """A row of the history from signals (n, 8): time, six signals, validity of the force."""
     low, high = np.fmin.reduce(rows[:, 1:7]), np.fmax.reduce(rows[:, 1:7])
     ranges = np.stack([low, high], axis=1).ravel()
     return np.concatenate([rows[:1, 0], ranges, [rows[:, 7].mean()]])
 
 
 def _joined_ranges(pairs: Array) -> Array:
-    """Join two rows of the history, their numbers first, to one."""
+    """Join pairs of rows of the history; the first column is the index."""
     joined = pairs[:, 0].copy()
     joined[:, 2:-1:2] = np.fmin(pairs[:, 0, 2:-1:2], pairs[:, 1, 2:-1:2])
     joined[:, 3:-1:2] = np.fmax(pairs[:, 0, 3:-1:2], pairs[:, 1, 3:-1:2])
@@ -567,7 +579,7 @@ def _joined_ranges(pairs: Array) -> Array:
 
 
 def _units(seen: SetSeen | None) -> dict[str, str]:
-    """Units of all columns by name, also of the parameters and coefficients of a set."""
+    """Units of all columns by name, including the parameters and coefficients of a set."""
     if seen is None:
         return UNITS
     law = MODELS.get(seen.model)
@@ -580,5 +592,5 @@ def _units(seen: SetSeen | None) -> dict[str, str]:
 
 
 def _json(value: object) -> bytes:
-    """JSON, in which what is no number is null."""
+    """JSON with null for values that are not finite."""
     return json.dumps(json_ready(value), separators=(",", ":"), allow_nan=False).encode()

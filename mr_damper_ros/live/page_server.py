@@ -1,7 +1,8 @@
-"""Serves the page and the record behind it, in threads of its own.
+"""Web server of the live page and its record, in separate threads.
 
-Viewers pull: a slow one gets more at once, later, and a viewer that is gone leaves nothing behind.
-Only the standard library is needed, and nothing is fetched from anywhere else.
+Viewers poll: a slow viewer receives more data with each request, and a disconnected viewer leaves
+no data behind. The server needs only the standard library. The page loads nothing from other
+servers.
 """
 
 from __future__ import annotations
@@ -38,23 +39,23 @@ FILES = {
     "/uplot.css": ("vendor/uplot/uPlot.min.css", "text/css; charset=utf-8"),
     "/uplot-licence.txt": ("vendor/uplot/LICENSE", "text/plain; charset=utf-8"),
 }
-"""All that is served from disk, by address."""
+"""Files that are served from disk, by URL path: name and media type."""
 
 CONNECTIONS = 64
-"""At once, of all viewers together; a browser opens up to six."""
+"""Largest number of simultaneous connections; a browser opens up to six."""
 
 CONNECTIONS_EACH = 24
-"""At once, of one client address: the others still get in."""
+"""Largest number of simultaneous connections of one client, so that others can connect."""
 
 _IDLE = 30.0
-"""Seconds that a connection may wait for its next request, and that an answer may take."""
+"""Longest time [s] between requests of a connection, and for an answer."""
 
 _REQUEST = 5.0
-"""Seconds from the first byte of a request to its last."""
+"""Longest time [s] from the first byte of a request to its last."""
 
 _LONGEST_BODY = 1000
 _DRAINED = 1 << 16
-"""Bytes of a body that are read: closing on what is not read would lose the answer."""
+"""Largest number of bytes read from a body; closing with unread bytes would lose the answer."""
 
 _LOCAL = frozenset({"localhost", "127.0.0.1", "::1"})
 _ANY = frozenset({"0.0.0.0", "::"})
@@ -63,7 +64,7 @@ _NETLOC = re.compile(r"(?:\[([0-9A-Fa-f:.]+(?:%[\w.-]+)?)\]|([\w.-]+))(?::[0-9]{
 _WHOLE_NUMBER = re.compile(r"-?[0-9]{1,15}", re.ASCII)
 
 _VERDICTS = {int(verdict): verdict.name.lower().replace("_", " ") for verdict in Verdict}
-"""In words, by their numbers in the table ``windows``."""
+"""Verdicts in words, by their codes in the table ``windows``."""
 
 _SECURITY = {
     "Content-Security-Policy": "default-src 'self'; img-src 'self' blob: data:; "
@@ -75,14 +76,14 @@ _SECURITY = {
 
 
 def is_local(host: str) -> bool:
-    """Whether only this computer reaches what is served at such an address."""
+    """Whether only this computer can connect to this address."""
     return host in _LOCAL
 
 
 def host_of(netloc: str) -> str:
-    """Name or address in ``HOST`` or ``HOST:PORT``, each in one spelling.
+    """Normalised name or address in ``HOST`` or ``HOST:PORT``.
 
-    Raises ValueError where it is neither.
+    Raises ValueError if it is neither a name nor an address.
     """
     found = _NETLOC.fullmatch(netloc)
     if found is None:
@@ -99,24 +100,26 @@ def _spelling(host: str) -> str:
 
 
 def _own_names() -> frozenset[str]:
-    """Names of this computer; its addresses are those that its viewers reach."""
+    """Names of this computer."""
     name = _spelling(socket.gethostname())
     short = name.partition(".")[0]
     return frozenset({*_LOCAL, name, short, f"{short}.local"})
 
 
 Command = Callable[[str, Mapping[str, str]], bool]
-"""Takes the name of a command and what goes with it; whether there was room for it."""
+"""Handler of a command; receives its name and arguments, returns False if the queue is full."""
 
 
 class PageServer:
-    """The page of a record at ``address``; port 0 takes any that is free.
+    """Serves the page of a record at ``address``; port 0 selects a free port.
 
-    It answers requests for the names of this computer, for the address that they come to and for
-    ``allowed_hosts``: another site that makes its own name point here (DNS rebinding) learns
-    nothing. ``commands`` are the names that POST /command accepts and hands to ``command``; without
-    any the page is read-only. Raises OSError where the port cannot be had and ValueError for
-    allowed hosts that are neither names nor addresses.
+    The server answers only requests to the names of this computer, to the address of the connection
+    and to ``allowed_hosts``. This protects against DNS rebinding, in which another site points its
+    own name to this computer. ``commands`` are the names that POST /command accepts and passes to
+    ``command``; without commands, the page is read-only.
+
+    Raises OSError if the port is not available, and ValueError if an allowed host is neither a name
+    nor an address.
     """
 
     def __init__(
@@ -145,7 +148,7 @@ class PageServer:
         self._thread.start()
 
     def close(self) -> None:
-        """Stop serving; viewers see that the page is gone."""
+        """Stop the server and close all connections."""
         self._server.shutdown()
         self._server.server_close()
         self._server.hang_up(math.inf)
@@ -154,7 +157,7 @@ class PageServer:
 
 @dataclass(frozen=True)
 class _Page:
-    """What all connections share."""
+    """Data that all connections share."""
 
     record: LiveRecord
     title: str
@@ -166,7 +169,7 @@ class _Page:
 
 @dataclass
 class _Connection:
-    """A client's address, and when it must have got on."""
+    """Address of a client, and the deadline [s] of its present action."""
 
     address: str
     deadline: float
@@ -183,7 +186,7 @@ class _Server(ThreadingHTTPServer):
         super().__init__(address, handler)
 
     def server_bind(self) -> None:
-        # The library's own looks the host's name up, which may take long without a network.
+        # The method of the base class looks up the host name, which is slow without a network.
         socket_address = self.server_address
         self.socket.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
         self.socket.bind(socket_address)
@@ -200,12 +203,12 @@ class _Server(ThreadingHTTPServer):
         super().process_request(request, client_address)
 
     def grant(self, request: socket.socket, seconds: float) -> None:
-        """Let a connection last so long from now on."""
+        """Extend the deadline of a connection to ``seconds`` from now."""
         if request in self._open:
             self._open[request].deadline = time.monotonic() + seconds
 
     def service_actions(self) -> None:
-        """Called ten times a second: end the connections that take too long."""
+        """Close connections past their deadline; called ten times a second."""
         self.hang_up(time.monotonic())
 
     def shutdown_request(self, request: Any) -> None:
@@ -213,20 +216,20 @@ class _Server(ThreadingHTTPServer):
         super().shutdown_request(request)
 
     def hang_up(self, now: float) -> None:
-        """End all connections whose deadline has passed."""
+        """Close all connections whose deadline is before ``now`` [s]."""
         for request, known in list(self._open.items()):
             if known.deadline < now:
                 with contextlib.suppress(OSError):
                     request.shutdown(socket.SHUT_RDWR)
 
     def handle_error(self, request: Any, client_address: Any) -> None:
-        """Say what went wrong; that a viewer has left in the midst of an answer is no fault."""
+        """Report an error; a viewer that disconnects during an answer is not an error."""
         if not isinstance(sys.exc_info()[1], OSError):
             super().handle_error(request, client_address)
 
 
 class _RequestError(Exception):
-    """A request that is not granted: with which status, and why in a sentence."""
+    """A rejected request, with the HTTP status and a sentence for the client."""
 
     def __init__(self, status: HTTPStatus, sentence: str) -> None:
         super().__init__(sentence)
@@ -236,12 +239,12 @@ class _RequestError(Exception):
 class _Handler(BaseHTTPRequestHandler):
     protocol_version = default_request_version = "HTTP/1.1"
     disable_nagle_algorithm = True
-    wbufsize = 1 << 16  # head and body go together
+    wbufsize = 1 << 16  # headers and body are sent together
     served: _Page
     server: _Server
 
     def handle_one_request(self) -> None:
-        """Wait for a request, and then no longer than it may take."""
+        """Wait for a request and handle it within its time limit."""
         self.close_connection = True
         self.server.grant(self.connection, _IDLE)
         if self.rfile.peek(1):  # type: ignore[attr-defined]
@@ -249,15 +252,15 @@ class _Handler(BaseHTTPRequestHandler):
             super().handle_one_request()
 
     def do_GET(self) -> None:
-        """Serve a file of the page, the status or rows of a table."""
+        """Serve a file of the page, the status, or rows of a table."""
         self._serve(self._read)
 
     def do_POST(self) -> None:
-        """Take a command, or that faults were seen, from this page alone."""
+        """Accept a command or an acknowledgement of faults, only from this page."""
         self._serve(self._take_command)
 
     def _serve(self, answer: Callable[[bytes], None]) -> None:
-        """Answer a request, or say why not."""
+        """Answer a request; if it is rejected, send the reason."""
         try:
             body = self._body()
             self._check_host()
@@ -314,10 +317,10 @@ class _Handler(BaseHTTPRequestHandler):
         self._answer(HTTPStatus.ACCEPTED)
 
     def log_message(self, format: str, *arguments: Any) -> None:
-        """Say nothing: thirty requests a second are no news."""
+        """Log nothing: there are thirty requests a second."""
 
     def send_error(self, code: int, message: str | None = None, explain: str | None = None) -> None:
-        """Say in a sentence what the library finds wrong with a request."""
+        """Send the error that the base class found in a request."""
         status = HTTPStatus(code)
         self.close_connection = True
         self._refuse(status, message or explain or status.phrase)
@@ -340,7 +343,7 @@ class _Handler(BaseHTTPRequestHandler):
         return body
 
     def _check_host(self) -> None:
-        """Refuse what a page from elsewhere asks by a name that it has made point here."""
+        """Reject requests with a foreign host name (DNS rebinding)."""
         hosts = self.headers.get_all("Host", [])
         if len(hosts) != 1:
             raise _bad(f"a request has one Host, not {len(hosts)}")
@@ -353,7 +356,7 @@ class _Handler(BaseHTTPRequestHandler):
             )
 
     def _check_origin(self) -> None:
-        """Refuse commands that another site makes a browser send; after :meth:`_check_host`."""
+        """Reject commands from pages of other sites; requires :meth:`_check_host` first."""
         origin = self.headers.get("Origin", "")
         scheme, _, netloc = origin.partition("://")
         if origin not in ("", "null"):
@@ -364,7 +367,7 @@ class _Handler(BaseHTTPRequestHandler):
             )
 
     def _refuse(self, status: HTTPStatus, sentence: str) -> None:
-        # What follows a malformed request may be a part of it.
+        # The bytes after a malformed request may belong to it.
         self.close_connection |= status == HTTPStatus.BAD_REQUEST
         self._answer(status, f"{sentence}\n".encode(), "text/plain; charset=utf-8")
 

@@ -1,4 +1,4 @@
-"""A recording on the page: a bag is replayed through the engine into a record."""
+"""Replay of a bag through the engine into the record of the live page."""
 
 from __future__ import annotations
 
@@ -20,34 +20,34 @@ from mr_damper_ros.tracking.reports import Report
 from mr_damper_ros.tracking.validity import DoubtKind
 
 _RATE = 100.0
-"""Signals a second, as the model node publishes them."""
+"""Rate of the signals [1/s], equal to that of the model node."""
 
 _SET_POINTS = (
     ("/supply/current_command", "mr_damper_msgs/msg/CurrentCommand", "current_command", "current"),
     ("/damper/desired_force", "mr_damper_msgs/msg/DesiredForce", "desired_force", "force"),
 )
-"""Topic and type, name in the record, and field of the message."""
+"""Topic, message type, name in the record, and field of the message."""
 
 _MOST_SIGNALS = 1_000_000
-"""Nearly three hours."""
+"""Capacity of the table ``signals``, almost three hours."""
 
 
 def title_of(path: Path) -> str:
-    """Name, operator and note that were given to a recording, and its file."""
+    """Name, operator, note and file name of a recording."""
     with opened_bag(path) as bag:
         told = [bag.details.get(key, "") for key in ("name", "operator", "note")]
     return ", ".join(dict.fromkeys([*filter(None, told), path.name]))
 
 
 def start_of(path: Path) -> ParameterSet | None:
-    """The set that was in use when the recording began, None where it does not say."""
+    """The set in use at the start of the recording; None if the bag does not contain it."""
     with opened_bag(path) as bag:
         text = bag.details.get("start_set", "")
     return ParameterSet.from_yaml(text) if text else None
 
 
 def empty_record(path: Path) -> LiveRecord:
-    """A record for :func:`replay_into` that keeps the signals of a bag; raises BagError."""
+    """A record with room for the signals of a bag, for :func:`replay_into`; raises BagError."""
     return LiveRecord(recorded=title_of(path), signals_kept=_MOST_SIGNALS)
 
 
@@ -57,10 +57,10 @@ def replay_into(
     start: ParameterSet | None = None,
     settings: EngineSettings | None = None,
 ) -> None:
-    """Replay a bag into a record, as identifier and model would have taken it live.
+    """Replay a bag into a record, with the same results as the live identifier and model.
 
-    Without ``start``, it begins with the set that was in use when the recording began. Raises
-    BagError and ParameterError where bag or set cannot be used.
+    Without ``start``, the initial set is the set in use at the start of the recording. Raises
+    BagError or ParameterError if the bag or the set cannot be used.
     """
     start = start or start_of(path)
     if start is not None and settings is None:
@@ -85,7 +85,7 @@ def _show_publications(record: LiveRecord, engine: Engine) -> None:
 
 
 class _Held:
-    """What holds at a sample: the current, and what was commanded."""
+    """The current and the setpoints at a sample."""
 
     def __init__(self, set_points: dict[str, list[tuple[int, float]]]) -> None:
         self._waiting = {name: iter(values) for name, values in set_points.items()}
@@ -93,14 +93,14 @@ class _Held:
         self.current = math.nan
 
     def currents_of(self, stream: Iterator[StreamItem]) -> Iterator[StreamItem]:
-        """The same stream; the current is remembered as it comes."""
+        """Yield the items of the stream; ``current`` holds the last current [A]."""
         for item in stream:
             if isinstance(item, CurrentReading):
                 self.current = item.current
             yield item
 
     def follow(self, record: LiveRecord, stamp_ns: int) -> None:
-        """Tell the record what is commanded at a stamp."""
+        """Pass the setpoints up to this stamp [ns] to the record."""
         for name, values in self._waiting.items():
             while (found := self._next[name]) is not None and found[0] <= stamp_ns:
                 record.set_point(name, found[1])
