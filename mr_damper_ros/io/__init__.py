@@ -1,1 +1,1 @@
-"""Files: bags, text, CSV and MAT records, and their units."""
+"""Files: bags and record files (text, CSV, MAT, TDMS, XLSX), with their units."""

@@ -1,4 +1,4 @@
-"""A bag that is open for reading: its files are looked at before the library reads them."""
+"""Opening of bags; their files are checked before the library reads them."""
 
 from __future__ import annotations
 
@@ -24,22 +24,22 @@ TEMPERATURE_TYPE = "sensor_msgs/msg/Temperature"
 
 
 class BagError(ValueError):
-    """A bag that cannot be read or written; the message says what to change."""
+    """An error in reading or writing a bag; the message says what to change."""
 
 
 _BYTES_PER_SAMPLE = 100
-"""Of a message with a single sample; blocks take less."""
+"""Size [B] of a message with a single sample; blocks need less per sample."""
 
 _LARGEST_METADATA = 10_000_000
-"""Bytes of metadata.yaml."""
+"""Largest size of metadata.yaml [B]."""
 
 
 def check_bag_files(path: Path, maximum_samples: int | None) -> None:
-    """Check that a bag, a folder or a single file, can be read and is as it was written.
+    """Check that the files of a bag are readable and undamaged.
 
-    Raises BagError, in one sentence: for what is no regular file, whose reading may never end, a
-    checksum that is wrong, and data that unpack to more than so many samples need (None: whatever
-    they unpack to).
+    ``path`` is a folder or a single file. Raises BagError if a file is not a regular file, because
+    reading it may never end; if a checksum is wrong; or if the unpacked data exceed the size of
+    ``maximum_samples`` (None: no limit).
     """
     for file in _files(path):
         kind = irregularity(file)
@@ -60,15 +60,15 @@ def _files(path: Path) -> Iterator[Path]:
         yield path
         return
     for entry in sorted(path.iterdir()):
-        # A link to nowhere is for the library to miss; folders it does not enter.
+        # The library reports broken links itself, and does not enter folders.
         if entry.exists() and not entry.is_dir():
             yield entry
 
 
 @contextmanager
 def failures_in_words(name: str) -> Iterator[None]:
-    """Make a BagError of whatever else goes wrong with a bag of this name."""
-    # Damaged bytes surface in the library as exceptions of many kinds.
+    """Convert all other exceptions to a BagError for the bag of this name."""
+    # For damaged data, the library raises exceptions of many kinds.
     try:
         yield
     except BagError:
@@ -96,7 +96,7 @@ def _check_mcap(name: str, file: Path, maximum_samples: int | None) -> None:
 
 
 class OpenBag:
-    """A bag that is open; failures of the library become sentences."""
+    """An open bag; exceptions of the library become a BagError."""
 
     def __init__(self, name: str, reader: AnyReader) -> None:
         self.name = name
@@ -105,7 +105,10 @@ class OpenBag:
         self.details: dict[str, str] = {str(k): str(v) for k, v in (custom or {}).items()}
 
     def topic(self, wanted: str, message_type: str, *, required: bool = True) -> str:
-        """Name of the topic in the bag; empty where it is missing and not required."""
+        """Name of the topic in the bag, in any namespace.
+
+        Returns an empty string if the topic is missing and not required; otherwise raises BagError.
+        """
         types = {connection.topic: connection.msgtype for connection in self._reader.connections}
         found = [wanted] if wanted in types else sorted(t for t in types if t.endswith(wanted))
         if len(found) > 1:
@@ -132,7 +135,7 @@ class OpenBag:
         )
 
     def decoded(self, topics: set[str]) -> Iterator[tuple[str, Any]]:
-        """Topic and message of all messages on these topics, in the order of recording."""
+        """Topic and message of all messages on these topics, in recording order."""
         connections = [c for c in self._reader.connections if c.topic in topics]
         with failures_in_words(self.name):
             for connection, _, data in self._reader.messages(connections=connections):
@@ -141,12 +144,12 @@ class OpenBag:
 
 @contextmanager
 def opened_bag(path: str | Path, maximum_samples: int = MAXIMUM_SAMPLES) -> Iterator[OpenBag]:
-    """Open a bag's folder or its single file; raises BagError, in one sentence.
+    """Open the folder of a bag or its single file.
 
-    Its checksums are checked, and whether it unpacks to more than so many samples need.
+    Raises BagError if the bag is missing, damaged, empty, or larger than ``maximum_samples`` need.
     """
     path = Path(path)
-    # Under its folder a file comes with the metadata of the bag.
+    # The folder of a single file also holds the metadata of the bag.
     if (
         path.suffix in (".mcap", ".db3")
         and path.is_file()

@@ -1,4 +1,4 @@
-"""Recordings from bags, with rosbags alone: ROS is not needed."""
+"""Recordings from bags; needs rosbags, but not ROS."""
 
 from __future__ import annotations
 
@@ -40,19 +40,18 @@ from mr_damper_ros.signals.recording import (
 from mr_damper_ros.signals.uniform_grid import Placed, UniformGrid
 
 _HOLD_BACK = 1.0
-"""Seconds for which blocks that overtook others wait for them: a file is in no hurry."""
+"""Time [s] for which blocks wait for missing earlier blocks; reading a file may wait long."""
 
 
 def read_bag(path: str | Path, *, maximum_samples: int = MAXIMUM_SAMPLES) -> list[Recording]:
     """Read the recordings in a bag, which is a folder or a single ``.mcap`` or ``.db3`` file.
 
-    There are several where samples are missing (for more than 0.05 s: less is bridged),
-    stamps jump back, or the period changes. Topics
-    are found in any namespace: ``/rig1/mts/samples`` matches ``/mts/samples``. The current holds
-    from each stamp to the next; samples before its first stamp are left out. The temperature,
-    where the bag has it, is interpolated. A bag with more than ``maximum_samples`` is refused.
+    A new recording starts where samples are missing for more than 0.05 s, stamps jump back, or the
+    period changes; shorter gaps are bridged. Topics may be in any namespace: ``/rig1/mts/samples``
+    matches ``/mts/samples``. The current holds from each stamp to the next, and samples before its
+    first stamp are omitted. The temperature is interpolated, if the bag has it.
 
-    Raises BagError, in one sentence, where the bag is damaged or does not hold the streams.
+    Raises BagError if the bag is damaged, has more than ``maximum_samples``, or lacks a stream.
     """
     with opened_bag(path, maximum_samples) as bag:
         segments: list[_Segment] = []
@@ -97,8 +96,8 @@ def read_bag(path: str | Path, *, maximum_samples: int = MAXIMUM_SAMPLES) -> lis
 def bag_stream(path: str | Path, *, maximum_samples: int = MAXIMUM_SAMPLES) -> Iterator[StreamItem]:
     """The messages of the test machine in a bag, in the order in which they were recorded.
 
-    Topics are found as by :func:`read_bag`. Raises BagError, in one sentence, where the bag is
-    damaged, holds more than ``maximum_samples`` or lacks the streams.
+    Topics may be in any namespace, as in :func:`read_bag`. Raises BagError if the bag is damaged,
+    has more than ``maximum_samples``, or lacks a stream.
     """
     with opened_bag(path, maximum_samples) as bag:
         yield from _items(bag, maximum_samples)
@@ -145,14 +144,14 @@ def _block(message: Any, stamp_ns: int, bag: str, topic: str) -> SampleBlock:
 
 @dataclass
 class _Segment:
-    """Blocks that follow each other; ``round`` counts how often time was set back before."""
+    """Consecutive blocks; ``round`` is the number of earlier jumps back in time."""
 
     round: int
     blocks: list[SampleBlock]
 
 
 def _place(segments: list[_Segment], placed: Iterable[Placed]) -> None:
-    """Add blocks of the grid to the last segment, or to a new one where they do not follow."""
+    """Add blocks of the grid to the last segment, or to a new one after a discontinuity."""
     for one in placed:
         kind = one.continuity.kind
         if kind in ("next", "bridged"):
@@ -164,14 +163,14 @@ def _place(segments: list[_Segment], placed: Iterable[Placed]) -> None:
 
 @dataclass
 class _Round:
-    """The held current from ``first_ns`` until time is set back."""
+    """The held current from ``first_ns`` [ns] until the next jump back in time."""
 
     first_ns: int
     held: ZeroOrderHold
 
 
 def _hold(bag: str, rounds: list[_Round], reading: CurrentReading) -> None:
-    """Add a value of the current; a bag that was recorded from a loop has several rounds of it."""
+    """Add a value of the current; a bag of a looped replay has several rounds."""
     stamp_ns, value = reading
     last = rounds[-1].held.last_stamp_ns if rounds else None
     if last is None or stamp_ns < last - LATE_NS:
@@ -192,11 +191,11 @@ def _assemble(
     celsius: list[TemperatureReading],
     details: dict[str, str],
 ) -> Recording | None:
-    """Recording of a segment, or None where the current is not known for any of it."""
+    """Recording of a segment; None if its current is unknown throughout."""
     displacement = np.concatenate([block.displacement for block in segment.blocks])
     force = np.concatenate([block.force for block in segment.blocks])
     start_ns, period = segment.blocks[0].start_ns, segment.blocks[0].period
-    # Rounding of the stamps to nanoseconds must not cost a sample.
+    # The tolerance prevents the loss of a sample by rounding of the stamps to nanoseconds.
     unknown = math.ceil((current.first_ns - start_ns) / (period * NANOSECONDS) - 1e-3)
     first = max(unknown, 0)
     if first >= force.size:

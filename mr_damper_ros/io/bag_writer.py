@@ -1,9 +1,9 @@
-"""Recordings to bags, with rosbags alone: ROS is not needed.
+"""Writing of recordings to bags; needs rosbags, but not ROS.
 
-A bag holds the streams as a live rig would have published them: blocks of samples, written at the
-time of their last sample (when the block became available), and the supply's current with its
-stamps on the clock of the samples: at the start, at every change, in between at a fixed period,
-and once more at the end, so that the current is known for the whole recording.
+A bag holds the same streams as a live rig publishes. Each block of samples has the recording time
+of its last sample, at which the block becomes available. The current has stamps on the clock of the
+samples. It is written at the start, at every change, at a fixed period in between, and at the end,
+so that it is known for the whole recording.
 """
 
 from __future__ import annotations
@@ -42,16 +42,16 @@ from mr_damper_ros.signals.blocks import NANOSECONDS, STAMP_LIMIT
 from mr_damper_ros.signals.recording import Recording
 
 _FRAME = "damper"
-"""The frame that the stamps of all messages name."""
+"""Frame in the headers of all messages."""
 
 _CURRENT_PERIOD = 0.1
-"""Seconds after which a current that did not change is written again."""
+"""Period [s] at which a constant current is written again."""
 
 _TEMPERATURE_PERIOD = 1.0
 
 _INFINITE = QosTime(9223372036, 854775807)
 
-# A fast replay must not lose blocks: the depth is that of the live publishers.
+# A fast replay must not lose blocks, so the depth equals that of the live publishers.
 _STREAM_QUALITY = Qos(
     history=QosHistory.KEEP_LAST,
     depth=1000,
@@ -66,7 +66,7 @@ _STREAM_QUALITY = Qos(
 
 
 _Message = tuple[int, str, bytes]
-"""Time [ns], topic, and what a publisher sends (CDR with its header)."""
+"""Time [ns], topic, and serialised message (CDR with its header)."""
 
 
 def _message_folder() -> Path:
@@ -93,10 +93,10 @@ def _typestore() -> Any:
 
 
 class BagStream:
-    """A bag that is written message by message; once it is closed, it is there at ``path``.
+    """A bag that is written message by message; it appears at ``path`` when it is closed.
 
-    ``topics`` gives the type of the messages on each. Raises BagError where something else is at
-    ``path``, and OSError where the file system refuses.
+    ``topics`` holds the message type of each topic. Raises BagError if ``path`` exists, and OSError
+    if the files cannot be written.
     """
 
     def __init__(
@@ -121,11 +121,11 @@ class BagStream:
         }
 
     def write(self, topic: str, time_ns: int, data: bytes) -> None:
-        """Write a message as a publisher sends it (CDR with its header)."""
+        """Write a serialised message (CDR with its header)."""
         self._writer.write(self._connections[topic], time_ns, data)
 
     def close(self) -> None:
-        """Finish the bag, with checksums, and move it to its place."""
+        """Close the bag, add checksums, and move it to its path."""
         self._writer.close()
         add_checksums(self._fresh / f"{self._path.name}.mcap")
         self._fresh.rename(self._path)
@@ -141,12 +141,13 @@ def write_bag(
 ) -> None:
     """Write a recording as a bag folder (MCAP, rosbag2 version 9).
 
-    ``block_size`` samples go into one message. The bag's metadata carry ``recording.name`` and
-    ``recording.details``. The bag appears whole or not at all, with checksums; one that exists is
+    Each message holds ``block_size`` samples. The metadata of the bag hold ``recording.name`` and
+    ``recording.details``. The bag has checksums and is written atomically. An existing bag is
     replaced only with ``overwrite``.
 
-    Raises BagError where the bag exists, is something else, the block size is below 1, or the
-    arguments are exchanged, and OSError where the file system refuses.
+    Raises BagError if the path exists and may not be replaced, the block size is less than 1, the
+    stamps are out of range, or the arguments are interchanged; raises OSError if the files cannot
+    be written.
     """
     if not isinstance(recording, Recording):
         raise BagError(
@@ -165,7 +166,7 @@ def write_bag(
     topics = {MTS_TOPIC: SAMPLES_TYPE, CURRENT_TOPIC: CURRENT_TYPE}
     if recording.temperature is not None:
         topics[TEMPERATURE_TOPIC] = TEMPERATURE_TYPE
-    # Of equal times the first counts as the earlier: the current, it applies to the block.
+    # At equal times, the current comes first, because it applies to the block.
     messages = heapq.merge(
         _current_messages(recording),
         _temperature_messages(recording),
@@ -222,7 +223,7 @@ def _sample_messages(recording: Recording, block_size: int) -> Iterator[_Message
 
 
 def _indices(recording: Recording, period: float, always: Iterable[int] = ()) -> list[int]:
-    """Samples every ``period`` seconds, the last one, and those of ``always``."""
+    """Indices of samples every ``period`` [s], of the last sample, and those of ``always``."""
     step = max(round(period / recording.period), 1)
     regular = range(0, recording.sample_count, step)
     return sorted({*regular, *always, recording.sample_count - 1})

@@ -1,8 +1,8 @@
-"""Columns from MAT, TDMS and XLSX files, which a library reads in a process of its own.
+"""Columns from MAT, TDMS and XLSX files, which are read in a separate process.
 
-A malformed file can end the process that reads it (a segmentation fault), keep it for ever, or
-unpack a few bytes to more than the memory. So a child process reads, with limited time and memory,
-and hands over arrays, or text.
+A malformed file can crash the reading process (segmentation fault), block it for ever, or exhaust
+the memory when it is unpacked. Therefore a child process with limited time and memory reads the
+file and returns arrays or text.
 """
 
 from __future__ import annotations
@@ -30,25 +30,29 @@ from mr_damper_ros.processes.process_pool import LocalProcesses
 from mr_damper_ros.signals.arrays import Array
 
 _BYTES_PER_SAMPLE = 150
-"""Memory [B] that may be used: four columns of eight bytes, compressed, unpacked, turned, and
-handed over."""
+"""Memory limit per sample [B].
+
+It suffices for four columns of eight bytes each, in compressed, unpacked, transposed and
+transferred form.
+"""
 
 _LEAST_MEMORY = 100_000_000
-"""Bytes that any file may use."""
+"""Smallest memory limit [B]."""
 
 _HEAD_ROWS = 1000
-"""Rows of a sheet that may stand before the first sample, and be empty."""
+"""Number of rows of a sheet, in addition to the samples, for headers and empty rows."""
 
 _SEPARATOR = "\t"
-"""Between the cells of a sheet that has become text."""
+"""Separator of cells in the text of a sheet."""
 
 
 @dataclass(frozen=True)
 class Format:
-    """What a file is, the ``module`` that reads it and where that is to be had, in words, and how.
+    """A file format and its reader.
 
-    ``time_limit`` [s] bounds the reading. ``read`` runs in the child: it is given the open
-    file, the name of what to read of it, and how many samples that may hold.
+    ``what`` is the name of the format; ``module`` is the module that reads it; ``library`` says how
+    to install the module; ``time_limit`` [s] limits the reading. ``read`` runs in the child process
+    and receives the open file, the name of the variable, and the largest number of samples.
     """
 
     what: str
@@ -59,9 +63,9 @@ class Format:
 
 
 def read_mat(path: Path, columns: Columns, variable: str | None, maximum_samples: int) -> RawTable:
-    """Read columns of one matrix, ``variable`` where there are several, or a variable for each.
+    """Read columns from one matrix, or from one variable per column.
 
-    Raises RecordError.
+    ``variable`` selects the matrix if there are several. Raises RecordError.
     """
     if any(column.holds_dates for column in columns.wanted):
         raise RecordError("a MAT file holds numbers: give the unit of its time, such as time:s")
@@ -76,7 +80,7 @@ def read_mat(path: Path, columns: Columns, variable: str | None, maximum_samples
         vectors = {name: v.ravel() for name, v in variables.items() if min(v.shape) == 1}
         chosen = _chosen(path.name, "variable", vectors, columns, listed)
     else:
-        # Samples may run down or across.
+        # Samples may be rows or columns of the matrix.
         upright = {n: v.T if v.shape[0] < v.shape[1] else v for n, v in variables.items()}
         needed = 1 + max(column.position for column in columns.wanted)
         fitting = [n for n, v in upright.items() if v.shape[1] >= needed and v.shape[0] > 1]
@@ -102,10 +106,10 @@ def read_mat(path: Path, columns: Columns, variable: str | None, maximum_samples
 
 
 def read_tdms(path: Path, columns: Columns, variable: str | None, maximum_samples: int) -> RawTable:
-    """Read the channels of a group, ``variable`` where there are several. Raises RecordError.
+    """Read the channels of a group as columns, in the order of the file. Raises RecordError.
 
-    They are columns in the order of the file; a header is the name of a channel. The time between
-    samples is that of the waveform where the file has it.
+    ``variable`` selects the group if there are several. The names of the channels are the headers.
+    The sample period is that of the waveform, if the file holds it.
     """
     groups: dict[str, dict[str, Array]] = {}
     periods: dict[tuple[str, str], float] = {}
@@ -139,9 +143,10 @@ def read_tdms(path: Path, columns: Columns, variable: str | None, maximum_sample
 def read_spreadsheet(
     path: Path, columns: Columns, variable: str | None, maximum_samples: int
 ) -> RawTable:
-    """Read columns of one sheet, ``variable`` where there are several. Raises RecordError.
+    """Read columns of one sheet. Raises RecordError.
 
-    Cells hold numbers or text; a formula is read as the value that was saved with it.
+    ``variable`` selects the sheet if there are several. Cells hold numbers or text; the value of a
+    formula is the value stored in the file.
     """
     text = _confined("spreadsheet", path, maximum_samples, variable)
     lines = TextFile(lambda: io.StringIO(text), path.name, _SEPARATOR)
@@ -151,7 +156,7 @@ def read_spreadsheet(
 def _chosen(
     name: str, kind: str, vectors: Mapping[str, Array], columns: Columns, listed: str
 ) -> dict[str, Array]:
-    """By quantity, the vectors that the columns name, or want by their place."""
+    """The vectors by quantity; columns select them by header or by position."""
     names = list(vectors)
     found: dict[str, str] = {}
     for column in columns.wanted:
@@ -171,7 +176,7 @@ def _chosen(
 
 
 def _confined(kind: str, path: Path, maximum_samples: int, variable: str | None = None) -> Any:
-    """What the child makes of a file. Raises RecordError, and OSError where there is none."""
+    """Read a file in a child process. Raises RecordError, and OSError if there is no file."""
     form = FORMATS[kind]
     child = LocalProcesses(1)
     try:
@@ -195,7 +200,10 @@ def _unreadable(form: Format, path: Path) -> str:
 
 
 def _read(kind: str, place: str, variable: str | None, most_samples: int) -> Any:
-    """Be the child. Raises RecordError, and MemoryError for more than so many samples need."""
+    """Read a file; runs in the child process.
+
+    Raises RecordError, and MemoryError if the file needs more memory than ``most_samples``.
+    """
     form, path = FORMATS[kind], Path(place)
     with path.open("rb") as file:
         try:
@@ -215,14 +223,14 @@ def _read(kind: str, place: str, variable: str | None, most_samples: int) -> Any
                 "save(..., '-v7') first"
             ) from None
         except Exception as error:
-            # Damaged bytes surface in the libraries as exceptions of many kinds.
+            # For damaged data, the libraries raise exceptions of many kinds.
             if isinstance(error, OSError) and error.errno == errno.ENOMEM:
                 raise MemoryError from None
             raise RecordError(_unreadable(form, path)) from None
 
 
 def _limit_memory(size: int) -> None:
-    """Let this process take so many bytes more than now. Elsewhere than on Linux: no limit."""
+    """Limit the additional memory of this process to ``size`` [B]; has an effect on Linux only."""
     if sys.platform != "linux":
         return
     import resource
@@ -234,7 +242,7 @@ def _limit_memory(size: int) -> None:
 
 
 def _matrices(file: BinaryIO, variable: str | None, most_samples: int) -> dict[str, Array]:
-    """The real matrices of numbers, by name."""
+    """The real numeric matrices, by name."""
     from scipy.io import loadmat  # here: see mr_damper_ros.entry_points
 
     return {
@@ -247,7 +255,7 @@ def _matrices(file: BinaryIO, variable: str | None, most_samples: int) -> dict[s
 def _channels(
     file: BinaryIO, variable: str | None, most_samples: int
 ) -> list[tuple[str, str, float, Array]]:
-    """Group, name, period [s] and values of the channels that hold numbers or times."""
+    """Group, name, period [s] and values of all channels with numbers or times."""
     from nptdms import TdmsFile
 
     with TdmsFile.open(file) as tdms:
@@ -271,14 +279,14 @@ def _channels(
 
 
 def _numbers(values: Any) -> Array:
-    """Values as numbers; times as seconds since 1970."""
+    """Values as floating-point numbers; times in seconds since 1970."""
     if values.dtype.kind == "M":
         return np.asarray(values.astype("datetime64[ns]").astype(np.int64) * 1e-9)
     return np.asarray(values, dtype=np.float64)
 
 
 def _sheet(file: BinaryIO, variable: str | None, most_samples: int) -> str:
-    """The rows of a sheet, as lines of text."""
+    """The rows of a sheet as lines of text."""
     from openpyxl import load_workbook
 
     book = load_workbook(file, read_only=True, data_only=True)

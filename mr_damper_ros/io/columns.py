@@ -1,4 +1,4 @@
-"""The columns of a record: as users describe them, their units, and their raw values."""
+"""Columns of a record: descriptions by the user, units and raw values."""
 
 from __future__ import annotations
 
@@ -22,15 +22,16 @@ _FORM = re.compile(
 
 
 class ColumnError(ValueError):
-    """A description of columns that cannot be used; the message says what to change."""
+    """An invalid description of columns; the message says what to change."""
 
 
 @dataclass(frozen=True)
 class Column:
-    """One column of a record: its ``quantity`` and how to bring its numbers to SI units.
+    """One column of a record: its ``quantity`` and the conversion to SI units.
 
-    ``header`` is the name at the head of the column, or empty: then ``position``, from 0, tells
-    where it is. ``holds_dates``: its cells hold date and time of day.
+    The SI value is ``factor`` * number + ``offset``. ``header`` is the name of the column; if it is
+    empty, ``position`` (from 0) selects the column. ``holds_dates``: whether the cells hold date
+    and time of day.
     """
 
     quantity: str
@@ -47,10 +48,10 @@ class Column:
 
 @dataclass(frozen=True)
 class Columns:
-    """The columns wanted of a record.
+    """The selected columns of a record.
 
-    ``width`` is the number of columns that the description accounts for, those skipped too; None
-    where others may follow. ``text`` is the description.
+    ``width`` is the number of described columns, including skipped ones; None if more columns may
+    follow. ``text`` is the description.
     """
 
     wanted: tuple[Column, ...]
@@ -59,16 +60,19 @@ class Columns:
 
     @property
     def quantities(self) -> frozenset[str]:
-        """What the columns hold."""
+        """The quantities of the columns."""
         return frozenset(column.quantity for column in self.wanted)
 
     @property
     def by_header(self) -> bool:
-        """Whether the columns are found by their headers."""
+        """Whether headers select the columns."""
         return bool(self.wanted[0].header)
 
     def fault_of_width(self, name: str, count: int) -> str:
-        """Why a table of so many columns of numbers does not fit, in words; empty where it does."""
+        """A sentence if a table has undescribed columns of numbers, otherwise empty.
+
+        ``name`` is the name of the file, ``count`` its number of columns of numbers.
+        """
         if self.width is None or count <= self.width:
             return ""
         surplus = [str(place + 1) for place in range(self.width, count)]
@@ -83,13 +87,14 @@ class Columns:
 def parse_columns(text: str) -> Columns:
     """Columns from a description such as ``time:s,displacement:mm,-,force:980.665*N-12N``.
 
-    Entries stand for the columns of the file from the left: ``-`` skips one, ``...`` at the end all
-    that follow. Or every entry names its column by the header:
-    ``displacement=Stroke:mm,force=Load cell:kN``. A factor before the unit multiplies the numbers
-    (a negative one turns the sign); what stands after the unit is added then. ``time:datetime`` is
-    a column of dates with the time of day. A velocity stands for a displacement that is missing.
+    The entries describe the columns of the file from left to right: ``-`` skips a column, and
+    ``...`` at the end skips all further columns. Alternatively, every entry selects its column by
+    the header: ``displacement=Stroke:mm,force=Load cell:kN``. A factor before the unit multiplies
+    the numbers; a negative factor reverses the sign. An offset after the unit is then added.
+    ``time:datetime`` is a column of dates with the time of day. A velocity column can replace a
+    missing displacement column.
 
-    Raises ColumnError, in one sentence that says what to change.
+    Raises ColumnError if the description is invalid; the message says what to change.
     """
     entries = [entry.strip() for entry in text.split(",")]
     open_ended = entries[-1] == REST
@@ -169,13 +174,13 @@ def _number(text: str, name: str, entry: str) -> float:
 
 
 DATE_AND_TIME = "datetime"
-"""Stands for a unit of time where the cells hold date and time of day; read as s since 1970."""
+"""Unit of a time column with date and time of day; read as seconds since 1970."""
 
 _G = 9.80665
 _INCH = 0.0254
 _POUND_FORCE = 0.45359237 * _G
 
-# Factor and offset: SI value (temperature: °C) = factor * value + offset.
+# SI value (temperature in °C) = factor * value + offset.
 UNITS: dict[str, dict[str, tuple[float, float]]] = {
     "time": {
         "s": (1.0, 0.0),
@@ -210,22 +215,23 @@ UNITS: dict[str, dict[str, tuple[float, float]]] = {
         "degF": (5.0 / 9.0, -160.0 / 9.0),
     },
 }
-"""Quantities that a column may hold, and the units known for each."""
+"""Factor and offset of each unit, by quantity."""
 
 
 MAXIMUM_SAMPLES = 10_000_000
-"""Samples that a reader takes unless it is told otherwise: 2.8 h at 1 kHz, about 1.5 GB."""
+"""Default limit of the number of samples: 2.8 h at 1 kHz, about 1.5 GB of memory."""
 
 
 class RecordError(ValueError):
-    """A record that cannot be read; the message says what to change."""
+    """An error in reading a record; the message says what to change."""
 
 
 @dataclass(frozen=True, eq=False)
 class RawTable:
-    """Raw values by quantity, shape (n,); ``place`` says in words where a row is, for messages.
+    """Raw values (n,) by quantity.
 
-    ``period`` [s] is the time between rows where the file tells it by itself.
+    ``place`` describes the location of a row in words, for messages. ``period`` is the sample
+    period [s] according to the file, None if it is unknown.
     """
 
     values: dict[str, Array]
@@ -239,7 +245,7 @@ class RawTable:
 
 
 def too_long(name: str, maximum_samples: int) -> RecordError:
-    """The error for a file that holds more than may be read."""
+    """The error for a file with too many samples."""
     return RecordError(
         f"{name} holds more than {maximum_samples} samples: split it, or allow more "
         "(import_record --maximum-samples)"

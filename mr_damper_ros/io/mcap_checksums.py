@@ -1,9 +1,9 @@
-"""Checksums of an MCAP file: added to what the library has written, checked before it reads.
+"""Checksums of an MCAP file: added after writing, and checked before reading.
 
-See https://mcap.dev/spec: a file is a row of records, each an operation code (one byte), its
-length (eight bytes) and its content. Three kinds of checksum (CRC-32; zero: none) guard each chunk
-of messages, the data section, and the summary at the end. The library writes none, and checks
-those of the chunks alone.
+See https://mcap.dev/spec. A file is a sequence of records; each has an operation code (one byte),
+its length (eight bytes) and its content. Each chunk of messages, the data section and the summary
+at the end have a checksum (CRC-32; zero means none). The library writes no checksums, and checks
+only those of the chunks.
 """
 
 from __future__ import annotations
@@ -21,15 +21,15 @@ _PIECE = 1 << 20
 
 
 class ChecksumError(ValueError):
-    """The bytes of a file are not those that were written."""
+    """A file is damaged."""
 
 
 class OversizedError(ValueError):
-    """The file unpacks to more than is allowed."""
+    """The unpacked size of a file exceeds the limit."""
 
 
 class _Record(NamedTuple):
-    """A record whose content of ``length`` bytes begins at ``start``."""
+    """A record whose content has ``length`` bytes from the position ``start``."""
 
     operation: int
     start: int
@@ -37,7 +37,7 @@ class _Record(NamedTuple):
 
 
 class _Guarded(NamedTuple):
-    """The bytes from ``start`` to ``stop``, whose checksum stands at ``place``."""
+    """The bytes from ``start`` to ``stop``, whose checksum is at the position ``place``."""
 
     what: str
     place: int
@@ -46,7 +46,7 @@ class _Guarded(NamedTuple):
 
 
 def add_checksums(path: Path) -> None:
-    """Add the checksums to a file whose chunks are not compressed, and which has a summary."""
+    """Add the checksums to a file with uncompressed chunks and a summary."""
     with path.open("r+b") as file:
         for guarded in _guarded(file, list(_records(file))):
             crc = _crc(file, guarded)
@@ -55,10 +55,10 @@ def add_checksums(path: Path) -> None:
 
 
 def check_mcap(path: Path, maximum_bytes: int | None = None) -> None:
-    """Check that a file says to unpack to no more than so many bytes, and its checksums.
+    """Check the stated unpacked size of a file and its checksums.
 
-    Those of compressed chunks are left to the library. Raises ChecksumError and OversizedError,
-    and others where the file is damaged otherwise.
+    The library checks compressed chunks. Raises OversizedError if the unpacked size exceeds
+    ``maximum_bytes``, ChecksumError if a checksum is wrong, and other exceptions for other damage.
     """
     with path.open("rb") as file:
         records = list(_records(file))
@@ -72,7 +72,7 @@ def check_mcap(path: Path, maximum_bytes: int | None = None) -> None:
 
 
 def _guarded(file: BinaryIO, records: list[_Record]) -> Iterator[_Guarded]:
-    """What has checksums, in the order in which they are written: each guards those before it."""
+    """The protected parts in writing order; later checksums cover earlier ones."""
     for record in records:
         if record.operation == _CHUNK and _number(file, record.start + 28, 4) == 0:
             end = record.start + record.length

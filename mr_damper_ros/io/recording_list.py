@@ -1,4 +1,4 @@
-"""Which recordings there are in folders, patterns and lists, and of which damper each one is."""
+"""Recordings in folders, patterns and lists, each with the name of its damper."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from mr_damper_ros.signals.recording import Recording
 RECORD_ENDINGS = frozenset(
     {".txt", ".csv", ".tsv", ".dat", ".asc", ".mat", ".xlsx", ".xlsm", ".tdms"}
 )
-"""Files of laboratories, which need to be told what their columns hold."""
+"""Endings of record files; reading them needs a description of their columns."""
 
 _BAG_FILE = ".mcap"
 _METADATA = "metadata.yaml"
@@ -26,15 +26,15 @@ _PATTERN_SIGNS = frozenset("*?[")
 
 
 class ListError(SpokenError):
-    """Recordings that cannot be found or told apart; the message says what to change."""
+    """Recordings that cannot be found or assigned; the message says what to change."""
 
 
 @dataclass(frozen=True)
 class RecordFormat:
-    """How record files are read, as in :func:`mr_damper_ros.read_record`.
+    """Format of record files, as in :func:`mr_damper_ros.read_record`.
 
-    ``columns`` say what a file holds; ``current`` [A] and ``period`` [s] where no column does;
-    ``variable`` is a matrix, a sheet or a group.
+    ``columns`` describes the columns. ``current`` [A] and ``period`` [s] apply if no column holds
+    them. ``variable`` is the name of a matrix, a sheet or a group.
     """
 
     columns: str
@@ -43,7 +43,7 @@ class RecordFormat:
     variable: str | None = None
 
     def read(self, path: Path, current: float | None) -> Recording:
-        """The recording in a file, at a current [A] of its own where it has one."""
+        """The recording in a file; ``current`` [A] overrides the current of the format."""
         return read_record(
             path,
             self.columns,
@@ -55,7 +55,7 @@ class RecordFormat:
 
 @dataclass(frozen=True)
 class ListedRecording:
-    """A recording at ``path`` of ``damper``; ``current`` [A] where its name or the list tells."""
+    """A recording of ``damper`` at ``path``; ``current`` [A] is None if it is not given."""
 
     path: Path
     damper: str
@@ -64,7 +64,7 @@ class ListedRecording:
 
 @dataclass(frozen=True)
 class LeftOut:
-    """A file at ``path`` that was not taken, and why, in words."""
+    """An unused file at ``path``, with the reason in words."""
 
     path: Path
     reason: str
@@ -76,14 +76,15 @@ def find_recordings(
     pattern: str | None = None,
     with_records: bool = False,
 ) -> tuple[list[ListedRecording], list[LeftOut]]:
-    """The recordings in folders, of patterns with ``*``, and at paths, and what was left out.
+    """The recordings in the sources, and the unused files.
 
-    A bag is a folder with its metadata.yaml, or a .mcap file; record files are taken where
-    ``with_records``. ``pattern`` is a regular expression that is searched for in the path below
-    the source: its group ``damper``, or the first one, is the name of the damper, and a group
-    ``current`` the current [A]. Without a pattern the recordings in one folder are of one damper.
+    A source is a folder, a pattern with ``*``, or a path. A bag is a folder with metadata.yaml, or
+    a .mcap file; record files are included with ``with_records``. ``pattern`` is a regular
+    expression for the path below the source: its group ``damper``, or its first group, is the name
+    of the damper, and a group ``current`` is the current [A]. Without a pattern, all recordings in
+    one folder belong to one damper.
 
-    Raises ListError where a source holds no recording, or the pattern is wrong.
+    Raises ListError if a source has no recording, or the pattern is invalid.
     """
     named = _namer(pattern)
     found: dict[Path, ListedRecording] = {}
@@ -106,10 +107,11 @@ def find_recordings(
 
 
 def read_list(path: str | os.PathLike[str]) -> tuple[list[ListedRecording], list[LeftOut]]:
-    """The recordings that a CSV file lists, in columns ``path``, ``damper`` and maybe ``current``.
+    """The recordings in a CSV list, and the unusable entries.
 
-    Paths are relative to the folder of the list; the current is in ampere. Raises ListError where
-    the columns are missing or nothing is listed, and OSError.
+    The list has the columns ``path``, ``damper`` and optionally ``current`` [A]. Paths are relative
+    to the folder of the list. Raises ListError if a column is missing or the list is empty, and
+    OSError.
     """
     place = Path(path)
     try:

@@ -1,4 +1,4 @@
-"""Reads a laboratory's record, a table in a file, into recordings in SI units."""
+"""Reading of record files, which are tables of samples, into recordings in SI units."""
 
 from __future__ import annotations
 
@@ -20,10 +20,10 @@ FORMATS = {
     ".xlsm": read_spreadsheet,
     ".xlsx": read_spreadsheet,
 }
-"""What reads a file with this ending; all others are text."""
+"""The reader for each ending; all other files are text."""
 
 _TELL_PERIOD = (read_tdms,)
-"""Those whose files may tell the time between samples."""
+"""Readers of formats that can contain the sample period."""
 
 
 def read_record(
@@ -41,25 +41,27 @@ def read_record(
 ) -> Recording:
     """Read a record file into a recording.
 
-    ``columns`` tells what each column holds and in which unit, see
-    :func:`mr_damper_ros.io.columns.parse_columns`. Text files may be separated by spaces, tabs,
-    semicolons or commas, have decimal commas (unless separated by commas), and any number of
-    lines before the first row of numbers; of a MAT file, ``variable`` chooses the matrix, or the
-    columns name one variable each; of a spreadsheet (XLSX) it chooses the sheet, of a TDMS file the
-    group of channels.
+    ``columns`` describes the quantity and the unit of each column; see
+    :func:`mr_damper_ros.io.columns.parse_columns`. The fields of a text file are separated by
+    spaces, tabs, semicolons or commas. Numbers may have decimal commas, unless commas separate the
+    fields. Any number of lines may precede the first row of numbers. ``variable`` selects the
+    matrix of a MAT file, the sheet of a spreadsheet (XLSX), or the group of channels of a TDMS
+    file. Alternatively, each column may name one variable of a MAT file.
 
-    ``current`` [A] is that of the whole record where no column holds it; ``period`` [s] the time
-    between samples where no column holds the time; ``start`` and ``stop`` [s], from the first
-    sample, cut out a part. ``moving_average``: the makers of the record averaged it over the last
-    so many samples, which is undone, exactly but for the rounding, where it begins at rest;
-    ``begins_in_motion``: it does not, and what the average has lost is left out, which in a record
-    of many cycles is little. What was filtered in another way cannot be brought back. A velocity
-    column is compared with the displacement and not kept; where there is no displacement it is
-    integrated, which ``details["note"]`` says. A file with more than ``maximum_samples`` is
-    refused, before it has filled the memory.
+    ``current`` [A] is the current of the whole record, and ``period`` [s] is the sample period, if
+    no column holds them. ``start`` and ``stop`` [s after the first sample] select a part.
 
-    Raises RecordError (or ColumnError, RecordingError), in one sentence that says what to change,
-    and OSError where the file cannot be read.
+    ``moving_average`` is the number of past samples over which the record was averaged. The average
+    is undone, exactly except for rounding, if the record begins at rest. With ``begins_in_motion``,
+    it is undone approximately: the part that the average has removed remains missing, which is
+    small in a record of many cycles. Other filters cannot be undone.
+
+    A velocity column is checked against the displacement and then discarded. Without displacement,
+    the velocity is integrated, and ``details["note"]`` says so.
+
+    Raises RecordError, ColumnError or RecordingError if the file or an option cannot be used, or
+    the file has more than ``maximum_samples``; the message says what to change. Raises OSError if
+    the file cannot be read.
     """
     wanted = parse_columns(columns)
     if "current" not in wanted.quantities and current is None:
@@ -82,24 +84,24 @@ def read_runs(
     variable: str | None = None,
     maximum_samples: int = MAXIMUM_SAMPLES,
 ) -> list[Recording]:
-    """Read a file that holds several runs, one after the other, into a recording of each.
+    """Read a file with several successive runs into one recording per run.
 
-    A run ends where the time jumps or begins anew (the logger has paused), where the rod rests for
-    a second or more, where a measured current changes, and where a steady cycle gives way to
-    another. ``currents`` [A]: one for each run where no column holds the current; None leaves the
-    run out. The rest is as in :func:`read_record`.
+    A run ends where the time jumps or restarts (the logger has paused), where the rod rests for at
+    least one second, where a measured current changes, and where a steady cycle changes to another.
+    ``currents`` [A] has one value per run if no column holds the current; None omits the run. The
+    other parameters are those of :func:`read_record`.
 
-    Raises RecordError as it does; where the number of currents is not that of the runs, it says
-    which runs there are.
+    Raises the exceptions of :func:`read_record`. If the number of currents is wrong, the message
+    lists the runs.
     """
     return RunsOfFile(path, columns, period, variable, maximum_samples).recordings(currents)
 
 
 class RunsOfFile:
-    """The runs that a file holds, before their currents are known.
+    """The runs of a file, before their currents are known.
 
-    ``summaries``: what each is recognised by, in words. ``asks``: whether currents are needed.
-    Raises as :func:`read_runs`.
+    ``summaries``: a description of each run; ``asks``: whether currents are needed. Raises the
+    exceptions of :func:`read_runs`.
     """
 
     def __init__(
@@ -120,7 +122,7 @@ class RunsOfFile:
             raise RecordError(f"nothing moves in {self._name}: there is no run in it")
 
     def recordings(self, currents: Sequence[float | None] | None) -> list[Recording]:
-        """A recording of each run that is given a current, or of all where a column holds it."""
+        """A recording of each run with a current, or of all runs if a column holds the current."""
         if not self.asks and currents is not None:
             raise RecordError("the current is given twice: by a column and for each run")
         if self.asks and len(currents or ()) != len(self._rows):
@@ -148,7 +150,7 @@ def read_samples(
     variable: str | None,
     maximum_samples: int,
 ) -> SampledRecord:
-    """The columns of a file in SI units. Raises as :func:`read_record`."""
+    """The columns of a file in SI units. Raises the exceptions of :func:`read_record`."""
     path = Path(path)
     if "time" in wanted.quantities and period is not None:
         raise RecordError("the time is given twice: by a column and by the period")

@@ -1,4 +1,4 @@
-"""Where the runs lie in a record that holds several: between pauses, rests and changes of phase."""
+"""Splitting of a record into runs at pauses, rests, and changes of current or cycle."""
 
 from __future__ import annotations
 
@@ -14,45 +14,46 @@ from mr_damper_ros.kinematics.window import turning_points
 from mr_damper_ros.signals.arrays import NOISE_SPAN, Array, white_noise
 
 _BLOCK = 0.1
-"""Seconds of a block; a rest is found to this accuracy, and so much of it is left to a run."""
+"""Length of a block [s]: the resolution of rests, and the part of a rest kept with a run."""
 
 _REST = 1.0
-"""Seconds that a rest takes at least,"""
+"""Shortest duration of a rest [s]."""
 
 _REST_OF_STROKE = 0.3
-"""and this part of a stroke: a slow motion turns slowly."""
+"""Shortest duration of a rest, relative to a stroke; slow motion reverses slowly."""
 
 _STILL = 0.002
-"""The rod rests where the displacement keeps within this part of its span, or of its noise."""
+"""Largest change of the displacement at rest, relative to its span, if noise is smaller."""
 
 _CURRENT_STEP = 0.05
-"""A change of a measured current [A] that begins another run."""
+"""Smallest change of a measured current [A] that starts a new run."""
 
 _JOLT = 0.02
-"""What moves less than this part of the largest motion of the file is no run."""
+"""Smallest span of a run, relative to the largest span in the file."""
 
 _TURNED = 0.1
-"""The motion has turned when it has gone this part of the span back."""
+"""Fraction of the span by which the motion must go back at a reversal."""
 
 _SAME = 0.2
-"""Strokes are of one phase where height, duration and force differ by no more than this,"""
+"""Largest change of the logarithm of height, duration or force within a phase."""
 
 _LATEST = 4
-"""from the median of so many before."""
+"""Number of previous strokes whose median is the reference for the change."""
 
 _STROKES = 6
-"""Strokes of a phase."""
+"""Smallest number of strokes of a phase."""
 
 _STEADY = 0.7
-"""Part of a motion that its phases make up; else it is not of that kind, and is left whole."""
+"""Smallest fraction of a motion that its phases cover; otherwise the motion is one run."""
 
 
 @dataclass(frozen=True)
 class RunSummary:
-    """What a run is recognised by: where it begins in the file, in words, and its loop.
+    """Description of a run: its start in the file, in words, and its loop.
 
-    ``duration`` [s]; ``amplitude`` [m] and ``force`` [N] are half the spans, without the extreme
-    hundredth of the force; ``frequency`` [Hz] counts strokes.
+    ``duration`` [s]; ``amplitude`` [m] is half the span of the displacement; ``force`` [N] is half
+    the span of the central 99 % of the force; ``frequency`` [Hz] is half the number of strokes per
+    second.
     """
 
     begins: str
@@ -71,9 +72,9 @@ class RunSummary:
 def find_runs(record: SampledRecord) -> list[slice]:
     """Rows of each run of a record, in order.
 
-    A run ends where the time jumps or begins anew, where a measured current changes, where the rod
-    rests for a second or more, and where a steady cycle gives way to another: of another amplitude,
-    frequency or force. What does not move is no run.
+    A run ends where the time jumps or restarts, where a measured current changes, where the rod
+    rests for at least one second, and where a steady cycle changes its amplitude, frequency or
+    force. Parts without motion are not runs.
     """
     motions = [
         motion
@@ -91,7 +92,7 @@ def find_runs(record: SampledRecord) -> list[slice]:
 
 
 def run_summary(record: SampledRecord, rows: slice) -> RunSummary:
-    """What a run is recognised by."""
+    """Description of a run."""
     low, high = np.percentile(record.values["force"][rows], (0.5, 99.5))
     position = _position(record, rows)
     turns = _turns(position)
@@ -112,14 +113,14 @@ def _usual_step(time: Array) -> float:
 
 
 def _position(record: SampledRecord, rows: slice) -> Array:
-    """Displacement [m] of some rows; where there is none, the integral of the velocity."""
+    """Displacement [m] of some rows, or the integral of the velocity without displacement."""
     if "displacement" in record.values:
         return record.values["displacement"][rows]
     return integrated(record.values["velocity"][rows], _usual_step(record.time))
 
 
 def _stretches(record: SampledRecord) -> Iterator[slice]:
-    """Rows between two jumps of the time."""
+    """Rows between jumps of the time."""
     steps = np.diff(record.time)
     jumps = np.flatnonzero((steps <= 0.0) | (steps > GAP * _usual_step(record.time))) + 1
     yield from _between(jumps.tolist(), slice(0, record.time.size))
@@ -132,7 +133,7 @@ def _between(cuts: list[int], rows: slice) -> Iterator[slice]:
 
 
 def _levels(record: SampledRecord, rows: slice) -> Iterator[slice]:
-    """Rows at one current, where one was measured."""
+    """Rows at one current; all rows without a measured current."""
     current = record.values.get("current")
     if current is None:
         yield rows
@@ -152,7 +153,7 @@ def _block_length(record: SampledRecord) -> int:
 
 
 def _motions(record: SampledRecord, rows: slice) -> Iterator[slice]:
-    """Rows between two rests of the rod."""
+    """Rows between rests of the rod."""
     length = _block_length(record)
     position = _position(record, rows)
     count = position.size // length
@@ -181,19 +182,19 @@ def _motions(record: SampledRecord, rows: slice) -> Iterator[slice]:
 
 
 def _equal(flags: NDArray[np.bool_]) -> list[tuple[int, int, bool]]:
-    """First, last + 1 and value of each stretch of equal flags."""
+    """First index, last index + 1 and value of each section of equal flags."""
     edges = np.flatnonzero(np.diff(flags)) + 1
     places = [0, *edges.tolist(), flags.size]
     return [(first, last, bool(flags[first])) for first, last in pairwise(places)]
 
 
 def _turns(position: Array) -> list[int]:
-    """Indices of the extremes between which the rod goes some of its way, shape (k,)."""
+    """Indices of the reversals of the motion."""
     return turning_points(position.tolist(), _TURNED * float(np.ptp(position)))[1:-1].tolist()
 
 
 def _phases(record: SampledRecord, rows: slice) -> list[slice]:
-    """The steady cycles that make up a motion, or the motion where it is nothing of the kind."""
+    """The phases of steady cycles in a motion, or the whole motion if there are none."""
     position, force = _position(record, rows), record.values["force"][rows]
     strokes = list(pairwise(_turns(position)))
     heights = np.array(

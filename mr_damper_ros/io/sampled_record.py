@@ -1,4 +1,4 @@
-"""The samples of a record file in SI units, on their way to recordings."""
+"""Samples of a record file in SI units, and their conversion to recordings."""
 
 from __future__ import annotations
 
@@ -16,20 +16,20 @@ from mr_damper_ros.signals.moving_average import undo_average, undo_average_in_m
 from mr_damper_ros.signals.recording import DEFAULT_START_NS, NotFiniteError, Recording
 
 _JITTER_TO_MENTION = 0.01
-"""Deviation of the times from an even pace, in periods, that is mentioned."""
+"""Deviation of the times from uniform sampling, in periods, from which a note reports it."""
 
 GAP = 1.5
-"""A step of the time this many times the usual one is a gap."""
+"""Length of a time step, relative to the median, from which it is a gap."""
 
 _EPOCH = 1e9
-"""Times above this [s] count from 1970; they are below in any record that starts at zero."""
+"""Times above this value [s] count from 1970; smaller times count from the start of the record."""
 
 _VELOCITY_TOLERANCE = 2.0
-"""Factor by which a velocity column may differ from the rate of the displacement."""
+"""Largest ratio between a velocity column and the rate of the displacement."""
 
 _AVERAGED = {"displacement", "velocity", "force"}
 _REST = 0.02
-"""Part of its range that a quantity may change by where it rests."""
+"""Largest change of a quantity at rest, relative to its range."""
 
 INTEGRATED = (
     "the displacement is the integral of the velocity without its mean and drift: its absolute "
@@ -39,10 +39,10 @@ INTEGRATED = (
 
 @dataclass(frozen=True, eq=False)
 class SampledRecord:
-    """Columns of a file in SI units, shape (n,), by quantity.
+    """Columns (n,) of a file in SI units, by quantity.
 
-    ``time`` [s] is that of the file, or counted from 0 with the ``period`` [s] where that was
-    given. ``place`` says in words where a row is in the file. ``details`` goes into the recordings.
+    ``time`` [s] is the time column of the file, or starts at 0 with the given ``period`` [s].
+    ``place`` describes the location of a row in the file. The recordings receive ``details``.
     """
 
     path: Path
@@ -54,7 +54,7 @@ class SampledRecord:
 
     @staticmethod
     def of(path: Path, table: RawTable, columns: Columns, period: float | None) -> SampledRecord:
-        """The values of a table, which is emptied: a long record is not held twice."""
+        """Convert the values of a table; this empties the table, so that memory holds one copy."""
         count = table.row_count
         if count < 2:
             raise RecordError(f"{path.name} holds one row of numbers: at least two are needed")
@@ -69,7 +69,7 @@ class SampledRecord:
         return record
 
     def part(self, rows: slice) -> SampledRecord:
-        """Some of the rows."""
+        """A part of the record."""
         first, place = rows.start, self.place
         return SampledRecord(
             self.path,
@@ -81,11 +81,11 @@ class SampledRecord:
         )
 
     def without_average(self, count: int, in_motion: bool = False) -> SampledRecord:
-        """The record before its makers averaged it over ``count`` samples.
+        """The record without its moving average over ``count`` samples.
 
-        It begins at rest, or ``in_motion``: then what the average has lost is not exact either, see
-        :func:`undo_average_in_motion`. Raises RecordError where it does not begin at rest, or is
-        too short for the average.
+        The record must begin at rest, unless ``in_motion``; then the result is approximate, see
+        :func:`undo_average_in_motion`. Raises RecordError if the record does not begin at rest, or
+        is too short for the average.
         """
         if not 2 <= count < self.time.size:
             raise RecordError(
@@ -112,8 +112,8 @@ class SampledRecord:
         return replace(self, values=values, details={**self.details, "smoothing": note})
 
     def between(self, start: float | None, stop: float | None) -> SampledRecord:
-        """What lies between two times [s] from the first sample; all where both are None."""
-        # Without a cut, times that run backward are left for the check that names the row.
+        """The part between two times [s after the first sample]; None means no limit."""
+        # Without limits, decreasing times remain, and a later check reports their row.
         if start is None and stop is None:
             return self
         low = 0.0 if start is None else start
@@ -132,7 +132,7 @@ class SampledRecord:
         return self.part(slice(int(inside[0]), int(inside[-1]) + 1))
 
     def check_finite(self, quantity: str, values: Array) -> None:
-        """Raise RecordError where a value of the quantity is not finite."""
+        """Raise RecordError if a value of the quantity is not finite."""
         finite = np.isfinite(values)
         if not finite.all():
             row = int(np.argmin(finite))
@@ -145,9 +145,10 @@ class SampledRecord:
         )
 
     def recording(self, current: float | None, name: str | None = None) -> Recording:
-        """The recording, at this current [A] where no column holds it.
+        """The recording; ``current`` [A] applies if no column holds the current.
 
-        Raises RecordError or RecordingError where times are not even or values make no sense.
+        Raises RecordError or RecordingError if the sampling is not uniform or values are
+        implausible.
         """
         velocity = self.values.get("velocity")
         if velocity is not None:
@@ -185,7 +186,10 @@ class SampledRecord:
         return recording
 
     def _even_pace(self) -> tuple[float, str]:
-        """Period [s] of times that rise evenly, and a remark where they waver."""
+        """Period [s] of uniform times, and a note if they jitter.
+
+        Raises RecordError if the times do not increase, have gaps, or are not uniform.
+        """
         time, name = self.time, self.path.name
         steps = np.diff(time)
         backward = np.flatnonzero(steps <= 0.0)
@@ -205,7 +209,7 @@ class SampledRecord:
                 f"{usual:.6g} s is usual: choose a part of the record without the gap, or cut it "
                 "into its runs (import_record --split)"
             )
-        # The mean step, unlike the usual one, does not mind times that were rounded when printed.
+        # Unlike the median step, the mean step is not affected by rounding of the printed times.
         period = _plain(float(time[-1] - time[0]), time.size - 1, float(np.spacing(time[-1])))
         even = time[0] + np.arange(time.size) * period
         deviation = float(np.max(np.abs(time - even))) / period
@@ -223,7 +227,10 @@ class SampledRecord:
 
 
 def _plain(duration: float, steps: int, resolution: float) -> float:
-    """The mean step [s] with as many digits as times of this resolution [s] tell, nine at most."""
+    """The mean step [s], rounded to the digits that the resolution [s] of the times justifies.
+
+    The result has at most nine digits.
+    """
     mean = duration / steps
     rounded = (float(f"{mean:.{digits}g}") for digits in range(1, 10))
     tellable = (step for step in rounded if abs(step * steps - duration) <= 2.0 * resolution)
@@ -231,23 +238,24 @@ def _plain(duration: float, steps: int, resolution: float) -> float:
 
 
 def integrated(velocity: Array, period: float) -> Array:
-    """Displacement [m], shape (n,), from the velocity [m/s]: its integral without mean and drift.
+    """Displacement [m], shape (n,): the integral of the velocity [m/s] without mean and drift.
 
-    The drift is that of a velocity's offset, of which a sensor always has some.
+    The offset of the velocity sensor causes the drift.
     """
     steps = 0.5 * (velocity[1:] + velocity[:-1]) * period
     return _without_trend(np.concatenate(([0.0], np.cumsum(steps))))
 
 
 def _without_trend(values: Array) -> Array:
-    """Values (n,) without the straight line that fits them best."""
+    """Values (n,) without their regression line."""
     ramp = np.linspace(-1.0, 1.0, values.size)
     slope = float(ramp @ values) / float(ramp @ ramp)
     return np.asarray(values - values.mean() - slope * ramp)
 
 
 def _check_velocity(recording: Recording, velocity: Array) -> None:
-    # Compared as displacements: integrating quietens the noise that differentiating would raise.
+    # The comparison uses displacements, because integration reduces noise, and differentiation
+    # amplifies it.
     travelled = _without_trend(np.cumsum(velocity) * recording.period)
     moved = _without_trend(recording.displacement)
     ratio = float(travelled @ moved / (moved @ moved))

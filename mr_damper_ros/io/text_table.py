@@ -1,6 +1,6 @@
 """Columns from a text or CSV file, read line by line.
 
-Files may be of any size: what is kept in memory is the numbers.
+Files may be of any size: only the numbers are kept in memory.
 """
 
 from __future__ import annotations
@@ -27,14 +27,15 @@ _MOMENT = re.compile(
     r"\s*(\d{1,4}[-/.]\d{1,2}[-/.]\d{1,4})[ T]+(\d{1,2}):(\d{2})(?::(\d{2}(?:[.,]\d+)?))?"
     r"\s*(?:([AaPp])\.?[Mm]\.?)?\s*(Z|[+-]\d{2}:?\d{2})?\s*"
 )
-"""Date, hour, minute, second, half of the day, zone."""
+"""Date, hour, minute, second, AM or PM, time zone."""
 
 
 def seconds_since_1970(text: str) -> float | None:
-    """Seconds of a date with the time of day, taken for UTC unless it says its zone; None if none.
+    """Parse a date with the time of day; returns seconds since 1970, or None for other text.
 
-    The numbers of the date are year, month, day where the first has four digits; else between
-    slashes month, day, year, unless the first is above twelve; between others day, month, year.
+    Without a time zone, the time is UTC. If the first number is above 31, the order of the date is
+    year, month, day. Otherwise, with slashes and a first number of at most 12, it is month, day,
+    year; in all other cases, it is day, month, year.
     """
     found = _MOMENT.fullmatch(text)
     if found is None:
@@ -44,7 +45,7 @@ def seconds_since_1970(text: str) -> float | None:
     hours, seconds = int(hour), float((second or "0").replace(",", "."))
     if midnight is None or hours > 23 or int(minute) > 59 or seconds >= 61.0:
         return None
-    # Some loggers write AM and PM after hours up to 23.
+    # Some loggers write AM or PM even after hours up to 23.
     if half and hours <= 12:
         hours = hours % 12 + (12 if half in "Pp" else 0)
     return midnight + (3600 * hours + 60 * int(minute) - _offset(zone)) + seconds
@@ -52,7 +53,7 @@ def seconds_since_1970(text: str) -> float | None:
 
 @lru_cache(maxsize=64)
 def _midnight(date: str) -> int | None:
-    """Seconds from 1970 to the beginning of a day; None where there is no such day."""
+    """Seconds from 1970 to the start of a day; None for an invalid date."""
     a, b, c = (int(part) for part in re.split(r"[-/.]", date))
     if a > 31:
         year, month, day = a, b, c
@@ -68,7 +69,7 @@ def _midnight(date: str) -> int | None:
 
 
 def _offset(zone: str | None) -> int:
-    """Seconds by which a zone is ahead of UTC."""
+    """Offset [s] of a time zone from UTC."""
     if zone is None or zone == "Z":
         return 0
     seconds = 3600 * int(zone[1:3]) + 60 * int(zone[-2:])
@@ -76,23 +77,26 @@ def _offset(zone: str | None) -> int:
 
 
 _LONGEST_LINE = 100_000
-"""Characters; a line of a table is far shorter, and a field may have no more for the library."""
+"""Largest number of characters of a line.
+
+Lines of tables are far shorter, and the library limits the length of a field.
+"""
 
 _LOOKED_AT = 50
-"""Lines at the end of a file that tell what separates its fields."""
+"""Number of lines at the end of a file from which the separator is detected."""
 
 _CHUNK = 1 << 20
 
 _DECIMAL_COMMA = re.compile(r"[+-]?\d*,\d+([eE][+-]?\d+)?$|[+-]?\d+$")
 
 Row = tuple[int, list[str]]
-"""Number of a line, from 1, and its fields."""
+"""Number of a line (from 1) and its fields."""
 
 
 def read_text_table(
     path: Path, columns: Columns, variable: str | None, maximum_samples: int
 ) -> RawTable:
-    """Read columns by their place or header; lines before the first row of numbers are skipped.
+    """Read columns by position or header; lines before the first row of numbers are skipped.
 
     Raises RecordError.
     """
@@ -104,9 +108,10 @@ def read_text_table(
 
 
 class TextFile:
-    """Text that can be opened again and again, its separator, and its number of filled lines.
+    """A text of lines with fields.
 
-    ``name`` is what messages call it; ``separator`` is found out where it is not given.
+    ``opened`` opens the text and is called repeatedly. ``name`` is its name in messages.
+    ``separator`` separates the fields; by default, it is detected.
     """
 
     def __init__(
@@ -119,12 +124,12 @@ class TextFile:
         for _, line in self._filled_lines():
             self._row_count += 1
             last.append(line)
-        # The last lines hold numbers, whatever the header looks like.
+        # The last lines hold numbers and no header.
         self._last = list(last)[-(self._row_count - self._row_count // 2) :]
         self._separator = _separator(self._last) if separator is None else separator
 
     def table(self, columns: Columns, maximum_samples: int) -> RawTable:
-        """The numbers in these columns."""
+        """The numbers in the columns; raises RecordError."""
         rows = self._rows()
         skipped, positions = 0, [column.position for column in columns.wanted]
         if columns.by_header:
@@ -146,7 +151,7 @@ class TextFile:
         )
 
     def _width(self) -> int:
-        """Columns up to the last that holds a number in each of the last rows."""
+        """Number of columns up to the last one with numbers in all of the last rows."""
         numbers = [
             {place for place, field in enumerate(fields) if self._is_number(field)}
             for _, fields in self._split(enumerate(self._last))
@@ -157,7 +162,7 @@ class TextFile:
         return _number(field, self._separator) is not None
 
     def _first_row(self, rows: Iterator[Row], cells: Sequence[_Cell], skipped: int) -> int:
-        """Index of the first row with numbers, where so many have been taken already."""
+        """Index of the first row with numbers; ``skipped`` rows have already been read."""
         for index, (_, fields) in enumerate(rows, start=skipped):
             if _numbers(fields, cells):
                 return index
@@ -167,7 +172,7 @@ class TextFile:
         )
 
     def _numbers(self, first: int, cells: Sequence[_Cell]) -> Array:
-        """Numbers (n, columns) of the rows from the first one on."""
+        """Numbers (n, columns) of the rows from the index ``first`` on."""
         lines = (line for _, line in islice(self._filled_lines(), first, None))
         positions = [cell.position for cell in cells]
         dates: dict[int | str, Callable[[str], float]] = {
@@ -186,7 +191,7 @@ class TextFile:
             )
         except ValueError:
             numbers = np.empty((0, len(positions)))
-        # It knows no decimal comma, and not which line it could not read.
+        # loadtxt cannot read decimal commas, and does not report the line of an error.
         if len(numbers) != self._row_count - first:
             return self._numbers_row_by_row(first, cells)
         return numbers
@@ -201,16 +206,16 @@ class TextFile:
         return np.frombuffer(values).reshape(-1, len(cells))
 
     def _line_of(self, row: int) -> int:
-        """Number of the line of a row; only those who are told of it must wait for it."""
+        """Line number of a row; it is determined only when a message needs it."""
         return next(islice(self._filled_lines(), row, None))[0]
 
     def _find_header(self, names: list[str], rows: Iterator[Row]) -> tuple[int, list[int]]:
-        """Take rows up to the header; their number, and where the columns are."""
+        """Read rows up to the header; returns their number and the positions of the columns."""
         best: list[str] = []
         for number, (_, fields) in enumerate(rows, start=1):
             if all(name in fields for name in names):
                 return number, [fields.index(name) for name in names]
-            # The line that holds most of the names is the header that was meant.
+            # The line with the most matching names is probably the header.
             if not best or sum(n in fields for n in names) > sum(n in best for n in names):
                 best = fields
         missing = ", ".join(name for name in names if name not in best)
@@ -220,7 +225,7 @@ class TextFile:
         )
 
     def _middle_row(self, skipped: int) -> str:
-        """In words, a row from the middle of those after the first ones, as an example."""
+        """Description of a row in the middle of the file, as an example for a message."""
         middle = skipped + (self._row_count - skipped) // 2
         for index, (line, fields) in enumerate(self._rows()):
             if index == middle:
@@ -228,7 +233,7 @@ class TextFile:
         return "it is empty"
 
     def _filled_lines(self) -> Iterator[tuple[int, str]]:
-        """Line numbers, from 1, and the lines that are not empty."""
+        """Line numbers (from 1) and text of the lines that are not empty."""
         with self._open() as file:
             number = 0
             while line := file.readline(_LONGEST_LINE + 1):
@@ -283,7 +288,7 @@ def _encoding(path: Path) -> str:
 
 
 def _separator(sample: Sequence[str]) -> str:
-    """What separates fields: ";", tab, "," or "" for white space. Headers do not matter."""
+    """The separator of fields: ";", tab, ",", or "" for white space."""
     for separator in (";", "\t"):
         if any(separator in line.strip() for line in sample):
             return separator
@@ -308,7 +313,7 @@ def _number(field: str, separator: str) -> float | None:
 
 @dataclass(frozen=True)
 class _Cell:
-    """Reads the field at ``position`` of a row as the number that a column wants."""
+    """Converts the field at ``position`` of a row to the number of a column."""
 
     position: int
     separator: str
@@ -320,7 +325,7 @@ class _Cell:
         return _number(field, self.separator)
 
     def date(self, field: str) -> float:
-        """The same, for the library; raises ValueError."""
+        """Seconds since 1970, for loadtxt; raises ValueError."""
         seconds = seconds_since_1970(field)
         if seconds is None:
             raise ValueError
