@@ -9,6 +9,7 @@ from pathlib import Path
 import known
 import numpy as np
 import pytest
+from random_motion import BandLimitedRandom
 
 import mr_damper_ros as mr
 from mr_damper_ros.models.parameter_set import ParameterSet
@@ -103,3 +104,17 @@ def test_a_task_ends_after_its_latency_and_a_failure_is_an_outcome() -> None:
     assert isinstance(outcome, Failed)
     assert outcome.task == number
     assert "math domain error" in outcome.reason or "nonnegative" in outcome.reason
+
+
+def test_a_search_of_random_motion_is_computed() -> None:
+    count = 18_000
+    time = 1e-3 * np.arange(count)
+    moved = BandLimitedRandom(3e-3, 0.3, 3.0, seed=1).at(time)
+    current = np.where(time % 6.0 < 3.0, 0.4, 1.2)
+    force = (300.0 + 500.0 * current) * np.tanh(moved.velocity / 0.02) + 1500.0 * moved.velocity
+    noise = np.random.default_rng(2).normal(0.0, 5.0, count)
+    run = mr.Recording("random", known.T0, 1e-3, moved.displacement, force + noise, current)
+    said = mr.replay(run, settings=EngineSettings(tracking=TrackerSettings(global_period=2)))
+    searches = [each for each in said.reports if each.method == "differential_evolution"]
+    assert searches, "two currents and good windows call for a search"
+    assert all(each.verdict is not Verdict.FAILED for each in said.reports)
