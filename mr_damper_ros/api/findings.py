@@ -42,10 +42,10 @@ class Estimate:
     """A value with its standard error, both in ``unit``; an unknown standard error is NaN.
 
     ``observable``: whether the data determine the value; otherwise, it is the start value.
-    ``discrepancy``: the part of the standard error that is caused by model error. It becomes
-    visible only with a different motion; NaN if it is unknown. ``only_with``: the parameters with
-    which the value is determined only jointly, for example as a product. Such a value has no
-    standard error of its own.
+    ``discrepancy``: the part of the standard error that is caused by model error, NaN if it is
+    unknown; this error becomes visible only with a different motion. ``only_with``: names of the
+    parameters that the data determine only jointly with this one, for example as a product. Such a
+    value has no standard error of its own.
     """
 
     value: float

@@ -22,7 +22,7 @@ from mr_damper_ros.models.misfit import Misfit
 from mr_damper_ros.signals.arrays import Array
 
 _SAMPLES = 8000
-"""Approximate number of samples, over all windows; more do not improve the mass."""
+"""Approximate number of samples over all windows; more samples would not help the fit."""
 
 _MOST_STEPS = 40
 

@@ -74,7 +74,7 @@ class Replay:
         return self.sets[-1] if self.sets else None
 
     def invalid_share(self) -> dict[DoubtKind, float]:
-        """Fraction of invalid samples by reason, the largest first."""
+        """Fraction of all samples that is invalid for each reason, the largest first."""
         kinds, counts = np.unique(self.doubts[~self.valid], return_counts=True)
         order = np.argsort(-counts)
         return {DoubtKind(kinds[k]): float(counts[k] / self.doubts.size) for k in order}

@@ -1,8 +1,8 @@
 """Force control of the damper: from the desired force to a supply command, block by block.
 
 The controller uses the inverse of the identified law as feedforward and, optionally, feedback of
-the measured force. When the predicted force is invalid, the current stays constant for a short
-time and then goes to the safe current (:mod:`mr_damper_ros.control.fallback`).
+the measured force. While the predicted force is invalid, the command falls back to the safe
+current (:mod:`mr_damper_ros.control.fallback`) and never moves away from it.
 """
 
 from __future__ import annotations
@@ -350,7 +350,7 @@ class ForceController:
         held = self._commanded if self._wanted is None else self._wanted
         held = min(held, self._commanded, key=lambda current: abs(current - safe))
         if self._inverse is not None:
-            # A current that was probed beyond the identified range is not held either.
+            # A current beyond the identified range, reached by probing, is not held either.
             held = min(held, max(self._inverse.highest, safe))
         self._wanted = self._fallback.away_from(held, duration)
         self._commanded = self.settings.limited(self._wanted, self._commanded, duration)
@@ -418,7 +418,7 @@ class _Now(NamedTuple):
 
     @classmethod
     def after(cls, prediction: Prediction, memory: State | None) -> _Now:
-        """The situation after a valid prediction."""
+        """The motion, state and current after a valid prediction."""
         motion, current = prediction.motion, prediction.current
         assert motion is not None
         assert current is not None

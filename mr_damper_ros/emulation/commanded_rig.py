@@ -1,6 +1,6 @@
-"""Closed-loop current control of an emulated rig, off line.
+"""Off-line simulation of an emulated rig with closed-loop current control.
 
-The current is chosen block by block, as the nodes do in real time.
+The current is chosen after each block, as the nodes do in real time.
 """
 
 from __future__ import annotations

@@ -145,7 +145,7 @@ class Fault:
     def concerns(self, block: RigBlock) -> bool:
         """Whether the fault is active at the first sample of a block.
 
-        The block must still have the number of the rig.
+        The block must still have the sequence number that the rig gave it.
         """
         return bool(self.active(np.array([block.sequence * block.period]))[0])
 
@@ -189,7 +189,7 @@ class Delivery(NamedTuple):
 
 
 class Instruments:
-    """The instruments of a rig and the transmission of their samples.
+    """Instruments of a rig and transmission of their samples, with faults.
 
     The faults act in the given order.
     """

@@ -364,7 +364,7 @@ class _Moved:
 
     def at(self, time: Array) -> Kinematics:
         """Kinematics at the times [s], shape (n,); zero before the beginning."""
-        # An envelope with the factor 0 since minus infinity, which ends at the beginning.
+        # The first envelope suppresses the motion until it begins, the second one lets it fade.
         whole = RepeatedMotion(self.motion)
         grown = EnvelopedMotion(whole, 0.0, -math.inf, self.begin, self.change)
         return _faded(grown, self.end, self.change).at(time)

@@ -16,10 +16,10 @@ from mr_damper_ros.signals.moving_average import undo_average, undo_average_in_m
 from mr_damper_ros.signals.recording import DEFAULT_START_NS, NotFiniteError, Recording
 
 _JITTER_TO_MENTION = 0.01
-"""Deviation of the times from uniform sampling, in periods, from which a note reports it."""
+"""Smallest deviation from uniform sampling, in periods, that a note reports."""
 
 GAP = 1.5
-"""Length of a time step, relative to the median, from which it is a gap."""
+"""Smallest length of a gap in time, relative to the median time step."""
 
 _EPOCH = 1e9
 """Times above this value [s] count from 1970; smaller times count from the start of the record."""

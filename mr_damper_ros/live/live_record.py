@@ -23,7 +23,7 @@ from mr_damper_ros.processes.files import json_ready
 from mr_damper_ros.signals.arrays import Array
 
 _PART = 4
-"""A full table frees a quarter (1 / ``_PART``) of its rows at once; this is cheap per row."""
+"""A full table frees 1 / ``_PART`` of its rows at once, so that the cost per row is small."""
 
 Join = Callable[[Array], Array]
 """Joins pairs of rows: (k, 2, columns) to (k, columns)."""
