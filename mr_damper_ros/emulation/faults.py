@@ -75,8 +75,8 @@ class Samples(NamedTuple):
 class Kind:
     """A row of the table of faults.
 
-    ``meaning`` is the description for the documentation. ``unit`` is the unit of the value:
-    "channel" is the unit of the channel, and an empty string means that the fault has no value.
+    doc/faults.md describes each kind. ``unit`` is the unit of the value: "channel" is the unit of
+    the channel, and an empty string means that the fault has no value.
     ``usual`` is the default value and ``least`` the smallest valid value. If ``masked``, the result
     of ``act`` is used only while the fault is active; otherwise ``act`` is always used and handles
     the times itself.
@@ -84,7 +84,6 @@ class Kind:
 
     name: str
     stage: Stage
-    meaning: str
     act: Callable[[Fault, Any], Any]
     unit: str = ""
     usual: float = 1.0
@@ -441,89 +440,46 @@ def _supply_clock(fault: Fault, block: RigBlock) -> RigBlock:
     return replace(block, supply_ahead_ns=round(fault.amount * NANOSECONDS))
 
 
-# fmt: off
 KINDS: tuple[Kind, ...] = (
-    Kind("force_loss", Stage.FORCE, "the damper's force is so many times what it was (a leak)",
-         _gain, "1", 0.5),
-    Kind("wear", Stage.FORCE,
-         "the damper's force changes evenly to so many times what it was, and stays there",
-         _wear, "1", 0.7, masked=False),
-    Kind("friction", Stage.FORCE, "so much dry friction besides the damper", _friction, "N", 200.0),
-    Kind("spring", Stage.FORCE, "a spring of so much stiffness beside the damper",
-         _spring, "N/m", 1e5),
-    Kind("end_stop", Stage.FORCE, "beyond this displacement to either side a stop of 1 kN/mm",
-         _end_stop, "m", 0.004, 0.0),
-    Kind("backlash", Stage.FORCE,
-         "so much play between machine and rod: no force until it is used up",
-         _backlash, "m", 0.5e-3, 0.0),
-    Kind("coil_factor", Stage.COIL,
-         "the coil gets so many times the current that the supply reports (0: a broken wire)",
-         _gain, "1", 0.0),
-    Kind("coil_offset", Stage.COIL, "the coil gets so much more current than the supply reports",
-         _offset, "A", 0.1),
-    Kind("amplitude", Stage.MOTION, "the motion is so many times what it was",
-         _amplitude, "1", 0.1),
-    Kind("tempo", Stage.MOTION, "the motion goes on so many times as fast; 0: it stands still",
-         _tempo, "1", 0.0, 0.0),
-    Kind("gain", Stage.CHANNEL,
-         "so many times the right value; -1 reverses the sign, 0 is a lost signal",
-         _gain, "1", 10.0),
-    Kind("offset", Stage.CHANNEL, "so much more than the right value", _offset, "channel"),
-    Kind("creep", Stage.CHANNEL, "the zero moves by so much a second", _creep, "channel/s"),
-    Kind("stuck", Stage.CHANNEL, "the last value before the beginning, again and again", _stuck),
-    Kind("dropouts", Stage.CHANNEL, "so many times a second, at random, zero for 20 ms",
-         _outages(0.0), "1/s", 2.0, 0.0, masked=False),
-    Kind("nan", Stage.CHANNEL, "so many times a second, at random, no number for 20 ms",
-         _outages(math.nan), "1/s", 2.0, 0.0, masked=False),
-    Kind("missing", Stage.CHANNEL,
-         "no number at all; a current or a temperature is then not published", _missing),
-    Kind("spikes", Stage.CHANNEL,
-         "five times a second, at random, one sample is off by so much to either side",
-         _spikes, "channel"),
-    Kind("noise", Stage.CHANNEL, "white noise of this standard deviation besides",
-         _noise, "channel", least=0.0),
-    Kind("hum", Stage.CHANNEL, "a sine of 50 Hz and this amplitude besides", _hum, "channel"),
-    Kind("clip", Stage.CHANNEL, "no value beyond this one, to either side",
-         _clip, "channel", least=0.0),
-    Kind("coarse", Stage.CHANNEL, "rounded to whole multiples of so much",
-         _coarse, "channel", least=1e-12),
-    Kind("delay", Stage.CHANNEL, "the value of so long before", _delay, "s", 0.05, 0.0),
-    Kind("sluggish", Stage.CHANNEL, "a first-order low-pass filter of this time constant",
-         _sluggish, "s", 0.05, 0.0),
-    Kind("swapped", Stage.BLOCK,
-         "the force comes as displacement, in millimetres for kilonewtons, and the reverse",
-         _swapped),
-    Kind("crosstalk", Stage.BLOCK, "so much more force for each ampere of the coil",
-         _crosstalk, "N/A", 100.0),
-    Kind("repeated_buffer", Stage.BLOCK,
-         "the samples of the last block before, again and again under new stamps",
-         _repeated_buffer, masked=False),
-    Kind("lost_blocks", Stage.DELIVERY,
-         "this part of the blocks, at random, never comes; 1: an outage", _lost, "1", 0.05, 0.0),
-    Kind("doubled_blocks", Stage.DELIVERY, "this part of the blocks, at random, comes twice",
-         _doubled, "1", 0.1, 0.0),
-    Kind("reordered_blocks", Stage.DELIVERY,
-         "this part of the blocks, at random, comes after the next one",
-         _reordered, "1", 0.1, 0.0),
-    Kind("late_blocks", Stage.DELIVERY,
-         "for so long nothing comes, then all at once; again a second later", _late, "s", 0.3, 0.0),
-    Kind("stamp_jitter", Stage.LABEL,
-         "each block's stamp is off by up to this part of a sample period to either side",
-         _stamp_jitter, "1", 0.3, 0.0),
-    Kind("clock_jump", Stage.LABEL, "all stamps are so much later (negative: earlier)",
-         _clock_jump, "s", 60.0),
-    Kind("clock_drift", Stage.LABEL, "the stamps gain so much a second",
-         _clock_drift, "s/s", 1e-4),
-    Kind("wrong_period", Stage.LABEL,
-         "the period is stated as so many times what it is; the stamps are right",
-         _wrong_period, "1", 2.0, 1e-6),
-    Kind("recount", Stage.LABEL, "the samples are counted from zero again", _recount),
-    Kind("supply_clock", Stage.LABEL,
-         "the stamps of the current are so much later than those of the samples",
-         _supply_clock, "s", 2.0),
+    Kind("force_loss", Stage.FORCE, _gain, "1", 0.5),
+    Kind("wear", Stage.FORCE, _wear, "1", 0.7, masked=False),
+    Kind("friction", Stage.FORCE, _friction, "N", 200.0),
+    Kind("spring", Stage.FORCE, _spring, "N/m", 1e5),
+    Kind("end_stop", Stage.FORCE, _end_stop, "m", 0.004, 0.0),
+    Kind("backlash", Stage.FORCE, _backlash, "m", 0.5e-3, 0.0),
+    Kind("coil_factor", Stage.COIL, _gain, "1", 0.0),
+    Kind("coil_offset", Stage.COIL, _offset, "A", 0.1),
+    Kind("amplitude", Stage.MOTION, _amplitude, "1", 0.1),
+    Kind("tempo", Stage.MOTION, _tempo, "1", 0.0, 0.0),
+    Kind("gain", Stage.CHANNEL, _gain, "1", 10.0),
+    Kind("offset", Stage.CHANNEL, _offset, "channel"),
+    Kind("creep", Stage.CHANNEL, _creep, "channel/s"),
+    Kind("stuck", Stage.CHANNEL, _stuck),
+    Kind("dropouts", Stage.CHANNEL, _outages(0.0), "1/s", 2.0, 0.0, masked=False),
+    Kind("nan", Stage.CHANNEL, _outages(math.nan), "1/s", 2.0, 0.0, masked=False),
+    Kind("missing", Stage.CHANNEL, _missing),
+    Kind("spikes", Stage.CHANNEL, _spikes, "channel"),
+    Kind("noise", Stage.CHANNEL, _noise, "channel", least=0.0),
+    Kind("hum", Stage.CHANNEL, _hum, "channel"),
+    Kind("clip", Stage.CHANNEL, _clip, "channel", least=0.0),
+    Kind("coarse", Stage.CHANNEL, _coarse, "channel", least=1e-12),
+    Kind("delay", Stage.CHANNEL, _delay, "s", 0.05, 0.0),
+    Kind("sluggish", Stage.CHANNEL, _sluggish, "s", 0.05, 0.0),
+    Kind("swapped", Stage.BLOCK, _swapped),
+    Kind("crosstalk", Stage.BLOCK, _crosstalk, "N/A", 100.0),
+    Kind("repeated_buffer", Stage.BLOCK, _repeated_buffer, masked=False),
+    Kind("lost_blocks", Stage.DELIVERY, _lost, "1", 0.05, 0.0),
+    Kind("doubled_blocks", Stage.DELIVERY, _doubled, "1", 0.1, 0.0),
+    Kind("reordered_blocks", Stage.DELIVERY, _reordered, "1", 0.1, 0.0),
+    Kind("late_blocks", Stage.DELIVERY, _late, "s", 0.3, 0.0),
+    Kind("stamp_jitter", Stage.LABEL, _stamp_jitter, "1", 0.3, 0.0),
+    Kind("clock_jump", Stage.LABEL, _clock_jump, "s", 60.0),
+    Kind("clock_drift", Stage.LABEL, _clock_drift, "s/s", 1e-4),
+    Kind("wrong_period", Stage.LABEL, _wrong_period, "1", 2.0, 1e-6),
+    Kind("recount", Stage.LABEL, _recount),
+    Kind("supply_clock", Stage.LABEL, _supply_clock, "s", 2.0),
 )
 """All kinds of fault. A new kind needs a function and a row here."""
-# fmt: on
 
 FAULTS: dict[str, tuple[Kind, str]] = {
     f"{channel}_{kind.name}" if channel else kind.name: (kind, channel)
