@@ -1,1 +1,1 @@
-"""From sampled displacement to velocity, acceleration and peak velocity of the cycle."""
+"""Velocity, acceleration and peak velocity, estimated from sampled displacement."""

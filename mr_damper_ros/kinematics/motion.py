@@ -2,8 +2,8 @@
 
 A steady sinusoid is described by its fitted sine (thesis 2.8.1), whose derivatives carry almost no
 noise. Any other motion is differentiated by a local polynomial (Savitzky and Golay, 1964) whose
-length follows from the data. Which of the two is used is decided by the residual of the sine fit.
-The peak velocity of any motion is that of :mod:`mr_damper_ros.kinematics.peak_velocity`.
+length is chosen from the data. The residual of the sine fit decides between the two.
+:mod:`mr_damper_ros.kinematics.peak_velocity` defines the peak velocity of any motion.
 """
 
 from __future__ import annotations
@@ -21,14 +21,16 @@ from mr_damper_ros.signals.arrays import Array, span_of, white_noise
 
 _ENOUGH_CYCLES = 2.0
 _FAR_FROM_SINE = 0.4
-"""Of a sine of so many cycles or more, the strongest line of the spectrum leaves 0.15 of the
-displacement at most (standard deviations). What leaves more than this is none, but for noise ..."""
+"""For a sine of at least ``_ENOUGH_CYCLES``, a fit at the strongest line of the spectrum leaves a
+residual of at most 0.15 of the displacement (standard deviations). A motion with a residual above
+``_FAR_FROM_SINE`` is not a sine, unless the residual is noise ..."""
 
 _SINE_NOISE = 2.0
-"""... so many times that of the displacement."""
+"""... that is, at most this many times the white noise of the displacement."""
 
 _ROUGHLY, _LAST_DIGITS = 1e-3, 1e-13
-"""Relative tolerances: of shorter motions the line of the spectrum is not near enough to tell."""
+"""Relative tolerances of the two frequency fits. Motions shorter than ``_ENOUGH_CYCLES`` need the
+rough fit, because their spectral line is too inaccurate to judge the residual."""
 
 
 @dataclass(frozen=True)
@@ -36,7 +38,7 @@ class Sine:
     """u(t) = offset + amplitude sin(2 pi frequency t + phase), with the residual of its fit.
 
     ``amplitude`` and ``offset`` [m], ``frequency`` [Hz], ``phase`` [rad] at t = 0;
-    ``residual_rms`` [m] is the standard deviation of what the sine leaves of the displacement.
+    ``residual_rms`` [m] is the root mean square of the displacement minus the sine.
     """
 
     amplitude: float
@@ -62,19 +64,19 @@ class Sine:
 def fit_sine(displacement: Array, period: float) -> Sine | None:
     """Least-squares sine of a displacement of shape (n,) [m] sampled every ``period`` [s].
 
-    The spectrum's peak gives the start. Frequency is the only unknown that enters nonlinearly;
-    the other three are solved linearly at each step. Returns None where the samples hold less
-    than half a cycle of the strongest frequency or do not move at all, or where it shows early that
-    the motion is far from a sine: then there is none.
+    The peak of the spectrum gives the initial frequency. Frequency is the only unknown that enters
+    nonlinearly; the other three are solved linearly at each step. Returns None for fewer than eight
+    samples, for a constant displacement, or if an early check shows that the motion is far from a
+    sine.
     """
     u = np.asarray(displacement, dtype=float)
     n = u.size
     centred = u - u.mean()
     if n < 8 or np.ptp(u) == 0.0:
         return None
-    # Zero padding refines the start to a fraction of a spectral line.
+    # Zero padding refines the initial frequency to a fraction of a spectral line.
     spectrum = np.abs(np.fft.rfft(centred * np.hanning(n), 8 * n))
-    # Below half a cycle in the window a sine, an offset and a ramp cannot be told apart.
+    # With less than half a cycle in the window, a sine, an offset and a ramp look alike.
     lowest = 4
     start = float(np.argmax(spectrum[lowest:]) + lowest) / (8 * n)
     # Time is counted from the middle, where frequency and phase are nearly uncorrelated.
@@ -122,28 +124,28 @@ def fit_sine(displacement: Array, period: float) -> Sine | None:
 
 
 class SavitzkyGolay:
-    """Least-squares polynomial of an ``order`` through ``length`` samples around each one.
+    """Filter that fits a polynomial of degree ``order`` to ``length`` samples around each sample.
 
-    Raises ValueError where the length is even, or not above the order.
+    Raises ValueError if the length is even or does not exceed the order.
     """
 
     def __init__(self, length: int, order: int) -> None:
         if length % 2 == 0 or length <= order:
             raise ValueError(f"the length is {length}: it must be odd and above {order}, the order")
         self._half = length // 2
-        # In units of half the length the powers are of one size.
+        # In units of half the length, all powers are of similar magnitude.
         self._offsets = np.arange(-self._half, self._half + 1) / self._half
         self._fit = np.linalg.pinv(np.vander(self._offsets, order + 1, increasing=True))
 
     @property
     def length(self) -> int:
-        """Samples that it spans."""
+        """Number of samples in the filter."""
         return self._offsets.size
 
     def squared_change(self, shorter: SavitzkyGolay | None = None) -> float:
-        """Power of the first derivative, or of its difference from a shorter filter's.
+        """Noise power of the first derivative, or of its difference from that of a shorter filter.
 
-        Of white noise of power 1, samples one unit of time apart.
+        The input is white noise of power 1 with one unit of time between samples.
         """
         weights = self._fit[1] / self._half
         if shorter is not None:
@@ -152,11 +154,11 @@ class SavitzkyGolay:
         return float(weights @ weights)
 
     def derivative(self, values: Array, order: int = 0, period: float = 1.0) -> Array:
-        """Derivative (n,) of values (n,) that follow every ``period`` [s]; order 0 smooths them.
+        """Derivative (n,) of values (n,) sampled every ``period`` [s]; order 0 smooths them.
 
-        Near the ends the polynomial of the first or last samples is taken.
+        Near the ends, the polynomial through the first or last ``length`` samples is evaluated.
 
-        Raises ValueError where there are less values than the length.
+        Raises ValueError if there are fewer values than the length.
         """
         length, half = self._offsets.size, self._half
         if values.size < length:
@@ -171,29 +173,29 @@ class SavitzkyGolay:
 
 
 SINE_TOLERANCE = 2e-3
-"""A window is a sine where the fit leaves less than this fraction of the amplitude [1] ...
+"""A window counts as a sine if the fit leaves less than this fraction of the amplitude [1] ...
 
 A third harmonic of 0.2 % of the displacement is 0.6 % of the velocity: below the noise of the
 force in all published conditions. A larger distortion would bias the fit of the force.
 """
 
 _NOISE_FACTOR = 1.2
-"""... or hardly more than the noise of the displacement itself."""
+"""... or less than this many times the noise of the displacement."""
 
 _POLYNOMIAL_ORDER = 4
 _SHORTEST_FILTER = 7
 
 
 class DataError(ValueError):
-    """Samples that nothing can be identified from; the message says why, in a sentence."""
+    """The samples cannot be used for identification; the message gives the reason."""
 
 
 @dataclass(frozen=True)
 class Motion:
     """Kinematics of a window; arrays of shape (n,), SI units.
 
-    ``displacement`` is measured from the centre of the motion. ``sine`` is the fitted sine where
-    it describes the window, else None.
+    ``displacement`` is measured from the centre of the motion. ``sine`` is the fitted sine if it
+    describes the window, otherwise None.
     """
 
     displacement: Array
@@ -204,7 +206,7 @@ class Motion:
 
     @classmethod
     def of_sine(cls, sine: Sine, time: Array, peak_velocity: float) -> Motion:
-        """Motion of a sine of this peak velocity [m/s] at times (n,) [s]."""
+        """Motion of a sine with the given peak velocity [m/s] at times (n,) [s]."""
         return cls(
             displacement=sine.displacement(time),
             velocity=sine.velocity(time),
@@ -215,7 +217,7 @@ class Motion:
 
     @classmethod
     def joined(cls, motions: Sequence[Motion]) -> Motion:
-        """Motions that follow each other, as one; which is no sine."""
+        """Consecutive motions concatenated into one, without a sine."""
         arrays = zip(*(motion.arrays for motion in motions), strict=True)
         u, v, a, v_m = (np.concatenate(parts) for parts in arrays)
         return cls(u, v, a, v_m, sine=None)
@@ -226,10 +228,10 @@ class Motion:
         return self.displacement, self.velocity, self.acceleration, self.peak_velocity
 
     def held_within(self, low: float, high: float) -> Motion:
-        """The same motion, its peak velocity held within ``low`` and ``high`` [m/s].
+        """The same motion with its peak velocity clipped to ``low`` to ``high`` [m/s].
 
-        How the coefficients of a law depend on the peak velocity is known where it was identified
-        and nowhere else: between the ends of that range.
+        The dependence of a law's coefficients on the peak velocity is known only within the
+        identified range.
         """
         v_m = self.peak_velocity
         lowest, highest = span_of(v_m)
@@ -238,32 +240,33 @@ class Motion:
         return replace(self, peak_velocity=v_m.clip(low, high))
 
     def part(self, chosen: slice | np.ndarray) -> Motion:
-        """The chosen samples: a slice, a mask of shape (n,) or places."""
+        """The chosen samples, given as a slice, a mask of shape (n,) or indices."""
         u, v, a, v_m = (values[chosen] for values in self.arrays)
         return Motion(u, v, a, v_m, self.sine)
 
     @property
     def amplitude(self) -> float:
-        """Half the span of the displacement, or the amplitude of the sine [m]."""
+        """Amplitude of the sine, or half the span of the displacement if there is no sine [m]."""
         if self.sine is not None:
             return self.sine.amplitude
         return float(0.5 * np.ptp(self.displacement))
 
     @property
     def frequency(self) -> float:
-        """Frequency of the sine [Hz], NaN where the motion is no sine."""
+        """Frequency of the sine [Hz]; NaN if the motion is not a sine."""
         return math.nan if self.sine is None else self.sine.frequency
 
 
 def _smooth(displacement: Array, period: float) -> tuple[Array, Array, Array]:
-    """Displacement, velocity, acceleration by the filter of the least expected error of velocity.
+    """Displacement, velocity and acceleration from the filter with the least velocity error.
 
-    Its mean square is the noise that the filter passes and the square of its bias. The bias shows
-    in the difference from the filter before, which is two thirds as long and so has a fifth of it:
-    what that difference has in excess of noise. On emulated random motion with eight kinds of noise
-    the velocity is off by 1.0 times (median; at most 3.1 times) what the best length gives.
+    The expected mean square error is the sum of the noise that the filter passes and its squared
+    bias. The bias is estimated from the difference between this filter and the previous one, which
+    is two thirds as long and therefore has a fifth of the bias: it is the power of that difference
+    in excess of noise. On emulated random motion with eight kinds of noise, the velocity error is
+    1.0 times that of the best length (median; at most 3.1 times).
     """
-    # Not the median, which leaves out bursts of noise and the steps of a digital sensor.
+    # The mean includes bursts of noise and the steps of a digital sensor; the median would not.
     noise = float(np.mean(np.diff(displacement, 4) ** 2)) / 70.0
     length = _SHORTEST_FILTER
     best, least = SavitzkyGolay(length, _POLYNOMIAL_ORDER), math.inf
@@ -292,10 +295,10 @@ def window_motion(displacement: Array, period: float) -> Motion:
     """Motion of a window of displacement samples.
 
     ``displacement`` [m] has shape (n,), sampled every ``period`` [s]. The centre of the motion
-    is the offset of the sine, or the middle of the span where the motion is no sine.
+    is the offset of the sine, or the middle of the span if the motion is not a sine.
 
-    Raises DataError for less than 16 samples, values that are not finite, or no motion at all,
-    ValueError for a period that is not positive.
+    Raises DataError for fewer than 16 samples, values that are not finite, or a constant
+    displacement, and ValueError for a period that is not positive.
     """
     u = np.asarray(displacement, dtype=float)
     if u.ndim != 1 or u.size < 16:
@@ -327,7 +330,7 @@ def window_motion(displacement: Array, period: float) -> Motion:
 
 
 class MotionSample(NamedTuple):
-    """What :class:`Motion` holds of one sample [m], [m/s], [m/s²], [m/s]."""
+    """One sample of a :class:`Motion`, in [m], [m/s], [m/s²] and [m/s]."""
 
     displacement: float
     velocity: float
@@ -336,7 +339,7 @@ class MotionSample(NamedTuple):
 
     @classmethod
     def of(cls, motion: Motion, place: int) -> MotionSample:
-        """The sample at a place of a motion."""
+        """The sample of a motion at index ``place``."""
         return cls(
             float(motion.displacement[place]),
             float(motion.velocity[place]),
@@ -351,7 +354,7 @@ class MotionSample(NamedTuple):
         return [cls(*row) for row in zip(*(column.tolist() for column in columns), strict=True)]
 
     def held_within(self, low: float, high: float) -> MotionSample:
-        """The same with a peak velocity within [m/s]; see :meth:`Motion.held_within`."""
+        """The same with the peak velocity [m/s] clipped; see :meth:`Motion.held_within`."""
         if low <= self.peak_velocity <= high:
             return self
         return self._replace(peak_velocity=min(max(self.peak_velocity, low), high))

@@ -1,9 +1,9 @@
-"""Motion of a stream of displacement, block by block, from the past alone.
+"""Causal estimate of the motion from a stream of displacement, block by block.
 
-A steady sine is followed by its fit to the latest cycles, which gives velocity and acceleration
-without delay and nearly without noise: it averages a cycle of samples, an observer some
-milliseconds. As soon as the newest samples leave the sine by more than their noise, the motion is
-that of :mod:`mr_damper_ros.kinematics.observer`.
+A sine fitted to the latest cycles follows steady sinusoidal motion. It gives velocity and
+acceleration without delay and nearly without noise, because it averages over a cycle of samples
+and an observer only over some milliseconds. As soon as the newest samples deviate from the sine by
+more than their noise, :mod:`mr_damper_ros.kinematics.observer` estimates the motion.
 """
 
 from __future__ import annotations
@@ -23,75 +23,80 @@ from mr_damper_ros.kinematics.peak_velocity import PeakVelocity
 from mr_damper_ros.signals.arrays import Array, span_of, white_noise
 
 _CYCLES = 1.5
-"""Length of the fit in cycles: longer averages more, shorter forgets a change sooner."""
+"""Length of the fit in cycles. A longer fit averages more; a shorter one forgets a change sooner."""
 
 _FEWEST_CYCLES = 1.0
-"""A new sine is fitted to so many: it need not wait for what was before it to be forgotten."""
+"""A new sine is fitted as soon as this many cycles exist. Samples from before it are left out, so
+the fit does not have to wait until they leave the memory."""
 
 _POINTS = 256
-"""The fit takes every so-many-th sample, so that its cost does not grow with the rate."""
+"""The fit uses about this many samples, evenly thinned, so that its cost is independent of the
+sample rate."""
 
 _FITS_PER_CYCLE = 25
-"""More would follow a steady sine no better, and cost more than all else at a small block size."""
+"""More fits would not follow a steady sine better. With small blocks, they would cost more than all
+other work."""
 
 _NOISE_SAMPLES = 256
 _NOISE_FACTOR = 1.5
 _LEAVING = 5.0
-"""A sample this many times the allowed residual away from the sine ends it."""
+"""A sample that deviates from the sine by more than this many times the allowed residual ends it."""
 
 _PARTS = 256
-"""Of small blocks so many are kept before they are joined."""
+"""Number of small blocks that are kept before they are concatenated."""
 
 _FIRST_STEPS = 8
-"""Corrections of the frequency after a new start; one per block keeps it afterwards."""
+"""Corrections of the frequency after a new start. Afterwards each fit makes one correction."""
 
 _NO_SINE = 0.25
-"""Part of the amplitude; a motion that leaves so much is no sine, nor will it be one at once."""
+"""Residual as a fraction of the amplitude. A motion with a larger residual is not a sine and will
+not become one soon."""
 
 _TRIED = 3
-"""Corrections of the frequency after which that shows ..."""
+"""Corrections of the frequency after which the residual is compared with ``_NO_SINE`` ..."""
 
 _PATIENCE = 0.2
-"""... and cycles until it is worth while to try again: a try takes as long as many predictions."""
+"""... and cycles to wait before the next attempt, which takes as long as many predictions."""
 
 _LARGEST_STEP = 0.1
-"""The frequency is corrected by at most this part of itself per block."""
+"""Largest relative correction of the frequency in one step."""
 
 
 class SineFollower:
     """Fits a sine to the latest samples of a displacement, ``period`` [s] apart.
 
-    ``memory`` [s] is the longest stretch that is kept.
+    ``memory`` [s] limits the duration of the samples that are kept.
     """
 
     def __init__(self, period: float, memory: float) -> None:
         self._period = period
         self._parts: list[Array] = []
         self._most = max(round(memory / period), 2)
-        # Samples that are kept.
+        # Number of samples that are kept.
         self._count = 0
         self._omega = 0.0
-        # Weights of sine, cosine and offset about the last sample of the fit, None without a steady
-        # sine; samples that have come since; and the residual [m] that is allowed.
+        # Weights of sine, cosine and offset, with the phase at the last sample of the fit (None
+        # without a steady sine); samples since that fit; and the allowed residual [m].
         self._weights: Array | None = None
         self._since = 0
         self._allowed = 0.0
-        # Samples from the first of the present sine on, as far as they are fitted.
+        # Number of fitted samples since the present sine began.
         self._length = 0
-        # Samples until it is worth while to look for a sine again.
+        # Samples to wait before the next search for a sine.
         self._wait = 0
 
     @property
     def peak_velocity(self) -> float:
-        """That of the sine [m/s]; NaN without one."""
+        """Peak velocity of the sine [m/s]; NaN without a sine."""
         if self._weights is None:
             return math.nan
         return self._omega * math.hypot(*self._weights[:2].tolist())
 
     def motion_of(self, displacement: Array, unlearned: int) -> Motion | None:
-        """Motion of samples (n,) that lie on the sine within their noise; None where they do not.
+        """Motion of samples (n,) that match the sine within their noise; None if they do not.
 
-        So many ``unlearned`` samples came between them and the last that :meth:`learn` was given.
+        ``unlearned`` is the number of samples between the last one passed to :meth:`learn` and
+        these.
         """
         if self._weights is None:
             return None
@@ -102,7 +107,7 @@ class SineFollower:
         centred = by_sine * sine + by_cosine * cosine
         error = centred + offset - displacement
         limit = _LEAVING * self._allowed
-        # The root of the sum of squares, which is quicker, is no less than the largest.
+        # The sum of squares is quicker to compute, and its root is an upper bound of the largest.
         if not (error.dot(error) <= limit**2 or np.abs(error).max() <= limit):
             return None
         return Motion(
@@ -114,10 +119,10 @@ class SineFollower:
         )
 
     def learn(self, displacement: Array, half_cycle: float) -> None:
-        """Fit the sine to these samples too, if it is time to.
+        """Add these samples, and fit the sine again if a fit is due.
 
-        ``half_cycle`` [s] is the time between the last two reversals, NaN while unknown: the
-        start of the frequency.
+        ``half_cycle`` [s] is the time between the last two reversals, NaN while unknown. It gives
+        the initial frequency.
         """
         self._parts.append(displacement)
         if len(self._parts) > _PARTS:
@@ -142,8 +147,8 @@ class SineFollower:
             steps = _FIRST_STEPS
         cycle = 2.0 * math.pi / self._omega / self._period
         if self._count < round(_FEWEST_CYCLES * cycle):
-            # A change of the motion may have looked like a reversal of a slow one: the next time
-            # between two of them is another start.
+            # A change of the motion may have looked like a reversal of a slow motion. The next
+            # half-cycle gives a new initial frequency.
             self._omega = 0.0
             return
         samples = self._join()
@@ -165,20 +170,20 @@ class SineFollower:
             _NOISE_FACTOR * white_noise(recent[-_NOISE_SAMPLES:]),
         )
         if left > self._allowed:
-            # Perhaps the frequency has been lost: start again from the reversals.
+            # The frequency may be wrong: start again from the reversals.
             self._omega = 0.0
             self._wait = round(cycle * (_PATIENCE if hopeless else 1.0 / _FITS_PER_CYCLE))
             return
         self._weights = weights
 
     def _join(self) -> Array:
-        """The samples that are kept."""
+        """Concatenate the kept samples and return them."""
         samples = np.concatenate(self._parts)[-self._most :]
         self._parts = [samples]
         return samples
 
     def _fit(self, time: Array, points: Array) -> tuple[Array, Array]:
-        """One step of Gauss and Newton: weights of sine, cosine and offset; residual."""
+        """One Gauss-Newton step; returns the weights of sine, cosine and offset, and the residual."""
         angle = self._omega * time
         sine, cosine = np.sin(angle), np.cos(angle)
         columns = np.column_stack((sine, cosine, np.ones(time.size)))
@@ -188,12 +193,12 @@ class SineFollower:
         correction = min(max(float(step[3]) / self._omega, -_LARGEST_STEP), _LARGEST_STEP)
         self._omega *= 1.0 + correction
         residual = points - columns @ (weights + step[:3]) - step[3] * by_frequency
-        # The weights belong to the corrected frequency: the basis turns about the newest sample.
+        # The weights hold for the corrected frequency too: time is zero at the newest sample.
         return weights + step[:3], residual
 
 
 def _solve(columns: Array, values: Array) -> Array:
-    """Least squares by the normal equations: a handful of well-scaled columns."""
+    """Least squares by the normal equations, which suffice for a few well-scaled columns."""
     gram = columns.T @ columns
     size = np.sqrt(gram.diagonal())
     size[size == 0.0] = 1.0
@@ -202,63 +207,63 @@ def _solve(columns: Array, values: Array) -> Array:
 
 
 _HALF_CYCLES = 4
-"""A random motion turns at irregular times: so many of its half-cycles tell how slowly."""
+"""Number of half-cycles whose longest stands for the motion: random motion reverses irregularly."""
 
 _AT_ONCE = 16
-"""Samples of which no more than the last is looked at for a reversal."""
+"""Reversals are checked at the last sample of each group of this many samples."""
 
 _STRETCHES = 64
 
 _LONGEST = 10
-"""A slow cycle is kept whole for up to so many memories."""
+"""A slow cycle is kept whole if it is no longer than this many memories."""
 
 _CYCLE = 3
-"""Reversals from the begin of a cycle to its end."""
+"""Reversals from the start of a cycle to its end, both included."""
 
 _SMALLEST_RETURN = 1e-4
-"""A reversal counts once the motion has come back by this [m] and by a quarter of its span."""
+"""A reversal counts once the motion has returned by this distance [m] and by a quarter of its span."""
 
 _STILL = 0.01
-"""A move by less than this part of the amplitude is none ..."""
+"""A displacement that changes by less than this fraction of the amplitude counts as still ..."""
 
 _DWELL = 0.4
-"""... and a rest is longer than this part of a half-cycle without one. A sine stays within a
-hundredth of its amplitude for a tenth of a half-cycle; one of a tenth of the amplitude that was
-usual, for a third."""
+"""... and a rest is a still time longer than this fraction of a half-cycle. A sine stays within a
+hundredth of its amplitude for a tenth of a half-cycle. After a drop to a tenth of the previous
+amplitude, it stays within that limit for a third of a half-cycle."""
 
 _SHORTEST = 0.1
-"""Seconds; noise and the delay of an observer take some hundredths."""
+"""Shortest rest [s]. Noise and the delay of an observer take some hundredths of a second."""
 
 _LONG = 2.0
-"""A rest is told after so long [s] already ..."""
+"""In slow motion, a rest is detected after this time [s] ..."""
 
 _LONG_DWELL = 0.16
-"""... if that is this part of a half-cycle."""
+"""... if it exceeds this fraction of a half-cycle."""
 
 
 class MotionCentre:
     """Middle of the span of the displacement over the last ``memory`` seconds.
 
-    It is exact for any steady motion. Where the last whole cycle is longer than the memory it is
-    taken over that cycle. It is kept by the lowest and highest value of short stretches, so that
-    its cost does not grow with the rate.
+    It is exact for any steady motion. If the last whole cycle is longer than the memory, the span
+    covers that cycle. Only the lowest and highest value of short stretches are stored, so that the
+    cost is independent of the sample rate.
 
-    ``reversals`` counts the changes of direction; ``half_cycle`` [s] is the time between the last
-    two of them, NaN before. ``resting``: the displacement has hardly changed for longer than any
-    reversal of the latest motion took.
+    ``reversals`` counts the changes of direction. ``half_cycle`` [s] is the time between the last
+    two reversals, NaN before the second. ``resting`` is true when the displacement has hardly
+    changed for longer than a reversal of the latest motion takes.
     """
 
     def __init__(self, memory: float, period: float) -> None:
         self._memory = max(round(memory / period), 1)
         self._length = max(self._memory // _STRETCHES, 1)
-        # Of each stretch: number of samples, lowest and highest value [m].
+        # For each stretch, the number of samples and the lowest and highest value [m].
         self._counts: deque[int] = deque()
         self._lows: deque[float] = deque()
         self._highs: deque[float] = deque()
         self._remembered = 0
         self._turns: deque[int] = deque(maxlen=_CYCLE)
         self._half_cycles: deque[float] = deque(maxlen=_HALF_CYCLES)
-        # Where the displacement was when it last moved [m], and samples since.
+        # Displacement [m] when it last moved, and the number of samples since then.
         self._anchor, self._still = math.nan, 0
         self._direction = 0
         self._bottom, self._top = math.inf, -math.inf
@@ -307,12 +312,12 @@ class MotionCentre:
 
     @property
     def usual_half_cycle(self) -> float:
-        """The longest [s] of the latest half-cycles; NaN before the first."""
+        """Longest of the latest half-cycles [s]; NaN before the first."""
         return max(self._half_cycles, default=math.nan)
 
     @property
     def _needed(self) -> int:
-        """Samples to remember: the memory's, or those since the begin of the last cycle."""
+        """Samples to remember: the memory, or the samples since the last whole cycle began."""
         if len(self._turns) < _CYCLE:
             return _LONGEST * self._memory
         return min(max(self._memory, self._count - self._turns[0]), _LONGEST * self._memory)
@@ -337,32 +342,34 @@ class MotionCentre:
 
 
 _REVERSALS_FOR_CENTRE = 3
-"""The centre of a motion is known once its ends have been seen, the first of them surely whole."""
+"""The centre of a motion is known after this many reversals. The stream may begin within a stroke,
+so the first reversal need not be an end of the steady motion."""
 
 _LONGEST_GAP = 0.5
-"""Part of a half-cycle; a cubic over it is off by 1.5 % of the amplitude."""
+"""Longest gap as a fraction of a half-cycle. A cubic across it has an error of 1.5 % of the
+amplitude."""
 
 _HALF_CYCLES_FOR_PEAK = 4
-"""Of fewer half-cycles the angular frequency, and with it the peak velocity, is a guess."""
+"""With fewer half-cycles, the angular frequency, and with it the peak velocity, is too uncertain."""
 
 
 _NOISE_SPEED = 1e-4
-"""A sine whose peak velocity [m/s] is below this does not move: it is that of noise."""
+"""A sine with a peak velocity [m/s] below this is fitted to noise: the damper does not move."""
 
 _TOGETHER = 0.02
-"""Seconds of a steady sine that the observer and the fit learn at once: a hundred samples take them
-the time of one."""
+"""Seconds of a steady sine that the observer and the fit process together: a hundred samples take
+no longer than one."""
 
 
 class MotionFollower:
-    """Follows samples of displacement ``period`` [s] apart.
+    """Estimates the motion from samples of displacement ``period`` [s] apart.
 
-    ``bandwidth`` [Hz] of the observer is brought into the range that the period allows; with 0 it
-    follows the motion and the noise;
-    ``centre_memory`` [s] must hold a whole cycle of the motion.
+    ``bandwidth`` [Hz] of the observer is clipped to the range that the period allows. With 0, the
+    bandwidth adapts to the motion and the noise. ``centre_memory`` [s] must hold a whole cycle of
+    the motion.
 
-    Only what a block's own motion needs is done when it comes. The rest, which takes longer, is
-    done by :meth:`catch_up`.
+    :meth:`follow` does only the work that the motion of the block needs. :meth:`catch_up` does the
+    rest, which takes longer, and can run after the result is published.
     """
 
     def __init__(self, period: float, bandwidth: float, centre_memory: float) -> None:
@@ -382,23 +389,24 @@ class MotionFollower:
 
     @property
     def steady(self) -> bool:
-        """Whether the motion of the last block was a sine that goes on."""
+        """Whether the last block continued the fitted sine."""
         return self._steady
 
     @property
     def reversals(self) -> int:
-        """Changes of direction up to the last block caught up with."""
+        """Number of reversals up to the last block that the observer has processed."""
         return self._centre.reversals
 
     def lost_sight(self, gap: float) -> bool:
-        """Whether so long a gap [s] is too much of a half-cycle for its motion to be reckoned."""
+        """Whether a gap [s] spans too much of a half-cycle for interpolation of the motion."""
         return gap > _LONGEST_GAP * self._centre.half_cycle
 
     @property
     def resting(self) -> bool:
         """Whether the motion has come to rest.
 
-        A steady sine is slow at its dead centres, and a rest is a sine of nothing but noise.
+        A steady sine is slow at its dead centres but not at rest. A sine fitted to noise alone
+        counts as a rest.
         """
         if self._steady and self._sine.peak_velocity > _NOISE_SPEED:
             return False
@@ -406,24 +414,24 @@ class MotionFollower:
 
     @property
     def half_cycle(self) -> float:
-        """The longest [s] of the latest half-cycles, NaN before the first."""
+        """Longest of the latest half-cycles [s]; NaN before the first one."""
         return self._centre.usual_half_cycle
 
     @property
     def usual_peak_velocity(self) -> float:
-        """Root mean square [m/s] over the latest half-cycles up to the last block observed."""
+        """Root mean square peak velocity [m/s] of the latest half-cycles that were observed."""
         return self._peak.root_mean_square
 
     @property
     def unsettled(self) -> str:
-        """Why the velocity of the last block is not known yet; empty where it is."""
+        """Reason why the velocity of the last block is not settled; empty if it is settled."""
         if self._steady or self._differentiator.settled:
             return ""
         return "the velocity is still settling after the start or a jump of the displacement"
 
     @property
     def doubt(self) -> str:
-        """Why the motion of the last block is not known well yet; empty where it is."""
+        """Reason why the motion of the last block is uncertain; empty if it is reliable."""
         if self._steady:
             return ""
         if self._centre.reversals < _REVERSALS_FOR_CENTRE:
@@ -437,7 +445,7 @@ class MotionFollower:
         self.catch_up()
         motion = self._sine.motion_of(displacement, self._unlearned_count)
         if motion is None:
-            # Before the sine is over: the observer has not seen the last of it.
+            # The sine has ended: first pass its last samples to the observer.
             self._learn()
         self._steady = motion is not None
         self._unlearned.append(displacement)
@@ -445,7 +453,7 @@ class MotionFollower:
         return motion or self._observe(displacement)
 
     def catch_up(self) -> None:
-        """Learn from the last block what only those after it need; :meth:`follow` does it, too."""
+        """Do the deferred work for the last block; :meth:`follow` calls this first."""
         if not self._steady or self._unlearned_count >= self._together:
             self._learn()
 
@@ -463,7 +471,7 @@ class MotionFollower:
 
     def _observe(self, displacement: Array) -> Motion:
         u, v, a = self._differentiator.follow(displacement)
-        # What overshoots while the observer settles must not be remembered as a peak.
+        # An overshoot of the settling observer must not be stored as a peak velocity.
         v_m = self._peak.follow(v, a) if self._differentiator.settled else np.abs(v)
         centred = u - self._centre.follow(displacement)
         return Motion(
