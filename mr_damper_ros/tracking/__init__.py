@@ -1,1 +1,1 @@
-"""The damper that changes: followed window by window, judged, predicted, kept on disk."""
+"""Tracking of a changing damper: window fits, acceptance test, force prediction, saved state."""

@@ -1,7 +1,7 @@
-"""Whether a new parameter set may replace the running one.
+"""The acceptance test: whether a new parameter set may replace the running one.
 
-Samples that were held back from its fit say how well each of the two predicts (:class:`Evidence`);
-the :class:`Gatekeeper` decides, with what is known of the damper.
+Both sets predict the validation samples, which the fit did not use (:class:`Evidence`). The
+:class:`Gatekeeper` decides by these predictions and by the history of the damper.
 """
 
 from __future__ import annotations
@@ -29,44 +29,45 @@ from mr_damper_ros.tracking.operating_point import (
 
 CHUNKS = 40
 _HELD_BACK_EVERY = 4
-"""Of the chunks into which a window is cut, every fourth is held back from the fit. A chunk has at
-least one sample: fewer new ones than chunks decide nothing."""
+"""A window is cut into this many chunks; every fourth is validation data. A chunk has at least one
+sample, so fewer new samples than chunks decide nothing."""
 
 BEYOND_CHANCE = 2.5
-"""A set is exchanged for a lead of so many standard errors.
+"""Lead, in standard errors, from which a new set replaces the running set.
 
-A lead that is nothing but chance exceeds it once in 160 windows, and more rarely here: a new fit
-errs by its own noise, for which it falls behind on samples that it has not seen.
+A lead that is pure chance exceeds this value once in 160 windows. Here it does so more rarely,
+because the noise in a new fit increases its error on the validation samples.
 """
 
 
 HARDLY = 0.03
-"""A set for more operating points may leave so much more of the force than the running set at one.
-"""
+"""Largest excess of NRMSE over the running set for a set that covers more operating points."""
 
 _MAY_LOSE = 0.5
-"""A set of one window may lose so much elsewhere of what it gains there: it was fitted to that one
-(``foreign_worse_sets``)."""
+"""Largest loss of a window set at the other operating points, relative to its gain in its own
+window. A window set is fitted to that window alone (``foreign_worse_sets``)."""
 
 STILL_GOOD = 0.3
-"""Where the running set leaves no more than this part of the force, there is something to lose."""
+"""Up to this NRMSE the running set counts as good, and replacing it is a risk."""
 
 WORTH_WHILE = 0.9
-"""A good set is exchanged for one that leaves less than so many times what it leaves: what is as
-good where it was seen may be worse where it was not (``foreign_worse_sets``)."""
+"""A good set is replaced if the new NRMSE is less than this multiple of its own. A set that is
+equally good at the tested operating points may be worse at others (``foreign_worse_sets``)."""
 
 
 @dataclass(frozen=True)
 class Evidence:
-    """What a window says of the running and the new set, on samples held back from the fit.
+    """Errors of the running and the new set on the validation samples of a window.
 
-    ``nrmse_before`` and ``nrmse_after``: RMSE/std; ``rmse_after`` [N]; ``force_change``: relative
-    change of the force from the running to the new set over the window's motion; ``lead``: how far
-    the new set is ahead on samples that no set was fitted to, in standard errors of chance.
-    ``shape_change``: part of the new set's force [1] that is no multiple of the running set's;
-    ``loss``: what the mean square errors at the other operating points of late rise by in sum, over
-    what that here falls by [1], and ``nrmse_elsewhere``: what the running set leaves there.
-    ``recent``: of a search, NRMSE of both sets at the operating points of late.
+    ``nrmse_before`` and ``nrmse_after`` are the errors of the running and the new set, RMSE over
+    standard deviation of the force; ``rmse_after`` [N] is that of the new set. ``force_change`` is
+    the relative change of the force from the running to the new set in the motion of the window.
+    ``lead`` is the lead of the new set on samples that neither set was fitted to, in standard
+    errors. ``shape_change`` [1] is the part of the new set's force that is not proportional to the
+    running set's. ``loss`` [1] is the increase of the mean square error, summed over the other
+    recent operating points, divided by its decrease in this window. ``nrmse_elsewhere`` is the
+    NRMSE of the running set at these other points. ``recent`` is the NRMSE of the running and the
+    new set at the recent operating points, for a global identification.
     """
 
     nrmse_before: float
@@ -86,17 +87,18 @@ class Evidence:
 
     @property
     def loses_elsewhere(self) -> bool:
-        """Whether the running set is good elsewhere, and the new one too much worse there."""
+        """Whether the running set is good at the other points and the new one much worse there."""
         return self.loss > _MAY_LOSE and self.nrmse_elsewhere <= STILL_GOOD
 
 
 @dataclass(frozen=True)
 class Lead:
-    """How far a new force is ahead of an old one on samples that neither was fitted to.
+    """Lead of a new force over an old one on samples that neither set was fitted to.
 
-    ``gain``: half of what the sum of squares falls by; ``chance``: its standard deviation where
-    both are as good, both in units of the noise's variance. The difference of two sums of squares
-    is linear in the noise, whose autocorrelation is known from the residual.
+    ``gain`` is half the decrease of the sum of squared errors. ``chance`` is the standard deviation
+    of ``gain`` if both forces are equally good. Both are in units of the noise variance. The
+    difference of two sums of squares is linear in the noise. The autocorrelation of the noise is
+    estimated from the residual.
     """
 
     gain: float
@@ -106,7 +108,7 @@ class Lead:
     def of(
         cls, old: Array, new: Array, measured: Array, judges: np.ndarray, noise: NoiseModel
     ) -> Lead:
-        """The lead of forces [N] (n,) on the samples of a mask (n,)."""
+        """The lead of force ``new`` over ``old`` [N], shape (n,), on the samples of a mask (n,)."""
         apart = np.where(judges, new - old, 0.0)
         level = max(noise.variance, 1e-300)
         chance = float(noise.score_covariance(apart[:, np.newaxis])[0, 0])
@@ -115,7 +117,7 @@ class Lead:
 
     @staticmethod
     def together(leads: Iterable[Lead]) -> float:
-        """The lead on all samples of several windows, in standard errors of chance."""
+        """The lead on all samples of several windows, in standard errors."""
         gain, chance = 0.0, 0.0
         for lead in leads:
             gain += lead.gain
@@ -126,11 +128,11 @@ class Lead:
 
 
 def held_back_samples(count: int, fresh: int | None = None) -> np.ndarray:
-    """Mask (n,) of the samples that are held back from a fit: chunks all over the ``fresh`` ones.
+    """Mask (n,) of the validation samples: chunks spread over the ``fresh`` samples.
 
-    ``fresh`` counts the samples at the end that the running set was not fitted to. Where these are
-    too few, as with a hop of a few samples, all count: what is held back then decides nothing, see
-    :func:`evidence_of`.
+    ``fresh`` is the number of samples at the end that the running set was not fitted to. If there
+    are fewer than :data:`CHUNKS`, as with a hop of a few samples, the chunks are spread over all
+    samples. The validation samples then decide nothing, see :func:`evidence_of`.
     """
     judged = count if fresh is None or not CHUNKS <= fresh < count else fresh
     chunk = np.arange(judged) * CHUNKS // max(judged, 1)
@@ -148,11 +150,12 @@ def evidence_of(
     fresh: int,
     elsewhere: Sequence[Window] = (),
 ) -> Evidence:
-    """What the held-back samples of a window (mask, shape (n,)) say of a set that was ``found``.
+    """Compare the set ``found`` with the running set on the validation samples of a window.
 
-    That was fitted to the other samples. Where the running set is of this very damper, the new one
-    must be ahead of it on samples that neither has seen: there are ``fresh`` ones. ``elsewhere``:
-    windows at other operating points of late.
+    ``held_back`` is the mask (n,) of the validation samples; ``found`` was fitted to the others.
+    If the running set was identified on this damper, the lead counts only samples that neither set
+    was fitted to; ``fresh`` is their number. ``elsewhere`` holds windows at other recent operating
+    points.
     """
     gradual = turns_gradually(found, window)
     settled = found.law_turning(gradual=gradual).settled(window, found.values)
@@ -160,7 +163,7 @@ def evidence_of(
     old, new = (each.window_force(window, gradual=gradual) for each in (running, found))
     known = bool(running.observable.any() and np.isfinite(old).all())
     if not np.isfinite(old).all():
-        # Whatever was loaded there, anything is better.
+        # The running set cannot predict this window, so any finite force is better.
         old = np.full(old.size, math.inf)
     judged = held_back & settled
     rmse_before, rmse_after = (
@@ -199,9 +202,10 @@ def evidence_of(
 
 
 def turns_gradually(found: ParameterSet, window: Window) -> bool:
-    """Whether the force of a window turns gradually, as far as a set tells; see ``law_turning``.
+    """Whether a set reproduces a window better with gradual reversals; see ``law_turning``.
 
-    The prediction follows the measured force in this, too: a set is judged as it is used.
+    The prediction also selects the branch rule by the measured force, so the acceptance test
+    evaluates a set as it is used.
     """
     jumping, gradual = found.law, found.law.continuous
     if gradual is jumping:
@@ -222,10 +226,10 @@ def rival_wins(
     fresh: int,
     elsewhere: Sequence[Window] = (),
 ) -> bool:
-    """Whether a rival of the running set predicts a window better, by its last ``fresh`` samples.
+    """Whether a rival set predicts the last ``fresh`` samples of a window better.
 
-    Neither set was fitted to these. A rival that holds for more currents may leave hardly more.
-    ``elsewhere`` as in :func:`evidence_of`.
+    Neither set was fitted to these samples. A rival with a wider current range is accepted up to an
+    excess of :data:`HARDLY` in NRMSE. ``elsewhere`` is as in :func:`evidence_of`.
     """
     judges = np.arange(window.sample_count) >= window.sample_count - fresh
     found = evidence_of(running, rival, window, judges, fresh=fresh, elsewhere=elsewhere)
@@ -238,9 +242,10 @@ def rival_wins(
 
 
 def _mean_square(found: ParameterSet, windows: Sequence[Window]) -> float:
-    """Mean square error [N²] of a set, each window counted once, with the best factor for all.
+    """Mean square error [N²] of a set over several windows of equal weight.
 
-    But for a factor on the force: the strength of the damper may have changed since.
+    One common least-squares factor scales the force of all windows, because the force scale of the
+    damper may have changed since. An error that overflows is infinite.
     """
     with np.errstate(over="ignore", invalid="ignore"):
         forces = [found.window_force(window) for window in windows]
@@ -254,45 +259,46 @@ def _mean_square(found: ParameterSet, windows: Sequence[Window]) -> float:
 
 
 _OTHER_SHAPE = 0.3
-"""Temperature and wear move the loop of a steady motion by less than this part of the force from
-one window to the next: a delay between the sensors does more."""
+"""Largest shape change, relative to the force, that temperature and wear cause between two windows
+of one steady motion. A delay between the sensors causes a larger change."""
 
 _FITS = 0.15
-"""A running set that leaves no more than this part of the force is confirmed, whatever is usual."""
+"""Up to this NRMSE a window confirms the running set, whatever the residual baseline is."""
 
 _SURPRISING = 0.2
-"""Where so much of the force has another shape than the running set has it, although that holds
-there, the next window must confirm it (``foreign_worse_sets``)."""
+"""A larger shape change, relative to the force, must be confirmed by the next window if the running
+set has been identified at this operating point (``foreign_worse_sets``)."""
 
 _SAME_FORCE = 0.05
 _FAR_BETTER = 1.5
-"""Where a set holds and the residual stays large, another force is taken for that of a sensor,
-unless it is so near the known one, or the new set leaves so many times less."""
+"""If the running set has been identified at this operating point and the residual stays large, a
+changed force is attributed to a sensor. Exceptions are a relative change of at most
+``_SAME_FORCE``, and a new set with an NRMSE lower by the factor ``_FAR_BETTER``."""
 
 
 class Verdict(IntEnum):
-    """What became of a window or a global identification; the numbers are those of FitReport."""
+    """Result of the acceptance test; the numbers are those of the message FitReport."""
 
     ACCEPTED = 1
-    """The new set predicts better: it is in use."""
+    """The new set predicts better and is in use."""
     ACCEPTED_EARLY = 2
-    """The force had changed: the running set was brought up to date from a few samples."""
+    """The force changed suddenly; an early fit to a few samples updated the running set."""
     NO_BETTER = 3
-    """The running set predicts as well: it stays in use."""
+    """The new set does not predict better; the running set stays in use."""
     FAULT_OF_DATA = 4
-    """The samples cannot be used: nothing was fitted."""
+    """The samples cannot be used, so nothing was fitted."""
     POOR_FIT = 5
-    """The fit leaves too much of the force unexplained."""
+    """The fit leaves too large an error."""
     DISTURBED = 6
-    """The residual is far above the usual one."""
+    """The residual is far above the residual baseline."""
     UNCONFIRMED = 7
-    """The next window must confirm it: a force that changed much at once, or a set of a search."""
+    """The next window must confirm a large sudden change, or a set of a global identification."""
     FAILED = 8
-    """Nothing was computed, through no fault of the data."""
+    """The computation failed for a reason other than the data."""
     TOO_LITTLE_MOTION = 9
-    """The motion does not show enough of the damper yet: nothing was fitted."""
+    """The window contains too little motion, so nothing was fitted."""
     BEYOND_LIMITS = 10
-    """The force differs from all that is known by more than a damper can change."""
+    """The force differs from the known forces by more than a damper can change."""
 
     @property
     def accepted(self) -> bool:
@@ -301,15 +307,16 @@ class Verdict(IntEnum):
 
     @property
     def confirms(self) -> bool:
-        """Whether the samples fit the set in use after it, a new one or the old one."""
+        """Whether the window confirms the set in use after the test, be it new or unchanged."""
         return self.accepted or self is Verdict.NO_BETTER
 
 
 @dataclass(frozen=True)
 class Judgement:
-    """A verdict and, for people, why: one sentence, empty where it needs none.
+    """A verdict and its reason in one sentence; the sentence is empty if none is needed.
 
-    ``usual``: whether the residual is the usual one, so that there is something to learn.
+    ``usual`` says whether the residual agrees with the residual baseline, so that the identifier
+    may learn from the window.
     """
 
     verdict: Verdict
@@ -318,7 +325,7 @@ class Judgement:
 
     @property
     def teaches(self) -> bool:
-        """Whether the samples are good enough to compare others with them."""
+        """Whether the window may update the records with which later windows are compared."""
         return self.usual and self.verdict.confirms
 
 
@@ -326,9 +333,10 @@ ACCEPTED = Judgement(Verdict.ACCEPTED)
 
 
 def _disturbed(excess: float, nrmse_before: float) -> Judgement:
-    """The judgement of a residual so many times the usual one: the set in use may fit all the same.
+    """Judge a window whose residual is ``excess`` times the residual baseline.
 
-    What is usual is a matter of the motions and currents seen, above all where these change.
+    The running set may fit nevertheless, because the baseline depends on the motions and currents
+    of earlier windows.
     """
     sentence = f"the residual is {excess:.1f} times the residual baseline: "
     if nrmse_before <= _FITS:
@@ -341,12 +349,12 @@ def _disturbed(excess: float, nrmse_before: float) -> Judgement:
 
 
 def fault_of_data(sentence: str) -> Judgement:
-    """The judgement of data that cannot be used."""
+    """The judgement for data that cannot be used."""
     return Judgement(Verdict.FAULT_OF_DATA, sentence)
 
 
 def failed(error: Exception) -> Judgement:
-    """The judgement where the identification itself came to grief, whatever the data."""
+    """The judgement for an identification that failed with an error."""
     return Judgement(
         Verdict.FAILED,
         f"the identification failed ({type(error).__name__}: {error}): the running set stays",
@@ -354,13 +362,13 @@ def failed(error: Exception) -> Judgement:
 
 
 def too_little_motion(sentence: str) -> Judgement:
-    """The judgement of a window that lacks motion: its data may be all right."""
+    """The judgement for a window with too little motion; its data may be sound."""
     return Judgement(Verdict.TOO_LITTLE_MOTION, sentence)
 
 
 @dataclass(frozen=True)
 class AcceptanceSettings(CheckedSettings):
-    """Limits that a fit must keep to be accepted."""
+    """Limits of the acceptance test."""
 
     maximum_nrmse: float = option(
         0.5,
@@ -395,11 +403,12 @@ class AcceptanceSettings(CheckedSettings):
 
 @dataclass(eq=False)
 class Experience:
-    """What the judgement of windows builds on, and adds to.
+    """Records of earlier windows, which the acceptance test uses and updates.
 
-    ``points``: what is known at each operating point; ``residuals`` of the newest good windows, and
-    how many windows have been ``refused_for_residual`` in a row since; ``level`` of the running
-    set's force against that first known, 1 = as at first.
+    ``points`` holds a record for each operating point. ``residuals`` are those of the newest good
+    windows. ``refused_for_residual`` counts the windows rejected in a row for their residual since
+    then. ``level`` is the running set's force relative to the first accepted force; 1 means
+    unchanged.
     """
 
     points: KnownPoints = field(default_factory=KnownPoints)
@@ -409,12 +418,13 @@ class Experience:
 
 
 class Gatekeeper:
-    """Accepts or refuses new sets, with the reason, by the ``known`` experience."""
+    """The acceptance test: accepts or rejects new sets, by the records of earlier windows."""
 
     _PATIENCE = 4
-    """After so many refusals in a row for the residual the larger residual is the usual one, ..."""
+    """After this many rejections in a row for the residual, the residual baseline starts anew."""
     _PATIENCE_WHERE_KNOWN = 12
-    """... and after so many, where the running set holds: a sensor is repaired sooner than that."""
+    """The same number where the running set has been identified. A faulty sensor is usually
+    repaired within that time."""
 
     def __init__(self, settings: AcceptanceSettings, known: Experience | None = None) -> None:
         self._settings = settings
@@ -430,13 +440,14 @@ class Gatekeeper:
         one_point: bool = True,
         objection: Callable[[], str] = str,
     ) -> Judgement:
-        """Whether the new set is accepted, and why not.
+        """Judge the set of a window, and update the records if the window is good.
 
-        ``force``: size and operating point of the window's force, where they are to be judged.
-        ``holds``: whether the running set has been identified where the window is;
-        ``same_motion``: whether it has been confirmed in several windows of this very motion;
-        ``one_point``: whether the window has one current, so that its residual is that of a point;
-        ``objection``: why nobody could use the set, asked where nothing else is against it.
+        ``force`` is the size and the operating point of the window's force; None leaves them
+        unchecked. ``holds`` says whether the running set has been identified at the operating point
+        of the window, ``same_motion`` whether several windows in a row had this motion, and
+        ``one_point`` whether the current is constant, so that the residual belongs to one operating
+        point. ``objection`` returns the reason why the set is implausible, or an empty text; it is
+        called only if the set passes all other tests.
         """
         point = force.operating_point if force is not None and one_point else None
         judgement = self._judge(evidence, force, point, holds, same_motion)
@@ -450,7 +461,7 @@ class Gatekeeper:
         return judgement
 
     def _learn(self, force: KnownForce) -> None:
-        """Take in a force that was accepted; the first of its operating point is kept."""
+        """Learn from an accepted force; the first force of each operating point is kept."""
         known, point = self.known, force.operating_point
         here = known.points.known_force(point)
         if here is not None:
@@ -461,10 +472,10 @@ class Gatekeeper:
     def judge_global(
         self, evidence: Evidence, objection: Callable[[], str] = str, *, tentative: bool = False
     ) -> Judgement:
-        """Whether a set for the windows of the past is accepted: it leaves no trace.
+        """Judge the set of a global identification; the records stay as they are.
 
-        ``objection`` as in :meth:`judge`. ``tentative``: where the running set is still good, the
-        next window must confirm the other one.
+        ``objection`` is as in :meth:`judge`. If ``tentative`` and the running set is still good,
+        the next window must confirm the new set.
         """
         maximum = self._settings.maximum_nrmse
         if not evidence.nrmse_after <= maximum:
@@ -493,10 +504,10 @@ class Gatekeeper:
         return ACCEPTED
 
     def may_be_early(self, evidence: Evidence) -> bool:
-        """Whether a fit to a few samples after a change may replace the running set.
+        """Whether a fit to a few samples after a sudden change may replace the running set.
 
-        It must leave no more than the usual residual, predict better, and need no confirmation.
-        What it says leaves no trace: the next window judges again.
+        Its residual must agree with the residual baseline, it must predict better, and it must need
+        no confirmation. The records stay as they are; the next window is judged as usual.
         """
         limit, level = self._settings.change_limit, self.known.level * (1.0 + evidence.force_change)
         return bool(
@@ -508,11 +519,11 @@ class Gatekeeper:
         )
 
     def follow_change(self, evidence: Evidence) -> None:
-        """An early fit has changed the force of the running set."""
+        """Update the force level after an early fit has changed the running set."""
         self.known.level *= 1.0 + evidence.force_change
 
     def is_usual(self, rmse: float, nrmse: float) -> bool:
-        """Whether a residual, RMSE [N] and NRMSE, is that of samples to identify from."""
+        """Whether a residual, RMSE [N] and NRMSE, agrees with the residual baseline."""
         if not nrmse <= self._settings.maximum_nrmse:
             return False
         excess = excess_residual(self.known.residuals, rmse, nrmse)
@@ -553,7 +564,7 @@ class Gatekeeper:
             )
             if excess > settings.residual_factor:
                 experience.refused_for_residual += 1
-                # A known force with another residual: the sensor, not the damper.
+                # The force is known here, so a sensor has changed rather than the damper.
                 doubtful = (
                     holds
                     and abs(evidence.force_change) > _SAME_FORCE
@@ -562,10 +573,10 @@ class Gatekeeper:
                 patience = self._PATIENCE_WHERE_KNOWN if holds else self._PATIENCE
                 if experience.refused_for_residual <= patience or doubtful:
                     return _disturbed(excess, evidence.nrmse_before)
-                # It has lasted: the rig itself has become noisier.
+                # The larger residual has lasted: the rig itself has become noisier.
                 experience.residuals = ()
         experience.refused_for_residual = 0
-        # Where the running set was never identified, a set that was serves better.
+        # Where the running set was not identified, a smaller error suffices to replace it.
         if not (evidence.better if holds else evidence.nrmse_after < evidence.nrmse_before):
             return Judgement(
                 Verdict.NO_BETTER, "the running set predicts the validation samples as well"
@@ -577,7 +588,7 @@ class Gatekeeper:
             )
         change = evidence.force_change
         if force is not None and not holds:
-            # The running set does not tell what the force was here; that accepted before does.
+            # The running set does not give the earlier force here; the first accepted force does.
             here = experience.points.known_force(force.operating_point)
             if here is not None:
                 change = min(change, force.size / (here.size * experience.level) - 1.0, key=abs)
@@ -593,9 +604,10 @@ class Gatekeeper:
         return ACCEPTED
 
     def _beyond(self, evidence: Evidence, force: KnownForce, holds: bool) -> str:
-        """Why the force is beyond all that this damper can give, in words; empty where it is not.
+        """Why the force is impossible for this damper, in words; empty if it is possible.
 
-        Where the running set holds, it tells what the force was at first at a new operating point.
+        Where the running set has been identified, it gives the first force at a new operating
+        point.
         """
         limit = self._settings.change_limit
         expected = self.known.level * (1.0 + evidence.force_change) if holds else math.nan

@@ -1,10 +1,10 @@
-"""Force of the set in use, block by block, without a step where another set takes over.
+"""Bumpless transfer: force of the set in use, without a step when another set takes over.
 
-Two sets never give quite the same force, nor does one set that starts again from another past. Such
-a step is none of the damper's, and a controller would answer it. So the force continues from that
-of the set before, and the difference fades. What the law remembers (a lag, a hysteresis) is
-computed anew with the new set over the latest motion: it is then what it would be, had the new set
-been in use all the time.
+Two sets never give exactly the same force. Nor does one set that restarts from another state. The
+damper makes no such step, and a controller would react to it. Therefore the new force starts at the
+force of the previous set, and the difference fades to zero. The state of the law (a lag, a
+hysteresis) is recomputed with the new set over the recent motion. It then has the value that it
+would have if the new set had been in use all the time.
 """
 
 from __future__ import annotations
@@ -24,22 +24,23 @@ from mr_damper_ros.signals.arrays import Array, span_of
 from mr_damper_ros.tracking.validity import NO_DOUBT, Doubt, DoubtKind
 
 FADES = 0.05
-"""Seconds until nothing of the difference is left: no damper's own force changes faster, and no
-half-cycle that matters is shorter."""
+"""Seconds until the difference has faded to zero. The force of a damper does not change faster, and
+half-cycles in use are not shorter."""
 
 _KEPT = 0.5
-"""Seconds of motion over which a state is computed anew: 280 time constants of the lags identified
-so far. A hysteresis forgets with the way: more is kept where its law asks for it ..."""
+"""Seconds of motion over which a state is recomputed: 280 time constants of the lags identified so
+far. The memory of a hysteresis fades with the distance travelled, so its law may need more."""
 
 _LONGEST_KEPT = 30.0
-"""... but no more seconds than this, where the damper hardly moves."""
+"""Largest number of seconds over which a state is recomputed, even if the damper hardly moves."""
 
 _TOGETHER = 500
-"""Samples that are followed at once: sample by sample half a minute would take ten seconds."""
+"""Samples that are recomputed at once. Sample by sample, half a minute of motion would take ten
+seconds."""
 
 
 class _Block(NamedTuple):
-    """Motion and current [A] of some samples, the state before them, and their way [m]."""
+    """Motion and current [A] of a block, the state before it, and the distance travelled [m]."""
 
     before: State | None
     motion: Motion
@@ -48,7 +49,7 @@ class _Block(NamedTuple):
 
 
 class _Left(NamedTuple):
-    """A set that was in use, how its force turns, and what its law remembered."""
+    """The previous set, its branch rule, and the state of its law."""
 
     parameters: ParameterSet
     gradual: bool
@@ -56,9 +57,9 @@ class _Left(NamedTuple):
 
 
 class ForceInUse:
-    """Force of samples ``period`` [s] apart by the set in use, which :meth:`use` changes.
+    """Force of the set in use, for samples ``period`` [s] apart; :meth:`use` changes the set.
 
-    ``state``: what its law remembers after the last sample; None before the first.
+    ``state`` is the state of the law after the last sample; None before the first.
     """
 
     def __init__(self, period: float) -> None:
@@ -66,17 +67,17 @@ class ForceInUse:
         self._parameters: ParameterSet | None = None
         self._gradual = False
         self.state: State | None = None
-        # The latest blocks, the samples and the way [m] in them, and how many of the blocks came
-        # since the force could last not be known.
+        # The recent blocks, their number of samples and distance travelled [m], and the number of
+        # blocks since the force was last unknown.
         self._past: deque[_Block] = deque()
         self._count, self._way = 0, 0.0
         self._known = 0
-        # The way [m] to be kept, and the range of currents [A] that it is for.
+        # The distance [m] to keep, and the range of currents [A] for which it was computed.
         self._way_kept = 0.0
         self._way_of = (math.inf, -math.inf)
-        # The set from whose force that of the next samples continues.
+        # The previous set, from whose force the next samples start.
         self._left: _Left | None = None
-        # The difference [N] where it began to fade, samples until it is gone, and its part in the
+        # The initial difference [N], the samples until it is zero, and its contribution [N] to the
         # last samples.
         self._difference, self._fading = 0.0, 0
         self._part: Array = np.zeros(0)
@@ -99,8 +100,9 @@ class ForceInUse:
     ) -> None:
         """Use this set from the next sample on.
 
-        ``fade``: the force continues from that of the set before, else it steps. ``restart``: what
-        the law remembers is not trusted, but computed from the samples whose force could be known.
+        With ``fade`` the force starts at that of the previous set; without it the force steps. With
+        ``restart`` the state of the law is discarded and recomputed from the samples whose force
+        was known.
         """
         before = self._parameters
         if not fade:
@@ -118,16 +120,16 @@ class ForceInUse:
             self._recompute(self._past[0].before, self._past)
 
     def forget_known(self) -> None:
-        """The force of the samples so far could not be known."""
+        """Note that the force of the samples so far was unknown."""
         self._known = 0
 
     def forget(self) -> None:
-        """The samples and their force do not count any more: the law begins without a past."""
+        """Discard the samples and the state; the law restarts without a past."""
         self._left, self._fading = None, 0
         self._recompute(None, ())
 
     def _recompute(self, state: State | None, past: Iterable[_Block]) -> None:
-        """Compute the state anew from that before some blocks, with the present set."""
+        """Recompute the state with the present set, from the state before these blocks."""
         blocks = deque(past)
         self._past, self._count, self._way, self._known = deque(), 0, 0.0, 0
         self.state = state
@@ -141,10 +143,11 @@ class ForceInUse:
             self._of_set(motion, np.concatenate([block.current for block in several]))
 
     def follow(self, motion: Motion, current: Array, largest: float) -> Array:
-        """The force (n,) [N] of the next samples by the set alone; :meth:`blended` adds the rest.
+        """The force (n,) [N] of the set alone at the next samples.
 
-        ``current`` [A] has shape (n,); ``largest`` [N] is the largest known of the damper, NaN
-        where none is: the force does not continue from a larger one.
+        ``current`` [A] has shape (n,). ``largest`` [N] is the largest known force of the damper,
+        NaN if unknown; nothing fades from a larger force. :meth:`blended` adds the fading
+        difference.
         """
         force = self._of_set(motion, current)
         left, self._left = self._left, None
@@ -157,7 +160,7 @@ class ForceInUse:
         return force
 
     def blended(self, force: Array) -> Array:
-        """The force (n,) [N] of the samples just followed, with what is left of the difference."""
+        """Add the remaining difference to the ``force`` (n,) [N] from :meth:`follow`."""
         if self._fading == 0:
             self._part = np.zeros(0)
             return force
@@ -167,9 +170,9 @@ class ForceInUse:
         return np.asarray(force + self._part)
 
     def doubt(self, allowed: float, force: Array, measured: Array) -> Doubt:
-        """Whether the blended ``force`` (m,) is off by more than ``allowed`` [N].
+        """Whether the error of the blended ``force`` (m,) [N] exceeds ``allowed`` [N].
 
-        The set alone may be right, and the difference small: both count together.
+        The error of the set and the remaining difference count together.
         """
         if not self._part.size:
             return NO_DOUBT
@@ -184,7 +187,7 @@ class ForceInUse:
         )
 
     def _first_force(self, left: _Left, motion: Motion, current: Array) -> float:
-        """Force [N] of the set before at the first of the samples."""
+        """Force [N] of the previous set at the first of the samples."""
         force, _ = left.parameters.follow(
             motion.part(slice(0, 1)), current[:1], self._period, left.state, gradual=left.gradual
         )
@@ -203,7 +206,7 @@ class ForceInUse:
         way = 0.0
         if parameters.law.remembers:
             way = float(np.abs(motion.velocity).sum()) * self._period
-            # At any of the currents so far: the next may be like them.
+            # The longest memory at all currents so far, because they may return.
             low, high = self._way_of
             lowest, highest = span_of(current)
             for amperes in {lowest, highest}:
@@ -222,7 +225,7 @@ class ForceInUse:
         self._known = min(self._known, len(self._past))
 
     def _is_spare(self, oldest: _Block) -> bool:
-        """Whether the other blocks are enough."""
+        """Whether the blocks after the oldest suffice to recompute the state."""
         duration = (self._count - oldest.current.size) * self._period
         moved_enough = self._way - oldest.way >= self._way_kept
         return duration >= _LONGEST_KEPT or (duration >= _KEPT and moved_enough)

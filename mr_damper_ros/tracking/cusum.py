@@ -1,8 +1,8 @@
-"""Notices a sudden change of the force between two windows: a two-sided CUSUM.
+"""Change detection: a two-sided CUSUM detects a sudden change of the force between two windows.
 
-What is summed is the log-likelihood ratio of a damper whose force has changed by some percent to
-one that has not, block by block of samples (Page, Biometrika 41, 1954), in units in which a usual
-block of noise has a standard deviation of 1.
+It sums the log-likelihood ratio of a force that has changed by some percent to one that has not,
+block by block of samples (Page, Biometrika 41, 1954). In the units of the sum, a typical block of
+noise has a standard deviation of 1.
 """
 
 from __future__ import annotations
@@ -15,33 +15,34 @@ import numpy as np
 from mr_damper_ros.signals.arrays import Array
 
 SLACK = 0.5
-"""Least slack: half the smallest shift to find, in standard deviations of a usual block."""
+"""Smallest slack: half the smallest shift to detect, in standard deviations of a typical block."""
 
 THRESHOLD = 12.0
-"""Sum [1] that counts as a change.
+"""Sum [1] above which a change is reported.
 
-Where the residual is white noise, half a million blocks lie between two false alarms on average:
-7 h at 20 blocks per second (Siegmund, "Sequential Analysis", 1985, for both sums together). The
-slack grows where the force stands far out of the noise (see :meth:`ChangeWatch.follow`), and then
-the alarms become rarer still.
+If the residual is white noise, the mean interval between two false alarms is half a million blocks:
+7 h at 20 blocks per second (Siegmund, "Sequential Analysis", 1985, for both sums together). If the
+force is large compared with the noise, the slack is larger (see :meth:`ChangeWatch.follow`) and the
+false alarms are rarer.
 """
 
 _EXCURSION = 2.0
-"""The sum must exceed so many times what the residual of a usual window reaches by itself."""
+"""The threshold is at least this multiple of the largest sum in the fitted window itself."""
 
 _BLOCKS_PER_WINDOW = 40
 
 
 @dataclass(frozen=True)
 class ChangeWatch:
-    """State of the detector; every step returns a new one.
+    """State of the change detection; every step returns a new state.
 
-    ``noise`` [N]: standard deviation of the residual of the window that the running set was
-    fitted to; ``block_norm`` [N]: root mean square norm of the force in a block of that window;
-    ``smallest_change``: relative change of the force that is worth an early fit;
-    ``operating_point``: peak velocity [m/s] and current [A] for which the set is known to hold;
-    ``block``: samples per block; ``threshold``: see :data:`THRESHOLD`. ``rising`` and ``falling``
-    are the two sums; ``samples`` have been followed since the larger one was last zero.
+    ``noise`` [N] is the standard deviation of the residual of the window that the running set was
+    fitted to. ``block_norm`` [N] is the root mean square norm of the force in a block of that
+    window. ``smallest_change`` is the relative change of the force that triggers an early fit.
+    ``operating_point`` is the peak velocity [m/s] and the current [A] of that window. ``block`` is
+    the number of samples per block; for ``threshold`` see :data:`THRESHOLD`. ``rising`` and
+    ``falling`` are the two sums. ``rising_samples`` and ``falling_samples`` count the samples since
+    each sum was last zero. ``top`` is the largest sum so far.
     """
 
     noise: float
@@ -64,17 +65,17 @@ class ChangeWatch:
         operating_point: tuple[float, float],
         smallest_change: float,
     ) -> ChangeWatch:
-        """Watch from a window (n,) [N] on, predicted by the set that was fitted to it.
+        """Start after a window: forces (n,) [N], ``predicted`` by the set fitted to the window.
 
-        Where the law itself is not exact its residual swings with the motion: the threshold then
-        stands above what that swing adds up to.
+        If the law is not exact, its residual oscillates with the motion. The threshold is then
+        above the sums that this oscillation causes.
         """
         residual = measured - predicted
         noise = math.sqrt(float(np.mean(residual**2)))
         level = math.sqrt(float(np.mean(predicted**2)))
         block = max(predicted.size // _BLOCKS_PER_WINDOW, 1)
         fresh = cls(
-            # A simulated force has no noise at all.
+            # A simulated force has no noise, and the noise must not be zero.
             noise=max(noise, 1e-6 * level, 1e-100),
             block_norm=max(level * math.sqrt(block), 1e-100),
             smallest_change=smallest_change,
@@ -86,22 +87,22 @@ class ChangeWatch:
 
     @property
     def changed(self) -> bool:
-        """Whether a sum has passed the threshold."""
+        """Whether a sum has exceeded the threshold."""
         return max(self.rising, self.falling) > self.threshold
 
     @property
     def samples_since_change(self) -> int:
-        """Samples followed since the change began, as far as the larger sum tells."""
+        """Number of samples since the larger sum was last zero, where the change began."""
         return self.rising_samples if self.rising > self.falling else self.falling_samples
 
     def quiet(self) -> ChangeWatch:
-        """The same with both sums at zero."""
+        """Return the state with both sums set to zero."""
         return replace(self, rising=0.0, falling=0.0, rising_samples=0, falling_samples=0)
 
     def follow(self, predicted: Array, measured: Array) -> ChangeWatch:
-        """The state after further samples (n,) [N].
+        """Return the state after further samples (n,) [N].
 
-        The slack is half of the smallest change worth an early fit, and never less than ``SLACK``.
+        The slack is half of ``smallest_change``, and at least ``SLACK``.
         """
         state = self
         blocks = max(predicted.size // self.block, 1)
@@ -110,8 +111,8 @@ class ChangeWatch:
         return state
 
     def _next(self, predicted: Array, measured: Array) -> ChangeWatch:
-        # The sum over a window of a set that was fitted to it is zero, whatever swing is left:
-        # so blocks are weighted by the force in them, as the likelihood says.
+        # Each block is weighted by its force, as the likelihood requires. The weighted residual
+        # then sums to zero over the fitted window, even if it oscillates.
         deviation = float(predicted @ (measured - predicted)) / (self.noise * self.block_norm)
         shift = max(self.smallest_change * self.block_norm / self.noise, 2.0 * SLACK)
         slack = 0.5 * shift * float(predicted @ predicted) / self.block_norm**2
@@ -129,10 +130,11 @@ class ChangeWatch:
 
 
 def change_point(predicted: Array, measured: Array, fewest: int) -> int:
-    """Index from which on another force scale explains the samples (n,) best.
+    """Index at which a change of the force scale explains the samples (n,) best.
 
-    Least squares over the two parts: the running set before, the best factor on it from there on,
-    which has at least ``fewest`` samples. The detector itself knows the begin to a block only.
+    The least-squares model has two parts: the running set before the index, and the running set
+    times the best factor from the index on. The second part has at least ``fewest`` samples. The
+    CUSUM itself determines the start of a change only to within a block.
     """
 
     def to_the_end(products: Array) -> Array:
@@ -140,7 +142,7 @@ def change_point(predicted: Array, measured: Array, fewest: int) -> int:
 
     power = to_the_end(predicted * predicted)
     explained = to_the_end(predicted * measured) ** 2 / np.maximum(power, 1e-300)
-    # Squared error without a change, less what the change explains of it from an index on.
+    # Decrease of the squared error through a change at each index.
     gain = explained - power - 2.0 * to_the_end(predicted * (measured - predicted))
     return int(np.argmax(gain[: max(predicted.size - fewest, 0) + 1]))
 
@@ -154,10 +156,10 @@ class ScaleFit:
 
 
 def fit_scale(predicted: Array, measured: Array) -> ScaleFit:
-    """Factor on ``predicted`` (n,) [N] that comes nearest to ``measured``: the early re-fit.
+    """Early fit: the least-squares factor on ``predicted`` (n,) [N] that gives ``measured``.
 
-    A fraction of a cycle determines this one number well, and seven coefficients not at all.
-    Raises ValueError where the predicted force is zero.
+    A fraction of a cycle determines this single factor well, but not seven coefficients.
+    Raises ValueError if the predicted force is zero.
     """
     power = float(predicted @ predicted)
     if power == 0.0:

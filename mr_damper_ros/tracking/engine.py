@@ -1,10 +1,9 @@
 """The engine: samples and supply currents in; windows, verdicts, sets and the predicted force out.
 
-One object without ROS and without a clock: it is driven by the stamps of the data, so that what it
-gives depends on the data and the settings alone. It joins the two halves that the nodes run, the
-:class:`Identifier` of the identifier node and the :class:`ForcePredictor` of the model node, as the
-messages on damper/fit_report and damper/parameters join them. Recordings, benchmarks, studies and
-tests are driven through it.
+It uses neither ROS nor a clock. The stamps of the data drive it, so its results depend on the data
+and the settings alone. It connects the :class:`Identifier` of the identifier node with the
+:class:`ForcePredictor` of the model node, as the messages on damper/fit_report and
+damper/parameters do. Recordings, benchmarks, studies and tests run through it.
 """
 
 from __future__ import annotations
@@ -59,11 +58,11 @@ class EngineSettings(CheckedSettings):
 class Engine:
     """Identifies a damper and predicts its force from one stream.
 
-    ``start``: the set to begin with; None for that of the law in the settings, which is valid
-    nowhere. ``identify``: whether windows are fitted; else the prediction runs alone. Jobs run in
-    this process; their outcomes take effect after the delays in the settings.
+    ``start`` is the initial set; None takes the start set of the law in the settings, which is
+    valid nowhere. With ``identify`` False no windows are fitted and only the prediction runs. Jobs
+    run in this process; their outcomes take effect after the delays in the settings.
 
-    Raises ParameterError where the set is of another law than the settings.
+    Raises ParameterError if the set belongs to a law other than that of the settings.
     """
 
     def __init__(
@@ -97,17 +96,17 @@ class Engine:
 
     @property
     def tracker(self) -> WindowTracker:
-        """What has been identified so far."""
+        """The tracker, with the running set and all that has been learnt."""
         return self.identifier.tracker
 
     def _seconds_until_outcome(self, job: Job) -> float:
         if job.kind is Kind.LOOK:
-            return 0.0  # milliseconds in the node: it is done before the next block
+            return 0.0  # takes milliseconds in the node and ends before the next block
         settings = self.settings
         return settings.search_delay if job.kind is Kind.SEARCH else settings.fit_delay
 
     def add_current(self, stamp_ns: int, current: float) -> None:
-        """Add a value of the supply current [A]; raises CurrentError where it is not finite."""
+        """Add a value of the supply current [A]; raises CurrentError if it is not finite."""
         self.predictor.add_current(stamp_ns, current)
         if self._identifies:
             self.identifier.add_current(stamp_ns, current)
@@ -117,10 +116,10 @@ class Engine:
         self.identifier.add_temperature(celsius)
 
     def predict(self, block: SampleBlock, now_ns: int | None = None) -> Prediction:
-        """Force of a block, by what has taken effect up to its end; then identify from it.
+        """Predict the force of a block, then identify from the block.
 
-        ``now_ns``: the time on the clock of the stamps at which the block is there, see
-        :meth:`ForcePredictor.predict`.
+        All outcomes due by the end of the block take effect first. ``now_ns`` is the time at which
+        the block arrives, by the clock of the stamps, see :meth:`ForcePredictor.predict`.
         """
         self.worker.now = block.end_ns / NANOSECONDS
         self._take_outcomes()
@@ -133,10 +132,10 @@ class Engine:
     def follow(
         self, stream: Iterable[StreamItem], *, live: bool = False
     ) -> Iterator[tuple[SampleBlock, Prediction]]:
-        """Take in a stream; each block with its prediction, as it comes.
+        """Process a stream, and yield each block with its prediction.
 
-        ``live``: each block is there as soon as its last sample was taken, so that ages count;
-        else the stamps are those of a recording. Jobs that still wait at the end are completed.
+        With ``live`` each block arrives at the stamp of its last sample, and ages are judged.
+        Otherwise the stamps are those of a recording. At the end, waiting jobs are completed.
         """
         for item in stream:
             if isinstance(item, SampleBlock):
@@ -148,13 +147,13 @@ class Engine:
         self.finish()
 
     def finish(self) -> None:
-        """Complete the jobs that wait, as the nodes do where no more samples come."""
+        """Complete the waiting jobs, as the nodes do when no more samples arrive."""
         while self.worker.busy:
             self.worker.now = math.inf
             self._take_outcomes()
 
     def take_publications(self) -> list[Publication]:
-        """Reports and sets that have taken effect since the last call, in their order."""
+        """Return the reports and sets that took effect since the last call, in their order."""
         published, self._published = self._published, []
         return published
 

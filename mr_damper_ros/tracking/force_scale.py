@@ -1,14 +1,13 @@
-"""How the force has changed against a baseline, and how it falls with temperature.
+"""The force scale against a baseline, and its dependence on temperature.
 
-The force scale of the windows at one operating point is fitted over the temperature that was
-measured with them:
+The force scales of the windows at one operating point are fitted over the measured temperature:
 
     ln s(T) = c0 + c1 z + c2 z²,   z = (T - centre) / half of the span
 
-c1 alone is the exponential law, to which Arrhenius' law of the viscosity comes down over some ten
-kelvin; c2 is used where the data ask for it (Schwarz' criterion). A map that does not rise or fall
-throughout is none. It holds where temperatures were measured and nowhere else. Parameters are
-never interpolated: sets of different temperatures may lie in different basins.
+With c1 alone this is an exponential law, which approximates Arrhenius' law of the viscosity over
+some ten kelvin. c2 is included if Schwarz' criterion selects it. A map must be monotonic. It is
+valid only within the range of measured temperatures. Parameters are never interpolated, because
+sets of different temperatures may belong to different local minima.
 """
 
 from __future__ import annotations
@@ -37,10 +36,10 @@ from mr_damper_ros.tracking.operating_point import (
 )
 
 _MOST_POWER = 1e100
-"""Sum of squared forces [N²] beyond any damper's, far below where its square overflows."""
+"""Sum of squared forces [N²] that no damper reaches, and whose square does not overflow."""
 
 _ALIKE = 0.5
-"""A force of less correlation with that of the baseline is no multiple of it."""
+"""Smallest correlation with the baseline's force at which a force scale is computed."""
 
 _REMEMBERED = 40
 _FEWEST_PAIRS = 5
@@ -48,12 +47,12 @@ _FEWEST_PAIRS = 5
 
 @dataclass(frozen=True)
 class ForceScale:
-    """Force against the baseline, 1 = unchanged; NaN where there is no baseline to compare with.
+    """Force relative to the baseline, 1 = unchanged; NaN without a baseline.
 
-    ``standard_error`` is that from window to window of the same motion; ``discrepancy``: what
-    another motion or another law may say besides, as far as that is known. ``misfit``: in a motion
-    that is no steady sine, root mean square of what the baseline cannot follow, over that of the
-    force; else NaN.
+    ``standard_error`` is the scatter between windows of the same motion. ``discrepancy`` is the
+    model error: the additional change with another motion or law; NaN if unknown. ``misfit`` is the
+    root mean square error of the scaled baseline, relative to that of the force, in any motion
+    other than a steady sine; otherwise NaN.
     """
 
     value: float = math.nan
@@ -64,7 +63,7 @@ class ForceScale:
 
 @dataclass(frozen=True)
 class SeenScale:
-    """A scale in a motion that was no steady sine, and the stamps of its window."""
+    """A force scale in a motion other than a steady sine, and the stamps of its window."""
 
     start_ns: int
     end_ns: int
@@ -75,30 +74,30 @@ class SeenScale:
 def widened(
     scale: ForceScale, seen: tuple[SeenScale, ...], start_ns: int, end_ns: int
 ) -> tuple[ForceScale, tuple[SeenScale, ...]]:
-    """The scale of a window with an error that holds its scatter, and the scales seen with it.
+    """The scale with a standard error that includes its scatter, and the scales so far.
 
-    How much the scale of a constant damper varies with the motion is learnt from window to window.
-    What a law cannot follow depends on the motion and may last longer than a window, so no window
-    tells by itself how far off its scale is. The difference of two windows that have no sample in
-    common does: the standard errors are widened until its median is what they say (the ratio of
-    Birge, Physical Review 40, 1932). A median, since a damper that changes at once is another
-    matter.
+    With a constant damper the scale still varies with the motion. This scatter is learnt from
+    window to window. The model error depends on the motion and may last longer than a window, so a
+    single window does not show the error of its scale. Differences between windows without common
+    samples do. The standard errors are widened until they agree with the median of these
+    differences (the ratio of Birge, Physical Review 40, 1932). The median is robust against a
+    sudden change of the damper.
     """
     if not (math.isfinite(scale.misfit) and scale.standard_error > 0.0):
         return scale, seen
     if seen and start_ns < seen[-1].start_ns:
-        seen = ()  # time was set back
+        seen = ()  # the clock was set back
     seen = (*seen, SeenScale(start_ns, end_ns, scale.value, scale.standard_error))[-_REMEMBERED:]
     squares = _squares(seen)
     if len(squares) < _FEWEST_PAIRS:
-        # Until it is known, it may be all that is not understood.
+        # Until the scatter is known, the whole misfit counts as error.
         return replace(scale, standard_error=max(scale.misfit, scale.standard_error)), seen
     ratio = math.sqrt(float(np.median(squares))) / NORMAL_MEDIAN
     return replace(scale, standard_error=max(ratio, 1.0) * scale.standard_error), seen
 
 
 def _squares(seen: Sequence[SeenScale]) -> list[float]:
-    """Squared differences of neighbours without a sample in common, in their variances."""
+    """Squared differences of neighbours without common samples, divided by their variance."""
     squares = []
     for place, later in enumerate(seen):
         before = [each for each in seen[:place] if each.end_ns <= later.start_ns]
@@ -111,14 +110,14 @@ def _squares(seen: Sequence[SeenScale]) -> list[float]:
 def force_scale(
     model: Model, window: Window, fit: WindowFit, baselines: Sequence[WindowFit]
 ) -> ForceScale:
-    """Scale that maps the force of the baseline onto that of a window, in the least-squares sense.
+    """Least-squares scale that maps the force of the baseline onto that of a window.
 
-    In a steady sine the force of the window is what its fit predicts: what the law cannot follow is
-    in both and plays no part. The standard error is that of the fit from window to window; that of
-    the baseline is common to all reports and left out. In any other motion a fit follows the motion
-    of its window more than the damper: there the oldest baseline at the current is the one
-    reference, held against the measured force; see :func:`widened` for its error. ``baselines``:
-    the first accepted fit of each operating point, oldest first.
+    In a steady sine the force predicted by the window's fit is compared with the baseline's, so
+    that the model error, which is in both, cancels. The standard error is that of the fit from
+    window to window. The error of the baseline is common to all reports and is omitted. In any
+    other motion a fit adapts to the motion of its window, so the measured force is compared with
+    the oldest baseline at this current; see :func:`widened` for the error. ``baselines`` holds the
+    first accepted fit of each operating point, oldest first.
     """
     steady = window.motion.sine is not None
     point = fit.operating_point
@@ -140,13 +139,13 @@ def force_scale(
 
 
 def baseline_at(baselines: Sequence[WindowFit], point: OperatingPoint) -> WindowFit | None:
-    """That of an operating point (peak velocity [m/s], current [A]), if any."""
+    """The baseline of an operating point (peak velocity [m/s], current [A]), or None."""
     index = nearest_same([fit.operating_point for fit in baselines], point)
     return None if index is None else baselines[index]
 
 
 def _at_current(baselines: Sequence[WindowFit], point: OperatingPoint) -> WindowFit | None:
-    """The oldest at the current of an operating point, whatever its motion."""
+    """The oldest baseline at the current of an operating point, for any motion, or None."""
     speed, _ = point
     for fit in baselines:
         if nearest_same([(speed, fit.operating_point[1])], point) == 0:
@@ -155,7 +154,7 @@ def _at_current(baselines: Sequence[WindowFit], point: OperatingPoint) -> Window
 
 
 def _measured_scale(reference: Array, measured: Array) -> ForceScale:
-    """Scale that maps the force (n,) [N] of a baseline onto the measured one, in least squares."""
+    """Least-squares scale that maps the baseline's force (n,) [N] onto the measured force."""
     power = float(reference @ reference)
     if not _alike(reference, measured):
         return ForceScale()
@@ -169,8 +168,8 @@ def _measured_scale(reference: Array, measured: Array) -> ForceScale:
 def with_strength(
     model: Model, window: Window, start: Array, found: ScaleFit, method: str
 ) -> WindowFit:
-    """Parameters ``start`` (p,) with the strength of the damper changed, as a fit of the window."""
-    # What follows the current rises and falls too, and no window is fitted with it.
+    """Parameters ``start`` (p,) with scaled gain parameters, in the form of a window fit."""
+    # A window fit leaves these gain parameters fixed, so they are scaled here.
     rest = np.setdiff1d(model.strength_indices, model.free_indices)
     start = start.copy()
     start[rest] *= found.factor
@@ -188,14 +187,15 @@ def with_strength(
 def scale_between(
     reference: Array, present: Array, jacobian: Array, covariance: Array
 ) -> ForceScale:
-    """Scale that maps one force (n,) [N] onto another in the least-squares sense.
+    """Least-squares scale that maps the ``reference`` onto the ``present`` force, (n,) [N].
 
-    ``jacobian`` (n, k) is that of the present force by unknowns of this ``covariance`` (k, k).
+    ``jacobian`` (n, k) holds the derivatives of the present force by the unknowns, whose covariance
+    is ``covariance`` (k, k).
     """
     power = float(reference @ reference)
     if not _alike(reference, present):
         return ForceScale()
-    # An unknown that the samples do not determine does not change the force either.
+    # An unknown that the samples do not determine has no effect on the force.
     determined = ~np.isnan(np.diag(covariance))
     gradient = (reference @ jacobian / power)[determined]
     variance = float(gradient @ covariance[np.ix_(determined, determined)] @ gradient)
@@ -203,7 +203,7 @@ def scale_between(
 
 
 def _alike(one: Array, other: Array) -> bool:
-    """Whether one force (n,) [N] is about a multiple of another, which may be another damper's."""
+    """Whether two forces (n,) [N] are roughly proportional; another damper's force is not."""
     power = float(one @ one)
     product = float(one @ other)
     if not (0.0 < power < _MOST_POWER and product > 0.0):
@@ -212,18 +212,18 @@ def _alike(one: Array, other: Array) -> bool:
 
 
 _FEWEST_WINDOWS = 8
-"""Fewer windows than this give no map."""
+"""Smallest number of windows for a map."""
 
 _MOST_WINDOWS = 400
-"""More windows than this are averaged in pairs of neighbouring temperature."""
+"""If there are more windows, pairs of neighbouring temperature are averaged."""
 
 _LARGEST = 1e6
-"""No temperature [°C] and no force scale [1] is beyond this."""
+"""Limit of the magnitude of a temperature [°C] and of a force scale [1]."""
 
 
 @dataclass(frozen=True)
 class FluidTemperature:
-    """Temperature [°C] with its standard error [K]; NaN where it is not known."""
+    """Temperature [°C] with its standard error [K]; NaN if unknown."""
 
     celsius: float = math.nan
     standard_error: float = math.nan
@@ -233,9 +233,9 @@ class FluidTemperature:
 class TemperatureMap:
     """Force scale over temperature at one operating point (peak velocity [m/s], current [A]).
 
-    ``curve`` is ln s over the temperature [°C]; its domain is that of the ``windows`` windows from
-    which it was identified. ``covariance`` (k, k) is that of its k coefficients over z, ``scatter``
-    the standard deviation of ln s about it.
+    ``curve`` is ln s over the temperature [°C]; its domain is the range of temperatures from which
+    it was identified. ``windows`` is the number of windows. ``covariance`` (k, k) is that of its k
+    coefficients over z. ``scatter`` is the standard deviation of ln s about the curve.
     """
 
     operating_point: OperatingPoint
@@ -256,25 +256,25 @@ class TemperatureMap:
 
     @property
     def coefficients(self) -> Array:
-        """Those (k,) of ln s over z, k being 2 or 3."""
+        """Coefficients (k,) of ln s over z; k is 2 or 3."""
         return np.asarray(self.curve.coef)
 
     def scale(self, celsius: float) -> ForceScale:
-        """Force scale at a temperature [°C] within the map; unknown outside."""
+        """Force scale at a temperature [°C] within the map; NaN outside."""
         if not self.low <= celsius <= self.high:
             return ForceScale()
         value = math.exp(float(self.curve(celsius)))
         return ForceScale(value, value * self._error(celsius))
 
     def slope(self, celsius: float) -> float:
-        """Relative change of the force by a kelvin [1/K], also just outside of the map."""
+        """Relative change of the force per kelvin [1/K]; also defined just outside the map."""
         return float(self.curve.deriv()(celsius))
 
     def temperature(self, scale: ForceScale) -> FluidTemperature:
-        """Temperature that a force scale tells of; unknown where none within the map has it.
+        """Temperature that corresponds to a force scale; NaN if the map contains none.
 
-        The standard error holds that of the map, and that of the scale or the scatter of scales
-        about the map, whichever is larger.
+        The standard error combines that of the map with the standard error of the scale or the
+        scatter of the scales about the map, whichever is larger.
         """
         if not scale.value > 0.0:
             return FluidTemperature()
@@ -291,13 +291,13 @@ class TemperatureMap:
         return FluidTemperature(inside[0], error / abs(self.slope(inside[0])))
 
     def _error(self, celsius: float) -> float:
-        """Standard error of ln s."""
+        """Standard error of ln s at a temperature [°C]."""
         basis = _basis(self.curve, celsius)
         return math.sqrt(float(basis @ self.covariance @ basis))
 
 
 def _basis(curve: Polynomial, celsius: float | Array) -> Array:
-    """Powers (..., k) of z, by which the coefficients of a curve are multiplied."""
+    """Powers (..., k) of z at temperatures [°C]: the basis of a curve's coefficients."""
     offset, factor = curve.mapparms()
     return polyvander(offset + factor * celsius, curve.degree()).squeeze()
 
@@ -305,11 +305,11 @@ def _basis(curve: Polynomial, celsius: float | Array) -> Array:
 def fit_temperature_map(
     operating_point: OperatingPoint, celsius: Array, scales: Array, errors: Array
 ) -> TemperatureMap | None:
-    """Map from the temperatures [°C] and the force scales of windows, with their standard errors.
+    """Fit a map to the temperatures [°C] and force scales of windows, with their standard errors.
 
-    Arrays have shape (n,), in the order of time. None where they do not identify a map: fewer than
-    eight windows, a force that does not rise or fall throughout, or one that tells the temperature
-    no better than to a quarter of the span that was seen.
+    Arrays have shape (n,), in the order of time. Returns None if they do not identify a map: with
+    fewer than eight windows, without a monotonic curve, or if the force determines the temperature
+    no better than to a quarter of the measured range.
     """
     good = np.isfinite(celsius) & np.isfinite(errors) & (scales > 0.0) & (errors > 0.0)
     celsius, scales, errors = celsius[good], scales[good], errors[good]
@@ -319,7 +319,7 @@ def fit_temperature_map(
     logarithm, weights = np.log(scales), (scales / errors) ** 2
 
     def criterion(curve: Polynomial) -> float:
-        """Schwarz' criterion, the smaller the better."""
+        """Schwarz' criterion; smaller is better."""
         power = max(float(np.sum(weights * (curve(celsius) - logarithm) ** 2)), 1e-300)
         return celsius.size * math.log(power) + curve.coef.size * math.log(celsius.size)
 
@@ -340,9 +340,9 @@ def fit_temperature_map(
 
 
 def can_be_seen(seen: Array) -> bool:
-    """Whether these (n, 3), temperature [°C], force scale and its error, can be those of a damper.
+    """Whether rows (n, 3) of temperature [°C], force scale and its error are plausible.
 
-    A thermometer whose sensor is not connected tells 9.9e37 °C: SCPI's word for it.
+    A thermometer without a sensor reports 9.9e37 °C, the value that SCPI defines for NaN.
     """
     return bool(np.all(np.abs(seen) < _LARGEST) and np.all(seen[:, 1:] > 0.0))
 
@@ -350,9 +350,9 @@ def can_be_seen(seen: Array) -> bool:
 def with_temperature(
     known: KnownPoints, point: OperatingPoint, celsius: float, scale: ForceScale
 ) -> KnownPoints:
-    """The records after a window, if its temperature [°C] and its force scale are known.
+    """The records with the temperature [°C] and the force scale of a window added, if plausible.
 
-    The force scales of one operating point must be against one baseline.
+    All force scales of one operating point must refer to the same baseline.
     """
     row = np.array([[celsius, scale.value, scale.standard_error]])
     if not can_be_seen(row):
@@ -362,12 +362,12 @@ def with_temperature(
 
 
 def temperature_map(known: PointRecord) -> TemperatureMap | None:
-    """The map of an operating point, if what was seen there identifies one."""
+    """The map of an operating point, or None if its records do not identify one."""
     return fit_temperature_map(known.point, *known.temperatures.T)
 
 
 def _paired(seen: Array) -> Array:
-    """Half as many (n, 3), each the mean of two neighbours in temperature; the ends stay."""
+    """Average rows (n, 3) in pairs of neighbouring temperature; the two ends stay."""
     ordered = seen[np.argsort(seen[:, 0], kind="stable")]
     inner = ordered[1:-1]
     count = len(inner) // 2 * 2

@@ -1,10 +1,9 @@
-"""Identification of a stream: windows are cut, fitted in a worker, judged, and kept on disk.
+"""Identification of a stream: windows are cut, fitted in a worker, judged and stored on disk.
 
-This is all that the identifier node does, without the node: it is given samples and asked for what
-has come of them. One job at a time is in the worker, windows in the order of their data, and each
-job is made only once the one before it is complete: what is accepted depends on the data alone,
-never on how fast they came. What is given out waits until it is on disk, so that nobody hears of a
-set that a power failure could take back.
+This is the identifier node without ROS. It takes samples and returns events when polled. The worker
+runs one job at a time, windows in the order of their data. Each job is created after the previous
+one is complete, so the accepted sets depend on the data alone and not on its rate of arrival. A
+publication waits until its set is on disk, so that a power failure never revokes a published set.
 """
 
 from __future__ import annotations
@@ -28,7 +27,7 @@ from mr_damper_ros.tracking.window_assembler import RawWindow, WindowAssembler
 
 @dataclass(frozen=True)
 class PipelineSettings(CheckedSettings):
-    """How long the work may take, and how much of it may wait."""
+    """Time limits of the jobs, and the length of the queue."""
 
     fit_time_budget: float = option(
         30.0,
@@ -56,14 +55,14 @@ class PipelineSettings(CheckedSettings):
 
 @dataclass(frozen=True, eq=False)
 class Search:
-    """A global identification that somebody asked for, or (``settings`` None) that fell due."""
+    """A requested global identification, or with ``settings`` None one that fell due."""
 
     settings: EvolutionSettings | None = None
 
 
 @dataclass(frozen=True, eq=False)
 class SearchProgress:
-    """How far the running search is."""
+    """Progress of the running search."""
 
     search: Search
     progress: GlobalProgress
@@ -71,7 +70,7 @@ class SearchProgress:
 
 @dataclass(frozen=True, eq=False)
 class SearchEnded:
-    """A search is over; ``outcome`` and ``report`` are None where it never ran or is overtaken."""
+    """End of a search; ``outcome`` and ``report`` are None if it never ran or was superseded."""
 
     search: Search
     outcome: Outcome | None = None
@@ -80,7 +79,7 @@ class SearchEnded:
 
 @dataclass(frozen=True, eq=False)
 class Publication:
-    """A report to give out, after ``duration`` seconds of work, and the set that it brought."""
+    """A report to publish, the ``duration`` [s] of its job, and the new set or None."""
 
     report: Report
     duration: float
@@ -92,17 +91,17 @@ Event = Publication | SearchProgress | SearchEnded
 
 @dataclass(eq=False)
 class _Running:
-    """The job that the worker is at, with its number there, and the search that it is."""
+    """The job in the worker, its task number there, and its search (None for a window)."""
 
     number: int
     job: Job
     search: Search | None
     overtaken: bool = False
-    """Whether it started from a set that is no longer in use."""
+    """Whether the set from which the job started is no longer in use."""
 
 
 class Identifier:
-    """Takes in samples, supply current and temperature; gives out reports and sets."""
+    """Identifies from samples, supply current and temperature; returns reports and sets."""
 
     def __init__(
         self,
@@ -128,33 +127,34 @@ class Identifier:
 
     @property
     def waiting_windows(self) -> int:
-        """Number of windows, looks not counted, that wait for the worker."""
+        """Number of windows that wait for the worker, without change checks."""
         return sum(not window.look for window in self._windows)
 
     @property
     def running(self) -> str:
-        """What runs now: "fit", "search", or "" for nothing."""
+        """The kind of the running job: "fit", "search", or "" for none."""
         if self._running is None:
             return ""
         return Kind.WINDOW.value if self._running.search is None else Kind.SEARCH.value
 
     def add_block(self, block: SampleBlock) -> list[str]:
-        """Add samples; returns what is wrong with how they follow each other, in sentences."""
+        """Add samples; returns messages on gaps, repeats and other faults of the sequence."""
         self.add_windows(self.assembler.add_block(block))
         return self.assembler.take_events()
 
     def add_current(self, stamp_ns: int, current: float) -> None:
-        """Add a value of the supply current [A]; raises CurrentError where it is not finite."""
+        """Add a value of the supply current [A]; raises CurrentError if it is not finite."""
         self.add_windows(self.assembler.add_current(stamp_ns, current))
 
     def add_temperature(self, celsius: float) -> None:
-        """Set the temperature [°C] for the windows that become complete from now on."""
+        """Set the temperature [°C] for the windows completed from now on."""
         self.assembler.add_temperature(celsius)
 
     def add_windows(self, windows: list[RawWindow]) -> None:
-        """Queue windows and looks.
+        """Queue windows and change checks.
 
-        When more wait than may, the oldest window is dropped, with the looks before the next.
+        If the queue is full, the oldest window is dropped, with all change checks up to the next
+        window.
         """
         for window in windows:
             self._windows.append(window)
@@ -167,12 +167,12 @@ class Identifier:
             self._next()
 
     def add_search(self, search: Search) -> None:
-        """Queue a search; it goes before the windows that wait."""
+        """Queue a search; it runs before the waiting windows."""
         self._searches.append(search)
         self._next()
 
     def cancel_search(self, search: Search) -> None:
-        """End a search soon, with the best so far; it still ends with an event."""
+        """End a search early, with the best result so far; its end is reported as an event."""
         if self._running is not None and self._running.search is search:
             self.worker.cancel()
         elif search in self._searches:
@@ -180,7 +180,7 @@ class Identifier:
             self._given_up.append(SearchEnded(search))
 
     def poll(self) -> list[Event]:
-        """What has come of it since the last call. Never blocks."""
+        """Return the events since the last call. Never blocks."""
         events, self._given_up = self._given_up, []
         for told in self.worker.poll():
             running = self._running
@@ -201,7 +201,7 @@ class Identifier:
         return [*self._outbox.take(self.state.written), *events]
 
     def _end(self, ended: _Running, outcome: Outcome) -> list[Event]:
-        """Let the tracker decide on an outcome, unless another set is in use by now."""
+        """Let the tracker judge an outcome, unless the job was superseded by another set."""
         search = ended.search
         if ended.overtaken:
             return [] if search is None else [SearchEnded(search)]
@@ -232,7 +232,7 @@ class Identifier:
         self._running = _Running(self.worker.submit(run, job, budget=budget), job, search)
 
     def take_notices(self) -> list[str]:
-        """What went wrong besides the data since the last call, in sentences."""
+        """Return messages on faults of worker and disk since the last call."""
         notices = self.worker.take_notices()
         if self._outbox.late > self._late:
             notices.append(
@@ -243,13 +243,13 @@ class Identifier:
         return notices
 
     def flush(self) -> list[Publication]:
-        """What still waits for the disk, to be given out all the same."""
+        """Return the publications that still wait for the disk."""
         return self._outbox.take_all()
 
     def reset(self) -> str:
-        """Back to the initial set; returns why that is not kept on disk, empty where it is.
+        """Return to the initial set; returns why this is not stored on disk, empty if it is.
 
-        Windows that wait belong to the past and are forgotten.
+        Waiting windows are discarded.
         """
         self.assembler.reset()
         self._windows.clear()
@@ -259,9 +259,9 @@ class Identifier:
         return self.state.keep_now()
 
     def replace(self, parameters: ParameterSet) -> str:
-        """Run with this set from now on; returns why it is not kept on disk, empty where it is.
+        """Use this set from now on; returns why it is not stored on disk, empty if it is.
 
-        A window that is being fitted starts again from it.
+        The window in the worker is fitted again, starting from this set.
         """
         if self._running is not None and self._running.search is None:
             self._windows.appendleft(self._running.job.samples)
@@ -275,5 +275,5 @@ class Identifier:
             self.worker.cancel()
 
     def close(self) -> None:
-        """Keep on disk what waits for it."""
+        """Write what waits for the disk, and end."""
         self.state.close()

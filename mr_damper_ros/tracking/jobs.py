@@ -1,7 +1,7 @@
-"""Jobs for the worker: a window to fit, a look at the newest samples, or a search over windows.
+"""Jobs for the worker: a window fit, a change check of the newest samples, or a global search.
 
-One :class:`Job` goes there and one :class:`Outcome` comes back; :func:`run` is the work. What is
-decided on the outcome is the tracker's (:mod:`tracker`).
+The worker receives a :class:`Job`, executes it by :func:`run`, and returns an :class:`Outcome`. The
+tracker decides on the outcome (:mod:`tracker`).
 """
 
 from __future__ import annotations
@@ -61,30 +61,32 @@ from mr_damper_ros.tracking.screening import (
 from mr_damper_ros.tracking.window_assembler import RawWindow
 
 _NEARER = 0.5
-"""A start that leaves less than this part of what the running set leaves is nearer."""
+"""Another start replaces the running set if its error is below this multiple of the running set's.
+"""
 
 _ASTRAY = 2.0
-"""A filter is wrong where held-back samples differ by more than so many times their noise."""
+"""The filter has diverged if the error on the validation samples exceeds this multiple of the
+expected noise."""
 
 _MOST_INTERVALS = 6
-"""A range of currents that is passed through is cut into at most so many parts."""
+"""Largest number of intervals into which a continuous range of currents is divided."""
 
 _FEWEST_SAMPLES = 64
 _LEAST_SPEED = 0.2
-"""A part of fewer samples, or in which the speed (RMS) is below this part of that of the window, is
-no operating point."""
+"""A part counts as an operating point if it has at least this many samples, and an RMS speed of at
+least this fraction of the window's."""
 
 _MOST_SAMPLES = 250
-"""So many samples of a part tell what its own fit leaves."""
+"""Largest number of samples of a part that its own fit uses."""
 
 _AS_WELL = 1.25
 _BESIDES = 0.01
-"""The law explains the parts where it leaves no more than so many times what their own fits do, or
-no more besides than this part of the force."""
+"""The law explains the parts if its error is at most ``_AS_WELL`` times that of their own fits, or
+if the additional error is at most ``_BESIDES`` of the force."""
 
 
 class Kind(Enum):
-    """What a job is."""
+    """Kind of a job: window fit, change check or global search."""
 
     WINDOW = "fit"
     LOOK = "look"
@@ -105,18 +107,19 @@ class FitOptions:
 
 @dataclass(frozen=True, eq=False)
 class Job:
-    """The ``running`` set, and what is to be done from it.
+    """A task for the worker, starting from the ``running`` set.
 
-    A window, or a look, has its ``raw`` samples. Its ``windows`` are those at the operating points
-    of the last seconds before it; ``baselines`` are those of the force scale; ``state`` is where
-    the filter stood and ``watch`` that of the detector of changes, if they run; samples stamped
-    before ``changed_ns`` are of the damper before its last sudden change.
+    A window fit and a change check have ``raw`` samples. Their ``windows`` are those at the
+    operating points of the last seconds before them; ``baselines`` are those of the force scale.
+    ``state`` is the state of the recursive filter and ``watch`` that of the change detection; None
+    if they do not run. Samples stamped before ``changed_ns`` precede the last sudden change of the
+    damper.
 
-    A search has its settings (``evolution``); its ``windows`` are those of the reservoir, of which
-    the last ``recent`` are at the operating points of late, up to ``stamp_ns``; it is ``asked`` for
-    by somebody, or fell due.
+    A search has the settings ``evolution``. Its ``windows`` are those of the reservoir, up to
+    ``stamp_ns``; the last ``recent`` of them are at the recent operating points. ``asked`` tells a
+    requested search from one that fell due.
 
-    ``rival``: a set that waits for this window to tell whether it predicts better.
+    ``rival`` is a set that this window must confirm.
     """
 
     running: ParameterSet
@@ -135,14 +138,14 @@ class Job:
 
     @property
     def kind(self) -> Kind:
-        """What is to be done."""
+        """Kind of the job."""
         if self.raw is None:
             return Kind.SEARCH
         return Kind.LOOK if self.raw.look else Kind.WINDOW
 
     @property
     def samples(self) -> RawWindow:
-        """Those of a window or a look."""
+        """The raw samples of a window fit or a change check."""
         assert self.raw is not None
         return self.raw
 
@@ -158,24 +161,24 @@ class Job:
 
     @property
     def known(self) -> bool:
-        """Whether the running set was identified, and so is one of this very damper."""
+        """Whether the running set was identified on this damper."""
         return bool(self.running.observable.any())
 
     @property
     def fresh(self) -> int:
-        """Samples of a window that the running set was not fitted to."""
+        """Number of samples of the window that the running set was not fitted to."""
         raw = self.samples
         fresh = round((raw.end_ns - self.running.stamp_ns) / (raw.period * NANOSECONDS))
-        # Of a later set, where time was set back, no sample is known to be in common.
+        # A set stamped later than the window (the clock was set back) shares no samples with it.
         return fresh if fresh >= 0 else raw.force.size
 
 
 @dataclass(frozen=True)
 class PartsByCurrent:
-    """What the fits of the parts of a window of about one current leave, and what the law adds.
+    """Errors of separate fits to the parts of a window, each at about one current.
 
-    ``rmse`` [N], ``nrmse``; ``explained``: whether the law leaves hardly more of all of them
-    together.
+    ``rmse`` [N] and ``nrmse`` are the errors of all parts together. ``explained`` says whether the
+    law with one set for all parts leaves hardly more.
     """
 
     rmse: float
@@ -185,14 +188,14 @@ class PartsByCurrent:
 
 @dataclass(frozen=True, eq=False)
 class Outcome:
-    """What a job found; ``refusal`` says why nothing was fitted, None where something was.
+    """Result of a job; ``refusal`` says why nothing was fitted, None if something was.
 
-    No sample comes back that the tracker has. ``kept`` is the window as the reservoir keeps it,
-    thinned, or its parts, if the current changes; nothing of a look: finding the motion of a window
-    takes longer than sending what is kept of it. ``parts`` is what they say of the dependence on
-    the current; None where it is constant. A search brings ``found``. ``rival_wins``: whether the
-    rival of the job predicts the window as well, and all here is judged against it; None without
-    one. ``duration`` [s] is what the work took.
+    ``kept`` is the window thinned for the reservoir, or its parts if the current changes; empty for
+    a change check. It is returned because computing the motion of a window again would take longer
+    than transferring it. ``parts`` holds the errors of separate fits to these parts; None if the
+    current is constant. ``found`` is the result of a search. ``rival_wins`` says whether the rival
+    of the job predicts the window better; if so, the rest of the outcome is relative to the rival.
+    It is None without a rival. ``duration`` [s] is the duration of the job.
     """
 
     refusal: Judgement | None = None
@@ -210,9 +213,9 @@ class Outcome:
 
 
 def run(job: Job, control: Control | None = None) -> Outcome:
-    """Do a job; a fault of the data, or a failure, comes back as a refusal.
+    """Run a job; faults of the data and failures are returned as a refusal.
 
-    ``control`` can end it early, with the best so far.
+    ``control`` can end the job early, with the best result so far.
     """
     began = time.perf_counter()
     try:
@@ -225,7 +228,7 @@ def run(job: Job, control: Control | None = None) -> Outcome:
 
 
 def _fit(job: Job, control: Control | None) -> Outcome:
-    """Screen a window; then fit it, filter it, or look at its newest samples."""
+    """Screen a window; then fit it, run the filter over it, or check it for a change."""
     raw, limits = job.samples, job.options.screening
     fault = fault_of_samples(raw.displacement, raw.force, raw.current, limits)
     if fault:
@@ -254,7 +257,7 @@ def _fit(job: Job, control: Control | None) -> Outcome:
     if rival is not None:
         taken = rival_wins(rival, job.running, window, fresh=job.fresh, elsewhere=job.windows)
         if taken:
-            # The filter and the detector of changes follow the other set.
+            # The states of the filter and of the change detection belong to the replaced set.
             job = replace(job, running=rival, state=None, watch=None)
     follow = TRACKERS[job.options.tracker]
     outcome = follow(job, window) if follow else None
@@ -263,10 +266,10 @@ def _fit(job: Job, control: Control | None) -> Outcome:
 
 
 def _followed(job: Job, window: Window) -> Outcome | None:
-    """The recursive filter after the samples of a window that it has not seen yet.
+    """Run the recursive filter over the samples of a window that it has not used yet.
 
-    None after a jump in time or to another operating point, and where the filter has gone astray,
-    as it may where it knew too little: a fit must come first.
+    None after a jump in time or to another operating point, and if the filter has diverged, as it
+    may from a poorly determined state. A window fit must then restart the filter.
     """
     raw, options, state = job.samples, job.options, job.state
     if state is None or not state.stamp_ns < raw.end_ns:
@@ -294,12 +297,13 @@ TRACKERS: dict[str, Callable[[Job, Window], Outcome | None] | None] = {
     METHOD: _followed,
     "unscented": _followed,
 }
-"""How the damper is followed from window to window, by name: what goes on from the state of a job,
-or asks for a fit (None); without it every window is fitted. A new tracker is one line here."""
+"""Tracking methods by name. A function continues from the state of a job and returns its outcome,
+or None to request a window fit. With None as the entry, every window is fitted. A new method is one
+more entry."""
 
 
 def _fitted(job: Job, window: Window, should_stop: Callable[[], bool] | None) -> Outcome:
-    """Fit a window, once to what is not held back and once to all of it."""
+    """Fit a window, first without its validation samples and then to all samples."""
     model, options = job.model, job.options
     held_back = held_back_samples(window.sample_count, job.fresh)
     start = _start_of(job, window)
@@ -315,7 +319,7 @@ def _fitted(job: Job, window: Window, should_stop: Callable[[], bool] | None) ->
         should_stop=should_stop,
     )
     evidence = _evidence(job, window, trained.parameters, held_back)
-    # What is published uses every sample; the held-back part only judged whether to.
+    # The published set uses all samples; the validation samples only serve the acceptance test.
     final = fit_window(
         model,
         window,
@@ -344,10 +348,11 @@ def _evidence(job: Job, window: Window, values: Array, held_back: np.ndarray) ->
 
 
 def _start_of(job: Job, window: Window) -> Array:
-    """The running set (p,), or that first found at the window's operating point where it is nearer.
+    """Start values (p,) of the fit: the running set or the baseline, whichever is nearer.
 
-    From far away a search may end in another minimum. Only the force of the latter counts: what has
-    been learnt since of other operating points stays.
+    A search that starts far away may end in another local minimum. If the force of the baseline at
+    the window's operating point has a much smaller error, the linear parameters of the running set
+    are refitted to this force. The other parameters, learnt at other operating points, stay.
     """
     baseline = baseline_at(job.baselines, window.operating_point)
     if baseline is None:
@@ -365,7 +370,7 @@ def _start_of(job: Job, window: Window) -> Array:
 def _outcome(
     job: Job, window: Window, fit: WindowFit, evidence: Evidence, state: FilterState | None
 ) -> Outcome:
-    """The outcome of a fit: with its force scale, and a watch for changes from its window on."""
+    """The outcome of a fit, with its force scale and a change detection for later samples."""
     model, options = job.model, job.options
     found = candidate(job.running, fit.parameters, window)
     settled = model.settled(window, fit.parameters)
@@ -396,12 +401,12 @@ def _outcome(
 
 
 def parts_by_current(model: Model, window: Window, tolerance: float) -> list[Window]:
-    """Parts of a window within which the current changes little; the window, if it does so itself.
+    """Parts of a window within which the current is about constant.
 
-    Each is an operating point of its own, whatever the law says of the dependence on the current.
-    Levels of the current more than ``tolerance`` [A] apart are parts of their own. Where it passes
-    through all values between, its range is cut into equal intervals. What lies only in the begin
-    of the window is no part, if the force of the ``model`` there depends on the unknown past.
+    The window itself is the only part if its current is constant. Each part is an operating point, independent of the law's dependence on the current. Levels of
+    the current more than ``tolerance`` [A] apart become separate parts. A continuous range is
+    divided into equal intervals. If the force of the ``model`` at the start of the window depends
+    on the unknown past, samples there do not count towards the smallest size of a part.
     """
     if float(np.ptp(window.current)) <= tolerance:
         return [window]
@@ -422,7 +427,7 @@ def parts_by_current(model: Model, window: Window, tolerance: float) -> list[Win
 
 
 def _edges(current: Array, tolerance: float) -> Array:
-    """Currents [A] at which one part ends and the next begins, rising."""
+    """Currents [A] between the parts, in ascending order."""
     levels = np.unique(current)
     widest = max(float(np.ptp(levels)) / _MOST_INTERVALS, tolerance)
     gaps = np.flatnonzero(np.diff(levels) > tolerance)
@@ -434,7 +439,7 @@ def _edges(current: Array, tolerance: float) -> Array:
 
 
 def judge_parts(window: Window, parts: Sequence[Window], found: ParameterSet) -> PartsByCurrent:
-    """How a set explains the parts of a window, against what their own fits leave."""
+    """Compare the errors of one set in the parts of a window with those of separate fits."""
     few = [found.held(part.thinned(_MOST_SAMPLES)) for part in parts]
     own = [fit_window(found.law, part, found.values, method="least_squares") for part in few]
     alone = _pooled([fit.rmse for fit in own], parts)
@@ -445,18 +450,18 @@ def judge_parts(window: Window, parts: Sequence[Window], found: ParameterSet) ->
 
 
 def _pooled(errors: Sequence[float], parts: Sequence[Window]) -> float:
-    """RMSE [N] over all parts from that of each."""
+    """RMSE [N] over all parts, from the RMSE of each part."""
     counts = [part.sample_count for part in parts]
     return math.sqrt(float(np.average(np.square(errors), weights=counts)))
 
 
-# -- a look ----------------------------------------------------------------------------------
+# -- a change check --------------------------------------------------------------------------
 
 
 def _look(job: Job, window: Window) -> Outcome:
-    """See whether the newest samples fit the running set; if not, fit the force scale to them.
+    """Check whether the newest samples fit the running set; if not, fit the force scale to them.
 
-    Of a look only the watch comes back as long as nothing has changed.
+    Without a change the outcome contains only the state of the change detection.
     """
     raw, watch, model = job.samples, job.watch, job.model
     if watch is None:
@@ -465,7 +470,7 @@ def _look(job: Job, window: Window) -> Outcome:
     here = window.part(newest).operating_point
     if nearest_same([watch.operating_point], here) is None:
         return Outcome(watch=watch.quiet())
-    # The strength of the running set is judged by its own force.
+    # The peak velocity is held within the range of the running set, as in its own prediction.
     held = job.running.held(window)
     predicted = model.window_force(held, job.start)
     watch = watch.follow(predicted[newest], window.force[newest])
@@ -485,12 +490,13 @@ def _look(job: Job, window: Window) -> Outcome:
         float(np.sqrt(np.mean((factor * own - measured)[held_back] ** 2)))
         for factor in (1.0, trained)
     )
-    # What the law cannot follow lasts for much of so few samples, and looks like a change.
+    # The lead accounts for the autocorrelation of the model error, which in so few samples
+    # resembles a change.
     noise = NoiseModel.of(trained * own - measured)
     lead = Lead.together([Lead.of(own, trained * own, measured, held_back, noise)])
     found = fit_scale(own, measured)
     if not found.factor > 0.0 or np.ptp(changed.force) == 0.0:
-        return Outcome(watch=watch)  # a sensor has failed, no damper does that
+        return Outcome(watch=watch)  # only a failed sensor gives such a force
     fit = with_strength(model, changed, job.start, found, EARLY_SOURCE)
     state = job.state
     if state is not None:
@@ -512,7 +518,7 @@ def _look(job: Job, window: Window) -> Outcome:
 
 
 def _search(job: Job, control: Control | None) -> Outcome:
-    """Identify globally; a quarter of the samples, all over every window, judges the set."""
+    """Identify globally; a quarter of each window's samples is validation data."""
     start = job.running
     held_back = [held_back_samples(window.sample_count) for window in job.windows]
     pairs = list(zip(job.windows, held_back, strict=True))
@@ -524,7 +530,7 @@ def _search(job: Job, control: Control | None) -> Outcome:
         control.report if control else None,
     )
     found = fit.parameter_set
-    # Of a few samples none is held back.
+    # A window of very few samples has no validation samples.
     judged = [window.part(judges) for window, judges in pairs if judges.any()]
     before, after = (error_of_set(each, judged).nrmse for each in (start, found))
     last = judged[-max(job.recent, 1) :]

@@ -1,9 +1,9 @@
-"""What is known of a damper at each operating point (peak velocity, current): a record for each.
+"""Records of a damper, one for each operating point (peak velocity, current).
 
-What the same operating point is, is said here, for all that asks. A record holds the first accepted
-fit (the baseline of the force scale) and the size of its force, by which a later one is told from
-another damper's, the temperatures seen with their force scales, and the newest good window, for the
-global identification.
+This module defines which operating points count as the same. A record holds the first accepted fit
+(the baseline of the force scale); the size of its force, which shows whether a later force can be
+of the same damper; the measured temperatures with their force scales; and the newest good window,
+for the global identification.
 """
 
 from __future__ import annotations
@@ -26,35 +26,38 @@ OperatingPoint = tuple[float, float]
 
 SAME_SPEED = 1.1
 SAME_CURRENT = 0.05
-"""Within this factor of the peak velocity and this current [A] is the same operating point."""
+"""Points within this factor of the peak velocity and this current [A] are the same operating
+point."""
 
 _COMPARABLE = (4.0, 2.0)
-"""Forces, and what a law leaves of them, are comparable within so many times that: a speed half
-again as large, and 0.1 A. In random motion the peak velocity of a window varies by as much; a
-tighter tolerance would make every window of it a new point."""
+"""Forces and residuals are comparable within these multiples of the tolerances: a speed higher by
+half, and 0.1 A. In random motion the peak velocity varies by as much from window to window; with a
+tighter tolerance every window would be a new point."""
 
 _MOST_SAMPLES = 500
 _FEWEST_SAMPLES = 125
 MOST_WINDOWS = 100
-"""So many windows are kept, one of each operating point, thinned to so many samples."""
+"""At most this many windows are kept, one per operating point, thinned to this many samples."""
 
 RECENT = 10.0
-"""Operating points of so many seconds are those that a set will be used at."""
+"""Operating points of the last so many seconds count as recent; a set is expected to be used there.
+"""
 
 _OTHER_SPEED = 2.0
-"""At another speed the force lies between the same and in proportion, within this factor."""
+"""At another speed the force is between unchanged and proportional to the speed, to within this
+factor."""
 
 _OTHER_CURRENT = 30.0
-"""At another current it may be so many times as large or as small: the range of these dampers."""
+"""At another current the force may differ by this factor, the range of these dampers."""
 
 
 def nearest_same(points: Sequence[OperatingPoint], wanted: OperatingPoint) -> int | None:
-    """Index of the nearest of the points that is the same operating point; None if none is."""
+    """Index of the nearest point that is the same operating point; None without one."""
     return _nearest(points, wanted, (1.0, 1.0))
 
 
 def nearest_comparable(points: Sequence[OperatingPoint], wanted: OperatingPoint) -> int | None:
-    """Index of the nearest of the points with a comparable force; None if none has."""
+    """Index of the nearest point with a comparable force; None without one."""
     return _nearest(points, wanted, _COMPARABLE)
 
 
@@ -71,23 +74,23 @@ def _nearest(
 
 
 def _apart(one: OperatingPoint, other: OperatingPoint) -> tuple[float, float]:
-    """How far apart two points are in speed and in current, in tolerances."""
+    """Differences of two points in speed and in current, in units of the tolerances."""
     ratio = math.log(max(one[0], 1e-9) / max(other[0], 1e-9))
     return abs(ratio) / math.log(SAME_SPEED), abs(one[1] - other[1]) / SAME_CURRENT
 
 
 class Kept(NamedTuple):
-    """A window as it is kept for the global identification, and its operating point."""
+    """A window kept for the global identification, and its operating point."""
 
     window: Window
     point: OperatingPoint
 
 
 def thinned_to_keep(window: Window, *, with_past: bool, parts: int = 1) -> Kept:
-    """A window with the few hundred samples of which it is kept.
+    """A window thinned to a few hundred samples, to be kept.
 
-    One of several ``parts`` of a window is kept with fewer.
-    The motion between the samples goes ``with_past`` only: a law without memory needs none.
+    If the window is one of several ``parts``, fewer samples are kept. The motion between the
+    samples is kept only with ``with_past``; a law without memory does not need it.
     """
     few = window.thinned(max(_MOST_SAMPLES // parts, _FEWEST_SAMPLES))
     kept = few if with_past else Window(few.motion, few.force, few.current)
@@ -114,12 +117,12 @@ class KnownForce:
 
 @dataclass(frozen=True, eq=False)
 class PointRecord:
-    """What is known at an operating point.
+    """Record of one operating point.
 
-    ``baseline``: the first accepted fit, and ``force``: its force, which nothing later moves;
-    ``temperatures`` (n, 3): measured temperature [°C], force scale and its standard error;
-    ``window``: the newest good one, ``stamp_ns``: that of its last sample, and its running
-    ``number``.
+    ``baseline`` is the first accepted fit, and ``force`` the first accepted force; later windows do
+    not change them. ``temperatures`` (n, 3) holds the measured temperature [°C], the force scale
+    and its standard error. ``window`` is the newest good window, ``stamp_ns`` the stamp of its last
+    sample, and ``number`` its consecutive number.
     """
 
     point: OperatingPoint
@@ -133,17 +136,17 @@ class PointRecord:
 
 @dataclass(frozen=True, eq=False)
 class KnownPoints:
-    """The records of all operating points, in the order in which these were first seen."""
+    """The records of all operating points, in the order of their creation."""
 
     records: tuple[PointRecord, ...] = ()
 
     def at(self, point: OperatingPoint) -> PointRecord:
-        """The record of an operating point; an empty one where nothing is known of it."""
+        """The record of an operating point; an empty record if there is none."""
         place = nearest_same([each.point for each in self.records], point)
         return PointRecord(point) if place is None else self.records[place]
 
     def noted(self, point: OperatingPoint, **entries: Any) -> KnownPoints:
-        """The same with these entries in the record of an operating point."""
+        """Return the records with these entries set at an operating point."""
         before = self.at(point)
         after = replace(before, **entries)
         if any(each is before for each in self.records):
@@ -154,11 +157,11 @@ class KnownPoints:
 
     @property
     def baselines(self) -> tuple[WindowFit, ...]:
-        """The first accepted fits, oldest first."""
+        """The baselines, oldest first."""
         return tuple(each.baseline for each in self.records if each.baseline is not None)
 
     def with_baseline(self, fit: WindowFit) -> KnownPoints:
-        """The same with a fit as the baseline of its operating point, unless that has one."""
+        """Return the records with a fit as the baseline of its operating point, if it has none."""
         if self.at(fit.operating_point).baseline is not None:
             return self
         return self.noted(fit.operating_point, baseline=fit)
@@ -167,7 +170,7 @@ class KnownPoints:
 
     @property
     def kept(self) -> tuple[PointRecord, ...]:
-        """Records with a window, of which the newest is the last."""
+        """Records with a window, the newest window last."""
         with_window = [each for each in self.records if each.window is not None]
         return tuple(sorted(with_window, key=lambda each: each.number))
 
@@ -186,7 +189,10 @@ class KnownPoints:
         )
 
     def with_window(self, kept: Kept, stamp_ns: int = 0) -> KnownPoints:
-        """The same with a window up to this stamp in place of the older one at its point."""
+        """Return the records with a window, in place of the older window at its point.
+
+        ``stamp_ns`` is the stamp of its last sample.
+        """
         number = max((each.number for each in self.records), default=0) + 1
         known = self.noted(kept.point, window=kept.window, stamp_ns=stamp_ns, number=number)
         while len(known.kept) > MOST_WINDOWS:
@@ -194,14 +200,14 @@ class KnownPoints:
         return known
 
     def without_temperatures(self) -> KnownPoints:
-        """The same without the temperatures seen, with which the force was another."""
+        """Return the records without temperatures, which belong to the earlier force."""
         none = PointRecord((0.0, 0.0)).temperatures
         return KnownPoints(tuple(replace(each, temperatures=none) for each in self.records))
 
     # Forces
 
     def known_force(self, wanted: OperatingPoint) -> KnownForce | None:
-        """The first accepted force at the nearest operating point with a comparable one."""
+        """The first accepted force at the nearest comparable operating point, or None."""
         forces = self._forces
         place = nearest_comparable([force.operating_point for force in forces], wanted)
         return None if place is None else forces[place]
@@ -216,10 +222,10 @@ class KnownPoints:
         return bool(self._forces)
 
     def objection(self, found: KnownForce, limit: float, expected: float = math.nan) -> str:
-        """Why a force cannot be this damper's, in words; empty where it can.
+        """Why a force cannot be that of this damper, in words; empty if it can.
 
-        ``limit``: factor, up or down, within which a damper changes. ``expected`` [1]: the force
-        over that of the law as it was at first, NaN where the law is not known there.
+        ``limit`` is the largest factor, up or down, by which a damper changes. ``expected`` [1] is
+        the force relative to that of the first accepted set, NaN if unknown at this point.
         """
         here = self.known_force(found.operating_point)
         if here is not None:
@@ -241,7 +247,7 @@ class KnownPoints:
 
 
 def _besides(one: KnownForce, other: KnownForce) -> float:
-    """Factor on the force besides its change, between two operating points."""
+    """Factor by which the force may differ between two points of an unchanged damper."""
     speed, current = _apart(one.operating_point, other.operating_point)
     if current > _COMPARABLE[1]:
         return _OTHER_CURRENT
@@ -249,28 +255,28 @@ def _besides(one: KnownForce, other: KnownForce) -> float:
 
 
 _AT_ONE_POINT = 15
-"""So many of the newest at an operating point tell what is usual there."""
+"""Number of newest residuals at an operating point that give the residual baseline."""
 
 _NO_NOISE = 1e-4
-"""An NRMSE below this is better than any load cell: smaller ones are not told apart."""
+"""No load cell reaches a smaller NRMSE; smaller values count as equal."""
 
 _ELSEWHERE = 0.05
-"""Part of the force that a law may usually leave where it has never been fitted: of the records of
-a commercial damper the median is 0.08."""
+"""Smallest baseline NRMSE at an operating point where the law has not been fitted. For the records
+of a commercial damper the median there is 0.08."""
 
 Residual = tuple[float, ...]
-"""RMSE [N] and NRMSE of a good window; peak velocity [m/s] and current [A] if it has one current.
-"""
+"""RMSE [N] and NRMSE of a good window; also peak velocity [m/s] and current [A] if the current is
+constant."""
 
 
 def excess_residual(
     seen: Sequence[Residual], rmse: float, nrmse: float, point: OperatingPoint | None = None
 ) -> float:
-    """Residual, RMSE [N] and NRMSE, over the usual one of those seen, oldest first; 1 of none.
+    """Ratio of a residual, RMSE [N] and NRMSE, to the residual baseline of ``seen``, oldest first.
 
-    A sensor's noise keeps its newtons, a model's error its share of the force: a disturbance
-    exceeds both. Of an operating point that is new, it is not known what the law leaves there: a
-    residual that is large for the others may be usual.
+    The ratio is 1 if ``seen`` is empty. Sensor noise is constant in newtons; model error is a
+    constant fraction of the force. A disturbance exceeds both, so the smaller ratio counts. At a
+    new operating point the residual of the law is unknown, so a larger residual is accepted there.
     """
     if not seen:
         return 1.0
@@ -281,7 +287,7 @@ def excess_residual(
     ]
     known = (near or seen)[-_AT_ONE_POINT:]
     usual_rmse, usual_nrmse = median(e[0] for e in known), median(e[1] for e in known)
-    # A force without noise, as a simulation has it, leaves rounding: that is no measure.
+    # A simulated force has no noise, and its residual is only rounding error.
     spread = rmse / max(nrmse, _NO_NOISE)
     usual_nrmse = max(usual_nrmse, _NO_NOISE if near else _ELSEWHERE)
     return min(rmse / max(usual_rmse, _NO_NOISE * spread), nrmse / usual_nrmse)

@@ -1,10 +1,10 @@
-"""The recursive tracker: an extended Kalman filter on what a window determines of any force law.
+"""The recursive tracker: an extended Kalman filter on the window parameters of any force law.
 
-The unknowns of the window problem are a random walk, and the samples of a window that the filter
-has not seen are one measurement of them. It is linearised about the state and then about what
-comes of that (the iterated filter: Gauss-Newton steps on the posterior; Bell and Cathey, IEEE
-Transactions on Automatic Control 38, 1993), with the Jacobian that the window fit uses. A window
-fit begins it; from then on every sample is used once.
+The state holds the unknowns of the window problem and is modelled as a random walk. The new samples
+of a window form one measurement. The update is iterated, that is, relinearised about its own result
+(Gauss-Newton steps on the posterior; Bell and Cathey, IEEE Transactions on Automatic Control 38,
+1993), with the Jacobian of the window fit. A window fit initialises the filter; from then on every
+sample is used once.
 """
 
 from __future__ import annotations
@@ -23,22 +23,22 @@ from mr_damper_ros.signals.blocks import NANOSECONDS
 METHOD = "recursive"
 
 _STEPS = 3
-"""Gauss-Newton steps: from the state to the minimum of a quarter's change of force, to 1e-3 of the
-standard errors."""
+"""Gauss-Newton steps. They reach the minimum to 1e-3 standard errors after a change of the force by
+a quarter."""
 
 _SURPRISE = 3.09
 """Normal deviate that a window's squared innovation exceeds once in 1000 windows."""
 
 _HUBER = 1.345
-"""Huber's constant: 95 % efficiency where the noise is normal after all."""
+"""Huber's constant: 95 % efficiency with normal noise."""
 
 
 @dataclass(frozen=True, eq=False)
 class FilterState:
     """Mean (f,) and covariance (f, f) of the unknowns after the sample stamped ``stamp_ns``.
 
-    They are those of the model's window problem; ``operating_point`` (peak velocity [m/s],
-    current [A]) is where they were last seen.
+    The unknowns are those of the model's window problem. ``operating_point`` (peak velocity [m/s],
+    current [A]) is that of the last update.
     """
 
     scales: Array
@@ -48,18 +48,19 @@ class FilterState:
 
     @classmethod
     def of(cls, fit: WindowFit, stamp_ns: int) -> FilterState | None:
-        """State to start from; None where the fit does not determine all unknowns."""
+        """Initial state from a fit; None if the fit does not determine all unknowns."""
         if not np.all(np.isfinite(fit.whole_covariance)):
             return None
         return cls(fit.scales, fit.whole_covariance, stamp_ns, fit.operating_point)
 
 
 class RecursiveFilter:
-    """Takes in the samples of one window, those of ``problem``, of which the last is ``stamp_ns``.
+    """Updates the state with the samples of one window; ``stamp_ns`` is that of its last sample.
 
-    ``drift_rate`` [1/sqrt(s)]: the random walk of each unknown changes the force by this part of
-    its root mean square in one second. The noise of the force comes from what no unknowns could
-    explain of the window, with its autocorrelation; ``robust`` widens it for outliers.
+    ``problem`` is the window problem of these samples. ``drift_rate`` [1/sqrt(s)]: in one second
+    the random walk of each unknown changes the force by this fraction of its root mean square. The
+    noise of the force is estimated from the residual that no values of the unknowns can remove,
+    with its autocorrelation; ``robust`` increases it at outliers.
     """
 
     def __init__(
@@ -76,7 +77,7 @@ class RecursiveFilter:
         self.evaluations = 1
         jacobian, residual = problem.jacobian(state.scales), problem.residual(state.scales)
         power = float(np.mean(np.square(residual + problem.window.force)))
-        # A simulated force has no noise at all.
+        # A simulated force has no noise, and the deviation must not be zero.
         floor = max(1e-9 * math.sqrt(power), 1e-300)
         settled = problem.settled
         noise = np.zeros(residual.size)
@@ -98,7 +99,7 @@ class RecursiveFilter:
 
     @property
     def state(self) -> FilterState:
-        """The state after what was taken in."""
+        """The state after the updates so far."""
         point = self._problem.window.operating_point
         return FilterState(self._mean, self._root @ self._root.T, self._stamp_ns, point)
 
@@ -118,19 +119,23 @@ class RecursiveFilter:
         self._root = root @ np.linalg.inv(np.linalg.cholesky(information)).T
 
     def as_fit(self, problem: WindowProblem) -> WindowFit:
-        """The state as the fit of a window, for all that reports and judges fits."""
+        """The state in the form of a window fit, for the acceptance test and the reports."""
         covariance = self._root @ self._root.T
         return fit_of(problem, self._mean, covariance, method=METHOD, evaluations=self.evaluations)
 
 
 def _noise(jacobian: Array, residual: Array, robust: bool) -> Array:
-    """Standard deviation [N] (n,) of the noise: what no unknowns explain of a residual (n,)."""
+    """Standard deviation [N] (n,) of the noise: the part of a residual (n,) left by any unknowns.
+
+    ``jacobian`` (n, f) holds the derivatives by the unknowns; ``robust`` increases the noise at
+    outliers.
+    """
     count, unknowns = jacobian.shape
     lengths = np.linalg.norm(jacobian, axis=0)
     basis = np.linalg.qr(jacobian / np.where(lengths > 0.0, lengths, 1.0))[0]
     unexplained = residual - basis @ (basis.T @ residual)
     variance = float(unexplained @ unexplained) / max(count - unknowns, 1)
-    # Correlated noise averages out more slowly: count it as more noise.
+    # Correlated noise averages out more slowly, so it counts as larger noise.
     honest = np.diag(least_squares_covariance(jacobian, unexplained))
     white = variance * np.diag(normal_inverse(jacobian))
     known = np.isfinite(honest) & (white > 0.0)
@@ -145,11 +150,11 @@ def _noise(jacobian: Array, residual: Array, robust: bool) -> Array:
 
 
 def _fading(jacobian: Array, residual: Array) -> float:
-    """Factor on the covariance where the window contradicts the state: a sudden change.
+    """Factor on the covariance after a sudden change, when the window contradicts the state.
 
-    ``jacobian`` (n, f) by unknowns and ``residual`` (n,), both in units of standard deviations. The
-    squared innovation is a chi-square of f degrees of freedom as long as the state is right (its
-    quantile by Wilson and Hilferty, Proceedings of the National Academy of Sciences 17, 1931).
+    ``jacobian`` (n, f) and ``residual`` (n,) are in units of standard deviations. While the state
+    is right, the squared innovation follows a chi-square distribution with f degrees of freedom
+    (quantile by Wilson and Hilferty, Proceedings of the National Academy of Sciences 17, 1931).
     """
     values, vectors = np.linalg.eigh(jacobian.T @ jacobian)
     seen = values > np.finfo(float).eps * values.size * max(float(values[-1]), 1e-300)
@@ -162,9 +167,9 @@ def _fading(jacobian: Array, residual: Array) -> float:
 
 
 def _root(covariance: Array) -> Array:
-    """A square root (f, f) of a covariance that may have lost definiteness to rounding.
+    """A square root (f, f) of a covariance that rounding may have made slightly indefinite.
 
-    Unknowns differ by many orders of magnitude: the correlation matrix is factored.
+    The unknowns differ by many orders of magnitude, so the correlation matrix is factored.
     """
     deviations = np.sqrt(np.maximum(np.diag(covariance), 0.0))
     safe = np.where(deviations > 0.0, deviations, 1.0)

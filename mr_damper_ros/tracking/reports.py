@@ -1,4 +1,4 @@
-"""What became of a window or of a global identification, for others to read."""
+"""Reports on windows and global identifications, as the identifier publishes them."""
 
 from __future__ import annotations
 
@@ -16,10 +16,11 @@ from mr_damper_ros.tracking.jobs import Job, Outcome
 
 @dataclass(frozen=True, eq=False)
 class WindowVerdict:
-    """What a report tells those who predict with the running set; a stamp is that of a sample.
+    """The part of a report that the force prediction needs; stamps are those of samples.
 
-    ``confirms``: the samples up to the stamp fit the set of ``set_id``, which is in use after this
-    report. ``nrmse_before``: what the set in use before leaves of the window, NaN where unknown.
+    ``set_id`` names the set in use after the report. ``confirms`` says whether the samples up to
+    ``stamp_ns`` fit this set. ``nrmse_before`` is the error of the previously used set in the
+    window, NaN if unknown.
     """
 
     window_start_ns: int
@@ -34,10 +35,10 @@ class WindowVerdict:
 class Report(WindowVerdict):
     """Outcome of one window or one global identification, as published; SI units, NaN = unknown.
 
-    ``reason`` puts the ``verdict`` into words. ``temperature`` is the measured one;
-    where there is none, ``fluid`` is what the force tells of it, once a map of force over
-    temperature has been learnt at the operating point. ``coefficient_errors`` are those from window
-    to window, ``coefficient_discrepancies`` what another motion or law may say besides.
+    ``reason`` states the ``verdict`` in words. ``temperature`` is the measured temperature.
+    Without a measurement, ``fluid`` is the temperature estimated from the force, once a map of
+    force over temperature has been learnt at the operating point. ``coefficient_errors`` are the
+    standard errors from window to window; ``coefficient_discrepancies`` are the model errors.
     """
 
     verdict: Verdict
@@ -61,12 +62,12 @@ class Report(WindowVerdict):
 
     @property
     def accepted(self) -> bool:
-        """Whether a new set is in use since this report."""
+        """Whether the report put a new set into use."""
         return self.verdict.accepted
 
     @property
     def line(self) -> str:
-        """The set in use and what it is good for, in one line; what is not known is left out."""
+        """The set in use with its figures, in one line; unknown figures are omitted."""
         figures = (
             (1e3 * self.amplitude, "{:.3g} mm"),
             (self.frequency, "{:.3g} Hz"),
@@ -82,7 +83,7 @@ class Report(WindowVerdict):
 def report_of(
     job: Job, outcome: Outcome, judgement: Judgement, set_id: str, *, global_due: bool = False
 ) -> Report:
-    """The report of a job; ``set_id`` names the set in use after it."""
+    """The report on a job; ``set_id`` names the set in use after it."""
     raw, fit, evidence, summary = job.raw, outcome.fit, outcome.evidence, outcome.summary
     verdict, model = judgement.verdict, job.model
     told: dict[str, Any] = {
@@ -93,7 +94,7 @@ def report_of(
         "set_id": set_id,
     }
     if raw is None:
-        # Linear laws are solved, the others are searched.
+        # Linear laws are solved by least squares; the others need a search.
         searched = model.searched_laws(frozenset(model.parameter_names)) > 0
         return Report(
             window_start_ns=job.stamp_ns,
@@ -101,7 +102,7 @@ def report_of(
             sample_count=sum(window.sample_count for window in job.windows),
             method="differential_evolution" if searched else "least_squares",
             evaluations=outcome.found.evaluations if outcome.found else 0,
-            # The windows are of the past: that the running set fits them confirms nothing new.
+            # The windows are old, so a fit to them does not confirm the set for new samples.
             confirms=verdict.accepted,
             **told,
         )
@@ -134,5 +135,5 @@ def report_of(
 
 
 def _errors(covariance: Array) -> Array:
-    # Rounding may leave a variance that is as good as zero below it.
+    # Rounding may make a variance near zero slightly negative.
     return np.sqrt(np.maximum(np.diag(covariance), 0.0))

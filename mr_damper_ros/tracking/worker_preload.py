@@ -1,6 +1,6 @@
-"""What the worker loads before its first task: else it would be loaded in the time of a fit.
+"""Modules that the worker loads before its first task, outside the time of a fit.
 
-Of SciPy no more than most fits need: a worker that was killed should be back soon.
+Of SciPy it loads only the part that most fits need, so that a killed worker restarts quickly.
 """
 
 import scipy.optimize
