@@ -1,17 +1,17 @@
-"""Errors of least-squares estimates, where the residual is noise, correlated noise, or misfit.
+"""Standard errors of least-squares estimates under noise, correlated noise and model error.
 
-*White noise* gives the textbook covariance, *correlated noise* a larger one: samples within a
-correlation length count once together. Noise is described by an autoregression, whose order is
-chosen by Schwarz' criterion and whose coefficients are Burg's ("Maximum entropy spectral
-analysis", 1967).
+*White noise* gives the textbook covariance. *Correlated noise* gives a larger one, because the
+samples within a correlation length count as one. The noise is described by an autoregressive model.
+Schwarz' criterion selects its order, and Burg's method estimates its coefficients ("Maximum entropy
+spectral analysis", 1967).
 
-What a law cannot follow is no noise. *Repeatability* is what would change from window to window of
-the same motion; *discrepancy* is what another motion, or another law, would say. In a steady sine
-the misfit repeats in every cycle: the difference of a sample and the one a cycle later holds none
-of it, only the noise of both. In any other single motion the two cannot be told apart, and all of
-the residual counts as noise. Of windows of several motions, each motion bends the parameters its
-own way; the discrepancy is the scatter of their scores, corrected for what the fit has taken of it
-(Bell and McCaffrey, Survey Methodology 28, 2002).
+Model error is not noise. *Repeatability* is the scatter of the estimates between windows of the
+same motion. *Discrepancy* is the change of the estimates under a different motion or a different
+law. In a steady sine the model error repeats in every cycle. The difference between samples one
+cycle apart therefore contains only noise. In any other single motion the two cannot be separated,
+and the whole residual counts as noise. With windows of several motions, each motion biases the
+parameters differently. The discrepancy is then the scatter of the scores between motions, corrected
+for the part that the fit has absorbed (Bell and McCaffrey, Survey Methodology 28, 2002).
 """
 
 from __future__ import annotations
@@ -27,24 +27,26 @@ from mr_damper_ros.models.misfit import PriorRows
 from mr_damper_ros.signals.arrays import Array
 
 _DETERMINED = 1e-10
-"""A singular value smaller than this part of the largest stands for a direction without data."""
+"""Relative singular value below which the data do not determine a direction."""
 
 _FEWEST_BLOCKS = 20
-"""Fewer block sums than this would give a covariance of their own chance."""
+"""Smallest number of block sums for a usable covariance estimate."""
 
 _WHITE = 3.0
-"""Residuals whose lag-1 autocorrelation is within this many standard errors of 0 count as white."""
+"""A residual counts as white if its lag-1 autocorrelation is within this many standard errors of 0.
+"""
 
 _CHUNK = 4096
-"""Rows of a matrix that are factorised at once: so many stay in the cache."""
+"""Number of matrix rows factorised at once, so that they fit into the cache."""
 
 
 def triangular_factor(matrix: Array) -> Array:
-    """Factor R (min(n, p), p) of the QR decomposition of a matrix (n, p), signs of rows aside.
+    """Factor R (min(n, p), p) of the QR decomposition of a matrix (n, p), up to signs of rows.
 
-    It has the singular values and the right singular vectors of the matrix, and is small. A long
-    matrix is factorised in chunks, and their factors together: four times as fast for 200 000 rows
-    (Demmel, Grigori, Hoemmen and Langou, SIAM Journal on Scientific Computing 34, 2012).
+    R is small and has the same singular values and right singular vectors as the matrix. A long
+    matrix is factorised in chunks, and then the factors together. This is four times as fast for
+    200 000 rows (Demmel, Grigori, Hoemmen and Langou, SIAM Journal on Scientific Computing 34,
+    2012).
     """
     if matrix.shape[0] > _CHUNK:
         chunks = np.array_split(matrix, math.ceil(matrix.shape[0] / _CHUNK))
@@ -55,8 +57,9 @@ def triangular_factor(matrix: Array) -> Array:
 def normal_inverse(jacobian: Array) -> Array:
     """Inverse of JᵀJ for a Jacobian of shape (n, p), shape (p, p).
 
-    Columns are scaled first, so that units do not matter. Directions that the data do not
-    determine get an infinite variance: every parameter that has a part in one is NaN.
+    The columns are scaled first, so that the result does not depend on the units. Directions that
+    the data do not determine have infinite variance: each parameter with a component in such a
+    direction is NaN.
     """
     lengths = np.linalg.norm(jacobian, axis=0)
     safe = np.where(lengths > 0.0, lengths, 1.0)
@@ -79,12 +82,12 @@ def least_squares_covariance(
 ) -> Array:
     """Covariance (p, p) of parameters fitted by weighted least squares.
 
-    ``jacobian`` (n, p) and ``residual`` (n,) are unweighted, ``weights`` (n,) multiply the
-    squared residuals. A white residual gives s² (JᵀWJ)⁻¹, with s² from n - p degrees of freedom.
-    An autocorrelated one, the rule where the model and not the sensor limits the fit, gives the
-    sandwich estimate with the scores summed over blocks longer than the correlation (Liang and
-    Zeger, Biometrika 73, 1986). ``prior``: rows that are no samples. NaN for parameters that the
-    data do not determine.
+    ``jacobian`` (n, p) and ``residual`` (n,) are unweighted; ``weights`` (n,) multiply the squared
+    residuals. A white residual gives s² (JᵀWJ)⁻¹, with s² from n - p degrees of freedom. An
+    autocorrelated residual is typical where model error rather than sensor noise limits the fit. It
+    gives the sandwich estimate, with the scores summed over blocks longer than the correlation
+    length (Liang and Zeger, Biometrika 73, 1986). ``prior``: rows that are not samples. Parameters
+    that the data do not determine are NaN.
     """
     if weights is not None:
         root = np.sqrt(weights)
@@ -100,7 +103,7 @@ def least_squares_covariance(
     white = float(residual @ residual) / freedom
     if length == 0 and prior is None:
         return np.asarray(white * bread)
-    # What is not determined must not make the others unknown.
+    # Keep undetermined parameters from making the others NaN.
     lost = np.isnan(bread)
     bread = np.where(lost, 0.0, bread)
     if length == 0:
@@ -111,7 +114,7 @@ def least_squares_covariance(
 
 
 def _block_scores(jacobian: Array, residual: Array, length: int) -> Array:
-    """Sum (p, p) over blocks of so many samples, or fewer, of the squares of their scores."""
+    """Sum (p, p) of outer products of the scores of blocks of at most ``length`` samples."""
     n = residual.size
     blocks = max(n // length, min(_FEWEST_BLOCKS, n))
     edges = np.linspace(0, n, blocks, endpoint=False).astype(int)
@@ -120,9 +123,9 @@ def _block_scores(jacobian: Array, residual: Array, length: int) -> Array:
 
 
 def correlation_length(residual: Array) -> int:
-    """Number of samples over which a residual is correlated; 0 where it is white.
+    """Correlation length of a residual in samples; 0 if it is white.
 
-    Four times the first lag at which the autocorrelation has fallen below 0.05.
+    It is four times the first lag at which the autocorrelation is below 0.05.
     """
     n = residual.size
     centred = residual - residual.mean()
@@ -140,9 +143,9 @@ def correlation_length(residual: Array) -> int:
 
 
 def without_negative_variance(covariance: Array) -> Array:
-    """A covariance (f, f) in whose variances rounding has left no less than nothing.
+    """The covariance (f, f), with negative variances caused by rounding set to zero.
 
-    Where unknowns are known to very different parts of their sizes, it does.
+    Rounding causes them where the relative standard errors of the unknowns differ greatly.
     """
     variances = np.diagonal(covariance)
     if not np.any(variances < 0.0):
@@ -155,17 +158,17 @@ def without_negative_variance(covariance: Array) -> Array:
 _HIGHEST_ORDER = 24
 
 _PATIENCE = 8
-"""So many higher orders are tried in vain before the search ends."""
+"""The search for the order ends after this many higher orders without improvement."""
 
 _SAMPLES_PER_ORDER = 10
-"""An autoregression of n samples has at most the n-th part of this as its order."""
+"""The order for n samples is at most n divided by this."""
 
 
 @dataclass(frozen=True, eq=False)
 class NoiseModel:
-    """Stationary noise x of an autoregression, x[t] + sum_k ``coefficients``[k-1] x[t-k] = e[t].
+    """Stationary autoregressive noise: x[t] + sum_k ``coefficients``[k-1] x[t-k] = e[t].
 
-    e is white and has the variance ``innovation``; ``variance`` is that of x. ``coefficients`` has
+    e is white with variance ``innovation``; ``variance`` is the variance of x. ``coefficients`` has
     shape (order,).
     """
 
@@ -175,7 +178,7 @@ class NoiseModel:
 
     @classmethod
     def of(cls, series: Array, highest_order: int = _HIGHEST_ORDER) -> NoiseModel:
-        """The noise of samples (n,) of mean zero, equally spaced."""
+        """Fit the noise model to uniformly sampled values (n,) with zero mean."""
         count = series.size
         variance = float(series @ series) / max(count, 1)
         coefficients = best = np.empty(0)
@@ -205,14 +208,14 @@ class NoiseModel:
 
     @property
     def white(self) -> bool:
-        """Whether no sample tells anything of the next."""
+        """Whether the noise is white."""
         return self.coefficients.size == 0
 
     @property
     def integrated_time(self) -> float:
-        """Integrated autocorrelation time [samples]: 1 of white noise.
+        """Integrated autocorrelation time [samples]; 1 for white noise.
 
-        The mean of n samples has the variance of n / this many independent ones.
+        The mean of n samples has the variance of the mean of n / (this number) independent samples.
         """
         if self.white or self.variance == 0.0:
             return 1.0
@@ -227,7 +230,7 @@ class NoiseModel:
         size = 1 << (2 * count - 1).bit_length()
         polynomial = np.fft.rfft(np.append(1.0, self.coefficients), size)
         spectrum = self.innovation / np.abs(polynomial) ** 2
-        # Of the two halves of the spectrum only one is computed.
+        # Only one half of the symmetric spectrum is computed.
         twice = np.full(spectrum.size, 2.0 / size)
         twice[[0, -1]] = 1.0 / size
         transformed = np.fft.rfft(columns, size, axis=0)
@@ -236,29 +239,29 @@ class NoiseModel:
 
 
 _LEAST_PART = 0.25
-"""Of a second cycle at least this part must be there, to tell the misfit from the noise."""
+"""Smallest part of a second cycle that is needed to separate model error from noise."""
 
 _SURE = 4.0
-"""A power exceeds that of the noise where it does so by this many of its own errors."""
+"""A power is significant if it exceeds the noise power by this many standard errors."""
 
 _ORDERS_PER_CYCLE = 4
 
 _MOST_TAKEN = 0.5
 
 _DRAWS = 8
-"""The misfit counts as drawn anew in each of so many parts of a cycle."""
+"""Number of parts of a cycle in which the model error counts as independent."""
 
 
 @dataclass(frozen=True, eq=False)
 class ErrorCovariances:
-    """Covariances (f, f) of the unknowns of a fit, by the kind of error; NaN = undetermined."""
+    """Covariances (f, f) of the unknowns of a fit, by kind of error; NaN: undetermined."""
 
     repeatability: Array
     discrepancy: Array
 
 
 def samples_per_cycle(window: Window) -> float:
-    """Samples of a window from cycle to cycle; NaN where there are none, or not equally spaced."""
+    """Samples per cycle of a window; NaN if it has no cycles or is not sampled uniformly."""
     if not (window.steady and window.motion.sine is not None and window.period > 0.0):
         return math.nan
     places = window.places if window.places is not None else np.arange(window.sample_count)
@@ -271,16 +274,16 @@ def samples_per_cycle(window: Window) -> float:
 def error_covariances(
     jacobian: Array, residual: Array, cycle: float = math.nan, weights: Array | None = None
 ) -> ErrorCovariances:
-    """Errors of unknowns fitted by least squares: Jacobian (n, f) and residual (n,) of samples.
+    """Standard errors of least-squares unknowns: Jacobian (n, f) and residual (n,) of samples.
 
-    The samples are equally spaced, ``cycle`` of them to a cycle of a steady motion (NaN for any
-    other); ``weights`` (n,) multiply the squared residuals.
+    The samples are uniform. ``cycle`` is the number of samples per cycle of a steady motion, NaN
+    for any other motion. ``weights`` (n,) multiply the squared residuals.
     """
     if weights is not None:
         root = np.sqrt(weights)
         jacobian, residual = jacobian * root[:, np.newaxis], residual * root
     bread = normal_inverse(jacobian)
-    # What is not determined must not make the others unknown.
+    # Keep undetermined parameters from making the others NaN.
     lost = np.isnan(bread)
     bread = np.where(lost, 0.0, bread)
 
@@ -292,7 +295,7 @@ def error_covariances(
     if split is None:
         noise = NoiseModel.of(residual)
         scores = noise.score_covariance(jacobian)
-        # The fit takes up noise: of correlated noise more than its share of the samples.
+        # The fit absorbs noise; it absorbs more of correlated noise than unknowns / samples.
         taken = float(np.sum(bread * scores)) / max(count * noise.variance, 1e-300)
         all_of_it = spread(scores) / max(1.0 - taken, _MOST_TAKEN)
         steady = math.isfinite(cycle)
@@ -313,11 +316,11 @@ def error_covariances(
 def _split(
     residual: Array, cycle: float, freedom: float
 ) -> tuple[NoiseModel, np.ndarray, Array, Array] | None:
-    """The noise, the place of each sample in the cycle, how many each place has, the misfit there.
+    """Noise model, cycle position of each sample, samples per position, and mean model error there.
 
-    None where no misfit stands out of the noise, or the cycle does not repeat.
+    None if no model error is significant, or if the cycle does not repeat.
 
-    ``freedom``: samples over degrees of freedom.
+    ``freedom``: number of samples over degrees of freedom.
     """
     count = residual.size
     if not math.isfinite(cycle) or not 8 <= round(cycle) < count / (1.0 + _LEAST_PART):
@@ -335,9 +338,9 @@ def _split(
 
 
 def _of_phase(over_cycle: Array, count: int, cycle: float) -> Array:
-    """What the misfit adds where a window is not whole cycles: it begins at any phase.
+    """Covariance from the model error in a window of incomplete cycles that may begin at any phase.
 
-    ``over_cycle`` (m, f): scores of one sample at each place of the cycle.
+    ``over_cycle`` (m, f): score of one sample at each position of the cycle.
     """
     length = over_cycle.shape[0]
     rest = round(count % cycle) % length
@@ -356,26 +359,29 @@ def _of_misfit(over_cycle: Array) -> Array:
 
 
 _SAME_MOTION = 0.1
-"""Relative difference of root mean squares up to which two motions count as one."""
+"""Largest relative difference of root mean squares at which two motions count as the same."""
 
 _SAME_CURRENT = 0.05
-"""The same of currents [A]."""
+"""Largest difference of current [A] at which two motions count as the same."""
 
 _FEWEST_MOTIONS = 3
-"""Two tell a difference, but no scatter."""
+"""Smallest number of motions that gives an estimate of the scatter."""
 
 _LEAST_NOISE = 0.1
-"""Of the variance of white noise: an estimate of correlated noise below it is chance."""
+"""Lower limit of the estimated noise variance, relative to white noise; lower estimates are chance.
+"""
 
 _ALONE = 1e-6
-"""What all other motions together determine less than to this part rests on one alone."""
+"""A direction rests on one motion alone if the others contribute less than this part of its
+information."""
 
 _PART = 0.01
-"""Of its error: a parameter with so much in a direction is unknown where that is."""
+"""A parameter is unknown if an unknown direction makes up more than this part of its standard
+error."""
 
 
 def motion_numbers(windows: Sequence[Window]) -> np.ndarray:
-    """The motion, and current, that each window is of, numbered from 0: shape (k,)."""
+    """Number of the motion and current of each window, from 0: shape (k,)."""
     seen: list[Array] = []
     numbers = []
     for window in windows:
@@ -398,11 +404,12 @@ def motion_numbers(windows: Sequence[Window]) -> np.ndarray:
 def discrepancy_between(
     jacobian: Array, residual: Array, motions: np.ndarray, covariance: Array
 ) -> Array:
-    """Covariance (f, f) that the scatter between motions shows besides that of the noise (f, f).
+    """Covariance (f, f) from the scatter between motions in excess of ``covariance`` (f, f).
 
-    ``jacobian`` (n, f) and ``residual`` (n,) at the minimum; ``motions`` (n,): the number of the
-    motion that a row belongs to. Zero where the scatter may be that of noise. NaN for a parameter
-    that a single motion determines, and everywhere where there are fewer than three.
+    ``jacobian`` (n, f) and ``residual`` (n,) are those at the minimum; ``motions`` (n,) is the
+    number of the motion of each row. The result is zero if noise explains the scatter. It is NaN
+    for a parameter that a single motion determines, and for all parameters with fewer than three
+    motions.
     """
     unknown = np.full_like(covariance, math.nan)
     numbers = np.unique(motions)
@@ -412,7 +419,7 @@ def discrepancy_between(
         return unknown
     block, lengths = np.ix_(known, known), lengths[known]
     triangular = triangular_factor(jacobian[:, known] / lengths)
-    # In these coordinates all rows together determine each direction to one and the same.
+    # In these coordinates the information of all rows together is the identity matrix.
     to_parameters = np.linalg.inv(triangular) / lengths[:, np.newaxis]
     noise = triangular * lengths @ covariance[block] @ (triangular * lengths).T
     scatter, chance = np.zeros_like(noise), 0.0
@@ -438,10 +445,10 @@ def discrepancy_between(
 
 
 def _beyond(scatter: Array, noise: Array, white: float, chance: float) -> Array:
-    """Root (f, f) of what a covariance exceeds another by, zero where all of it may be chance.
+    """Root (f, f) of the excess of ``scatter`` over ``noise``; zero if chance explains all of it.
 
-    ``white`` is the variance of the noise were it white; ``chance`` the standard deviation of the
-    sum of the scatter's variances over the noise's.
+    ``white`` is the noise variance under the assumption of white noise; ``chance`` is the standard
+    deviation of the sum of the scatter's variances relative to the noise's.
     """
     variances, vectors = np.linalg.eigh(noise)
     root = vectors * np.sqrt(np.maximum(variances, _LEAST_NOISE * white))

@@ -1,4 +1,4 @@
-"""Differential evolution (Storn and Price, 1997): SciPy's, with progress, seed and early stop."""
+"""Differential evolution (Storn and Price, 1997) by SciPy, with progress, seed and early stop."""
 
 from __future__ import annotations
 
@@ -14,18 +14,18 @@ from mr_damper_ros.settings.option_table import CheckedSettings, option
 from mr_damper_ros.signals.arrays import Array
 
 STRATEGIES = ("rand1bin", "best1bin", "currenttobest1bin", "rand2bin")
-"""SciPy's names of the schemes of the thesis' table 3: rand/1, best/1, x + F (x_best - x + x_1 -
-x_2), which the thesis calls rand-to-best/2, and rand/2; all with binomial crossover."""
+"""SciPy's names of the schemes in table 3 of the thesis, all with binomial crossover: rand/1,
+best/1, x + F (x_best - x + x_1 - x_2), which the thesis calls rand-to-best/2, and rand/2."""
 
-_WORST = 1e150  # SciPy squares it
+_WORST = 1e150  # SciPy squares the value
 _REPORT_PERIOD = 0.2
 
 
 @dataclass(frozen=True)
 class EvolutionSettings(CheckedSettings):
-    """Settings of differential evolution; the defaults are the thesis' (2.7.2 and 4.6).
+    """Settings of differential evolution; the defaults are those of the thesis (2.7.2 and 4.6).
 
-    Raises ValueError, in one sentence, for values out of range.
+    Raises ValueError for values out of range.
     """
 
     strategy: str = option(
@@ -63,9 +63,9 @@ class EvolutionSettings(CheckedSettings):
 
 @dataclass(frozen=True)
 class GlobalProgress:
-    """How far a long search is: ``best_cost`` is that of the present ``stage`` [1].
+    """Progress of a long search; ``best_cost`` is the best cost of the present ``stage`` [1].
 
-    ``time_left`` [s] is an estimate for all that remains; both are NaN where they are not known.
+    ``time_left`` [s] is the estimated remaining time of the whole search. Both are NaN if unknown.
     """
 
     stage: str
@@ -76,29 +76,30 @@ class GlobalProgress:
 
 
 Report = Callable[[GlobalProgress], bool]
-"""Told of progress; returning False stops the search with the best so far."""
+"""Callback for progress; returning False stops the search, which then returns the best result so
+far."""
 
 
 class ProgressClock:
-    """Counts generations over the stages of a search and estimates the time left."""
+    """Counts generations over the stages of a search and estimates the remaining time."""
 
     def __init__(self, generations: int, report: Report | None) -> None:
         self._total = max(generations, 1)
         self._done = 0
         self._report = report
         self._last_report = time.monotonic()
-        # Generations of one stage take the same time, those of another may not.
+        # The time per generation is constant within a stage only.
         self._stage = ""
         self._stage_began = self._last_report
         self._stage_done = 0
         self.stopped = False
 
     def expect(self, generations: int) -> None:
-        """So many from now on, as far as that is known."""
+        """Set the expected number of remaining generations."""
         self._total = max(self._done + generations, 1)
 
     def tick(self, stage: str, best_cost: float) -> None:
-        """One generation more."""
+        """Count one generation."""
         if stage != self._stage:
             self._stage, self._stage_began, self._stage_done = stage, time.monotonic(), 0
         self._done += 1
@@ -124,7 +125,7 @@ class ProgressClock:
         return self.stopped
 
     def skip(self, generations: int) -> None:
-        """A stage ended so many generations early."""
+        """Subtract the generations that a stage has saved by ending early."""
         self._done += generations
 
 
@@ -137,10 +138,10 @@ def evolve(
     stage: str,
     start: Array | None = None,
 ) -> tuple[Array, float, int]:
-    """Minimise ``cost``, which takes individuals of shape (p, s) and returns (s,).
+    """Minimise ``cost``, which maps individuals of shape (p, s) to costs (s,).
 
-    Returns the best individual (p,), its cost and the number of evaluations. ``start`` joins the
-    first population. Costs that are not numbers lose against every other.
+    Returns the best individual (p,), its cost and the number of evaluations. ``start`` is part of
+    the first population. A NaN cost is worse than any other cost.
     """
     best_cost = math.inf
     generations = evaluations = 0
@@ -162,7 +163,7 @@ def evolve(
     from scipy.optimize import differential_evolution  # here: see mr_damper_ros.entry_points
 
     low, high = (np.array(side, dtype=float) for side in zip(*bounds, strict=True))
-    # SciPy refuses a start that rounding, when it scales the bounds, puts outside of them.
+    # Scaling by the bounds rounds, and SciPy refuses a start that rounding puts outside the bounds.
     margin = 1e-9 * (high - low)
     result = differential_evolution(
         safe_cost,
@@ -186,7 +187,7 @@ def evolve(
 
 
 def generator_keyword() -> str:
-    """SciPy's name of the argument for the random numbers: it was renamed in 1.15."""
+    """SciPy's name of the argument for the random generator, which changed in SciPy 1.15."""
     from scipy.optimize import differential_evolution  # here: see mr_damper_ros.entry_points
 
     return "rng" if "rng" in inspect.signature(differential_evolution).parameters else "seed"

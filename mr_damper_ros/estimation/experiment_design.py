@@ -1,17 +1,17 @@
-"""How well the force of a damper is known over a range, and the runs that would tell more.
+"""Accuracy of the force over an operating range, and the runs that would improve it.
 
-The law is linearised about a parameter set: the Fisher information of the samples, with what is
-plausible of any damper as prior information, gives the covariance of the parameters, and that the
-standard error of the force at every phase of a cycle. What the data leave open counts by as much as
-it matters for the force. What the law leaves of the force and repeats is no noise: its largest
-part of the force in the windows is an error between them and beyond, too.
+The law is linearised about a parameter set. The Fisher information of the samples, with the
+plausible range of dampers as prior information, gives the covariance of the parameters, and with it
+the standard error of the force at every phase of a cycle. An uncertain parameter counts only as far
+as it affects the force. The repeatable part of the residual is model error, not noise. The largest
+relative model error in the windows also counts between the windows and beyond them.
 
-Of all runs within the limits of the machine, that one is chosen after which the force is expected
-to be known best where it is known worst (G-optimality: Pukelsheim, "Optimal design of experiments",
-1993), or after which the parameters are known best together (D-optimality). The law is not linear,
-so what a run is worth is averaged over sets that fit the present data equally and differ in what
-these leave open (Chaloner and Verdinelli, "Bayesian experimental design: a review", Statistical
-Science 10, 1995).
+Among the runs within the limits of the machine, the plan selects the run that is expected to reduce
+the worst error of the force most (G-optimality: Pukelsheim, "Optimal design of experiments", 1993),
+or the run that determines all parameters together best (D-optimality). The law is nonlinear. The
+value of a run is therefore averaged over sets that fit the present data equally well and differ in
+the parameters that the data do not determine (Chaloner and Verdinelli, "Bayesian experimental
+design: a review", Statistical Science 10, 1995).
 """
 
 from __future__ import annotations
@@ -51,79 +51,83 @@ from mr_damper_ros.models.quantities import LoopReading
 from mr_damper_ros.signals.arrays import Array
 
 FEW = 256
-"""So many samples of a window tell what all of them determine."""
+"""Number of samples that represents a window in a search."""
 
 _MOST_STEPS = 40
-"""Of the search for the most probable parameters, which begins near them."""
+"""Largest number of steps in the search for the most probable parameters, which starts near them.
+"""
 
 _DRAWS = 200
-"""Draws from what is plausible, of which the prior is made, and from what may be true."""
+"""Number of draws from the plausible range for the prior, and from the sets that may be true."""
 
 _SMALLEST_SHARE = 0.1
-"""A scale parameter may be wrong by itself, and by what makes this part of the force."""
+"""Prior standard deviation of a scale parameter: its own size, and the change that makes this part
+of the force."""
 
 _ROUNDING = 1e-15
-"""Eigenvalues of a balanced matrix are not known better, relative to the largest."""
+"""Smallest eigenvalue of a balanced matrix relative to the largest; rounding hides smaller ones."""
 
 _LEAST_CURRENT = 1e-6
-"""A range of no current is as wide as this [A]: shapes are drawn relative to it."""
+"""Width [A] assumed for a current range of zero, as the scale for drawing shape parameters."""
 
 _CYCLE_PARTS = 128
-"""A misfit is looked at in so many parts of a cycle: where the motion turns it is narrow."""
+"""Number of parts of a cycle for the model error, small enough to resolve the reversal of the
+motion."""
 
 _FEWEST_IN_PART = 8
-"""Samples of a part, at the least: they tell the noise."""
+"""Smallest number of samples in a part, needed to estimate the noise."""
 
 _SURELY = 4.0
-"""A misfit exceeds noise by this many standard deviations of its power."""
+"""Model error is significant if its power exceeds the noise by this many standard deviations."""
 
 _BETWEEN = 1.35
-"""The law follows motions between the windows, or beyond, so many times less well: for eleven
-foreign laws the true worst error is then at most 1.3 to 1.44 times the one that is told in 90 %."""
+"""Factor on the model error between the windows and beyond. For eleven laws other than the true
+one, the true worst error is then at most 1.3 to 1.44 times the stated error in 90 % of the cases.
+"""
 
 _NEAR = 0.1
-"""Windows so near to a point, in parts of the range, count alike."""
+"""Distance, relative to the range, below which windows count equally near to a point."""
 
 _SETS = 6
-"""So many sets stand for what is open."""
+"""Number of sets that represent the undetermined parameters."""
 
 _STARTS, _FITS = 3, 24
-"""From so many others the most probable set is searched too; from more, of few windows: so many
-windows are fitted."""
+"""Number of additional starts in the search for the most probable set; with few windows there are
+more starts, up to this many fits of windows."""
 
 _ROUNDS = 6
 _SETTLED = 0.01
-"""Rounds in which set and noise are found together, at most, and the fall of the noise (relative)
-that is no gain any more."""
+"""Largest number of rounds that alternate between set and noise, and the relative decrease of the
+noise below which they end."""
 
 _NORM = 8.0
-"""Norm over the points that stands for the worst of them: one run alone often does nothing for the
-very worst."""
+"""Order of the norm over the points that replaces their maximum: a single run often does not change
+the maximum itself."""
 
 _PARTS = 12
-"""A motion that is no sine is looked at in so many parts: every staircase has whole ones."""
+"""Number of parts of a motion other than a sine; every staircase has a whole number of them."""
 
 _FINE = 48
-"""Samples of the shortest cycle of a motion that is no sine, for its peak velocity."""
+"""Samples per shortest cycle of a motion other than a sine, for its peak velocity."""
 
 _FEW_PHASES = 4
-"""Every so many phases of a cycle tell which run is best."""
+"""Stride over the phases of a cycle when runs are compared."""
 
 _FASTER = 5.0
-"""The next run is at most so many times as fast as the fastest before."""
+"""Largest peak velocity of the next run relative to the fastest run so far."""
 
 _CURRENT_STEP = 0.5
-"""The next run goes at most this part of the range beyond the largest current before."""
+"""Largest increase of the current beyond the largest so far, as a part of the range."""
 
 _MARGIN = 1.1
-"""The force of a run, as it is known, may be so many times as large and still be allowed."""
+"""Safety factor on the force limit while the force of a run is uncertain."""
 
 _LOOK_AHEAD = 12
-"""Runs that are planned on to tell whether the goal can be met."""
+"""Number of runs planned ahead to predict whether the goal can be met."""
 
 
 class Cycles:
-    """The force over many cycles at once, and its gradient, of any set of a model."""
+    """Force over many cycles at once and its gradient, for any parameter set of a model."""
 
     def __init__(self, model: Model, cycles: Sequence[Window]) -> None:
         self.count = len(cycles)
@@ -131,24 +135,24 @@ class Cycles:
 
     def force(self, parameters: Array) -> Array:
         """Force (k, phases) [N]."""
-        # That of the cycles is zero, so that the residual is the force of the set.
+        # The force of the windows is zero, so the residual is the force of the set.
         return self._problem.residual(parameters).reshape(self.count, PHASES)
 
     def gradient(self, parameters: Array) -> Array:
-        """Derivatives (k, phases, p) of the force by the parameters."""
+        """Derivatives (k, phases, p) of the force with respect to the parameters."""
         return self._problem.jacobian(parameters).reshape(self.count, PHASES, parameters.size)
 
 
 @dataclass(frozen=True, eq=False)
 class PointErrors:
-    """Relative standard error (k,) of the force at each point, the largest of its cycle.
+    """Relative standard error (k,) of the force at each point: the largest of its cycle.
 
-    ``worst`` is the worst error at all points and phases together that is as likely exceeded as
-    not. Where the errors at many points are independent it is larger than any of the standard
-    errors: somewhere chance is against one. Where one direction of the parameters dominates, all
-    points err together, and it is the median of one error, down to 0.67 of the largest.
-    ``bound`` is the worst error that is exceeded in one of twenty cases; NaN = unknown. All of
-    them include what the law does not follow, ``model_error`` at the worst point.
+    ``worst`` is the median of the worst error over all points and phases. If the errors at many
+    points are independent, it exceeds each of the standard errors. If one direction of the
+    parameters dominates, the errors at all points are proportional, and it is the median of one
+    error, down to 0.67 of the largest standard error. ``bound`` is the 95 % quantile of the worst
+    error; NaN: unknown. All of these include the model error, which is ``model_error`` at the worst
+    point.
     """
 
     points: Sequence[tuple[float, float]]
@@ -159,7 +163,7 @@ class PointErrors:
 
     @property
     def sentence(self) -> str:
-        """How well the force is known, and with what confidence."""
+        """The accuracy of the force and its confidence in words."""
         known = f"{self.worst:.2%} at worst, at even odds"
         if not math.isnan(self.bound):
             known += f", and {self.bound:.2%} with 95 % confidence"
@@ -169,12 +173,12 @@ class PointErrors:
 
     @property
     def worst_point(self) -> tuple[float, float]:
-        """Where the standard error is largest (m/s, A)."""
+        """The point (m/s, A) with the largest standard error."""
         return self.points[int(np.argmax(self.errors))]
 
 
 def relative_gradient(cycles: Cycles, parameters: Array) -> Array:
-    """Derivatives (k, phases, p) of the force relative to the largest of each cycle."""
+    """Derivatives (k, phases, p) of the force, relative to the largest force of each cycle."""
     largest = np.max(np.abs(cycles.force(parameters)), axis=1)
     return cycles.gradient(parameters) / np.maximum(largest, 1e-9)[:, None, None]
 
@@ -189,7 +193,7 @@ def point_errors(
     flat = gradient.reshape(-1, gradient.shape[-1])
     draws = np.random.default_rng(0).standard_normal((_DRAWS, flat.shape[1]))
     scale = 1.0 / np.sqrt(np.diagonal(information))
-    # Rounding may take a little from what is hardly known, so that no Cholesky factor exists.
+    # Rounding can make the matrix indefinite, so it has no Cholesky factor.
     values, vectors = np.linalg.eigh(information * np.outer(scale, scale))
     root = vectors / np.sqrt(np.maximum(values, _ROUNDING * values[-1]))
     missed = np.abs((draws @ root.T * scale) @ flat.T).reshape(_DRAWS, len(gradient), -1)
@@ -201,9 +205,10 @@ def point_errors(
 
 
 def model_error(model: Model, window: Window, parameters: Array) -> float:
-    """Largest part of its force that a set leaves of a window and that repeats, beyond noise.
+    """Largest repeatable residual of a window beyond noise, relative to its largest force.
 
-    Means over parts of a cycle tell it from noise; 0 where these may be noise (chi-squared).
+    Means over the parts of a cycle separate it from noise. The result is 0 if noise explains the
+    means (chi-squared test).
     """
     force = model.window_force(window, parameters)
     residual = force - window.force
@@ -221,7 +226,7 @@ def model_error(model: Model, window: Window, parameters: Array) -> float:
     power = float(np.sum(counts * means**2)) / max(variance, 1e-300)
     if power <= parts + _SURELY * math.sqrt(2.0 * parts):
         return 0.0
-    # Each mean as far as the scatter of all of them says that it is no noise (Wiener).
+    # Wiener filter: each mean is reduced by the noise's share of the scatter of all means.
     noise = variance / counts
     signal = max(float(np.mean(means**2) - np.mean(noise)), 0.0)
     largest = float(np.max(np.abs(means) * signal / (signal + noise)))
@@ -229,7 +234,7 @@ def model_error(model: Model, window: Window, parameters: Array) -> float:
 
 
 def model_errors_at(goal: ForceGoal, windows: Sequence[Window], errors: Sequence[float]) -> Array:
-    """Model errors (k,) at the points of a goal, from those of windows; the nearest count most."""
+    """Model errors (k,) at the points of a goal: mean over the windows, near ones count most."""
     low, high = goal.peak_velocity
     sizes = np.array([max(math.log(high / low), 1e-9), max(np.ptp(goal.current), 1e-9)])
 
@@ -242,9 +247,9 @@ def model_errors_at(goal: ForceGoal, windows: Sequence[Window], errors: Sequence
 
 
 def cycle_errors(gradient: Array, information: Array) -> Array:
-    """Largest standard error of each cycle (m, k), for many informations (m, p, p).
+    """Largest standard error of each cycle (m, k), for many information matrices (m, p, p).
 
-    ``gradient`` (k, phases, p) may be relative; so are the errors then.
+    ``gradient`` (k, phases, p) may be relative; the errors are then relative, too.
     """
     count, phases, size = gradient.shape
     flat = gradient.reshape(-1, size)
@@ -258,10 +263,10 @@ def cycle_errors(gradient: Array, information: Array) -> Array:
 
 
 def prior_information(model: Model, cycles: Cycles, parameters: Array, goal: ForceGoal) -> Array:
-    """What is known (p, p) of any damper before the first run, about ``parameters`` (p,).
+    """Prior information (p, p) about any damper before the first run, at ``parameters`` (p,).
 
-    Shape parameters scatter as plausible ones do; a scale parameter may be wrong by all of itself,
-    and by what makes a tenth of the force.
+    Shape parameters have the scatter of plausible draws. A scale parameter has a standard deviation
+    of its own size, plus the change that makes a tenth of the force.
     """
     rng = np.random.default_rng(0)
     top_current = max(goal.current[1], _LEAST_CURRENT)
@@ -275,7 +280,7 @@ def prior_information(model: Model, cycles: Cycles, parameters: Array, goal: For
     for place, name in enumerate(model.parameter_names):
         if name in draws[0]:
             values = np.array([draw[name] for draw in draws])
-            # The set may lie where no draw does: it may be wrong by all the way to them.
+            # The set may lie outside the draws: its distance from them adds to the scatter.
             deviations[place] = math.hypot(
                 float(np.std(values)), float(np.mean(values)) - parameters[place]
             )
@@ -291,10 +296,10 @@ def open_sets(
     rng: np.random.Generator,
     count: int,
 ) -> list[Array]:
-    """Sets (p,) that agree with the windows and differ in the shape parameters not ``known``.
+    """Sets (p,) that agree with the windows and differ in the shape parameters not in ``known``.
 
-    What is linear in the laws follows from the coefficients that the windows have. ``top``: peak
-    velocity [m/s] and current [A] of the range. None where no shape is open.
+    The linear parameters follow from the coefficients of the windows. ``top``: peak velocity [m/s]
+    and current [A] of the range. None if all shape parameters are known.
     """
     unknown = set(model.shape_names).difference(known)
     solved = frozenset(model.linear) - unknown
@@ -311,7 +316,7 @@ def open_sets(
 def window_information(
     model: Model, windows: Iterable[Window], noise: Iterable[float], parameters: Array
 ) -> Array:
-    """Fisher information (p, p) of the samples of windows, with ``noise`` [N] each."""
+    """Fisher information (p, p) of the samples of windows with noise ``noise`` [N] each."""
     total = np.zeros((parameters.size, parameters.size))
     for window, sigma in zip(windows, noise, strict=True):
         few = window.thinned(FEW)
@@ -330,10 +335,10 @@ def most_probable(
 ) -> Array:
     """The most probable parameters (p,).
 
-    All parameters are free, ``about`` (p,) with the information ``prior`` (p, p, diagonal): what
-    the data tell little of moves as far as they tell, and what they do not tell stays. A search
-    that holds what it cannot determine well would be wrong by more than it claims. It begins at
-    ``start`` (p,).
+    All parameters are free. The prior has its centre at ``about`` (p,) and the diagonal information
+    ``prior`` (p, p). Weakly determined parameters move as far as the data support, and undetermined
+    ones stay. Holding weakly determined parameters would give standard errors that are too small.
+    The search starts at ``start`` (p,).
     """
     from scipy.optimize import least_squares
 
@@ -359,9 +364,9 @@ def most_probable(
 
 
 def noise_of(model: Model, window: Window, parameters: Array) -> float:
-    """Standard deviation [N] of white noise that would hide as much as what the set leaves does.
+    """Standard deviation [N] of white noise with the same effect as the residual of the set.
 
-    What a law leaves that repeats is no noise that averages out: correlated samples count once.
+    It exceeds the RMSE of a correlated residual, because correlated samples count as one.
     """
     residual = model.window_force(window, parameters) - window.force
     length = max(correlation_length(residual), 1)
@@ -378,7 +383,7 @@ class _Look:
     duration: float = 0.0
 
     def window(self) -> Window:
-        """A window of it, without a force."""
+        """A window of the stretch, without a force."""
         motion = self.motion
         if motion.kind is MotionKind.SINE:
             return steady_cycle(motion.amplitude, motion.frequency, self.current)
@@ -399,9 +404,9 @@ def _parts_of(stretch: int, count: int) -> range:
 
 
 class CandidateRuns:
-    """What each of many ``runs`` would tell, and what it would ask of the machine.
+    """The information from each of many ``runs`` and their load on the machine.
 
-    What a stretch tells depends on its motion and its current: each pair is looked at once.
+    Both depend only on the motion and the current of a stretch, so each pair is evaluated once.
     """
 
     def __init__(self, model: Model, runs: Sequence[PlannedRun], sample_rate: float) -> None:
@@ -432,7 +437,7 @@ class CandidateRuns:
     def gains(self, parameters: Array, noise: float, broad_noise: float) -> Array:
         """Information (m, p, p) that each run would add.
 
-        ``noise`` [N] is white, ``broad_noise`` that of a motion that is no sine.
+        ``noise`` [N] is white; ``broad_noise`` [N] applies to motions other than a sine.
         """
         jacobian = self._cycles.gradient(parameters)
         of_sample = np.einsum("knp,knq->kpq", jacobian, jacobian) / PHASES
@@ -442,7 +447,7 @@ class CandidateRuns:
         return np.asarray(gains / sigma[:, None, None] ** 2)
 
     def demands(self, sets: Sequence[Array]) -> tuple[Array, Array]:
-        """Largest force (m,) [N] and heat (m,) [J] of each run, whichever of the sets is true."""
+        """Largest force (m,) [N] and heat (m,) [J] of each run over all sets that may be true."""
         forces = np.stack([self._cycles.force(values) for values in sets])
         largest = np.max(np.abs(forces), axis=(0, 2))
         power = np.max(np.mean(forces * self._velocity, axis=2), axis=0)
@@ -450,7 +455,7 @@ class CandidateRuns:
 
 
 class PlanState(Enum):
-    """What there is to do: a run, nothing any more, or nothing that would help."""
+    """The kind of decision: a run, the goal is met, or no run would help."""
 
     RUN = "run"
     MET = "met"
@@ -459,12 +464,12 @@ class PlanState(Enum):
 
 @dataclass(frozen=True, eq=False)
 class Plan:
-    """The next run, if there is one, and how well the force is known now.
+    """The next run, if there is one, and the present accuracy of the force.
 
-    ``now``: the errors at the points of the goal; ``expected``: the worst error [1] after the run;
-    ``runs_left``: runs until the goal is met, None where that cannot be told or it cannot be met;
-    ``reason``: why it is met or cannot be, in words. A goal out of reach may still have a run that
-    helps.
+    ``now``: errors at the points of the goal; ``expected``: worst error [1] after the run;
+    ``runs_left``: number of runs until the goal is met, None if it is unknown or the goal cannot be
+    met; ``reason``: why the goal is met or cannot be met, in words. A run may help even if the goal
+    cannot be met.
     """
 
     state: PlanState
@@ -476,9 +481,9 @@ class Plan:
 
 
 class RunPlanner:
-    """Plans towards a goal within the limits of a machine, for dampers of one model.
+    """Plans runs towards a goal within the limits of a machine, for dampers of one model.
 
-    ``candidates`` are the runs that it chooses from.
+    ``candidates`` are the runs that the planner selects from.
     """
 
     def __init__(self, model: Model, goal: ForceGoal, limits: MachineLimits) -> None:
@@ -491,7 +496,7 @@ class RunPlanner:
         self._candidates = CandidateRuns(model, self.candidates, limits.sample_rate)
 
     def shortcoming(self) -> str:
-        """Why the goal lies beyond the machine, in words; empty where it does not."""
+        """Why the machine cannot cover the goal, in words; empty if it can."""
         goal, limits = self.goal, self.limits
         if goal.peak_velocity[1] > limits.peak_velocity:
             return (
@@ -505,10 +510,10 @@ class RunPlanner:
         return "" if self.candidates else "no run within the limits of the machine holds a cycle"
 
     def most_probable(self, windows: Sequence[Window], parameters: Array) -> Array:
-        """The most probable set (p,), from the one identified.
+        """The most probable set (p,), searched from the identified set and a few other sets.
 
-        It is looked for from a few others, too, of any shape. The noise of each window is found
-        with the set: what a wrong one leaves would pass for noise, and the set stay.
+        The noise of each window is estimated together with the set. Otherwise the residual of a
+        wrong set would count as noise, and the search would stay at that set.
         """
         prior = prior_information(self.model, self._goal_cycles, parameters, self.goal)
         rng = np.random.default_rng(len(windows))
@@ -521,7 +526,7 @@ class RunPlanner:
             for start in (parameters, *others)
         ]
         _, values, noise = min(found, key=lambda one: one[0])
-        # Few samples tell where the best set is, and only all of them how it lies exactly.
+        # A search on a few samples selects the minimum; a search on all samples locates it exactly.
         return most_probable(self.model, windows, noise, prior, parameters, values)
 
     def _with_noise(
@@ -533,7 +538,7 @@ class RunPlanner:
         about: Array,
         values: Array,
     ) -> tuple[float, Array, Sequence[float]]:
-        """How much noise is left (a likelihood), and the set (p,) and its noise, from a start."""
+        """Negative log-likelihood of the noise per sample, the set (p,) and its noise."""
         sizes = np.array([window.sample_count for window in windows], dtype=float)
         least = math.inf
         for _ in range(_ROUNDS):
@@ -549,13 +554,13 @@ class RunPlanner:
         return [noise_of(self.model, window, parameters) for window in windows]
 
     def errors(self, windows: Sequence[Window], parameters: Array) -> PointErrors:
-        """How well the force is known from windows to which ``parameters`` (p,) were fitted."""
+        """Accuracy of the force from windows to which ``parameters`` (p,) were fitted."""
         noise = self._noise(windows, parameters)
         information = self._information(windows, noise, parameters)
         return self._errors(parameters, information, self._model_errors(windows, parameters))
 
     def next(self, windows: Sequence[Window], parameters: Array, observable: np.ndarray) -> Plan:
-        """What to do next; ``observable`` (p,) tells which parameters the windows determine."""
+        """The next decision; ``observable`` (p,) marks the parameters that windows determine."""
         now = self.errors(windows, parameters)
         if now.worst <= self.goal.error:
             return Plan(PlanState.MET, now, reason=f"the goal is met: {now.sentence}")
@@ -568,7 +573,7 @@ class RunPlanner:
         observable: np.ndarray,
         now: PointErrors,
     ) -> Plan:
-        """The plan as :meth:`next` has it, as if the goal were not met; ``now``: what is known."""
+        """The plan of :meth:`next` as if the goal were not met; ``now``: the present accuracy."""
         beyond = self.shortcoming()
         if beyond:
             return Plan(PlanState.OUT_OF_REACH, now, runs_left=None, reason=beyond)
@@ -594,7 +599,7 @@ class RunPlanner:
         best = self.candidates[place]
         unfollowed = self._model_errors(windows, parameters)
         left, expected, reached = self._look_ahead(parameters, present, sigma, place, unfollowed)
-        # As long as a law is open, what it will cost to know it cannot be told.
+        # With undetermined laws the number of runs cannot be predicted.
         if left is None and len(sets) == 1:
             return Plan(
                 PlanState.OUT_OF_REACH,
@@ -632,14 +637,14 @@ class RunPlanner:
     def possible_sets(
         self, windows: Sequence[Window], parameters: Array, observable: np.ndarray
     ) -> list[Array]:
-        """Sets that may be true: that identified, and others where something is open."""
+        """Sets that may be true: the identified set, and others if parameters are undetermined."""
         names, rng = np.array(self.model.parameter_names), np.random.default_rng(0)
         known = names[observable].tolist()
         others = open_sets(self.model, windows, parameters, known, self._top, rng, _SETS)
         return [parameters, *others]
 
     def allowed(self, windows: Sequence[Window], sets: Sequence[Array]) -> np.ndarray:
-        """Candidates (m,) that stay within the limits whichever set is true, and are no leap."""
+        """Candidates (m,) within the limits for all sets, without a leap in speed or current."""
         fastest = max(window.motion.peak_velocity.max() for window in windows)
         highest = max(window.current.max() for window in windows)
         low, high = self.goal.current
@@ -660,7 +665,7 @@ class RunPlanner:
         first: int,
         unfollowed: Array,
     ) -> tuple[int | None, float, float]:
-        """Runs until the goal is met, the worst error after the first, and after the last."""
+        """Runs until the goal is met, and the worst errors after the first and the last."""
         gradient = relative_gradient(self._goal_cycles, parameters)
         gains = self._candidates.gains(parameters, *sigma)
         information = present + gains[first]
@@ -676,35 +681,36 @@ class RunPlanner:
 
 
 def _noise_by_motion(windows: Sequence[Window], noise: Sequence[float]) -> tuple[float, float]:
-    """Noise [N] of a run that is a sine, and of any other, which a law may follow less well."""
+    """Noise [N] of a sine and of any other motion, for which the model error may be larger."""
     steady = [sigma for w, sigma in zip(windows, noise, strict=True) if w.motion.sine is not None]
     broad = [sigma for w, sigma in zip(windows, noise, strict=True) if w.motion.sine is None]
     return float(np.median(steady or broad)), float(np.median(broad or steady))
 
 
 def _soft_worst(errors: Array) -> Array:
-    """Norm (m,) of errors (m, k) that stands for the worst of them."""
+    """Smooth maximum (m,) of errors (m, k), as a norm."""
     return np.asarray(np.mean(errors**_NORM, axis=1) ** (1.0 / _NORM))
 
 
-# -- runs that would determine what is open -------------------------------------------------------
+# -- runs that would determine unobservable parameters --------------------------------------------
 
 _OPEN_SETS = 16
-"""So many sets stand for what is open where a run is to determine parameters."""
+"""Number of sets that represent the undetermined parameters when runs are chosen to determine them.
+"""
 
 _MOST_RUNS = 4
-"""No more runs are advised at once: four currents are what the laws need."""
+"""Largest number of runs advised at once: the laws need four currents."""
 
 _SPEEDS = np.geomspace(0.1, 1.0, 6)
 _CURRENTS = np.linspace(0.0, 1.0, 9)
-"""Candidates, as parts of the largest peak velocity and current."""
+"""Candidates, as fractions of the largest peak velocity and current."""
 
 
 @dataclass(frozen=True)
 class RigRange:
-    """What the rig may do: so much ``peak_velocity`` [m/s] and ``current`` [A], and less.
+    """Limits of the rig: largest ``peak_velocity`` [m/s] and ``current`` [A].
 
-    Runs are advised at its ``amplitude`` [m]. Raises ValueError for values that no rig has.
+    Runs are advised at its ``amplitude`` [m]. Raises ValueError for impossible values.
     """
 
     amplitude: float
@@ -723,7 +729,7 @@ class RigRange:
 
     @classmethod
     def of_windows(cls, windows: Sequence[Window]) -> RigRange:
-        """No more than what was done already."""
+        """The limits that the runs so far have reached."""
         speeds, currents = operating_points_within(windows)
         return cls(
             amplitude=max(window.motion.amplitude for window in windows),
@@ -734,11 +740,11 @@ class RigRange:
 
 @dataclass(frozen=True)
 class ExtraRun:
-    """A run that should be made: ``amplitude`` [m], ``frequency`` [Hz], ``current`` [A].
+    """A recommended run: ``amplitude`` [m], ``frequency`` [Hz], ``current`` [A].
 
-    ``determines``: the parameters that it would determine, after those advised before it.
-    ``worst_error``: the largest standard error that would then be left, in spans (see
-    :mod:`observability`), 1 where nothing but the plausible range is known.
+    ``determines``: the parameters that it would determine after the runs advised before it.
+    ``worst_error``: the largest standard error after the run in spans (see :mod:`observability`); 1
+    if only the plausible range is known.
     """
 
     amplitude: float
@@ -749,7 +755,7 @@ class ExtraRun:
 
     @property
     def sentence(self) -> str:
-        """The advice in words."""
+        """The recommendation in words."""
         gain = f"it would determine {', '.join(self.determines)}"
         if not self.determines:
             gain = "it would determine nothing alone, but the next run needs it"
@@ -767,12 +773,12 @@ def extra_runs(
     observable: np.ndarray,
     rig: RigRange,
 ) -> tuple[ExtraRun, ...]:
-    """Runs to make, one after the other; none where all is known or nothing would help.
+    """Recommended runs in order; empty if all parameters are determined or no run would help.
 
-    ``misfit`` is that of the windows at hand, ``noise`` [N] what a run as long as these would
-    leave of the force; ``parameters`` (p,) are the present set, of which ``observable`` (p,) are
-    determined. A run determines a shape parameter whose error it brings below a quarter of its
-    span, by most of the sets that may be true.
+    ``misfit`` is that of the present windows. ``noise`` [N] is the expected residual of a new run
+    of the same length. ``parameters`` (p,) is the present set, ``observable`` (p,) marks its
+    determined parameters. A run determines a shape parameter if it reduces the standard error below
+    a quarter of the span for most of the sets that may be true.
     """
     shape = np.isin(model.parameter_names, [name for law in model.shape_groups for name in law])
     missing = shape & ~observable
@@ -813,6 +819,6 @@ def extra_runs(
         worst = float(np.mean(errors.max(axis=-1)))
         advised.append(ExtraRun(run.amplitude, run.frequency, run.currents[0], names, worst))
         missing &= ~determined
-    # Runs after which nothing more is determined need not be made.
+    # Drop the runs at the end that determine no further parameter.
     useful = [place for place, run in enumerate(advised) if run.determines]
     return tuple(advised[: useful[-1] + 1]) if useful else ()
