@@ -1,4 +1,4 @@
-"""One parameter set of a model for many windows, with what is known of it."""
+"""One parameter set of a model for many windows, with its standard errors."""
 
 from __future__ import annotations
 
@@ -34,24 +34,24 @@ from mr_damper_ros.signals.error_sums import ErrorSums, pooled
 GLOBAL_METHODS = (GLOBAL_SOURCE, "nelder_mead", "least_squares", "differential_evolution")
 
 _MOST_ROUNDS = 3
-"""So often the samples are counted anew that tell the levels of records."""
+"""Largest number of updates of the sample count that the record levels are based on."""
 
 _SETTLED = 0.3
-"""A count that changes by less, as a logarithm, does not change the levels."""
+"""Change of the logarithm of this count below which the updates end."""
 
 
 @dataclass(frozen=True, eq=False)
 class GlobalFit:
     """Result of a global identification.
 
-    ``covariance`` (p, p) of the parameters, zero where a parameter was held, and ``discrepancy``
-    (p, p): the part of it that comes from what the law cannot follow, NaN where that is not known
-    (:mod:`covariance`). ``nrmse`` (k,):
-    RMSE/std of the force, window by window; ``message`` says how it ended. ``noise`` (k,) [N]:
-    what each window's own coefficients leave of its force; ``cost``: mean square over all samples
-    of the residual in units of it, 1 where nothing but noise is left. ``candidates``: the local
-    searches of which this is the outcome; ``stopped``: whether it was stopped before its end.
-    ``levels``: what was known of the levels of the records, None where they had none.
+    ``covariance`` (p, p) is that of the parameters, zero for held parameters. ``discrepancy`` (p,
+    p) is the part of it that comes from model error, NaN if it is unknown (:mod:`covariance`).
+    ``nrmse`` (k,): RMSE/std of the force of each window. ``message``: how the search ended.
+    ``noise`` (k,) [N]: RMSE of the separate fit of each window. ``cost``: mean square over all
+    samples of the residual in units of this noise; it is 1 if only noise is left. ``candidates``:
+    results of the local searches from which the set was selected. ``stopped``: whether the search
+    was stopped before its end. ``levels``: the prior of the record levels, None without record
+    levels.
     """
 
     parameter_set: ParameterSet
@@ -70,12 +70,13 @@ class GlobalFit:
     def coefficients(self, operating_point: tuple[float, float]) -> tuple[Array, Array, Array]:
         """Coefficients (c,) at (peak velocity [m/s], current [A]), with their errors.
 
-        That is their standard errors and the part of these that is discrepancy.
+        Returns the coefficients, their standard errors and the part of these that comes from model
+        error.
         """
         model, values = self.parameter_set.law, self.parameter_set.values
         coefficients = model.coefficients_at(values, *operating_point)[:, 0]
         gradient = model.coefficient_gradient(values, *operating_point)
-        # What a coefficient does not depend on must not make it unknown.
+        # Parameters without influence on the coefficients must not make the errors NaN.
         used = np.any(gradient != 0.0, axis=0)
         block, gradient = np.ix_(used, used), gradient[:, used]
         errors, discrepancies = (
@@ -86,12 +87,12 @@ class GlobalFit:
 
     @property
     def median_nrmse(self) -> float:
-        """Median over the windows."""
+        """Median NRMSE of the windows."""
         return float(np.median(self.nrmse))
 
 
 def error_of_set(found: ParameterSet, windows: Iterable[Window]) -> ErrorSums:
-    """Error of a set of any model on the samples of all windows together."""
+    """Error of a set of any model over the samples of all windows together."""
     return pooled(ErrorSums.of(found.window_force(window), window.force) for window in windows)
 
 
@@ -106,21 +107,21 @@ def identify_global(
     known: Array | None = None,
     levels: LevelPrior | None = None,
 ) -> GlobalFit:
-    """One parameter set for all windows.
+    """Identify one parameter set from all windows.
 
-    ``start`` (p,) holds the values that undetermined parameters keep (one with which the windows
-    cannot be fitted takes that of :meth:`Model.without_dependence`); a parameter that would leave
-    its bounds is held there and counts as undetermined. ``method``: "global" as in
-    :mod:`global_search`; "nelder_mead" and "least_squares" search on the samples from the laws;
-    "differential_evolution" searches on the samples over all free parameters at once, as the thesis
-    does. ``report`` hears of the progress and may stop the search: the best so far is then returned
-    with ``success`` False. ``known`` (p,): the outcome of an earlier search, from which this one
-    starts as well. ``levels``: each record has a force scale and a zero of its own. A search
-    without them comes first: how many samples count for the levels follows from what a set that is
-    about right leaves of the force.
+    ``start`` (p,) holds the values that undetermined parameters keep. If the windows cannot be
+    fitted with such a value, the parameter takes that of :meth:`Model.without_dependence`. A
+    parameter that would leave its bounds is held at the bound and counts as undetermined.
+    ``method``: "global" is that of :mod:`global_search`; "nelder_mead" and "least_squares" search
+    on the samples, starting from the laws; "differential_evolution" searches on the samples over
+    all free parameters at once, like the thesis. ``report`` receives the progress and may stop the
+    search, which then returns the best set so far with ``success`` False. ``known`` (p,): the
+    result of an earlier search, used as an additional start. ``levels``: each record has its own
+    gain and offset. In this case a search without levels comes first, because the number of samples
+    that count for the levels follows from the residual of an approximate set.
 
-    Raises DataError where there are no windows or a force does not change, ValueError for an
-    unknown method.
+    Raises DataError if there are no windows or a force is constant, ValueError for an unknown
+    method.
     """
     if method not in GLOBAL_METHODS:
         raise ValueError(f"method '{method}' is unknown: use one of {', '.join(GLOBAL_METHODS)}")
@@ -173,7 +174,8 @@ def _result(search: GlobalSearch, method: str, ending: Ending) -> GlobalFit:
         errors[places] = np.sqrt(np.diag(covariance[block]))
     speeds = np.concatenate([window.motion.peak_velocity for window in search.windows])
     observable = np.isfinite(errors)
-    # Between currents the law is a guess unless its dependence on them has been determined.
+    # Between the measured currents the law is arbitrary unless the data determine its current
+    # dependence.
     known = search.windows if model.knows_currents(observable) else search.windows[-1:]
     currents = np.concatenate([window.current for window in known])
     parameter_set = ParameterSet(
@@ -212,13 +214,13 @@ def _errors(search: GlobalSearch, misfit: Misfit, places: Sequence[int]) -> tupl
         errors = error_covariances(jacobian, residual, samples_per_cycle(misfit.windows[0]))
         discrepancy = without_negative_variance(errors.discrepancy)
         both = without_negative_variance(errors.repeatability) + discrepancy
-        return both, np.full_like(both, math.nan)  # one motion tells no scatter between motions
+        return both, np.full_like(both, math.nan)  # one motion shows no scatter between motions
     posterior = search.posterior(misfit, places)
     jacobian = posterior.jacobian(posterior.start)
     residual = posterior.residual(posterior.start)
     covariance = least_squares_covariance(jacobian, residual, prior=posterior.prior)
     motions = motion_numbers(misfit.windows)[misfit.row_windows]
-    # The prior is no motion: what it alone holds, no scatter between motions tells of.
+    # The prior rows belong to no motion, so the scatter between motions excludes them.
     jacobian, residual = jacobian[: motions.size], residual[: motions.size]
     by_samples = least_squares_covariance(jacobian, residual, prior=misfit.prior)
     discrepancy = discrepancy_between(jacobian, residual, motions, by_samples)

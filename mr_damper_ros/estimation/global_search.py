@@ -1,17 +1,18 @@
-"""One parameter set of a model for many windows: the most probable one.
+"""The most probable parameter set of a model for many windows.
 
-1. Each window gives its own coefficients (least squares, no dependence on velocity or current
-   assumed within it); what these leave of the force is the noise of the window.
-2. The laws over operating points are fitted to these coefficients: linear where they are, else by
-   differential evolution.
-3. From there, and from a few other starts, least squares on the samples over all parameters that
-   the windows can tell apart, joined by a prior: what dampers are like, in the ranges and sizes
-   that the model states. Samples count once per correlation length.
+1. Least squares estimates the coefficients of each window separately, without any dependence on
+   velocity or current within the window. The residual of this fit is the noise of the window.
+2. The laws over operating points are fitted to these coefficients, by linear least squares where
+   they are linear and by differential evolution otherwise.
+3. From the result and a few other starts, least squares on the samples estimates all parameters
+   that the windows can separate. A prior describes the plausible range and size of the parameters
+   as stated by the model. The samples within a correlation length count as one.
 
-What the windows determine is read off the posterior: a parameter is known where they say more of
-it than the prior. The law that a model contains as a special case is searched first, as one of the
-starts. Where the windows have something in common besides the coefficients, such as a compliance,
-or the current varies within one, they are fitted once more with what was found.
+The posterior tells which parameters the windows determine: those for which the data contain more
+information than the prior. If the model contains a simpler law as a special case, the search of
+that law comes first and gives one of the starts. If the windows share a parameter besides the
+coefficients, such as a compliance, or if the current varies within a window, the windows are fitted
+once more with the parameters found so far.
 """
 
 from __future__ import annotations
@@ -53,10 +54,10 @@ def adapted(
     changed: Array,
     linear: frozenset[str],
 ) -> Array:
-    """The set ``changed`` (p,) with parameters under which the force stays that of ``reference``.
+    """The set ``changed`` (p,) with its linear parameters refitted to the force of ``reference``.
 
-    ``linear`` names those that may follow, of the parameters that are linear in the laws: they are
-    solved for at the operating points of the windows.
+    ``linear`` names the parameters that may change among those that are linear in the laws. They
+    are solved for at the operating points of the windows.
     """
     speeds, currents = np.array([window.operating_point for window in windows]).T
     coefficients = model.coefficients_at(reference, speeds, currents).T
@@ -70,30 +71,31 @@ def no_search(
     start: Array,
     stage: str,
 ) -> Array:
-    """What is not linear stays where it is; see :data:`LawSearch`."""
+    """Keep the nonlinear parameters at the start; see :data:`LawSearch`."""
     return start
 
 
 # -- the prior and the posterior -----------------------------------------------------------------
 
 _RIDGE = 1e-4
-"""Weight of a prior that only keeps a flat direction from running away: a trace of the misfit."""
+"""Weight of a weak prior that only keeps flat directions bounded, relative to the misfit."""
 
 
 @dataclass(frozen=True, eq=False)
 class Prior:
-    """What dampers are like: parameters about ``centre`` (p,), with standard deviations (p,)."""
+    """The plausible range of dampers: mean ``centre`` (p,), standard deviation ``width`` (p,)."""
 
     centre: Array
     width: Array
 
 
 class Posterior:
-    """Residual of a pooled problem, and below it that of the prior, for unknowns (f,).
+    """Residual of a pooled problem followed by that of the prior, for unknowns (f,).
 
-    The unknowns are the parameters at ``places``, each in units of its prior's width; the others
-    stay as they are in ``values`` (p,). ``noise`` [1] is the standard deviation of one independent
-    sample of the residual, by which the prior counts; without it next to nothing.
+    The unknowns are the parameters at ``places``, each in units of the width of its prior. All
+    other parameters keep their ``values`` (p,). ``noise`` [1] is the standard deviation of one
+    independent sample of the residual and sets the weight of the prior; None gives a negligible
+    weight.
     """
 
     def __init__(
@@ -117,7 +119,7 @@ class Posterior:
 
     @property
     def prior(self) -> PriorRows:
-        """The rows that are no samples: those of the pooled problem, and these."""
+        """Rows that are not samples: those of the pooled problem and those of the prior."""
         own = np.ones(len(self._places), dtype=bool)
         before = self._pooled.prior
         rows = (
@@ -139,37 +141,38 @@ class Posterior:
         return np.concatenate((plain, self._weight * (unknowns - self._centre)))
 
     def jacobian(self, unknowns: Array) -> Array:
-        """Derivatives of the residual by the unknowns."""
+        """Derivatives of the residual with respect to the unknowns."""
         derivatives = self._pooled.jacobian(self.parameters(unknowns), self._places)
         prior = self._weight * np.eye(len(self._places))
         return np.concatenate((derivatives * self.widths, prior))
 
 
-# -- each window by itself -----------------------------------------------------------------------
+# -- separate fit of each window -----------------------------------------------------------------
 
 SEARCH_SAMPLES = 8000
 _FEWEST_SEARCH_SAMPLES = 250
-"""A search thins the windows to so many samples in all, and each to no fewer than that; the last
-search uses all samples."""
+"""Total number of samples in a search, which thins the windows, and the smallest number for one
+window. The last search uses all samples."""
 
 _SEARCH_STEPS = 12000
 _PIECE = 600
-"""Where the past must be followed, through so many steps of it in all, in pieces of three cycles,
-each of which forgets what came before it in the first."""
+"""Total number of steps for a law with memory, and the length of a piece. A piece holds about three
+cycles, and the effect of the unknown past ends within the first."""
 
 _SEPARATE = 1e-4
-"""Relative gain of the sum of squares at which the fit of a window by itself ends."""
+"""Relative decrease of the sum of squares below which the separate fit of a window ends."""
 
 _STAGE = "each run by itself"
 
 _OTHER_DIRECTION = 0.1
-"""Less than this part of the samples in the other direction does not show the reversal."""
+"""A window with less than this part of its samples in one direction does not show the reversal."""
 
 
 class Excerpts:
-    """What a search needs of windows: thinned, or in pieces where the law follows the past.
+    """Reduced windows for a search: thinned, or cut into pieces for a law with memory.
 
-    ``few`` are the pieces, ``stretches`` what each stands for, ``owners`` the place of its window.
+    ``few`` are the pieces, ``stretches`` the parts of the windows that they represent, ``owners``
+    the indices of their windows.
     """
 
     def __init__(self, model: Model, windows: Sequence[Window]) -> None:
@@ -192,13 +195,13 @@ class Excerpts:
     def misfit(
         self, noise: Array, levels: LevelPrior | None = None, known: Array | None = None
     ) -> Misfit:
-        """Of one set to the pieces; ``noise`` (k,) [N] is that of the windows."""
+        """Misfit of one set to the pieces; ``noise`` (k,) [N] is that of the windows."""
         pooled = Misfit(self._model, self.few, noise[self.owners].tolist(), known)
         return levelled(pooled, None if levels is None else levels.of_pieces(self.owners))
 
 
 def _pieces(model: Model, window: Window, count: int) -> list[tuple[Window, Window]]:
-    """Equal stretches of a window, and the middle of each."""
+    """Equal stretches of a window, each with the piece at its centre."""
     if window.steady or not model.needs_past(window):
         return [(window, window)]
     history = window.history
@@ -216,10 +219,10 @@ def _pieces(model: Model, window: Window, count: int) -> list[tuple[Window, Wind
 
 
 class SeparateFits:
-    """Fits of the windows one by one, thinned; what they leave of the force is the noise of each.
+    """Separate fits of the thinned windows; the residual of each fit is the noise of its window.
 
-    ``pooled``: the misfit of one set to all of the thinned windows, weighed by their noise, with
-    the ``levels`` of their records if they have any.
+    ``pooled``: misfit of one set to all thinned windows, weighted by their noise, with the
+    ``levels`` of their records if there are any.
     """
 
     pooled: Misfit
@@ -239,10 +242,11 @@ class SeparateFits:
         self.evaluations = 0
 
     def fit(self, start: Array, known: Array | None = None) -> None:
-        """Fit each window from ``start``; that of varying current from ``known``, if it is better.
+        """Fit each window from ``start``; with varying current also from ``known``.
 
-        Without its dependence on the current no law comes near to the force of such a window.
-        Raises StopRequestedError where the clock has stopped it; what was known before then stays.
+        The force of a window with varying current can only be fitted with its current dependence;
+        the better of the two fits is kept. Raises StopRequestedError when the clock stops the fits;
+        earlier results are then kept.
         """
         found: list[WindowFit] = []
         scales = self._model.unknown_indices
@@ -251,7 +255,7 @@ class SeparateFits:
             for other in found:
                 starts.append(start.copy())
                 starts[-1][scales] = other.parameters[scales]
-            # From where another ended no more starts are tried.
+            # Start from the best of the results so far, without a further search for starts.
             left = [self._model.window_force(few, each) - few.force for each in starts]
             fit = self._fit(few, starts[int(np.argmin(np.linalg.norm(left, axis=-1)))])
             if known is not None and current_varies(few):
@@ -264,7 +268,7 @@ class SeparateFits:
             raise StopRequestedError
 
     def weigh(self, noise: Array) -> None:
-        """Weigh the windows by the noise (k,) [N] that was found of each."""
+        """Weight the windows by their noise (k,) [N]."""
         self.noise = noise
         self.pooled = self._excerpts.misfit(noise, self._levels)
 
@@ -284,13 +288,14 @@ class SeparateFits:
         return self._clock.poll(_STAGE, math.nan)
 
     def misfit(self, windows: Sequence[Window], known: Array | None = None) -> Misfit:
-        """The misfit of one set to these windows, the same ones, but with other samples."""
+        """Misfit of one set to the same windows with other samples."""
         return levelled(Misfit(self._model, windows, self.noise.tolist(), known), self._levels)
 
     def _noise(self) -> Array:
-        """RMSE [N] of the fits of each window (k,), of one direction at least a usual share.
+        """RMSE [N] of the fits of each window (k,), with a lower limit for one-sided windows.
 
-        A part of a stroke is fitted by nearly any law: what that leaves is not what the law leaves.
+        Nearly any law fits a part of a stroke, so the RMSE of such a window underestimates the
+        model error.
         """
         squares, sizes, one_sided = [], [], []
         for fit, stretch in zip(self.fits, self._excerpts.stretches, strict=True):
@@ -311,13 +316,14 @@ class SeparateFits:
         return _points(self.fits)
 
     def table(self) -> CoefficientTable:
-        """The coefficients of all windows."""
+        """Coefficients of all windows."""
         return _table(self.fits)
 
     def without_search(self, start: Array) -> list[Array]:
-        """Parameters (p,) from those windows that were fitted before a stop, as far as they go.
+        """Approximate parameters (p,) from the windows that were fitted before a stop.
 
-        Those of one of them, and the laws over all as far as they are linear.
+        They are those of one window, and the laws over all windows with only the linear parameters
+        fitted.
         """
         fitted = [fit for fit in self.fits if fit.success] or self.fits[:1]
         if not fitted:
@@ -343,52 +349,55 @@ def _table(fits: Sequence[WindowFit]) -> CoefficientTable:
 
 
 def levelled(pooled: Misfit, levels: LevelPrior | None) -> Misfit:
-    """The problem with the levels of its records integrated out, or as it is where None."""
+    """The problem with the record levels integrated out; unchanged without levels."""
     return pooled if levels is None else LevelledProblem(pooled, levels)
 
 
 # -- the search ----------------------------------------------------------------------------------
 
 _EVOLUTION_SAMPLES = 200
-"""Samples per window where differential evolution evaluates thousands of sets."""
+"""Samples per window when differential evolution evaluates thousands of sets."""
 
 _AS_GOOD = 1.02
-"""What raises the mean square by no more than this factor, the windows agree with."""
+"""The windows accept a restriction that increases the mean square by at most this factor."""
 
 _MEANINGLESS = 0.01
-"""A step that lowers the misfit by so many of its variances is a tenth of a standard error."""
+"""A search ends when a step reduces the misfit by less than this many times the noise variance,
+which corresponds to a tenth of a standard error."""
 
 _SMALLEST = 0.05
-"""A scale counts as no smaller than this part of its typical size."""
+"""Lower limit of the size of a scale in the prior, relative to its typical size."""
 
 _WIDE = 3.0
-"""A scale scatters about zero by so many times what the windows by themselves have."""
-
-_PLAUSIBLE = 0.25
-"""A shape parameter scatters by this part of its plausible range: its ends are two deviations off.
+"""Prior standard deviation of a scale about zero, relative to its median size in the separate fits.
 """
 
+_PLAUSIBLE = 0.25
+"""Prior standard deviation of a shape parameter relative to its plausible range, whose ends are
+then two standard deviations from the middle."""
+
 _ON_BOUND = 1e-3
-"""A parameter this part of its width from a bound lies on it."""
+"""A parameter closer to a bound than this part of its prior width counts as being on the bound."""
 
 _NOTICED = 0.1
-"""A scale near zero is known as far as it cannot change the force by this part."""
+"""A scale near zero is known if its standard error changes the force by less than this part."""
 
 _POOR = 4.0
-"""Mean square of the weighted residual above which one looks further: twice the noise."""
+"""Mean square of the weighted residual (twice the noise RMSE) above which further starts are tried.
+"""
 
 _MOST_OWN = 4
-"""So many of the windows' own sets are then searched from."""
+"""Number of separate fits that are then used as starts."""
 
 _HOPELESS = 30.0
-"""A start that leaves so many times what has been found is not worth a search."""
+"""A start whose misfit exceeds the best one by this factor is skipped."""
 
 KNOWN = "an earlier search"
 
 
 @dataclass(frozen=True, eq=False)
 class Candidate:
-    """Where a local search on the samples began (``origin``), and what it found.
+    """The start of a local search on the samples (``origin``) and its result.
 
     ``parameters`` (p,); ``cost``: mean square of the weighted residual over the search's samples.
     """
@@ -401,8 +410,9 @@ class Candidate:
 class GlobalSearch:
     """The steps of a global identification, and the best parameters (p,) so far.
 
-    ``free``: the parameters that the windows could tell apart, after the search those that they
-    did; others keep the value of the start, or show no dependence, if the windows allow that.
+    ``free``: before the search, the parameters that the windows may separate; after the search,
+    those that the windows determine. The other parameters keep their start values, or describe no
+    dependence on velocity and current, if the windows allow it.
     """
 
     def __init__(
@@ -416,7 +426,7 @@ class GlobalSearch:
         later: int = 0,
         levels: LevelPrior | None = None,
     ) -> None:
-        """``later`` generations follow this search; DataError where there are no windows."""
+        """``later``: generations after this search. Raises DataError if there are no windows."""
         if not windows:
             raise DataError("there are no windows to identify from")
         self.model = model
@@ -433,8 +443,8 @@ class GlobalSearch:
         self.free = varied_parameters(model, *operating_points_within(windows))
         self._ranges = parameter_ranges(model, windows)
         self._separate = SeparateFits(model, windows, clock, levels)
-        # What one run determines besides the coefficients, such as a compliance, and a current
-        # that varies within a run, are known only after a search.
+        # Parameters that one run determines besides the coefficients, such as a compliance, and the
+        # effect of a current that varies within a run are known only after a first search.
         self._again = bool(model.common_names) or any(map(current_varies, windows))
         self._evaluations = 0
         self.best = start
@@ -444,27 +454,28 @@ class GlobalSearch:
 
     @property
     def evaluations(self) -> int:
-        """Of the force, or of its cheaper stand-ins, so far."""
+        """Number of evaluations of the force or of its cheaper substitutes so far."""
         return self._evaluations + self._separate.evaluations
 
     @property
     def noise(self) -> Array:
-        """What each window's own coefficients leave of its force (k,) [N]."""
+        """RMSE [N] of the separate fit of each window (k,)."""
         return self._separate.noise
 
     @property
     def pooled(self) -> Misfit:
-        """The misfit that is searched with."""
+        """The misfit that the search minimises."""
         return self._separate.pooled
 
     def whole_misfit(self) -> Misfit:
-        """Of all samples, but those that with the best set still depend on an unknown past."""
+        """Misfit over all samples except those that still depend on the unknown past."""
         return self._separate.misfit(self.windows, self.best)
 
     def run(self, method: str) -> None:
         """Search by one of the methods of :func:`identify_global`.
 
-        Raises StopRequestedError where the report has stopped it; ``best`` then is the best so far.
+        Raises StopRequestedError when the report stops the search; ``best`` is then the best set so
+        far.
         """
         try:
             self.search(method)
@@ -474,13 +485,13 @@ class GlobalSearch:
             raise
 
     def _stop(self) -> None:
-        """Take the best that is known where a search was stopped before its end."""
+        """Select the best known set after a search was stopped."""
         others = [self._start, *self._separate.without_search(self._neutral)]
         self.best = min((self.best, *others), key=self.pooled.mean_square)
         self.free = self._told(self.pooled)
 
     def search(self, method: str) -> None:
-        """Find the best set for few samples of the windows."""
+        """Find the best set on the thinned windows."""
         generations = self._settings.generations * self.model.searched_laws(self.free)
         direct = self._settings.generations if method == "differential_evolution" else 0
         simpler = self._by_simpler_law(method, generations + direct + self._later)
@@ -501,13 +512,14 @@ class GlobalSearch:
 
     @property
     def fits(self) -> list[WindowFit]:
-        """Of each window, or piece of one, by itself."""
+        """Separate fits of the windows or their pieces."""
         return self._separate.fits
 
     def _by_simpler_law(self, method: str, later: int) -> GlobalSearch | None:
-        """The search of the law that this one contains; None where it contains none.
+        """The search of the simpler law that the model contains; None if there is none.
 
-        A law with more freedom has more minima, of which the simpler one leads to a good one.
+        A law with more parameters has more local minima. The result of the simpler law is a good
+        start.
         """
         simpler = self.model.simpler
         if simpler is None:
@@ -528,7 +540,7 @@ class GlobalSearch:
         return search
 
     def _starts(self) -> dict[str, Array]:
-        """Where to start on the samples, by origin."""
+        """Starts for the search on the samples, by origin."""
         between = self.free & varied_parameters(self.model, *self._separate.operating_points)
         table, centre = self._separate.table(), self._prior().centre
         starts = {
@@ -556,7 +568,7 @@ class GlobalSearch:
         return best
 
     def _prior(self) -> Prior:
-        """What dampers are like, about the start where it is plausible."""
+        """The prior of the parameters, centred on the start where it is plausible."""
         model = self.model
         sizes = _SMALLEST * model.typical_sizes(self.windows)
         if self.fits:
@@ -572,7 +584,7 @@ class GlobalSearch:
         return Prior(centre, width)
 
     def _search_from(self, starts: Mapping[str, Array], method: str) -> None:
-        """Least squares from each of the starts, roughly, and from the best of them to the end."""
+        """Coarse least squares from each start, then a full search from the best result."""
         by_laws = math.inf
         self.best = min((self.best, *starts.values()), key=self.pooled.mean_square)
         if self._clock.stopped:
@@ -599,7 +611,8 @@ class GlobalSearch:
         least = min(candidate.cost for candidate in found)
         cycles = any(holds_cycle(window.motion.displacement) for window in self.windows)
         if least > _POOR and not cycles and method != "differential_evolution":
-            # Of parts of strokes one window may show more than all others.
+            # With parts of strokes, the separate fit of one window may be a better start than the
+            # laws.
             scales = self.free.intersection(self.model.linear)
             own = [self._least_squares(self.pooled, fit.parameters, scales) for fit in self.fits]
             for start in sorted(own, key=self.pooled.mean_square)[:_MOST_OWN]:
@@ -618,18 +631,19 @@ class GlobalSearch:
             )
 
     def _finish(self) -> None:
-        """Return what is open to the start, and search once with all samples."""
+        """Reset undetermined parameters to the start, then search once with all samples."""
         open_ = frozenset(self.model.parameter_names) - self._told(self.pooled)
-        # What is held leaves others open; what cannot be returned, the windows contradict.
+        # Holding a parameter may make others undetermined, so repeat. A parameter that cannot be
+        # reset is determined by the windows.
         while returned := self._returned(open_):
             self.free -= returned
             open_ = self.free - self._told(self.pooled)
         self.best = self._most_probable(self.whole_misfit(), self.best, self.free)
 
     def _returned(self, names: frozenset[str]) -> frozenset[str]:
-        """Those of the names that have the start's value, or show no dependence.
+        """The parameters among ``names`` that were reset to the start or to no dependence.
 
-        All together, law by law, or each by itself: as far as the windows agree.
+        They are reset all together, law by law or one by one, as far as the windows agree.
         """
         held: frozenset[str] = frozenset()
         laws = [names.intersection(law) for law in self.model.shape_groups]
@@ -653,10 +667,10 @@ class GlobalSearch:
         return held
 
     def _told(self, misfit: Misfit) -> frozenset[str]:
-        """The free parameters of which the windows say more than the prior.
+        """The free parameters for which the windows contain more information than the prior.
 
-        And of a scale to its own size, or to what changes the force by a tenth. The others may
-        take any of their values meanwhile.
+        A scale must also be known to its own size, or to the size that changes the force by a
+        tenth. The other parameters keep their current values for now.
         """
         names = [name for name in self.model.parameter_names if name in self.free]
         places, values = self.model.places(names), self.best
@@ -677,15 +691,15 @@ class GlobalSearch:
         return frozenset(name for name, told in zip(names, known, strict=True) if told)
 
     def posterior(self, misfit: Misfit, places: Sequence[int]) -> Posterior:
-        """That of the parameters at some places, about the best ones."""
+        """Posterior of the parameters at some places, linearised about the best set."""
         noise = noise_level(misfit, self.best)
         return Posterior(misfit, self.best, places, self._prior(), noise)
 
     def _most_probable(self, pooled: Misfit, start: Array, names: frozenset[str]) -> Array:
-        """The end (p,) of a search over the named parameters in the posterior.
+        """The most probable parameters (p,) over the named ones.
 
-        The best that is allowed may lie on a bound, which a search only approaches: what is there
-        stays there, unless the misfit falls towards the inside.
+        The optimum may lie on a bound, which the search only approaches. A parameter on a bound
+        stays there unless the misfit decreases towards the inside.
         """
         low, high = self.model.bounds
         every = np.array(self.model.parameter_names)
@@ -719,7 +733,7 @@ class GlobalSearch:
         most_steps: int = MOST_STEPS,
         simplex: bool = False,
     ) -> Array:
-        """The parameters (p,) that a local search over the named ones ends at."""
+        """The result (p,) of a local search over the named parameters."""
         places = [place for place, name in enumerate(self.model.parameter_names) if name in names]
         residual = pooled.residual(start)
         with np.errstate(over="ignore"):

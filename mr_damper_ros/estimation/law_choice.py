@@ -1,13 +1,12 @@
-"""Which force law the data support: each is judged on motions that it was not fitted to.
+"""Selects the force law that the data support by cross-validation over motions.
 
-Cross-validation over motions: runs of about the same peak velocity are left out together, at all
-their currents. Where there are fewer than three motions, over runs; where there are fewer than
-five runs, over segments of them, for too few would be left to tell how the force depends on the
-current. Among the laws that are not worse than the best one by more than
-one standard error of the difference, nor by what nobody would notice, that with the fewest
-parameters is chosen (the rule of one standard error: Breiman et al., Classification and Regression
-Trees, 1984, section 3.4.3, here on the differences, since some motions are harder than others for
-every law).
+Runs of about the same peak velocity are left out together, at all their currents. With fewer than
+three motions, single runs are left out. With fewer than five runs, segments of all runs are left
+out, because otherwise too few runs would remain to determine the current dependence. Among the laws
+whose error exceeds the lowest one by no more than one standard error of the difference, or by a
+negligible amount, the law with the fewest parameters is selected (one-standard-error rule: Breiman
+et al., Classification and Regression Trees, 1984, section 3.4.3). The rule uses the differences
+between laws, because some motions are difficult for every law.
 """
 
 from __future__ import annotations
@@ -35,21 +34,21 @@ FEWEST_FOLDS = 3
 _FEWEST_RUNS = 5
 
 _PREDICTS = 0.3
-"""A law that leaves more than this NRMSE on what it has not seen does not predict it."""
+"""Largest NRMSE on validation samples at which a law predicts the force."""
 
 _UNNOTICED = 0.01
-"""Part of the best law's error by which another may be behind, however sure that is."""
+"""Negligible increase of the error relative to that of the best law."""
 
 _SAME_MOTION = 1.1
-"""Peak velocities up to this times the lowest of them count as one motion."""
+"""Largest ratio of peak velocities at which runs count as the same motion."""
 
 _SHORTEST_SEGMENT = 200
-"""Samples that a segment of a run has at least."""
+"""Smallest number of samples in a segment of a run."""
 
 
 @dataclass(frozen=True, eq=False)
 class Fold:
-    """What is fitted, and the places of windows that the fit has not seen."""
+    """Training windows, and the validation samples as slices of windows."""
 
     training: tuple[Window, ...]
     judged: tuple[tuple[Window, slice], ...]
@@ -57,23 +56,23 @@ class Fold:
 
 @dataclass(frozen=True, eq=False)
 class LawTrial:
-    """A law and its NRMSE on what was left out, fold by fold, shape (k,); infinite: no fit."""
+    """A law and its validation NRMSE for each fold, shape (k,); infinite: no fit."""
 
     model: str
     errors: Array
 
     @property
     def nrmse(self) -> float:
-        """Mean over the folds [1]."""
+        """Mean NRMSE over the folds [1]."""
         return float(np.mean(self.errors))
 
     @property
     def parameter_count(self) -> int:
-        """Number of the law's parameters: what makes it simple."""
+        """Number of parameters of the law, the measure of its complexity."""
         return len(MODELS[self.model].parameters)
 
     def behind(self, other: LawTrial) -> tuple[float, float]:
-        """By how much the mean error is larger than another law's [1], and its standard error."""
+        """Mean difference of the error [1] from that of another law, and its standard error."""
         if not math.isfinite(self.nrmse):
             return math.inf, 0.0
         difference = self.errors - other.errors
@@ -83,9 +82,10 @@ class LawTrial:
 
 @dataclass(frozen=True, eq=False)
 class LawChoice:
-    """The laws tried, the best first.
+    """The laws compared, best first.
 
-    ``left_out``: what each fold leaves out, in a word; ``sinusoids``: whether all motions are.
+    ``left_out``: the unit of cross-validation in one word; ``sinusoids``: whether all motions are
+    sinusoids.
     """
 
     trials: tuple[LawTrial, ...]
@@ -94,12 +94,12 @@ class LawChoice:
 
     @property
     def best(self) -> LawTrial:
-        """The law with the lowest error on what was left out."""
+        """The law with the lowest validation error."""
         return self.trials[0]
 
     @property
     def chosen(self) -> LawTrial:
-        """The simplest law that is as good as the best one, by the rule above."""
+        """The simplest law that is as good as the best one, by the one-standard-error rule."""
         good = [trial for trial in self.trials if self._is_as_good(trial)]
         return min(good, key=lambda trial: (trial.parameter_count, trial.nrmse))
 
@@ -151,14 +151,14 @@ def cross_validate(
     report: Report | None = None,
     processes: ProcessPool | None = None,
 ) -> LawChoice:
-    """Compare force laws by cross-validation over the runs, each the windows of one.
+    """Compare force laws by cross-validation over the runs, each a sequence of windows.
 
-    ``models`` are names of laws; ``settings`` those of the global identification; ``report`` hears
-    of the progress, and may stop: the laws that are finished are then compared. The result does not
-    depend on the number of ``processes``.
+    ``models`` are names of laws; ``settings`` are those of the global identification. ``report``
+    receives the progress and may stop the comparison, which then covers the finished laws. The
+    result does not depend on the number of ``processes``.
 
-    Raises ValueError where there is too little to leave a part out, for an unknown law, and where
-    it was stopped before any law was finished.
+    Raises ValueError if there are too few data for cross-validation, for an unknown law, and if the
+    comparison was stopped before any law was finished.
     """
     left_out, parts = folds(runs)
     tasks = [
@@ -185,9 +185,9 @@ def cross_validate(
 
 
 def folds(runs: Sequence[Sequence[Window]]) -> tuple[str, list[Fold]]:
-    """What is left out, "motions", "runs" or "segments", and the folds, three to five.
+    """The unit of cross-validation ("motions", "runs" or "segments") and the three to five folds.
 
-    Raises ValueError where the runs are too few and too short.
+    Raises ValueError if the runs are too few and too short.
     """
     motions = _motions(runs)
     if len(motions) >= FEWEST_FOLDS:
@@ -198,7 +198,7 @@ def folds(runs: Sequence[Sequence[Window]]) -> tuple[str, list[Fold]]:
 
 
 def _motions(runs: Sequence[Sequence[Window]]) -> list[list[Sequence[Window]]]:
-    """Runs of about the same peak velocity together, by rising peak velocity."""
+    """Group runs of about the same peak velocity, in order of increasing peak velocity."""
     motions: list[list[Sequence[Window]]] = []
     lowest = 0.0
     for speed, run in sorted(((_speed(run), run) for run in runs), key=lambda pair: pair[0]):
@@ -229,7 +229,7 @@ def _folds_of_groups(groups: Sequence[Sequence[Sequence[Window]]]) -> list[Fold]
 
 
 def _folds_of_segments(windows: Sequence[Window]) -> list[Fold]:
-    """Each leaves out a part of every window: the first, the second and so on."""
+    """Folds that each leave out one segment of every window."""
     shortest = min(window.sample_count for window in windows)
     count = min(MOST_FOLDS, shortest // _SHORTEST_SEGMENT)
     if count < FEWEST_FOLDS:
@@ -262,7 +262,7 @@ class _Trial:
 
 
 def _left_out_error(trial: _Trial, tell: Tell) -> float:
-    """NRMSE [1] on what was left out; infinite where there is no fit, NaN where it was stopped."""
+    """Validation NRMSE [1]; infinite if there is no fit, NaN if the fit was stopped."""
     law, fold = MODELS[trial.model], trial.fold
 
     def report(progress: GlobalProgress) -> bool:

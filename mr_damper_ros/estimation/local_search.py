@@ -1,8 +1,8 @@
-"""Local search of a least-squares problem: Nelder-Mead and least squares, both SciPy's.
+"""Local search of a least-squares problem by SciPy's Nelder-Mead and least-squares methods.
 
-Nelder-Mead searches in coordinates in which the sum of squares is nearly a sphere, taken from the
-Jacobian at its start; there a simplex of seven dimensions converges in a few hundred evaluations
-instead of thousands.
+Nelder-Mead uses coordinates in which the sum of squares is nearly spherical, derived from the
+Jacobian at the start. In these coordinates a simplex in seven dimensions converges in a few hundred
+evaluations instead of thousands.
 """
 
 from __future__ import annotations
@@ -18,34 +18,34 @@ from mr_damper_ros.estimation.covariance import triangular_factor
 from mr_damper_ros.signals.arrays import Array
 
 _SIMPLEX_TOLERANCE = 1.0
-"""Nelder-Mead stops where the simplex is this many standard errors wide: in the valley of the
-minimum, at whose bottom least squares then ends."""
+"""Size of the simplex in standard errors at which Nelder-Mead stops. It is then near the minimum,
+which least squares locates exactly."""
 
 _FAR = 30.0
-"""A search that moved by more standard errors than this starts again with new axes."""
+"""Nelder-Mead restarts with new axes if it has moved by more standard errors than this."""
 
 _MOST_RESTARTS = 5
 
 _HUBER = 1.345
-"""Huber's constant: 95 % efficiency where the noise is normal after all."""
+"""Huber's constant, which gives 95 % efficiency for normal noise."""
 
 MOST_STEPS = 300
 
 _MINPACK_LIMIT, _TRUST_REGION_LIMIT = 5, 0
-"""What the two solvers say where they end at their limit of evaluations."""
+"""Status codes of the two solvers when they reach their limit of evaluations."""
 
 _LAST_DIGITS = 1.5e-8
-"""Relative tolerance of MINPACK: half of the digits there are."""
+"""Relative tolerance of MINPACK: half of the digits of double precision."""
 
 _BEYOND = 1e100
-"""Derivatives from here on overflow where they are squared and summed."""
+"""Larger derivatives would overflow when squared and summed."""
 
 _MARGIN = 1e-3
-"""Distance from a bound at which a search starts at least, relative to the value."""
+"""Smallest distance of a start from a bound, relative to the value."""
 
 
 class Ending(Enum):
-    """How a search ended, in words."""
+    """The reason why a search ended, in words."""
 
     CONVERGED = "converged"
     STOPPED = "stopped before it converged: this is the best so far"
@@ -53,21 +53,21 @@ class Ending(Enum):
 
 
 class Problem(Protocol):
-    """Something to fit: residual (n,) and its Jacobian (n, p) for unknowns (p,)."""
+    """A least-squares problem: residual (n,) and its Jacobian (n, p) for unknowns (p,)."""
 
     @property
     def bounds(self) -> tuple[Array, Array] | None:
-        """Lower and upper bounds (p,) of the unknowns, None where there are none."""
+        """Lower and upper bounds (p,) of the unknowns, None if there are none."""
 
     def residual(self, unknowns: Array) -> Array:
         """Model minus measurement, shape (n,)."""
 
     def jacobian(self, unknowns: Array) -> Array:
-        """Derivatives of the residual, shape (n, p)."""
+        """Derivatives of the residual with respect to the unknowns, shape (n, p)."""
 
 
 class StopRequestedError(Exception):
-    """The caller wants no further evaluation; the best so far stays in the search."""
+    """Raised when the caller stops a search, which keeps its best unknowns so far."""
 
 
 P = TypeVar("P", bound=Problem)
@@ -75,10 +75,10 @@ Q = TypeVar("Q", bound=Problem)
 
 
 class LocalSearch(Generic[P]):
-    """A problem with the best unknowns found so far and the number of evaluations.
+    """A problem, its best unknowns so far and the number of evaluations.
 
-    ``should_stop`` is asked at every evaluation; where it says so, StopRequestedError is raised.
-    ``exhausted``: whether the latest least squares ended at its limit of steps.
+    ``should_stop`` is called at every evaluation; if it returns True, StopRequestedError is raised.
+    ``exhausted``: whether the latest least squares reached its limit of steps.
     """
 
     def __init__(
@@ -92,27 +92,27 @@ class LocalSearch(Generic[P]):
         self._should_stop = should_stop
 
     def of(self, problem: Q, start: Array) -> LocalSearch[Q]:
-        """A search of another problem, that may be stopped like this one; it counts on its own."""
+        """A search of another problem with the same stop function and its own counter."""
         return LocalSearch(problem, start, self._should_stop)
 
     def residual(self, unknowns: Array) -> Array:
-        """Residual (n,) of the problem, counted."""
+        """Evaluate and count the residual (n,) of the problem."""
         if self._should_stop is not None and self._should_stop():
             raise StopRequestedError
         self.evaluations += 1
         return self.problem.residual(unknowns)
 
     def try_out(self, unknowns: Array) -> float:
-        """Sum of squares; becomes the best if it is."""
+        """Evaluate the sum of squares; the unknowns become the best if it is the lowest."""
         residual = self.residual(unknowns)
-        with np.errstate(over="ignore"):  # beyond all numbers is never the best
+        with np.errstate(over="ignore"):  # a cost that overflows is never accepted
             cost = float(residual @ residual)
         if cost < self.best_cost:
             self.best, self.best_cost = unknowns, cost
         return cost
 
     def nelder_mead(self) -> None:
-        """Nelder-Mead from the best so far, with new axes as long as it moves far."""
+        """Nelder-Mead from the best unknowns, restarted with new axes while it moves far."""
         from scipy import optimize  # here: see mr_damper_ros.entry_points
 
         if math.isinf(self.best_cost):
@@ -123,7 +123,7 @@ class LocalSearch(Generic[P]):
             jacobian = self.problem.jacobian(centre)
             noise_power = self.best_cost / residual.size
             axes = _standard_error_axes(jacobian, math.sqrt(noise_power))
-            # The simplex spans the way to where the linear problem has its minimum.
+            # The simplex extends to the minimum of the linearised problem.
             reach = -(axes.T @ (jacobian.T @ residual)) / noise_power
             reach = np.where(np.abs(reach) < 1.0, np.copysign(1.0, reach), reach)
             simplex = np.vstack((np.zeros(centre.size), np.diag(reach)))
@@ -151,12 +151,12 @@ class LocalSearch(Generic[P]):
         tolerance: float = _LAST_DIGITS,
         most_steps: int = MOST_STEPS,
     ) -> None:
-        """Least squares from the best so far; ``weights`` (n,) on the squares.
+        """Least squares from the best unknowns; ``weights`` (n,) multiply the squared residuals.
 
-        Levenberg-Marquardt (MINPACK) where the unknowns have no bounds; else the trust-region
-        method that keeps them (Branch, Coleman and Li, SIAM J. Scientific Computing 21, 1999),
-        which takes several times as long where evaluations are cheap. It ends where a step lowers
-        the sum of squares by less than the part ``tolerance`` of it.
+        Without bounds it uses Levenberg-Marquardt (MINPACK). With bounds it uses the trust-region
+        method of Branch, Coleman and Li (SIAM J. Scientific Computing 21, 1999), which takes
+        several times as long if evaluations are cheap. It ends when a step reduces the sum of
+        squares by less than the relative ``tolerance``.
         """
         root = None if weights is None else np.sqrt(weights)
 
@@ -205,7 +205,7 @@ class LocalSearch(Generic[P]):
         self.try_out(found)
 
     def reweighted_least_squares(self) -> Array:
-        """Huber's weights (n,), found with the unknowns by a few rounds of reweighting."""
+        """Huber weights (n,), estimated with the unknowns by a few reweighting iterations."""
         weights = np.ones(self.problem.residual(self.best).size)
         for _ in range(10):
             residual = self.problem.residual(self.best)
@@ -222,21 +222,21 @@ class LocalSearch(Generic[P]):
 
 
 def _without_overflow(jacobian: Array) -> Array:
-    """The Jacobian without what a set far from any damper overflows by: it is left alone."""
+    """The Jacobian limited to values that do not overflow, as they occur far from any damper."""
     return np.where(np.abs(jacobian) < _BEYOND, jacobian, 0.0)
 
 
 def _inside(values: Array, low: Array, high: Array) -> Array:
-    """The values, those on a bound or beyond moved a little inside, where a search can start."""
+    """The values, moved slightly inside where they are on a bound or beyond it."""
     margin = np.minimum(_MARGIN * np.maximum(np.abs(values), 1e-6), 0.25 * (high - low))
     return np.clip(values, low + margin, high - margin)
 
 
 def _standard_error_axes(jacobian: Array, noise: float) -> Array:
-    """Axes (p, p) along which a step of 1 raises the sum of squares by the noise variance.
+    """Axes (p, p) along which a unit step increases the sum of squares by the noise variance.
 
-    Directions that the samples hardly determine are cut short, so that a simplex does not wander
-    off along them.
+    Steps along weakly determined directions are limited, so that the simplex does not drift along
+    them.
     """
     lengths = np.linalg.norm(jacobian, axis=0)
     safe = np.where(lengths > 0.0, lengths, 1.0)[:, np.newaxis]

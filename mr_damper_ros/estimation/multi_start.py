@@ -1,9 +1,9 @@
-"""Global identification from several seeds: the best of them, how far they agree, and a record.
+"""Global identification from several seeds: the best result, its reproducibility, and a record.
 
-Each seed is a search of its own (:mod:`global_search`), so the searches can be done in any number
-of processes. A record keeps what they found: finished searches are not done again, and what was
-found by one that was stopped is a start of the same search when it is done again. So the cost after
-a resumption is never above that before.
+Each seed is a separate search (:mod:`global_search`), so the searches can run in any number of
+processes. A record keeps the results: finished searches are not repeated, and a search that was
+stopped continues with its earlier result as a start. The cost after a continuation is therefore
+never higher than before.
 """
 
 from __future__ import annotations
@@ -36,28 +36,28 @@ from mr_damper_ros.processes.process_pool import ProcessPool, Tell
 from mr_damper_ros.signals.arrays import Array
 
 _AS_GOOD = 1.01
-"""Searches that end with a cost up to this times the best have found as good a set."""
+"""Searches whose cost is at most this factor above the lowest count as equally good."""
 
 _VERSION = 3
 
 
 class SearchRecordError(ValueError):
-    """A record that does not belong to this search; the message says what to change."""
+    """A record does not belong to this search; the message says what to change."""
 
 
 @dataclass(frozen=True, eq=False)
 class MultiStart:
-    """The searches by their seeds, and the best of them."""
+    """The searches by seed, and the best of them."""
 
     fits: Mapping[int, GlobalFit]
 
     @property
     def best(self) -> GlobalFit:
-        """The one with the lowest cost."""
+        """The fit with the lowest cost."""
         return min(self.fits.values(), key=lambda fit: fit.cost)
 
     def replaced(self, better: GlobalFit) -> MultiStart:
-        """With another fit in the place of the best, which it betters."""
+        """A copy in which a better fit replaces the best one."""
         seed = min(self.fits, key=lambda seed: self.fits[seed].cost)
         return MultiStart({**self.fits, seed: better})
 
@@ -69,9 +69,9 @@ class MultiStart:
 
     @property
     def spread(self) -> Array:
-        """Span (p,) of each parameter over the searches that are as good, in standard errors.
+        """Range (p,) of each parameter over the equally good searches, in standard errors.
 
-        0 where a parameter was held; NaN where there is only one such search.
+        0 if a parameter was held; NaN if there is only one such search.
         """
         sets = np.array([self.fits[seed].parameter_set.values for seed in self.as_good])
         if len(sets) < 2:
@@ -82,7 +82,7 @@ class MultiStart:
 
 @dataclass(frozen=True, eq=False)
 class _Search:
-    """One search, as a task."""
+    """One search as a task for a process."""
 
     model: str
     windows: tuple[Window, ...]
@@ -107,10 +107,10 @@ def _run(search: _Search, tell: Tell) -> GlobalFit:
 
 
 class SearchRecord:
-    """What the searches from several seeds have found so far, in a form that JSON can hold.
+    """Results of the searches from several seeds so far, in a form suitable for JSON.
 
-    It belongs to this model, these windows, start (p,), settings (but for the seed), method and
-    levels of the records.
+    A record belongs to one combination of model, windows, start (p,), settings except the seed,
+    method and record levels.
     """
 
     def __init__(
@@ -127,16 +127,16 @@ class SearchRecord:
         self.fits: dict[int, GlobalFit] = {}
 
     def is_finished(self, seed: int) -> bool:
-        """Whether the search from this seed went to its end."""
+        """Whether the search from this seed is complete."""
         return seed in self.fits and not self.fits[seed].stopped
 
     def document(self) -> dict[str, Any]:
-        """Everything, for JSON."""
+        """The whole record for JSON."""
         found = {str(seed): _to_document(fit) for seed, fit in self.fits.items()}
         return {"version": _VERSION, "search": self._digest, "found": found}
 
     def take(self, document: Any) -> None:
-        """Go on from what :meth:`document` gave; raises SearchRecordError where that is no use."""
+        """Load the output of :meth:`document`; raises SearchRecordError if it is unusable."""
         try:
             if document["version"] != _VERSION:
                 raise SearchRecordError("it was written by another version: begin a new one")
@@ -168,13 +168,13 @@ def identify_from_seeds(
     record: SearchRecord | None = None,
     keep: Callable[[SearchRecord], None] | None = None,
 ) -> MultiStart:
-    """Searches from ``count`` seeds, that of the settings and those that follow it.
+    """Search from ``count`` seeds, starting with the seed of the settings.
 
-    See :func:`identify_global` for the other arguments. The result does not depend on the number
-    of ``processes``. ``record`` holds what was found before, and takes in what is found; ``keep``
-    is called each time it has. Where ``report`` stops the search, the best so far is returned.
+    See :func:`identify_global` for the other arguments. The result does not depend on the number of
+    ``processes``. ``record`` holds earlier results and receives the new ones; ``keep`` is called
+    after each new result. If ``report`` stops the search, the best results so far are returned.
 
-    Raises ValueError for a count below 1 and what :func:`identify_global` raises.
+    Raises ValueError for a count below 1 and the errors of :func:`identify_global`.
     """
     if count < 1:
         raise ValueError(f"starts is {count}: at least 1 is needed")
@@ -203,7 +203,7 @@ def identify_from_seeds(
 
 
 class _Follower:
-    """Makes one progress of those of several searches."""
+    """Combines the progress of several searches."""
 
     def __init__(self, report: Report | None, count: int) -> None:
         self._report = report
@@ -272,7 +272,7 @@ def _from_document(document: dict[str, Any], levels: LevelPrior | None) -> Globa
     if levels is not None:
         levels = replace(levels, counted_samples=float(document["counted_samples"]))
     covariance = np.array(document["covariance"])
-    unknown = np.full_like(covariance, math.nan)  # before there was any
+    unknown = np.full_like(covariance, math.nan)  # older records have no discrepancy
     return GlobalFit(
         parameter_set=ParameterSet.from_yaml(document["set"]),
         covariance=covariance,

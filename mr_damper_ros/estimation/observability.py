@@ -1,14 +1,14 @@
-"""What samples determine: which parameters of a model, and how many combinations of them.
+"""Observability: the parameters of a model, and their combinations, that samples determine.
 
-Two views. *What was varied*: a law over current needs as many different currents as it has
-unknowns, a law over peak velocity at least two. *What the samples say*: the Jacobian at the
-solution tells how far each parameter could move before the misfit would notice.
+There are two criteria. *Excitation*: a law over current needs as many different currents as it has
+unknowns, and a law over peak velocity needs at least two. *Information*: the Jacobian at the
+solution shows how far each parameter can move without a significant increase of the misfit.
 
-Everything is counted in *spans*: of a shape parameter the range in which it is plausible, of a
-scale its own size. In these units the singular values of the Jacobian are the inverse standard
-errors of uncorrelated combinations of the parameters. A parameter or a combination is determined
-where its standard error is below a quarter of a span. See Belsley, Kuh and Welsch, "Regression
-Diagnostics", 1980, chapter 3.
+All changes are measured in *spans*. The span of a shape parameter is its plausible range; the span
+of a scale is its own size. In these units the singular values of the Jacobian are the inverse
+standard errors of uncorrelated combinations of the parameters. A parameter or a combination is
+determined if its standard error is below a quarter of a span. See Belsley, Kuh and Welsch,
+"Regression Diagnostics", 1980, chapter 3.
 """
 
 from __future__ import annotations
@@ -29,16 +29,16 @@ from mr_damper_ros.models.misfit import Misfit
 from mr_damper_ros.signals.arrays import Array
 
 _DIFFERENT_VELOCITY = 1.2
-"""Peak velocities count as different where they are this factor apart."""
+"""Smallest ratio of two different peak velocities."""
 
 _DIFFERENT_CURRENT = 0.02
-"""Currents [A] count as different where they are this far apart."""
+"""Smallest distance of two different currents [A]."""
 
 _SHARES = np.array([0.1, 0.3, 0.5, 0.7, 0.9])
-"""A current that varies in a window is looked at after these parts of the way."""
+"""Fractions of the travelled distance at which a varying current is sampled, sorted by current."""
 
 SURE = 0.25
-"""A shape parameter is determined where its standard error is below this part of its range."""
+"""A shape parameter is determined if its standard error is below this part of its range."""
 
 
 def varied_parameters(
@@ -55,25 +55,25 @@ def varied_parameters(
 
 
 def parameter_ranges(model: Model, windows: Sequence[Window]) -> dict[str, tuple[float, float]]:
-    """Plausible ranges of the parameters that are no scales, from what the windows span."""
+    """Plausible ranges of the shape parameters for the speeds and currents of the windows."""
     speeds, _ = operating_points_within(windows)
     top_current = max(float(np.max(np.abs(window.current))) for window in windows)
     return model.plausible_ranges(windows, max(speeds), top_current)
 
 
 def current_varies(window: Window) -> bool:
-    """Whether the current takes different values within the window."""
+    """Whether the current varies within the window."""
     return float(np.ptp(window.current)) > _DIFFERENT_CURRENT
 
 
 def operating_points_within(windows: Sequence[Window]) -> tuple[list[float], list[float]]:
-    """Peak velocities and currents that the windows pass through, also within one window."""
+    """Peak velocities and currents that the windows cover, also within one window."""
     speeds: list[float] = []
     currents: list[float] = []
     for window in windows:
         peak_velocity = window.motion.peak_velocity
         order = np.argsort(peak_velocity)
-        # Rests count for nothing: the samples are weighted by speed.
+        # Weight the samples by speed, so that rest has no weight.
         travelled = np.cumsum(np.abs(window.motion.velocity[order]))
         places = np.searchsorted(travelled, np.array([0.1, 0.5, 0.9]) * travelled[-1])
         speeds += peak_velocity[order[np.minimum(places, order.size - 1)]].tolist()
@@ -95,38 +95,39 @@ def _count_different(currents: Sequence[float]) -> int:
 
 
 _SMALLEST_SHARE = 0.1
-"""The span of a scale near zero is what would change the force by this part, not itself."""
+"""The span of a scale near zero is the change that alters the force by this part."""
 
 _NEGLIGIBLE = 0.05
-"""Left out of the words: what moves by less than this part of the largest move, and changes the
+"""The message omits parameters that move by less than this part of the largest move and change the
 force by less than this part of the largest change."""
 
 _MOST_WORDS = 5
 
 _AS_A_PRODUCT = 0.1
-"""Two parameters are known as a product, or a ratio, where their relative moves agree so far."""
+"""Two parameters are known as a product or a ratio if their relative moves agree within this."""
 
 _LEADS_BY = 0.1
-"""Relative move of the parameter that leads, for the words."""
+"""Relative move of the leading parameter in the message."""
 
 _BEYOND_PERCENT = 10.0
-"""A relative move larger than this is told in the parameter's unit."""
+"""Relative moves larger than this are stated in the unit of the parameter."""
 
 _ROUNDING = 1e-10
-"""A move that the samples notice less than this, of what they may notice, is one they do not."""
+"""Relative change of the residual below which a move counts as unobservable."""
 
 _PREFER_SHAPE = 1e2
-"""Where a scale trades with a shape parameter, it is the shape that is said to be open; not where
-the shape's part is less than a hundredth, or one direction would be told several times."""
+"""Preference for a shape parameter over a scale as the leading parameter of a combination. Below a
+hundredth the shape parameter does not lead, or one direction would be reported several times."""
 
 
 @dataclass(frozen=True)
 class Combination:
     """A direction in which parameters may move together while the force hardly changes.
 
-    ``weights``: how far each moves, by name, in spans; the largest is 1, the first is that of the
-    parameter which leads. ``standard_error``: of the move, in spans; infinite where the samples do
-    not notice it at all. ``words``: what is not known, as in "f0 and k2 only as a product".
+    ``weights``: move of each parameter by name in spans; the largest is 1, and the leading
+    parameter comes first. ``standard_error``: that of the move in spans; infinite if the samples
+    contain no information about it. ``words``: the uncertainty in words, as in "f0 and k2 only as a
+    product".
     """
 
     weights: Mapping[str, float]
@@ -136,11 +137,11 @@ class Combination:
 
 @dataclass(frozen=True, eq=False)
 class Determination:
-    """What samples determine: ``singular_values`` (p,) in 1/``spans`` (p,), largest first.
+    """Observable combinations; ``singular_values`` (p,) in 1/``spans`` (p,), largest first.
 
-    ``rank``: combinations that are determined; ``condition``: the largest over the smallest
-    singular value, infinite where the smallest is zero up to rounding; ``open``: the p - rank
-    combinations that are not determined, each led by another parameter.
+    ``rank``: number of determined combinations; ``condition``: the largest over the smallest
+    singular value, infinite if the smallest is zero up to rounding; ``open``: the p - rank
+    undetermined combinations, each with a different leading parameter.
     """
 
     names: tuple[str, ...]
@@ -151,10 +152,10 @@ class Determination:
     open: tuple[Combination, ...]
 
     def partners(self, errors: Mapping[str, float]) -> dict[str, tuple[str, ...]]:
-        """The parameters that have no error of their own, and those with which they are known.
+        """Parameters that are known only together with others, and these others.
 
-        ``errors``: by name the standard errors that hold only where all else is held. A parameter
-        may move by more than its own with the others of an open combination.
+        ``errors``: standard errors by name, valid if all other parameters are held. In an
+        undetermined combination a parameter may move by more than its own standard error.
         """
         found: dict[str, tuple[str, ...]] = {}
         for combination in self.open:
@@ -169,13 +170,13 @@ class Determination:
 def parameter_spans(
     model: Model, jacobian: Array, parameters: Array, ranges: Mapping[str, tuple[float, float]]
 ) -> Array:
-    """Span (p,) of each parameter, in its own unit; see the head of this module.
+    """Span (p,) of each parameter in its own unit, as defined in the module docstring.
 
-    ``jacobian`` (n, p) is that of the residual at ``parameters`` (p,), ``ranges`` are those of the
-    shape parameters.
+    ``jacobian`` (n, p) is that of the residual at ``parameters`` (p,); ``ranges`` are the plausible
+    ranges of the shape parameters.
     """
     lengths = np.linalg.norm(jacobian, axis=0)
-    # The force is proportional to the strength of the damper.
+    # The force is linear in the gain parameters together.
     strength = model.strength_indices
     force = float(np.linalg.norm(jacobian[:, strength] @ parameters[strength]))
     spans = np.maximum(
@@ -188,10 +189,9 @@ def parameter_spans(
 
 
 def noise_level(misfit: Misfit, parameters: Array) -> float:
-    """Standard deviation [1] of the residual that its Jacobian may be divided by.
+    """Standard deviation [1] by which the Jacobian of the residual is divided.
 
-    Correlated samples count once together, so what a law leaves of the force is not taken for
-    noise that averages out.
+    Correlated samples count as one, so that model error is not averaged out like noise.
     """
     residual = misfit.residual(parameters)
     variance = float(np.mean(residual**2)) * max(correlation_length(residual), 1)
@@ -199,7 +199,7 @@ def noise_level(misfit: Misfit, parameters: Array) -> float:
 
 
 def determination(model: Model, jacobian: Array, spans: Array, parameters: Array) -> Determination:
-    """What a Jacobian (n, p), of a residual of unit variance at ``parameters`` (p,), determines."""
+    """Determined combinations for a Jacobian (n, p) of a residual of unit variance."""
     triangular = triangular_factor(jacobian) * spans
     _, values, rows = np.linalg.svd(triangular, full_matrices=True)
     names = model.parameter_names
@@ -229,10 +229,10 @@ def _combinations(
     scales: np.ndarray,
     values_and_spans: tuple[Array, Array],
 ) -> tuple[Combination, ...]:
-    """A basis of the span of the rows (d, p) in which each row is led by another parameter.
+    """A basis of the rows (d, p) in which each vector has a different leading parameter.
 
-    Gauss-Jordan elimination, complete pivoting: singular vectors mix what has nothing to do with
-    each other.
+    It results from Gauss-Jordan elimination with complete pivoting. Singular vectors would mix
+    unrelated parameters.
     """
     names, (values, spans) = model.parameter_names, values_and_spans
     basis = np.array(directions)
@@ -267,7 +267,7 @@ def _combinations(
 
 
 def _words(moves: Mapping[str, tuple[float, float]], units: Mapping[str, str]) -> str:
-    """What is open, for value and move of each parameter, that which leads first."""
+    """The uncertainty in words, from value and move of each parameter, the leading one first."""
     lead, *others = moves
     if not others:
         return lead
@@ -280,7 +280,7 @@ def _words(moves: Mapping[str, tuple[float, float]], units: Mapping[str, str]) -
             return f"{lead} and {others[0]} only as a ratio"
     _, move = moves[lead]
     step = _LEADS_BY if math.isinf(relative[lead]) else _LEADS_BY / abs(relative[lead])
-    # No further than anything may plausibly move: the law is linear over no more.
+    # Limit the move to the plausible range; the linearisation does not hold beyond it.
     step = math.copysign(min(step, 1.0), move)
     changes = [
         _change(name, step * moves[name][1], moves[name][0], units[name])
@@ -297,5 +297,5 @@ def _change(name: str, move: float, value: float, unit: str) -> str:
     if abs(part) > _BEYOND_PERCENT:
         way = "rises" if move > 0.0 else "falls"
         return f"{name} {way} by {abs(move):.2g}{'' if unit == '1' else f' {unit}'}"
-    # Of a negative number it is the size that grows or shrinks.
+    # For a negative value, growth means a larger magnitude.
     return f"{name} {'grows' if part > 0.0 else 'shrinks'} by {100.0 * abs(part):.2g} %"

@@ -1,6 +1,6 @@
-"""Runs of a test machine: what it may do, what a run is, and the runs that a goal leaves to choose.
+"""Runs of a test machine: its limits, the runs themselves, and the candidate runs for a goal.
 
-A run is a sine, a swept sine or random motion, at one current or at a staircase of currents.
+A run is a sine, a swept sine or a random motion at one current or at a staircase of currents.
 """
 
 from __future__ import annotations
@@ -20,31 +20,32 @@ from mr_damper_ros.signals.arrays import Array
 from mr_damper_ros.signals.recording import Recording
 
 _MOST_HARMONICS = 100.0
-"""Random motion has no more of them: where the run lasts longer, it repeats."""
+"""Largest number of harmonics of a random motion; in a longer run the motion repeats."""
 
 SETTLING = 0.1
-"""Seconds after a step of the current that tell nothing: coil and force follow."""
+"""Time [s] after a current step that is excluded, because coil current and force are still
+changing."""
 
 _CURRENT_STEP = 0.05
-"""A current that is so far [A] from that of its stretch has not been stepped yet."""
+"""A current that differs from that of its stretch by more than this [A] has not been stepped yet.
+"""
 
 
 PHASES = 64
-"""Samples of the cycle that stands for an operating point."""
+"""Number of samples of the cycle that represents an operating point."""
 
 _AMPLITUDE = 0.01
-"""Amplitude [m] of the cycles of a goal, unless it says another."""
+"""Default amplitude [m] of the cycles of a goal."""
 
 
 @dataclass(frozen=True)
 class ForceGoal:
-    """The force, to this relative standard ``error`` at the worst point, over these ranges.
+    """Goal: a relative standard ``error`` of the force at the worst point over the given ranges.
 
-    ``peak_velocity`` [m/s] and ``current`` [A] are pairs (low, high); the error is relative to the
-    largest force of the cycle at the same point. The force is looked at in cycles of ``amplitude``
-    [m].
+    ``peak_velocity`` [m/s] and ``current`` [A] are pairs (low, high). The error is relative to the
+    largest force of the cycle at the same point. The cycles have the given ``amplitude`` [m].
 
-    Raises ValueError for a goal that cannot be meant.
+    Raises ValueError for an impossible goal.
     """
 
     error: float
@@ -74,13 +75,13 @@ class ForceGoal:
 
     @property
     def points(self) -> list[tuple[float, float]]:
-        """Operating points (m/s, A) all over the range."""
+        """Operating points (m/s, A) that cover the range."""
         speeds = np.unique(np.geomspace(*self.peak_velocity, self.speeds))
         currents = np.unique(np.linspace(*self.current, self.currents))
         return [(v, i) for v in speeds.tolist() for i in currents.tolist()]
 
     def cycles(self) -> list[Window]:
-        """A cycle at each point; its force plays no part."""
+        """A cycle at each point; its force is zero and has no effect."""
         return [
             steady_cycle(self.amplitude, v / (2.0 * math.pi * self.amplitude), i)
             for v, i in self.points
@@ -88,23 +89,25 @@ class ForceGoal:
 
 
 def steady_cycle(amplitude: float, frequency: float, current: float) -> Window:
-    """One cycle of a sine [m], [Hz] at a current [A]; without a force."""
+    """One cycle of a sine [m], [Hz] at a current [A]; its force is zero."""
     period = 1.0 / (frequency * PHASES)
-    # Half a sample off the reversals, where the sign of the acceleration is a matter of rounding.
+    # The samples avoid the reversals by half a sample, because rounding would decide the sign of
+    # the acceleration there.
     phase = 2.0 * math.pi * (np.arange(PHASES) + 0.5) / PHASES
     return Window.from_samples(amplitude * np.sin(phase), np.zeros(PHASES), current, period)
 
 
 @dataclass(frozen=True)
 class MachineLimits:
-    """What the test machine may do in a run.
+    """Limits of the test machine for a run.
 
     ``amplitude`` [m] about the centre, ``peak_velocity`` [m/s], ``force`` [N], ``current`` [A],
-    ``duration`` [s], ``heat`` [J] that the damper may take up, frequencies (low, high) [Hz],
-    ``sample_rate`` [Hz]. ``steps``: whether the current can change within a run, which nobody does
-    by hand. ``motions``: how it can move; a press that is set by hand makes sines alone.
+    ``duration`` [s], ``heat`` [J] that the damper may absorb, frequencies (low, high) [Hz],
+    ``sample_rate`` [Hz]. ``steps``: whether the current can be stepped within a run, which an
+    operator cannot do by hand. ``motions``: the available motions; a machine set by hand makes only
+    sines.
 
-    Raises ValueError for values that no machine has.
+    Raises ValueError for impossible values.
     """
 
     amplitude: float
@@ -140,7 +143,7 @@ class MachineLimits:
 
 
 def motions_of(words: Iterable[str]) -> tuple[MotionKind, ...]:
-    """The motions named, each once. Raises ValueError for a word that is none."""
+    """The named motions without repetition. Raises ValueError for an unknown name."""
     known = {kind.value: kind for kind in MotionKind}
     found = dict.fromkeys(words)
     for word in found:
@@ -153,9 +156,9 @@ def motions_of(words: Iterable[str]) -> tuple[MotionKind, ...]:
 class PlannedRun:
     """A motion of ``amplitude`` [m] for ``duration`` [s].
 
-    The current goes through ``currents`` [A], each for the same time. ``kind`` tells the motion: a
-    sine of ``frequency`` [Hz], or a swept sine or random motion (of this ``seed``) from
-    ``frequency`` to ``highest_frequency`` [Hz].
+    The current takes the values ``currents`` [A] one after the other, each for the same time.
+    ``kind`` is the motion: a sine of ``frequency`` [Hz], or a swept sine or random motion (with
+    this ``seed``) from ``frequency`` to ``highest_frequency`` [Hz].
     """
 
     amplitude: float
@@ -168,14 +171,14 @@ class PlannedRun:
 
     @classmethod
     def from_document(cls, document: Mapping[str, Any]) -> PlannedRun:
-        """The run that ``asdict`` wrote, as JSON gives it back. Raises ValueError or TypeError."""
+        """Read the output of ``asdict`` back from JSON. Raises ValueError or TypeError."""
         given = dict(document)
         kind = MotionKind(given.pop("kind", MotionKind.SINE))
         return cls(**given | {"currents": tuple(given["currents"]), "kind": kind})
 
     @property
     def motion(self) -> PeriodicMotion:
-        """How the machine moves. Raises ValueError where that makes no sense."""
+        """The motion of the machine. Raises ValueError if it is impossible."""
         return _motion(replace(self, currents=()))
 
     @property
@@ -185,7 +188,7 @@ class PlannedRun:
 
     @property
     def span(self) -> float:
-        """Half the way [m] from the lowest to the highest displacement."""
+        """Half the distance [m] between the lowest and the highest displacement."""
         return self.motion.span
 
     @property
@@ -195,7 +198,7 @@ class PlannedRun:
 
     @property
     def sentence(self) -> str:
-        """What to set, in words."""
+        """The settings of the run in words."""
         amperes = ", ".join(f"{current:.3g}" for current in self.currents)
         each = f", {self.stretch:.3g} s each" if len(self.currents) > 1 else ""
         return f"{self.motion.sentence} for {self.duration:.3g} s with {amperes} A{each}"
@@ -206,7 +209,7 @@ class PlannedRun:
         return np.asarray(self.currents)[np.clip(step, 0, len(self.currents) - 1)]
 
     def parts(self, period: float) -> list[slice]:
-        """The samples of each stretch in a recording of this period [s], once all is settled."""
+        """Samples of each stretch in a recording of this period [s], without settling times."""
         count = round(self.stretch / period)
         settling = round(SETTLING / period)
         return [
@@ -215,7 +218,7 @@ class PlannedRun:
         ]
 
     def windows(self, recording: Recording) -> list[Window]:
-        """A window of each stretch of a recording of the run, at the current measured there."""
+        """A window of each stretch of a recording of the run, at the median measured current."""
         parts = [_settled(part, recording) for part in self.parts(recording.period)]
         currents = [float(np.median(recording.current[part])) for part in parts]
         displacement, force = recording.displacement, recording.force
@@ -232,7 +235,7 @@ class PlannedRun:
 
 
 def with_motion_before(period: Window) -> Window:
-    """A window of one period of a motion that had gone on before, as its peak velocity shows."""
+    """A window of one period of a motion in progress, with the corresponding peak velocity."""
     motion = period.motion
     if motion.sine is not None:
         return period
@@ -251,7 +254,7 @@ def _motion(run: PlannedRun) -> PeriodicMotion:
 
 
 def _settled(part: slice, recording: Recording) -> slice:
-    """The samples of a stretch without those before the supply had come to its current."""
+    """Samples of a stretch without those before the supply reached its current."""
     current = recording.current[part]
     off = np.abs(current - np.median(current)) > _CURRENT_STEP
     late = np.flatnonzero(off[: current.size // 2])
@@ -262,35 +265,37 @@ def _settled(part: slice, recording: Recording) -> slice:
 
 _SPEEDS = 6
 _CURRENTS = 6
-"""Peak velocities and currents of the candidates."""
+"""Number of peak velocities and currents of the candidates."""
 
 _AMPLITUDES = (1.0, 0.5, 0.25)
-"""Parts of the largest amplitude."""
+"""Amplitudes of the candidates, relative to the largest amplitude."""
 
 _BROAD_SPEEDS = 3
 _BROAD_AMPLITUDES = 2
-"""Of these so many of the largest are those of motions that are no sine."""
+"""Number of the largest peak velocities for motions other than a sine."""
 
 _RANDOM_BAND = (0.25, 2.0)
-"""Random motion is within these parts of the frequency of a sine as large and as fast."""
+"""Frequency band of a random motion, relative to the sine of the same amplitude and peak velocity.
+"""
 
 _TRIES = 10
-"""To find such a motion that is within the limits, also while it grows."""
+"""Number of attempts to find such a motion within the limits, also while its amplitude builds up.
+"""
 
 _STAIRS = (2, 3, 4, 6)
-"""Currents of a staircase."""
+"""Number of currents of a staircase."""
 
 _FIRST_CURRENTS = 4
-"""Those of the first one, at most."""
+"""Largest number of currents of the first run."""
 
 _LEAST_CYCLES = 1.0
-"""A stretch at one current holds so many cycles at the least."""
+"""Smallest number of cycles in a stretch at one current."""
 
 
 def first_run(goal: ForceGoal, limits: MachineLimits) -> PlannedRun:
-    """The run of a damper of which nothing is known: the gentlest, at a few small currents.
+    """The first run of an unknown damper: a gentle motion at a few small currents.
 
-    Raises ValueError where the machine cannot make it.
+    Raises ValueError if the machine cannot make it.
     """
     low, high = goal.current
     half = 0.5 * (low + min(high, limits.current))
@@ -308,7 +313,7 @@ def first_run(goal: ForceGoal, limits: MachineLimits) -> PlannedRun:
 
 
 def candidate_runs(goal: ForceGoal, limits: MachineLimits) -> list[PlannedRun]:
-    """All runs that the machine can make within a goal, from which a plan chooses."""
+    """All runs within the limits of the machine that a plan selects from."""
     low, high = goal.peak_velocity
     speeds = np.unique(np.geomspace(low, min(high, limits.peak_velocity), _SPEEDS)).tolist()
     stairs = _stairs(goal, limits)
@@ -326,7 +331,7 @@ def candidate_runs(goal: ForceGoal, limits: MachineLimits) -> list[PlannedRun]:
 
 
 def _stairs(goal: ForceGoal, limits: MachineLimits) -> list[tuple[float, ...]]:
-    """The currents of runs: one, or several where the machine can step them."""
+    """Currents of the candidate runs: single ones, or several if the machine can step them."""
     bottom, top = goal.current[0], min(goal.current[1], limits.current)
     currents = [round_to(current) for current in np.unique(np.linspace(bottom, top, _CURRENTS))]
     stairs: list[tuple[float, ...]] = [(current,) for current in currents]
@@ -342,7 +347,7 @@ def _stairs(goal: ForceGoal, limits: MachineLimits) -> list[tuple[float, ...]]:
 def _runs(
     limits: MachineLimits, part: float, speed: float, stairs: Sequence[tuple[float, ...]]
 ) -> list[PlannedRun]:
-    """Sines of an amplitude and a peak velocity that the machine can make, in round numbers."""
+    """Sines of an amplitude and a peak velocity within the limits, in round numbers."""
     amplitude = _round_down(part * limits.amplitude)
     frequency = _round_down(speed / (2.0 * math.pi * amplitude))
     if not limits.frequency[0] <= frequency <= limits.frequency[1]:
@@ -355,7 +360,7 @@ def _runs(
 def _broad_run(
     limits: MachineLimits, kind: MotionKind, part: float, speeds: tuple[float, float], seed: int
 ) -> PlannedRun | None:
-    """A motion that is no sine, within these peak velocities; None where there is none."""
+    """A motion other than a sine within these peak velocities; None if there is none."""
     if kind is MotionKind.SINE:
         return None
     amplitude = _round_down(part * limits.amplitude)
@@ -371,7 +376,7 @@ def _broad_run(
             return None
         if speed <= speeds[1]:
             return run
-        # The faster part of it is left out, or it is made smaller.
+        # A sweep loses its fastest part; a random motion gets a smaller amplitude.
         if kind is MotionKind.SWEEP:
             high = 0.99 * high * speeds[1] / speed
         else:
@@ -380,7 +385,7 @@ def _broad_run(
 
 
 def _banded(run: PlannedRun) -> PlannedRun:
-    """The run with its frequencies in round numbers, a swept one with whole cycles."""
+    """The run with round frequencies; a swept sine has whole cycles."""
     low, high = _round_up(run.frequency), _round_down(run.highest_frequency)
     if run.kind is MotionKind.SWEEP:
         cycles = math.ceil(0.5 * (low + high) * run.duration - 1e-9)
@@ -389,7 +394,7 @@ def _banded(run: PlannedRun) -> PlannedRun:
 
 
 def _whole_cycles(runs: Sequence[PlannedRun]) -> list[PlannedRun]:
-    """Those runs that hold a cycle at each current."""
+    """The runs that contain a whole cycle at each current."""
     return [
         run
         for run in runs
@@ -400,17 +405,17 @@ def _whole_cycles(runs: Sequence[PlannedRun]) -> list[PlannedRun]:
 
 
 def round_to(value: float, digits: int = 3) -> float:
-    """The value in so many digits."""
+    """The value rounded to this number of digits."""
     return float(f"{value:.{digits}g}")
 
 
 def _round_up(value: float, digits: int = 2) -> float:
-    """So many digits, never less than the value: limits hold."""
+    """The value rounded up to this number of digits, as for lower limits."""
     unit = 10.0 ** (math.floor(math.log10(value)) + 1 - digits)
     return float(f"{math.ceil(value / unit - 1e-9) * unit:.6g}")
 
 
 def _round_down(value: float) -> float:
-    """Two digits, never more than the value: limits hold."""
+    """The value rounded down to two digits, as for upper limits."""
     unit = 10.0 ** (math.floor(math.log10(value)) - 1)
     return float(f"{math.floor(value / unit + 1e-9) * unit:.6g}")

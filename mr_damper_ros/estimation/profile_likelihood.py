@@ -1,13 +1,13 @@
-"""Profile likelihood of a parameter: the misfit over its values, all others fitted anew.
+"""Profile likelihood of a parameter: the misfit over its values, all others refitted.
 
-It shows what a standard error cannot: intervals that are not symmetric, and values that the data
-do not bound at all. Bates and Watts, "Nonlinear Regression Analysis and Its Applications", 1988,
-chapter 6; Raue et al., Bioinformatics 25, 2009. Where a profile finds a lower minimum, the fit
-starts once more from there.
+It shows intervals that are not symmetric and parameters that the data do not bound, both of which a
+standard error cannot show. Bates and Watts, "Nonlinear Regression Analysis and Its Applications",
+1988, chapter 6; Raue et al., Bioinformatics 25, 2009. If a profile reveals a lower minimum, the fit
+starts again from there.
 
-The interval is that of the likelihood ratio. Where the residual is autocorrelated the ratio is
-scaled so that its curvature at the minimum is that of the covariance which allows for it (Chandler
-and Bate, Biometrika 94, 2007).
+The interval is that of the likelihood ratio. If the residual is autocorrelated, the ratio is scaled
+so that its curvature at the minimum agrees with the covariance for autocorrelated residuals
+(Chandler and Bate, Biometrika 94, 2007).
 """
 
 from __future__ import annotations
@@ -50,28 +50,29 @@ from mr_damper_ros.signals.arrays import Array
 CONFIDENCE = 0.95
 
 _WANTED_RISE = 0.5
-"""The root of the ratio is to rise by so much from value to value."""
+"""Intended increase of the root of the likelihood ratio from value to value."""
 
 _MOST_STEPS = 30
 _FIRST_STEP = 0.5
-"""The first step, in standard errors; without one it is ``_BLIND_STEP`` of a span."""
+"""First step in standard errors; without a standard error it is ``_BLIND_STEP`` of a span."""
 
 _BLIND_STEP = 0.01
 _FARTHEST = 1e3
-"""A parameter without a plausible range is followed over so many of its spans."""
+"""Largest distance in spans for a parameter without a plausible range."""
 
 _TOLERANCE = 1e-7
-"""Relative gain of the sum of squares below which the fit of the others has converged."""
+"""Relative decrease of the sum of squares below which the fit of the other parameters has
+converged."""
 
 
 @dataclass(frozen=True, eq=False)
 class Profile:
     """The profile likelihood of parameter ``name``.
 
-    ``ratio`` (m,): twice the fall of the log-likelihood at ``values`` (m,), which rise; chi-squared
-    with one degree of freedom where the value is the true one. ``best``: the value at the minimum,
-    where ``lowest`` (p,) are all parameters. ``interval``: the values that are not rejected at the
-    confidence of 95 %, infinite on a side where none was within the plausible range.
+    ``ratio`` (m,): twice the decrease of the log-likelihood at the increasing ``values`` (m,). At
+    the true value it is chi-squared with one degree of freedom. ``best``: the value at the minimum;
+    ``lowest`` (p,): all parameters there. ``interval``: the values that are not rejected at 95 %
+    confidence, infinite on a side without a bound within the plausible range.
     """
 
     name: str
@@ -82,15 +83,15 @@ class Profile:
     interval: tuple[float, float]
 
     def contains(self, value: float) -> bool:
-        """Whether a value is not rejected."""
+        """Whether the value is inside the confidence interval."""
         return self.interval[0] <= value <= self.interval[1]
 
 
 class ProfileLikelihood:
-    """Profiles of the parameters (p,) that ``misfit`` was fitted with.
+    """Profiles of the parameters (p,) that were fitted with ``misfit``.
 
-    ``observable`` (p,) tells which of them are determined, ``ranges`` where the shape parameters
-    may plausibly lie. ``should_stop`` is asked at every evaluation; where it says so,
+    ``observable`` (p,) marks the determined parameters; ``ranges`` are the plausible ranges of the
+    shape parameters. ``should_stop`` is called at every evaluation; if it returns True,
     StopRequestedError is raised.
     """
 
@@ -117,7 +118,7 @@ class ProfileLikelihood:
         self._errors, self._shrinkage = self._curvatures(jacobian[:, self._seen], residual)
 
     def _curvatures(self, jacobian: Array, residual: Array) -> tuple[Array, Array]:
-        """Standard errors (q,) of what is observable; the variances of white noise over theirs."""
+        """Standard errors (q,) of the observable parameters; white-noise over full variances."""
         if not self._seen.size:
             return np.empty(0), np.empty(0)
         covariance = least_squares_covariance(jacobian, residual, prior=self._misfit.prior)
@@ -127,7 +128,7 @@ class ProfileLikelihood:
         return np.sqrt(variances), white / variances
 
     def of(self, name: str) -> Profile:
-        """Profile of one parameter; raises ValueError where the law has none of this name."""
+        """Profile of one parameter; raises ValueError if the law has no parameter of this name."""
         if name not in self._names:
             raise ValueError(
                 f"there is no parameter '{name}' to profile: use one of {', '.join(self._names)}"
@@ -156,7 +157,7 @@ class ProfileLikelihood:
     def _limits(self, name: str, place: int) -> tuple[float, float]:
         value, span = float(self._start[place]), float(self._spans[place])
         low, high = self._ranges.get(name, (value - _FARTHEST * span, value + _FARTHEST * span))
-        # A prior value may lie outside of what is plausible from these data.
+        # A start value may lie outside the range that is plausible for these data.
         parameter = self._model.parameters[place]
         return max(min(low, value - span), parameter.low), min(
             max(high, value + span), parameter.high
@@ -164,7 +165,7 @@ class ProfileLikelihood:
 
 
 class _Walk:
-    """The fits of all other parameters at the values of one that were visited."""
+    """Fits of all other parameters at the visited values of one parameter."""
 
     def __init__(
         self,
@@ -188,14 +189,14 @@ class _Walk:
         self._sets: list[Array] = []
         self._costs: list[float] = []
         self._visit([start])
-        # The minimum over the others need not be where the parameters were left.
+        # The given parameters need not be at the minimum over the other parameters.
         self._visit([self._sets[0]])
 
     def _visit(self, starts: Sequence[Array], enough: float = math.inf) -> float:
-        """Fit the others from the starts, the best first, until the cost is low ``enough``."""
+        """Refit the others from the starts, best first, until the cost is at most ``enough``."""
         best, least = starts[0], math.inf
         for values in sorted(starts, key=self._cost):
-            # A trace of a prior keeps flat directions where they are.
+            # A weak prior keeps flat directions at their start.
             others = Posterior(self._misfit, values, self._places, Prior(values, self._spans))
             search = LocalSearch(others, others.start, self._should_stop)
             search.try_out(others.start)
@@ -218,12 +219,12 @@ class _Walk:
         return adapted(self._model, self._misfit.windows, reference, values, self._linear)
 
     def _root(self, cost: float, scale: float) -> float:
-        """Root of the likelihood ratio of a cost."""
+        """Root of the likelihood ratio at a cost."""
         least = min(self._costs)
         return math.sqrt(max(scale * (cost - least) / least, 0.0)) if least > 0.0 else math.inf
 
     def go(self, step: float, limit: float, scale: float) -> None:
-        """Away from the minimum until the ratio is beyond the quantile, or up to ``limit``."""
+        """Step away from the minimum until the ratio exceeds its quantile, or to ``limit``."""
         bound = math.sqrt(float(chdtri(1, 1.0 - CONFIDENCE)))
         here = before = self._sets[0]
         root = self._root(self._costs[0], scale)
@@ -233,7 +234,8 @@ class _Walk:
                 return
             target = min(value + step, limit) if step > 0.0 else max(value + step, limit)
             moved = float(value - before[self._place])
-            # Along the valley, as it went so far; or with all others as they are, or adapted.
+            # The starts are an extrapolation of the last step, the present parameters, and these
+            # with the linear parameters refitted.
             ahead = here + (here - before) * ((target - value) / moved if moved else 0.0)
             plain = np.array(here)
             ahead[self._place] = plain[self._place] = target
@@ -268,7 +270,7 @@ class _Walk:
 
 
 def _crossing(values: Array, roots: Array, otherwise: float) -> float:
-    """Value at which the root of the ratio, nearly linear in it, passes its quantile."""
+    """Value at which the root of the ratio crosses its quantile, by linear interpolation."""
     bound = math.sqrt(float(chdtri(1, 1.0 - CONFIDENCE)))
     beyond = np.flatnonzero(roots > bound)
     if not beyond.size:
@@ -279,22 +281,22 @@ def _crossing(values: Array, roots: Array, otherwise: float) -> float:
 
 
 _MOST_RESTARTS = 3
-"""So often a fit starts again from what a profile has found."""
+"""Largest number of restarts of a fit from a lower minimum that a profile revealed."""
 
 _POLL = 0.2
-"""Seconds between two looks at whether a profile is to be given up."""
+"""Interval [s] between checks whether a profile is to be stopped."""
 
 _Ranges = Mapping[str, tuple[float, float]]
 
 
 def search_misfit(fit: GlobalFit, windows: Sequence[Window]) -> Misfit:
-    """The misfit that the set was searched with."""
+    """The misfit that the search of the set minimised."""
     found = fit.parameter_set
     return Excerpts(found.law, windows).misfit(fit.noise, fit.levels, found.values)
 
 
 def record_levels(fit: GlobalFit, windows: Sequence[Window]) -> list[Level]:
-    """The level of each record, by rising number; none where the records have none."""
+    """Level of each record in order of its number; empty without record levels."""
     misfit = search_misfit(fit, windows)
     if not isinstance(misfit, LevelledProblem):
         return []
@@ -308,7 +310,7 @@ def profiles_of(
     processes: ProcessPool,
     report: Report | None = None,
 ) -> list[Profile]:
-    """Profile likelihoods of the named parameters; those not begun when stopped are left out.
+    """Profile likelihoods of the named parameters; after a stop, those not begun are omitted.
 
     Raises ValueError for a name that the law does not have.
     """
@@ -331,10 +333,10 @@ def profiled(
     processes: ProcessPool,
     report: Report | None = None,
 ) -> tuple[GlobalFit, list[Profile]]:
-    """The profiles of the named parameters, and the fit that they are of.
+    """Profiles of the named parameters, and the fit that they belong to.
 
-    That is another one where the value found lies outside of its own interval: the fit then starts
-    again from the lower minimum that the profile has found. Raises ValueError for a name that the
+    The fit differs from the given one if a value lies outside its own interval. The fit then starts
+    again from the lower minimum that the profile revealed. Raises ValueError for a name that the
     law does not have.
     """
     for restarts in range(_MOST_RESTARTS + 1):

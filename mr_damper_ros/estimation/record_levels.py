@@ -1,21 +1,22 @@
-"""A level of its own for each record: what bends the shape of a law where it is left out.
+"""Random effects: gain and offset per record, which would otherwise distort the shape of a law.
 
-A damper is warmer, fuller or older from one record to the next, and a load cell is zeroed anew: the
-measured force of a record is s F + z, F that of the law. Scale s and zero z are unknown, normal
-about 1 and 0: s with a spread that is given, z with a part of the smallest record's force. A zero
-knows no current: one that grows with the force would be the damper's, which the law must hold.
-They are linear, so they are integrated out: what is minimised over the parameters is the misfit at
-the most probable levels, the prior included (a linear mixed model: Laird and Ware, Biometrics 38,
-1982). Of the residual r and X, the effect of both levels in units of their spreads, with X = U S
-V', only U'r is damped, by 1 / sqrt(1 + S²). It gets two rows of its own, next to those of the
-record, so that it counts for the standard errors as the one draw that it is.
+Temperature, filling and wear of a damper differ between records, and the load cell is zeroed for
+each record. The measured force of a record is s F + z, with the force F of the law. The gain s and
+the offset z are unknown and normally distributed about 1 and 0. The standard deviation of s is
+given; that of z is a part of the smallest record's force. The offset does not depend on the
+current: an offset that grows with the force belongs to the damper and must be part of the law. The
+problem is linear in s and z, so they are integrated out. The search minimises the misfit at their
+most probable values, with the prior included (a linear mixed model: Laird and Ware, Biometrics 38,
+1982). Let r be the residual and X = U S V' the effect of gain and offset in units of their standard
+deviations. Then only U'r is damped, by 1 / sqrt(1 + S²). It gets two rows of its own after those of
+the record, so that each record counts as one draw in the standard errors.
 
-What a law cannot follow is no noise: thousands of samples of the same misfit tell a level no better
-than a few. Counted as if they did, they outweigh any prior, and the levels take whatever makes the
-misfit smaller, up to a set whose force is a fraction of the damper's. So the prior is weighed
-against the variance of the misfit times the samples that count once together
-(:func:`counted_samples`). That needs a set that is about right, which one search without levels
-gives.
+Model error is not noise: thousands of samples of the same model error contain no more information
+about gain and offset than a few samples. If all of them counted, they would outweigh any prior.
+Gain and offset would then take any value that reduces the misfit, down to a law with a fraction of
+the damper's force. The prior is therefore weighted against the variance of the misfit times the
+correlation length (:func:`counted_samples`). This needs an approximate set, which a search without
+record levels gives.
 """
 
 from __future__ import annotations
@@ -32,25 +33,25 @@ from mr_damper_ros.models.misfit import Misfit, PriorRows
 from mr_damper_ros.signals.arrays import Array
 
 _ZERO_SPREAD = 0.3
-"""Standard deviation of the force zero, as a part of that of the smallest record's force."""
+"""Standard deviation of the offset relative to that of the force of the smallest record."""
 
 _NEXT_TO_NOTHING = 1e-6
-"""So many samples count where the force overflows."""
+"""Number of counted samples if the force overflows."""
 
 _FREE = 1.0 - 1e-9
-"""A spread that leaves the levels free."""
+"""Standard deviation of the gain that leaves gain and offset practically free."""
 
 USUAL_SPREAD = 0.1
-"""Standard deviation [1] of the force scale from record to record, where no other is given."""
+"""Default standard deviation [1] of the gain between records."""
 
 
 @dataclass(frozen=True)
 class LevelPrior:
-    """``records``: number of the record that each window is of; ``spread`` of the scales [1].
+    """``records``: record number of each window; ``spread``: standard deviation of gain [1].
 
-    ``counted_samples``: so many independent samples of the noise that the misfit is weighed by tell
-    the levels as much as all samples do, which the law does not quite follow; infinite where it
-    does. Raises ValueError where the spread is not positive.
+    ``counted_samples``: number of independent samples with the noise of the misfit that contain as
+    much information about gain and offset as all samples with their model error; infinite without
+    model error. Raises ValueError unless the spread is between 0 and 1.
     """
 
     records: tuple[int, ...]
@@ -58,7 +59,7 @@ class LevelPrior:
     counted_samples: float = math.inf
 
     def of_pieces(self, owners: np.ndarray) -> LevelPrior:
-        """The same for pieces (m,) of the windows, each with the place of its window."""
+        """The prior for pieces (m,) of the windows; ``owners`` are the indices of their windows."""
         return replace(self, records=tuple(self.records[owner] for owner in owners))
 
     def __post_init__(self) -> None:
@@ -69,9 +70,9 @@ class LevelPrior:
 
 
 class Level(NamedTuple):
-    """Scale [1] and zero [N] of a record's force with their standard errors.
+    """Gain [1] and offset [N] of a record's force with their standard errors.
 
-    ``nrmse``: RMSE over the standard deviation of the force that is left with them [1].
+    ``nrmse``: RMSE with this gain and offset, over the standard deviation of the force [1].
     """
 
     scale: float
@@ -82,7 +83,7 @@ class Level(NamedTuple):
 
 
 class _Whitened(NamedTuple):
-    """Of one record: the rows, U (n, 2), S (2,), and V scaled back to scale and zero (2, 2)."""
+    """One record: its rows, U (n, 2), S (2,), and V (2, 2) scaled back to gain and offset."""
 
     rows: np.ndarray
     left: Array
@@ -91,10 +92,10 @@ class _Whitened(NamedTuple):
 
 
 class LevelledProblem(Misfit):
-    """A pooled problem with the levels of its records integrated out; see :class:`Misfit`.
+    """A pooled problem with gain and offset per record integrated out; see :class:`Misfit`.
 
-    The rows of a record are followed by two for its levels. The Jacobian is that of the sum of
-    squares: exact in its gradient, and in its curvature as far as Gauss and Newton go.
+    Two rows for gain and offset follow the rows of each record. The Jacobian is that of the sum of
+    squares: its gradient is exact, its curvature is that of the Gauss-Newton approximation.
     """
 
     def __init__(self, pooled: Misfit, prior: LevelPrior) -> None:
@@ -109,13 +110,13 @@ class LevelledProblem(Misfit):
 
     @property
     def row_windows(self) -> np.ndarray:
-        """The place of the window that each row (n,) of the residual belongs to."""
+        """Index of the window of each row (n,) of the residual."""
         of_sample = self.sample_windows
         return np.concatenate([of_sample[[*rows, rows[-1], rows[-1]]] for rows in self._records])
 
     @property
     def prior(self) -> PriorRows:
-        """The rows of the levels; a law with a parameter for each record leaves nothing in them."""
+        """The rows of gain and offset; they are zero for a law with parameters for each record."""
         sizes = [rows.size for rows in self._records]
         last = np.cumsum(np.array(sizes) + 2)
         rows = np.zeros(last[-1], dtype=bool)
@@ -123,14 +124,14 @@ class LevelledProblem(Misfit):
         return PriorRows(rows, self._noise**2)
 
     def residual(self, parameters: Array) -> Array:
-        """Weighted residual [1], two rows more for each record; infinite where it overflows."""
+        """Weighted residual [1] with two more rows per record; infinite if it overflows."""
         plain = super().residual(parameters)
         if not np.all(np.isfinite(plain)):
             return np.full(plain.size + 2 * len(self._records), math.inf)
         return self._each(plain, lambda each: _damped(each, plain[each.rows]))
 
     def jacobian(self, parameters: Array, columns: Sequence[int] | None = None) -> Array:
-        """Derivatives of it, so far as its sum of squares is concerned."""
+        """Derivatives of the residual, valid for the gradient of its sum of squares."""
         plain = super().residual(parameters)
         derivatives = super().jacobian(parameters, columns)
 
@@ -146,11 +147,11 @@ class LevelledProblem(Misfit):
         return float(residual @ residual) / self.sample_count
 
     def population_cost(self, parameters: Array) -> Array:
-        """The same of many sets, shape (s, p) to (s,)."""
+        """:meth:`mean_square` of many sets, shape (s, p) to (s,)."""
         return np.array([self.mean_square(values) for values in parameters])
 
     def levels(self, parameters: Array, covariance: Array) -> list[Level]:
-        """Of each record, by rising number, for parameters (p,) of that covariance (p, p)."""
+        """Gain and offset of each record by number, for parameters (p,) with covariance (p, p)."""
         plain = super().residual(parameters)
         varied = np.flatnonzero(np.diag(covariance) > 0.0)
         derivatives = super().jacobian(parameters, varied.tolist())
@@ -158,7 +159,7 @@ class LevelledProblem(Misfit):
         for each in self._whitened(plain):
             scale, zero = _levels(each, plain)
             given = self._noise**2 * each.right**2 @ (1.0 / (1.0 + each.sizes**2))
-            # What the parameters are not known by, the levels are not, either.
+            # The uncertainty of the parameters adds to that of gain and offset.
             by_parameters = _levels(each, derivatives)
             moved = by_parameters @ covariance[np.ix_(varied, varied)]
             errors = np.sqrt(given + np.sum(moved * by_parameters, axis=1))
@@ -194,9 +195,9 @@ class LevelledProblem(Misfit):
 
 
 def counted_samples(pooled: Misfit, prior: LevelPrior, parameters: Array) -> float:
-    """That of a prior, for a set with parameters (p,) that is about right.
+    """The counted samples of a prior, for an approximate set with parameters (p,).
 
-    By what the residual still is without what levels of any size would explain.
+    They follow from the residual after fitting gain and offset without a prior.
     """
     without = LevelledProblem(pooled, replace(prior, spread=_FREE, counted_samples=math.inf))
     noise = noise_level(without, parameters)
@@ -204,13 +205,13 @@ def counted_samples(pooled: Misfit, prior: LevelPrior, parameters: Array) -> flo
 
 
 def _damped(each: _Whitened, values: Array) -> Array:
-    """Rows (n, ...) of a record without what its levels explain, and two rows of that, damped."""
+    """Rows (n, ...) of a record without the effect of gain and offset, then its two damped rows."""
     along = each.left.T @ values
     damping = 1.0 / np.sqrt(1.0 + each.sizes**2)
     return np.concatenate((values - each.left @ along, (damping * along.T).T))
 
 
 def _levels(each: _Whitened, residual: Array) -> Array:
-    """The most probable scale less 1, and zero [N], of a record: residual (n, ...) to (2, ...)."""
+    """Most probable gain minus 1 and offset [N] of a record: residual (n, ...) to (2, ...)."""
     along = each.left.T @ residual[each.rows]
     return np.asarray(-each.right @ ((each.sizes / (1.0 + each.sizes**2) * along.T).T))

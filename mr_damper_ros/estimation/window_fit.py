@@ -1,16 +1,16 @@
-"""Fit of what one window determines, on its own or weighed against what the running set knows.
+"""Fit of the unknowns that one window determines, alone or with the running set as prior.
 
-Nelder-Mead is SciPy's, the method of MATLAB's fminsearch that the thesis uses. A least-squares
-polish then sits on the very minimum and gives the Jacobian, so the covariance.
+Nelder-Mead is SciPy's, the method of MATLAB's fminsearch that the thesis uses. Least squares then
+refines the minimum and gives the Jacobian for the covariance.
 
-In a steady sine a window determines its unknowns to a fraction of a percent. In random motion
-it may hold two strokes, and what the law cannot follow is correlated over much of it: some
-combinations of them are then as good as unknown, and a fit on its own puts them anywhere.
-They must stay where they were, and so must one that the window hardly notices, such as the
-viscous slope of a direction in which it is slow. So the fit of a window is the most probable set
-given both the window and the running set: the samples count by what the law leaves of them at best,
-once per correlation length, and the unknowns wander from window to window by no more than a damper
-does.
+In a steady sine a window determines its unknowns to a fraction of a percent. In random motion a
+window may contain only two strokes, and the model error is correlated over much of it. Some
+combinations of the unknowns are then practically undetermined, and a fit of the window alone gives
+arbitrary values for them. They must keep their values, and so must an unknown with little effect in
+the window, such as the viscous slope of a direction in which the motion is slow. The fit is
+therefore the most probable set given the window and the running set. The samples are weighted by
+the residual of the best fit and by their correlation length. The prior allows changes of the
+unknowns from window to window as large as those of a damper.
 """
 
 from __future__ import annotations
@@ -39,34 +39,35 @@ from mr_damper_ros.signals.arrays import Array
 WINDOW_METHODS = ("nelder_mead", "least_squares")
 
 POOR_START = 0.25
-"""Where the start leaves more than this part of the force's variance, others are tried too."""
+"""Further starts are tried if the residual of the given start exceeds this part of the force
+variance."""
 
 _HOPELESS = 1000.0
-"""A start that leaves so many times the sum of squares of the other is not worth polishing."""
+"""A start whose sum of squares exceeds that of the best start by this factor is not refined."""
 
 
 _CONTRADICTED = 1e-3
-"""A change so rare, were the running set right, says that it is not."""
+"""Significance level below which a change contradicts the running set."""
 
 _MORE_LEFT = 1.25
-"""A running set that makes the fit of a sine leave so many times as much is refuted by it."""
+"""The running set is also rejected if it increases the residual of a sine by this factor."""
 
 _MOST_DOUBLINGS = 10
 
 WANDER = 0.03
-"""Standard deviation of what the change of one scale between two windows does to the force [1].
+"""Standard deviation of the relative change of force that one scale causes between two windows [1].
 
-Heating changes the force by less within a window (thesis: 26 % in ten minutes). A sudden change is
-another matter: where the window contradicts the running set, they may wander further.
+Heating changes the force by less within a window (thesis: 26 % in ten minutes). After a sudden
+change, when the window contradicts the running set, larger changes are allowed.
 """
 
 
 @dataclass(frozen=True, eq=False)
 class WindowPrior:
-    """What is known before a window: the running set, parameters (p,).
+    """The prior of a window: the running set with parameters (p,).
 
-    ``fastest`` [m/s] is the largest peak velocity that it holds for, infinite where that is not
-    known: what an unknown does to the force is seen in the window and in a sine so fast.
+    ``fastest`` [m/s] is the largest peak velocity of its range, infinite if unknown. The effect of
+    an unknown on the force is evaluated in the window and in a sine of this peak velocity.
     """
 
     parameters: Array
@@ -77,15 +78,14 @@ class WindowPrior:
 class WindowFit:
     """Result of the fit of one window.
 
-    ``scales`` (f,) are the unknowns of the model's window problem, with their ``covariance``
-    (f, f): the seven scales of the sigmoid law, the parameters that one run determines of another.
-    It is that of their repeatability from window to window of the same motion; ``discrepancy``
-    (f, f), where it is known, is that of what another motion or law would say, see
-    :mod:`covariance`.
-    ``parameters`` (p,) are all of them. ``coefficients`` (c,) and their covariances
-    ``coefficient_covariance`` and ``coefficient_discrepancy`` (c, c) hold at ``operating_point``
-    (peak velocity [m/s], current [A]); they are empty for a model without. ``rmse`` [N] over the
-    ``sample_count`` samples whose past is known; ``nrmse`` = RMSE/std of the force.
+    ``scales`` (f,) are the unknowns of the model's window problem: the seven scales of the sigmoid
+    law, or for another law the parameters that one run determines. Their ``covariance`` (f, f) is
+    that of the repeatability from window to window of the same motion. ``discrepancy`` (f, f) is
+    the covariance from model error, if it is known (see :mod:`covariance`). ``parameters`` (p,) are
+    all parameters. ``coefficients`` (c,) and their covariances ``coefficient_covariance`` and
+    ``coefficient_discrepancy`` (c, c) hold at ``operating_point`` (peak velocity [m/s], current
+    [A]); they are empty for a model without coefficients. ``rmse`` [N] is that over the
+    ``sample_count`` samples with a known past; ``nrmse`` = RMSE/std of the force.
     """
 
     scales: Array
@@ -106,7 +106,7 @@ class WindowFit:
 
     @property
     def whole_covariance(self) -> Array:
-        """Covariance (f, f) by both kinds of error, as far as they are known."""
+        """Covariance (f, f) of both kinds of error, as far as they are known."""
         if self.discrepancy is None:
             return self.covariance
         return np.asarray(self.covariance + self.discrepancy)
@@ -123,17 +123,17 @@ def fit_window(
     tolerance: float | None = None,
     should_stop: Callable[[], bool] | None = None,
 ) -> WindowFit:
-    """Fit what of a model one window determines, from the parameters ``start`` of shape (p,).
+    """Fit the unknowns that one window determines, from the parameters ``start`` of shape (p,).
 
-    A start that leaves more than a quarter of the force's variance competes with those that the
-    model reads off the window. ``robust`` bounds the influence of outliers (Huber's weights).
-    ``prior`` joins the samples in what is minimised; it must agree with the start in what a window
-    does not determine. Where the window determines the unknowns, the fit hardly changes.
-    ``tolerance``: relative gain of the sum of squares at which the search ends, if it is not the
-    model's own. ``should_stop`` is asked at every evaluation; where it says so, the best so far is
-    returned with ``success`` False.
+    If the residual of the start exceeds a quarter of the force variance, starts that the model
+    derives from the window are tried, too. ``robust`` limits the influence of outliers (Huber's
+    weights). ``prior`` adds a prior to the samples. It must agree with the start in all parameters
+    that a window does not determine. If the window determines the unknowns, the prior has little
+    effect. ``tolerance``: relative decrease of the sum of squares at which the search ends, by
+    default that of the model. ``should_stop`` is called at every evaluation; if it returns True,
+    the best fit so far is returned with ``success`` False.
 
-    Raises DataError for a force that does not change, ValueError for an unknown method.
+    Raises DataError for a constant force, ValueError for an unknown method.
     """
     if method not in WINDOW_METHODS:
         raise ValueError(f"method '{method}' is unknown: use one of {', '.join(WINDOW_METHODS)}")
@@ -147,7 +147,7 @@ def fit_window(
     ending = Ending.CONVERGED
     try:
         search = contest.enter(start)
-        # "not <=" also holds for a cost that is not a number.
+        # "not <=" is also true for a NaN cost.
         if not _mean_square(search) <= POOR_START * spread**2:
             search = contest.settle()
         problem, effort = search.problem, model.effort
@@ -197,7 +197,7 @@ def fit_of(
     ending: Ending = Ending.CONVERGED,
     discrepancy: Array | None = None,
 ) -> WindowFit:
-    """Unknowns (f,) and their covariances (f, f), however found, as the fit of a window."""
+    """Make the fit of a window from unknowns (f,) and their covariances (f, f)."""
     window = problem.window
     residual = problem.residual(unknowns)[problem.settled]
     rmse = math.sqrt(float(np.mean(residual**2)))
@@ -227,7 +227,7 @@ def fit_of(
 
 
 class _Contest:
-    """Searches from several starts, of which the best goes on."""
+    """Searches from several starts, of which the best one continues."""
 
     def __init__(
         self, model: Model, window: Window, should_stop: Callable[[], bool] | None
@@ -238,7 +238,7 @@ class _Contest:
         self._searches: list[LocalSearch[WindowProblem]] = []
 
     def enter(self, parameters: Array) -> LocalSearch[WindowProblem]:
-        """A search from parameters (p,), its start tried out."""
+        """A search from parameters (p,) with its start evaluated."""
         return self._enter(WindowProblem(self._model, self._window, parameters))
 
     def _enter(self, problem: WindowProblem) -> LocalSearch[WindowProblem]:
@@ -248,9 +248,9 @@ class _Contest:
         return search
 
     def settle(self) -> LocalSearch[WindowProblem]:
-        """A few steps from the first start and from the best read off the window; the better one.
+        """Refine the first start and the best window-based starts for a few steps; return the best.
 
-        Their costs alone would not tell which of them leads to the deepest minimum.
+        The cost of the starts alone does not show which of them leads to the lowest minimum.
         """
         first = self._searches[0]
         cold = [self._enter(first.problem.restarted(s)) for s in first.problem.cold_starts()]
@@ -270,25 +270,25 @@ class _Contest:
 
     @property
     def best(self) -> LocalSearch[WindowProblem]:
-        """The search that has come lowest."""
+        """The search with the lowest mean square."""
         return min(self._searches, key=_mean_square)
 
     @property
     def evaluations(self) -> int:
-        """Of the force, in all searches."""
+        """Number of evaluations of the force in all searches."""
         return sum(each.evaluations + each.problem.differences for each in self._searches)
 
 
 def _mean_square(search: LocalSearch[WindowProblem]) -> float:
-    """Mean square residual [N²] over the samples that have one."""
+    """Mean square residual [N²] over the settled samples."""
     return search.best_cost / max(int(np.count_nonzero(search.problem.settled)), 1)
 
 
 class _Weighed:
-    """Residual of a window, and below it that of the prior, in the unit of the samples' noise.
+    """Residual of a window followed by that of the prior, in the unit of the samples' noise.
 
-    ``width`` (f,): standard deviation of the unknowns before the window; ``noise`` [N] that of
-    white noise of the samples which would leave the unknowns as uncertain as they are.
+    ``width`` (f,): prior standard deviation of the unknowns; ``noise`` [N]: standard deviation of
+    white noise that gives the same uncertainty of the unknowns.
     """
 
     def __init__(self, problem: WindowProblem, width: Array, cycle: float) -> None:
@@ -301,18 +301,18 @@ class _Weighed:
 
     @classmethod
     def of(cls, model: Model, window: Window, prior: WindowPrior, cycle: float) -> _Weighed | None:
-        """None for a set without any force, which knows nothing."""
+        """The weighted problem; None if the force of the running set is zero."""
         running = WindowProblem(model, window, prior.parameters)
         width = running.usual_change(WANDER, prior.fastest)
         return cls(running, width, cycle) if np.isfinite(width).all() else None
 
     def residual(self, unknowns: Array) -> Array:
-        """That of the samples [N] (n,), then of the prior (f,)."""
+        """Residual of the samples [N] (n,), then of the prior (f,)."""
         apart = (unknowns - self._known) / self._width
         return np.concatenate((self.problem.residual(unknowns), self._noise * apart))
 
     def jacobian(self, unknowns: Array) -> Array:
-        """Derivatives (n + f, f) of it."""
+        """Derivatives (n + f, f) of the residual."""
         return np.vstack((self.problem.jacobian(unknowns), np.diag(self._noise / self._width)))
 
     def most_probable(
@@ -320,13 +320,13 @@ class _Weighed:
     ) -> tuple[Array, bool]:
         """Unknowns (f,), and whether the last search was exhausted.
 
-        What the law leaves of the samples at best says how much they count, so ``search`` goes
-        to the minimum of the samples alone first.
+        The weight of the samples follows from the residual of their best fit, so ``search`` first
+        goes to the minimum without the prior.
         """
         from scipy.special import chdtri  # here: see mr_damper_ros.entry_points
 
         effort = self.problem.model.effort
-        # Of so many squared normal numbers.
+        # Quantile of the sum of squares of standard normal variables.
         most = float(chdtri(self._width.size, _CONTRADICTED))
         search.least_squares(tolerance=effort.tolerance, most_steps=effort.most_steps)
         at_best = float(np.linalg.norm(self.problem.residual(search.best)))
@@ -341,16 +341,17 @@ class _Weighed:
             unknowns = weighed.best
             usual = float(np.sum(((unknowns - self._known) / self._width) ** 2)) <= most
             left = float(np.linalg.norm(self.problem.residual(unknowns)))
-            # In random motion a fit on its own leaves less because it follows what no law has.
+            # In random motion a smaller residual is no evidence, because a fit without prior
+            # follows model error.
             steady = self.problem.window.motion.sine is not None
             if usual and not (steady and left > _MORE_LEFT * at_best):
                 break
-            # The damper has changed by more than it usually does: less is known than was thought.
+            # The damper has changed by more than usual, so the prior is widened.
             self._width = 2.0 * self._width
         return unknowns, weighed.exhausted
 
     def _at_best(self, unknowns: Array) -> tuple[ErrorCovariances, float]:
-        """Errors of a fit to the samples alone, which ended at (f,), and the noise [N]."""
+        """Standard errors of the fit (f,) to the samples alone, and the noise [N]."""
         problem, settled = self.problem, self.problem.settled
         jacobian, left = problem.jacobian(unknowns), problem.residual(unknowns)
         errors = error_covariances(jacobian[settled], left[settled], self._cycle)
@@ -361,15 +362,15 @@ class _Weighed:
             ratio = np.median(whole[known] / white[known]) if known.any() else np.mean(left**2)
             return errors, math.sqrt(max(float(ratio), 0.0))
         length = max(correlation_length(left), 1)
-        # A fit with as many unknowns leaves less of few independent samples than is there.
+        # Few independent samples: correct the noise for the degrees of freedom of the fit.
         freedom = max(left.size / length - self._width.size, 1.0)
         return errors, float(np.sqrt(np.sum(left**2) / freedom))
 
     def errors_at(self, unknowns: Array) -> ErrorCovariances:
         """The errors of the most probable unknowns (f,).
 
-        What the window says comes through to the part ``gain``; the rest is the running set's,
-        which is the same from window to window and no nearer to the truth than the prior says.
+        Errors of the window enter with the factor ``gain``. The rest is the error of the running
+        set, which is the same from window to window and has the covariance of the prior.
         """
         errors = self._errors
         jacobian = self.problem.jacobian(unknowns)
@@ -380,7 +381,7 @@ class _Weighed:
         units = np.outer(self._width, self._width)
 
         def scaled_by_gain(covariance: Array) -> Array:
-            # What the window leaves open it does not pass on either.
+            # Undetermined directions of the window have no gain, so their NaN values count as zero.
             return gain @ np.nan_to_num(covariance / units) @ gain.T
 
         return ErrorCovariances(
