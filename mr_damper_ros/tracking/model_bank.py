@@ -1,15 +1,15 @@
-"""The model bank: the sets known of a damper, and which of them holds for the motion and current.
+"""The model bank: the known sets of a damper, and the choice among them by motion and current.
 
-A set that a window was fitted with holds at its peak velocity and its current, and often nowhere
-else. So the sets before it are kept: where the motion or the current comes back to what one of them
-is for, it is used at once, without waiting for the identification. The measured force decides among
-them; it also tells whether the force of this damper jumps where the motion turns.
+A set fitted to one window holds at the peak velocity and the current of that window, and often
+nowhere else. Therefore the previous sets are kept. If the motion or the current returns to the
+range of one of them, this set is used at once, without waiting for the identification. The measured
+force selects among the candidates. It also shows whether the force of this damper jumps at
+reversals.
 
-Over the current there is a schedule. A window at one current moves the scales so that the force is
-right there; what it says of other currents is only as good as the law. Where the current goes to
-what no window of the set in use had, the set of the newest windows at that current takes over.
-Where there is none, the set for all operating points does, times the damper's present force over
-that of this set.
+A current schedule selects the set for a new current. A window at one current corrects the force at
+that current only. If the current changes to a value that no window of the set in use had, the set
+of the newest windows at that current takes over. Without such a set, the set for all operating
+points takes over, multiplied by the ratio of the damper's present force to that of this set.
 """
 
 from __future__ import annotations
@@ -32,40 +32,40 @@ from mr_damper_ros.signals.blocks import NANOSECONDS
 from mr_damper_ros.tracking.operating_point import SAME_CURRENT, SAME_SPEED
 
 _SAME_TIME = 1.5
-"""A set replaces one whose range of peak velocities begins and ends at its own, if the half-cycles
-in which they came are within this factor."""
+"""A set replaces another with the same range of peak velocities if the half-cycles of their motions
+are within this factor."""
 
 _MOST = 8
-"""Sets that are kept; a search tries each of them."""
+"""Largest number of sets in the bank; a search tries each of them."""
 
 _MOST_CURRENTS = 16
-"""Currents for which the schedule keeps a set."""
+"""Largest number of currents in the schedule."""
 
 _RECENT_NS = 60 * NANOSECONDS
-"""Age of a set beyond which the schedule does not use it: a damper that heats may change by a
-quarter in ten minutes, so by a fortieth in this time."""
+"""Largest age of a set in the schedule. A heating damper may change by a quarter in ten minutes,
+and so by a fortieth in this time."""
 
 _SETTLES = 0.2
-"""Seconds of motion in which the force of a set settles before it is judged ..."""
+"""Seconds of motion in which the force of a set settles before it is judged."""
 
 _JUDGED = 0.1
-"""... over the last so many seconds, or the same part of a half-cycle, if that is more."""
+"""Seconds over which a set is judged, or the same fraction of a half-cycle if that is longer."""
 
 _EVERY = 0.05
-"""Seconds between two searches: each costs as much as some blocks of prediction."""
+"""Seconds between two searches; each costs as much time as several blocks of prediction."""
 
 _TURNING_EVERY = 5.0
-"""Seconds between two comparisons of how the force turns."""
+"""Seconds between two comparisons of the branch rules."""
 
 _BETTER = 0.6
-"""What replaces a wrong force leaves less than this part of its error."""
+"""A set replaces a wrong one if its error is below this multiple of the wrong one's."""
 
 _MOST_SHOWN, _KEPT = 1.0, 0.5
-"""A cycle may hardly show how a force turns: it counts at most so much (log of the ratio of two
-errors), and this part of that at the next comparison."""
+"""A single cycle is weak evidence for a branch rule. Its evidence, the logarithm of the ratio of two
+errors, is limited to the first value and multiplied by the second at each further comparison."""
 
 _MOST_SAMPLES, _MOST_TRIED = 40_000, 2000
-"""Samples that are kept, and that a set is tried with."""
+"""Largest numbers of samples that are kept, and that a set is tried on."""
 
 Span = tuple[float, float]
 """The lowest and the highest current [A] of one window, or of several."""
@@ -73,11 +73,11 @@ Span = tuple[float, float]
 
 @dataclass(frozen=True, eq=False)
 class KnownSet:
-    """A set, and the stamp up to which it fits the samples (None: it does not age).
+    """A set, and the stamp up to which it fits the samples (None: the set does not age).
 
-    ``half_cycle`` [s] of the motion in which it came, NaN where that was not known. ``currents`` of
-    the windows that it fits, None where that is not known: it then counts for all. ``whole``:
-    whether it is for all operating points, and no window's.
+    ``half_cycle`` [s] is that of the motion when the set arrived, NaN if unknown. ``currents`` is
+    the range of the windows that the set fits; None if unknown, and the set then counts for all
+    currents. ``whole`` marks a set for all operating points, as opposed to a window set.
     """
 
     parameters: ParameterSet
@@ -87,7 +87,7 @@ class KnownSet:
     whole: bool = False
 
     def replaces(self, other: KnownSet) -> bool:
-        """Whether the set is for the motions and currents of another."""
+        """Whether the set is for the same motions and currents as another."""
         times = self.half_cycle, other.half_cycle
         mine, its = self.parameters, other.parameters
         speeds = zip(mine.peak_velocity_range, its.peak_velocity_range, strict=True)
@@ -99,7 +99,7 @@ class KnownSet:
         )
 
     def covers(self, other: KnownSet) -> bool:
-        """Whether the set holds at all currents that another is known to hold at."""
+        """Whether the current range of the set includes that of another."""
         return all(
             within(current, self.parameters.current_range)
             for current in other.parameters.current_range
@@ -107,7 +107,10 @@ class KnownSet:
         )
 
     def is_for(self, speed: float, current: float, margin: float) -> bool:
-        """Whether the set was identified at a peak velocity [m/s] and a current [A]."""
+        """Whether a peak velocity [m/s] and a current [A] are in the range of the set.
+
+        ``margin`` is the relative margin of the peak velocity.
+        """
         slow, fast = self.parameters.peak_velocity_range
         return bool(
             slow * (1.0 - margin) <= speed <= fast * (1.0 + margin)
@@ -115,35 +118,36 @@ class KnownSet:
         )
 
     def fits_at(self, current: float) -> bool:
-        """Whether a current [A] is among those of its windows."""
+        """Whether a current [A] is in the range of its windows."""
         return self.currents is None or within(current, self.currents)
 
     def confirmed(self, set_id: str, stamp_ns: int, currents: Span | None) -> KnownSet:
-        """The same after a report that the set of this name fits a window of these currents."""
+        """Return the set as confirmed by a window of these currents, if it has this name."""
         if self.parameters.set_id != set_id:
             return self
-        # A set that does not age stays so.
+        # A set that does not age gets no stamp.
         stamp = None if self.confirmed_ns is None else stamp_ns
         return replace(self, confirmed_ns=stamp, currents=_joined(self.currents, currents))
 
 
 def within(current: float, span: Span) -> bool:
-    """Whether a current [A] lies in a span, but for what counts as the same."""
+    """Whether a current [A] lies in a range, to within the tolerance for the same current."""
     return span[0] - SAME_CURRENT <= current <= span[1] + SAME_CURRENT
 
 
 def _joined(one: Span | None, other: Span | None) -> Span | None:
-    """The span over both; None stands for one that is not known."""
+    """The range that covers both; None is an unknown range."""
     if one is None or other is None:
         return one or other
     return min(one[0], other[0]), max(one[1], other[1])
 
 
 def force_ratio(present: Array, whole: Array) -> float:
-    """Present force over that of the set for all operating points, (n,) [N], for another current.
+    """Force scale of the present set relative to the set for all operating points, (n,) [N].
 
-    A law that does not follow the force exactly is off by another factor at each current: the ratio
-    counts as far as its change stands out of what no factor explains.
+    The scale is applied at a new current. If the law does not follow the force exactly, its error
+    differs at each current. Therefore the scale is reduced towards 1 by the part of the force that
+    no scale explains.
     """
     power = float(whole @ whole)
     if not power > 0.0:
@@ -157,7 +161,10 @@ def force_ratio(present: Array, whole: Array) -> float:
 
 
 def _times_force(whole: ParameterSet, factor: float, present: ParameterSet) -> ParameterSet:
-    """The set for all with so many times its force; it holds as fast as the ``present`` one."""
+    """The set for all operating points, with its force multiplied by ``factor``.
+
+    Its peak velocity range is that of the ``present`` set if this includes its own.
+    """
     values, errors = whole.values.copy(), whole.standard_errors.copy()
     strength = whole.law.strength_indices
     values[strength] *= factor
@@ -178,7 +185,7 @@ def _times_force(whole: ParameterSet, factor: float, present: ParameterSet) -> P
 class JudgedSamples(NamedTuple):
     """Motion, current [A], predicted and measured force [N], each (n,), ``period`` [s] apart.
 
-    The measured force is NaN at samples that were bridged.
+    The measured force is NaN at bridged samples.
     """
 
     motion: Motion
@@ -188,7 +195,7 @@ class JudgedSamples(NamedTuple):
     period: float
 
     def left_by(self, force: Array, part: slice = slice(None)) -> Array:
-        """The measured less a ``force`` (n,) [N], at the measured samples of a part."""
+        """Residual [N] of a ``force`` (n,) [N], at the measured samples of a part."""
         measured = self.measured[part]
         return np.asarray((force[part] - measured)[~np.isnan(measured)])
 
@@ -197,16 +204,16 @@ class RecentSamples:
     """Keeps the newest samples of a stream."""
 
     def __init__(self) -> None:
-        # Four of the motion, current, predicted and measured force.
+        # Four rows of the motion; current, predicted and measured force.
         self._rows = RollingRows(7)
 
     @property
     def count(self) -> int:
-        """Number of samples that are kept."""
+        """Number of samples kept."""
         return self._rows.count
 
     def clear(self) -> None:
-        """Forget them: the next samples do not continue from them."""
+        """Discard the samples; the next samples do not continue from them."""
         self._rows.keep(0)
 
     def add(
@@ -217,9 +224,9 @@ class RecentSamples:
         bridged: int,
         most: float,
     ) -> None:
-        """Add samples, predicted and measured ``forces`` [N], and keep at most so many in all.
+        """Add samples with predicted and measured ``forces`` [N]; keep at most ``most`` in all.
 
-        The force of the first ``bridged`` was not measured.
+        The force of the first ``bridged`` samples was not measured.
         """
         count, (predicted, measured) = motion.velocity.size, forces
         if bridged:
@@ -229,7 +236,7 @@ class RecentSamples:
         self._rows.keep(max(int(min(most, _MOST_SAMPLES)), count))
 
     def last(self, period: float, count: float = math.inf) -> JudgedSamples:
-        """The last so many of those kept, ``period`` [s] apart; every n-th where they are many."""
+        """The last ``count`` samples, ``period`` [s] apart, subsampled if there are too many."""
         whole = int(min(count, self.count))
         stride = whole // _MOST_TRIED + 1
         rows = self._rows.newest[:, self.count - whole :: stride]
@@ -239,7 +246,7 @@ class RecentSamples:
 
 
 class Choice(NamedTuple):
-    """A set to use from now on, and the error [N] of its newest forces; NaN where none came."""
+    """A set to use from now on, and the error [N] of its newest forces; NaN if unknown."""
 
     chosen: KnownSet
     error: float
@@ -248,16 +255,16 @@ class Choice(NamedTuple):
 class ModelBank:
     """Keeps the sets that were in use, and the newest samples.
 
-    ``margin``: part by which the peak velocity may leave the range of a set. ``gradual``: whether
-    the branch of the hysteresis follows the velocity where the motion turns. ``measured``: whether
-    there is a measured force to go by.
+    ``margin`` is the relative margin by which the peak velocity may leave the range of a set.
+    ``gradual`` says whether the branch of the hysteresis follows the velocity near reversals.
+    ``measured`` says whether the force is measured.
     """
 
     def __init__(self, margin: float, *, gradual: bool, measured: bool = True) -> None:
         self._margin = margin
         self._measured = measured
         self.gradual = gradual
-        # The one in use, then those before; the one that a user gave is never forgotten.
+        # The set in use, then the previous ones. The set loaded by a user always stays.
         self._sets: list[KnownSet] = []
         self._given: KnownSet | None = None
         self._newest_ns: int | None = None
@@ -271,26 +278,26 @@ class ModelBank:
         # and the set for all operating points.
         self._at_currents: list[KnownSet] = []
         self._whole: KnownSet | None = None
-        # The present current [A], the set that the identification found last, and whether the
-        # schedule has put another in its place.
+        # The present current [A], the newest set of the identification, and whether the schedule
+        # has replaced it by another set.
         self._current = math.nan
         self._found: KnownSet | None = None
         self._scheduled = False
-        # The report that a set fits a window may come before the set itself.
+        # The report that a set fits a window may arrive before the set itself.
         self._reported: tuple[str, Span | None] = ("", None)
 
     @property
     def present(self) -> KnownSet | None:
-        """The set in use; None before one has come."""
+        """The set in use; None before the first."""
         return self._sets[0] if self._sets else None
 
-    # Sets that come
+    # Arriving sets
 
     def confirm(self, set_id: str, stamp_ns: int, currents: Span | None) -> bool:
-        """Take note that the set of this name fits the samples of a window up to the stamp.
+        """Note that the set of this name fits the samples of a window up to the stamp.
 
-        ``currents``: the lowest and the highest [A] in it, None where they are not known. Returns
-        whether the set takes over from the one that the schedule has put in its place.
+        ``currents`` is the lowest and the highest current [A] in the window, None if unknown.
+        Returns whether the set takes over from a set chosen by the schedule.
         """
         self._reported = set_id, currents
         self._sets = [each.confirmed(set_id, stamp_ns, currents) for each in self._sets]
@@ -305,12 +312,13 @@ class ModelBank:
         return True
 
     def add(self, parameters: ParameterSet, stamp_ns: int | None, half_cycle: float) -> None:
-        """Add a set, which is in use now unless another is for the present current.
+        """Add a set and use it, unless the schedule has a better set for the present current.
 
-        The stamp and ``half_cycle`` are those of :class:`KnownSet`; a set that does not age was
-        given by a user. All others are forgotten when one is given, and for a set that is no
-        younger, of another law, or a mere start. But a set without evidence never displaces a
-        given one, and one for fewer currents only once the given one is wrong.
+        The stamp and ``half_cycle`` are those of :class:`KnownSet`; a set without a stamp was
+        loaded by a user. A loaded set clears the bank, as does a set that is not newer than those
+        in the bank or belongs to another law; the loaded set itself stays. A set that was never
+        identified does not replace a loaded set. A set for fewer currents replaces the loaded set
+        only if the force of the loaded set is wrong.
         """
         given = self._given
         if given is not None and not parameters.has_evidence:
@@ -330,7 +338,7 @@ class ModelBank:
         whole = searched and parameters.law.knows_currents(parameters.observable)
         reported_id, currents = self._reported
         if whole:
-            # For all currents: the next one may have a set of its own.
+            # The set serves all currents, but the schedule may have a better one for the next.
             currents = None if math.isnan(self._current) else (self._current, self._current)
         elif reported_id != parameters.set_id:
             currents = None
@@ -346,7 +354,7 @@ class ModelBank:
             self._whole = found
         else:
             if parameters.source == EARLY_SOURCE:
-                # The damper has changed at once: only its force is known, and only here.
+                # After a sudden change the force is known at the present current only.
                 self._at_currents = []
             if currents is not None:
                 self._confirm_at(found, currents)
@@ -357,7 +365,7 @@ class ModelBank:
             self._take(found)
 
     def is_in_use(self, parameters: ParameterSet) -> bool:
-        """Whether a set is the given one that is in use already."""
+        """Whether a set is the loaded set and already in use."""
         if self._given is None or not self._is_given(self.present):
             return False
         known = self._given.parameters
@@ -369,7 +377,7 @@ class ModelBank:
         return given is not None and known is not None and known.parameters is given.parameters
 
     def _forget(self, given: KnownSet | None) -> None:
-        """Forget all sets but the one that a user gave, which is in use then."""
+        """Clear the bank, except for the set loaded by a user, which is then in use."""
         self._sets = [] if given is None else [given]
         self._given, self._found = given, None
         self._scheduled = False
@@ -377,7 +385,7 @@ class ModelBank:
         self._whole = given if given is not None and given.whole else None
 
     def use(self, chosen: KnownSet) -> None:
-        """Take note that this set is in use now, whatever the current of its windows."""
+        """Note that this set is in use now; the present current is added to its range."""
         if not (chosen.fits_at(self._current) or math.isnan(self._current)):
             here = self._current, self._current
             chosen = replace(chosen, currents=_joined(chosen.currents, here))
@@ -393,14 +401,14 @@ class ModelBank:
     # The current schedule
 
     def _confirm_at(self, known: KnownSet, currents: Span) -> None:
-        """The set fits a window of these currents: if they are one, it is the set for that one."""
+        """Enter a set in the schedule if the window that it fits has a single current."""
         low, high = currents
         if high - low <= 2.0 * SAME_CURRENT:
             others = [each for each in self._at_currents if not each.fits_at(0.5 * (low + high))]
             self._at_currents = [replace(known, currents=currents), *others][:_MOST_CURRENTS]
 
     def _at_current(self, now_ns: int) -> KnownSet | None:
-        """The set of the newest windows at the present current, unless that is long ago."""
+        """The scheduled set for the present current, or None if there is no recent one."""
         for each in self._at_currents:
             age = math.inf if each.confirmed_ns is None else abs(now_ns - each.confirmed_ns)
             if each.fits_at(self._current) and age <= _RECENT_NS:
@@ -408,7 +416,7 @@ class ModelBank:
         return None
 
     def follow_current(self, current: float, now_ns: int) -> None:
-        """Use what is known of a current [A] at the samples up to a stamp."""
+        """Apply the current schedule to a current [A] at the samples up to a stamp."""
         before, self._current = self._current, current
         if not self._sets or self._sets[0].fits_at(current):
             return
@@ -417,14 +425,17 @@ class ModelBank:
         if chosen is None or not self._holds_after(chosen, before, current):
             chosen = self._whole_now(current)
         if chosen is None:
-            # Nothing better is known: the law says what the force is there.
+            # No other set is known, so the law of the present set gives the force.
             self.use(present)
             return
         self._take(chosen)
         self._scheduled = True
 
     def _holds_after(self, chosen: KnownSet, before: float, current: float) -> bool:
-        """Whether a set is for the present motion, and for the current [A] before this one."""
+        """Whether a set holds for the present motion and ``current`` [A].
+
+        A law with memory must also hold at the current ``before`` the change.
+        """
         speed = math.nan
         if self._samples.count:
             speed = _root_mean_square(self._samples.last(self._period).motion.peak_velocity)
@@ -433,13 +444,13 @@ class ModelBank:
         )
 
     def _whole_now(self, current: float) -> KnownSet | None:
-        """The set for all currents, with the force that the damper has now."""
+        """The set for all currents, scaled to the damper's present force; None without one."""
         whole, present = self._whole, self._sets[0]
         if whole is None or not within(current, whole.parameters.current_range):
             return None
         parameters = whole.parameters
         if present.whole:
-            parameters = present.parameters  # with the force of when it took over
+            parameters = present.parameters  # already scaled when it took over
         elif self._samples.count:
             newest = self._samples.last(self._period)
             low, high = parameters.current_range
@@ -449,9 +460,9 @@ class ModelBank:
         return replace(present, parameters=parameters, currents=(current, current), whole=True)
 
     def _takes_over(self, found: KnownSet) -> bool:
-        """Whether the set of the newest window is better at the present current than the one used.
+        """Whether the set of the newest window fits the present current better than the set in use.
 
-        If not, that one fits the window as well.
+        If it does not, the newest window confirms the set in use.
         """
         if found.whole or found.currents is None:
             return True
@@ -470,10 +481,10 @@ class ModelBank:
         self._sets[0] = replace(self._sets[0], confirmed_ns=found.confirmed_ns)
         return False
 
-    # What the measured force says
+    # Choice by the measured force
 
     def forget_samples(self) -> None:
-        """The next samples do not continue from those so far."""
+        """Discard the samples; the next samples do not continue from them."""
         self._samples.clear()
 
     def follow(
@@ -487,8 +498,8 @@ class ModelBank:
     ) -> None:
         """Keep the newest samples: motion, current [A], predicted and measured ``forces`` [N].
 
-        Each has shape (n,). They are ``period`` [s] apart; ``half_cycle`` [s] is that of the
-        motion, NaN where it is not known. The force of the first ``bridged`` was not measured.
+        Arrays have shape (n,). The samples are ``period`` [s] apart. ``half_cycle`` [s] is that of
+        the motion, NaN if unknown. The force of the first ``bridged`` samples was not measured.
         """
         time = forces[1].size * period
         self._since_search += time
@@ -499,7 +510,7 @@ class ModelBank:
         self._samples.add(motion, current, forces, bridged, span / period)
 
     def search_is_due(self) -> bool:
-        """Whether it is time to look for another set: not every time that the force is wrong."""
+        """Whether to search for another set now; searches are limited in rate."""
         enough = self._samples.count * self._period >= _JUDGED
         if not enough or self._since_search < _EVERY:
             return False
@@ -507,18 +518,19 @@ class ModelBank:
         return True
 
     def turning_is_due(self) -> bool:
-        """Whether it is time to see how the force turns, though it is not wrong."""
+        """Whether the periodic comparison of the branch rules is due."""
         if not self._measured or self._since_turning < _TURNING_EVERY:
             return False
         self._since_turning = 0.0
         return True
 
     def better(self, allowed: float, *, wrong: bool) -> Choice | None:
-        """The set that gives the newest forces, within an ``allowed`` error [N]; None for none.
+        """The set that reproduces the newest forces within an ``allowed`` error [N], or None.
 
-        ``wrong``: the present one does not; else it is for other motions only. An infinite error
-        is allowed where no force is measured: the set last used for the motion is then taken. Where
-        the present force continues from a wrong past, it is the present set that starts again.
+        ``wrong`` says that the force of the present set is wrong; otherwise the set is only outside
+        its range. With ``wrong`` the present set is also tried, restarted from a new state.
+        ``allowed`` is infinite if no force is measured; the result is then the set last used for
+        this motion.
         """
         present = self._sets[0]
         newest = self._samples.last(self._period, (self._judged + _SETTLES) / self._period)
@@ -539,9 +551,10 @@ class ModelBank:
         return best
 
     def turned_otherwise(self) -> Choice | None:
-        """The present set, where over a cycle the force turns otherwise than it was taken to.
+        """The present set, if the other branch rule fits the newest cycle better; else None.
 
-        It is taken to do so from now on. None where it does not, or not enough is known.
+        The other rule is used from now on. None also with less than a half-cycle of samples, or if
+        the law has a single branch rule.
         """
         present = self._sets[0]
         law = present.parameters.law
@@ -561,7 +574,7 @@ class ModelBank:
 
     @property
     def _judged(self) -> float:
-        """Seconds over which a set is judged."""
+        """Time [s] over which a set is judged."""
         return max(_JUDGED, _JUDGED * self._half_cycle)
 
     def _force(self, known: KnownSet, newest: JudgedSamples, gradual: bool) -> Array:

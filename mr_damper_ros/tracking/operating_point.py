@@ -40,8 +40,7 @@ MOST_WINDOWS = 100
 """At most this many windows are kept, one per operating point, thinned to this many samples."""
 
 RECENT = 10.0
-"""Operating points of the last so many seconds count as recent; a set is expected to be used there.
-"""
+"""Seconds for which an operating point counts as recent. A set must serve at all recent points."""
 
 _OTHER_SPEED = 2.0
 """At another speed the force is between unchanged and proportional to the speed, to within this

@@ -1,9 +1,12 @@
-"""Predicts the damper's force from a stream of displacement and current, from the past alone.
+"""Causal prediction of the damper force from a stream of displacement and current.
 
-From a block to its predicted force: the block is placed on the grid of the samples; its motion is
-estimated; the current is held onto its samples; the model bank says which set holds there; that
-set's force follows, blended with that of the set before; the residual monitor compares it with the
-measured force; the validity rules give each sample its reason code.
+The steps from a block to its predicted force are:
+
+1. The block is placed on the uniform grid, and its motion is estimated.
+2. The current is held at its last value to give a current at each sample.
+3. The model bank selects the set, and the set gives the force, with bumpless transfer.
+4. The residual monitor compares this force with the measured force.
+5. The validity rules give each sample its reason code.
 """
 
 from __future__ import annotations
@@ -53,11 +56,10 @@ from mr_damper_ros.tracking.validity import (
 class Prediction:
     """Predicted force [N], shape (n,), of the block's samples.
 
-    ``doubts`` (n,): the :class:`DoubtKind` of each, and ``doubt`` that of the newest sample that is
-    not valid.
-    ``velocity`` [m/s], shape (n,), is what was estimated of the motion; NaN where nothing was.
-    ``motion`` and ``current`` [A], a number where it is constant, are what the newest samples were
-    predicted from; None where there was nothing to predict from.
+    ``doubts`` (n,) holds the reason code (:class:`DoubtKind`) of each sample; ``doubt`` is that of
+    the newest invalid sample. ``velocity`` [m/s], shape (n,), is the estimated velocity, NaN if
+    there is none. ``motion`` and ``current`` [A], a float if it is constant, are the inputs of the
+    newest samples; None if there was no force.
     """
 
     start_ns: int
@@ -81,7 +83,7 @@ class Prediction:
         continuity: str,
         velocity: Array | None = None,
     ) -> Prediction:
-        """That of a block for which there is no force: NaN at every sample."""
+        """The prediction for a block without a force: NaN at every sample."""
         unknown = np.full(block.sample_count, np.nan)
         return cls(
             start_ns=block.start_ns,
@@ -97,7 +99,7 @@ class Prediction:
 
     @classmethod
     def joined(cls, parts: Sequence[Prediction]) -> Prediction:
-        """That of a block, from its parts in their order."""
+        """The prediction for a block, joined from its parts in order."""
         newest = parts[-1]
         if len(parts) == 1:
             return newest
@@ -125,20 +127,20 @@ class Prediction:
 
     @property
     def newest_doubt(self) -> Doubt:
-        """Why the force of the newest sample is not valid."""
+        """Why the force of the newest sample is invalid."""
         return self.doubt if self.doubts[-1] else NO_DOUBT
 
     @property
     def reason(self) -> str:
-        """The doubt in words; empty where all samples are valid."""
+        """The reason in words; empty if all samples are valid."""
         return self.doubt.sentence
 
     def at_its_samples(self, values: Array) -> Array:
-        """Those of the values (m,) of a block that are at the predicted samples: its last n."""
+        """The last n of the values (m,) of a block, which are those at the predicted samples."""
         return values[-self.force.size :]
 
     def of_arrived(self, placed: Placed) -> Prediction:
-        """The part for the samples that came, without those that were bridged."""
+        """The prediction for the samples that arrived, without the bridged ones."""
         doubts = self.doubts[placed.bridged :]
         return replace(
             self,
@@ -153,7 +155,7 @@ class Prediction:
 
 @dataclass(frozen=True)
 class PredictorSettings(ValiditySettings):
-    """How the prediction follows the stream, and when it is no longer valid."""
+    """Settings of the prediction and limits of its validity."""
 
     bandwidth: float = option(
         0.0,
@@ -180,18 +182,20 @@ class PredictorSettings(ValiditySettings):
 
 
 _TOGETHER = 0.01
-"""Seconds of samples that are followed at once: what is learnt from them, another set or another
-current, counts for the next. So a block of many is no worse than several of few."""
+"""Seconds of samples that are predicted at once. A longer block is split into parts of this length,
+and each part uses what was learnt from the previous one, such as another set. The block length
+therefore does not affect the prediction."""
 
 _OF_THE_SET = (DoubtKind.WRONG, DoubtKind.DRIVING, DoubtKind.OUT_OF_RANGE, DoubtKind.TOO_LARGE)
-"""Doubts that another set may remove."""
+"""Reason codes that another set may remove."""
 
 
 class _Unlearned(NamedTuple):
-    """What is yet to be learnt from samples ``period`` [s] apart.
+    """Samples ``period`` [s] apart from which nothing has been learnt yet.
 
-    Predicted and measured force [N], motion, current [A] (n,), and whether the force could be
-    ``known``. That of the first ``bridged`` samples was not measured.
+    ``forces`` are the predicted and the measured force [N], (n,); ``current`` [A] has shape (n,).
+    ``known`` says whether the motion determines the force. The force of the first ``bridged``
+    samples was not measured.
     """
 
     forces: tuple[Array, Array]
@@ -214,20 +218,20 @@ class ForcePredictor:
         self._bank = ModelBank(margin, gradual=settings.gradual_reversal, measured=measured)
         self._current = ZeroOrderHold(keep=KEEP_CURRENT)
         self.sequence = UniformGrid(grid)
-        """How the blocks have followed each other so far."""
+        """The uniform grid, which tracks gaps and repeats of the blocks."""
         self.freshness = Freshness(settings.max_age)
-        """How old the samples are."""
+        """The age of the samples."""
         self._refused = RefusedWindows()
-        # What follows one motion; begun with its first block, and again after a gap.
+        # These three follow one motion. They restart with the first block and after a gap.
         self._motion: MotionFollower | None = None
         self._force = ForceInUse(math.inf)
         self._monitor = ResidualMonitor(math.inf, settings.maximum_error)
-        # Reversals of the motion when the law began to follow it.
+        # Number of reversals of the motion when the state of the law was initialised.
         self._begun_at = 0
         self._unlearned: _Unlearned | None = None
         self._newest_doubt = NO_DOUBT
         self.tried = -math.inf
-        """Highest current [A] that is being tried out: the measured force alone judges up to it."""
+        """Highest current [A] under trial. Up to it, only the measured force decides validity."""
 
     @property
     def parameters(self) -> ParameterSet | None:
@@ -237,23 +241,23 @@ class ForcePredictor:
 
     @property
     def gradual(self) -> bool:
-        """Whether the force is predicted without jumps where the motion turns."""
+        """Whether the force is predicted without jumps at reversals."""
         return self._bank.gradual
 
     @property
     def memory(self) -> State | None:
-        """What the law remembers after the last block, the coil's current last, if it lags."""
+        """State of the law after the last block; the coil current is last, if it has a lag."""
         return self._force.state
 
-    # What comes besides samples
+    # Inputs other than samples
 
     def set_parameters(self, parameters: ParameterSet, confirmed_ns: int | None = None) -> None:
-        """Predict with this set from the next block on, unless another is better known here.
+        """Predict with this set from the next block on, unless the bank has a better one.
 
-        ``confirmed_ns`` is the stamp of the last sample that it is known to fit; None for a set
-        that does not age, such as one that a user gave: its force counts at once, that of others
-        after what is left of the force before has faded. See :meth:`ModelBank.add` for what
-        displaces a given set. What the law remembers of the motion is computed anew.
+        ``confirmed_ns`` is the stamp of the last sample that the set is known to fit; None for a
+        set that does not age, such as one loaded by a user. A set without a stamp takes effect at
+        once, any other by bumpless transfer. :meth:`ModelBank.add` describes which sets replace a
+        loaded set. The state of the law is recomputed.
         """
         self._refused.forget()
         if self._bank.is_in_use(parameters):
@@ -265,7 +269,7 @@ class ForcePredictor:
             self._use_present(fade=confirmed_ns is not None)
 
     def follow_report(self, report: WindowVerdict) -> None:
-        """Take note of the identifier's report on a window."""
+        """Process the identifier's report on a window."""
         self._refused.follow(report.verdict, report.nrmse_before, confirms=report.confirms)
         if report.confirms:
             currents = self._current.span(report.window_start_ns, report.stamp_ns)
@@ -273,17 +277,17 @@ class ForcePredictor:
                 self._use_present(fade=True)
 
     def _use_present(self, *, fade: bool) -> None:
-        """Use the set that the bank has put first."""
+        """Use the first set of the bank."""
         assert self.parameters is not None
         self._force.use(self.parameters, gradual=self._bank.gradual, fade=fade)
         self._monitor.forget_error()
 
     def add_current(self, stamp_ns: int, current: float) -> None:
-        """Add a value of the supply current [A]; raises CurrentError for one that is not finite."""
+        """Add a value of the supply current [A]; raises CurrentError if it is not finite."""
         self._current.add(stamp_ns, current)
 
     def current_at(self, stamp_ns: int) -> float:
-        """Supply current [A] that holds at a stamp; NaN where none is known."""
+        """Supply current [A] at a stamp; NaN if unknown."""
         if not self._current.known_from(stamp_ns):
             return np.nan
         return float(self._current.at(stamp_ns, 1.0, 1)[0])
@@ -291,10 +295,10 @@ class ForcePredictor:
     # Learning from the last block
 
     def catch_up(self) -> None:
-        """Learn from the last block what only the predictions after it need.
+        """Learn from the last block what later predictions need.
 
-        It takes longer than a prediction, so call it once that is on its way. Without it the next
-        :meth:`predict` does what it must itself, with the same results.
+        This takes longer than a prediction, so call it after the prediction is published. If it is
+        not called, the next :meth:`predict` does the necessary part, with the same results.
         """
         if self._motion is not None:
             self._learn(self._motion)
@@ -336,10 +340,10 @@ class ForcePredictor:
     # From a block to its force
 
     def predict(self, block: SampleBlock, now_ns: int | None = None) -> Prediction:
-        """Force at the samples of a block; NaN, and not valid, where it cannot be computed.
+        """Force at the samples of a block; NaN and invalid if it cannot be computed.
 
-        Of a block of which a part came before, that at its new samples. ``now_ns`` is the present
-        time on the clock of the stamps, where there is one.
+        If part of the block arrived before, the force covers the new samples only. ``now_ns`` is
+        the present time by the clock of the stamps; None without a clock.
         """
         (placed,) = self.sequence.follow(block)
         whole, bridged, verdict = placed.block, placed.bridged, placed.continuity
@@ -354,7 +358,7 @@ class ForcePredictor:
         if self._motion is None or verdict.restarts or lost_sight:
             self._begin(whole.period)
         together = max(round(_TOGETHER / whole.period), 1)
-        # Those that were bridged go with the first that were not.
+        # Bridged samples belong to the first part.
         ends = [*range(bridged + together, whole.sample_count, together), whole.sample_count]
         parts = [
             self._predict(
@@ -369,7 +373,7 @@ class ForcePredictor:
         return prediction if whole is block else prediction.of_arrived(placed)
 
     def _begin(self, period: float) -> None:
-        """Begin to follow a motion of which nothing is known before these samples."""
+        """Restart for a motion that is unknown before these samples."""
         settings = self._settings
         self._motion = MotionFollower(period, settings.bandwidth, settings.centre_memory)
         self._force = ForceInUse(period)
@@ -391,7 +395,7 @@ class ForcePredictor:
         parameters = self.parameters
         assert parameters is not None
         if parameters is not self._force.parameters:
-            # A change of the current changes the force, too: no transfer.
+            # A change of the current changes the force itself, so there is no bumpless transfer.
             self._use_present(fade=False)
         if self._force.state is None:
             self._begun_at = self._motion.reversals
@@ -425,7 +429,7 @@ class ForcePredictor:
     def _doubts(
         self, block: SampleBlock, bridged: int, motion: Motion, current: Array, force: Array
     ) -> list[Doubt]:
-        """Why not to rely on the force of a set: what is known of the motion comes first."""
+        """The reasons why the force of a set is invalid; those of the motion come first."""
         follower, monitor = self._motion, self._monitor
         assert follower is not None
         settling = doubt_of_motion(follower)
@@ -439,7 +443,7 @@ class ForcePredictor:
             (force, block.force), motion, current, not settling, block.period, bridged
         )
         if settling:
-            # A force that nobody could know says nothing of the parameters.
+            # While the motion does not determine the force, the force does not test the set.
             if not measured or any(measured):
                 monitor.forget_moment()
             self._bank.forget_samples()
@@ -455,8 +459,8 @@ class ForcePredictor:
             doubt_of_current_age(self._current, block.end_ns, settings.current_timeout, live=live),
             doubt_of_parameters_age(present.confirmed_ns, block.end_ns, settings, live=live),
         ]
-        # What has been right for a cycle holds, identified for this motion and this current or
-        # not, and whatever the identifier says of windows that it could not fit.
+        # A force that agreed with the measured force for a cycle is valid, even outside the
+        # identified range and after rejected windows.
         if monitor.holds:
             doubts += by_force
         else:
@@ -478,7 +482,7 @@ class ForcePredictor:
 
 
 def _speed(motion: Motion, follower: MotionFollower) -> float:
-    """The peak velocity [m/s] that stands for a block."""
+    """The representative peak velocity [m/s] of a block."""
     speed = middle(motion.peak_velocity)
-    # A motion that is no sine passes through low values without being small.
+    # In a motion other than a sine, a low value does not mean a small motion.
     return speed if follower.steady else max(speed, follower.usual_peak_velocity)

@@ -1,10 +1,10 @@
-"""Holds the predicted force against the one that was measured in the same samples.
+"""The residual monitor: compares the predicted force with the force measured in the same samples.
 
-Over the latest cycles :class:`ForceStatistics` knows the peak of the measured force, its noise and
-its power; :class:`ResidualMonitor` says when the predicted one is wrong. Two errors are followed,
-both as parts of that peak: that of every sample, which tells at once that the force is wrong now,
-and the root mean square over a half-cycle, which tells that the parameters are: then nothing is
-valid until they are right again.
+:class:`ForceStatistics` holds the peak, the noise and the power of the measured force over the
+recent cycles. :class:`ResidualMonitor` decides when the predicted force is wrong. It monitors two
+errors, both relative to the peak. The error of each sample shows at once that the force is wrong at
+this sample. The root mean square over a half-cycle shows that the parameters are wrong; all samples
+are then invalid until it falls again.
 """
 
 from __future__ import annotations
@@ -25,38 +25,41 @@ from mr_damper_ros.tracking.validity import NO_DOUBT, Doubt, DoubtKind
 _HALF_CYCLES = 8
 _SHORTEST_MEMORY = 2.0
 _LONGEST_MEMORY = 120.0
-"""The memory is so many half-cycles, and within these times [s]."""
+"""The memory covers this many half-cycles, limited to these times [s]."""
 
 _PEAK_MEMORY = 10.0
-"""Seconds, or a cycle if that is longer, where the motion is not steady: eight half-cycles of it
-may all be small ones, or go back to when it was another motion."""
+"""Memory [s] of the peak if the motion is not steady, or a cycle if that is longer. Eight
+half-cycles could all be small, or include an earlier motion."""
 
 _WILD = 20
-"""One sample in so many may be wild to either side: the span is that of the rest ..."""
+"""The span excludes one sample in this many at either end, because it may be an outlier."""
 
 _FEWEST = 4
-"""... but of no more than so many samples it is that of all."""
+"""Up to this number of samples the span includes all samples."""
 
 _STRETCHES = 32
 _LONGEST_STRETCH = 0.25
-"""The memory moves on by this part of it, or by so many seconds if that is less."""
+"""The memory is divided into this many stretches, each no longer than this time [s]."""
 
 _PRELOAD = 0.5
-"""The middle of the force counts up to this part of half its span, as a gas pressure makes it. More
-of it is a load cell that was not set to zero: the force of the damper must not vanish beside it."""
+"""The mean force counts towards the peak up to this fraction of half the span, as from gas pressure.
+A larger mean comes from a load cell that was not zeroed; it must not hide the damper's force."""
 
 _FOR_POWER = 4
-"""The power is that of so many half-cycles: what a spring takes it has given back by then."""
+"""The power is averaged over this many half-cycles, in which a spring returns its energy."""
 
 _SHORTEST_STUCK = 0.4
-"""Seconds: no fast motion is followed so well that its half-cycle is a measure."""
+"""Shortest time [s] after which a constant force counts as a fault. In fast motion the estimated
+half-cycle is too inaccurate to set this time."""
 
 
 @dataclass(frozen=True)
 class _Stretch:
-    """Span and noise [N] of the measured force; sums of velocity and forces, and products.
+    """Span and noise [N] of the measured force in a stretch of samples.
 
-    ``currents``: lowest and highest [A]; ``settled``: the stretch before had the same.
+    ``sums`` (3, 4) holds the sums of velocity, measured and predicted force, and of their products.
+    ``currents`` is the lowest and the highest current [A]. ``settled`` says whether the previous
+    stretch had the same current.
     """
 
     count: int
@@ -68,19 +71,20 @@ class _Stretch:
     settled: bool
 
     def had(self, current: float) -> bool:
-        """Whether its force was that at this current [A] all along."""
+        """Whether the whole force of the stretch belongs to this current [A]."""
         return self.settled and all(abs(end - current) <= SAME_CURRENT for end in self.currents)
 
 
 class ForceStatistics:
-    """Remembers some cycles of a stream of samples ``period`` [s] apart.
+    """Running force statistics over some cycles of samples ``period`` [s] apart.
 
-    ``peak`` and ``centre`` [N]: the largest size of the measured force and the middle of its span,
-    but for wild samples; NaN before anything is known of it. Where the motion is not steady, those
-    of ten seconds or a cycle. The force at another current counts for ten seconds at most, and no
-    longer than until the present one has stayed for a cycle.
-    ``noise`` [N]: standard deviation of its white part. ``stuck``: it has not changed at all for a
-    half-cycle. ``measured_drives`` and ``predicted_drives``: that force puts power into the motion.
+    ``peak`` and ``centre`` [N] are the largest magnitude of the measured force and the middle of
+    its span, without outliers; NaN before the first stretch. If the motion is not steady, they
+    cover ten seconds or a cycle. The force at another current counts for at most ten seconds, and
+    no longer than until the present current has lasted for a cycle.
+    ``noise`` [N] is the standard deviation of the white part of the measured force. ``stuck`` says
+    that the measured force has been constant for a half-cycle. ``measured_drives`` and
+    ``predicted_drives`` say that the measured or predicted force is not dissipative.
     """
 
     def __init__(self, period: float) -> None:
@@ -110,8 +114,8 @@ class ForceStatistics:
     ) -> None:
         """Add samples of the predicted and the measured force [N] and the velocity [m/s], (n,).
 
-        ``current`` [A] is a number or has shape (n,); ``half_cycle`` [s] is that of the motion, NaN
-        before it is known; ``steady``: whether it is a sine that goes on.
+        ``current`` [A] is a float or has shape (n,). ``half_cycle`` [s] is that of the motion, NaN
+        if unknown. ``steady`` says whether the motion is a continuing sine.
         """
         self._parts.append((*forces, velocity))
         self._currents.append(
@@ -122,7 +126,7 @@ class ForceStatistics:
             self._finish(half_cycle, steady)
 
     def forget_predicted(self) -> None:
-        """The predicted forces so far were those of other parameters."""
+        """Discard the predicted forces so far, which belong to other parameters."""
         self.predicted_drives = False
         self._parts = [(np.zeros(f.size), f, v) for _, f, v in self._parts]
         for stretch in self._past:
@@ -156,7 +160,7 @@ class ForceStatistics:
         noise = white_noise(measured)
         self._past.append(_Stretch(count, top, bottom, noise, sums, currents, settled))
         self._remembered += count
-        # Without a half-cycle nothing is known of how long to remember: the shortest time.
+        # While the half-cycle is unknown, the memory is as short as possible.
         known = 0.0 if math.isnan(half_cycle) else half_cycle
         memory = min(max(_HALF_CYCLES * known, _SHORTEST_MEMORY), _LONGEST_MEMORY)
         self._stretch = max(round(min(memory / _STRETCHES, _LONGEST_STRETCH) / self._period), 1)
@@ -170,7 +174,7 @@ class ForceStatistics:
         self._judge_power(known)
 
     def _latest(self, time: float) -> list[_Stretch]:
-        """The stretches of the latest so many seconds, newest first."""
+        """The stretches of the last ``time`` seconds, newest first."""
         latest: list[_Stretch] = []
         count = 0
         for stretch in reversed(self._past):
@@ -181,7 +185,7 @@ class ForceStatistics:
         return latest
 
     def _judge_span(self, stretches: Sequence[_Stretch], cycle: float) -> None:
-        """That of stretches, newest first, of a motion of this ``cycle`` [s]."""
+        """Compute peak and centre from stretches, newest first, with a ``cycle`` [s] of motion."""
         current = stretches[0].currents[1]
         here = [stretch.had(current) for stretch in stretches]
         counts = np.array([stretch.count for stretch in stretches])
@@ -212,42 +216,44 @@ class ForceStatistics:
 
 
 _SEEN = 0.98
-"""Part of the allowed error that a sample may have: the peak is known no better ..."""
+"""Fraction of the limit that the error of a sample may reach, because the peak is uncertain."""
 
 _CHANCE = 3.0
-"""... less so many standard deviations of the noise, which may hide as much of it ..."""
+"""Standard deviations of the noise by which this limit is reduced, because noise may hide an error
+of that size."""
 
 _SAMPLE, _RARE = 0.68, 2.0
-"""... but with much noise this part and so many more: noise alone is seldom a wrong force, and then
-for a sample."""
+"""Limit with much noise: this fraction of the limit plus this many standard deviations. Noise alone
+then rarely makes a force invalid, and only for single samples."""
 
 _MOST_REMEMBERED = 1.5
-"""A burst counts no more than so many times the limit of the lasting error, the root mean square
-over a half-cycle: it must not be remembered for ever."""
+"""Each error enters the root mean square with at most this multiple of its limit, so that a burst
+is forgotten."""
 
 _BACK = 0.9
-"""Part of either limit that the error must fall below again."""
+"""Fraction of either limit below which the error must fall again."""
 
 _CALM, _CALM_PART, _AS_LONG = 0.02, 0.1, 0.125
-"""A force is valid again once it has been right for so many seconds, or this part of a half-cycle,
-or the last part of the time for which it was wrong, whichever is least. Samples of the measured
-force are wild whose error has jumped by more than the peak from one to the next, until it is small
-again; after as many seconds the force is taken to be such."""
+"""A wrong force is valid again after the shortest of three times in which the error is small: the
+first value [s], the second value times the half-cycle, and the third value times the time for which
+it was wrong. If the error jumps by more than the peak between two samples, the measured samples
+count as outliers until the error is small again, for at most the first value [s]."""
 
 _ENOUGH = 4.0
-"""Seconds for which a force was right, if a cycle is longer: those of two windows."""
+"""Longest time [s] for which a force must have agreed to hold: the time of two windows. A cycle
+suffices if it is shorter."""
 
 _MOST_NOISE = 0.1
-"""What looks like noise is taken for it up to this part of the peak."""
+"""Limit of the noise estimate, relative to the peak."""
 
 _SHORTEST, _LONGEST = 0.2, 20.0
-"""Seconds within which the half-cycle lies over which a lasting error is taken."""
+"""Limits [s] of the half-cycle over which the root mean square error is computed."""
 
 
 class ResidualMonitor:
-    """Watches the forces of samples ``period`` [s] apart.
+    """Monitors the forces of samples ``period`` [s] apart.
 
-    ``maximum_error`` is a part of the peak of the measured force; 0: that force is not looked at.
+    ``maximum_error`` is relative to the peak of the measured force; 0 ignores the measured force.
     """
 
     def __init__(self, period: float, maximum_error: float) -> None:
@@ -258,39 +264,38 @@ class ResidualMonitor:
         # Mean square [1] of the error over the peak.
         self._square = 0.0
         self._wrong = False
-        # The error [N] of the last sample, and for how many samples the measured force is wild.
+        # The error [N] of the last sample, and the number of outliers in a row.
         self._error, self._wild_for = 0.0, 0
         self._longest_wild = max(round(_CALM / period), 1)
-        # Samples until one that is right is valid again, and how many those are at most.
+        # Samples with a small error until the force is valid again, and the largest such number.
         self._wait, self._calm = 0.0, _CALM / period
-        # Seconds for which the forces have been compared without a break.
+        # Seconds for which the forces have been compared without interruption.
         self._compared = 0.0
         self._cycle_known = False
 
     @property
     def holds(self) -> bool:
-        """Whether the predicted force is right, and was over the last cycle, by the measured one.
+        """Whether the predicted force has agreed with the measured force over the last cycle.
 
-        Or over so many seconds of it as are enough.
-
-        A moment in which it was wrong is over with that moment, but for what it adds to the rest.
+        In slow motion the last ``_ENOUGH`` seconds suffice. A short error counts only while it
+        lasts and through its contribution to the root mean square.
         """
         enough = min(2.0 * self._time, _ENOUGH)
         return self._cycle_known and self._compared >= enough and not (self._wrong or self._wait)
 
     @property
     def allowed(self) -> float:
-        """Error [N] that a sample may have; infinite where no force is measured."""
+        """Largest error [N] of a valid sample; infinite if no force is measured."""
         peak = self._recent.peak
         if self._limit == 0.0 or not peak > 0.0:
             return math.inf
         return self._allowed(self._limit * peak, self._noise(peak))
 
     def forget_error(self, known: float = math.nan) -> None:
-        """Other parameters: the lasting error of those before says nothing of them.
+        """Reset the root mean square error after a change of parameters.
 
-        Where they were wrong these have to show first that they are not, unless their error [N] is
-        ``known``, from what has been measured before.
+        If the previous parameters were wrong, the error restarts at the limit, so that the new ones
+        must first prove correct. If their error ``known`` [N] is given, it restarts at that value.
         """
         if known < math.inf and self._recent.peak > 0.0:
             self._square = (known / self._recent.peak) ** 2
@@ -300,17 +305,17 @@ class ResidualMonitor:
         self._recent.forget_predicted()
 
     def forget_moment(self) -> None:
-        """The samples do not go on from where the force could be known, or were not judged."""
+        """Restart the comparison after samples whose force was unknown or was not judged."""
         self._square = self._compared = self._error = 0.0
         self._wrong, self._wait, self._wild_for = False, 0.0, 0
 
     def judge(self, predicted: Array, measured: Array) -> list[Doubt]:
-        """Follow the forces (n,) [N] of the next samples: why to doubt the predicted ones."""
+        """Process the forces (n,) [N] of the next samples; returns reasons for invalid ones."""
         if self._limit == 0.0:
             return [self._doubt_of_power()]
         peak = self._recent.peak
         if not peak > 0.0:
-            # Nothing is known of the force yet, or it never changed.
+            # No statistics yet (NaN), or the measured force is constantly zero.
             return [self._doubt_of_sensor()] if peak == 0.0 else []
         errors = predicted - measured
         sizes = np.abs(errors)
@@ -323,7 +328,7 @@ class ResidualMonitor:
             doubts.append(self._doubt_of_wild(measured[wild], peak, wild))
         if self._wrong or wrong is not None:
             error = self._doubt_of_error(sizes, peak, wrong)
-            # One that agrees with the measured force drives the motion no more than that does.
+            # A force that agrees with the measured force is as dissipative as the measured one.
             doubts += [replace(self._doubt_of_power(), at=error.at), error]
         return doubts
 
@@ -336,11 +341,11 @@ class ResidualMonitor:
         *,
         steady: bool,
     ) -> None:
-        """What only later samples need of these; arrays of shape (n,).
+        """Update the statistics for later samples; arrays have shape (n,).
 
-        ``forces`` [N], predicted and measured; ``velocity`` [m/s]; ``current`` [A], also a
-        number; ``half_cycle`` [s] of the motion, NaN before it is known; ``steady``: whether that
-        is a sine that goes on.
+        ``forces`` [N] are predicted and measured, ``velocity`` is in m/s, and ``current`` [A] may
+        be a float. ``half_cycle`` [s] is that of the motion, NaN if unknown. ``steady`` says
+        whether the motion is a continuing sine.
         """
         self._recent.add(forces, velocity, current, half_cycle, steady=steady)
         self._cycle_known = not math.isnan(half_cycle)
@@ -351,16 +356,16 @@ class ResidualMonitor:
     def _wrong_samples(
         self, errors: Array, sizes: Array, measured: Array, peak: float
     ) -> tuple[Mask | None, Mask | None]:
-        """Masks (n,) of the samples with too large an error, and of the wild ones; None for none.
+        """Masks (n,) of the samples with too large an error, and of outliers; None without any.
 
-        ``errors`` [N] and their ``sizes`` are those against the ``measured`` force [N].
+        ``errors`` [N] are predicted less ``measured`` [N]; ``sizes`` [N] are their magnitudes.
         """
         before, self._error = self._error, float(errors[-1])
         limit, noise = self._limit * peak, self._noise(peak)
         if self._wait == 0.0 and float(sizes.max()) <= self._allowed(limit, noise):
             self._wild_for = 0
             return None, None
-        # A force that grows is not wrong because it was smaller before.
+        # If the force grows beyond the recent peak, the limit grows with it.
         largest = np.maximum(np.abs(measured - self._recent.centre), peak)
         begins, stays = (
             (sizes > np.maximum(*self._limits(part * self._limit * largest, noise))).tolist()
@@ -383,7 +388,7 @@ class ResidualMonitor:
         return wrong if wrong.any() else None, wild if wild.any() else None
 
     def _follow(self, sizes: Array, peak: float) -> None:
-        """Follow the lasting error by the sizes (n,) [N] of the errors of the next samples."""
+        """Update the root mean square error with the error magnitudes (n,) [N]."""
         count = sizes.size
         self._compared += count * self._period
         if count == 0:
@@ -399,8 +404,8 @@ class ResidualMonitor:
 
     @staticmethod
     def _limits(limit: Array | float, noise: float) -> tuple[Array | float, Array | float]:
-        """Differences [N] of which a sample may have the larger to a force of so much noise [N]."""
-        # The noise may hide a part of the error; where there is much of it, it may look like one.
+        """Two limits [N] of the error of a sample at this noise [N]; the larger applies."""
+        # Noise may hide a part of an error. Much noise may itself look like an error.
         return _SEEN * limit - _CHANCE * noise, _SAMPLE * limit + _RARE * noise
 
     def _allowed(self, limit: float, noise: float) -> float:

@@ -1,4 +1,4 @@
-"""The parameter set that is in use after a window: what it takes over, and what it keeps."""
+"""The new parameter set after a window: values from the fit and values from the running set."""
 
 from __future__ import annotations
 
@@ -20,20 +20,22 @@ from mr_damper_ros.tracking.operating_point import (
 )
 
 _AGREES = 0.1
-"""A law that is off by less of the force where it was not known holds there, too."""
+"""If the force changes by at most this fraction, the law of the running set also holds where it has
+not been identified."""
 
 _SAME_FREQUENCY = 0.05
 _SAME_AMPLITUDE = 0.3
-"""A sensor that is late may also show less of the motion; the loop keeps its shape that far."""
+"""Relative tolerances of the same motion. The tolerance of the amplitude is wide because a sensor
+with a delay may also attenuate the motion. Within it, the loop keeps its shape."""
 
 
 @dataclass(frozen=True)
 class WindowSummary:
-    """What is reported of a window that was fitted, and the range that it covers.
+    """Figures of a fitted window for the report, and the range that the window covers.
 
-    ``amplitude`` [m]; ``frequency`` [Hz], NaN where the motion is no sine; the ranges of the peak
-    velocity [m/s], without its outermost twentieths, and of the current [A]; the ``largest_force``
-    and the ``spread`` (standard deviation) of the force [N].
+    ``amplitude`` is in m; ``frequency`` in Hz, NaN if the motion is not a sine. The range of the
+    peak velocity [m/s] omits the lowest and the highest twentieth; that of the current is in A.
+    ``largest_force`` [N] and ``spread`` [N], the standard deviation, are those of the force.
     """
 
     amplitude: float
@@ -59,9 +61,9 @@ class WindowSummary:
 
 @dataclass(frozen=True)
 class SteadyMotion:
-    """The sine of the newest good windows, and in how many of them in a row it was the same.
+    """The sine of the newest good windows, and the number of such windows in a row.
 
-    ``amplitude`` [m], ``frequency`` [Hz], ``current`` [A].
+    ``amplitude`` is in m, ``frequency`` in Hz and ``current`` in A.
     """
 
     windows: int = 0
@@ -70,7 +72,7 @@ class SteadyMotion:
     current: float = math.nan
 
     def windows_of(self, summary: WindowSummary) -> int:
-        """How many windows in a row had the motion of this one; 0 for no sine."""
+        """Number of good windows in a row with the motion of this window; 0 if it is not a sine."""
         low, high = summary.current_range
         same = (
             math.isclose(summary.amplitude, self.amplitude, rel_tol=_SAME_AMPLITUDE)
@@ -88,7 +90,7 @@ class SteadyMotion:
 
 
 def holds_at(running: ParameterSet, point: OperatingPoint) -> bool:
-    """Whether a set has been identified where the operating point is."""
+    """Whether a set has been identified at an operating point."""
     speed, current = point
     return bool(
         running.observable.any()
@@ -98,14 +100,14 @@ def holds_at(running: ParameterSet, point: OperatingPoint) -> bool:
 
 
 def known_force(fit: WindowFit, summary: WindowSummary) -> KnownForce:
-    """The size of the force of a window, without what the fit leaves of it."""
+    """The size of the force of a window, without the residual of the fit."""
     speed, current = fit.operating_point
     size = summary.spread * math.sqrt(max(1.0 - fit.nrmse**2, 0.0))
     return KnownForce(speed, current, size, summary.largest_force)
 
 
 def candidate(running: ParameterSet, values: Array, window: Window) -> ParameterSet:
-    """The set with the values (p,) found for a window, to judge: it holds where it would in use."""
+    """A set with the values (p,) fitted to a window, and the peak velocity range it would have."""
     speeds = window.peak_velocity_range
     if running.law.knows_speeds(running.observable):
         speeds = _wider_speeds(running, speeds, window.motion.frequency)
@@ -115,10 +117,10 @@ def candidate(running: ParameterSet, values: Array, window: Window) -> Parameter
 def _wider_speeds(
     running: ParameterSet, found: tuple[float, float], frequency: float
 ) -> tuple[float, float]:
-    """Peak velocities [m/s] of a set that holds for those of a window, ``found``, as well."""
+    """Peak velocity range [m/s] of a set, extended by the range ``found`` of a window."""
     slowest = running.peak_velocity_range[0]
     if math.isnan(frequency):
-        # A motion that is no sine passes through low values and tells nothing of the law there.
+        # In a motion other than a sine, low values contain no information on the law at low speed.
         found = max(found[0], slowest), max(found[1], slowest)
     return _wider(found, running.peak_velocity_range)
 
@@ -132,12 +134,12 @@ def set_of_window(
     set_id: str,
     stamp_ns: int,
 ) -> ParameterSet:
-    """The set after a window whose fit was accepted; ``stamp_ns`` is that of its last sample.
+    """The set of a window fit; ``stamp_ns`` is that of the window's last sample.
 
-    Parameters that the window was not fitted with keep what is known of them. The range is that of
-    the window; where the dependence on the peak velocity, or on the current, has been determined
-    and agrees with the window, that of the running set as well. A window that is no sine leaves the
-    lower end of a known range where it was.
+    Parameters that were not fitted keep their values and errors. The range is that of the window.
+    If the dependence on the peak velocity, or on the current, has been determined and agrees with
+    the window, the range also includes that of the running set. A window that is not a sine does
+    not change the lower end of a known range.
     """
     model = running.law
     errors = running.standard_errors.copy()
@@ -149,7 +151,7 @@ def set_of_window(
     discrepancies[places] = math.nan
     if fit.discrepancy is not None:
         discrepancies[places] = model.fitted_errors(fit.scales, fit.discrepancy)[1]
-    # The law as it was known led to the force here: then it goes on to hold where it held.
+    # The running set predicted the force here, so its range stays valid.
     agrees = abs(evidence.force_change) <= _AGREES
     velocity_range, current_range = summary.peak_velocity_range, summary.current_range
     largest_force = summary.largest_force
@@ -164,7 +166,7 @@ def set_of_window(
     if known[1]:
         current_range = _wider(current_range, running.current_range)
     if any(known):
-        # Where nobody measured it over that range, the window does not tell it either.
+        # If the largest force over the running set's range is unknown, so is that of the new set.
         unknown = math.isnan(running.largest_force)
         largest_force = math.nan if unknown else max(largest_force, running.largest_force)
     return ParameterSet(
@@ -192,13 +194,13 @@ def set_of_change(
     set_id: str,
     stamp_ns: int,
 ) -> ParameterSet:
-    """The set after an early fit, which has found the strength of the damper changed."""
+    """The set after an early fit, which scales the gain parameters of the running set."""
     model = running.law
     errors = running.standard_errors.copy()
     fitted = np.full(errors.size, math.nan)
     places, found = model.fitted_errors(fit.scales, fit.covariance)
     fitted[places] = found
-    # The other parameters keep what is known of them.
+    # The other parameters keep their errors.
     changed = model.strength_indices
     factor = abs(1.0 + evidence.force_change)
     errors[changed] = np.hypot(errors[changed] * factor, fitted[changed])
@@ -218,7 +220,7 @@ def set_of_change(
 
 
 def _larger(known: float, other: float) -> float:
-    """The larger of two forces [N], of which the other may be unknown (NaN)."""
+    """The larger of two forces [N]; ``other`` may be unknown (NaN)."""
     return known if math.isnan(other) else max(known, other)
 
 
