@@ -23,7 +23,7 @@ from mr_damper_ros.kinematics.peak_velocity import PeakVelocity
 from mr_damper_ros.signals.arrays import Array, span_of, white_noise
 
 _CYCLES = 1.5
-"""Length of the fit in cycles. A longer fit averages more; a shorter one forgets a change sooner."""
+"""Length of the fit in cycles. A longer fit averages more; a shorter one adapts sooner."""
 
 _FEWEST_CYCLES = 1.0
 """A new sine is fitted as soon as this many cycles exist. Samples from before it are left out, so
@@ -40,7 +40,7 @@ other work."""
 _NOISE_SAMPLES = 256
 _NOISE_FACTOR = 1.5
 _LEAVING = 5.0
-"""A sample that deviates from the sine by more than this many times the allowed residual ends it."""
+"""A sample that deviates by more than this many times the allowed residual ends the sine."""
 
 _PARTS = 256
 """Number of small blocks that are kept before they are concatenated."""
@@ -183,7 +183,7 @@ class SineFollower:
         return samples
 
     def _fit(self, time: Array, points: Array) -> tuple[Array, Array]:
-        """One Gauss-Newton step; returns the weights of sine, cosine and offset, and the residual."""
+        """Weights of sine, cosine and offset, and the residual, after one Gauss-Newton step."""
         angle = self._omega * time
         sine, cosine = np.sin(angle), np.cos(angle)
         columns = np.column_stack((sine, cosine, np.ones(time.size)))
@@ -221,7 +221,7 @@ _CYCLE = 3
 """Reversals from the start of a cycle to its end, both included."""
 
 _SMALLEST_RETURN = 1e-4
-"""A reversal counts once the motion has returned by this distance [m] and by a quarter of its span."""
+"""A reversal counts once the motion has returned by this [m] and by a quarter of its span."""
 
 _STILL = 0.01
 """A displacement that changes by less than this fraction of the amplitude counts as still ..."""
@@ -350,7 +350,7 @@ _LONGEST_GAP = 0.5
 amplitude."""
 
 _HALF_CYCLES_FOR_PEAK = 4
-"""With fewer half-cycles, the angular frequency, and with it the peak velocity, is too uncertain."""
+"""With fewer half-cycles, the angular frequency and the peak velocity are too uncertain."""
 
 
 _NOISE_SPEED = 1e-4

@@ -1,18 +1,20 @@
-"""Displacement, velocity and acceleration of a stream of displacement samples, from the past alone.
+"""Causal estimate of displacement, velocity and acceleration from displacement samples.
 
-An observer of a motion with piecewise constant jerk (the steady state of a Kalman filter with white
-snap) with four equal poles at -w. A polynomial motion up to third order is followed without delay
-and error. For a sinusoid of frequency f the relative error falls with f over the bandwidth:
-displacement with the fourth power, velocity with the third, acceleration with the second.
+The observer assumes a motion with piecewise constant jerk and has four equal poles at -w. It is the
+steady state of a Kalman filter with white snap. It follows a polynomial motion up to third order
+without delay or error. For a sinusoid, the relative error depends on the ratio of its frequency to
+the bandwidth: the error of the displacement is proportional to the fourth power of that ratio, that
+of the velocity to the third and that of the acceleration to the second.
 
-A wide observer passes noise, a narrow one lags. With white noise of standard deviation s_n on the
-displacement and a fourth derivative of the motion of root mean square s_4, the error of the
-acceleration is
+A wide bandwidth passes noise; a narrow one causes lag. If the displacement has white noise of
+standard deviation s_n, and the fourth derivative of the motion has a root mean square of s_4, the
+error of the acceleration is
 
     e² = (6 s_4 / w²)² + g(w)² s_n²,
 
-g(w) being the gain from noise to acceleration. :class:`AdaptiveObserver` takes the bandwidth of the
-least e, which depends on the ninth root of (s_4 / s_n)²: rough estimates of both are enough.
+where g(w) is the gain from noise to acceleration. :class:`AdaptiveObserver` chooses the bandwidth
+that minimises e. It depends on the ninth root of (s_4 / s_n)², so rough estimates of s_4 and s_n
+are enough.
 """
 
 from __future__ import annotations
@@ -27,28 +29,28 @@ from mr_damper_ros.signals.arrays import Array
 
 _ORDER = 4
 _AT_ONCE = 64
-"""Samples that are followed at once."""
+"""Samples that one matrix product processes."""
 
 _SETTLING = 12.0
-"""Time constants of the poles after which the start is forgotten to a thousandth."""
+"""Time constants of the poles after which the initial transient has decayed to a thousandth."""
 
 
 def possible_bandwidths(period: float) -> tuple[float, float]:
     """Lowest and highest bandwidth [Hz] of the observer for samples ``period`` [s] apart.
 
-    Above a quarter of the sample rate it would not filter; far below, four poles next to 1 need
-    more digits than double precision has.
+    Above a quarter of the sample rate, the observer would not filter. At very low bandwidths, the
+    four poles lie so close to 1 that double precision is not sufficient.
     """
     return 2e-4 / period, 0.25 / period
 
 
 class CausalDifferentiator:
-    """The observer of a fixed bandwidth, block by block.
+    """Observer with a fixed bandwidth that processes blocks of samples.
 
-    ``period`` [s] is the sample period, ``bandwidth`` [Hz] the corner of the observer; ``seen``
-    counts the samples since the start or :meth:`reset`.
+    ``period`` [s] is the sample period and ``bandwidth`` [Hz] the corner frequency of the observer.
+    ``seen`` counts the samples since the start or :meth:`reset`.
 
-    Raises ValueError where the bandwidth lies outside of :func:`possible_bandwidths`.
+    Raises ValueError if the bandwidth lies outside :func:`possible_bandwidths`.
     """
 
     def __init__(self, period: float, bandwidth: float) -> None:
@@ -58,7 +60,7 @@ class CausalDifferentiator:
         self.reset()
 
     def tune(self, bandwidth: float) -> None:
-        """Go on from the present state with another bandwidth [Hz]; ValueError as at the start."""
+        """Change the bandwidth [Hz] and keep the state; ValueError as in the constructor."""
         lowest, highest = possible_bandwidths(self._period)
         if not lowest <= bandwidth <= highest:
             raise ValueError(
@@ -69,7 +71,7 @@ class CausalDifferentiator:
         self._closed, self._gain = self._decays[:, 0].copy(), self._responses[:, 0, 0].copy()
 
     def reset(self) -> None:
-        """Forget the past: the next sample is the first."""
+        """Discard the state: the next sample is treated as the first."""
         self.seen = 0
         self._origin = 0.0
         self._state = np.zeros(_ORDER)
@@ -82,7 +84,7 @@ class CausalDifferentiator:
     def follow(self, displacement: Array) -> tuple[Array, Array, Array]:
         """Displacement [m], velocity [m/s] and acceleration [m/s²] at the samples, shape (n,)."""
         if self.seen == 0:
-            # The motion is counted from its first sample: no step at the start.
+            # The state is relative to the first sample, which avoids a step at the start.
             self._origin = float(displacement[0])
         if displacement.size == 1:
             return self._follow_one(float(displacement[0]))
@@ -106,10 +108,10 @@ class CausalDifferentiator:
 
 
 class NoiseGains(NamedTuple):
-    """What an observer makes of white noise of the displacement of standard deviation 1 m.
+    """Response of an observer to white noise with a standard deviation of 1 m.
 
-    Standard deviations of the ``acceleration`` [m/s²] and of the ``residual`` [m], the displacement
-    minus its estimate.
+    The fields are the standard deviations of the ``acceleration`` [m/s²] and of the ``residual``
+    [m], which is the displacement minus its estimate.
     """
 
     acceleration: float
@@ -118,9 +120,9 @@ class NoiseGains(NamedTuple):
 
 @lru_cache(maxsize=256)
 def noise_gains(period: float, bandwidth: float) -> NoiseGains:
-    """Gains of the observer of this sample period [s] and bandwidth [Hz]."""
+    """Noise gains of the observer with this sample period [s] and bandwidth [Hz]."""
     closed, gain = closed_loop(period, bandwidth)
-    # The power of the states' noise: P = A P A' + g g', by doubling.
+    # Covariance of the states, P = A P A' + g g', computed by doubling.
     power, step = np.outer(gain, gain), closed
     for _ in range(40):
         power, step = power + step @ power @ step.T, step @ step
@@ -131,21 +133,21 @@ def noise_gains(period: float, bandwidth: float) -> NoiseGains:
 
 
 def settling_samples(period: float, bandwidth: float) -> int:
-    """Samples after which the start of the observer is forgotten."""
+    """Samples after which the initial transient of the observer has decayed."""
     return math.ceil(_SETTLING / (2.0 * math.pi * bandwidth * period))
 
 
 def closed_loop(period: float, bandwidth: float) -> tuple[Array, Array]:
-    """Matrix (4, 4) and gain (4,) of the states: x+ = A x + g y.
+    """Matrix A (4, 4) and gain g (4,) of the state equation x+ = A x + g y.
 
-    They follow x+ = (1 - L C) F x + L y, where F integrates a constant jerk and L places all poles.
+    A = (1 - L C) F and g = L, where F integrates a constant jerk and L places all poles.
     """
     powers = [period**k / math.factorial(k) for k in range(_ORDER)]
     advance = np.zeros((_ORDER, _ORDER))
     for row in range(_ORDER):
         advance[row, row:] = powers[: _ORDER - row]
     output = np.eye(_ORDER)[0]
-    # Ackermann's formula for the predictor gain F L, from the wanted characteristic polynomial.
+    # Ackermann's formula gives the predictor gain F L from the desired characteristic polynomial.
     pole = math.exp(-2.0 * math.pi * bandwidth * period)
     polynomial = sum(
         weight * np.linalg.matrix_power(advance, _ORDER - k)
@@ -159,9 +161,10 @@ def closed_loop(period: float, bandwidth: float) -> tuple[Array, Array]:
 
 @lru_cache(maxsize=64)
 def _observer(period: float, bandwidth: float) -> tuple[Array, Array]:
-    """What each of the next samples' states owes to the state before, and to those samples.
+    """Matrices that give the states at the next m samples from the last state and the samples.
 
-    Shapes (4, m, 4) and (4, m, m), the second lower triangular in the samples.
+    The first, of shape (4, m, 4), multiplies the last state. The second, of shape (4, m, m),
+    multiplies the samples and is lower triangular in them.
     """
     closed, gain = closed_loop(period, bandwidth)
     decays = np.empty((_ORDER, _AT_ONCE, _ORDER))
@@ -175,52 +178,54 @@ def _observer(period: float, bandwidth: float) -> tuple[Array, Array]:
 
 
 _STRETCH = 120
-"""Samples after which the bandwidth is chosen anew."""
+"""Samples between two choices of the bandwidth."""
 
 _GROUP, _SURPRISE = 10, 6.0
-"""The bandwidth widens at once where a group of samples leaves a residual of so many times the
-power expected: white noise does so once in 280 million groups. In 160 emulated starts from a rest,
-at 200 and 1000 Hz, the velocity of the first one and a half cycles is off by 4.4 and 2.2 % of its
-peak (median); groups of 5 and a factor of 8 give 3.4 and 1.7 % and take twice the time of a block
-of ten, no such rule gives 9.7 and 7.4 %."""
+"""The bandwidth widens at once if the residual of a group of samples has this many times the
+expected power. White noise exceeds this once in 280 million groups. In 160 emulated starts from
+rest, at 200 and 1000 Hz, the velocity error of the first one and a half cycles is 4.4 and 2.2 % of
+the peak velocity (median). Groups of 5 with a factor of 8 give 3.4 and 1.7 %, but a block of ten
+then takes twice the time. Without this rule the errors are 9.7 and 7.4 %."""
 
 _START = 40.0
-"""Bandwidth [Hz] before anything is known."""
+"""Initial bandwidth [Hz]."""
 
 _NARROWEST = 0.5
-"""[Hz]"""
+"""Lowest bandwidth [Hz]."""
 
 _NOTCH = math.sqrt(2.0)
 """Ratio of neighbouring bandwidths."""
 
 _BEHIND = 2
-"""Notches by which the second observer is narrower at the least."""
+"""Smallest number of bandwidth steps by which the second observer starts narrower."""
 
 _DIFFERENCE = 8
 _SHOWS = 2.0
-"""The motion shows in a residual that has so many times the power of the noise."""
+"""The motion is visible in a residual with more than this many times the power of the noise."""
 
 _FORGETTING = 0.93
-"""Weight of the largest value so far after each stretch: half after ten."""
+"""Factor by which the largest value decays after each stretch: to a half after ten stretches."""
 
 _NOISES = 9
-"""The noise is the median of so many stretches: a kink in the motion does not count."""
+"""The noise is the median over this many stretches, so that a kink in the motion has no effect."""
 
 _JUMP, _SUDDEN = 8.0, 5.0
-"""The sensor jumps where the displacement changes between two samples by so many times the fastest
-recent change, and so many times the change before."""
+"""The sensor has jumped if the displacement changes between two samples by more than the first
+factor times the largest recent change, and by more than the second factor times the previous
+change."""
 
 
 class AdaptiveObserver:
-    """The observer of samples ``period`` [s] apart whose bandwidth follows motion and noise.
+    """Observer of samples ``period`` [s] apart that adapts its bandwidth to motion and noise.
 
-    The noise is that of eighth differences, which leave almost nothing of a motion, or of the steps
-    of a digital sensor. The fourth derivative is seen in the residual of a second, narrower
-    observer: s_4 / w⁴, besides noise; it is made so narrow that the motion shows.
+    The noise is estimated from eighth differences, which remove almost all of the motion, and from
+    the steps of a digital sensor. The fourth derivative is estimated from the residual of a second,
+    narrower observer, which is s_4 / w⁴ plus noise. The second observer is made so narrow that the
+    motion is visible in its residual.
 
-    The bandwidth begins at 40 Hz, or what the period allows. Constant displacement is ignored.
-    After a jump of the sensor the observer starts again. The result does not depend on how the
-    stream is cut into blocks.
+    The initial bandwidth is 40 Hz or the nearest that the period allows. Constant displacement is
+    ignored. The observer restarts after a jump of the sensor. The result does not depend on how the
+    stream is divided into blocks.
     """
 
     def __init__(self, period: float) -> None:
@@ -242,14 +247,14 @@ class AdaptiveObserver:
         self._noise = 0.0, 0.0
         self._snap = 0.0
         self._shown = False
-        # The last sample [m], the last change, and the largest recent one; NaN: not known yet.
+        # The last sample, the last change and the largest recent change [m]; NaN while unknown.
         self._last = self._last_change = self._largest_change = math.nan
         self._forget_stretch()
 
     def _forget_stretch(self) -> None:
         self._stretch: list[Array] = []
         self._count = 0
-        # Of the present group: sum of the squared residuals, and whether the displacement changed.
+        # Present group: sum of the squared residuals, and whether the displacement has changed.
         self._squares, self._moved = 0.0, False
 
     @property
@@ -283,14 +288,14 @@ class AdaptiveObserver:
         return u, v, a
 
     def adapt(self) -> None:
-        """Choose the bandwidth where it is time to; :meth:`follow` does it, too."""
+        """Choose the bandwidth if a choice is due; :meth:`follow` does this too."""
         if self._count == _STRETCH:
             stretch = np.concatenate(self._stretch)
             self._forget_stretch()
             self._choose(stretch)
 
     def _up_to_jump(self, displacement: Array) -> Array:
-        """The next samples (n,) up to a jump of the sensor; if the first jumps, start again."""
+        """The next samples (n,) up to a jump of the sensor; a jump at the first one restarts."""
         changes = np.empty(displacement.size)
         changes[0] = displacement[0] - self._last
         np.subtract(displacement[1:], displacement[:-1], out=changes[1:])
@@ -313,7 +318,7 @@ class AdaptiveObserver:
         self._observer.reset()
         self._trial.reset()
         self._forget_stretch()
-        # A motion that starts hard looks like a jump: it must not be followed narrowly.
+        # A motion that starts abruptly looks like a jump and must not get a narrow bandwidth.
         self._use(min(self._place, self._start))
 
     def _use(self, place: int) -> None:
@@ -322,7 +327,7 @@ class AdaptiveObserver:
             self._observer.tune(self.bandwidth)
 
     def _widen_at_once(self) -> None:
-        """Widen the bandwidth where the residual of a group is more than noise and known motion."""
+        """Widen the bandwidth if the residual of a group exceeds noise and known motion."""
         power, self._squares = self._squares / _GROUP, 0.0
         moved, self._moved = self._moved, False
         settling = settling_samples(self._period, self.bandwidth)
@@ -351,12 +356,12 @@ class AdaptiveObserver:
         self._noises = [*self._noises, white][-_NOISES:]
         white = float(np.median(self._noises))
         self._noise = white, steps
-        # The error of a digital sensor in a slow motion is not white: no observer takes it out.
+        # In slow motion the error of a digital sensor is not white, and no observer removes it.
         noise = self._residual_gains[self._trial_place] ** 2 * white + steps
         bias = float(np.mean(residual**2)) - noise
         shows = bias > (_SHOWS - 1.0) * noise
         snap = self._rates[self._trial_place] ** 4 * math.sqrt(bias if shows else noise)
-        # Before the motion has shown, its upper bound improves with every stretch.
+        # Until the motion is visible, each stretch gives a better upper bound.
         self._snap = max(snap, _FORGETTING * self._snap) if self._shown else snap
         self._shown = self._shown or shows
         if not shows:
@@ -377,7 +382,7 @@ class AdaptiveObserver:
 
 def _noise_powers(stretch: Array) -> tuple[float, float]:
     """Power [m²] of the white noise of a stretch (n,), and of the steps of a digital sensor."""
-    # The sum of the squared binomial coefficients: what differences make of white noise.
+    # Differences multiply the power of white noise by the sum of squared binomial coefficients.
     gain = math.comb(2 * _DIFFERENCE, _DIFFERENCE)
     white = float(np.mean(np.diff(stretch, _DIFFERENCE) ** 2)) / gain
     changes = np.abs(np.diff(stretch))

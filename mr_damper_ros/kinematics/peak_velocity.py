@@ -1,23 +1,24 @@
-"""Peak velocity of any motion, sample by sample, from the past alone.
+"""Causal estimate of the peak velocity of any motion at each sample.
 
-The thesis takes v_m = sqrt(v² - a u), which in a steady sine is 2 pi f A at every sample. In any
-other motion it depends on where the displacement u is counted from, and it is not real wherever
-the motion turns on the far side of that centre. There u stands for -a / w², w the angular
-frequency. Here w is that of the motion's latest half-cycles, w² = <a²> / <v²> (Rice, Bell System
-Technical Journal 24, 1945: the mean frequency of the turns of a random motion), so that
+The thesis defines v_m = sqrt(v² - a u), which equals 2 pi f A at every sample of a steady sine. In
+any other motion, it depends on the origin of the displacement u, and it is not real where the
+motion reverses on the far side of that origin. In a sine u = -a / w², with the angular frequency w.
+This module substitutes that expression for u. It estimates w from the latest half-cycles of the
+motion as w² = <a²> / <v²>, the mean frequency of the reversals of a random motion (Rice, Bell
+System Technical Journal 24, 1945). The result
 
     v_m = sqrt(v² + (a / w)²)
 
-is the peak velocity of the sine of that frequency which goes through the present velocity and
+is the peak velocity of the sine that has this frequency and passes through the present velocity and
 acceleration. It
 
 - equals 2 pi f A in a steady sine;
 - needs no centre of the motion;
-- at a reversal, where the damper's force changes its sign, tells how hard the motion turns;
-- changes with the motion, not with the clock: the same motion played twice as fast has twice the
-  peak velocity, as the law expects;
-- bears noise of the acceleration: w is that of the same noisy acceleration, so that the mean
-  square of v_m is twice that of v whatever the noise.
+- measures the acceleration at a reversal, where the force of the damper changes its sign;
+- scales with the motion: the same motion at twice the speed has twice the peak velocity, as the
+  law requires;
+- tolerates noise of the acceleration: the noise enters w as well, so the mean square of v_m is
+  twice that of v at any noise level.
 """
 
 from __future__ import annotations
@@ -33,28 +34,28 @@ from mr_damper_ros.kinematics.observer import AdaptiveObserver
 from mr_damper_ros.signals.arrays import Array
 
 HALF_CYCLES = 8
-"""The angular frequency is that of so many whole half-cycles before the present one."""
+"""Number of whole half-cycles before the present one that determine the angular frequency."""
 
 MEMORY = 10.0
-"""A half-cycle ends after so long [s] in any case, so that a rest comes to an end."""
+"""Longest half-cycle [s]: a rest is divided into half-cycles of this duration."""
 
 _TURNED = 0.25
-"""A half-cycle ends where the speed the other way comes to this part of the highest speed."""
+"""A half-cycle ends when the speed in the other direction reaches this fraction of the highest."""
 
 _AT_ONCE, _FEW = 512, 32
-"""Samples looked through at once for the end of a half-cycle: a long recording has many. But only a
-few where the last half-cycle had no more."""
+"""Samples searched at once for the end of a half-cycle. The larger number is fast for long
+recordings; the smaller one applies after a step that ended within few samples."""
 
 _LARGEST = 1e100
-"""Inputs saturate here, so that no product of them overflows to infinity."""
+"""Inputs are clipped to this magnitude, so that their products do not overflow."""
 
 
 def peak_velocity(displacement: ArrayLike, velocity: ArrayLike, acceleration: ArrayLike) -> Array:
     """Peak velocity of the present cycle, sqrt(max(v² - a u, 0)) [m/s].
 
-    In sinusoidal motion it is constant and equal to 2 pi f A. Inputs broadcast; displacement is
-    measured from the centre of the motion. This is the thesis' formula; for any other motion than a
-    sine see :class:`PeakVelocity`.
+    In sinusoidal motion it is constant and equal to 2 pi f A. Inputs broadcast. The displacement is
+    measured from the centre of the motion. This is the formula of the thesis; see
+    :class:`PeakVelocity` for a motion that is not a sine.
     """
     u, v, a = (
         np.asarray(x, dtype=float).clip(-_LARGEST, _LARGEST)
@@ -66,7 +67,7 @@ def peak_velocity(displacement: ArrayLike, velocity: ArrayLike, acceleration: Ar
 @dataclass
 class _HalfCycle:
     """Highest speed [m/s], number of samples, and sums of the squared velocity [m²/s²] and
-    acceleration [m²/s⁴]; not whole where the stream began within it.
+    acceleration [m²/s⁴]. A half-cycle in which the stream began is not whole.
     """  # noqa: D205
 
     whole: bool
@@ -76,7 +77,7 @@ class _HalfCycle:
     squared_acceleration: float = 0.0
 
     def add(self, highest: float, velocity: Array, acceleration: Array) -> None:
-        """Add samples of which the ``highest`` speed [m/s] is known."""
+        """Add samples whose ``highest`` speed [m/s] is given."""
         self.highest = max(self.highest, highest)
         self.count += velocity.size
         self.squared_velocity += float(velocity.dot(velocity))
@@ -84,34 +85,34 @@ class _HalfCycle:
 
 
 class PeakVelocity:
-    """Follows the velocity and the acceleration of a stream of samples ``period`` [s] apart.
+    """Peak velocity from a stream of velocity and acceleration samples ``period`` [s] apart.
 
-    ``memory`` [s] must hold half a cycle of the motion. What it returns does not depend on how
-    the stream is cut into blocks. ``known_from`` is the number of the sample from which on the
-    angular frequency is that of eight whole half-cycles, None before.
+    ``memory`` [s] must hold half a cycle of the motion. The result does not depend on how the
+    stream is divided into blocks. ``known_from`` is the index of the first sample whose angular
+    frequency rests on eight half-cycles; it is None before that sample.
     """
 
     def __init__(self, period: float, memory: float = MEMORY) -> None:
         self._longest = max(round(memory / period), 1)
         self._finished: deque[_HalfCycle] = deque(maxlen=HALF_CYCLES)
         self._present = _HalfCycle(whole=False)
-        # Highest speed of those.
+        # Highest speed of the finished half-cycles.
         self._highest = 0.0
         self._sense = 0.0
         self._count = 0
-        # Of the whole half-cycles; it changes with them, not with every block.
+        # Computed from the whole half-cycles, and only when one of them ends.
         self._whole_time_scale: float | None = None
         self._whole_root_mean_square: float | None = None
         self.known_from: int | None = None
 
     @property
     def half_cycles(self) -> int:
-        """Of how many whole half-cycles the angular frequency is; eight at most."""
+        """Number of whole half-cycles behind the angular frequency, at most eight."""
         return sum(part.whole for part in self._finished)
 
     @property
     def root_mean_square(self) -> float:
-        """Of the peak velocity [m/s] over the latest half-cycles."""
+        """Root mean square of the peak velocity [m/s] over the latest half-cycles."""
         if self._whole_root_mean_square is not None:
             return self._whole_root_mean_square
         parts = self._known
@@ -120,7 +121,7 @@ class PeakVelocity:
 
     @property
     def _known(self) -> list[_HalfCycle]:
-        """The latest whole half-cycles; before the first of them, all there is."""
+        """The latest whole half-cycles, or all parts of the stream if none is whole."""
         whole = [part for part in self._finished if part.whole]
         return whole or [*self._finished, self._present]
 
@@ -133,7 +134,7 @@ class PeakVelocity:
         return np.hypot(velocity, acceleration * self.follow_time_scale(velocity, acceleration))
 
     def _follow_one(self, velocity: Array, acceleration: Array) -> float:
-        """As :meth:`follow_time_scale`, of one sample once whole half-cycles are known."""
+        """As :meth:`follow_time_scale`, for a single sample when whole half-cycles are known."""
         assert self._whole_time_scale is not None
         v = float(velocity[0])
         speed = abs(v)
@@ -150,7 +151,7 @@ class PeakVelocity:
         return time_scale
 
     def follow_time_scale(self, velocity: Array, acceleration: Array) -> Array:
-        """Inverse angular frequency [s] at the next samples, shape (n,), as :meth:`follow`."""
+        """Inverse angular frequency [s] at the next samples, shape (n,); see :meth:`follow`."""
         found = np.empty(velocity.size)
         place = 0
         at_once = _AT_ONCE
@@ -159,12 +160,12 @@ class PeakVelocity:
                 part = slice(place, place + at_once)
                 used = self._follow_half_cycle(velocity[part], acceleration[part], found[part])
                 place += used
-                # A motion of nothing but reversals must not cost much more than another.
+                # Short searches limit the cost of a motion that reverses all the time.
                 at_once = _FEW if used < _FEW else _AT_ONCE
         return found
 
     def _follow_half_cycle(self, velocity: Array, acceleration: Array, found: Array) -> int:
-        """Follow up to the end of the half-cycle at the latest; returns the samples used."""
+        """Process samples up to the end of the half-cycle; returns the number of samples used."""
         present = self._present
         speed = np.abs(velocity[: self._longest - present.count])
         highest = np.maximum.accumulate(speed)
@@ -207,7 +208,7 @@ class PeakVelocity:
         self._present = _HalfCycle(whole=True)
         if self._finished[-1].whole:
             velocity, acceleration = self._sums()
-            # As _root_of_ratio, of two numbers.
+            # Scalar version of _root_of_ratio.
             usable = acceleration > 0.0 and math.isfinite(velocity) and math.isfinite(acceleration)
             self._whole_time_scale = math.sqrt(velocity / acceleration) if usable else 0.0
             self._whole_root_mean_square = None
@@ -217,15 +218,15 @@ class PeakVelocity:
 
 
 def _root_of_ratio(velocity: Array, acceleration: Array) -> Array:
-    """Times (n,) [s] of sums of squares; 0 where the motion was not seen to turn, or where the
-    sums are beyond what a number can hold.
+    """Time scales (n,) [s] from sums of squares; 0 where the sum of squared acceleration is zero
+    or a sum overflows.
     """  # noqa: D205
     usable = (acceleration > 0.0) & np.isfinite(velocity) & np.isfinite(acceleration)
     return np.sqrt(np.divide(velocity, acceleration, out=np.zeros(usable.size), where=usable))
 
 
 class StreamPeakVelocity:
-    """Follows the displacement of a stream of samples ``period`` [s] apart.
+    """Peak velocity from a stream of displacement samples ``period`` [s] apart.
 
     ``memory`` [s] as in :class:`PeakVelocity`.
     """
@@ -238,7 +239,7 @@ class StreamPeakVelocity:
         """Peak velocity [m/s] at the next samples of the displacement [m], shape (n,)."""
         _, velocity, acceleration = self._differentiator.follow(displacement)
         if not self._differentiator.settled:
-            # What overshoots while the observer settles must not be remembered.
+            # An overshoot of the settling observer must not be stored.
             return np.abs(velocity)
         return self._peak.follow(velocity, acceleration)
 
@@ -247,8 +248,8 @@ def peak_velocity_of_window(velocity: Array, acceleration: Array, period: float)
     """Peak velocity [m/s] at samples ``period`` [s] apart of a velocity [m/s] and an acceleration
     [m/s²], shape (n,).
 
-    Before it has seen enough half-cycles, the angular frequency is that of the first ones of the
-    window.
+    Samples within the first eight half-cycles use the angular frequency at the end of these, or at
+    the end of the window if it holds fewer.
     """  # noqa: D205
     follower = PeakVelocity(period)
     time_scale = follower.follow_time_scale(velocity, acceleration)
@@ -258,7 +259,7 @@ def peak_velocity_of_window(velocity: Array, acceleration: Array, period: float)
 
 
 def peak_velocity_of_period(velocity: Array, acceleration: Array, period: float) -> Array:
-    """As :func:`peak_velocity_of_window`, of one period of a motion that had gone on before."""
+    """As :func:`peak_velocity_of_window`, for one period of a motion that repeats."""
     follower = PeakVelocity(period)
     follower.follow_time_scale(velocity, acceleration)
     return np.hypot(velocity, acceleration * follower.follow_time_scale(velocity, acceleration))

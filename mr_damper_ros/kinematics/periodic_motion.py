@@ -1,7 +1,6 @@
-"""Motions that a test machine can repeat: a sine, a swept sine, random motion with a spectrum.
+"""Periodic motions for a test machine: a sine, a swept sine, and random motion with a spectrum.
 
-All of them are plain functions of time, known exactly, so that it can be told before whether a
-machine may make them.
+Each motion is an exact function of time, so its limits can be checked before a machine runs it.
 """
 
 from __future__ import annotations
@@ -16,35 +15,36 @@ import numpy as np
 from mr_damper_ros.signals.arrays import Array
 
 _GROWTH_CYCLES = 2.0
-"""A sine grows within so many of its cycles: its velocity never exceeds that of the sine itself."""
+"""A sine grows over this many cycles. Its velocity then never exceeds that of the full sine."""
 
 _STEEPEST = 1.875
 """Largest slope of the smooth step with which a motion grows."""
 
 _FEWEST = 4
-"""Harmonics of a random motion, at the least."""
+"""Smallest number of harmonics of a random motion."""
 
 _MOST_CYCLES = 10_000.0
-"""A period holds no more of them: nobody is kept waiting by a motion that cannot be meant."""
+"""Largest number of cycles of the highest frequency in a period. More cycles are a mistake in the
+options, and the motion would take long to compute."""
 
 _MOST_HARMONICS = 1000
-"""Nor has random motion more sines."""
+"""Largest number of harmonics of a random motion."""
 
 _MOST_SEED = 9999
-"""Largest number of a random motion; its third power is still exact."""
+"""Largest seed of a random motion; the third power in the phase is still exact."""
 
 _GRID = 64
-"""Samples of the shortest cycle at which the largest values of a random motion are looked for."""
+"""Samples per shortest cycle in the search for the largest values of a random motion."""
 
 _BETWEEN = 1.0 / (1.0 - (math.pi / _GRID) ** 2 / 2.0)
-"""No value between those samples is larger by more than this factor (Bernstein)."""
+"""Upper bound of the ratio of the true maximum to the largest sample (Bernstein)."""
 
 _GOLDEN = 0.6180339887498949
 """The phase of harmonic k is the fractional part of (k + seed)³ times this, in turns."""
 
 
 class MotionKind(str, Enum):
-    """How a machine moves."""
+    """Kind of a periodic motion."""
 
     SINE = "sine"
     SWEEP = "sweep"
@@ -52,7 +52,7 @@ class MotionKind(str, Enum):
 
     @property
     def description(self) -> str:
-        """In words."""
+        """The kind in words."""
         return {"sine": "a sine", "sweep": "a swept sine", "random": "random motion"}[self.value]
 
 
@@ -63,14 +63,15 @@ class PeriodicMotion:
     ``amplitude`` [m] is its largest displacement.
 
     - A sine of ``frequency`` [Hz].
-    - A swept sine, whose frequency goes smoothly from ``frequency`` to ``highest_frequency`` and
-      back within ``period`` [s], as a cosine of time. That the period holds whole cycles, the
-      highest frequency is a little lower where it must be.
-    - Random motion: the multiples of 1/``period`` from ``frequency`` to ``highest_frequency``,
-      each with as much velocity. ``seed`` chooses their phases. It repeats after the period
-      ("random-phase multisine", Pintelon and Schoukens, "System identification", 2012).
+    - A swept sine. Its frequency changes as a cosine of time from ``frequency`` to
+      ``highest_frequency`` and back within ``period`` [s]. The highest frequency is lowered
+      slightly if necessary, so that the period holds whole cycles.
+    - Random motion: a sum of the multiples of 1/``period`` from ``frequency`` to
+      ``highest_frequency``, all with the same velocity amplitude. ``seed`` chooses their phases. It
+      repeats after the period ("random-phase multisine", Pintelon and Schoukens, "System
+      identification", 2012).
 
-    Raises ValueError where a value is out of range, or no multiple lies within the band.
+    Raises ValueError if a value is out of range, or if too few multiples lie within the band.
     """
 
     kind: MotionKind
@@ -120,7 +121,7 @@ class PeriodicMotion:
 
     @property
     def sentence(self) -> str:
-        """What it is, in words."""
+        """Description of the motion in words."""
         band = f"{self.frequency:.3g} to {self.highest_frequency:.3g} Hz"
         how = {
             MotionKind.SINE: f"at {self.frequency:.3g} Hz",
@@ -131,33 +132,33 @@ class PeriodicMotion:
 
     @property
     def peak_velocity(self) -> float:
-        """No speed is larger [m/s]."""
+        """Upper bound of the speed [m/s]."""
         if self.kind is MotionKind.RANDOM:
             return self._random_peak_velocity
         return 2.0 * math.pi * self.amplitude * self._top_frequency
 
     @property
     def length(self) -> float:
-        """Time [s] after which it repeats."""
+        """Time [s] after which the motion repeats."""
         return 1.0 / self.frequency if self.kind is MotionKind.SINE else self.period
 
     @property
     def span(self) -> float:
-        """Half the way [m] from the lowest to the highest displacement."""
+        """Half the distance [m] between the lowest and the highest displacement."""
         if self.kind is not MotionKind.RANDOM:
             return self.amplitude
         return self._random_span
 
     @property
     def growth(self) -> float:
-        """Time [s] in which it grows from rest, and fades."""
+        """Time [s] in which the motion grows from rest, or fades to rest."""
         if self.kind is MotionKind.SINE:
             return _GROWTH_CYCLES / self.frequency
         return self.period
 
     @property
     def growing_velocity(self) -> float:
-        """No speed is larger [m/s], also while it grows and fades."""
+        """Upper bound of the speed [m/s], including growth and fading."""
         if self.kind is MotionKind.SINE:
             return self.peak_velocity
         return self.peak_velocity + _STEEPEST * self.amplitude / self.growth
@@ -172,14 +173,14 @@ class PeriodicMotion:
         return a * sine, a * rate * cosine, a * (bend * cosine - rate**2 * sine)
 
     def _phase(self, time: Array) -> tuple[Array, Array | float, Array | float]:
-        """Angle [rad], its rate and the rate of that."""
+        """Angle [rad] and its first and second derivative with respect to time."""
         if self.kind is MotionKind.SINE:
             rate = 2.0 * math.pi * self.frequency
             return rate * time, rate, 0.0
         mean = 2.0 * math.pi * self._mean_frequency
         half = mean - 2.0 * math.pi * self.frequency
         turn = 2.0 * math.pi / self.period
-        # Whole periods leave the sine as it is: the angle stays small.
+        # Removing whole periods does not change the sine and keeps the angle small.
         within = np.mod(time, self.period)
         angle = mean * within - half / turn * np.sin(turn * within)
         return angle, mean - half * np.cos(turn * within), half * turn * np.sin(turn * within)
@@ -231,7 +232,7 @@ class PeriodicMotion:
 
 
 class RepeatedMatch:
-    """Compares samples ``period`` [s] apart with a motion, wherever in it they begin."""
+    """Compares samples ``period`` [s] apart with a motion of unknown starting phase."""
 
     def __init__(self, motion: PeriodicMotion, period: float) -> None:
         self.count = max(round(motion.length / period), 2)
@@ -240,9 +241,9 @@ class RepeatedMatch:
         )
 
     def left_of(self, displacement: Array) -> float:
-        """What is left of the motion wanted (root mean square, relative), where it fits best.
+        """Relative root mean square error against the motion at the best starting phase.
 
-        The samples (n,) are about any centre, and last at least as long as the motion.
+        The samples (n,) may have any offset and must last at least one period of the motion.
         """
         size = displacement.size
         centred = displacement - 0.5 * (displacement.max() + displacement.min())

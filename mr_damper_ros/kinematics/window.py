@@ -1,4 +1,4 @@
-"""A window of samples to identify from: motion, force and current, and whether it holds a cycle."""
+"""Window of motion, force and current samples for identification, and a check for a whole cycle."""
 
 from __future__ import annotations
 
@@ -12,22 +12,22 @@ from mr_damper_ros.kinematics.motion import DataError, Motion, Sine, window_moti
 from mr_damper_ros.signals.arrays import NOISE_SPAN, Array, white_noise
 
 _SAMPLES_PER_CYCLE = 1000
-"""So many follow the steepest sigmoid, whose rise takes two degrees of a cycle."""
+"""Samples per cycle that resolve the steepest sigmoid, which rises within two degrees of it."""
 
 _FEWER_PER_CYCLE = 200
-"""So many follow a hysteresis, which yields over a tenth of a cycle or so."""
+"""Samples per cycle that resolve a hysteresis, which yields over about a tenth of a cycle."""
 
 LONGEST_SETTLING = 0.25
-"""No more than this part of a window is left out because its past is not known."""
+"""Largest fraction of a window that is left out because the motion before it is unknown."""
 
 
 @dataclass(frozen=True, eq=False)
 class MotionHistory:
-    """Motion and current (m,), ``period`` [s] apart, behind the n samples of a window.
+    """Motion and current (m,), ``period`` [s] apart, that underlie the n samples of a window.
 
-    ``places`` (n,) are where the window's samples lie, counted in samples of the history;
-    ``branch`` (n,) is the sign of their acceleration, at whose change the sigmoid force jumps.
-    ``periodic``: the history is one period, which has always gone on before.
+    ``places`` (n,) are the positions of the samples of the window, in samples of the history.
+    ``branch`` (n,) is the sign of their acceleration; the sigmoid force jumps where it changes.
+    ``periodic`` means that the history is one period of a motion that has always repeated.
     """
 
     motion: Motion
@@ -41,7 +41,7 @@ class MotionHistory:
     def of_sine(
         cls, sine: Sine, peak_velocity: float, current: float, time: Array
     ) -> MotionHistory:
-        """One cycle of a steady sine; ``time`` [s] of the samples, on the clock of the sine."""
+        """One cycle of a steady sine; ``time`` [s] gives the samples in the time of the sine."""
         count = _SAMPLES_PER_CYCLE
         period = 1.0 / (sine.frequency * count)
         cycle: Array = np.arange(count, dtype=float) * period
@@ -52,31 +52,31 @@ class MotionHistory:
 
     @cached_property
     def is_window(self) -> bool:
-        """Whether the samples of the history are those of the window."""
+        """Whether the history and the window have the same samples."""
         count = self.current.size
         return self.places.size == count and bool(np.all(self.places == np.arange(count)))
 
     @cached_property
     def _picked(self) -> np.ndarray | None:
-        """Places (n,) of the window's samples as indices; None where some lie between two."""
+        """Places (n,) as indices; None if a place lies between two samples of the history."""
         places = self.places.astype(int)
         return places if not self.periodic and np.array_equal(places, self.places) else None
 
     @property
     def holds_samples(self) -> bool:
-        """Whether all samples of the window are some of the history: nothing is interpolated."""
+        """Whether the history contains all samples of the window, so none is interpolated."""
         return self.is_window or self._picked is not None
 
     @cached_property
     def _between(self) -> tuple[np.ndarray, np.ndarray, Array]:
-        """Of each sample the earlier and the later place in the history, and the way between."""
+        """For each sample, the indices before and after it and the fraction of the step between."""
         count = self.current.size
         earlier = np.floor(self.places).astype(int)
         if not self.periodic:
             earlier = np.minimum(earlier, count - 2)
         share = np.minimum(self.places - earlier, 1.0)
         earlier, later = earlier % count, (earlier + 1) % count
-        # Nothing is interpolated across a jump.
+        # Across a jump, the value on the sample's own side of it is taken.
         branch = np.sign(self.motion.acceleration)
         jumps = branch[earlier] != branch[later]
         share[jumps] = branch[later[jumps]] == self.branch[jumps]
@@ -84,7 +84,7 @@ class MotionHistory:
 
     @cached_property
     def coarse(self) -> MotionHistory:
-        """The same with fewer samples, for what changes less steeply than a sigmoid."""
+        """The same history with fewer samples, for laws that change less steeply than a sigmoid."""
         stride = following_stride(self.motion, self.period, _FEWER_PER_CYCLE)
         if self.periodic:
             stride = self.current.size // _FEWER_PER_CYCLE
@@ -103,7 +103,7 @@ class MotionHistory:
         if self.is_window:
             return values
         if self._picked is not None:
-            # As they lie in memory: derivatives by columns.
+            # This order follows the memory layout: derivatives are stored by columns.
             if values.ndim > 1 and values.flags.f_contiguous:
                 return np.take(values.T, self._picked, axis=-1).T
             return np.take(values, self._picked, axis=0)
@@ -112,9 +112,10 @@ class MotionHistory:
         return np.asarray((1.0 - share) * values[earlier] + share * values[later])
 
     def unsettled(self, duration: float) -> np.ndarray:
-        """Mask (n,) of samples that follow the unknown past by less than this duration [s].
+        """Mask (n,) of samples within ``duration`` [s] of the start, before which nothing is known.
 
-        Never more than a quarter of the samples, which may all be at the beginning of the history.
+        The mask selects at most a quarter of the samples, even if all of them lie near the start of
+        the history.
         """
         if self.periodic:
             return np.zeros(self.places.size, dtype=bool)
@@ -125,7 +126,7 @@ class MotionHistory:
 def following_stride(
     motion: Motion, period: float, samples_per_cycle: int = _SAMPLES_PER_CYCLE
 ) -> int:
-    """How many samples of a motion one step of a history that still follows it may span."""
+    """Largest stride, in samples of a motion, that still resolves the motion in a history."""
     power = float(np.mean(motion.velocity**2))
     if power == 0.0:
         return 1
@@ -134,38 +135,40 @@ def following_stride(
 
 
 _TURN = 0.05
-"""A way back of this part of the span is a turn of the motion, ..."""
+"""A return by this fraction of the span is a reversal of the motion ..."""
 
 _LARGEST_TURN = 0.25
-"""... if it is more than the span of the noise, which is not told from motion near the sampling
-rate: no turn needs more of the span."""
+"""... if it exceeds the span of the noise. Motion near the sample rate cannot be distinguished from
+noise, so this fraction of the span is always enough."""
 
 _EACH_WAY = 0.75
-"""Part of the span that each of the two directions must go, in all its strokes."""
+"""Fraction of the span that the strokes of each direction must cover in total."""
 
 _WHOLE_STROKE = 0.5
-"""Part of the span that a stroke at the edge of a stretch covers at least, to be a whole one."""
+"""Smallest fraction of the span that a whole stroke at the edge of the samples covers."""
 
 _SLOWER = 0.8
-"""From a turn on, the first third of a stroke is less than this part of the middle one."""
+"""A stroke that begins at a reversal is slow at first: its first third covers less than this
+fraction of the distance of its middle third."""
 
 _MOST_SAMPLES = (512, 4096)
-"""A longer stretch is looked at in so many averages: in few, which most motions need, then more."""
+"""Longer records are averaged to this many values. The smaller number suffices for most motions;
+the larger one is tried next."""
 
 _FEWEST_SAMPLES = 8
 
 
 def averages(array: Array, most: int) -> Array:
-    """Averages over equal groups of the samples (n,), the last ones whole; ``most`` or fewer."""
+    """At most ``most`` averages over equal groups of samples (n,); an early remainder is cut."""
     size = max(-(-array.size // most), 1)
     whole = array[array.size % size :]
     return whole.reshape(-1, size).mean(axis=1) if size > 1 else whole
 
 
 def holds_cycle(displacement: Array) -> bool:
-    """Whether a displacement (n,) turns above and below, with enough of a way each way.
+    """Whether a displacement (n,) reverses at both ends and moves far enough in both directions.
 
-    That is what it takes to see the force at both signs of the velocity and of the acceleration.
+    Such a motion shows the force at both signs of the velocity and of the acceleration.
     """
     few, many = (averages(displacement, most) for most in _MOST_SAMPLES)
     return _holds_cycle(few) or (many.size > few.size and _holds_cycle(many))
@@ -190,13 +193,13 @@ def _holds_cycle(u: Array) -> bool:
 
 
 def _is_whole(stroke: Array, span: float) -> bool:
-    """Whether a stroke (n,) begins at a turn of the motion: slowly."""
+    """Whether a stroke (n,) is whole: it covers enough of the span and begins slowly."""
     thirds = np.abs(np.diff(stroke[[0, stroke.size // 3, 2 * stroke.size // 3]]))
     return bool(np.ptp(stroke) >= _WHOLE_STROKE * span and thirds[0] < _SLOWER * thirds[1])
 
 
 def turning_points(u: list[float], turn: float) -> np.ndarray:
-    """Places of the first sample, the turns of at least this way back, and the last sample."""
+    """Indices of the first sample, the reversals (a return of ``turn`` or more) and the last."""
     places = [0]
     low = high = 0
     sense = 0
@@ -218,24 +221,24 @@ def turning_points(u: list[float], turn: float) -> np.ndarray:
 
 
 _FOLLOWS_CURRENT = 1e-3
-"""A history of samples this far apart [s] shows how a coil follows a step of the current."""
+"""Sample period [s] of a history that resolves how the coil follows a step of the current."""
 
 _CYCLE = 256
-"""Samples in a cycle that is made to see a law on."""
+"""Samples in a synthetic cycle on which a law is evaluated."""
 
 _ALL_BUT_SPIKES = 0.995
-"""Part of the samples of which none is a spike: more of them spoil a window anyway."""
+"""Fraction of the samples that is assumed free of spikes. A window with more spikes is spoilt."""
 
 
 @dataclass(frozen=True)
 class Window:
     """Motion, force [N] and coil current [A] of a window; arrays of shape (n,).
 
-    Only a law with a lag needs the rest: the sample ``period`` [s], and for a part of a window
-    the ``whole`` with the ``places`` (n,) of the samples, counted in samples of the whole (of a
-    steady sine the places suffice).
+    Only a law with a lag needs the other fields. ``period`` [s] is the sample period. For a part of
+    a window, ``whole`` is the complete window and ``places`` (n,) are the positions of the samples,
+    in samples of the whole. A steady sine needs only the places.
 
-    Raises DataError where values are not finite, ValueError where lengths differ.
+    Raises DataError if a value is not finite and ValueError if lengths differ.
     """
 
     motion: Motion
@@ -266,8 +269,8 @@ class Window:
     ) -> Window:
         """Window of samples taken every ``period`` [s]; see :func:`window_motion` for errors.
 
-        ``peak_velocity`` (n,) [m/s], where it is known from what went before the window, takes the
-        place of the window's own unless the motion is a sine.
+        ``peak_velocity`` (n,) [m/s] can be estimated from the samples before the window too. It
+        replaces the estimate from the window alone, unless the motion is a sine.
         """
         motion = window_motion(displacement, period)
         if peak_velocity is not None and motion.sine is None:
@@ -277,7 +280,7 @@ class Window:
 
     @classmethod
     def of_sine(cls, peak_velocity: float, frequency: float, current: float) -> Window:
-        """A cycle of a steady sine [m/s, Hz] at a current [A], to see a law on; without force."""
+        """One cycle of a steady sine [m/s, Hz] at a current [A] and zero force, for any law."""
         sine = Sine(peak_velocity / (2.0 * np.pi * frequency), frequency, 0.0, 0.0, 0.0)
         period = 1.0 / (frequency * _CYCLE)
         motion = Motion.of_sine(sine, period * np.arange(_CYCLE, dtype=float), peak_velocity)
@@ -294,9 +297,9 @@ class Window:
         )
 
     def measured_after(self, delay: Array) -> Window:
-        """The window with each force taken for one that came so many sample periods later.
+        """The window with each force assigned to the motion ``delay`` sample periods later.
 
-        ``delay`` has shape (n,); the motion at those times is interpolated between the samples.
+        ``delay`` has shape (n,). Motion and current at those times are interpolated.
         """
         grid = np.arange(self.sample_count, dtype=float)
         places = np.clip(grid + delay, 0.0, grid[-1])
@@ -307,7 +310,7 @@ class Window:
         return Window(motion, self.force, current, self.period, places, whole)
 
     def stretch(self, begin: int, count: int) -> Window:
-        """So many samples of the whole from one on, as a window with no past of its own."""
+        """The ``count`` samples of the whole from ``begin`` on, as a window without a past."""
         whole = self.whole or self
         part = slice(begin, begin + count)
         cut = Window(whole.motion.part(part), whole.force[part], whole.current[part], whole.period)
@@ -317,12 +320,12 @@ class Window:
         return replace(self.part(inside), places=self.places[inside] - begin, whole=cut)
 
     def held_within(self, low: float, high: float) -> Window:
-        """The same window, the peak velocity of its motion held; see :meth:`Motion.held_within`."""
+        """The same window with its peak velocity clipped; see :meth:`Motion.held_within`."""
         whole = None if self.whole is None else self.whole.held_within(low, high)
         return replace(self, motion=self.motion.held_within(low, high), whole=whole)
 
     def thinned(self, most: int) -> Window:
-        """Every so many samples of the window, ``most`` or less than twice as many of them."""
+        """The window thinned by a constant stride to fewer than twice ``most`` samples."""
         stride = max(self.sample_count // most, 1)
         if stride == 1:
             return self
@@ -348,7 +351,7 @@ class Window:
 
     @cached_property
     def has_constant_current(self) -> bool:
-        """Whether the current is the same all along, also where samples were left out."""
+        """Whether the current is constant, including at samples that were left out."""
         return float(np.ptp((self.whole or self).current)) == 0.0
 
     @cached_property
@@ -358,7 +361,7 @@ class Window:
 
     @cached_property
     def history(self) -> MotionHistory:
-        """The motion behind the samples; raises ValueError where the sample period is unknown."""
+        """History that underlies the samples; ValueError if the sample period is unknown."""
         whole = self.whole or self
         if not whole.period > 0.0:
             raise ValueError("the sample period of the window is not known: a lag needs it")
@@ -379,21 +382,21 @@ class Window:
 
     @cached_property
     def largest_force(self) -> float:
-        """Size of the largest force [N], spikes of the sensor left out."""
+        """Largest absolute force [N], without spikes of the sensor."""
         return float(np.quantile(np.abs(self.force), _ALL_BUT_SPIKES))
 
     @property
     def peak_velocity_range(self) -> tuple[float, float]:
-        """Peak velocities [m/s] that the window covers, without its outermost twentieths."""
+        """5th and 95th percentile of the peak velocity [m/s] in the window."""
         low, high = np.quantile(self.motion.peak_velocity, (0.05, 0.95)).tolist()
         return low, high
 
     @cached_property
     def operating_point(self) -> tuple[float, float]:
-        """Peak velocity [m/s] and current [A] that stand for the window.
+        """Representative peak velocity [m/s] and current [A] of the window.
 
-        Where the motion is no sine the peak velocity is the root mean square over the samples,
-        weighted by speed, so that rests and reversals do not count.
+        The peak velocity is the root mean square over the samples, weighted by speed, so that rests
+        and reversals carry little weight. The current is the mean.
         """
         weights = np.abs(self.motion.velocity)
         if not np.any(weights):

@@ -1,1 +1,1 @@
-"""What a stream is made of: arrays, stamped blocks, the zero-order hold, recordings."""
+"""Signals of a stream: arrays, stamped blocks, clocks, the zero-order hold and recordings."""

@@ -1,4 +1,4 @@
-"""The type of every array of numbers in this package, two measures, and the newest of a stream."""
+"""The array types of this package, basic measures of arrays, and a rolling buffer."""
 
 from __future__ import annotations
 
@@ -9,15 +9,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
-"""Array of doubles; its shape is told where it is used."""
+"""Array of doubles; the shape is stated where the type is used."""
 
 
 Mask = NDArray[np.bool_]
-"""One truth value for each sample."""
+"""Array of booleans, one for each sample."""
 
 
 def span_of(values: Array) -> tuple[float, float]:
-    """Lowest and highest of some numbers (n,); of a single one in a tenth of NumPy's time."""
+    """Minimum and maximum of values (n,), with a fast path for a single sample."""
     if values.size == 1:
         only = float(values[0])
         return only, only
@@ -25,17 +25,17 @@ def span_of(values: Array) -> tuple[float, float]:
 
 
 NOISE_SPAN = 8.0
-"""Standard deviations that the white noise of a long signal spans."""
+"""Span of the white noise in a long signal, in standard deviations."""
 
 NORMAL_MEDIAN = 0.6745
-"""Median size of a normal number over its standard deviation."""
+"""Median absolute value of a normal variable over its standard deviation."""
 
 
 def white_noise(values: Array) -> float:
     """Standard deviation of the white part of a signal (n,), in its unit; 0 for n < 5.
 
-    From fourth differences, which a smooth signal leaves almost nothing of; the median makes it
-    robust against kinks and jumps.
+    It is estimated from fourth differences, in which almost nothing of a smooth signal remains. The
+    median makes the estimate robust against kinks and jumps.
     """
     if values.size < 5:
         return 0.0
@@ -47,7 +47,10 @@ _LEAST_ROOM = 1024
 
 
 class RollingRows:
-    """The newest columns of a table of so many rows: adding and dropping cost what they hold."""
+    """Rolling buffer for the newest columns of a table with a fixed number of rows.
+
+    The cost of adding is proportional to the number of added columns, on average.
+    """
 
     def __init__(self, rows: int) -> None:
         self._table = np.empty((rows, _LEAST_ROOM))
@@ -55,19 +58,19 @@ class RollingRows:
 
     @property
     def newest(self) -> Array:
-        """All that is kept, of shape (rows, n), oldest first; to be read at once."""
+        """All kept columns, shape (rows, n), oldest first: a view, valid until the next call."""
         return self._table[:, self._begin : self._end]
 
     @property
     def count(self) -> int:
-        """Number of columns that are kept."""
+        """Number of kept columns."""
         return self._end - self._begin
 
     def add(self, rows: Sequence[Array | float], count: int) -> None:
-        """Add so many columns: of each row an array (count,), or a number for all."""
+        """Add ``count`` columns, given as an array (count,) or one number for each row."""
         if self._end + count > self._table.shape[1]:
             kept = self.newest
-            # Twice what is needed: then a column is moved once on average, however few are added.
+            # With twice the space needed, each column moves about once, however few are added.
             self._table = np.empty((len(kept), max(2 * (self.count + count), _LEAST_ROOM)))
             self._begin, self._end = 0, kept.shape[1]
             self.newest[:] = kept
@@ -76,5 +79,5 @@ class RollingRows:
         self._end += count
 
     def keep(self, most: int) -> None:
-        """Drop all but the newest so many columns."""
+        """Drop all but the newest ``most`` columns."""
         self._begin = max(self._begin, self._end - most)

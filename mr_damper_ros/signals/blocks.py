@@ -1,4 +1,4 @@
-"""Stamped samples as they arrive: blocks, what their stamps can hold, and the held current."""
+"""Blocks of stamped samples, the limits of stamps, and the zero-order hold of the current."""
 
 from __future__ import annotations
 
@@ -17,34 +17,36 @@ from mr_damper_ros.signals.arrays import Array
 NANOSECONDS = 1_000_000_000
 
 LATE_NS = NANOSECONDS
-"""A stamp up to this far back is late, or came before; further back, time itself was set back."""
+"""A stamp that is earlier by up to this time is delayed or repeated. If it is earlier by more, the
+clock was set back."""
 
 _SHORTEST_PERIOD, _LONGEST_PERIOD = 1e-9, 1e6
-"""Stamps count nanoseconds, and seconds in 31 bits."""
+"""Limits of the sample period [s]: stamps have a resolution of 1 ns and 31 bits for seconds."""
 
 
 _LARGEST = 1e12
-"""No press moves so many metres or pulls so many newtons, and squares of it are still numbers."""
+"""Largest magnitude of a displacement [m] or force [N]. No machine reaches it, and its square does
+not overflow."""
 
 
 MOST_SAMPLES = 5000
-"""A block that a node takes in holds at most so many samples: the work on each is bounded."""
+"""Largest number of samples in a block that a node accepts, which bounds the work on a block."""
 
 LONGEST_BLOCK = 10.0
-"""And stands for at most so long [s]: from what it says, so many windows are cut at once."""
+"""Longest duration [s] of a block that a node accepts, which bounds the windows cut from it."""
 
 _LIVE_PERIODS = (1e-5, 1.0)
-"""Sample periods [s] that a node takes in: from each, the samples of a window are reckoned."""
+"""Sample periods [s] that a node accepts. The number of samples in a window follows from them."""
 
 
 class BlockError(ValueError):
-    """A block that cannot be used; the message says what is wrong with it."""
+    """A block cannot be used; the message gives the reason."""
 
 
 def check_live(block: SampleBlock) -> None:
-    """Raise BlockError where a block would hold up a node that must answer meanwhile.
+    """Raise BlockError if a block would take a node so long that its services could not answer.
 
-    Files are read without these limits.
+    These limits do not apply to files.
     """
     if block.sample_count > MOST_SAMPLES:
         raise BlockError(
@@ -70,8 +72,8 @@ class SampleBlock:
 
     ``start_ns`` is the stamp of sample 0, ``sequence`` its index since the source started.
 
-    Raises BlockError where there are no samples, lengths differ, a value is not finite or beyond
-    all measure, or the period is not positive or beyond what stamps can follow.
+    Raises BlockError if there are no samples, lengths differ, a value is not finite or its
+    magnitude exceeds 1e12, or the period lies outside 1 ns to 1e6 s.
     """
 
     start_ns: int
@@ -110,7 +112,7 @@ class SampleBlock:
         return self.start_ns + round(self.sample_count * self.period * NANOSECONDS)
 
     def part(self, first: int, end: int | None = None) -> SampleBlock:
-        """The samples from number ``first`` on, up to the one before ``end``."""
+        """The samples with indices from ``first`` up to, but not including, ``end``."""
         return replace(
             self,
             start_ns=self.start_ns + round(first * self.period * NANOSECONDS),
@@ -121,7 +123,7 @@ class SampleBlock:
 
 
 def joined(blocks: Iterable[SampleBlock]) -> list[SampleBlock]:
-    """The same samples in as few blocks as can hold them: one for each stretch without a break."""
+    """The same samples in as few blocks as possible: one for each uninterrupted series."""
     runs: list[list[SampleBlock]] = []
     for block in blocks:
         if runs and _follows(runs[-1][-1], block):
@@ -154,19 +156,20 @@ def _one(run: list[SampleBlock]) -> SampleBlock:
 
 
 STAMP_LIMIT = 2**31 * NANOSECONDS
-"""Nanoseconds that a stamp cannot hold any more: its seconds are a signed 32-bit number."""
+"""First time [ns] that exceeds the range of a stamp, whose seconds are a signed 32-bit integer."""
 
 
 def fits_a_stamp(nanoseconds: int) -> bool:
-    """Whether a stamp can hold so many nanoseconds since the epoch."""
+    """Whether a stamp can represent this number of nanoseconds since the epoch."""
     return -STAMP_LIMIT <= nanoseconds < STAMP_LIMIT
 
 
 class Moment(NamedTuple):
-    """The motion of a suspension, upwards positive.
+    """State of a suspension, upwards positive.
 
-    Velocities of ``body`` and ``wheel`` [m/s], the body's ``acceleration`` [m/s²], and how far body
-    and wheel are ``apart`` from where they rest [m], the wheel from the road (``tyre``) [m].
+    ``body`` and ``wheel`` are velocities [m/s] and ``acceleration`` [m/s²] is that of the body.
+    ``apart`` [m] is the suspension stroke and ``tyre`` [m] the distance between wheel and road,
+    both relative to rest.
     """
 
     body: float
@@ -177,19 +180,20 @@ class Moment(NamedTuple):
 
     @property
     def extension(self) -> float:
-        """Velocity [m/s] with which the damper extends."""
+        """Extension velocity of the damper [m/s]."""
         return self.body - self.wheel
 
 
 @dataclass(frozen=True, eq=False)
 class RigBlock:
-    """Samples that follow those before: ``displacement`` [m], ``force`` [N], ``current`` [A].
+    """Consecutive samples of a rig: ``displacement`` [m], ``force`` [N], ``current`` [A].
 
-    Arrays have shape (n,), ``period`` [s] apart; ``start_ns`` is the stamp of sample 0,
-    ``sequence`` its index since the start. ``temperature`` [°C] has shape (n,) too, NaN where it
-    is not known; so is a current that the supply does not report. ``ahead_ns`` is how far
-    a wrong clock of the samples is ahead, and ``supply_ahead_ns`` that of the supply beside it.
-    ``suspension`` is the motion at the last sample where the damper is in one.
+    Arrays have shape (n,) and their samples are ``period`` [s] apart. ``start_ns`` is the stamp of
+    sample 0 and ``sequence`` its index since the start. ``temperature`` [°C] has shape (n,) too. A
+    temperature that is unknown and a current that the supply does not report are NaN. ``ahead_ns``
+    is the error of the sample clock (positive: ahead), and ``supply_ahead_ns`` the error of the
+    supply clock relative to the sample clock. ``suspension`` is the suspension state at the last
+    sample, or None if the damper is not in a suspension.
     """
 
     start_ns: int
@@ -214,11 +218,11 @@ class RigBlock:
 
     @property
     def due_ns(self) -> int:
-        """When the last sample was measured, by a right clock [ns]; of no samples, the stamp."""
+        """True time of the last sample [ns]; for a block without samples, the true start time."""
         return self.stamp_ns(max(self.sample_count - 1, 0)) - self.ahead_ns
 
     def without_samples(self) -> RigBlock:
-        """A block with the stamp of the last sample and no samples: none of them was sent."""
+        """A block with the stamp of the last sample but no samples, as if none had been sent."""
         return replace(
             self,
             start_ns=self.stamp_ns(self.sample_count - 1),
@@ -233,23 +237,23 @@ _NONE: Array = np.empty(0)
 
 
 KEEP_CURRENT = 3600.0
-"""Seconds of values that a stream keeps: where a bag is played as fast as it goes, the current may
-come far ahead of the samples that it belongs to."""
+"""Duration [s] of the current values that a stream keeps. In fast playback of a bag, the current
+can arrive long before the samples that it belongs to."""
 
 _SURPLUS = 8
-"""One part in so many may be older than what is kept: to let go of them moves all the others, which
-takes milliseconds where an hour of a fast supply is kept."""
+"""Old values are dropped once they exceed one in this many of all values. Each drop moves the other
+values, which takes milliseconds for an hour of a fast supply."""
 
 
 class CurrentError(ValueError):
-    """A value of the current that cannot be used; the message says why."""
+    """A value of the current cannot be used; the message gives the reason."""
 
 
 class ZeroOrderHold:
-    """Stamped values of the supply current, held from each stamp to the next."""
+    """Stamped values of the supply current, each held until the next stamp."""
 
     def __init__(self, keep: float) -> None:
-        """Keep at least the last ``keep`` seconds of values; infinite: all of them."""
+        """Keep at least the last ``keep`` seconds of values; if infinite, keep all values."""
         self._keep_ns = round(min(keep * NANOSECONDS, 2.0**62))
         self._stamps = array("q")
         self._values = array("d")
@@ -261,10 +265,10 @@ class ZeroOrderHold:
         return self._stamps[-1] if self._stamps else None
 
     def add(self, stamp_ns: int, current: float) -> None:
-        """Add a value [A]; one that jumps back in time takes the place of all that came after.
+        """Add a value [A]; a value that jumps back in time replaces all values after its stamp.
 
-        A value that is only late takes its place among the others. Raises CurrentError for one
-        that is not finite.
+        A value that is only delayed is sorted in by its stamp. Raises CurrentError for a value that
+        is not finite.
         """
         if not math.isfinite(current):
             raise CurrentError(f"the current is {current}: it must be a finite number")
@@ -277,35 +281,36 @@ class ZeroOrderHold:
             del self._stamps[place], self._values[place]
         self._stamps.insert(place, stamp_ns)
         self._values.insert(place, current)
-        # One value older than the horizon stays: it holds up to the next.
+        # One value older than the horizon stays, because it holds until the next.
         surplus = bisect_right(self._stamps, self._stamps[-1] - self._keep_ns) - 1
         if surplus > len(self._stamps) // _SURPLUS:
             del self._stamps[:surplus], self._values[:surplus]
 
     def follow_jump(self) -> None:
-        """Forget the values of the time before, now that the samples have jumped back.
+        """Discard the values before the jump, now that the samples have jumped back.
 
-        If the current jumped first, its values are those of the new time already.
+        If the current jumped first, its values already belong to the time after the jump.
         """
         if not self._jumped:
             del self._stamps[:], self._values[:]
         self._jumped = False
 
     def known_from(self, stamp_ns: int) -> bool:
-        """Whether a value is in force at the stamp."""
+        """Whether a value applies at the stamp."""
         return bool(self._stamps) and self._stamps[0] <= stamp_ns
 
     def around(self, stamp_ns: int) -> tuple[int, int | None]:
-        """Stamp of the value in force at a stamp, and that of the next (None: there is none yet).
+        """Stamp of the value that applies at a stamp, and of the next value (None without one).
 
-        As for :meth:`at`, the first value is taken before it is stamped; there must be one.
+        As in :meth:`at`, the first value also applies before its stamp. At least one value must
+        exist.
         """
         following = bisect_right(self._stamps, stamp_ns) or 1
         later = self._stamps[following] if following < len(self._stamps) else None
         return self._stamps[following - 1], later
 
     def constant(self, start_ns: int, period: float, count: int) -> float | None:
-        """The one value [A] that :meth:`at` gives for these samples; None where there are more."""
+        """The value [A] if :meth:`at` gives the same for all these samples, otherwise None."""
         following = bisect_right(self._stamps, start_ns) or 1
         if following < len(self._stamps):
             step = _first_sample(self._stamps[following] - start_ns, period)
@@ -314,7 +319,7 @@ class ZeroOrderHold:
         return self._values[following - 1]
 
     def span(self, start_ns: int, end_ns: int) -> tuple[float, float] | None:
-        """Lowest and highest value [A] in force from one stamp to another; None if unknown then."""
+        """Lowest and highest value [A] between two stamps; None if unknown at the first stamp."""
         if end_ns < start_ns or not self.known_from(start_ns):
             return None
         first, last = (bisect_right(self._stamps, stamp) for stamp in (start_ns, end_ns))
@@ -324,7 +329,8 @@ class ZeroOrderHold:
     def at(self, start_ns: int, period: float, count: int) -> Array:
         """Current [A] at ``count`` samples from ``start_ns``, ``period`` [s] apart, shape (n,).
 
-        Before the first value that value is taken: ask :meth:`known_from`.
+        Samples before the first value get that value; :meth:`known_from` tells whether there are
+        any.
         """
         following = bisect_right(self._stamps, start_ns) or 1
         result = np.full(count, self._values[following - 1])
@@ -337,6 +343,6 @@ class ZeroOrderHold:
 
 
 def _first_sample(delay_ns: int, period: float) -> int:
-    """The first sample that a step this much after sample 0 shows in."""
+    """Index of the first sample that shows a step ``delay_ns`` after sample 0."""
     # Rounding of the stamp to nanoseconds must not move a step by one sample.
     return math.ceil(delay_ns / (period * NANOSECONDS) - 1e-3)

@@ -1,4 +1,4 @@
-"""The clocks behind stamps, arrivals and counts."""
+"""Estimates of clocks from stamps, arrival times and sample counts."""
 
 from __future__ import annotations
 
@@ -11,39 +11,39 @@ import numpy as np
 from mr_damper_ros.signals.blocks import NANOSECONDS
 
 _JITTER = 0.3
-"""Standard deviation of a stamp [sample periods]: that of ± half a period, evenly distributed."""
+"""Standard deviation of a stamp [sample periods], for a uniform error of ± half a period."""
 
 _RATE = 0.02
-"""Standard deviation of the rate at the start [1]: periods are stated in round numbers. Samples
-that come so much faster or slower than stated cannot be used."""
+"""Initial standard deviation of the rate [1], because stated periods are rounded. Samples whose
+rate differs from the stated rate by more than this fraction cannot be used."""
 
 _MEMORY = 2.0
-"""Seconds of stamps that the present offset rests on, or so."""
+"""Approximate duration [s] of the stamps that determine the present offset."""
 
 _OUTLIER = 4.0
-"""A stamp further away, in its own standard deviations, counts as if it were no further."""
+"""Errors of a stamp are clipped to this many standard deviations."""
 
 
 class StampClock:
-    """Follows the stamps [ns] of samples ``period`` [s] apart, which are counted by an index."""
+    """Estimates the clock of samples ``period`` [s] apart from their indices and stamps [ns]."""
 
     def __init__(self, index: int, stamp_ns: int, period: float) -> None:
         self._period_ns = period * NANOSECONDS
-        # Offset [sample periods] from the reference stamp of the reference index, and rate [1].
+        # Offset [sample periods] from the stamp of the reference index, and rate error [1].
         self._index, self._stamp_ns = index, stamp_ns
         self._offset, self._rate = 0.0, 0.0
         self._cov = (_JITTER**2, 0.0, _RATE**2)
         self._drift = _JITTER**2 * (period / _MEMORY) ** 4
 
     def at(self, index: int) -> int:
-        """The time [ns] at which a sample was taken."""
+        """Estimated time [ns] of a sample."""
         samples = index - self._index
         return self._stamp_ns + round(
             (samples + self._offset + self._rate * samples) * self._period_ns
         )
 
     def learn(self, index: int, stamp_ns: int) -> None:
-        """Take in the stamp of a later sample."""
+        """Update the clock with the stamp of a later sample."""
         samples = index - self._index
         p00, p01, p11 = self._cov
         p00 += samples * (2.0 * p01 + samples * p11)
@@ -57,7 +57,7 @@ class StampClock:
         by_offset, by_rate = p00 / spread, p01 / spread
         self._rate += by_rate * error
         self._cov = (p00 - by_offset * p00, p01 - by_offset * p01, p11 - by_rate * p01)
-        # The reference moves along, so that no number grows.
+        # Moving the reference keeps the numbers small.
         step = samples * self._period_ns
         whole = round(step)
         self._index, self._stamp_ns = index, self._stamp_ns + whole
@@ -65,14 +65,17 @@ class StampClock:
 
 
 _SECONDS = 60
-"""Seconds that the line is drawn through."""
+"""Duration [s] of the arrivals to which the line is fitted."""
 
 _CHECKED = 5
-"""Seconds of arrivals that show their rate; before there is only an offset."""
+"""Duration [s] of arrivals from which their rate is known. Before, only the offset is estimated."""
 
 
 class ArrivalClock:
-    """Tells how far the clock of this computer is ahead of that of the stamps."""
+    """Estimates how far the clock of this computer is ahead of the clock of the stamps.
+
+    It fits a line through the least difference between arrival time and stamp in each second.
+    """
 
     def __init__(self) -> None:
         self._least: deque[tuple[int, int]] = deque(maxlen=_SECONDS)
@@ -81,11 +84,11 @@ class ArrivalClock:
 
     @property
     def rate(self) -> float:
-        """How much faster this computer's clock goes [1]; 0 as long as it is not known."""
+        """Relative rate by which the clock of this computer is faster [1]; 0 while unknown."""
         return self._line[0]
 
     def add(self, stamp_ns: int, arrival_ns: int) -> None:
-        """Take in the stamp of a message and when it arrived [ns]."""
+        """Add the stamp [ns] and the arrival time [ns] of a message."""
         ahead = arrival_ns - stamp_ns
         second = stamp_ns // NANOSECONDS
         if self._second is not None and second < self._second - 1:
@@ -102,7 +105,7 @@ class ArrivalClock:
             self._draw()
 
     def ahead_ns(self, stamp_ns: int) -> int:
-        """What is to be added to a stamp for the time of this computer [ns]."""
+        """Time [ns] that converts a stamp to the clock of this computer when added to it."""
         rate, offset, base = self._line
         return round(offset + rate * (stamp_ns - base))
 
@@ -119,19 +122,20 @@ class ArrivalClock:
 
 
 _PAUSE_NS = 250_000_000
-"""The least lateness within a second from which on there was a pause. So much too early come
-samples that had been waiting, or such of a higher rate."""
+"""A delay that stays above this value for a second is a pause of the source. Samples that are early
+by more were queued, or have a higher rate than stated."""
 
 _SILENCE_NS = 2 * NANOSECONDS
-"""After so long without a sample there was one in any case."""
+"""After an interval of this duration without a sample, a delay counts as a pause at once."""
 
 _LATE, _MOST_LATE = 64, 16
-"""A count this far back is a sample that was overtaken; so many in a row are a new count."""
+"""A count that goes back by at most the first number is a delayed sample. After the second number
+of such samples in a row, the count has restarted."""
 
 
 @dataclass
 class ArrivalCounts:
-    """What has come, and what of it was of no use."""
+    """Numbers of received samples and of those that could not be used, and of interruptions."""
 
     received: int = 0
     lost: int = 0
@@ -142,11 +146,11 @@ class ArrivalCounts:
 
 
 class CountedTimes:
-    """Numbers and times [ns] of samples at a stated ``rate`` [Hz].
+    """Indices and times [ns] of samples with a stated ``rate`` [Hz].
 
-    ``counts`` is after how many the sender's count begins at 0 again; None where it does not count.
-    With ``checks_rate`` nothing is of use before the rate has been found to be right, and from when
-    it is found wrong.
+    ``counts`` is the number of samples after which the sender's sequence number returns to 0; it is
+    None for a sender without sequence numbers. With ``checks_rate``, samples are held back until
+    the rate has been checked, and as long as it is wrong.
     """
 
     def __init__(self, rate: float, counts: int | None = None, *, checks_rate: bool = True) -> None:
@@ -158,7 +162,7 @@ class CountedTimes:
         self._index = -1
         self._count: int | None = None
         self._arrival_ns: int | None = None
-        # Of the present second of arrivals: since when, and the least lateness.
+        # Start of the present second of arrivals, and the smallest delay within it.
         self._second_ns, self._least_ns = 0, 0
         self._late_in_a_row = 0
         self._checked_from = 0
@@ -167,37 +171,37 @@ class CountedTimes:
 
     @property
     def rate_error(self) -> float:
-        """How much faster the samples come than stated [1]; 0 as long as it is not known."""
+        """Relative rate by which the samples arrive faster than stated [1]; 0 while unknown."""
         return -self._clock.rate
 
     @property
     def being_checked(self) -> bool:
-        """Whether it is not known yet if the rate is right."""
+        """Whether the check of the rate is still in progress."""
         seen = (self._index - self._checked_from) * self.period
         return self._checks_rate and self._index >= 0 and seen < _CHECKED
 
     @property
     def rate_is_wrong(self) -> bool:
-        """Whether the samples come so much faster or slower that they cannot be used."""
+        """Whether the rate differs so much from the stated one that the samples cannot be used."""
         return self._checks_rate and abs(self._clock.rate) > _RATE
 
     def time_ns(self, index: int) -> int:
-        """When a sample was taken, by the clock of the arrivals."""
+        """Time of a sample [ns] on the clock of the arrivals."""
         nominal_ns = round(index * self._period_ns)
         return nominal_ns + self._clock.ahead_ns(nominal_ns)
 
     def skip(self, number: int = 1) -> None:
-        """So many samples have come that cannot be read; a sender that counts need not be told."""
+        """Count ``number`` unreadable samples as lost; sequence numbers make this unnecessary."""
         if self._counts is None and self._arrival_ns is not None:
             self._index += number
             self.counts.lost += number
 
     def interrupted(self) -> None:
-        """The connection was lost: where the next sample belongs, only the time tells."""
+        """Record a lost connection: the arrival time alone then places the next sample."""
         self._is_interrupted = True
 
     def add(self, count: int | None, arrival_ns: int) -> int | None:
-        """The number of a sample that has come; None where it is of no use."""
+        """Index of a sample that has arrived; None if it cannot be used."""
         self.counts.received += 1
         step = self._step(count, arrival_ns)
         if step is None:
@@ -207,7 +211,7 @@ class CountedTimes:
         nominal_ns = round(self._index * self._period_ns)
         late_ns = arrival_ns - nominal_ns - self._clock.ahead_ns(nominal_ns)
         if self._arrival_ns is None or late_ns < -_PAUSE_NS:
-            # The first, or a clock that was wrong: what follows is looked at anew.
+            # The first sample, or a wrong clock: the check of the rate starts again.
             self._begin_clock(arrival_ns)
             self._checked_from = self._index
             late_ns = 0
@@ -220,7 +224,7 @@ class CountedTimes:
             nominal_ns, late_ns = round(self._index * self._period_ns), 0
         self._arrival_ns = arrival_ns
         if late_ns <= _PAUSE_NS:
-            # Else there may be a pause, which is none of the clock's.
+            # A larger delay may be a pause, which must not affect the clock.
             self._clock.add(nominal_ns, arrival_ns)
         self._is_interrupted = False
         if self.being_checked or self.rate_is_wrong:
@@ -229,7 +233,7 @@ class CountedTimes:
         return self._index
 
     def _step(self, count: int | None, arrival_ns: int) -> int | None:
-        """How much further than the last one a sample is; None for one that comes too late."""
+        """Increase of the index since the last sample; None for a delayed sample."""
         if self._arrival_ns is None or self._is_interrupted:
             self._count = None if count is None else count % (self._counts or 1)
             return self._passed(arrival_ns)
@@ -245,14 +249,14 @@ class CountedTimes:
         self._count = count
         longest_ns = arrival_ns - self._arrival_ns + NANOSECONDS
         if forward == 0 or (forward > 1 and forward * self._period_ns > longest_ns):
-            # Further on than time has passed: it is another count.
+            # The count has advanced by more than the elapsed time allows: it has restarted.
             self.counts.recounts += 1
             return self._passed(arrival_ns)
         self.counts.lost += forward - 1
         return forward
 
     def _passed(self, arrival_ns: int) -> int:
-        """Samples from the last one to one that comes now, as time has passed; at least 1."""
+        """Samples since the last one, from the elapsed time; at least 1."""
         if self._arrival_ns is None:
             return 1
         return max(round((arrival_ns - self.time_ns(self._index)) / self._period_ns), 1)
@@ -262,7 +266,7 @@ class CountedTimes:
         self._second_ns, self._least_ns = arrival_ns, 0
 
     def _paused(self, arrival_ns: int, late_ns: int) -> bool:
-        """Whether samples come later than they did, and not just in bursts."""
+        """Whether the source has paused: the delay has grown, and not only for a burst."""
         assert self._arrival_ns is not None
         if arrival_ns - self._arrival_ns > _SILENCE_NS and late_ns > _PAUSE_NS:
             self._second_ns, self._least_ns = arrival_ns, 0
@@ -273,7 +277,7 @@ class CountedTimes:
         paused = self._least_ns > _PAUSE_NS
         self._second_ns, self._least_ns = arrival_ns, 0 if paused else late_ns
         if paused:
-            # Such as never fall silent may come at another rate: that is to be found anew.
+            # Without silence the rate may have changed, so its check starts again.
             self._checked_from = self._index
             self._clock = ArrivalClock()
         return paused

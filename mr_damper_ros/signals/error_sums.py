@@ -1,7 +1,7 @@
-"""How far a prediction is from what was measured: RMSE, NRMSE and R², the same everywhere.
+"""Error of a prediction relative to a measurement: RMSE, NRMSE and R², defined in one place.
 
-NRMSE is the RMSE over the standard deviation of the measurement, both over the same samples. Of
-several records it is that of all their samples taken together, not a mean of the records' own.
+NRMSE is the RMSE over the standard deviation of the measurement, both over the same samples. The
+NRMSE of several records pools all their samples; it is not the mean of their NRMSE.
 """
 
 from __future__ import annotations
@@ -14,14 +14,14 @@ from dataclasses import dataclass
 from mr_damper_ros.signals.arrays import Array
 
 _ROUNDING = 1e-12
-"""Part of the mean square that rounding leaves as variance in a constant."""
+"""Variance of a constant caused by rounding, as a fraction of its mean square."""
 
 
 @dataclass(frozen=True)
 class ErrorSums:
     """Sums over samples: their ``count``, the measurement, its square and the squared error.
 
-    Sums of two sets of samples add up to those of both.
+    The sums of two sets of samples can be added.
     """
 
     count: int = 0
@@ -31,7 +31,7 @@ class ErrorSums:
 
     @classmethod
     def of(cls, predicted: Array, measured: Array) -> ErrorSums:
-        """The sums of a prediction and a measurement, arrays of shape (n,) in one unit."""
+        """Sums for a prediction and a measurement, arrays of shape (n,) in the same unit."""
         error = predicted - measured
         return cls(
             measured.size,
@@ -50,12 +50,12 @@ class ErrorSums:
 
     @property
     def rmse(self) -> float:
-        """Root of the mean squared error, in the unit of the measurement; NaN of no samples."""
+        """Root mean squared error, in the unit of the measurement; NaN without samples."""
         return math.sqrt(self.squared_error / self.count) if self.count else math.nan
 
     @property
     def spread(self) -> float:
-        """Standard deviation of the measurement; NaN of no samples, 0 where it does not vary."""
+        """Standard deviation of the measurement; NaN without samples, 0 if it is constant."""
         if not self.count:
             return math.nan
         mean_square = self.measured_square / self.count
@@ -70,12 +70,12 @@ class ErrorSums:
 
     @property
     def r2(self) -> float:
-        """Part of the measurement's variance that is explained, 1 − NRMSE²."""
+        """Explained fraction of the variance of the measurement, 1 − NRMSE²."""
         return 1.0 - self.nrmse**2
 
 
 def pooled(sums: Iterable[ErrorSums]) -> ErrorSums:
-    """The sums over several records together."""
+    """The sums over all samples of several records."""
     return sum(sums, start=ErrorSums())
 
 
@@ -92,16 +92,16 @@ class RunningError:
         duration = measured.size * period
         self._blocks.append((duration, ErrorSums.of(predicted, measured)))
         self._duration += duration
-        # What is left must still span the memory, up to rounding.
+        # The remaining blocks must still span the memory, up to rounding.
         while self._duration - self._blocks[0][0] > (1.0 - 1e-9) * self._memory:
             self._duration -= self._blocks.popleft()[0]
 
     def reset(self) -> None:
-        """Forget everything."""
+        """Discard all samples."""
         self._blocks.clear()
         self._duration = 0.0
 
     @property
     def nrmse(self) -> float:
-        """RMSE/std of the measurement; NaN where there is nothing to compare or no variation."""
+        """RMSE over the standard deviation; NaN without samples or variation."""
         return pooled(sums for _, sums in self._blocks).nrmse

@@ -1,9 +1,10 @@
-"""Moving averages in recorded signals: found by their spectral zeros, and undone exactly.
+"""Moving averages in recorded signals: detection by their spectral zeros, and exact inversion.
 
-The mean of the last n samples passes nothing at the frequencies k / n of the sampling rate, so a
-signal that was averaged has holes in its spectrum there, and nothing brings back what was in them.
-All else comes back: y[k] - y[k-1] = (x[k] - x[k-n]) / n, so x[k] = x[k-n] + n (y[k] - y[k-1]),
-where the n samples before the record are known, as they are at rest.
+The mean of the last n samples passes nothing at k / n of the sample rate. The spectrum of an
+averaged signal therefore has zeros at these frequencies, where the signal cannot be recovered. All
+other components can be recovered: y[k] - y[k-1] = (x[k] - x[k-n]) / n, so
+x[k] = x[k-n] + n (y[k] - y[k-1]). This requires the n samples before the record, which are known if
+the record begins at rest.
 """
 
 from __future__ import annotations
@@ -13,24 +14,24 @@ import numpy as np
 from mr_damper_ros.signals.arrays import Array
 
 _ENOUGH = 32_768
-"""Samples of a longer record that are looked at, from its middle."""
+"""Number of samples that are analysed, taken from the middle of a longer record."""
 
 _DEPTH = 1e-2
-"""Power in the holes over that between them below which they are those of an average."""
+"""Ratio of the power at the zeros to the power between them, below which the signal is averaged."""
 
 _SLOPE = 0.1
-"""The same half way up to between them, where an average leaves a half."""
+"""The same ratio at the frequencies where an average passes half of the power."""
 
 _FEWEST_ROWS = 20
-"""A record that begins in motion is so many times as long as its average."""
+"""Shortest record that begins in motion, in lengths of the average."""
 
 _FEWEST_HOLES = 5
 _PERIODS = 40
-"""A record is so many times as long as the average, for its holes to be resolved."""
+"""Shortest record in which the zeros are resolved, in lengths of the average."""
 
 
 def undo_average(values: Array, count: int) -> Array:
-    """What was averaged over ``count`` samples, from the rest at its begin; shape (n,)."""
+    """Signal (n,) before averaging over ``count`` samples; the record must begin at rest."""
     steps = count * np.diff(values, prepend=values[0])
     rows = -(-steps.size // count)
     padded = np.zeros(rows * count)
@@ -40,12 +41,12 @@ def undo_average(values: Array, count: int) -> Array:
 
 
 def undo_average_in_motion(values: Array, count: int) -> Array:
-    """What was averaged over ``count`` samples in a record (n,) that begins in motion.
+    """Signal before averaging over ``count`` samples, for a record (n,) that begins in motion.
 
-    The samples before the record are unknown: ``count`` numbers, which go on through all of what is
-    undone. They are what the average has lost, the signal at the frequencies k / count: of that
-    there is taken to be none, but for the mean. Weighted over the record by a raised cosine, so
-    that what is next to those frequencies stays. Raises ValueError for a record too short for that.
+    The ``count`` samples before the record are unknown, and they affect the whole result. They
+    correspond to the components that the average removes, at the frequencies k / count. The result
+    is defined to have no such components except the mean. A raised-cosine weight over the record
+    preserves the neighbouring frequencies. Raises ValueError if the record is too short.
     """
     rows = values.size // count
     if rows < _FEWEST_ROWS:
@@ -64,9 +65,9 @@ def undo_average_in_motion(values: Array, count: int) -> Array:
 
 
 def find_average(values: Array) -> int:
-    """Over how many samples a signal (n,) was averaged; 1 where it shows no sign of it.
+    """Number of samples over which a signal (n,) was averaged; 1 if no average is detected.
 
-    An average of two, three or four samples leaves too few holes to be told from chance.
+    An average over two, three or four samples has too few zeros for a reliable decision.
     """
     middle = max(values.size - _ENOUGH, 0) // 2
     steps = np.diff(values[middle : middle + _ENOUGH])
@@ -79,9 +80,10 @@ def find_average(values: Array) -> int:
             np.maximum(power[np.rint(holes + part * spacing).astype(int)], 1e-300)
             for part in (0.0, 0.25, 0.5)
         )
-        # Most of the holes must be there: those of twice the average are not, at every other place.
-        # What was averaged over so many samples has the holes of every part of them too. Half way
-        # up there must be something as well: else these are the lines of a periodic signal.
+        # Most of the zeros must be present: at twice the true count, every other one is missing.
+        # An averaged signal also has the zeros of each divisor of its count, so the longest count
+        # wins. Half way up there must be power as well: otherwise the zeros are the gaps between
+        # the lines of a periodic signal.
         deep = float(np.quantile(in_holes / between, 0.7)) < _DEPTH
         if deep and float(np.median(near / between)) > _SLOPE:
             return count

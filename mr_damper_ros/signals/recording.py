@@ -13,9 +13,9 @@ from mr_damper_ros.signals.arrays import Array
 from mr_damper_ros.signals.blocks import NANOSECONDS, SampleBlock
 
 DEFAULT_START_NS = 1_672_531_200 * NANOSECONDS
-"""Stamp of the first sample where nothing tells the time: 1 January 2023, 0:00 UTC.
+"""Stamp of the first sample if the time of a recording is unknown: 1 January 2023, 0:00 UTC.
 
-A stamp near zero would be taken for "time unknown" by many ROS programs.
+Many ROS programs interpret a stamp near zero as "time unknown".
 """
 
 _SMALLEST_MOTION = 1e-6
@@ -28,11 +28,11 @@ _PERIODS = (1e-6, 0.1)
 
 
 class RecordingError(ValueError):
-    """A recording that cannot be used; the message says what to change."""
+    """A recording cannot be used; the message says what to change."""
 
 
 class NotFiniteError(RecordingError):
-    """A sample of a recording is not a finite number: of which ``quantity``, and its index."""
+    """A sample of a recording is not finite; holds the ``quantity`` and the index of the sample."""
 
     def __init__(self, sentence: str, quantity: str, sample: int) -> None:
         super().__init__(sentence)
@@ -45,13 +45,13 @@ class Recording:
     """Samples of displacement, force and current at a fixed period, without gaps.
 
     ``displacement`` [m] (extension positive), ``force`` [N] (tension positive), ``current`` [A]
-    and, where it was measured, ``temperature`` [°C] have shape (n,); sample k was taken at
-    ``start_ns`` + k ``period`` (nanoseconds since the epoch, seconds). ``details`` says in words
-    where the recording comes from; it goes into a bag's metadata.
+    and, if it was measured, ``temperature`` [°C] have shape (n,). Sample k was taken at
+    ``start_ns`` + k ``period`` (nanoseconds since the epoch, seconds). ``details`` describes the
+    origin of the recording and is stored in the metadata of a bag.
 
-    This is the door: what is computed from a recording takes its values for finite.
+    The constructor checks the values, so all later computations may assume finite values.
 
-    Raises RecordingError where there are no samples, lengths differ, a value is not finite
+    Raises RecordingError if there are no samples, lengths differ, a value is not finite
     (NotFiniteError), or the period is not positive.
     """
 
@@ -108,22 +108,22 @@ class Recording:
 
     @property
     def duration(self) -> float:
-        """Time [s] that the samples stand for, n times the period."""
+        """Duration [s] of the recording, n times the period."""
         return self.sample_count * self.period
 
     @property
     def time(self) -> Array:
-        """Time of each sample [s] from the first, shape (n,)."""
+        """Time of each sample [s] since the first, shape (n,)."""
         return np.arange(self.sample_count, dtype=np.float64) * self.period
 
     def stamp_ns(self, index: int) -> int:
-        """Stamp of a sample, nanoseconds since the epoch."""
+        """Stamp of a sample [ns since the epoch]."""
         return self.start_ns + round(index * self.period * NANOSECONDS)
 
     def check_plausible(self) -> None:
-        """Raise RecordingError where the numbers cannot be a damper's in SI units.
+        """Raise RecordingError if the values are impossible for a damper in SI units.
 
-        Wrong units pass every other check, and an identification would take them seriously.
+        Data in wrong units pass all other checks, and an identification would accept them.
         """
         problem = self._implausible()
         if problem:
@@ -159,18 +159,18 @@ class Recording:
 
 
 BLOCK_SIZE = 10
-"""Samples in a block, as the bridge sends them by default."""
+"""Number of samples in a block, the default of the bridge."""
 
 
 class CurrentReading(NamedTuple):
-    """The supply current [A] from a stamp on."""
+    """Supply current [A] that holds from a stamp on."""
 
     stamp_ns: int
     current: float
 
 
 class TemperatureReading(NamedTuple):
-    """The temperature [°C] of the damper at a stamp."""
+    """Temperature [°C] of the damper at a stamp."""
 
     stamp_ns: int
     celsius: float
@@ -180,10 +180,10 @@ StreamItem = SampleBlock | CurrentReading | TemperatureReading
 
 
 def stream_of(recording: Recording, block_size: int = BLOCK_SIZE) -> Iterator[StreamItem]:
-    """The samples of a recording in blocks, each after the readings for its samples.
+    """The samples of a recording in blocks; each block follows the readings for its samples.
 
-    The current is read where it changes and at the last sample of each block, the temperature,
-    where it was measured, once a block. Raises ValueError for a block size below 1.
+    The current has a reading at each change and at the last sample of each block. The temperature,
+    if it was measured, has one reading a block. Raises ValueError for a block size below 1.
     """
     if block_size < 1:
         raise ValueError(f"the block size is {block_size}: it must be at least 1")

@@ -1,17 +1,17 @@
-"""Blocks as they arrive, put on one even grid: the one policy on time that every consumer follows.
+"""Placing of arriving blocks on a uniform grid: the time policy that all consumers share.
 
-The stamps of the data are the only clock. Sample ``index`` of the grid is the sample of that number
-in the source's count; its time is that of the clock behind the stamps
-(:class:`mr_damper_ros.signals.clocks.StampClock`), or the stamp itself where it does not jitter.
-What does not simply follow is named and handled the same way everywhere:
+The stamps of the data are the only clock. Sample ``index`` of the grid is the sample with that
+index in the count of the source. Its time is that of the clock estimated from the stamps
+(:class:`mr_damper_ros.signals.clocks.StampClock`), or the stamp itself if it does not jitter. Every
+interruption has a name and is handled in the same way everywhere:
 
-- a *bridged* gap (few samples lost): reckoned from those on either side, and marked;
-- a *gap* (more lost, the source paused or was started again): what was being collected starts anew;
-- a *jump back* (a bag that loops, a clock that was set): starts anew too;
-- a *repeat* (samples that came before, or are known to be lost by now): ignored;
-- a *changed period*: starts anew.
+- a *bridged* gap (few samples lost): interpolated from the samples on both sides, and marked;
+- a *gap* (more samples lost, the source paused or restarted): the windows and the motion restart;
+- a *jump back* (a bag that loops, a clock that was set): the windows and the motion restart;
+- a *repeat* (samples that came before, or that already count as lost): ignored;
+- a *changed period*: the windows and the motion restart.
 
-Nothing that was identified is touched by any of them.
+None of them changes what has been identified.
 """
 
 from __future__ import annotations
@@ -28,25 +28,26 @@ from mr_damper_ros.signals.blocks import LATE_NS, NANOSECONDS, SampleBlock
 from mr_damper_ros.signals.clocks import StampClock
 
 _FEWEST, _AROUND = 3, 12
-"""Samples on either side of a gap that its slope is taken from, and around one its way; so many are
-kept of the past."""
+"""Smallest and largest number of samples that determine the slope beside a gap. The larger number
+is also the number of stored past samples, and of neighbours in the interpolation of a sample."""
 
 _RIDGE = 1e-9
 
 _DECIDED = 3.0
-"""Standard errors by which the share must lie above or below one half to be believed."""
+"""Standard errors by which the share must differ from one half for a decision."""
 
 _TOGETHER, _ENOUGH = 32, 30
-"""Samples that are looked at together where none is lost, and at least before anything is said."""
+"""Number of samples that are evaluated together if none is lost, and the smallest number for a
+decision."""
 
 _FORGETTING = 0.9997
-"""Part of what was seen before that still counts with each further sample."""
+"""Forgetting factor per sample."""
 
 
 def on_a_line(before: Array, after: Array, count: int) -> Array:
     """``count`` values on the straight line from the last of ``before`` to the first of ``after``.
 
-    For the force, which turns too sharply for more to be gained.
+    It serves for the force, whose sharp reversals leave no advantage to a cubic.
     """
     place = np.arange(1.0, count + 1.0) / (count + 1.0)
     return np.asarray(before[-1] + (after[0] - before[-1]) * place)
@@ -55,10 +56,10 @@ def on_a_line(before: Array, after: Array, count: int) -> Array:
 def on_a_cubic(before: Array, after: Array, count: int) -> Array:
     """``count`` values between the last of ``before`` (n,) and the first of ``after`` (m,).
 
-    A cubic (Hermite's) with the values and slopes at both ends; where after holds a value or two, a
-    parabola. Each slope is that of a parabola through the nearest samples. Of fewer than three
-    values before, a straight line. For the displacement: over a twentieth of a cycle its error is a
-    tenth of the line's.
+    The values lie on a cubic Hermite polynomial with the values and slopes at both ends. It is a
+    parabola if ``after`` holds fewer than three values, and a straight line if ``before`` does.
+    Each slope is that of a parabola fitted to the nearest samples. This function serves for the
+    displacement: over a twentieth of a cycle, its error is a tenth of that of a straight line.
     """
     width = count + 1.0
     place = np.arange(1.0, width) / width
@@ -67,7 +68,7 @@ def on_a_cubic(before: Array, after: Array, count: int) -> Array:
     if before.size < _FEWEST:
         return line
     points = min(max(count + 2, _FEWEST), _AROUND)
-    # Slopes less that of the line, times the width of the gap.
+    # Slopes relative to that of the line, times the width of the gap.
     start = width * _end_slope(before[-points:]) - (high - low)
     if after.size < _FEWEST:
         return line + start * place * (1.0 - place)
@@ -77,11 +78,12 @@ def on_a_cubic(before: Array, after: Array, count: int) -> Array:
 
 
 def at_even_times(wanted: Array, places: Array, values: Array) -> Array:
-    """The last n of the ``values`` (m,), taken at ``places`` (m,), brought to ``wanted`` (n,).
+    """The last n of the ``values`` (m,), sampled at ``places`` (m,), moved to ``wanted`` (n,).
 
-    Each goes the little way to its time along the cubic that fits those around it best. So its
-    noise stays its own: on a line between two samples it would be the smaller the further from
-    them, and a filter that knows noise by its being white would take what is left of it for motion.
+    Each value moves to its new time parallel to the cubic that fits its neighbours best, and so
+    keeps its own noise. Linear interpolation would reduce the noise by an amount that depends on
+    the distance from the samples. A filter that recognises noise because it is white would then
+    interpret the remaining noise as motion.
     """
     width = min(_AROUND + 1, places.size)
     powers = np.arange(min(3, width - 1) + 1)
@@ -92,7 +94,7 @@ def at_even_times(wanted: Array, places: Array, values: Array) -> Array:
     time = (places[around] - places[own, np.newaxis]) / unit
     columns = time[:, :, np.newaxis] ** powers
     rows = columns.transpose(0, 2, 1)
-    # Many samples may have come with one stamp.
+    # The ridge keeps the matrix regular if many samples have the same stamp.
     square = rows @ columns + _RIDGE * np.eye(powers.size)
     away = values[around] - values[own, np.newaxis]
     cubic = np.linalg.solve(square, rows @ away[:, :, np.newaxis])[:, :, 0]
@@ -101,7 +103,7 @@ def at_even_times(wanted: Array, places: Array, values: Array) -> Array:
 
 
 def _end_slope(values: Array) -> float:
-    """Slope per sample at the last of some values, of the parabola that fits them best."""
+    """Slope per sample, at the last value, of the least-squares parabola through the values."""
     time = np.arange(1.0 - values.size, 1.0)
     columns = np.stack([np.ones(values.size), time, time * time], axis=1)
     weights, *_ = np.linalg.lstsq(columns, values, rcond=None)
@@ -109,11 +111,12 @@ def _end_slope(values: Array) -> float:
 
 
 class UnevenSampling:
-    """Tells whether stamps that jitter do so because the samples were taken unevenly.
+    """Decides whether the jitter of stamps comes from non-uniform sampling.
 
-    Where they were, a sample lies off the mean of its neighbours by the speed times how far its
-    stamp lies off theirs; where only the reading of the time jitters, it does not. The share of it
-    is found by least squares, 1 for the one and 0 for the other.
+    With non-uniform sampling, a sample differs from the mean of its neighbours by the velocity
+    times the difference between its stamp and the mean of theirs. If only the stamps jitter, it
+    does not. A least-squares fit gives the share of this difference: 1 for non-uniform sampling
+    and 0 for inaccurate stamps.
     """
 
     def __init__(self) -> None:
@@ -125,9 +128,10 @@ class UnevenSampling:
         self.found = False
 
     def learn(self, index: int, late: float, displacement: Array) -> None:
-        """Take in a block that was stamped so late [sample periods], negative for early.
+        """Add a block whose stamp is ``late`` [sample periods], negative for early.
 
-        ``index`` is that of its first sample; where it does not go on, none is a neighbour.
+        ``index`` is that of its first sample. After a jump of the index, samples are not compared
+        across it.
         """
         if index != self._next:
             self._look()
@@ -143,7 +147,7 @@ class UnevenSampling:
         if self._waiting == 0:
             return
         late, values = np.concatenate(self._late), np.concatenate(self._values)
-        # The last two are the neighbours of the next ones.
+        # The last two samples are neighbours of the next ones.
         self._late, self._values, self._waiting = [late[-2:]], [values[-2:]], 0
         off = values[1:-1] - 0.5 * (values[:-2] + values[2:])
         expected = 0.5 * (values[2:] - values[:-2]) * (late[1:-1] - 0.5 * (late[:-2] + late[2:]))
@@ -163,23 +167,23 @@ class UnevenSampling:
 
 
 _JITTER_NS, _JITTER = 5_000_000, 1.5
-"""A stamp may be off by so many nanoseconds, or sample periods where that is more, while the count
-of the samples goes on: computers stamp when they come to it."""
+"""Largest error of a stamp in [ns] or sample periods, whichever is more, while the sample count
+continues: computers assign stamps with a variable delay."""
 
 _EVEN = 0.1
-"""A stamp that is off by less than this part of a period is taken as it is."""
+"""A stamp with an error of at most this fraction of a period is used unchanged."""
 
 _NOTICED = 0.02
-"""One that is off by more tells whether the samples were taken unevenly."""
+"""Stamps with an error above this fraction of a period show whether the sampling is non-uniform."""
 
 _DELAY, _SLEW = 0.5, 0.01
-"""Sample periods that the grid is behind where samples are taken unevenly, so that it lies between
-those that have come; it falls behind by so much with each sample, without a step."""
+"""Delay of the grid with non-uniform sampling, in sample periods, so that it lies between samples
+that have arrived, and the change of this delay per sample, which avoids a step."""
 
 
 @dataclass(frozen=True)
 class GridSettings(CheckedSettings):
-    """How a stream whose stamps jitter, or that has gaps, is put on an even grid."""
+    """Options for placing a stream with jitter or gaps on a uniform grid."""
 
     stamps: str = option(
         "auto",
@@ -199,10 +203,11 @@ class GridSettings(CheckedSettings):
 
 @dataclass(frozen=True)
 class Continuity:
-    """How a block follows its predecessor: ``kind`` is one of the words below.
+    """Relation of a block to its predecessor.
 
-    "first", "next", "bridged", "gap", "jump_back", "repeat", "changed_period". ``lost`` counts the
-    samples missing before it; ``sentence`` says it in words, empty for the first three.
+    ``kind`` is "first", "next", "bridged", "gap", "jump_back", "repeat" or "changed_period".
+    ``lost`` counts the samples missing before the block. ``sentence`` describes the interruption;
+    it is empty for the first three kinds.
     """
 
     kind: str
@@ -211,7 +216,7 @@ class Continuity:
 
     @property
     def restarts(self) -> bool:
-        """Whether whatever is being collected must start again."""
+        """Whether windows and motion must restart."""
         return self.kind in ("gap", "jump_back", "changed_period")
 
 
@@ -219,11 +224,11 @@ class Continuity:
 class Placed:
     """A block on the grid; its first ``bridged`` samples were not measured.
 
-    ``arrived`` is the part of what came that had not come before, stamped as it was. Of a repeat
-    ``block`` is that, too. ``stamp_ns`` is the time of the first measured value: that stamp, unless
-    the values were brought from where they were sampled to another time. ``measured``: for each
-    sample a force [N] that was really measured, shape (n,), and how many sample periods after the
-    sample; None where those are the block's own forces.
+    ``arrived`` is the new part of the arriving block, with its original stamp. For a repeat,
+    ``arrived`` and ``block`` are the arriving block. ``stamp_ns`` is the time of the first measured
+    value: the stamp of ``arrived``, or another time if the values were moved on the time axis.
+    ``measured`` holds a measured force [N] for each sample, shape (n,), and the time from the
+    sample to this force in sample periods. It is None if the forces of the block are as measured.
     """
 
     block: SampleBlock
@@ -240,13 +245,15 @@ _REPEAT = Continuity("repeat", sentence="a block came twice or too late: it is i
 
 
 class UniformGrid:
-    """Puts the blocks of a stream on an even grid, and remembers how they followed each other.
+    """Places the blocks of a stream on a uniform grid and counts interruptions.
 
-    Blocks that come out of order wait for the missing ones until the samples are ``hold_back`` [s]
-    further; what is in order never waits. A stream without jitter, gaps or repeats passes as it is.
+    A block that arrives out of order waits for the missing blocks until the stream has advanced by
+    ``hold_back`` [s]. Blocks in order never wait. A stream without jitter, gaps or repeats passes
+    unchanged.
 
-    Counted since the start: samples lost, those of them that were bridged, samples that came again
-    or too late, and interruptions, of the last of which there is a sentence.
+    The attributes count, since the start, the lost samples, the bridged ones among them, the
+    samples that were repeated or too late, and the interruptions. ``last_interruption`` describes
+    the last interruption.
     """
 
     def __init__(self, settings: GridSettings | None = None, hold_back: float = 0.0) -> None:
@@ -256,7 +263,7 @@ class UniformGrid:
         self._last: SampleBlock | None = None
         self._clock: StampClock | None = None
         self._uneven = UnevenSampling()
-        # The latest blocks, and how late they were stamped [sample periods].
+        # The latest blocks and the delays of their stamps [sample periods].
         self._recent: deque[tuple[SampleBlock, float]] = deque()
         self._delay = 0.0
         self.lost_samples = 0
@@ -272,17 +279,17 @@ class UniformGrid:
 
     @property
     def uneven(self) -> bool:
-        """Whether the samples are taken to be measured when their stamps say, and not evenly."""
+        """Whether the sampling is non-uniform: each sample was taken at the time of its stamp."""
         if self._settings.stamps == "auto":
             return self._uneven.found
         return self._settings.stamps == "sampling"
 
     def follow(self, block: SampleBlock) -> list[Placed]:
-        """The blocks that are on the grid now that this one has come: one, where none waits."""
+        """Add a block; returns the blocks placed on the grid, which is one block if none waits."""
         verdict = self._judge(block)
         if self._hold_back == 0.0 or (not self._held and verdict.kind != "bridged"):
             return [self._place(block, verdict)]
-        # What waits belongs to the time before a new start.
+        # Waiting blocks belong to the time before a restart.
         placed = self.flush() if verdict.restarts else []
         self._held.append(block)
         self._held.sort(key=lambda held: held.sequence)
@@ -294,7 +301,7 @@ class UniformGrid:
         return placed
 
     def flush(self) -> list[Placed]:
-        """What still waits for samples that have not come."""
+        """Place and return the blocks that still wait for missing samples."""
         held, self._held = self._held, []
         return [self._place(block, self._judge(block)) for block in held]
 
@@ -316,7 +323,7 @@ class UniformGrid:
         due_ns = self._clock.at(_end(last))
         late_ns = block.start_ns - due_ns
         missing = block.sequence - _end(last)
-        # How far the stamp is from where the count says.
+        # Difference between the stamp and the time that follows from the count.
         off_ns = abs(late_ns - missing * block.period * NANOSECONDS)
         allowed_ns = max(_JITTER_NS, _JITTER * block.period * NANOSECONDS)
         if off_ns <= allowed_ns:
@@ -327,7 +334,7 @@ class UniformGrid:
             if missing < 0 and off_ns < abs(late_ns) < LATE_NS:
                 return _REPEAT
         if abs(late_ns) <= allowed_ns and missing != 0:
-            # The stamps go on but the count does not: the source was started again.
+            # The stamps continue but the count does not: the source was restarted.
             return Continuity(
                 "gap",
                 sentence="the sample count was set back or forward (was the source restarted?): "
@@ -389,7 +396,7 @@ class UniformGrid:
         return Placed(placed, block, verdict.lost, verdict, stamp_ns, measured)
 
     def _in_time(self, block: SampleBlock, late: float, lost: int) -> SampleBlock:
-        """The block with its samples as they are, and the ``lost`` ones before it."""
+        """The block with its samples unchanged, preceded by the ``lost`` ones, interpolated."""
         assert self._clock is not None
         if lost == 0:
             if abs(late) <= _EVEN:
@@ -407,9 +414,10 @@ class UniformGrid:
         )
 
     def _between(self, block: SampleBlock, late: float, lost: int) -> tuple[SampleBlock, Array]:
-        """The block brought from where its samples were taken to places between them.
+        """The block moved from the sample times to the grid between them.
 
-        And how many sample periods after each of its places the sample of that index was taken.
+        The second value is the time from each grid point to the sample with the same index, in
+        sample periods.
         """
         assert self._clock is not None
         first = block.sequence - lost
@@ -427,7 +435,7 @@ class UniformGrid:
             displacement=_brought(
                 wanted, places, np.concatenate([displacement, block.displacement]), lost
             ),
-            # Samples that overtake each other keep their order.
+            # Samples whose stamps are not in order keep their order.
             force=np.interp(
                 wanted, np.maximum.accumulate(places), np.concatenate([force, block.force])
             ),
@@ -441,7 +449,7 @@ class UniformGrid:
             recent.popleft()
 
     def _tail(self) -> tuple[Array, Array, Array]:
-        """Index at which each of the latest samples was taken, its displacement and its force."""
+        """Times of the latest samples [sample periods], their displacement and their force."""
         places, displacement, force = (
             np.concatenate(parts)
             for parts in zip(
@@ -460,9 +468,10 @@ class UniformGrid:
 
 
 def _brought(wanted: Array, places: Array, displacement: Array, lost: int) -> Array:
-    """Displacement (m,) of samples taken at ``places`` (m,), brought to the ``wanted`` (n,).
+    """Displacement (m,) of samples taken at ``places`` (m,), moved to the ``wanted`` places (n,).
 
-    Of these the first were ``lost``; so many of the others were there before.
+    The first ``lost`` of the wanted places have no sample and are interpolated. The samples before
+    them come first in ``displacement``.
     """
     if lost == 0:
         return at_even_times(wanted, places, displacement)
@@ -474,9 +483,9 @@ def _brought(wanted: Array, places: Array, displacement: Array, lost: int) -> Ar
 
 
 def _measured(force: Array, after: Array, lost: int) -> tuple[Array, Array]:
-    """See :class:`Placed`: the lost ones have the force of the first sample that came after them.
+    """Measured forces as in :class:`Placed`; lost samples get the force of the next measured one.
 
-    ``after`` (n,) is how many sample periods after its place each sample was taken.
+    ``after`` (n,) is the time from the place of each sample to its measurement [sample periods].
     """
     after = after.copy()
     after[:lost] = after[lost] + np.arange(lost, 0.0, -1.0)
