@@ -459,7 +459,7 @@ def _pooled(errors: Sequence[float], parts: Sequence[Window]) -> float:
 
 
 def _look(job: Job, window: Window) -> Outcome:
-    """Check whether the newest samples fit the running set; if not, fit the force scale to them.
+    """Check whether the newest samples fit the running set; otherwise fit the force scale.
 
     Without a change the outcome contains only the state of the change detection.
     """

@@ -61,8 +61,9 @@ _BETTER = 0.6
 """A set replaces a wrong one if its error is below this multiple of the wrong one's."""
 
 _MOST_SHOWN, _KEPT = 1.0, 0.5
-"""A single cycle is weak evidence for a branch rule. Its evidence, the logarithm of the ratio of two
-errors, is limited to the first value and multiplied by the second at each further comparison."""
+"""A single cycle is weak evidence for a branch rule. The evidence, the logarithm of the ratio of
+two errors, is limited to the first value. Earlier evidence is multiplied by the second value at
+each further comparison."""
 
 _MOST_SAMPLES, _MOST_TRIED = 40_000, 2000
 """Largest numbers of samples that are kept, and that a set is tried on."""

@@ -42,8 +42,9 @@ _LONGEST_STRETCH = 0.25
 """The memory is divided into this many stretches, each no longer than this time [s]."""
 
 _PRELOAD = 0.5
-"""The mean force counts towards the peak up to this fraction of half the span, as from gas pressure.
-A larger mean comes from a load cell that was not zeroed; it must not hide the damper's force."""
+"""The middle of the span counts towards the peak up to this fraction of half the span, as from gas
+pressure. A larger value comes from a load cell that was not zeroed; it must not hide the damper's
+force."""
 
 _FOR_POWER = 4
 """The power is averaged over this many half-cycles, in which a spring returns its energy."""
@@ -315,7 +316,7 @@ class ResidualMonitor:
             return [self._doubt_of_power()]
         peak = self._recent.peak
         if not peak > 0.0:
-            # No statistics yet (NaN), or the measured force is constantly zero.
+            # The statistics do not exist yet (NaN), or the measured force is constant (zero).
             return [self._doubt_of_sensor()] if peak == 0.0 else []
         errors = predicted - measured
         sizes = np.abs(errors)

@@ -1,4 +1,4 @@
-"""What makes a window unfit for identification, before anything is fitted to it."""
+"""Checks of a window before it is fitted: faults of the data, and too little motion."""
 
 from __future__ import annotations
 
@@ -11,24 +11,24 @@ from mr_damper_ros.settings.option_table import CheckedSettings, option
 from mr_damper_ros.signals.arrays import Array, Mask, white_noise
 
 LARGEST_SPAN = 0.5
-"""A displacement that spans more [m] is taken for millimetres: no damper has such a stroke."""
+"""Largest plausible span of the displacement [m]; larger values are probably in millimetres."""
 
 LARGEST_FORCE = 1e7
-"""A force beyond this [N] is no damper's."""
+"""Largest plausible force of a damper [N]."""
 
 LARGEST_CURRENT = 50.0
-"""A coil current beyond this [A] is taken for milliamperes."""
+"""Largest plausible coil current [A]; larger values are probably in milliamperes."""
 
 _CLIPPED_PART = 0.02
 _CLIPPED_RUN = 8
 
 _STUCK_PART = 0.05
 _STUCK_WAY = 0.05
-"""A force that is the same to the last bit in 5 % of a window in a row, while the motion turns and
-comes back by 5 % of its span, is no damper's."""
+"""A force is stuck if it is constant to the last bit for this fraction of a window without a break,
+while the motion reverses and returns by this fraction of its span."""
 
 _STILL = 12.0
-"""A displacement that spans fewer standard deviations of its noise does not move at all."""
+"""A displacement whose span is fewer standard deviations of its noise is at rest."""
 
 _STUCK = (
     "the force follows a motion that the displacement does not show: is the displacement sensor "
@@ -36,36 +36,40 @@ _STUCK = (
 )
 
 _MOVING_AT_REST = 0.5
-"""A force that spreads at rest by this part of what it does in the whole window is no rest's."""
+"""If the standard deviation of the force during a rest exceeds this fraction of that in the whole
+window, the damper moves and the rest is a fault of the displacement."""
 
 _MOVING_FORCE = 0.3
-"""Part of the largest known force that a force spans at least, to be that of a motion."""
+"""A force that spans more than this fraction of the largest known force belongs to a motion."""
 
 _APPROACH = 8
 _SHORTEST_APPROACH = 2
-"""The way to an extreme is looked at over a quarter of the stay there, and half of that,"""
+"""The approach to an extreme is measured over a quarter of the stay there, in two halves. A half is
+this fraction (1/8) of the stay, and at least this number of samples."""
 
 _EVEN_SPEED = 0.37
-"""and is made at speed where more than this part of it lies in the latter half: half of it does at
-an even speed, a quarter where the rod comes to rest."""
+"""The signal arrives at speed if more than this fraction of the approach lies in the second half.
+The fraction is a half at constant speed, and a quarter if the rod comes to rest."""
 
 _DIGITS = 3.0
-"""Steps of the finest digit that such a way takes at least."""
+"""Smallest approach, in steps of the finest digit."""
 
 _RESTING = 0.02
 _LONGEST_REST = 0.25
-"""A machine is standing still below 2 % of its top speed for this part of a window in a row."""
+"""The machine rests while its speed is below the first fraction of the top speed. A rest longer than
+the second fraction of a window makes the window unfit."""
 
 _ROUGHER = 1.5
-"""A velocity whose mean frequency is this many times that of the force was none."""
+"""If the mean frequency of the velocity exceeds that of the force by this factor, displacement and
+force are probably exchanged."""
 
 DRIVING = 0.1
-"""Correlation of force and velocity below minus this: the sign of one of them is wrong."""
+"""If the correlation of force and velocity is below minus this value, one of the signs is wrong."""
 
 
 @dataclass(frozen=True)
 class Screening(CheckedSettings):
-    """Limits that a window must keep to be fitted at all."""
+    """Limits that a window must meet to be fitted."""
 
     minimum_amplitude: float = option(
         0.5e-3,
@@ -84,10 +88,10 @@ class Screening(CheckedSettings):
 
 
 def fault_of_samples(displacement: Array, force: Array, current: Array, limits: Screening) -> str:
-    """Why samples of shape (n,) [m, N, A] cannot be used, in one sentence; empty where they can.
+    """Why samples of shape (n,) [m, N, A] cannot be used, in one sentence; empty if they can.
 
-    Whether they are finite was asked where they came in: a recording, a block, a window is. Motion
-    that is too small is no fault, but where the force says that there is one.
+    The samples are finite, because recordings, blocks and windows check this on entry. Too little
+    motion is not a fault here; :func:`fault_at_rest` compares it with the force.
     """
     span = float(np.ptp(displacement))
     if span > LARGEST_SPAN:
@@ -111,9 +115,10 @@ def fault_of_samples(displacement: Array, force: Array, current: Array, limits: 
 
 
 def fault_at_rest(displacement: Array, force: Array, largest_force: float) -> str:
-    """Why a machine that stands still (n,) [m, N] cannot do so, in a sentence; empty where it can.
+    """Why a machine cannot be at rest, in one sentence; empty if it can be, or if it moves.
 
-    ``largest_force`` [N] is the largest known of the damper, NaN where none is.
+    Arrays have shape (n,), in m and N. ``largest_force`` [N] is the largest known force of the
+    damper, NaN if unknown.
     """
     still = float(np.ptp(displacement)) <= _STILL * white_noise(displacement)
     low, high = np.quantile(force, (0.01, 0.99))
@@ -123,7 +128,7 @@ def fault_at_rest(displacement: Array, force: Array, largest_force: float) -> st
 
 
 def lack_of_motion(displacement: Array, limits: Screening) -> str:
-    """Why a displacement (n,) [m] moves too little, in a sentence; empty where it does not."""
+    """Why the amplitude of a displacement (n,) [m] is too small, in one sentence, or empty."""
     span = float(np.ptp(displacement))
     if 0.5 * span >= limits.minimum_amplitude:
         return ""
@@ -134,9 +139,9 @@ def lack_of_motion(displacement: Array, limits: Screening) -> str:
 
 
 def lack_of_cycle(displacement: Array, velocity: Array) -> str:
-    """Why motion of shape (n,) [m, m/s] shows too little of the damper; empty where it does not.
+    """Why motion of shape (n,) [m, m/s] is insufficient for a fit; empty if it is sufficient.
 
-    A machine that stops within a window leaves a stretch that says nothing of the damper.
+    It is insufficient if the machine rests too long, or if the window contains less than a cycle.
     """
     resting = part_at_rest(velocity)
     if rests_too_long(resting):
@@ -150,7 +155,7 @@ def lack_of_cycle(displacement: Array, velocity: Array) -> str:
 
 
 def part_at_rest(velocity: Array) -> float:
-    """Part of the samples (n,) [m/s] in a row in which the machine stands still at most."""
+    """Longest rest of the machine, as a fraction of the samples (n,) [m/s]."""
     if not velocity.size:
         return 1.0
     rest = _longest_rest(velocity)
@@ -158,7 +163,7 @@ def part_at_rest(velocity: Array) -> float:
 
 
 def fault_of_rest(velocity: Array, force: Array) -> str:
-    """Why a machine cannot have stopped within a window (n,) [m/s, N]; empty where it can."""
+    """Why a machine cannot have rested within a window (n,) [m/s, N]; empty if it can."""
     rest = _longest_rest(velocity)
     long = rests_too_long((rest.stop - rest.start) / velocity.size)
     if long and float(np.std(force[rest])) > _MOVING_AT_REST * float(np.std(force)):
@@ -172,7 +177,7 @@ def _longest_rest(velocity: Array) -> slice:
 
 
 def _runs(mask: Mask) -> list[slice]:
-    """The stretches of a mask (n,) in which it is true."""
+    """The runs of consecutive true values of a mask (n,)."""
     edges = np.flatnonzero(np.diff(np.concatenate(([0], mask.view(np.int8), [0])))).tolist()
     return [slice(*ends) for ends in zip(edges[::2], edges[1::2], strict=True)]
 
@@ -182,14 +187,14 @@ def _longest(runs: list[slice]) -> slice:
 
 
 def rests_too_long(part: float) -> bool:
-    """Whether a machine that stands still for this part of a window spoils it."""
+    """Whether a rest of this fraction of a window makes the window unfit."""
     return part > _LONGEST_REST
 
 
 def fault_of_sign(velocity: Array, force: Array) -> str:
-    """Why the signs of motion and force (n,) cannot both be right; empty where they can.
+    """Why the signs of motion and force (n,) cannot both be right; empty if they can.
 
-    A damper takes power out of the motion, over any stretch of time that holds some cycles.
+    A damper is dissipative over any time that contains some cycles.
     """
     centred = force - force.mean()
     power = float(centred @ velocity)
@@ -207,7 +212,7 @@ def fault_of_sign(velocity: Array, force: Array) -> str:
 
 
 def _is_stuck(displacement: Array, force: Array) -> bool:
-    """Whether a force stays exactly the same for long, though the motion turns there."""
+    """Whether the force is exactly constant for a long time while the motion reverses."""
     same = _longest(_runs(np.diff(force) == 0.0))
     start, stop = same.start, same.stop + 1
     if stop - start < _STUCK_PART * force.size:
@@ -221,19 +226,20 @@ def _is_stuck(displacement: Array, force: Array) -> bool:
 
 
 def _mean_frequency(values: Array) -> float:
-    """Mean of the frequencies in a signal (n,), each with its power, in lines of the spectrum.
+    """Power-weighted mean frequency of a signal (n,), in lines of the spectrum.
 
-    The force of a damper is about as rough as the velocity, or rougher: it saturates.
+    For the force of a damper it is about that of the velocity or higher, because the force
+    saturates.
     """
     power = np.abs(np.fft.rfft((values - values.mean()) * np.hanning(values.size))) ** 2
     return float(power @ np.arange(power.size)) / float(power.sum())
 
 
 def _is_clipped(array: Array) -> bool:
-    """Whether a signal is cut off at one of its extremes: it stays there, and gets there at speed.
+    """Whether a signal is clipped: it stays at one of its extremes, and arrives there at speed.
 
-    A machine that rests at its dead centre, and digits too coarse for the turn of a sine, come to
-    the extreme slowly: there is nothing beyond it.
+    A machine that rests at its dead centre approaches the extreme slowly. So does a sine with a
+    coarse resolution. Neither is clipped.
     """
     steps = np.abs(np.diff(array))
     finest = float(np.min(steps[steps > 0.0], initial=np.inf))
@@ -248,7 +254,10 @@ def _is_clipped(array: Array) -> bool:
 
 
 def _arrives_at_speed(below: Array, stays: list[slice], finest: float) -> bool:
-    """Whether a signal, so far ``below`` its extreme (n,), does not slow down before its stays."""
+    """Whether a signal reaches the ``stays`` at its extreme without slowing down.
+
+    ``below`` (n,) is the distance from the extreme; ``finest`` is the finest digit of the signal.
+    """
     near, far, count = 0.0, 0.0, 0
     for stay in stays:
         reach = max((stay.stop - stay.start) // _APPROACH, _SHORTEST_APPROACH)

@@ -1,4 +1,4 @@
-"""Parameter sets kept on disk: atomic to write, checked when read, never outside one folder."""
+"""Parameter sets on disk, in one folder: written atomically and checked when read."""
 
 from __future__ import annotations
 
@@ -15,35 +15,35 @@ from mr_damper_ros.models.plausibility import check_plausible
 from mr_damper_ros.processes.files import FolderLock, LockHeldError
 
 _PLAIN, _WITH_MEMORY = 1, 2
-"""Versions of the files: a set alone, and one with the memory of what identified it."""
+"""Versions of the files: a set alone, and a set with the memory of its tracker."""
 
 _HEADER = re.compile(r"# mr_damper_ros parameters, version ([1-9]\d{0,8}), sha256 ([0-9a-f]{64})\n")
 
 _NAME = re.compile(r"[A-Za-z0-9_][A-Za-z0-9_.-]{0,99}")
 
 _MEMORY_LINE = "\n# memory "
-"""Begin of the last line, which for YAML is a comment."""
+"""Start of the last line, which is a comment in YAML."""
 
 _SET_LIMIT = 1 << 16
 _FILE_LIMIT = 1 << 26
-"""No parameter set, and no file with its memory, comes near so many bytes."""
+"""Limits in bytes of a parameter set and of a file with memory, far above any real size."""
 
 
 _ASIDE, _READ = "aside", "aside-read"
-"""Ends of the names of files that could not be used, before and after somebody took notice."""
+"""Suffixes of files that could not be used, before and after a user has acknowledged them."""
 
 
 class StateError(SpokenError):
-    """State that cannot be kept or read; the message says what to change."""
+    """State that cannot be stored or read; the message says what to change."""
 
 
 class StateDirectory:
     """Named parameter sets in one folder, each a YAML file with a checksum in its first line.
 
-    A set written by hand has no such line and is read all the same. With a set goes the memory of
-    the tracker that identified it, if it is given: one line of text, see
-    :mod:`mr_damper_ros.tracking.tracker_state`. ``path`` is created when the first set is saved;
-    "" keeps nothing, and every call says so.
+    A set written by hand has no such line and is accepted. A file may also contain the memory of
+    the tracker that identified the set: one line of text, see
+    :mod:`mr_damper_ros.tracking.tracker_state`. ``path`` is created when the first set is saved.
+    With the path "" nothing is stored, and calls that need a file raise StateError.
     """
 
     def __init__(self, path: str | Path) -> None:
@@ -54,11 +54,11 @@ class StateDirectory:
 
     @property
     def keeps(self) -> bool:
-        """Whether there is a folder to keep anything in."""
+        """Whether there is a folder to store sets in."""
         return self._path is not None
 
     def file(self, name: str) -> Path:
-        """Where the set ``name`` is kept. Raises StateError for anything but a plain name."""
+        """Path of the file of the set ``name``. Raises StateError if this is not a plain name."""
         if self._path is None:
             raise StateError("nothing is kept on disk: set the parameter state_dir to a folder")
         name = name.removesuffix(".yaml")
@@ -70,10 +70,10 @@ class StateDirectory:
         return self._path / f"{name}.yaml"
 
     def save(self, name: str, parameters: ParameterSet, memory: str = "") -> Path:
-        """Keep a set under a name, in place of what was there, and return its file.
+        """Store a set under a name, replacing an older one, and return its file.
 
-        Whatever happens meanwhile, the file holds either all of the old or all of the new. Raises
-        StateError where the name or the folder cannot be used, or the set is not plausible.
+        At any time the file contains either the whole old or the whole new set. Raises StateError
+        if the name or the folder cannot be used, or if the set is implausible.
         """
         path = self.file(name)
         try:
@@ -95,17 +95,17 @@ class StateDirectory:
         return path
 
     def load(self, name: str) -> ParameterSet:
-        """The set kept under a name.
+        """The set stored under a name.
 
-        Raises StateError where there is none, or where its file is damaged or cannot be used.
+        Raises StateError if there is none, or if its file is damaged or cannot be used.
         """
         return self.load_with_memory(name)[0]
 
     def load_with_memory(self, name: str) -> tuple[ParameterSet, str]:
-        """The set kept under a name, and its memory.
+        """The set stored under a name, and its memory.
 
-        That is empty where none was kept, or where the set was edited: then they are no longer one
-        another's. Raises StateError as :meth:`load`.
+        The memory is empty if none was stored, or if the set was edited, because the two then no
+        longer match. Raises StateError as :meth:`load` does.
         """
         path = self.file(name)
         if path.is_symlink() and os.path.dirname(os.path.realpath(path)) != os.path.realpath(
@@ -123,9 +123,9 @@ class StateDirectory:
             raise StateError(f"{path}: {error}") from error
 
     def lock(self, name: str) -> FolderLock:
-        """Make the name that of this process, until the lock is released.
+        """Reserve the name for this process until the lock is released.
 
-        Raises StateError where another process has it, or where the folder cannot be written.
+        Raises StateError if another process holds it, or if the folder cannot be written.
         """
         path = self.file(name)
         try:
@@ -143,7 +143,7 @@ class StateDirectory:
             ) from error
 
     def is_of_a_node(self, name: str) -> bool:
-        """Whether a name is that under which a node keeps, or has kept, its own state."""
+        """Whether a node stores, or has stored, its own state under a name."""
         path = self.file(name)
         if os.path.lexists(_lock_of(path)):
             return True
@@ -153,18 +153,18 @@ class StateDirectory:
             return False
 
     def names(self) -> list[str]:
-        """Names under which sets are kept, sorted."""
+        """Names of the stored sets, sorted."""
         if self._path is None or not self._path.is_dir():
             return []
         return sorted(path.stem for path in self._path.glob("*.yaml"))
 
     def set_aside(self, name: str) -> Path:
-        """Rename a file that cannot be used, so that it is neither read again nor overwritten."""
+        """Rename an unusable file, so that it is neither read again nor overwritten."""
         path = self.file(name)
         return _renamed(path, path.with_suffix(""), _ASIDE)
 
     def unread_asides(self, name: str) -> list[Path]:
-        """Files of this name that were set aside, and that nobody has taken notice of."""
+        """Files of this name that were set aside and have not been acknowledged."""
         path = self.file(name)
         pattern = re.compile(rf"{re.escape(path.stem)}\.{_ASIDE}\d*")
         if not path.parent.is_dir():
@@ -172,15 +172,15 @@ class StateDirectory:
         return sorted(path.parent / n for n in os.listdir(path.parent) if pattern.fullmatch(n))
 
     def mark_asides_read(self, name: str) -> list[Path]:
-        """Rename what was set aside, so that it is not spoken of any more; returns the new names.
+        """Rename the files set aside, so that they are no longer reported; returns the new names.
 
-        Raises StateError where the folder cannot be written.
+        Raises StateError if the folder cannot be written.
         """
         without_ending = self.file(name).with_suffix("")
         return [_renamed(aside, without_ending, _READ) for aside in self.unread_asides(name)]
 
     def remove_unfinished(self, name: str) -> None:
-        """Remove what a process left behind that was killed while it saved this set."""
+        """Remove temporary files of a process that was killed while it saved this set."""
         path = self.file(name)
         for unfinished in path.parent.glob(f"{_unfinished_prefix(path)}*"):
             with contextlib.suppress(OSError):
@@ -190,13 +190,13 @@ class StateDirectory:
 def read_parameter_file(path: str | Path) -> ParameterSet:
     """The parameter set in a file, written by a :class:`StateDirectory` or by hand.
 
-    Raises StateError where the file cannot be read, is damaged or does not fit.
+    Raises StateError if the file cannot be read, is damaged or is not a parameter file.
     """
     return _read(Path(path))[0]
 
 
 def _read(path: Path) -> tuple[ParameterSet, str]:
-    """The set in a file, and the memory that goes with it."""
+    """The set in a file, and its memory."""
     text = _text(path)
     body = _checked(text, path)
     own_set, _, memory = body.partition(_MEMORY_LINE)
@@ -210,7 +210,7 @@ def _read(path: Path) -> tuple[ParameterSet, str]:
 
 
 def _text(path: Path) -> str:
-    """What a file holds; lines that end as on other systems count as ours."""
+    """The text of a file, with line ends converted to newlines."""
     try:
         path = path.expanduser()
         status = path.stat()
@@ -234,7 +234,7 @@ def _digest(body: str) -> str:
 
 
 def _checked(text: str, path: Path) -> str:
-    """Body of a file, after a look at the checksum in its first line; all of it without one."""
+    """Body of a file whose checksum is right; the whole text if it has no checksum."""
     first_line = text.partition("\n")[0]
     if "mr_damper_ros parameters" not in first_line and "sha256" not in first_line:
         return text  # written by hand
@@ -244,7 +244,7 @@ def _checked(text: str, path: Path) -> str:
     if int(header[1]) > _WITH_MEMORY:
         raise StateError(f"{path} was written by a newer version: update mr_damper_ros")
     body = text[header.end() :]
-    # The checksum does not cover the version, but the version says what must be there.
+    # The checksum does not cover the version, but the version determines whether there is a memory.
     of_version = (int(header[1]) == _WITH_MEMORY) == (_MEMORY_LINE in body)
     if _digest(body) != header[2] or not of_version:
         raise StateError(
@@ -259,7 +259,7 @@ def _lock_of(path: Path) -> Path:
 
 
 def _renamed(path: Path, without_ending: Path, ending: str) -> Path:
-    """Give a file a name with this ending, and a number where there is one already."""
+    """Rename a file to this ending, with a number if the name is already in use."""
     number = 0
     while os.path.lexists(
         free := without_ending.with_name(f"{without_ending.name}.{ending}{number or ''}")
@@ -273,7 +273,7 @@ def _renamed(path: Path, without_ending: Path, ending: str) -> Path:
 
 
 def _unfinished_prefix(path: Path) -> str:
-    """Begin of the name under which a file is written before it takes the place of the old one."""
+    """Prefix of the temporary file that is written before it replaces the old one."""
     return f".{path.name}."
 
 
@@ -289,7 +289,7 @@ def _write_atomically(path: Path, text: str) -> None:
         with contextlib.suppress(OSError):
             os.unlink(temporary)
         raise
-    # The new name must survive a power failure too.
+    # The new name must also survive a power failure.
     folder = os.open(path.parent, os.O_RDONLY)
     try:
         os.fsync(folder)
