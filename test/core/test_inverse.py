@@ -159,5 +159,5 @@ def test_no_more_is_commanded_than_the_supply_can():
 
 
 def test_a_set_of_one_current_is_warned_of() -> None:
-    with pytest.warns(UserWarning, match=r"identified at 0\.5 A alone"):
+    with pytest.warns(UserWarning, match=r"identified at 0\.5 A only"):
         InverseModel(ParameterSet(PLAUSIBLE, current_range=(0.49, 0.51)), LOWEST, HIGHEST)

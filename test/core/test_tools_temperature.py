@@ -34,7 +34,7 @@ def heated(current: float = 1.5, *, thermometer: bool = True) -> Recording:
 
 def test_a_bag_with_a_thermometer_gives_the_map(tmp_path: Path) -> None:
     write_bag(tmp_path / "bag", heated())
-    (found,) = temperature_maps([measured_run(tmp_path / "bag")], COLD_SET).identified
+    (found,) = temperature_maps([measured_run(tmp_path / "bag")], COLD_SET)
     # [m/s] and [A] of the operating point of a steady run.
     assert found.operating_point == pytest.approx((0.0314, 1.5), abs=1e-3)
     # Force at 71 °C over that at 28 °C, as the loops of the two published sets have it.
@@ -50,4 +50,4 @@ def test_a_bag_without_a_thermometer_gives_none(tmp_path: Path) -> None:
     write_bag(tmp_path / "bag", heated(thermometer=False))
     bag = measured_run(tmp_path / "bag")
     assert bag.temperatures == (None,)
-    assert temperature_maps([bag], COLD_SET).identified == ()
+    assert temperature_maps([bag], COLD_SET) == []

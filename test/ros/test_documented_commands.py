@@ -85,6 +85,8 @@ def check_node(node: str, arguments: list[str]) -> None:
     known = {item.name: item for item in options(TABLES[node])}
     if node in HOSTED:
         arguments = list(hosting(arguments).rest)
+    if arguments[:1] == ["--bag"] and node == "live":
+        arguments = arguments[2:]
     assert arguments[:1] in ([], ["--ros-args"])
     for flag, value in zip(arguments[1::2], arguments[2::2], strict=True):
         assert flag in ("-p", "-r", "--params-file", "--enclave"), flag
