@@ -403,10 +403,11 @@ def _outcome(
 def parts_by_current(model: Model, window: Window, tolerance: float) -> list[Window]:
     """Parts of a window within which the current is about constant.
 
-    The window itself is the only part if its current is constant. Each part is an operating point, independent of the law's dependence on the current. Levels of
-    the current more than ``tolerance`` [A] apart become separate parts. A continuous range is
-    divided into equal intervals. If the force of the ``model`` at the start of the window depends
-    on the unknown past, samples there do not count towards the smallest size of a part.
+    The window itself is the only part if its current is constant. Each part is an operating point,
+    independent of the law's dependence on the current. Levels of the current more than
+    ``tolerance`` [A] apart become separate parts. A continuous range is divided into equal
+    intervals. If the force of the ``model`` at the start of the window depends on the unknown past,
+    samples there do not count towards the smallest size of a part.
     """
     if float(np.ptp(window.current)) <= tolerance:
         return [window]

@@ -56,8 +56,8 @@ _DIGITS = 3.0
 
 _RESTING = 0.02
 _LONGEST_REST = 0.25
-"""The machine rests while its speed is below the first fraction of the top speed. A rest longer than
-the second fraction of a window makes the window unfit."""
+"""The machine rests while its speed is below the first fraction of the top speed. A rest longer
+than the second fraction of a window makes the window unfit."""
 
 _ROUGHER = 1.5
 """If the mean frequency of the velocity exceeds that of the force by this factor, displacement and

@@ -1,8 +1,8 @@
-"""Follows a damper window by window: what is known of it, and what is decided.
+"""The tracker: running set, records and decisions, window by window.
 
-``WindowTracker`` makes the jobs (:mod:`jobs`), of which the work may be done in another process,
-and decides on their outcomes. Jobs are made one after another, each from the running set that the
-one before it left, so the same windows always give the same sets.
+``WindowTracker`` creates the jobs (:mod:`jobs`), which may run in another process, and decides on
+their outcomes. Jobs are created one after another, each from the running set after the previous
+one. The same windows therefore always give the same sets.
 """
 
 from __future__ import annotations
@@ -53,20 +53,19 @@ from mr_damper_ros.tracking.screening import Screening
 from mr_damper_ros.tracking.window_assembler import RawWindow
 
 OF_THE_SET = "auto"
-"""The law is that of the set to start from."""
+"""Option value: the law is that of the initial set."""
 
 
 _GROWTH = 1.5
-"""Another global identification is worth while where so many times the operating points are known.
-"""
+"""Growth of the number of operating points that makes another global identification worthwhile."""
 
 
 _SEVERAL = 3
-"""So many windows of one motion establish the shape of its force, and so many that the law over the
-current does not explain are worth another search."""
+"""Number of windows of one motion that establish the shape of its force; also the first number of
+windows, unexplained by the law's dependence on the current, that triggers another search."""
 
 _OF_SENSORS = (Verdict.FAULT_OF_DATA, Verdict.DISTURBED, Verdict.BEYOND_LIMITS)
-"""What may be the fault of a sensor says nothing of two sets."""
+"""Verdicts that a sensor fault may cause. Such a window does not decide between two sets."""
 
 
 @dataclass(frozen=True)
@@ -129,12 +128,12 @@ class TrackerSettings(CheckedSettings):
 
     @property
     def law(self) -> str:
-        """Name of the force law where nothing is known of the damper."""
+        """Name of the force law if there are no initial parameters."""
         return DEFAULT_MODEL if self.model == OF_THE_SET else self.model
 
     @property
     def fit_options(self) -> FitOptions:
-        """What a job is told of them."""
+        """The settings that a job needs."""
         return FitOptions(
             self.method,
             self.robust,
@@ -145,9 +144,9 @@ class TrackerSettings(CheckedSettings):
         )
 
     def following(self, initial: ParameterSet) -> TrackerSettings:
-        """The settings with the law of the set to start from.
+        """The settings with the law of the initial set.
 
-        Raises ParameterError where another law is asked for.
+        Raises ParameterError if the settings name another law.
         """
         if self.model != OF_THE_SET:
             initial.of_model(self.model)
@@ -157,18 +156,23 @@ class TrackerSettings(CheckedSettings):
 
 @dataclass(eq=False)
 class TrackerMemory(Experience):
-    """All of a tracker but its settings and its running set; see ``WindowTracker``.
+    """State of a tracker without its settings and its running set; see ``WindowTracker``.
 
-    ``windows`` judged so far (they number the sets); ``accepted`` since the start or reset;
-    ``accepted_since_global``: good windows since the last global identification, whether their set
-    was taken or the one in use confirmed; ``state`` of the recursive filter; ``watch`` for changes;
-    ``changed_ns``: begin of the last sudden change; ``searched_points``: operating points that the
-    last global identification had; ``scales`` seen in motions that were no sine;
-    ``global_patience``: good windows until the next search; ``other_damper``: whether the damper
-    may be another one than that of the running set; ``motion`` of the newest good windows;
-    ``unexplained_windows``: windows whose dependence on the current the law did not explain since
-    the last search, and ``unexplained_patience``: after how many the next one follows, 0 for the
-    usual number.
+    - ``windows``: number of windows judged so far, which numbers the sets;
+    - ``accepted``: number of windows accepted since the start or reset;
+    - ``accepted_since_global``: number of good windows since the last global identification, whose
+      set was accepted or which confirmed the running set;
+    - ``state``: state of the recursive filter;
+    - ``watch``: state of the change detection;
+    - ``changed_ns``: stamp of the start of the last sudden change;
+    - ``searched_points``: number of operating points in the last global identification;
+    - ``scales``: force scales in motions other than a sine;
+    - ``global_patience``: number of good windows until the next search;
+    - ``other_damper``: whether the damper may differ from that of the running set;
+    - ``motion``: motion of the newest good windows;
+    - ``unexplained_windows``: number of windows since the last search that the law's dependence on
+      the current did not explain;
+    - ``unexplained_patience``: number of such windows until the next search, 0 for the default.
     """
 
     windows: int = 0
@@ -187,14 +191,14 @@ class TrackerMemory(Experience):
 
 
 class WindowTracker:
-    """The running parameter set and all that is needed to judge the next one."""
+    """The running parameter set, and the records that the acceptance test needs."""
 
     def __init__(
         self, settings: TrackerSettings | None = None, initial: ParameterSet | None = None
     ) -> None:
-        """``initial``: that of the law in the settings where none is given.
+        """Start with the set ``initial``; None takes the start set of the law in the settings.
 
-        See :meth:`TrackerSettings.following` for what it raises.
+        Raises ParameterError as :meth:`TrackerSettings.following` does.
         """
         settings = settings or TrackerSettings()
         initial = initial or start_set(settings.law)
@@ -206,7 +210,7 @@ class WindowTracker:
 
     @property
     def memory(self) -> TrackerMemory:
-        """All that has been learnt besides the running set, as it is now."""
+        """A copy of the present state, without the running set."""
         return replace(self._now)
 
     def _remember(self, memory: TrackerMemory) -> None:
@@ -214,15 +218,15 @@ class WindowTracker:
         self._now.unexplained_patience = memory.unexplained_patience or _SEVERAL
         self._gatekeeper = Gatekeeper(self._settings.acceptance, self._now)
         self._seen_ns = 0
-        # Whether the law over the current does not explain the newest window.
+        # Whether the law's dependence on the current fails to explain the newest window.
         self._unexplained = False
-        # A set of a search, or of a surprising window, that the next window must confirm.
+        # A set of a search, or of a large sudden change, that the next window must confirm.
         self._rival: ParameterSet | None = None
 
     def resume(self, parameters: ParameterSet, memory: TrackerMemory) -> None:
-        """Go on where another tracker was, which may have had other settings.
+        """Continue from the state of another tracker, which may have had other settings.
 
-        Raises ParameterError where the set is of another model.
+        Raises ParameterError if the set belongs to another law.
         """
         self.parameters = parameters.of_model(self._settings.model)
         self._remember(memory)
@@ -232,11 +236,11 @@ class WindowTracker:
             self._now.watch = None
 
     def _start_again(self) -> None:
-        # The number of windows names the sets, so it goes on.
+        # The number of windows is part of the names of sets, so it continues.
         self._remember(TrackerMemory(windows=self._now.windows))
 
     def _forget_scales(self) -> None:
-        """What was known of the scales went with another set."""
+        """Discard the states of the filter and the change detection, which belong to another set."""
         self._now.state = None
         self._now.watch = None
         self._now.changed_ns = 0
@@ -248,40 +252,43 @@ class WindowTracker:
 
     @property
     def points(self) -> KnownPoints:
-        """What is known at each operating point, with the windows for the global identification."""
+        """The records of the operating points, with the windows for the global identification."""
         return self._now.points
 
     def reset(self) -> None:
-        """Back to the initial set; baselines and reservoir are forgotten."""
+        """Return to the initial set; baselines and reservoir are discarded."""
         self.parameters = self._initial
         self._start_again()
-        # Who resets says that what was known of the damper need not hold any more.
+        # A reset may mean that the damper was replaced.
         self._now.other_damper = True
 
     def replace(self, parameters: ParameterSet) -> None:
-        """Run with this set (loaded by the user) from now on; it also starts a new baseline.
+        """Use this set, loaded by the user, from now on; the records and baselines start anew.
 
-        Raises ParameterError where the set is of another model.
+        Raises ParameterError if the set belongs to another law.
         """
         self.parameters = parameters.of_model(self._settings.model).as_given()
         self._start_again()
 
     @one_thread()
     def follow(self, window: RawWindow) -> Report | None:
-        """Fit a window, or take a look, in this process; None of a look that changes nothing."""
+        """Fit a window, or run a change check, in this process.
+
+        Returns None for a change check without an early fit.
+        """
         job = self.job_of(window)
         return self.complete(job, run(job))
 
     @one_thread()
     def identify(self, evolution: EvolutionSettings | None = None) -> Report:
-        """Identify globally, from the reservoir, in this process; see :meth:`search`."""
+        """Run a global identification of the reservoir in this process; see :meth:`search`."""
         job = self.search(evolution)
         return self._complete_search(job, run(job))
 
     def job_of(self, window: RawWindow) -> Job:
-        """The job of a window or a look, starting from the running set."""
+        """The job of a window fit or a change check, starting from the running set."""
         if window.end_ns < self._now.changed_ns:
-            self._now.changed_ns = 0  # time was set back
+            self._now.changed_ns = 0  # the clock was set back
         return Job(
             self.parameters,
             self._settings.fit_options,
@@ -297,8 +304,8 @@ class WindowTracker:
     def search(self, evolution: EvolutionSettings | None = None, *, asked: bool = True) -> Job:
         """The job of a global identification of the reservoir, with other settings if given.
 
-        ``asked``: somebody asked for it, so what is accepted is in use at once; else, while the
-        running set is good, only once the next window confirms it.
+        An accepted set of a requested search (``asked``) is used at once. Otherwise, while the
+        running set is good, the next window must confirm it.
         """
         self._now.accepted_since_global = 0
         self._now.unexplained_windows = 0
@@ -317,9 +324,9 @@ class WindowTracker:
         )
 
     def complete(self, job: Job, outcome: Outcome) -> Report | None:
-        """Judge the outcome of a job and, if it is accepted, run with it.
+        """Judge the outcome of a job, and use its set if it is accepted.
 
-        None for a look that led to no early fit.
+        Returns None for a change check without an early fit.
         """
         complete = {
             Kind.WINDOW: self._complete_window,
@@ -343,7 +350,7 @@ class WindowTracker:
         return replace(report, fluid=self._fluid_temperature(job, outcome))
 
     def _judge_with_rival(self, job: Job, outcome: Outcome) -> Judgement:
-        """Judge a window; a rival that predicts it better is in use from then on."""
+        """Judge a window; a rival that predicts it better is used from then on."""
         rival, running = job.rival, self.parameters
         if rival is None:
             return self._judge(job, outcome)
@@ -359,7 +366,7 @@ class WindowTracker:
         return judgement
 
     def _judge(self, job: Job, outcome: Outcome) -> Judgement:
-        """Judge a window, and take over what it brings."""
+        """Judge a window, and update the running set and the records."""
         fit, evidence, summary, parts = (
             outcome.fit,
             outcome.evidence,
@@ -370,7 +377,8 @@ class WindowTracker:
         if fit is None or evidence is None or summary is None:
             return outcome.refusal or fault_of_data("the window could not be fitted")
         if parts is not None and not parts.explained:
-            # Judged before the window is: its own residual is that of a wrong law.
+            # Tested with the residual of the parts, because the window's own residual contains
+            # the error of the law. The residual baseline must not include this window yet.
             self._unexplained = self._gatekeeper.is_usual(parts.rmse, parts.nrmse)
         force = known_force(fit, summary)
         holds = not self._now.other_damper and holds_at(self.parameters, fit.operating_point)
@@ -392,7 +400,7 @@ class WindowTracker:
             objection=partial(implausible, found),
         )
         if self._unexplained and judgement.verdict is Verdict.DISTURBED:
-            # The law is at fault, not the samples: a set that is still good is confirmed.
+            # The error is in the law, not in the samples, so a good running set is confirmed.
             good = evidence.nrmse_before <= STILL_GOOD
             judgement = Judgement(
                 Verdict.NO_BETTER if good else Verdict.POOR_FIT,
@@ -401,12 +409,12 @@ class WindowTracker:
                 usual=False,
             )
         if judgement.teaches:
-            # All but the running set learns from every good window; that from those that help.
+            # The records learn from every good window, the running set only from accepted ones.
             self._now.state = outcome.state
             self._now.watch = self._now.watch or outcome.watch
             self._now.motion = self._now.motion.followed_by(summary)
             if parts is None or parts.explained:
-                # A wrong law over the current is nothing to compare other windows with.
+                # A fit with a wrong dependence on the current is not a suitable baseline.
                 self._now.points = self.points.with_baseline(fit)
         if judgement.verdict.accepted:
             self._now.watch = outcome.watch
@@ -425,13 +433,13 @@ class WindowTracker:
         return judgement
 
     def _paused_before(self, window: RawWindow) -> bool:
-        """Whether a window has no sample in common with those before it; it is the last now."""
+        """Whether a window shares no samples with the previous one; it becomes the previous one."""
         paused = not window.start_ns <= self._seen_ns <= window.end_ns
         self._seen_ns = window.end_ns
         return paused
 
     def _fluid_temperature(self, job: Job, outcome: Outcome) -> FluidTemperature:
-        """Learn from a window whose temperature was measured; estimate that of any other."""
+        """Learn from a measured temperature; without a measurement, estimate the temperature."""
         assert outcome.fit is not None
         point, celsius = outcome.fit.operating_point, job.samples.temperature
         if math.isnan(celsius):
@@ -441,7 +449,7 @@ class WindowTracker:
         return FluidTemperature()
 
     def _complete_look(self, job: Job, outcome: Outcome) -> Report | None:
-        """Take in what a look has seen; a report where it led to an early fit that is in use."""
+        """Process a change check; returns a report if an early fit is accepted, else None."""
         self._now.watch = outcome.watch or self._now.watch
         raw = job.samples
         paused = self._paused_before(raw)
@@ -465,10 +473,10 @@ class WindowTracker:
         self.parameters = found
         self._gatekeeper.follow_change(evidence)
         self._now.state = outcome.state
-        # A law that is not exact swings about the force: the next change shows against a window.
+        # The residual of an inexact law oscillates, so change detection restarts after a window.
         self._now.watch = None
         if not paused:
-            # Nothing warms or cools so fast: the same force now means another temperature.
+            # Temperature does not change so fast, so its relation to the force has changed.
             self._now.points = self.points.without_temperatures()
         length = round((fit.sample_count - 1) * raw.period * NANOSECONDS)
         self._now.changed_ns = raw.end_ns - length
@@ -478,7 +486,7 @@ class WindowTracker:
             f"t = {self._now.changed_ns / NANOSECONDS:.2f} s: fitted early",
         )
         report = report_of(job, outcome, judgement, set_id, global_due=self._global_is_due())
-        # One factor says nothing of the coefficients' own errors.
+        # A single factor does not determine the errors of the coefficients.
         unknown = np.full_like(report.coefficients, math.nan)
         return replace(report, coefficient_errors=unknown, coefficient_discrepancies=unknown)
 
@@ -494,8 +502,9 @@ class WindowTracker:
         common = self._model.places(self._model.common_names)
         known = bool(self.parameters.observable[common].any())
         if common.size and has_grown and (not known or 0 < now.searched_points < now.accepted):
-            # No window fit finds a lag, a stiffness or an offset. One operating point does, but it
-            # may be a poor one: the next few may correct what it has led to.
+            # Window fits do not determine a lag, a stiffness or an offset; a global identification
+            # of one operating point does. That point may be a poor one, so searches at the next
+            # points may correct the result.
             return now.accepted_since_global > 0 and now.accepted <= period
         return (
             self._now.accepted_since_global >= min(period, self._now.global_patience) and points > 1
@@ -505,7 +514,7 @@ class WindowTracker:
         judgement = self._judge_search(job, outcome)
         waits = judgement.verdict is Verdict.UNCONFIRMED
         found = judgement.verdict.accepted or waits
-        # A law that cannot follow the current is not searched for again and again.
+        # If the law cannot follow the current, the searches become rarer.
         self._now.unexplained_patience = _SEVERAL if found else 2 * self._now.unexplained_patience
         if found and outcome.found is not None:
             found_set = replace(
