@@ -1,1 +1,1 @@
-"""Fits of windows and of many runs, with errors, observability and the design of experiments."""
+"""Fits of windows and runs, with standard errors, observability and experiment design."""

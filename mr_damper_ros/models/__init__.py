@@ -1,6 +1,6 @@
-"""Force laws of MR dampers behind one interface, their parameters, and sets of these.
+"""Force laws of MR dampers with one interface, their parameters, and parameter sets.
 
-A new law is one class here and one line in :data:`MODELS`.
+To add a law, write one class in this package and add one line to :data:`MODELS`.
 """
 
 from mr_damper_ros.models.bouc_wen import BoucWen, ModifiedBoucWen
@@ -25,4 +25,4 @@ MODELS: dict[str, Model] = {
         ExtendedSigmoidModel(),
     )
 }
-"""Models by name, in the order of the thesis' review (table 2)."""
+"""Models by name, in the order of the review in the thesis (table 2)."""

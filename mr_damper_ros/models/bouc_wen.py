@@ -1,15 +1,17 @@
-"""The Bouc-Wen model of an MR damper and the modified one, integrated stably at any sample period.
+"""The Bouc-Wen model and the modified one, integrated stably at any sample period.
 
 Spencer, Dyke, Sain and Carlson, J. Engineering Mechanics 123, 1997; thesis eq. 1-6. The published
-parameters A, beta, gamma and alpha hold one too many: z and alpha can be scaled against each other
-(Ma, Zhang, Bockstedte, Foliente and Paevere, J. Applied Mechanics 71, 2004). Here |z| tends to 1:
+parameters A, beta, gamma and alpha are redundant by one: z and alpha can be scaled against each
+other (Ma, Zhang, Bockstedte, Foliente and Paevere, J. Applied Mechanics 71, 2004). Here |z| tends
+to 1, with the driving velocity w:
 
-    dz/dt = (w - |z|^n (share w + (1 - share) |w| sgn z)) / yield_length,    w the driving velocity
+    dz/dt = (w - |z|^n (share w + (1 - share) |w| sgn z)) / yield_length
 
-so A = 1/yield_length, beta = share A, gamma = (1 - share) A, and alpha is the force of full yield.
+This gives A = 1/yield_length, beta = share A, gamma = (1 - share) A, and alpha is the force at full
+yield.
 
-A step is an exponential Rosenbrock-Euler step: exact for an equation linear in z, of second order;
-that |z| never exceeds 1 is kept, so it is stable for any period.
+A step is an exponential Rosenbrock-Euler step. It is of second order and exact for an equation
+linear in z. It keeps |z| at most 1, so it is stable for any period.
 """
 
 from __future__ import annotations
@@ -43,23 +45,26 @@ HYSTERESIS = (
     Coefficient("share", "1", 0.0, 1.0, meaning="share of the loop that unloads elastically"),
     Coefficient("n", "1", 1.0, 6.0, meaning="sharpness of the yield"),
 )
-"""The coefficients of the hysteresis; force and width follow the current."""
+"""Coefficients of the hysteresis; force and yield length depend on the current."""
 
 _YIELDS = 10.0
-"""So many times the way to the yield, and a hysteresis has forgotten where it began."""
+"""Travel in yield lengths after which a hysteresis no longer depends on its initial state."""
 
 _STEEPEST = 60.0
 _SMALL_RATE = 1e-4
 
 
 def memory_length(model: Model, parameters: Array, current: float) -> float:
-    """Way [m] after which a law with a hysteresis has forgotten the past: it knows no time."""
+    """Travel [m] after which the initial state of a hysteresis has no effect.
+
+    The memory of a hysteresis depends on travel, not on time.
+    """
     place = model.coefficient_names.index("yield_length")
     return _YIELDS * float(model.coefficients_at(parameters, 0.0, current)[place, 0])
 
 
 def relaxation(rate: float) -> float:
-    """(e^x - 1)/x, 1 at x = 0; growth within a step is bounded."""
+    """(e^x - 1)/x, and 1 at x = 0; x is limited so that growth within a step is bounded."""
     x = min(max(rate, -_STEEPEST), 1.0)
     return math.expm1(x) / x if x != 0.0 else 1.0
 
@@ -73,9 +78,9 @@ def hysteresis_step(
     power: float,
     period: float,
 ) -> float:
-    """State z after one step at the velocity w; ``back`` is minus the derivative of w by z.
+    """State z after one step at the velocity w; ``back`` is -dw/dz.
 
-    A run has thousands of steps, so nothing is called here that plain comparisons can do.
+    A run has thousands of steps, so the function uses comparisons instead of calls where it can.
     """
     size, sign = (z, 1.0) if z > 0.0 else (-z, -1.0) if z < 0.0 else (0.0, 0.0)
     along = sign if w > 0.0 else -sign if w < 0.0 else 0.0
@@ -88,7 +93,7 @@ def hysteresis_step(
     elif x > 1.0:
         x = 1.0
     moved = z + period * gain * w * (math.expm1(x) / x if x != 0.0 else 1.0)
-    # The exact solution never leaves this range, which a step much longer than the yield could.
+    # The exact solution stays in this range; a step much longer than the yield could leave it.
     return 1.0 if moved > 1.0 else -1.0 if moved < -1.0 else moved
 
 
@@ -102,10 +107,10 @@ def follow_yield(
     z: float,
     last: float,
 ) -> tuple[float, float]:
-    """The last z and the last velocity of a hysteresis that the rod drives; fills z (n,)."""
+    """Follow a hysteresis driven by the rod; fills z (n,) and returns the last z and velocity."""
     for k in range(len(velocity)):
         v = velocity[k]
-        if z != z:  # NaN: a start
+        if z != z:  # NaN marks a start
             z = 0.0
         else:
             z = hysteresis_step(z, 0.5 * (v + last), 0.0, lengths[k], share, power, period)
@@ -126,20 +131,20 @@ def follow_inner_point(
     s: float,
     last: float,
 ) -> tuple[float, float, float]:
-    """The last z, s and velocity where a hysteresis and a damper are in series with another.
+    """Follow a hysteresis and a damper in series with another damper.
 
-    Fills the velocity (n,) [m/s] of the point between. ``numbers`` (n, 5): damping beside the
-    hysteresis and both dampings [N s/m], force of full yield [N], what half a step of s is to its
-    rate [s], way to the yield [m].
+    Fills the velocity (n,) [m/s] of the point between them and returns the last z, s and velocity.
+    ``numbers`` (n, 5): damping parallel to the hysteresis and sum of both dampings [N s/m], force
+    at full yield [N], ratio of a half step of s to its rate [s], yield length [m].
     """
     for k in range(len(velocity)):
         v = velocity[k]
         c0, both, alpha = numbers[k][0], numbers[k][1], numbers[k][2]
         easing, length = numbers[k][3], numbers[k][4]
-        if z != z:  # NaN: a start
+        if z != z:  # NaN marks a start
             z = s = 0.0
         else:
-            # Strang's splitting: half a step of s, a step of z, half a step of s.
+            # Strang splitting: half a step of s, a step of z, half a step of s.
             w = 0.5 * (v + last)
             s += easing * (w - (alpha * z + c0 * w + k0 * s) / both)
             slip = w - (alpha * z + c0 * w + k0 * s) / both
@@ -151,9 +156,9 @@ def follow_inner_point(
 
 
 class StepDerivatives(NamedTuple):
-    """What a step keeps of z, and what it adds by the way to the yield, the share and the power.
+    """Derivatives of a step: by the state before, the yield length, the share and the power.
 
-    Each of shape (n,); the first belongs to the start, which is at rest.
+    Each has shape (n,); the first element belongs to the start at rest.
     """
 
     kept: Array
@@ -165,16 +170,16 @@ class StepDerivatives(NamedTuple):
 def step_derivatives(
     z: Array, velocity: Array, length: Array, share: Array, power: Array, period: float
 ) -> StepDerivatives:
-    """Derivatives of :func:`hysteresis_step` along the states z (n,), each after its step.
+    """Derivatives of :func:`hysteresis_step` along the states z (n,) after each step.
 
-    The driving velocity is the mean of two samples, and does not depend on z.
+    The driving velocity is the mean of two samples and does not depend on z.
     """
     before = np.concatenate(([0.0], z[:-1]))
     w = np.concatenate(([0.0], 0.5 * (velocity[1:] + velocity[:-1])))
     size, sign = np.abs(before), np.sign(before)
     along = sign * np.sign(w)
     towards = share + (1.0 - share) * along
-    # At z = 0 nothing bends; its logarithm would be none.
+    # At z = 0 the power and its logarithm have no effect; 1 avoids an infinite logarithm.
     some = np.where(size > 0.0, size, 1.0)
     here = np.where(size > 0.0, 1.0, 0.0)
     raised, less, log = size**power, here * some ** (power - 1.0), here * np.log(some)
@@ -200,7 +205,7 @@ def step_derivatives(
         -raised * log * towards / length,
         -period * w * less * (1.0 + power * log) * sign * towards / length,
     )
-    # Where the step was held at full yield nothing moves it.
+    # A step limited to full yield has no derivative.
     moves = np.abs(z) < 1.0
     moves[0] = False
     return StepDerivatives(*(moves * part for part in (kept, by_length, by_share, by_power)))
@@ -228,14 +233,14 @@ class BoucWen(DifferentiatedModel):
     def force_at(
         self, coefficients: Sequence[Array], motion: Motion, period: float, state: State | None
     ) -> tuple[Array, State]:
-        """Force [N]; remembered are z and the velocity of the last sample."""
+        """Force [N]; the state holds z and the velocity of the last sample."""
         damping, stiffness, offset, strength, *hysteresis = coefficients
         z, kept = integrated(_yielded, hysteresis, motion, period, state, self.memory)
         viscous = damping * motion.velocity + stiffness * motion.displacement
         return np.asarray(viscous + offset + strength * z), kept
 
     def memory_length(self, parameters: Array, current: float) -> float:
-        """Some ways to the yield."""
+        """A multiple of the yield length."""
         return memory_length(self, parameters, current)
 
     @as_machine_code()
@@ -243,7 +248,7 @@ class BoucWen(DifferentiatedModel):
     def window_derivatives(
         self, window: Window, parameters: Array, columns: Sequence[int]
     ) -> Array:
-        """Derivatives (n, p) of :meth:`window_force` by the parameters of some columns."""
+        """Derivatives (n, p) of :meth:`window_force` with respect to parameters ``columns``."""
         motion, period, values, chain = along(self, window, parameters, columns)
         strength, length, share, power = values[3:]
         z = _yielded([length, share, power], motion, period, [math.nan, math.nan])
@@ -255,7 +260,7 @@ class BoucWen(DifferentiatedModel):
         return at_samples(window, result)
 
     def starts_at_one_current(self, reading: LoopReading) -> Array:
-        """Mostly yield, after a twentieth or a fifth of the amplitude."""
+        """Mainly yield force, with a yield length of a twentieth or a fifth of the amplitude."""
         force, middle, speed, amplitude = reading
         return np.array(
             [
@@ -304,17 +309,17 @@ class ModifiedBoucWen(CurrentDependentModel):
     def force_at(
         self, coefficients: Sequence[Array], motion: Motion, period: float, state: State | None
     ) -> tuple[Array, State]:
-        """Force [N]; remembered are z, the inner spring's length and the last velocity."""
+        """Force [N]; the state holds z, deflection of the inner spring and last velocity."""
         outer_damping, stiffness, offset = coefficients[2:5]
         inner, kept = integrated(_inner_velocity, coefficients, motion, period, state, self.memory)
         return np.asarray(outer_damping * inner + stiffness * motion.displacement + offset), kept
 
     def memory_length(self, parameters: Array, current: float) -> float:
-        """Some ways to the yield."""
+        """A multiple of the yield length."""
         return memory_length(self, parameters, current)
 
     def starts_at_one_current(self, reading: LoopReading) -> Array:
-        """Mostly yield, early or late, in series with a soft or a stiff damper."""
+        """Mainly yield force, with a short or long yield length and a soft or stiff damper."""
         force, middle, speed, amplitude = reading
         viscous = force / speed
         return np.array(
@@ -332,10 +337,10 @@ def _inner_velocity(
 ) -> Array:
     """Velocity [m/s] of the inner point, shape (n,).
 
-    The memory holds z, the displacement s of the rod against the inner point, and the velocity of
-    the last sample. Only s enters the equations, so the centre of the motion may move.
+    The memory holds z, the displacement s of the rod relative to the inner point, and the last
+    velocity. Only s enters the equations, so the centre of the motion may move.
     """
-    # The dampings, the force of full yield and the way to it may follow the current.
+    # The dampings, the force at full yield and the yield length may depend on the current.
     c0s, c1s, alphas, lengths = (coefficients[place] for place in (0, 2, 5, 6))
     k0, share, power = (float(coefficients[place][0]) for place in (1, 7, 8))
     rates = -0.5 * period * k0 / (c0s + c1s)

@@ -1,13 +1,13 @@
-"""Laws written for one current, made laws for all: each coefficient follows the current.
+"""Extends laws for one current to all currents: each coefficient depends on the coil current.
 
-A coefficient that cannot be negative grows in proportion, c (1 + c_1 i + c_2 i²), so that a damper
-which loses its strength loses the same part of it at every current; one of either sign is shifted,
-c + c_1 i + c_2 i². Linear or quadratic is what the literature uses (Spencer, Dyke, Sain and
-Carlson, 1997; Kwok, Ha, Nguyen, Li and Samali, 2006); where more currents tell how a force
-saturates, a third power follows. A parameter file with the coefficients of one current alone means
-that they depend on no current.
+A coefficient that cannot be negative is multiplied, c (1 + c_1 i + c_2 i²). A damper that loses
+strength then loses the same fraction at every current. A coefficient of either sign is shifted, c +
+c_1 i + c_2 i². The literature uses linear or quadratic dependence (Spencer, Dyke, Sain and Carlson,
+1997; Kwok, Ha, Nguyen, Li and Samali, 2006). A cubic term is added where more currents show how a
+force saturates. A parameter file that contains only the coefficients of one current describes
+coefficients that do not depend on the current.
 
-The current that counts is that of the coil, see :mod:`first_order_lag`.
+The current is that of the coil, see :mod:`first_order_lag`.
 """
 
 from __future__ import annotations
@@ -44,19 +44,20 @@ from mr_damper_ros.models.quantities import (
 from mr_damper_ros.signals.arrays import Array
 
 _GROWTH = 100.0
-"""Plausible growth of a coefficient over the range of the current: up to so many times."""
+"""Largest plausible ratio of growth of a coefficient over the current range."""
 
 _FAINTEST = 0.01
-"""A coefficient that grows is at no current at least this part of what it is on average."""
+"""Lower limit of a multiplied coefficient at zero current, relative to its mean over the currents.
+"""
 
 _ORDER = (("", ""), ("_1", "/A"), ("_2", "/A²"), ("_3", "/A³"))
 
 
 @dataclass(frozen=True)
 class Coefficient:
-    """A coefficient of a law at one current: its unit, its bounds, what it means.
+    """A coefficient of a law at one current: its unit, bounds and meaning.
 
-    ``degree`` is that of the polynomial in the current that it follows.
+    ``degree`` is the degree of the polynomial of its current dependence.
     """
 
     name: str
@@ -73,7 +74,7 @@ class Coefficient:
 
     @property
     def dependence(self) -> tuple[Parameter, ...]:
-        """The parameters of its dependence on the current."""
+        """The parameters of its current dependence."""
         return tuple(
             Parameter(
                 f"{self.name}{suffix}",
@@ -86,11 +87,11 @@ class Coefficient:
 
 
 class CurrentDependentModel(Model):
-    """A law of the coefficients of one current, and how these follow the current."""
+    """A law with coefficients at one current, and the current dependence of these coefficients."""
 
     at_one_current: ClassVar[tuple[Coefficient, ...]] = ()
     memory: ClassVar[int] = 0
-    """Arrays of the law's own state."""
+    """Number of arrays in the state of the law itself."""
 
     def __init_subclass__(cls, **options: Any) -> None:
         """Derive the parameters from the coefficients."""
@@ -115,7 +116,7 @@ class CurrentDependentModel(Model):
         cls._orders = tuple(tuple(indices[p.name] for p in group) for group in groups)
 
     _orders: ClassVar[tuple[tuple[int, ...], ...]]
-    """Places of the parameters of each coefficient's dependence, linear first."""
+    """Indices of the parameters of each coefficient's current dependence, linear term first."""
 
     @abstractmethod
     def force_at(
@@ -125,17 +126,17 @@ class CurrentDependentModel(Model):
 
     @abstractmethod
     def starts_at_one_current(self, reading: LoopReading) -> Array:
-        """Starts (k, c) for the coefficients, from what can be read off a record."""
+        """Start values (k, c) of the coefficients, derived from a loop reading."""
 
     def starts(self, reading: LoopReading) -> Array:
-        """Those at one current, without any dependence."""
+        """The start values at one current, without current dependence."""
         plain = self.starts_at_one_current(reading)
         return np.hstack([plain, np.zeros((len(plain), len(self.parameters) - plain.shape[1]))])
 
     def follow(
         self, parameters: Array, motion: Motion, current: Array, period: float, state: State | None
     ) -> tuple[Array, State]:
-        """Force [N]; where the coil lags, the state ends with its and the supply's current."""
+        """Force [N]; with a coil lag the state ends with the supply current and coil current."""
         time_constant = parameters[..., -1]
         lags = bool(np.any(time_constant > 0.0))
         own = None if state is None else state[: self.memory]
@@ -148,7 +149,7 @@ class CurrentDependentModel(Model):
         return force, (*kept, np.full(shape, current[-1]), in_coil[..., -1])
 
     def current_response(self, parameters: Array) -> CurrentResponse:
-        """Force over the current, by the coefficients at all currents at once."""
+        """Force over the current; the coefficients are computed at all currents at once."""
         return _CurrentResponse(self, parameters)
 
     def window_force(self, window: Window, parameters: Array) -> Array:
@@ -156,7 +157,7 @@ class CurrentDependentModel(Model):
         time_constant = parameters[..., -1]
         if self.remembers or not coil_shows(window, float(np.max(time_constant))):
             return super().window_force(window, parameters)
-        # The law itself forgets: only the current is followed through the history.
+        # The law has no memory, so only the current is followed through the history.
         history = window.history
         late = coil_current(history.current, time_constant, history.period, None)
         in_coil = np.moveaxis(history.at_samples(np.moveaxis(late, -1, 0)), 0, -1)
@@ -164,16 +165,16 @@ class CurrentDependentModel(Model):
         return self.force_at(values, window.motion, history.period, None)[0]
 
     def settled(self, window: Window, parameters: Array | None) -> np.ndarray:
-        """Mask (n,) of samples at which law and coil have forgotten what came before the window."""
+        """Mask (n,) of samples at which law and coil are independent of earlier motion."""
         coil = 0.0 if parameters is None else float(parameters[-1])
         return super().settled(window, parameters) & ~coil_unsettled(window, coil)
 
     def needs_past(self, window: Window) -> bool:
-        """Where the law remembers, or the coil may: the current changes."""
+        """True if the law has memory, or if the coil may have: the current changes."""
         return self.remembers or not window.has_constant_current
 
     def number_at(self, values: Sequence[float], place: int, current: float) -> float:
-        """One coefficient of a set (p,) at one current [A], in plain numbers."""
+        """One coefficient of a set (p,) at one current [A], in floating-point scalars."""
         change = 0.0
         for column in self._orders[place][::-1]:
             change = (change + values[column]) * current
@@ -186,7 +187,7 @@ class CurrentDependentModel(Model):
         """The coefficients, each (..., n or 1), at currents (n,) or (..., n)."""
         if np.all(current == current[..., :1]):
             current = current[..., :1]
-        if parameters.ndim == 1 and current.size == 1:  # in plain numbers, as windows ask often
+        if parameters.ndim == 1 and current.size == 1:  # scalar code, because windows ask often
             values, one = parameters.tolist(), float(current.item())
             return [
                 np.full(current.shape, self.number_at(values, place, one))
@@ -209,12 +210,12 @@ class CurrentDependentModel(Model):
         return np.clip(value, coefficient.low, coefficient.high)
 
     def dependences(self, parameters: Array, current: Array, by_coil: Array) -> Array:
-        """Derivatives (c, n, p) of the coefficients at currents (n,) [A] by the parameters (p,).
+        """Derivatives (c, n, p) of the coefficients at currents (n,) [A] for parameters (p,).
 
-        ``by_coil`` (n,): those of the current by the coil's time constant [A/s]. A coefficient that
-        its bounds hold does not change.
+        ``by_coil`` (n,): derivative of the current with respect to the coil's time constant [A/s].
+        The derivative of a coefficient at its bound is zero.
         """
-        # Each column lies together in memory.
+        # Each column is contiguous in memory.
         result = np.zeros((len(self.at_one_current), parameters.size, current.size))
         result = result.swapaxes(1, 2)
         for place, coefficient in enumerate(self.at_one_current):
@@ -244,13 +245,13 @@ class CurrentDependentModel(Model):
     def coefficient_gradient(
         self, parameters: Array, peak_velocity: float, current: float
     ) -> Array:
-        """Derivatives (c, p) of the coefficients at one current by the parameters."""
+        """Derivatives (c, p) of the coefficients at one current with respect to the parameters."""
         return self.dependences(parameters, np.array([current]), np.zeros(1))[:, 0]
 
     def plausible_ranges(
         self, windows: Sequence[Window], top_velocity: float, top_current: float
     ) -> dict[str, tuple[float, float]]:
-        """Ranges of the dependences on the current, and of the coil's time constant."""
+        """Plausible ranges of the current dependences and of the coil's time constant."""
         readings = [LoopReading.of(window) for window in windows]
         ranges = {COIL: (0.0, PLAUSIBLE_COIL)}
         for coefficient in self.at_one_current:
@@ -269,7 +270,7 @@ class CurrentDependentModel(Model):
         free: frozenset[str],
         search: LawSearch,
     ) -> Array:
-        """Weighted linear least squares over the current, coefficient by coefficient."""
+        """Weighted linear least squares over the current for each coefficient."""
         values = np.array(start, dtype=float)
         for place, coefficient in enumerate(self.at_one_current):
             if coefficient.name not in free:
@@ -290,7 +291,7 @@ class CurrentDependentModel(Model):
             basis = np.stack([fixed, *powers], axis=-1) * weights[:, np.newaxis]
             found = np.linalg.lstsq(basis, weights * target, rcond=None)[0]
             if coefficient.grows:
-                # What is nothing at no current could not grow.
+                # A coefficient that is zero at zero current could not grow.
                 least = max(coefficient.low, _FAINTEST * float(np.mean(np.abs(target))), 1e-12)
                 found[0] = max(found[0], least)
                 found[1:] /= found[0]
@@ -300,7 +301,7 @@ class CurrentDependentModel(Model):
     def draw_shape(
         self, rng: np.random.Generator, top_velocity: float, top_current: float
     ) -> dict[str, float]:
-        """Growth to a few times, in a curve that does not turn within the range."""
+        """Growth by a small factor along a curve that is monotonic in the range."""
         drawn = {}
         for coefficient in self.at_one_current:
             if not coefficient.grows:
@@ -320,7 +321,7 @@ class _CurrentResponse(CurrentResponse):
     def forces(
         self, samples: Sequence[MotionSample], current: Array, period: float, state: State | None
     ) -> Array:
-        """Force (n, m) [N], of each current as if it were that of another set."""
+        """Force (n, m) [N]; the currents are treated like different parameter sets."""
         every = np.broadcast_to(current, (len(samples), current.shape[-1])).T
         own = None if state is None else state[: self.model.memory]
         before = None if own is None else tuple(np.broadcast_to(s, len(every)) for s in own)
@@ -332,7 +333,7 @@ class _CurrentResponse(CurrentResponse):
 
 
 Integrate = Callable[[list[Array], Motion, float, list[float]], Array]
-"""Takes coefficients of one set, each (1 or n), and leaves its last state in the list given."""
+"""Integrates one set with coefficients (1 or n) and writes its last state to the given list."""
 
 
 def integrated(
@@ -343,10 +344,10 @@ def integrated(
     state: State | None,
     size: int,
 ) -> tuple[Array, State]:
-    """Integrate the sets one after the other, which beats arrays up to some thirty of them.
+    """Integrate the sets one after the other; arrays are faster only above about thirty sets.
 
-    The coefficients have shape (..., 1 or n); the integrated quantity (..., n) and the state after
-    it are returned. At a start all ``size`` numbers of the state are NaN.
+    The coefficients have shape (..., 1 or n). Returns the integrated quantity (..., n) and the
+    state after it. At a start all ``size`` values of the state are NaN.
     """
     shape = np.broadcast_shapes(*(c.shape[:-1] for c in coefficients))
     every = [np.broadcast_to(c, (*shape, c.shape[-1])) for c in coefficients]
@@ -360,20 +361,20 @@ def integrated(
 
 
 class DifferentiatedModel(CurrentDependentModel):
-    """A law that knows the derivatives of its force.
+    """A law with exact derivatives of its force.
 
-    One that is integrated sample by sample takes as long for each set as for the first: differences
-    would take as many times as long as there are parameters.
+    For a law that is integrated sample by sample, differences would multiply the computation time
+    by the number of parameters.
     """
 
     @abstractmethod
     def window_derivatives(
         self, window: Window, parameters: Array, columns: Sequence[int]
     ) -> Array:
-        """Derivatives (n, c) of the force in a window by the parameters at c places."""
+        """Derivatives (n, c) of the force in a window with respect to c parameters."""
 
     def window_forces(self, windows: Sequence[Window]) -> WindowForces:
-        """With these derivatives."""
+        """Forces with exact derivatives."""
         return _DifferentiatedForces(self, windows)
 
 
@@ -383,20 +384,20 @@ class _DifferentiatedForces(WindowForces):
         self._law = model
 
     def derivatives(self, parameters: Array, columns: Sequence[int]) -> list[Array]:
-        """Derivatives (n, c) of the force of each window by the parameters (p,) at c places."""
+        """Derivatives (n, c) of the force of each window, for parameters (p,), at c places."""
         law = self._law
         return [law.window_derivatives(window, parameters, columns) for window in self.windows]
 
 
 _STEP_OF_COIL = 1e-6
-"""[s], of a difference by the coil's time constant."""
+"""Step [s] of the difference with respect to the coil's time constant."""
 
 
 class Along(NamedTuple):
-    """What a law is differentiated along: the motion, coefficients (n,) each, and their chain.
+    """Input of the sensitivity equations: motion, coefficients (n,) each, and their derivatives.
 
-    ``chain`` (c, n, p): derivatives of the coefficients by the parameters; (c, 1, p) where the
-    current is constant.
+    ``chain`` (c, n, p): derivatives of the coefficients with respect to the parameters; (c, 1, p)
+    at constant current.
     """
 
     motion: Motion
@@ -408,9 +409,9 @@ class Along(NamedTuple):
 def along(
     model: CurrentDependentModel, window: Window, parameters: Array, columns: Sequence[int]
 ) -> Along:
-    """The history of a window at its own pace; of a cycle that has always gone on, two.
+    """Input of the sensitivity equations for a window's history; two periods of a steady cycle.
 
-    The ``chain`` is that of the p parameters of some ``columns``.
+    The ``chain`` contains the p parameters at ``columns``.
     """
     history = window.history.coarse
     motion, current, count = history.motion, history.current, history.current.size
@@ -429,16 +430,16 @@ def along(
 
 
 def at_samples(window: Window, derivatives: Array) -> Array:
-    """Derivatives (m, p) along the history of a window at its samples (n, p)."""
+    """Derivatives (n, p) at the samples, selected from those (m, p) along the history."""
     history = window.history.coarse
     return history.at_samples(derivatives[-history.current.size :])
 
 
 def driven(by: Mapping[int, Array], chain: Array) -> Array:
-    """What steps add by the parameters (n, p), from what they add (n,) by coefficients."""
+    """Excitation (n, p) of the sensitivity equations, from that (n,) of each coefficient."""
     places = list(by)
     if chain.shape[1] == 1:
-        # By columns, which lie together in memory: each is then solved for as it is.
+        # Columns are contiguous in memory, so each can be solved in place.
         return np.asarray(chain[places, 0].T @ np.stack(list(by.values()))).T
     return sum((by[place][:, np.newaxis] * chain[place] for place in places), np.zeros(()))
 

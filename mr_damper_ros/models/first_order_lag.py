@@ -1,9 +1,9 @@
-"""First-order lags of sampled signals, among them that of the coil's current behind the supply's.
+"""First-order lags of sampled signals, such as the lag of the coil current behind the supply.
 
-The time constant may change from sample to sample, as that of the compliance in series with the
-damper does. The field, and with it the force, follows the current in the coil:
-du/dt = -eta (u - v) in Spencer, Dyke, Sain and Carlson (1997); the time constant is 1/eta. Where
-the current is constant the lag of the coil shows nowhere.
+The time constant may change from sample to sample, like that of the compliance in series with the
+damper. The magnetic field, and with it the force, follows the current in the coil: du/dt = -eta (u
+- v) in Spencer, Dyke, Sain and Carlson (1997), with the time constant 1/eta. At constant current
+the lag of the coil has no effect.
 """
 
 from __future__ import annotations
@@ -19,18 +19,17 @@ from mr_damper_ros.models.quantities import Parameter
 from mr_damper_ros.signals.arrays import Array
 
 SETTLING = 7.0
-"""Time constants after which a lag has forgotten its start to a thousandth."""
+"""Number of time constants after which the initial value has decayed to a thousandth."""
 
 _SHORTEST, _LONGEST = 1e-9, 1e9
-"""A time constant of fewer sample periods than the first is none; none counts as more than the
-other."""
+"""Limits of the time constant in sample periods; beyond them it has the effect of the limit."""
 
 
 class _Weights(NamedTuple):
-    """Of a step: time constant [s], period over it, and weights.
+    """Weights of a step, with the mean time constant [s] and its ratio to the period.
 
-    These are of the lagged value before, and of the earlier and the later end of the line between
-    the two samples.
+    The weights apply to the previous lagged value and to the signal at both ends of the step,
+    between which it is linear.
     """
 
     tau: Array
@@ -41,7 +40,7 @@ class _Weights(NamedTuple):
 
     @classmethod
     def of(cls, before: Array, now: Array, period: float) -> _Weights:
-        """Those between two samples with these time constants [s]."""
+        """The weights between two samples with these time constants [s]."""
         tau = (0.5 * (before + now)).clip(_SHORTEST * period, _LONGEST * period)
         ratio = period / tau
         decay = np.exp(-ratio)
@@ -50,16 +49,16 @@ class _Weights(NamedTuple):
 
 
 LagState = tuple[Array, Array, Array]
-"""Of the sample before: the signal, the lagged signal and the time constant [s]."""
+"""State after a sample: signal, lagged signal and time constant [s]."""
 
 
 class FirstOrderLag:
     """First-order lag of signals sampled every ``period`` [s], along their first axis.
 
-    ``time_constant`` (n,) [s] is that at the samples; between two of them their mean holds.
-    Exact where it is constant and the signal linear between samples, whatever the period; a time
-    constant of 0 changes nothing. The lag starts settled, or goes on from ``state``; with
-    ``periodic`` the n samples are one period of the signal.
+    ``time_constant`` (n,) [s] holds at the samples; between two samples their mean holds. The
+    result is exact at any period for a constant time constant and a signal that is linear between
+    samples. A time constant of 0 has no effect. The lag starts settled or continues from ``state``;
+    with ``periodic`` the n samples are one period of the signal.
     """
 
     def __init__(
@@ -82,7 +81,7 @@ class FirstOrderLag:
         self._bands[1, :-1] = -self._decay[1:]
 
     def __call__(self, values: Array) -> Array:
-        """The lagged signal, shape (n,), of one of shape (n,)."""
+        """The lagged signal, shape (n,), of a signal of shape (n,)."""
         driven = self._before * _one_earlier(values) + self._now * values
         if self._state is not None:
             value, late = self._state[0], self._state[1]
@@ -94,9 +93,9 @@ class FirstOrderLag:
     def derivative(
         self, values: Array, lagged: Array, of_values: Array, of_time_constant: Array
     ) -> Array:
-        """Derivatives (n, p) of the lagged signal where signal and time constant have these (n, p).
+        """Derivatives (n, p) of the lagged signal from those of signal and time constant.
 
-        ``values`` (n,) is the signal, ``lagged`` (n,) what :meth:`__call__` made of it.
+        ``values`` (n,) is the signal; ``lagged`` (n,) is the output of :meth:`__call__`.
         """
         mean_slope = self._before / self._tau
         decay_slope = self._decay * self._ratio / self._tau
@@ -106,7 +105,7 @@ class FirstOrderLag:
             - mean_slope * values
         )
         half = 0.5 * by_time_constant
-        # By columns, which lie together in memory. A step has to do with the sample before it.
+        # Columns are contiguous in memory. Each step depends on the previous sample, too.
         driven = (of_values.T * self._now + of_time_constant.T * half).T
         driven[1:] += (of_values[:-1].T * self._before[1:] + of_time_constant[:-1].T * half[1:]).T
         driven[0] += self._before[0] * of_values[-1] + half[0] * of_time_constant[-1]
@@ -130,10 +129,10 @@ class FirstOrderLag:
 def one_sample_later(
     value: float, time_constant: float, period: float, before: float, late: float, constant: float
 ) -> float:
-    """The lagged signal at one sample, in plain numbers; see :class:`FirstOrderLag`.
+    """The lagged signal at one sample in floating-point scalars; see :class:`FirstOrderLag`.
 
-    ``before``, ``late`` and ``constant`` [s]: signal, lagged signal and time constant of the sample
-    before.
+    ``before``, ``late`` and ``constant`` [s]: signal, lagged signal and time constant at the
+    previous sample.
     """
     tau = min(max(0.5 * (constant + time_constant), _SHORTEST * period), _LONGEST * period)
     ratio = period / tau
@@ -142,9 +141,9 @@ def one_sample_later(
 
 
 def next_lagged(values: Array, time_constant: Array, period: float, state: LagState) -> Array:
-    """Lagged values of the one sample after the ``state``, each with its own time constant [s].
+    """Lagged values at the sample after ``state``, each with its own time constant [s].
 
-    All of them broadcast: they are alternatives, and none follows another.
+    The arguments broadcast; the values are alternatives for one sample, not a sequence.
     """
     value, late, constant = state
     weights = _Weights.of(constant, time_constant, period)
@@ -167,8 +166,8 @@ def lagged(
 ) -> Array:
     """Lag of signals of shape (..., n) along their last axis; see :class:`FirstOrderLag`.
 
-    ``time_constant`` [s] has the same shape. ``state``: the last samples before these, their
-    lagged values and their time constants, each of shape (...).
+    ``time_constant`` [s] has the same shape. ``state``: previous samples, their lagged values and
+    their time constants, each of shape (...).
     """
     result = np.empty(values.shape)
     for place in np.ndindex(values.shape[:-1]):
@@ -179,29 +178,30 @@ def lagged(
 
 
 COIL = "coil_time_constant"
-"""Name of the parameter of the coil's lag [s]."""
+"""Name of the parameter for the coil's time constant [s]."""
 
 PLAUSIBLE_COIL = 0.2
-"""Few coils are slower [s]."""
+"""Largest plausible time constant of a coil [s]."""
 
 _SLOWEST_COIL = 1.0
 
 
 def coil_parameter() -> Parameter:
-    """The parameter of the lag: the last of a law, 0 where it is left out."""
+    """The parameter of the lag: the last one of a law, 0 if omitted."""
     return Parameter(COIL, "s", 0.0, _SLOWEST_COIL, currents=2, default=0.0)
 
 
 def coil_current(
     current: Array, time_constant: Array, period: float, before: tuple[Array, Array] | None
 ) -> Array:
-    """Current [A] of the coil, shape (..., n), for the supply's (n,).
+    """Current [A] of the coil, shape (..., n), for the supply's current (n,).
 
-    ``time_constant`` (...) [s]; ``before``: the supply's and the coil's current of the sample
-    before, None for a start at which both are the same.
+    ``time_constant`` (...) [s]; ``before``: current of supply and coil at the previous sample, None
+    for a start at which both are equal.
     """
     every = np.broadcast_to(current, (*time_constant.shape, current.size))
-    # A constant current, too: what a stream will need is loaded before it begins.
+    # Constant currents take this path, too, so that its libraries are loaded before a stream
+    # begins.
     constants = np.broadcast_to(time_constant[..., np.newaxis], every.shape)
     state = None if before is None else (*before, time_constant)
     return lagged(every, constants, period, state=state)
@@ -210,7 +210,7 @@ def coil_current(
 def few_in_coil(
     current: list[float], time_constant: float, period: float, before: tuple[float, float] | None
 ) -> tuple[list[float], tuple[float, float]]:
-    """The same in plain numbers, and what is remembered: the supply's and the coil's current."""
+    """:func:`coil_current` in scalar code; also returns the last supply and coil current."""
     supplied, late = (current[0], current[0]) if before is None else before
     found = []
     for value in current:
@@ -221,18 +221,18 @@ def few_in_coil(
 
 
 def coil_state(remembered: tuple[Array, ...]) -> tuple[Array, Array] | None:
-    """What a law remembers of supply and coil; None where its coil has not lagged so far."""
+    """Supply and coil current in the state of a law; None if its coil has not lagged so far."""
     return (remembered[0], remembered[1]) if remembered else None
 
 
 def coil_shows(window: Window, time_constant: float) -> bool:
-    """Whether a lag of so many seconds changes the current of a window, and its past is known."""
+    """Whether this time constant [s] changes the current of a window with a known past."""
     has_past = (window.whole or window).period > 0.0
     return time_constant > 0.0 and has_past and not window.has_constant_current
 
 
 def in_coil(window: Window, time_constant: float) -> Window:
-    """The window with the current of the coil in place of the supply's."""
+    """The window with the coil current in place of the supply current."""
     if not coil_shows(window, time_constant):
         return window
     whole = window.whole or window
@@ -245,7 +245,7 @@ def in_coil(window: Window, time_constant: float) -> Window:
 
 
 def coil_unsettled(window: Window, time_constant: float) -> np.ndarray:
-    """Mask (n,) of samples whose coil may still remember the current before the window."""
+    """Mask (n,) of samples whose coil current may depend on the time before the window."""
     if not coil_shows(window, time_constant):
         return np.zeros(window.sample_count, dtype=bool)
     return window.history.unsettled(SETTLING * time_constant)

@@ -1,9 +1,9 @@
-"""What every force model of an MR damper says of itself, and what follows from it for all alike.
+"""The interface of all force models of MR dampers, with everything that follows from it.
 
-A model is one class in one file of this room: its parameters with units and bounds, its force with
-what that remembers, starts read off a record, and, where it has more to say than what this class
-derives, the problem of a window and its laws over operating points. Nothing outside of this room
-asks which model it is. A stream is the force of a motion that goes on, block by block.
+A model is one class in one file of this package. It states its parameters with units and bounds,
+its force and state, and the starts of a search. If necessary, it replaces the defaults for the fit
+of a window and for the laws over operating points. No code outside this package depends on the
+specific model. A stream computes the force of a continuing motion block by block.
 """
 
 from __future__ import annotations
@@ -32,41 +32,41 @@ from mr_damper_ros.models.quantities import (
 from mr_damper_ros.signals.arrays import Array
 
 _FORGOTTEN = 0.01
-"""A start is forgotten where it changes the force by less than this part of its span."""
+"""A start has no more effect if it changes the force by less than this part of the force span."""
 
 _STEP = 1e-6
-"""Step of a difference, relative to the size of the parameter."""
+"""Step of a finite difference, relative to the size of the parameter."""
 
 _SMALLEST = 0.1
-"""A parameter counts as no smaller than this part of its typical size, for a difference."""
+"""Lower limit of the size of a parameter for a difference, relative to its typical size."""
 
 _KEPT = 0.5
-"""Seconds of motion from which a state is found anew: a lag forgets sooner. A hysteresis forgets
-with the way: so much more is kept as its model asks for."""
+"""Time [s] of motion from which a state is reconstructed; lags settle sooner. A hysteresis depends
+on the travelled distance, so its model asks for more."""
 
 _LONGEST_KEPT = 30.0
-"""Seconds; a damper that hardly moves would else be remembered for ever."""
+"""Upper limit [s], needed for a damper that hardly moves."""
 
 _TOGETHER = 500
-"""Samples that are followed at once where the past is: sample by sample half a minute takes ten
-seconds, which no stream waits for."""
+"""Number of samples processed at once when a state is reconstructed. Half a minute takes ten
+seconds sample by sample, which is too long for a stream."""
 
 _USUAL_RUN = LoopReading(1000.0, 0.0, 2.0 * np.pi * 1.0 * 5e-3, 5e-3)
-"""A usual run: 1 kN, 5 mm, 1 Hz."""
+"""A typical run: 1 kN, 5 mm, 1 Hz."""
 
 
 class Model(ABC):
     """A force law.
 
-    ``parameters`` stand in the order of every parameter array (p,). ``free_in_one_run`` names those
-    that one run at one current determines (all where it is empty); the others keep the values of a
-    start. ``remembers``: whether the force depends on the samples before. ``turning``: arrays of
-    the state, the first ones, that only matter where the motion turns. ``strength`` names the
-    parameters that rise and fall with the strength of the damper; where none are named, all that
-    have a force in their unit. ``effort``: how far a window is searched.
-    ``coefficient_quantities``: what the force depends on at one operating point; ``linear`` names
-    what enters the laws over operating points linearly, ``shape_groups`` the shape parameters, law
-    by law.
+    ``parameters`` are in the order of every parameter array (p,). ``free_in_one_run`` names the
+    parameters that one run at one current determines (all if empty); the others keep the values of
+    a start. ``remembers``: whether the force depends on earlier samples. ``turning``: number of
+    leading arrays of the state that only matter near a reversal of the motion. ``strength`` names
+    the gain parameters, which scale with the strength of the damper; by default these are all
+    parameters with a force in their unit. ``effort``: search effort for a window.
+    ``coefficient_quantities``: the coefficients of the force at one operating point. ``linear``
+    names the parameters that enter the laws over operating points linearly; ``shape_groups`` lists
+    the shape parameters of each law.
     """
 
     name: ClassVar[str]
@@ -83,7 +83,7 @@ class Model(ABC):
     linear: ClassVar[tuple[str, ...]] = ()
     shape_groups: ClassVar[tuple[tuple[str, ...], ...]] = ()
 
-    # What a law must say
+    # Abstract interface of a law
 
     @abstractmethod
     def follow(
@@ -92,16 +92,16 @@ class Model(ABC):
         """Force (..., n) [N], and the state after the last sample.
 
         For parameters (..., p), a motion and currents (n,) [A], the ``period`` [s] between samples
-        and the state after the sample before.
+        and the state after the previous sample.
         """
 
     @abstractmethod
     def starts(self, reading: LoopReading) -> Array:
-        """Starts (k, p) of a search, from what can be read off a record."""
+        """Starts (k, p) of a search, derived from a loop reading."""
 
     @abstractmethod
     def current_response(self, parameters: Array) -> CurrentResponse:
-        """Force of a set (p,) over the current in the coil."""
+        """Force of a set (p,) over the coil current."""
 
     # Parameters
 
@@ -124,75 +124,75 @@ class Model(ABC):
 
     @property
     def coefficient_names(self) -> tuple[str, ...]:
-        """What the force depends on at one operating point; none for a model that does not say."""
+        """Names of the coefficients at one operating point; empty if the model has none."""
         return tuple(quantity.name for quantity in self.coefficient_quantities)
 
     def places(self, names: Sequence[str]) -> np.ndarray:
-        """Places of the named parameters in a parameter array."""
+        """Indices of the named parameters in a parameter array."""
         every = self.parameter_names
         return np.array([every.index(name) for name in names], dtype=int)
 
     @property
     def simpler(self) -> Model | None:
-        """The law that this one contains as a special case; None where it contains none."""
+        """The simpler law that this law contains as a special case; None if there is none."""
         return None
 
     def to_simpler(self, values: Array) -> Array:
-        """The parameters of the simpler law that come nearest to these (p,)."""
+        """The parameters of the simpler law closest to these (p,)."""
         return values
 
     def from_simpler(self, simple: Array) -> Array:
-        """The set (p,) with the force of parameters of the simpler law."""
+        """The set (p,) with the same force as these parameters of the simpler law."""
         return simple
 
     def completed(self, values: Array) -> Array:
-        """The values (p,), where those at the end are left out that have a default."""
+        """The values (p,) with defaults appended for omitted parameters at the end."""
         left_out = [parameter.default for parameter in self.parameters[values.shape[0] :]]
         known = [default for default in left_out if default is not None]
         return values if len(known) < len(left_out) else np.append(values, known)
 
     @property
     def free_indices(self) -> np.ndarray:
-        """Places (f,) of the parameters that one run determines."""
+        """Indices (f,) of the parameters that one run determines."""
         return self.places(self.free_in_one_run or self.parameter_names)
 
     @property
     def scale_names(self) -> tuple[str, ...]:
-        """The parameters that a coefficient is proportional to: they have no range of their own."""
+        """The scale parameters: each multiplies a coefficient and has no plausible range."""
         return self.free_in_one_run or self.parameter_names
 
     @property
     def common_names(self) -> tuple[str, ...]:
-        """What one run determines besides the scales, such as a compliance: common to all runs."""
+        """Parameters besides the scales that one run determines; they are common to all runs."""
         return tuple(name for name in self.free_in_one_run if name not in self.scale_names)
 
     @property
     def shape_names(self) -> tuple[str, ...]:
-        """The parameters that only several operating points determine."""
+        """The parameters that only several operating points can determine."""
         free = self.free_in_one_run or self.parameter_names
         return tuple(name for name in self.parameter_names if name not in free)
 
     def knows_speeds(self, observable: np.ndarray) -> bool:
-        """Whether the flags (p,) hold a parameter that only several peak velocities determine."""
+        """Whether the flags (p,) mark a parameter that needs several peak velocities."""
         pairs = zip(self.parameters, observable, strict=True)
         return any(parameter.peak_velocities > 1 and seen for parameter, seen in pairs)
 
     def knows_currents(self, observable: np.ndarray) -> bool:
-        """Whether the flags (p,) hold a parameter that only several currents determine."""
+        """Whether the flags (p,) mark a parameter that needs several currents."""
         pairs = zip(self.parameters, observable, strict=True)
         return any(parameter.currents > 1 and seen for parameter, seen in pairs)
 
     @property
     def strength_indices(self) -> np.ndarray:
-        """Places of the parameters that rise and fall with the strength of the damper."""
+        """Indices of the gain parameters, which scale with the strength of the damper."""
         names = self.strength or self.parameter_names
         forces = [p.name in names and p.unit.startswith("N") for p in self.parameters]
         return np.flatnonzero(forces)
 
     def initial_values(self) -> tuple[Array, str, float]:
-        """Values (p,) where nothing is known of the damper, their name, their peak velocity [m/s].
+        """Default values (p,) for an unknown damper, their name and their peak velocity [m/s].
 
-        A mere form without any force, valid nowhere, unless the model has a better one.
+        Unless the model has a better set, this is a set with zero force that is valid nowhere.
         """
         values = self.starts(_USUAL_RUN)[0]
         values[self.strength_indices] = 0.0
@@ -202,7 +202,7 @@ class Model(ABC):
 
     @property
     def continuous(self) -> Model:
-        """The law without the jumps that it has and no damper; itself where it has none."""
+        """The law without jumps of the force at reversals; the law itself if it has none."""
         return self
 
     def force(
@@ -210,23 +210,23 @@ class Model(ABC):
     ) -> Array:
         """Force [N], shape (..., n), for parameters of shape (..., p), from a start.
 
-        ``current`` [A] is a number or has shape (n,). Raises ValueError where the number of
-        parameters is wrong or the period is not positive.
+        ``current`` [A] is a number or has shape (n,). Raises ValueError if the number of parameters
+        is wrong or the period is not positive.
         """
         return self.stream(period).follow(parameters, motion, current)
 
     def stream(self, period: float) -> ForceStream:
-        """Force of samples ``period`` [s] apart, block by block; ValueError as for the force."""
+        """A stream for samples ``period`` [s] apart; raises ValueError like :meth:`force`."""
         return ForceStream(self, period)
 
-    # A set may hold any finite numbers: what overflows, here and below, is judged by its misfit.
+    # A set may hold any finite values: an overflow, here and below, gives a large misfit.
     @as_machine_code()
     @np.errstate(over="ignore", invalid="ignore")
     def window_force(self, window: Window, parameters: Array) -> Array:
         """Force [N] at the samples of a window, shape (..., n), for parameters (..., p)."""
         if not (self.remembers or self.turning):
             return self.force(parameters, window.motion, window.current, 1.0)
-        # The branch changes as steeply as the law itself.
+        # The branch changes as fast as the law itself, so it needs the full sample rate.
         history = window.history if self.turning else window.history.coarse
         along = parameters, history.motion, history.current, history.period
         force, state = self.follow(*along, None)
@@ -237,9 +237,9 @@ class Model(ABC):
     @as_machine_code()
     @np.errstate(over="ignore", invalid="ignore")
     def settled(self, window: Window, parameters: Array | None) -> np.ndarray:
-        """Mask (n,) of samples whose force does not depend on what came before the window.
+        """Mask (n,) of samples whose force does not depend on the time before the window.
 
-        For parameters (p,), or None where no set is known yet.
+        For parameters (p,), or None if no set is known yet.
         """
         if parameters is None or not (self.remembers or self.turning) or window.history.periodic:
             return np.ones(window.sample_count, dtype=bool)
@@ -248,41 +248,41 @@ class Model(ABC):
         first, state = self.follow(*along, None)
         second, _ = self.follow(*along, state)
         differs = np.abs(first - second) > _FORGOTTEN * float(np.ptp(first))
-        # The true past may be further off than either of the two.
+        # The true past may differ more than these two starts.
         count = 2 * int(np.max(np.flatnonzero(differs), initial=-1) + 1)
         return ~history.unsettled(count * history.period)
 
     def memory_length(self, parameters: Array, current: float) -> float:
-        """Way [m] after which the past is forgotten; 0 for a law that forgets it with time alone.
+        """Travel [m] after which the past has no effect; 0 if the memory depends on time only.
 
         For parameters (p,) at a current [A].
         """
         return 0.0
 
     def needs_past(self, window: Window) -> bool:
-        """Whether the force at the samples of a window depends on what went on between them."""
+        """Whether the force at the samples of a window depends on the motion between them."""
         return self.remembers
 
     def lasting_force(self, window: Window, parameters: Array) -> Array:
-        """The part (n,) [N] of the force that stays where the damper loses all its strength."""
+        """The part (n,) [N] of the force that remains when all gain parameters are zero."""
         weakest = parameters.copy()
         weakest[self.strength_indices] = 0.0
         return self.window_force(window, np.clip(weakest, *self.bounds))
 
     @property
     def formulas(self) -> WrittenLaw | None:
-        """The law for other languages; None where it was not written down for them."""
+        """The law as formulas for other languages; None if there are none."""
         return None
 
     def window_forces(self, windows: Sequence[Window]) -> WindowForces:
-        """Force at the samples of some windows, and its derivatives by the parameters."""
+        """Force at the samples of windows, and its derivatives with respect to the parameters."""
         return WindowForces(self, windows)
 
-    # The unknowns of one window: as they are, the parameters that it determines
+    # Unknowns of one window: by default the parameters that it determines
 
     @cached_property
     def unknown_indices(self) -> np.ndarray:
-        """Places (f,) of the parameters that a window is fitted with."""
+        """Indices (f,) of the parameters that are fitted to a window."""
         return self.places(self.scale_names)
 
     @cached_property
@@ -292,34 +292,34 @@ class Model(ABC):
 
     @property
     def strong_unknowns(self) -> np.ndarray:
-        """Mask (f,) of the unknowns that rise and fall with the strength of the damper."""
+        """Mask (f,) of the unknowns that are gain parameters."""
         return np.isin(self.unknown_indices, self.strength_indices)
 
     def unknowns(self, parameters: Array) -> Array:
-        """Those (f,) of parameters (p,), within their bounds."""
+        """The unknowns (f,) of parameters (p,), within their bounds."""
         return np.clip(parameters[self.unknown_indices], *self._unknown_bounds)
 
     def with_unknowns(self, parameters: Array, unknowns: Array) -> Array:
-        """Parameters (..., p) with these unknowns (..., f), all else as in ``parameters`` (p,)."""
+        """Parameters (..., p) with these unknowns (..., f), otherwise as ``parameters`` (p,)."""
         values = np.empty((*unknowns.shape[:-1], parameters.size))
         values[...] = parameters
         values[..., self.unknown_indices] = np.clip(unknowns, *self._unknown_bounds)
         return values
 
     def by_unknowns(self, unknowns: Array, derivatives: Array) -> Array:
-        """Derivatives (n, f) by the unknowns (f,), from those (n, f) by the parameters."""
+        """Derivatives (n, f) with respect to the unknowns (f,), from those for the parameters."""
         return derivatives
 
     def fitted_errors(self, unknowns: Array, covariance: Array) -> tuple[np.ndarray, Array]:
-        """Places of the parameters that a window was fitted with, and their standard errors.
+        """Indices of the parameters that are fitted to a window, and their standard errors.
 
-        For unknowns (f,) with this ``covariance`` (f, f). NaN where the window does not determine
-        one.
+        For unknowns (f,) with this ``covariance`` (f, f). NaN for a parameter that the window does
+        not determine.
         """
         return self.unknown_indices, np.sqrt(np.diag(covariance))
 
     def cold_starts(self, window: Window, parameters: Array) -> list[Array]:
-        """Parameters (p,) with unknowns that are read off a window, to start a search from."""
+        """Start parameters (p,) with unknowns derived from the loop of a window."""
         starts = np.clip(self.starts(LoopReading.of(window)), *self.bounds)
         places = self.unknown_indices
         return [self.with_unknowns(parameters, read[places]) for read in starts]
@@ -332,7 +332,8 @@ class Model(ABC):
     ) -> Array:
         """Operating-point coefficients (c, n) of parameters (p,) at n peak velocities and currents.
 
-        [m/s] and [A]; those of ``coefficient_names``, none for a model without.
+        Peak velocities are in m/s, currents in A. The order is that of ``coefficient_names``; a
+        model without coefficients returns none.
         """
 
     @abstractmethod
@@ -342,9 +343,10 @@ class Model(ABC):
         """Derivatives (c, p) of the coefficients at one operating point by the parameters."""
 
     def without_dependence(self, parameters: Array, top_current: float) -> Array:
-        """The set (p,) with coefficients that depend on neither peak velocity nor current.
+        """The set (p,) whose coefficients depend on neither peak velocity nor current.
 
-        Where a dependence is freed it starts smoothly over currents up to ``top_current`` [A].
+        It is chosen so that a search can introduce a smooth dependence on currents up to
+        ``top_current`` [A].
         """
         values = np.array(parameters, dtype=float)
         values[self.places(self.shape_names)] = 0.0
@@ -354,13 +356,13 @@ class Model(ABC):
     def plausible_ranges(
         self, windows: Sequence[Window], top_velocity: float, top_current: float
     ) -> dict[str, tuple[float, float]]:
-        """Plausible ranges of the parameters that are no scales, for data that reach so far.
+        """Plausible ranges of the shape parameters for data up to a speed and a current.
 
         ``top_velocity`` [m/s], ``top_current`` [A].
         """
 
     def typical_sizes(self, windows: Sequence[Window]) -> Array:
-        """Typical sizes (p,) of the parameters, by their units, for these windows."""
+        """Typical sizes (p,) of the parameters for these windows, by their units."""
         readings = [LoopReading.of(window) for window in windows]
         return np.array(
             [
@@ -370,7 +372,7 @@ class Model(ABC):
         )
 
     def searched_laws(self, free: frozenset[str]) -> int:
-        """How many laws need a search for these free parameters: the others are linear."""
+        """Number of laws that need a nonlinear search for these free parameters."""
         return 0
 
     @abstractmethod
@@ -381,27 +383,27 @@ class Model(ABC):
         free: frozenset[str],
         search: LawSearch,
     ) -> Array:
-        """Parameters (p,) whose laws come nearest to the table; those not free stay as they are.
+        """Parameters (p,) whose laws fit the table best; those not in ``free`` keep their values.
 
-        ``search`` minimises over what is not linear.
+        ``search`` minimises over the nonlinear parameters.
         """
 
     def softened(self, parameters: Array, held: np.ndarray, top_current: float) -> Array:
-        """The set (p,) with dependences that are not too steep to be moved; ``held`` (p,) stay."""
+        """The set (p,) with steep dependences made smooth for a search; ``held`` (p,) stay."""
         return parameters
 
     @abstractmethod
     def draw_shape(
         self, rng: np.random.Generator, top_velocity: float, top_current: float
     ) -> dict[str, float]:
-        """Shape parameters as they might be for a damper run up to [m/s] and [A]."""
+        """Random plausible shape parameters for a damper run up to these limits [m/s], [A]."""
 
 
 class WindowForces:
-    """Force of a law at the samples of windows, and its derivatives: made once, evaluated often.
+    """Force of a law at the samples of windows, and its derivatives, for repeated evaluation.
 
-    The derivatives are forward differences, for a law that says no more than its force;
-    ``differences`` counts the evaluations that they took.
+    The derivatives are forward differences for a law without exact ones; ``differences`` counts
+    their force evaluations.
     """
 
     def __init__(self, model: Model, windows: Sequence[Window]) -> None:
@@ -414,14 +416,14 @@ class WindowForces:
         return [self.model.window_force(window, parameters) for window in self.windows]
 
     def derivatives(self, parameters: Array, columns: Sequence[int]) -> list[Array]:
-        """Derivatives (n, c) of the force of each window by the parameters (p,) at c places."""
+        """Derivatives (n, c) of the force of each window, for parameters (p,), at c places."""
         values, places = parameters[columns], np.arange(len(columns))
         steps = _STEP * np.maximum(np.abs(values), _SMALLEST * self._sizes[columns])
         steps = np.where(values + steps > self.model.bounds[1][columns], -steps, steps)
         moved = np.tile(parameters, (len(columns) + 1, 1))
         moved[1 + places, columns] += steps
         found = []
-        # Window by window: all at once would take as much memory as there are parameters.
+        # Windows are processed one by one, because all at once would multiply the memory.
         for window in self.windows:
             forces = self.model.window_force(window, moved)
             self.differences += len(moved)
@@ -434,11 +436,11 @@ class WindowForces:
 
 
 class CurrentResponse(ABC):
-    """The force of one parameter set as a function of the current in the coil [A], for an inverse.
+    """The force of one parameter set as a function of the coil current [A], for an inverse.
 
-    The coil's lag is no part of it: an inverse finds the current of the coil, and how the supply
-    brings it there is another matter. Samples each follow the same ``state``, ``period`` [s] after
-    it: of a law that remembers, ask for one.
+    It does not include the coil's lag: the inverse gives the coil current, and the supply current
+    is computed separately. All samples are alternatives that follow the same ``state`` by
+    ``period`` [s]; for a law with memory, pass one sample.
     """
 
     @abstractmethod
@@ -457,7 +459,7 @@ class CurrentResponse(ABC):
 
 
 class ForceStream:
-    """Force of a motion that continues: as in one piece, however it is cut into blocks."""
+    """Force of a continuing motion; the result does not depend on the division into blocks."""
 
     def __init__(self, model: Model, period: float) -> None:
         if not period > 0.0:
@@ -469,8 +471,8 @@ class ForceStream:
     def follow(self, parameters: ArrayLike, motion: Motion, current: ArrayLike) -> Array:
         """Force [N] of the next samples, shape (..., n), for parameters of shape (..., p).
 
-        ``current`` [A] is a number or has shape (n,). The state continues where the parameters
-        change. Raises ValueError where the number of parameters is wrong.
+        ``current`` [A] is a number or has shape (n,). The state continues when the parameters
+        change. Raises ValueError if the number of parameters is wrong.
         """
         values = np.asarray(parameters, dtype=float)
         count = len(self._model.parameters)

@@ -1,8 +1,8 @@
-"""A law written once, as formulas: differentiated, compiled to Python, written in other languages.
+"""A law written once as formulas: differentiated, compiled, translated to other languages.
 
-A formula is a name and an expression of Python: numbers, inputs, the formulas above it, the signs
-``+ - * / < >=`` and the functions ``exp``, ``tanh``, ``abs``, ``clip(x, low, high)``,
-``larger(x, y)``, ``where(condition, yes, no)``, ``sat(x)`` (x within ±1e100) and ``number(x)``
+A formula is a name and a Python expression. It may contain numbers, inputs, earlier formulas, the
+operators ``+ - * / < >=`` and the functions ``exp``, ``tanh``, ``abs``, ``clip(x, low, high)``,
+``larger(x, y)``, ``where(condition, yes, no)``, ``sat(x)`` (x limited to ±1e100) and ``number(x)``
 (0 in place of NaN).
 """
 
@@ -22,7 +22,7 @@ from mr_damper_ros.signals.arrays import Array
 Formulas = tuple[tuple[str, str], ...]
 
 LIMIT = 1e100
-"""``sat`` limits to this, so that no product of a few quantities overflows."""
+"""Limit of ``sat``, chosen so that the product of a few quantities does not overflow."""
 
 _SIGNS: dict[type, str] = {
     ast.Add: "+",
@@ -34,16 +34,16 @@ _SIGNS: dict[type, str] = {
 }
 
 _LEVELS: dict[type, int] = {ast.Add: 1, ast.Sub: 1, ast.Mult: 2, ast.Div: 2}
-"""How tightly an operator binds."""
+"""Precedence of an operator."""
 
 
 @dataclass(frozen=True)
 class WrittenLaw:
     """A law for other languages: its parameters by name, and its formulas.
 
-    ``coefficients`` are given the peak velocity v_m [m/s] and the coil's current i [A], and make
-    the ``coefficient_names``; ``force`` is given the velocity v [m/s], the branch s of the
-    hysteresis before and the ``change`` of the velocity since [m/s] too.
+    ``coefficients`` have the inputs peak velocity v_m [m/s] and coil current i [A] and compute the
+    ``coefficient_names``. ``force`` has the additional inputs velocity v [m/s], previous branch s
+    of the hysteresis and ``change`` of the velocity since then [m/s].
     """
 
     parameter_names: tuple[str, ...]
@@ -52,7 +52,7 @@ class WrittenLaw:
     coefficient_names: tuple[str, ...]
 
     def constants(self, parameters: Array) -> dict[str, float]:
-        """The parameters by name; those left out at the end are zero."""
+        """The parameters by name; omitted parameters at the end are zero."""
         missing = [0.0] * (len(self.parameter_names) - parameters.size)
         return dict(zip(self.parameter_names, parameters.tolist() + missing, strict=True))
 
@@ -70,13 +70,13 @@ class WrittenLaw:
 def staged(
     formulas: Formulas, stages: Sequence[Sequence[str]], results: Sequence[str], *, arrays: bool
 ) -> Callable[..., Any]:
-    """Compile the formulas: ``staged(...)(*stages[0])(*stages[1])...`` gives the results.
+    """Compile the formulas: ``staged(...)(*stages[0])(*stages[1])...`` returns the results.
 
-    ``stages`` names the inputs that become known together; the name of a formula may be one of
-    them. Each part of an expression is computed at the first stage that knows its inputs, so that
-    a function that is kept does not compute it again. Several results come as a tuple. Of
-    ``arrays``, inputs broadcast, and one input at least of each stage after the first is an array;
-    otherwise all of them are floats.
+    ``stages`` names the inputs that become known together; an input may be the name of a formula.
+    Each part of an expression is computed at the first stage at which its inputs are known, so a
+    function kept from an earlier stage does not compute it again. Several results are returned as a
+    tuple. With ``arrays``, inputs broadcast, and each stage after the first has at least one array
+    input; otherwise all inputs are floats.
     """
     known = {name: stage for stage, names in enumerate(stages) for name in names}
     lines = [(name, _tree(text)) for name, text in _needed(formulas, results, known)]
@@ -86,7 +86,7 @@ def staged(
         writer.add(name, tree)
     source = writer.source(results)
     space = dict(writer.functions)
-    exec(compile(source, "<formulas>", "exec"), space)  # noqa: S102: of our own formulas
+    exec(compile(source, "<formulas>", "exec"), space)  # the package itself writes the formulas
     made: Callable[..., Any] = space["stage_0"]
     return made
 
@@ -94,12 +94,12 @@ def staged(
 def gradient(
     formulas: Formulas, result: str, by: Sequence[str], given: Sequence[str] = ()
 ) -> Formulas:
-    """The formulas with those of the derivatives of one of them, named ``{result}_by_{input}``.
+    """The formulas with the derivatives of one result, named ``{result}_by_{input}``.
 
-    What is ``given`` does not change with the inputs. In reverse order: it takes about as many
-    operations as the result itself, however many inputs there are. ``sat``, ``clip`` and ``number``
-    count as if they changed nothing. Raises ValueError where ``exp`` and ``tanh`` do not stand
-    alone in their formula, and where a function has no derivative.
+    ``given`` inputs are independent of the others. Reverse-mode differentiation takes about as many
+    operations as the result itself, independent of the number of inputs. ``sat``, ``clip`` and
+    ``number`` are differentiated like the identity. Raises ValueError unless ``exp`` and ``tanh``
+    each form a whole formula, and for a function without derivative.
     """
     lines = list(_needed(formulas, [result], dict.fromkeys((*by, *given), 0)))
     moving = set(by)
@@ -125,7 +125,7 @@ def gradient(
 def _needed(
     formulas: Formulas, results: Sequence[str], known: Mapping[str, int]
 ) -> Iterator[tuple[str, str]]:
-    """The formulas that the results need, in their order."""
+    """The formulas that the results need, in order."""
     wanted = set(results) - set(known)
     for name, text in reversed(formulas):
         if name in wanted:
@@ -147,7 +147,7 @@ def _names(tree: ast.AST) -> set[str]:
 
 
 def _derivative(node: ast.expr, by: str, name: str, line: ast.expr) -> str:
-    """Derivative of a part of the formula ``name`` by one of the names in it."""
+    """Derivative of a part of the formula ``name`` with respect to one of the names in it."""
     if by not in _names(node):
         return "0.0"
     text = ast.unparse
@@ -196,17 +196,17 @@ def _product(first: str, second: str) -> str:
 
 
 class _Style(Protocol):
-    """How a language writes what a formula is made of."""
+    """How a language writes operators and functions."""
 
     def infix(self, operator: type, first: str, second: str) -> str:
         """Two operands with an operator between them."""
 
     def call(self, function: str, arguments: Sequence[str]) -> str:
-        """A function of a formula."""
+        """A function call."""
 
 
 def _written(node: ast.expr, style: _Style, inner: Callable[[ast.expr, int], str]) -> str:
-    """A part of a formula; ``inner`` writes an operand that is to bind as tightly as a level."""
+    """Write a part of a formula; ``inner`` writes an operand, in brackets if necessary."""
     match node:
         case ast.Constant(value=float(number)):
             return repr(number)
@@ -216,7 +216,7 @@ def _written(node: ast.expr, style: _Style, inner: Callable[[ast.expr, int], str
             return f"-{inner(operand, _LEVELS[ast.Mult])}"
         case ast.BinOp(left=left, op=operator, right=right) if type(operator) in _LEVELS:
             level = _LEVELS[type(operator)]
-            # What stands to the right is computed first only in brackets.
+            # A right operand needs brackets to be computed first.
             return style.infix(type(operator), inner(left, level), inner(right, level + 1))
         case ast.Compare(left=left, ops=[comparison], comparators=[right]):
             return style.infix(type(comparison), inner(left, 0), inner(right, 0))
@@ -227,9 +227,9 @@ def _written(node: ast.expr, style: _Style, inner: Callable[[ast.expr, int], str
 
 @dataclass(frozen=True)
 class Language:
-    """A language that formulas are translated to: its operators where they differ, its functions.
+    """A target language for formulas: its operators, where they differ, and its functions.
 
-    ``assignment`` holds ``{name}`` and ``{value}``.
+    ``assignment`` contains ``{name}`` and ``{value}``.
     """
 
     functions: Mapping[str, str]
@@ -237,14 +237,14 @@ class Language:
     operators: Mapping[type, str] = field(default_factory=dict)
 
     def lines(self, formulas: Formulas) -> list[str]:
-        """The formulas as assignments, one a line; ValueError for what is no formula."""
+        """The formulas as assignments, one a line; raises ValueError for an invalid formula."""
         return [
             self.assignment.format(name=name, value=self.expression(text))
             for name, text in formulas
         ]
 
     def expression(self, text: str) -> str:
-        """One expression, with as few brackets as it needs."""
+        """One expression with no redundant brackets."""
 
         def operand(node: ast.expr, level: int) -> str:
             written = _written(node, self, operand)
@@ -258,19 +258,19 @@ class Language:
         return f"{first} {self.operators.get(operator, _SIGNS[operator])} {second}"
 
     def call(self, function: str, arguments: Sequence[str]) -> str:
-        """The function that stands for one of a formula."""
+        """The corresponding function of the language."""
         return f"{self.functions[function]}({', '.join(arguments)})"
 
 
 class _Writer:
-    """Nested functions, one for each stage, that compute what each can."""
+    """Writes nested functions, one for each stage, each of which computes as much as it can."""
 
     functions: ClassVar[Mapping[str, Any]]
 
     def __init__(
         self, stages: Sequence[Sequence[str]], known: dict[str, int], repeated: set[str]
     ) -> None:
-        """``known``: by their name the stages of the inputs; ``repeated``: what to keep."""
+        """``known``: stage of each input by name; ``repeated``: expressions to store."""
         self._stages = stages
         self._known = known
         self._repeated = repeated
@@ -279,13 +279,13 @@ class _Writer:
         self._count = 0
 
     def add(self, name: str, tree: ast.expr) -> None:
-        """Take up a formula."""
+        """Add a formula."""
         stage = self._stage(tree)
         self._lines[stage].append(f"{name} = {self._written(tree, stage)}")
         self._known[name] = stage
 
     def source(self, results: Sequence[str]) -> str:
-        """The program."""
+        """The program text."""
         lines = []
         for stage, inputs in enumerate(self._stages):
             lines.append("    " * stage + f"def stage_{stage}({', '.join(inputs)}):")
@@ -299,7 +299,7 @@ class _Writer:
         return max((self._known[name] for name in _names(tree)), default=0)
 
     def _part(self, node: ast.expr, stage: int) -> str:
-        """A part of an expression of a stage: kept where it is known earlier, or comes again."""
+        """Part of an expression; stored if it belongs to an earlier stage or is repeated."""
         own, text = self._stage(node), ast.unparse(node)
         simple = isinstance(node, (ast.Name, ast.Constant))
         if simple or (own == stage and text not in self._repeated):
@@ -317,23 +317,23 @@ class _Writer:
         return f"part_{self._count}"
 
     def infix(self, operator: type, first: str, second: str) -> str:
-        """In brackets: what it is part of may bind more tightly."""
+        """Two operands in brackets, independent of the precedence around them."""
         return f"({first} {_SIGNS[operator]} {second})"
 
     def call(self, function: str, arguments: Sequence[str]) -> str:
-        """The function of that name."""
+        """The function of the same name."""
         return f"{function}({', '.join(arguments)})"
 
 
 class _Arrays(_Writer):
-    """With NumPy."""
+    """Writes NumPy code."""
 
     functions: ClassVar = {
         "exp": np.exp,
         "tanh": np.tanh,
         "abs": np.abs,
         "where": np.where,
-        # The method: np.clip takes twice the time, which counts for blocks of a few samples.
+        # The method takes half the time of np.clip, which matters for blocks of a few samples.
         "clip": lambda x, low, high: x.clip(low, high),
         "sat": lambda x: x.clip(-LIMIT, LIMIT),
         "larger": np.maximum,
@@ -342,7 +342,7 @@ class _Arrays(_Writer):
 
 
 class _Scalars(_Writer):
-    """With floats, and no call where an expression will do: a call takes as long as ten sums."""
+    """Writes scalar code without calls where possible: a call takes as long as ten sums."""
 
     functions: ClassVar = {
         "exp": math.exp,
@@ -353,14 +353,14 @@ class _Scalars(_Writer):
     }
 
     def infix(self, operator: type, first: str, second: str) -> str:
-        """Division by zero gives what it gives of arrays."""
+        """Division by zero gives the same result as with arrays."""
         if operator is not ast.Div:
             return super().infix(operator, first, second)
         divisor = self._new()
         return f"({first} / {divisor} if ({divisor} := {second}) else over({first}))"
 
     def call(self, function: str, arguments: Sequence[str]) -> str:
-        """Without a call where an expression will do."""
+        """Use an expression instead of a call where possible."""
         first, *others = arguments
         part = self._new()
         if function == "where":
@@ -379,9 +379,9 @@ class _Scalars(_Writer):
 
 
 def columns(*parts: Array | float) -> Array:
-    """Arrays of shape (..., n), or that broadcast to it, as (..., n, columns).
+    """Broadcast arrays to shape (..., n) and combine them as (..., n, columns).
 
-    Each of them lies together in memory: what is done to them then takes half the time.
+    Each array is contiguous in memory, which halves the time of later operations.
     """
     shape = np.broadcast_shapes(*(np.shape(part) for part in parts))
     result = np.empty((len(parts), *shape))

@@ -1,8 +1,8 @@
-"""Loops over samples as machine code, where Numba is installed.
+"""Runs loops over samples as machine code if Numba is installed.
 
-The state of a law goes on from sample to sample, which no operation on arrays replaces. Numba
-compiles such a loop as it stands: it is written once, and runs without Numba as well. It is for
-windows, which are followed many times: to load it takes seconds, which no block may wait for.
+The state of a law depends on the previous sample, so array operations cannot replace the loop.
+Numba compiles the same loop that also runs without Numba. It is used for windows, which are
+evaluated many times. It is not used for blocks of a stream, because loading it takes seconds.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ _MACHINE_CODE: ContextVar[bool] = ContextVar("loops run as machine code", defaul
 
 @contextmanager
 def as_machine_code() -> Iterator[None]:
-    """Loops run as machine code meanwhile, where Numba is installed; also decorates a function."""
+    """Run loops as machine code in this context if Numba is installed; also a decorator."""
     before = _MACHINE_CODE.set(True)
     try:
         yield
@@ -34,18 +34,19 @@ def as_machine_code() -> Iterator[None]:
 
 
 def runs_machine_code() -> bool:
-    """Whether loops run as machine code now, where there is any."""
+    """Whether loops run as machine code now, if a compiler is available."""
     return _MACHINE_CODE.get()
 
 
 def run_loop(
     loop: Loop, called: tuple[Loop, ...], given: Sequence[Array], results: int, *numbers: float
 ) -> tuple[list[Array], Any]:
-    """Run ``loop(*given, *results, *numbers)``: the results (n,) that it fills, what it returns.
+    """Run ``loop(*given, *results, *numbers)``; return the filled results (n,) and its value.
 
-    The first of ``given`` has shape (n,). The loop gets lists, or arrays where it is compiled: it
-    may index them and ask for their length. ``called`` are the functions that it calls, which must
-    stand in its file: a change of theirs in another one would not be noticed.
+    The first element of ``given`` has shape (n,). The loop receives lists, or arrays if it is
+    compiled; it may index them and take their length. ``called`` are the functions that it calls.
+    They must be in the same file, because the cache on disk does not detect a change in another
+    file.
     """
     count = len(given[0])
     machine = machine_code(loop, called) if runs_machine_code() else None
@@ -59,13 +60,13 @@ def run_loop(
 
 
 def is_available() -> bool:
-    """Whether there is a compiler for loops: Numba is installed."""
+    """Whether Numba, the compiler for loops, is installed."""
     return importlib.util.find_spec("numba") is not None
 
 
 @functools.cache
 def machine_code(loop: Loop, called: tuple[Loop, ...]) -> Loop | None:
-    """The loop as machine code, kept on disk for the next program; None without Numba."""
+    """The loop as machine code, cached on disk for later programs; None without Numba."""
     try:
         from numba import njit
         from numba.extending import register_jitable
@@ -75,16 +76,16 @@ def machine_code(loop: Loop, called: tuple[Loop, ...]) -> Loop | None:
         register_jitable(function)
     try:
         kept = njit(cache=True, error_model="numpy")(loop)
-    except RuntimeError:  # there is no place on disk to keep it
+    except RuntimeError:  # no writable place for the cache
         return cast(Loop, njit(error_model="numpy")(loop))
     return _KeptLoop(kept, njit(error_model="numpy")(loop))
 
 
 class _KeptLoop:
-    """A loop that is compiled at its first call, unless it is found on disk.
+    """A loop that is compiled at its first call unless the disk cache contains it.
 
-    What is there may be damaged, by a power failure for one, or the disk may be full: Numba then
-    raises whatever it likes. The loop itself raises nothing.
+    The cache may be damaged, for instance after a power failure, or the disk may be full. Numba
+    then raises exceptions of many types. The loop itself raises none.
     """
 
     def __init__(self, kept: Any, not_kept: Loop) -> None:
@@ -101,7 +102,7 @@ class _KeptLoop:
 
     def _called_afresh(self, arguments: tuple[Any, ...]) -> Any:
         try:
-            self._kept.recompile()  # what is on disk is forgotten
+            self._kept.recompile()  # drops the cached version
             return self._kept(*arguments)
         except Exception:
             self._kept = None

@@ -1,4 +1,4 @@
-"""Laws that remember nothing: Bingham, hyperbolic tangent, nonlinear biviscous."""
+"""Laws without memory: Bingham, hyperbolic tangent, nonlinear biviscous."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from mr_damper_ros.signals.arrays import Array
 
 
 class Bingham(CurrentDependentModel):
-    """Yield force, viscous damping, and the constant force of the gas."""
+    """Yield force, viscous damping, and a constant gas force."""
 
     name = "bingham"
     title = "Bingham"
@@ -28,13 +28,13 @@ class Bingham(CurrentDependentModel):
     def force_at(
         self, coefficients: Sequence[Array], motion: Motion, period: float, state: State | None
     ) -> tuple[Array, State]:
-        """Force [N]; it remembers nothing."""
+        """Force [N]; the state is empty."""
         f_y, c0, f0 = coefficients
         v = motion.velocity
         return np.asarray(f_y * np.sign(v) + c0 * v + f0), ()
 
     def starts_at_one_current(self, reading: LoopReading) -> Array:
-        """Mostly friction."""
+        """Mainly yield force."""
         force, middle, speed, _ = reading
         return np.array([[0.8 * force, 0.2 * force / speed, middle]])
 
@@ -58,13 +58,13 @@ class HyperbolicTangent(CurrentDependentModel):
     def force_at(
         self, coefficients: Sequence[Array], motion: Motion, period: float, state: State | None
     ) -> tuple[Array, State]:
-        """Force [N]; it remembers nothing."""
+        """Force [N]; the state is empty."""
         c, k, alpha, beta, delta, f0 = coefficients
         v, u = motion.velocity, motion.displacement
         return np.asarray(c * v + k * u + alpha * np.tanh(beta * v + delta * np.sign(u)) + f0), ()
 
     def starts_at_one_current(self, reading: LoopReading) -> Array:
-        """Some steepness and some hysteresis."""
+        """Different values of steepness and hysteresis."""
         force, middle, speed, _ = reading
         return np.array(
             [
@@ -76,7 +76,7 @@ class HyperbolicTangent(CurrentDependentModel):
 
 
 class NonlinearBiviscous(CurrentDependentModel):
-    """Two post-yield lines, and between them a steep line for each branch of the loop."""
+    """Two post-yield lines, connected by a steep line for each branch of the loop."""
 
     name = "nonlinear_biviscous"
     title = "nonlinear biviscous"
@@ -96,7 +96,7 @@ class NonlinearBiviscous(CurrentDependentModel):
     def force_at(
         self, coefficients: Sequence[Array], motion: Motion, period: float, state: State | None
     ) -> tuple[Array, State]:
-        """Force [N]; it remembers nothing."""
+        """Force [N]; the state is empty."""
         c_post, c_pre, f_y, v0, f0 = coefficients
         v = motion.velocity
         # Between the two post-yield lines the force follows the pre-yield line of its branch.
@@ -104,7 +104,7 @@ class NonlinearBiviscous(CurrentDependentModel):
         return np.asarray(np.minimum(np.maximum(pre, c_post * v - f_y), c_post * v + f_y) + f0), ()
 
     def starts_at_one_current(self, reading: LoopReading) -> Array:
-        """Some steepness between the lines, some width of the loop."""
+        """Different slopes between the post-yield lines and different widths of the loop."""
         force, middle, speed, _ = reading
         return np.array(
             [

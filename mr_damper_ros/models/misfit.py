@@ -16,9 +16,9 @@ from mr_damper_ros.signals.arrays import Array
 
 
 class PriorRows(NamedTuple):
-    """Rows of a residual that are no samples: the mask (n,) of them, and their variances (m,) [1].
+    """Rows of a residual that are not samples: their mask (n,) and their variances (m,) [1].
 
-    What they scatter by is known, and not told by those few that there are.
+    Their variance is known a priori; the few rows are not used to estimate it.
     """
 
     rows: np.ndarray
@@ -28,13 +28,14 @@ class PriorRows(NamedTuple):
 class Misfit:
     """Weighted residual (n,) of windows, and its Jacobian (n, p), for parameters (p,).
 
-    Every window counts the same, whatever its length: its samples are weighted by what the
-    window's own best fit leaves of the force. Where only sensor noise is left this is the
-    maximum-likelihood weight; where the law itself is not exact it keeps one strong run from
-    drowning all others. Samples whose force still depends on the unknown past count for nothing.
+    All windows have the same weight, independent of their length. The samples of a window are
+    weighted by the RMSE of the separate fit of the window. If the residual is only sensor noise,
+    this is the maximum-likelihood weight. With model error it prevents one strong run from
+    dominating the others. Samples whose force still depends on the unknown past have no weight.
 
-    ``given``: what it was made of; ``settled`` (n,): samples that count, ``sample_weights`` (n,)
-    [1/N]: their weights, else 0; ``sample_windows`` (n,): the places of their windows.
+    ``given``: the arguments it was made from; ``settled`` (n,): samples with a weight;
+    ``sample_weights`` (n,) [1/N]: their weights, 0 for other samples; ``sample_windows`` (n,):
+    index of the window of each sample.
     """
 
     def __init__(
@@ -46,12 +47,13 @@ class Misfit:
         *,
         forces: WindowForces | None = None,
     ) -> None:
-        """``noise`` [N]: what each window's own best fit leaves (RMSE). ``known`` (p,), where there
-        is a set already, tells which samples do not yet depend on the motion alone. ``forces``:
-        those of the windows, where they exist.
+        """``noise`` [N]: RMSE of the separate fit of each window.
 
-        Raises ValueError where there are no windows.
-        """  # noqa: D205
+        ``known`` (p,): a parameter set that tells which samples depend on the unknown past; None if
+        there is no set yet. ``forces``: those of the windows, if they exist already.
+
+        Raises ValueError if there are no windows.
+        """
         if not windows:
             raise ValueError("there are no windows to identify from")
         self.model = model
@@ -70,17 +72,17 @@ class Misfit:
 
     @property
     def row_windows(self) -> np.ndarray:
-        """The place of the window that each row (n,) of the residual belongs to."""
+        """Index of the window of each row (n,) of the residual."""
         return self.sample_windows
 
     @property
     def prior(self) -> PriorRows | None:
-        """Rows that are no samples; None where there are none."""
+        """Rows that are not samples; None if there are none."""
         return None
 
     def residual(self, parameters: Array) -> Array:
         """Weighted model minus measurement [1], shape (..., n), for parameters (..., p)."""
-        # A search asks for its start and its end more than once.
+        # Cached, because a search evaluates its start and its end more than once.
         if self._latest is None or not np.array_equal(self._latest[0], parameters):
             forces = self.forces.forces(parameters)
             left = forces[0].copy() if len(forces) == 1 else np.concatenate(forces, axis=-1)
@@ -94,7 +96,7 @@ class Misfit:
     def jacobian(self, parameters: Array, columns: Sequence[int] | None = None) -> Array:
         """Derivatives of the residual, shape (n, p), or only the given columns of it."""
         places = range(parameters.size) if columns is None else columns
-        # By columns, which lie together in memory.
+        # Each column is contiguous in memory.
         result = np.empty((len(places), self.sample_count))
         first = 0
         for derivatives in self.forces.derivatives(parameters, list(places)):
@@ -107,7 +109,7 @@ class Misfit:
         return result.T
 
     def mean_square(self, parameters: Array) -> float:
-        """Mean of the squared weighted residual: 1 where nothing but the noise is left."""
+        """Mean of the squared weighted residual; it is 1 if only the noise is left."""
         return float(np.mean(np.square(self.residual(parameters))))
 
     def population_cost(self, parameters: Array) -> Array:
@@ -118,8 +120,8 @@ class Misfit:
 class WindowProblem:
     """Residual (n,) [N] of a window and its Jacobian (n, f), for the unknowns (f,) of its law.
 
-    ``settled`` (n,): samples that have a residual; ``differences``: evaluations of the force that
-    went into derivatives.
+    ``settled`` (n,): samples with a residual; ``differences``: evaluations of the force for
+    derivatives.
     """
 
     def __init__(
@@ -130,9 +132,9 @@ class WindowProblem:
         *,
         forces: WindowForces | None = None,
     ) -> None:
-        """The unknowns are those of ``parameters`` (p,) that a window determines; all else stays.
+        """The unknowns are the parameters that a window determines; the others keep ``parameters``.
 
-        ``forces``: those of the window, where they exist.
+        ``forces``: those of the window, if they exist already.
         """
         self.model = model
         self.window = window
@@ -143,60 +145,60 @@ class WindowProblem:
 
     @property
     def settled(self) -> np.ndarray:
-        """Mask (n,)."""
+        """Mask (n,) of the settled samples."""
         return self._misfit.settled
 
     @property
     def start(self) -> Array:
-        """Unknowns (f,) of the parameters given."""
+        """Unknowns (f,) of the given parameters."""
         return self.model.unknowns(self._given)
 
     @property
     def strength(self) -> np.ndarray:
-        """Mask (f,) of the unknowns that rise and fall with the strength of the damper."""
+        """Mask (f,) of the unknowns that are gain parameters."""
         return self.model.strong_unknowns
 
     @property
     def bounds(self) -> tuple[Array, Array] | None:
-        """Lower and upper bounds (f,) of the unknowns, None where all are infinite."""
+        """Lower and upper bounds (f,) of the unknowns, None if all are infinite."""
         low, high = (bound[self._columns] for bound in self.model.bounds)
         return None if np.all(np.isinf(low)) and np.all(np.isinf(high)) else (low, high)
 
     def parameters(self, unknowns: Array) -> Array:
-        """All parameters (..., p)."""
+        """All parameters (..., p) for these unknowns (..., f)."""
         return self.model.with_unknowns(self._given, unknowns)
 
     def residual(self, unknowns: Array) -> Array:
-        """Model minus measurement [N], (..., n) for unknowns (..., f); 0 where not settled."""
+        """Model minus measurement [N], (..., n) for unknowns (..., f); 0 for transient samples."""
         return self._misfit.residual(self.parameters(unknowns))
 
     def jacobian(self, unknowns: Array) -> Array:
-        """Derivatives of the residual by the unknowns, shape (n, f)."""
+        """Derivatives of the residual with respect to the unknowns, shape (n, f)."""
         before = self._misfit.forces.differences
         derivatives = self._misfit.jacobian(self.parameters(unknowns), self._columns)
         self.differences += self._misfit.forces.differences - before
         return self.model.by_unknowns(unknowns, derivatives)
 
     def restarted(self, parameters: Array) -> WindowProblem:
-        """The problem for parameters (p,) of which only the unknowns are others."""
+        """The problem for parameters (p,) that differ only in the unknowns."""
         return WindowProblem(self.model, self.window, parameters, forces=self._misfit.forces)
 
     def cold_starts(self) -> list[Array]:
-        """Parameters (p,) to start from, read off the window; the rest stays as it is given."""
+        """Start parameters (p,) derived from the window; parameters that are not unknowns stay."""
         return self.model.cold_starts(self.window, self._given)
 
     def coefficients(self, unknowns: Array) -> tuple[Array, Array]:
-        """Operating-point coefficients (c,), derivatives (c, f) by the unknowns; or none."""
+        """Operating-point coefficients (c,) and their derivatives (c, f); or empty arrays."""
         model, parameters = self.model, self.parameters(unknowns)
         values = model.coefficients_at(parameters, *self.window.operating_point)[:, 0]
         gradient = model.coefficient_gradient(parameters, *self.window.operating_point)
         return values, model.by_unknowns(unknowns, gradient[:, self._columns])
 
     def usual_change(self, part: float, fastest: float) -> Array:
-        """Change (f,) of each unknown that changes the force by this part of it.
+        """Change (f,) of each unknown that changes the force by the relative amount ``part``.
 
-        Seen in the window, and in a sine of peak velocity ``fastest`` [m/s] where that is finite;
-        infinite where there is no force to compare with.
+        It is evaluated in the window and, if ``fastest`` [m/s] is finite, in a sine of this peak
+        velocity. It is infinite if the force is zero.
         """
         change = self._relative_change(part)
         if not math.isfinite(fastest):

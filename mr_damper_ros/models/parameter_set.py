@@ -1,4 +1,4 @@
-"""An identified set of parameters of a model with what is known about it, and its YAML form."""
+"""An identified parameter set of a model with its uncertainty and range, and its YAML form."""
 
 from __future__ import annotations
 
@@ -22,29 +22,29 @@ from mr_damper_ros.signals.arrays import Array
 from mr_damper_ros.signals.blocks import fits_a_stamp
 
 DEFAULT_MODEL = "sigmoid"
-"""The law that is meant where none is named."""
+"""Default law if a file names none."""
 
 
 _ENTRIES = ("value", "unit", "standard_error", "discrepancy", "observable")
-"""What a file may say of a parameter."""
+"""Keys that a file may contain for a parameter."""
 
 LONGEST_NAME = 200
-"""Characters of an id or a source; ours have at most some thirty."""
+"""Largest number of characters of an id or a source; those of this package have about thirty."""
 
 GLOBAL_SOURCE, EARLY_SOURCE = "global", "force_scale"
-"""Sources of a set for all operating points, and of one whose strength alone was fitted anew,
-early, because the force had changed."""
+"""Sources of a set for all operating points, and of a set in which only the gain parameters were
+refitted early after a change of force."""
 
 
 START_SOURCES = ("literature", "start")
-"""Sources of a set to start a search from: neither samples nor a user stand behind it."""
+"""Sources of a start set, which is supported neither by samples nor by a user."""
 
 
 class SpokenError(ValueError):
-    """An error whose message is a sentence that goes to people, also by way of a ROS message.
+    """A user error, whose message is a sentence that may also be sent in a ROS message.
 
-    What cannot be encoded, such as half a surrogate pair in the name of a file, is written as an
-    escape sequence: it would end the node that sends it.
+    Characters that cannot be encoded, such as half a surrogate pair in a file name, are written as
+    escape sequences, because they would end the node that sends the message.
     """
 
     def __init__(self, sentence: str) -> None:
@@ -52,20 +52,20 @@ class SpokenError(ValueError):
 
 
 _ONE_CURRENT = 0.05
-"""Currents [A] that are no further apart count as one."""
+"""Largest difference of currents [A] that count as one current."""
 
 
 class ParameterError(SpokenError):
-    """A parameter set that cannot be used; the message says what to change."""
+    """A parameter set cannot be used; the message says what to change."""
 
 
 Moved = TypeVar("Moved", Motion, MotionSample, Window)
 
 _UNEVEN = 0.01
-"""Part of a step by which times may be off, as rounding in a file leaves them."""
+"""Tolerance of the sample times relative to the period, for rounding in a file."""
 
 _UNKNOWN = np.empty(0)
-"""Stands for "of none of the parameters" until the number of parameters is known."""
+"""Placeholder for "NaN or False for all parameters" until the number of parameters is known."""
 
 
 def _unknown() -> Array:
@@ -74,22 +74,21 @@ def _unknown() -> Array:
 
 @dataclass(frozen=True, eq=False)
 class ParameterSet:
-    """Parameters of a model, and how well and from what they are known.
+    """Parameters of a model with their standard errors, validity range and origin.
 
-    ``values`` and ``standard_errors`` have shape (p,), in the order and the units of the
-    parameters of ``model``, a name in ``MODELS``; a standard error is NaN where it is unknown.
-    ``discrepancies`` (p,) are the part of the standard errors that comes from what the law cannot
-    follow, NaN where that is not known: from window to window of the same motion a value scatters
-    by the root of the difference of their squares.
-    ``observable`` (p,) tells which parameters the data determined (the others kept the value of
-    the start). ``peak_velocity_range`` [m/s] and ``current_range`` [A] span the data that were
-    used; ``nrmse`` is RMSE/std of the force; ``stamp_ns`` is the time of the last sample used.
-    ``largest_force`` [N] is the largest that the damper gave in these data, NaN where unknown.
+    ``values`` and ``standard_errors`` have shape (p,), in the order and the units of the parameters
+    of ``model``, a name in ``MODELS``; an unknown standard error is NaN. ``discrepancies`` (p,) are
+    the part of the standard errors that comes from model error, NaN if unknown. The standard
+    deviation of a value from window to window of the same motion is the root of the difference of
+    the squares of both. ``observable`` (p,) marks the parameters that the data determined; the
+    others kept the value of the start. ``peak_velocity_range`` [m/s] and ``current_range`` [A] span
+    the data that were used; ``nrmse`` is RMSE/std of the force; ``stamp_ns`` is the time of the
+    last sample used. ``largest_force`` [N] is the largest force in these data, NaN if unknown.
 
-    Raises ParameterError where the model is not known, shapes are wrong, a value is not finite
-    or out of its bounds, a range is reversed, the largest force is no size, or a message could not
-    hold the set: its id and source must be printable and no longer than 200 characters, its stamp
-    that of a year up to 2038.
+    Raises ParameterError for an unknown model, wrong shapes, values that are not finite or out of
+    bounds, a reversed range, and a negative or infinite largest force. It is also raised if a
+    message cannot hold the set: id and source must be printable and have at most 200 characters,
+    and the stamp must be of a year up to 2038.
     """
 
     values: Array
@@ -118,7 +117,8 @@ class ParameterSet:
             given = getattr(self, name)
             array = np.full(count, unknown) if given is _UNKNOWN else np.array(given, dtype=dtype)
             if array.ndim == 1:
-                # What follows the current may be left out at the end: it has a default.
+                # Parameters of the current dependence may be omitted at the end, because they have
+                # a default.
                 complete = model.completed(array.astype(float))
                 if unknown is not None:
                     complete[array.size :] = unknown
@@ -166,11 +166,11 @@ class ParameterSet:
         return MODELS[self.model]
 
     def held(self, motion: Moved) -> Moved:
-        """A motion as the set predicts its force: the peak velocity held within its range."""
+        """The motion for prediction, with the peak velocity limited to the range of the set."""
         return motion.held_within(*self.peak_velocity_range)
 
     def law_turning(self, *, gradual: bool) -> Model:
-        """The law whose force is ``gradual`` where the motion turns, or jumps, if it has both."""
+        """The law with a continuous force at reversals if ``gradual``, otherwise with its jump."""
         return self.law.continuous if gradual else self.law
 
     def follow(
@@ -184,7 +184,7 @@ class ParameterSet:
     ) -> tuple[Array, State]:
         """Force (n,) [N] of samples ``period`` [s] apart, and the state after them.
 
-        ``current`` [A] has shape (n,); ``state`` is that after the sample before; ``gradual`` as
+        ``current`` [A] has shape (n,); ``state`` is that after the previous sample; ``gradual`` as
         for :meth:`law_turning`.
         """
         with np.errstate(over="ignore", invalid="ignore"):
@@ -193,9 +193,9 @@ class ParameterSet:
             )
 
     def window_force(self, window: Window, *, gradual: bool | None = False) -> Array:
-        """Force (n,) [N] that the set predicts at the samples of a window.
+        """Force (n,) [N] predicted at the samples of a window.
 
-        ``gradual`` as for :meth:`law_turning`; None: unless the motion is a steady sine, whose
+        ``gradual`` as for :meth:`law_turning`. None means True except for a steady sine, whose
         acceleration is free of noise.
         """
         law = self.law_turning(gradual=window.motion.sine is None if gradual is None else gradual)
@@ -204,10 +204,11 @@ class ParameterSet:
     def force(self, time: ArrayLike, displacement: ArrayLike, current: ArrayLike) -> Array:
         """Force (n,) [N] of the damper in a motion.
 
-        ``time`` (n,) [s] in even steps, ``displacement`` (n,) [m], extension positive, ``current``
-        [A], (n,) or a number. What went before is unknown: a law with memory settles first.
+        ``time`` (n,) [s] is uniform, ``displacement`` (n,) [m] is positive in extension,
+        ``current`` [A] is a number or has shape (n,). The past is unknown, so a law with memory
+        starts with a transient.
 
-        Raises ValueError, in one sentence, for times in uneven steps and for samples of no use.
+        Raises ValueError for non-uniform times and for unusable samples.
 
         >>> import numpy as np
         >>> import mr_damper_ros as mr
@@ -234,14 +235,14 @@ class ParameterSet:
 
     @property
     def has_evidence(self) -> bool:
-        """Whether samples, or a user, stand behind the set; a mere start has none."""
+        """Whether samples or a user support the set; a start set has no support."""
         return self.source not in START_SOURCES
 
     def as_given(self) -> ParameterSet:
-        """The set as a user vouches for it who states its ranges, but not how it was identified.
+        """The set as stated by a user who gives its ranges but no observable parameters.
 
-        If no parameter is marked as observable, those count as known that a run within the ranges
-        determines. A range without an end states nothing.
+        If no parameter is marked as observable, those that a run within the ranges determines are
+        marked. An unbounded range marks none.
         """
         if self.observable.any() or not self.has_evidence:
             return self
@@ -256,7 +257,7 @@ class ParameterSet:
 
     @property
     def doubt_over_current(self) -> str:
-        """Why it says nothing of other currents, in words; empty where it does."""
+        """Why the set is not valid at other currents, in words; empty if it is."""
         low, high = self.current_range
         if not (math.isfinite(low) and high - low <= _ONE_CURRENT):
             return ""
@@ -274,7 +275,7 @@ class ParameterSet:
         }
 
     def of_model(self, model: str) -> ParameterSet:
-        """The set itself; raises ParameterError where it is not of ``model``."""
+        """Return the set; raises ParameterError if it is not of ``model``."""
         if self.model != model:
             raise ParameterError(
                 f"the parameters are those of model '{self.model}': give a set of model '{model}'"
@@ -282,9 +283,9 @@ class ParameterSet:
         return self
 
     def start_of(self, model: str) -> Array:
-        """Values (p,) to start a search of another model from, whose parameters include these.
+        """Start values (p,) for another model whose parameters include those of this set.
 
-        Raises ParameterError where they do not.
+        Raises ParameterError if they do not.
         """
         target = known_model(model)
         if not set(self.law.parameter_names) <= set(target.parameter_names):
@@ -298,7 +299,7 @@ class ParameterSet:
         return dict(zip(self.law.parameter_names, self.values.tolist(), strict=True))
 
     def to_yaml(self) -> str:
-        """Text that :meth:`from_yaml` reads back to the last digit."""
+        """YAML text that :meth:`from_yaml` reads back exactly."""
         units = self.law.units
         document: dict[str, Any] = {
             "model": self.model,
@@ -352,9 +353,9 @@ class ParameterSet:
     def from_yaml(cls, text: str) -> ParameterSet:
         """Parameter set from text written by :meth:`to_yaml`, or by hand.
 
-        By hand, ``parameters`` with all names of the sigmoid law is enough, each a plain number or
-        a mapping with ``value``; those of another law need its name as ``model``. What follows
-        the current may be left out: the law then holds at any current alike.
+        The shortest text is ``parameters`` with all names of the sigmoid law, each with a number or
+        a mapping with ``value``. Another law also needs its name as ``model``. The parameters of
+        the current dependence may be omitted; the law is then independent of the current.
 
         Raises ParameterError with one sentence that says what to change.
         """
@@ -367,13 +368,14 @@ class ParameterSet:
             detail = f": {problem}" if problem else ""
             raise ParameterError(f"the parameter file is not valid YAML{where}{detail}") from error
         except Exception as error:
-            # PyYAML raises what it likes for a date that does not exist, !!int '', many brackets.
+            # PyYAML raises various errors for a date that does not exist, !!int '', or many
+            # brackets.
             raise ParameterError("the parameter file has an entry that YAML cannot read") from error
         try:
             return cls._from_document(document)
         except ParameterError:
             raise
-        except ValueError as error:  # Python does not write out a number of 5000 digits
+        except ValueError as error:  # Python refuses to print a number of 5000 digits
             raise ParameterError("the parameter file has an entry that cannot be used") from error
 
     @classmethod
@@ -453,7 +455,7 @@ class ParameterSet:
 
 
 def check_name(what: str, text: str) -> None:
-    """Raises ParameterError where a message could not hold a text, or nobody could read it."""
+    """Raise ParameterError if a text is too long for a message or not printable."""
     if not text.isprintable() or len(text) > LONGEST_NAME:
         raise ParameterError(
             f"the {what} of the parameters is {text[:40]!a}: give at most "
@@ -462,14 +464,14 @@ def check_name(what: str, text: str) -> None:
 
 
 def known_model(name: Any) -> Model:
-    """The model of this name; raises ParameterError where there is none."""
+    """The model of this name; raises ParameterError for an unknown name."""
     if not isinstance(name, str) or name not in MODELS:
         raise ParameterError(f"model {_shown(name)} is unknown: the models are {', '.join(MODELS)}")
     return MODELS[name]
 
 
 class _UniqueKeyLoader(yaml.SafeLoader):
-    """A loader that refuses a key given twice, of which YAML would silently take the last."""
+    """A loader that rejects duplicate keys, of which YAML would silently use the last."""
 
     def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Any, Any]:
         keys = [self.construct_object(key, deep=True) for key, _ in node.value]
@@ -483,7 +485,7 @@ class _UniqueKeyLoader(yaml.SafeLoader):
 
 def _number(value: Any, what: str) -> float:
     if isinstance(value, str):
-        # YAML 1.1 reads 1e5 as text: be kind to what every other program writes.
+        # YAML 1.1 reads 1e5 as text, although most programs write numbers in this form.
         try:
             return float(value)
         except ValueError:
@@ -497,12 +499,12 @@ def _number(value: Any, what: str) -> float:
 
 
 def _or_nan(value: Any, what: str) -> float:
-    """A number that may be left out, or null: NaN."""
+    """Read an optional number; NaN if it is missing or null."""
     return math.nan if value is None else _number(value, what)
 
 
 def _or_none(value: float) -> float | None:
-    """The same back, for a file."""
+    """Write an optional number; the inverse of reading."""
     return None if math.isnan(value) else float(value)
 
 
@@ -513,18 +515,18 @@ def _range(value: Any, what: str) -> tuple[float, float]:
 
 
 def _shown(value: Any) -> str:
-    """A value for a sentence; YAML can hold short texts that stand for endless lists."""
+    """A value as short text; a few characters of YAML can define endless lists."""
     shortened = reprlib.Repr()
     shortened.maxlevel = 1
     return shortened.repr(value)
 
 
 def start_set(model: str) -> ParameterSet:
-    """A set of the model to start from.
+    """A start set of the model.
 
-    Of the sigmoid law it is the one from the literature, of its extension the same without lag,
-    stiffness and offset. Of any other model it is a mere form without any force, valid nowhere:
-    the fit of the first window starts from what it reads off that window.
+    For the sigmoid law it is the set from the literature; for the extended law it is the same set
+    without lag, stiffness and offset. For any other model it has zero force and is valid nowhere:
+    the fit of the first window then starts from values derived from that window.
     """
     values, name, speed = MODELS[model].initial_values()
     return ParameterSet(

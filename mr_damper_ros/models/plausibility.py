@@ -1,7 +1,7 @@
-"""Whether a parameter set, wherever it comes from, can be that of a damper.
+"""Plausibility checks of parameter sets from any source.
 
-A file, a message, a service and a saved state are judged alike: the figures that the set states of
-itself, and the force that its law gives where the set says that it holds.
+Sets from files, messages, services and saved states pass the same checks: on the statistics that
+the set states, and on the force of its law over its stated range.
 """
 
 from __future__ import annotations
@@ -16,41 +16,41 @@ from mr_damper_ros.models.parameter_set import ParameterError, ParameterSet
 from mr_damper_ros.signals.arrays import Array
 
 LARGEST_FORCE = 1e6
-"""Newtons that no damper gives: the largest MR dampers, those of buildings, give 400 kN."""
+"""Upper limit [N] of a plausible force; the largest MR dampers, used in buildings, give 400 kN."""
 
 LARGEST_NRMSE = 1.0
-"""A law whose error is as large as the spread of the force says nothing of the force."""
+"""Upper limit of the NRMSE; at 1 the error is as large as the spread of the force."""
 
 _EXCESS = 3.0
-"""The law may give so many times the largest force that was measured while it was identified: the
-fastest motion and the largest current of its range need not have come together."""
+"""Largest ratio of the law's force to the largest measured force during identification. The fastest
+motion and the largest current of the range need not have occurred together."""
 
 _DRIVES = 0.02
-"""Part of the work of a constant force that a law may seem to give back: the samples of a cycle are
-few. A law of reversed sign gives back most of it."""
+"""Permitted negative work relative to that of a constant force, because a cycle has few samples. A
+law with the wrong sign returns most of the work."""
 
 _USUAL_SPEEDS = (0.01, 0.03, 0.1, 0.3)
-"""Peak velocities [m/s] at which a law is tried whose range is open or empty."""
+"""Peak velocities [m/s] for a law whose range is unbounded or empty."""
 
 _USUAL_CURRENTS = (0.0, 0.5, 1.0, 2.0)
-"""Currents [A] at which a law is tried whose range is open."""
+"""Currents [A] for a law whose range is unbounded."""
 
 _FREQUENCIES = (2.0, 0.5, 8.0)
-"""Hertz. The range says nothing of the frequency: one of these must be plausible."""
+"""Frequencies [Hz], of which one must be plausible, because the range states no frequency."""
 
 _SAMPLES = 32
-"""Samples of a cycle."""
+"""Number of samples of a cycle."""
 
 
 def check_plausible(parameters: ParameterSet) -> ParameterSet:
-    """The set itself, where it can be that of a damper over the range that it states.
+    """Return the set if it is plausible for a damper over its stated range.
 
-    Its force over cycles of the smallest, a middle and the largest peak velocity and current of
-    the range must be no larger than a damper's, nor than three times the largest force that it
-    states to have been identified from, and it must take energy out of the motion. Where the range
-    is open some usual values are tried, one of which must be plausible.
+    The force is computed over cycles at the smallest, middle and largest peak velocity and current
+    of the range. It must not exceed the plausible limit, nor three times the largest force stated
+    for the identification, and it must be dissipative. For an unbounded range some typical values
+    are checked, one of which must be plausible.
 
-    Raises ParameterError with one sentence otherwise.
+    Raises ParameterError if the set is not plausible.
     """
     if not (math.isnan(parameters.nrmse) or 0.0 <= parameters.nrmse <= LARGEST_NRMSE):
         raise ParameterError(
@@ -68,7 +68,7 @@ def check_plausible(parameters: ParameterSet) -> ParameterSet:
 
 
 def implausible(parameters: ParameterSet) -> str:
-    """Why a set cannot be that of a damper, in a sentence; empty where it can."""
+    """Why a set is not plausible, in a sentence; empty if it is plausible."""
     try:
         check_plausible(parameters)
     except ParameterError as error:
@@ -77,7 +77,7 @@ def implausible(parameters: ParameterSet) -> str:
 
 
 class _Places(NamedTuple):
-    """Where a law is tried, and whether it must be plausible everywhere there."""
+    """Values at which a law is checked, and whether it must be plausible at all of them."""
 
     values: Array
     all_count: bool
@@ -94,7 +94,7 @@ def _places(
 
 
 def _doubt(parameters: ParameterSet, speeds: _Places, currents: _Places, frequency: float) -> str:
-    """Why the law cannot be a damper's at this frequency [Hz]; empty where it can."""
+    """Why the law is not plausible at this frequency [Hz]; empty if it is."""
     peaks, works, most = _cycles(parameters, speeds.values, currents.values, frequency)
     known = parameters.largest_force > 0.0
     limit = min(_EXCESS * parameters.largest_force, LARGEST_FORCE) if known else LARGEST_FORCE
@@ -102,7 +102,7 @@ def _doubt(parameters: ParameterSet, speeds: _Places, currents: _Places, frequen
         sizes = peaks <= limit
         damping = works >= -_DRIVES * most
     if speeds.all_count:
-        # A law that follows random motion need not be right in its slowest parts.
+        # A law for random motion may be inaccurate at low speed, so the work is summed over speeds.
         with np.errstate(all="ignore"):
             damping[:] = np.sum(works, axis=0) >= -_DRIVES * np.sum(most, axis=0)
     sound = _everywhere(sizes & damping, speeds, currents)
@@ -121,7 +121,7 @@ def _doubt(parameters: ParameterSet, speeds: _Places, currents: _Places, frequen
 
 
 def _everywhere(sound: np.ndarray, speeds: _Places, currents: _Places) -> bool:
-    """Whether it is so everywhere, or somewhere where the range does not say where it holds."""
+    """Whether the checks hold at all points; for an unbounded range one point is enough."""
     of_currents = sound.all(axis=0) if speeds.all_count else sound.any(axis=0)
     return bool(of_currents.all() if currents.all_count else of_currents.any())
 
@@ -129,9 +129,9 @@ def _everywhere(sound: np.ndarray, speeds: _Places, currents: _Places) -> bool:
 def _cycles(
     parameters: ParameterSet, speeds: Array, currents: Array, frequency: float
 ) -> tuple[Array, Array, Array]:
-    """Peak force [N] of a settled cycle, its work, and that of the peak force against the motion.
+    """Peak force [N] of a settled cycle, its work, and the work of a constant force of this size.
 
-    Each of shape (speeds, currents); the works in N m/s, summed over the samples.
+    Each has shape (speeds, currents). The works are in N m/s, summed over the samples.
     """
     rate = 2.0 * math.pi * frequency
     angle = np.arange(2 * _SAMPLES) * (2.0 * math.pi / _SAMPLES)
@@ -152,7 +152,7 @@ def _cycles(
         force = parameters.law.force(
             parameters.values, motion, current, 1.0 / (frequency * _SAMPLES)
         )
-        # The first of two cycles is there to settle in.
+        # The first of the two cycles contains the transient.
         force, velocity = (x.reshape(shape)[..., _SAMPLES:] for x in (force, velocity))
         peaks = np.max(np.abs(force), axis=-1)
         works = np.sum(force * velocity, axis=-1)

@@ -22,7 +22,7 @@ LITERATURE = np.array(
         *(1638.0, 19.99, 37.71, 527.6, -67.9, -0.091, -0.260, 0.006),
     ]
 )
-"""Start of the thesis' searches (appendix D, from Santade 2017): 2.5 mm, 1 Hz, 0 A."""
+"""Start of the searches in the thesis (appendix D, from Santade 2017): 2.5 mm, 1 Hz, 0 A."""
 
 THESIS_28_CELSIUS = np.array(
     [
@@ -40,17 +40,17 @@ THESIS_71_CELSIUS = np.array(
 )
 """Warm damper: 5 mm, 1 Hz, 1.5 A at 71 °C (tables 8 and 9, two decimals as printed).
 
-It lies in another basin than the cold set (signs differ): interpolate forces between the two,
-never parameters.
+It is a different local minimum from the cold set, with other signs. Interpolate the forces of the
+two sets, not their parameters.
 """
 
 
 PUBLISHED_METHODS = ("nelder_mead", "differential_evolution")
-"""The two methods of the tables; runs are made from the first."""
+"""The two methods in the tables; simulated runs use the first."""
 
 
 class ConditionError(ValueError):
-    """A condition that the thesis does not have; the message lists those it has."""
+    """An unknown condition; the message lists the conditions of the thesis."""
 
 
 @dataclass(frozen=True, order=True)
@@ -63,13 +63,13 @@ class Condition:
 
     @property
     def name(self) -> str:
-        """Such as ``2.5mm_1Hz_0.0A``."""
+        """The name, such as ``2.5mm_1Hz_0.0A``."""
         return f"{self.amplitude * 1e3:.1f}mm_{self.frequency:g}Hz_{self.current:.1f}A"
 
 
 def _read_table() -> dict[tuple[Condition, str], Array]:
     text = Path(__file__).with_name("published_conditions.csv").read_text("utf-8")
-    # Without the module csv, which would be loaded with every law.
+    # Parsed without the module csv, which would otherwise be loaded with every law.
     names, *rows = (line.split(",") for line in text.splitlines() if not line.startswith("#"))
     table = {}
     for cells in rows:
@@ -128,21 +128,21 @@ ROW_ERRATA = {
         ),
     )
 }
-"""Why a row of the tables must not be used: (condition, method) to the reason."""
+"""Reasons to exclude a row of the tables, by (condition, method)."""
 
 ERRATA = {
     condition: reason
     for (condition, method), reason in ROW_ERRATA.items()
     if method == PUBLISHED_METHODS[0]
 }
-"""Conditions whose Nelder-Mead row, from which runs are made, must not be used, and why."""
+"""Conditions whose Nelder-Mead row must not be used for simulated runs, and the reasons."""
 
 
 def is_clean(condition: Condition) -> bool:
-    """Whether a run of the condition may be compared with others: 30 of the 34 may.
+    """Whether a run of the condition is suitable for comparisons: 30 of the 34 are.
 
-    One of the four others, 7.5 mm at 3 Hz and 1.5 A, is sound by the criteria of the report, though
-    the sign of its k4 is doubtful: there are 31 sound conditions.
+    Of the other four, 7.5 mm at 3 Hz and 1.5 A meets the criteria of the report, but the sign of
+    its k4 is doubtful. By these criteria 31 conditions are sound.
     """
     return condition not in ERRATA
 
@@ -159,7 +159,7 @@ def parameters(condition: Condition, method: str = PUBLISHED_METHODS[0]) -> Arra
 
 
 def find(name: str) -> Condition:
-    """Condition by its name; raises ConditionError, which lists all, where there is none."""
+    """Condition by its name; raises ConditionError, which lists all names, for an unknown one."""
     for condition in CONDITIONS:
         if condition.name == name:
             return condition

@@ -1,4 +1,4 @@
-"""Parameters and coefficients with their units, and what a search of a window starts from."""
+"""Parameters and coefficients with their units, and the starts of a search in a window."""
 
 from __future__ import annotations
 
@@ -13,21 +13,22 @@ from mr_damper_ros.kinematics.window import Window
 from mr_damper_ros.signals.arrays import Array
 
 _OUTERMOST = 0.98
-"""Quantile of the speed and of the displacement that counts as the largest."""
+"""Quantile of speed and displacement that is used as the maximum."""
 
 State = tuple[Array, ...]
-"""What a law remembers of the past: arrays of the shape of the sets, none for a law without memory.
+"""State of a law: arrays of the shape of the sets, empty for a law without memory.
 
-None stands for a start: at rest, or settled.
+None is the state at a start: at rest, or settled.
 """
 
 
 @dataclass(frozen=True)
 class Parameter:
-    """A parameter: its unit, and the bounds within which it has a meaning.
+    """A parameter: its unit and its physical bounds.
 
-    It can be told from its fellows only where the data hold so many different ``peak_velocities``
-    and ``currents``. A file that does not name it means the ``default``, if there is one.
+    The data must contain at least ``peak_velocities`` different peak velocities and ``currents``
+    different currents to determine it. ``default`` is its value if a file does not contain it;
+    None: it is required.
     """
 
     name: str
@@ -40,7 +41,7 @@ class Parameter:
 
 
 class Quantity(NamedTuple):
-    """A coefficient at one operating point: its name, its unit, what it means."""
+    """A coefficient at one operating point: its name, unit and meaning."""
 
     name: str
     unit: str
@@ -48,7 +49,7 @@ class Quantity(NamedTuple):
 
 
 class LoopReading(NamedTuple):
-    """What can be read off a record: where a search may start.
+    """Size of the force-displacement loop of a window, from which starts of a search are derived.
 
     Half the span of the ``force`` [N] and its ``middle`` [N], the largest ``speed`` [m/s] and the
     ``amplitude`` [m].
@@ -61,7 +62,7 @@ class LoopReading(NamedTuple):
 
     @classmethod
     def of(cls, window: Window) -> LoopReading:
-        """That of a window."""
+        """The reading of a window."""
         top, bottom = float(window.force.max()), float(window.force.min())
         speed = float(np.quantile(np.abs(window.motion.velocity), _OUTERMOST))
         amplitude = float(np.quantile(np.abs(window.motion.displacement), _OUTERMOST))
@@ -95,11 +96,12 @@ class LoopReading(NamedTuple):
 
 @dataclass(frozen=True)
 class SearchEffort:
-    """How far a window of the model is searched.
+    """Effort of the search in a window.
 
-    ``tolerance``: relative gain of the sum of squares at which a search ends; ``most_steps`` of it.
-    Starts read off the record, where the given one is poor: the ``polished_starts`` best are
-    polished to ``rough_tolerance`` in ``rough_steps``, and the best of those is taken.
+    ``tolerance``: relative decrease of the sum of squares at which a search ends; ``most_steps``:
+    its largest number of steps. If the given start is poor, starts are derived from the window. The
+    best ``polished_starts`` of them are refined to ``rough_tolerance`` in at most ``rough_steps``,
+    and the best result is used.
     """
 
     tolerance: float = 1e-6
@@ -110,27 +112,28 @@ class SearchEffort:
 
 
 _RELATIVE_ERROR = 0.05
-"""No coefficient is trusted more than to this part: the law itself is not exact."""
+"""Smallest relative error of a coefficient, because every law has model error."""
 
 _OPEN = 1e3
-"""The standard error of a coefficient that a window leaves open, in sizes of it."""
+"""Standard error of an undetermined coefficient, relative to its size."""
 
 _NOTHING = 1e-100
-"""A coefficient that is zero at every operating point has still an error: no weight is infinite."""
+"""Smallest size of a coefficient, so that the weight of a coefficient that is always zero is
+finite."""
 
 LawSearch = Callable[[Callable[[Array], Array], Sequence[tuple[float, float]], Array, str], Array]
-"""Minimises a function of individuals (u, s) to (s,) within bounds, from a start (u,).
+"""Minimises a function that maps individuals (u, s) to (s,) within bounds, from a start (u,).
 
-The last argument names the stage of the search; the result (u,) is the best individual.
+The last argument is the name of the stage; the result (u,) is the best individual.
 """
 
 
 @dataclass(frozen=True, eq=False)
 class CoefficientTable:
-    """Coefficients of k operating points; of the sigmoid law those with positive f_t.
+    """Coefficients of k operating points; those of the sigmoid law have positive f_t.
 
-    ``peak_velocity`` [m/s] and ``current`` [A] have shape (k,), ``coefficients`` and their
-    standard ``errors`` shape (k, c).
+    ``peak_velocity`` [m/s] and ``current`` [A] have shape (k,), ``coefficients`` and their standard
+    ``errors`` shape (k, c).
     """
 
     peak_velocity: Array
@@ -141,8 +144,8 @@ class CoefficientTable:
     def weights(self, column: int) -> Array:
         """Inverse standard deviations (k,) of one coefficient, model error included.
 
-        A part of a cycle may leave a coefficient open, and its fit then puts it anywhere: the
-        usual size is that of those that are known.
+        A window of less than a cycle may leave a coefficient undetermined with an arbitrary value.
+        The typical size is therefore that of the determined coefficients.
         """
         values, errors = self.coefficients[:, column], self.errors[:, column]
         known = errors <= np.abs(values)

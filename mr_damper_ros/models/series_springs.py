@@ -1,19 +1,22 @@
-"""Yield and viscous flow in series with a spring, and beside it a softer path that yields too.
+"""Yield and viscous flow in series with a spring, parallel to a softer spring with its own yield.
 
-The fluid flows at the velocity w, which is not that of the rod: the spring between them is what
-``compliance`` of the extended law stands for, here solved as it is, sample by sample:
+The fluid flows at the velocity w, which differs from the velocity v of the rod because of the
+spring between them. The ``compliance`` of the extended law approximates this spring; here it is
+integrated sample by sample:
 
     f tanh(w / w_y) + c w = F = k x,    dx/dt = v - w
 
-The spring keeps its deflection x where the current, and its stiffness with it, changes. This needs
-no peak velocity. What rounds a small motion more than a large one is the way since the reversal,
-not the speed: a part of the yield force is carried by a softer spring (two elements of the kind
-that Iwan, J. Applied Mechanics 33, 1966, puts side by side), each with a yield of its own.
+The spring keeps its deflection x when the current, and with it the stiffness, changes. The law does
+not need the peak velocity. A small motion has a rounder loop than a large one because of the travel
+since the reversal, not because of its speed. The law describes this by a part of the yield force on
+a softer spring: two parallel elements as in Iwan, J. Applied Mechanics 33, 1966, each with its own
+yield.
 
-A step is the two-stage method of order two with gamma = 1 - 1/sqrt(2) (Alexander, SIAM J.
-Numerical Analysis 14, 1977), L-stable: stable at any period, and a spring far too stiff for the
-period is rigid, not ringing. Either stage is one rising equation for w. The derivatives by the
-parameters follow the same steps, linearised: a recursion, solved for all of them at once.
+A step uses the two-stage method of second order with gamma = 1 - 1/sqrt(2) (Alexander, SIAM J.
+Numerical Analysis 14, 1977). The method is L-stable: it is stable at any period, and a spring that
+is very stiff for the period acts as rigid, without oscillation. Each stage is one monotonic
+equation for w. The derivatives with respect to the parameters follow from the linearised steps, by
+a recursion that is solved for all of them at once.
 """
 
 from __future__ import annotations
@@ -44,11 +47,11 @@ _GAMMA = 1.0 - math.sqrt(0.5)
 _REST = 1.0 - _GAMMA
 _AHEAD = _REST / _GAMMA
 _CLOSE = 4e-3
-"""A flow is found once a step changes it by less than this part of the width of the yield: the next
-would change it by a part of the order of this one's cube."""
+"""Iteration ends when a step changes the flow by less than this part of the yield width.
+Convergence is cubic, so the next step would be smaller than about the cube of this."""
 
 _MOST_BENT = 0.5
-"""Where the curve bends more within a step, it says nothing of where the flow is."""
+"""Limit of Halley's correction; with more curvature within a step, it is not reliable."""
 
 _MOST_STEPS = 60
 
@@ -62,7 +65,7 @@ class PathState(NamedTuple):
 
 
 class SpringPath(NamedTuple):
-    """Strength [N], width [m/s], damping [N s/m] and stiffness [N/m]; each (n,) or (1,)."""
+    """Strength [N], yield width [m/s], damping [N s/m], stiffness [N/m]; each (n,) or (1,)."""
 
     strength: Array
     width: Array
@@ -80,9 +83,9 @@ class SpringPath(NamedTuple):
         return PathState(deflection, flow, float(velocity[-1])), results
 
     def derivatives(self, velocity: Array, period: float) -> tuple[dict[str, Array], Array, Array]:
-        """What each step adds (n,) by each of the four, and the part (n,) of the force it keeps.
+        """Derivatives (n,) of each step's force by the four coefficients, and by the force before.
 
-        Last: how much (n,) [N] is left of the force that a step begins with.
+        The third result is the part (n,) [N] of the previous force that remains after a step.
         """
         start = PathState(math.nan, math.nan, math.nan)
         _, (forces, early, flow) = self.follow(velocity, period, start)
@@ -101,7 +104,8 @@ class SpringPath(NamedTuple):
         kept[0] = 0.0
         added = {}
         for name in ("strength", "width", "damping"):
-            # Of the first stage: the flow, and through it the force that the second begins with.
+            # Effect of the first stage: on the flow, and through it on the initial force of the
+            # second.
             begin = far * first * by_both[0][name]
             added[name] = slopes[1] * second * begin + near * second * by_both[1][name]
             added[name][0] = by_both[1][name][0]
@@ -125,9 +129,10 @@ def follow_path(
     flow: float,
     last: float,
 ) -> tuple[float, float]:
-    """Deflection and flow after n samples; fills the force and the flows of both stages, each (n,).
+    """Follow a path; fills the force and the flows of both stages, each (n,).
 
-    ``numbers`` are those of a :class:`SpringPath` at each sample, or once for all.
+    Returns the last deflection and flow. ``numbers`` are the values of a :class:`SpringPath` at
+    each sample, or one row for all samples.
     """
     constant = len(numbers) == 1
     for k in range(len(velocity)):
@@ -137,7 +142,7 @@ def follow_path(
             damping, stiffness = numbers[k][2], numbers[k][3]
             near, far = _GAMMA * period * stiffness, _REST * period * stiffness
             held = damping + near
-        if deflection != deflection:  # NaN: a start, settled; three times as fast as math.isnan
+        if deflection != deflection:  # NaN marks a settled start; three times as fast as math.isnan
             flow = stage = v
             force = strength * math.tanh(v / width) + damping * v
         else:
@@ -154,8 +159,8 @@ def follow_path(
 
 
 def flow_of(strength: float, width: float, held: float, load: float, guess: float) -> float:
-    """Flow w [m/s] with strength tanh(w / width) + held w = load."""
-    # The left side is odd in w, and bends down where w > 0: from below Newton's steps rise.
+    """Flow w [m/s] that solves strength tanh(w / width) + held w = load."""
+    # The left side is odd in w and concave for w > 0, so Newton steps from below increase.
     sign = 1.0
     if load < 0.0:
         sign, load, guess = -1.0, -load, -guess
@@ -169,7 +174,7 @@ def flow_of(strength: float, width: float, held: float, load: float, guess: floa
         tanh = math.tanh(flow / width)
         steep = steepest * (1.0 - tanh * tanh)
         step = (load - strength * tanh - held * flow) / (steep + held)
-        # Halley's step: it knows how the curve bends.
+        # Halley's step includes the curvature.
         bent = step * steep * tanh / (width * (steep + held))
         if -_MOST_BENT < bent < _MOST_BENT:
             step /= 1.0 - bent
@@ -182,14 +187,14 @@ def flow_of(strength: float, width: float, held: float, load: float, guess: floa
 
 
 _FORGOTTEN = 0.01
-"""A past is forgotten where it changes the force by less than this part of its span."""
+"""The past has no more effect if it changes the force by less than this part of the force span."""
 
 _SETTLED = 7.0
-"""So many times the way that the softer spring gives, and the reversal before is forgotten."""
+"""Travel after which a reversal has no effect, in deflections of the softer spring at yield."""
 
 
 class SeriesSprings(DifferentiatedModel):
-    """Two springs, each in series with a yield, one of these with a damper; the gas beside them."""
+    """Two parallel paths of spring and yield, one with a damper, and the gas parallel to them."""
 
     name = "series_springs"
     title = "springs in series, solved"
@@ -218,7 +223,7 @@ class SeriesSprings(DifferentiatedModel):
     def force_at(
         self, coefficients: Sequence[Array], motion: Motion, period: float, state: State | None
     ) -> tuple[Array, State]:
-        """Force [N]; remembered are deflection and flow of either path, and the last velocity."""
+        """Force [N]; the state holds deflection and flow of each path and the last velocity."""
         *paths, stiffness, offset = coefficients
         force, kept = integrated(_both_paths, paths, motion, period, state, self.memory)
         return np.asarray(force + stiffness * motion.displacement + offset), kept
@@ -226,7 +231,7 @@ class SeriesSprings(DifferentiatedModel):
     def follow(
         self, parameters: Array, motion: Motion, current: Array, period: float, state: State | None
     ) -> tuple[Array, State]:
-        """Force [N]; of one set in plain numbers, since blocks of few samples come often."""
+        """Force [N]; one set uses scalar code, because short blocks are frequent."""
         if parameters.ndim > 1 or runs_machine_code():
             return super().follow(parameters, motion, current, period, state)
         amperes, supply = self._one_in_coil(parameters, current, period, state)
@@ -245,9 +250,9 @@ class SeriesSprings(DifferentiatedModel):
     def _one_in_coil(
         self, parameters: Array, current: Array, period: float, state: State | None
     ) -> tuple[list[float], tuple[float, ...]]:
-        """Current of the coil at the samples [A], one where it is constant, and what is remembered.
+        """Coil current [A] at the samples, one value if constant, and the state of the coil.
 
-        That is the supply's and the coil's after them, nothing where the coil does not lag.
+        The state is the last supply current and coil current; it is empty if the coil has no lag.
         """
         tau, supplied = float(parameters[-1]), current.tolist()
         if not tau > 0.0:
@@ -263,7 +268,7 @@ class SeriesSprings(DifferentiatedModel):
     def _numbers_at(
         self, parameters: Array, amperes: list[float]
     ) -> tuple[tuple[_Numbers, _Numbers], tuple[float, float]]:
-        """The two paths at currents [A], one or those of the samples, and k0 and f0."""
+        """The two paths at these currents [A], one row for each current, and k0 and f0."""
         values = parameters.tolist()
         share, gas, offset = (self.number_at(values, place, 0.0) for place in (4, 6, 7))
         first, second = [], []
@@ -276,12 +281,12 @@ class SeriesSprings(DifferentiatedModel):
         return (first, second), (gas, offset)
 
     def memory_length(self, parameters: Array, current: float) -> float:
-        """Some times the way that the softer spring gives under its yield force."""
+        """A multiple of the deflection of the softer spring at its yield force."""
         f_y, *_, share, softer, _, _ = self.coefficients_at(parameters, 0.0, current)[:, 0]
         return float(_SETTLED * share * f_y / softer)
 
     def starts_at_one_current(self, reading: LoopReading) -> Array:
-        """A narrow or a wide yield, the softer path apart from the other or hardly there."""
+        """A narrow or wide yield, with a small or large share on the softer spring."""
         force, middle, speed, amplitude = reading
         soft = 3.0 * force / amplitude
         return np.array(
@@ -295,10 +300,10 @@ class SeriesSprings(DifferentiatedModel):
 
     @as_machine_code()
     def settled(self, window: Window, parameters: Array | None) -> np.ndarray:
-        """Mask (n,) of samples at which the two springs and the coil have forgotten the past.
+        """Mask (n,) of samples at which the springs and the coil no longer depend on the past.
 
-        Whatever it was, the force lies between those from springs under all of the yield force and
-        under all of its reverse, where they are softest: the steps keep their order.
+        For any past, the force lies between two limits: the springs start with the full yield force
+        in either direction, at their lowest stiffness. The integration steps preserve this order.
         """
         if parameters is None or window.history.periodic:
             return np.ones(window.sample_count, dtype=bool)
@@ -324,14 +329,14 @@ class SeriesSprings(DifferentiatedModel):
     def window_derivatives(
         self, window: Window, parameters: Array, columns: Sequence[int]
     ) -> Array:
-        """Derivatives (n, p) of :meth:`window_force` by the parameters of some columns."""
+        """Derivatives (n, p) of :meth:`window_force` with respect to parameters ``columns``."""
         motion, period, values, chain = along(self, window, parameters, columns)
-        # By columns, which lie together in memory.
+        # Columns are contiguous in memory.
         result = (chain[6].T * motion.displacement + chain[7].T).T
         for spring, path, recursion, carried in self._derivatives_along(values, motion, period):
             added = driven(path, chain)
             if chain.shape[1] > 1:
-                # A spring keeps its deflection while its stiffness changes: the force changes.
+                # A spring keeps its deflection while its stiffness changes, so its force changes.
                 stiffened = np.diff(chain[spring] / values[spring][:, np.newaxis], axis=0)
                 added[1:] += carried[1:, np.newaxis] * stiffened
             result += accumulated(recursion, added)
@@ -340,10 +345,10 @@ class SeriesSprings(DifferentiatedModel):
     def _derivatives_along(
         self, values: Sequence[Array], motion: Motion, period: float
     ) -> list[tuple[int, dict[int, Array], Array, Array]]:
-        """Of either path: the place of its stiffness, and what a step does to its force.
+        """For each path, the index of its stiffness and the sensitivity of a step's force.
 
-        That is what it adds by coefficient, the part that it keeps, and how much of the force [N]
-        that it begins with is left.
+        The sensitivity consists of the derivatives by coefficient, the derivative by the previous
+        force, and the part [N] of the previous force that remains.
         """
         f_y, w_y, c, stiffness, share, softer = values[:6]
         nothing = np.zeros(f_y.size)
@@ -367,7 +372,7 @@ def _both_paths(
 ) -> Array:
     """Force [N] of both paths, shape (n,).
 
-    The memory holds the deflection [m] and the flow w of either, and the velocity.
+    The memory holds the deflection [m] and the flow w of each path, and the velocity.
     """
     f_y, w_y, c, stiffness, share, softer = coefficients
     last, force = memory[4], np.zeros(motion.velocity.size)
@@ -385,4 +390,4 @@ def _both_paths(
 
 
 _Numbers = list[tuple[float, float, float, float]]
-"""Strength, width, damping and stiffness of a path, at each sample or once for all."""
+"""Strength, width, damping and stiffness of a path, at each sample or one row for all samples."""

@@ -1,1 +1,1 @@
-"""The sigmoid law of Wang et al. (2004): the force, its extension, its fit problems, its laws."""
+"""The sigmoid law of Wang et al. (2004): force, extension, fit problems and laws."""

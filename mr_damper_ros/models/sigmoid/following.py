@@ -1,38 +1,38 @@
 """The sigmoid laws of a set: along a motion, block by block, and over the current at a sample.
 
-*Without the jump where the motion turns.* The law shifts the velocity by sgn(a) v_h: the force
-jumps from one branch to the other within a sample where the acceleration changes its sign, and back
-and forth where that is lost in noise. Recorded forces do not. Along a branch of negative v_h the
-law's velocity v + sgn(a) v_h is that of a body with a play of -v_h behind v; without the jump it is
-so also where the motion turns: the shift follows the velocity (a play operator; Visintin,
-Differential Models of Hysteresis, 1994),
+*Without the jump at a reversal.* The law shifts the velocity by sgn(a) v_h. The force therefore
+jumps from one branch to the other within a sample when the acceleration changes sign, and back and
+forth when noise dominates the acceleration. Measured forces do not jump. On a branch with negative
+v_h, the velocity of the law, v + sgn(a) v_h, is that of a body that follows v with a play of -v_h.
+Without the jump this also holds at a reversal: the shift follows the velocity (a play operator;
+Visintin, Differential Models of Hysteresis, 1994),
 
-    s[k] = clip(s[k-1] + (v[k] - v[k-1]) / |v_h|, -1, 1)    in the place of sgn(a).
+    s[k] = clip(s[k-1] + (v[k] - v[k-1]) / |v_h|, -1, 1)    instead of sgn(a).
 
-It depends on the path of the velocity, not on its rate, and is the law once the velocity has come
-back by 2 |v_h|. It needs no parameter.
+The branch s depends on the path of the velocity, not on its rate. It agrees with the law once the
+velocity has changed by 2 |v_h| after a reversal. It needs no additional parameter.
 
-*The extended law* adds a compliance, a stiffness and an offset. What carries the force of the fluid
-gives way: the fluid itself, the rod, the mounts. Such a spring in series with the damper (a Maxwell
-element) makes the force late. With F_s the sigmoid force,
+*The extended law* adds a compliance, a stiffness and an offset. The fluid, the rod and the mounts
+are elastic. Such a spring in series with the damper (a Maxwell element) delays the force. With the
+sigmoid force F_s,
 
     tau dF_l/dt + F_l = F_s,  tau = compliance * f_t tanh(alpha x / 2) / x,
     x = v + sgn(a) v_h + v_d,
 
-the fraction being the damping that the sigmoid amounts to at its velocity x. So the lag is long
-where the force is steep, around a reversal, short where the fluid flows, and rises with the yield
-force, that is with the current. The force is F_l + stiffness u + offset: those of the gas (thesis
-3.2; the thesis adds 100 N to its records by hand). doc/extended_law.md tells what else was tried.
-The current that counts is that of the coil, see :mod:`first_order_lag`. A parameter array of the
-extended law holds the sixteen of the sigmoid law first, then the three of :data:`EXTENSION_NAMES`,
-last the time constant of the coil.
+where the fraction is the equivalent damping of the sigmoid at the velocity x. The lag is therefore
+long near a reversal, where the force is steep, and short while the fluid flows. It increases with
+the yield force, that is with the current. The force is F_l + stiffness u + offset, where stiffness
+and offset are those of the gas (thesis 3.2; the thesis adds 100 N to its records by hand).
+doc/extended_law.md describes the alternatives that were tried. The current is that of the coil, see
+:mod:`first_order_lag`. A parameter array of the extended law contains the sixteen parameters of the
+sigmoid law, the three of :data:`EXTENSION_NAMES` and the time constant of the coil.
 
-Of the state, the branch comes first (without the jump), then what the lag remembers, then the
-supply's and the coil's current, where the coil lags.
+The state contains the branch (without the jump), then the memory of the lag, then the current of
+supply and coil if the coil has a lag.
 
-*Over the current.* Of all that the law computes only the gains of yield force and width depend on
-the current, and they do not depend on the motion: what the currents of the nodes make of the law is
-computed once for a set, what the motion makes of it once for a sample.
+*Over the current.* Only the gains of yield force and width depend on the current, and they do not
+depend on the motion. The terms of the current are computed once for a set, and the terms of the
+motion once for a sample.
 """
 
 from __future__ import annotations
@@ -72,7 +72,7 @@ EXTENDED_MODEL = "sigmoid_lag"
 """Name of the extended law in ``MODELS``."""
 
 COMPLIANCE = "compliance"
-"""The parameter that makes the lag; it must not be negative."""
+"""The parameter that causes the lag; it must not be negative."""
 
 EXTENSION_NAMES = (COMPLIANCE, "stiffness", "offset")
 """The three parameters of the extension: [m/N], [N/m], [N]."""
@@ -84,23 +84,23 @@ SIGMOID_COUNT = len(PARAMETER_NAMES)
 
 
 class Extension(NamedTuple):
-    """The three parameters, each a number or an array that broadcasts."""
+    """The three parameters of the extension, each a number or an array that broadcasts."""
 
     compliance: Array | float
     stiffness: Array | float
     offset: Array | float
 
     def time_constant(self, damping: Array) -> Array:
-        """Time constant [s] of the lag where the sigmoid has this damping [N s/m]; not negative."""
+        """Time constant [s] of the lag at this damping [N s/m] of the sigmoid; at least 0."""
         return np.maximum(self.compliance * damping, 0.0)
 
     def gas(self, displacement: Array | float) -> Array | float:
-        """Force [N] of the gas at a displacement [m]."""
+        """Gas force [N] at a displacement [m]."""
         return self.stiffness * displacement + self.offset
 
 
 def is_extended(parameters: Array) -> bool:
-    """Whether an array (..., 16) or (..., 20) is of the extended law.
+    """Whether an array (..., 16) or (..., 20) belongs to the extended law.
 
     Raises ValueError for any other length.
     """
@@ -114,17 +114,17 @@ def is_extended(parameters: Array) -> bool:
 
 
 def extension_of(parameters: Array) -> Extension:
-    """The three after the sixteen of parameters (20,)."""
+    """The extension from parameters (20,)."""
     return Extension(*parameters[SIGMOID_COUNT:-1].tolist())
 
 
 def without_extension(sixteen: Array) -> Array:
-    """Parameters (20,) of the extended law that give the force of these (16,)."""
+    """Parameters (20,) of the extended law with the same force as these (16,)."""
     return np.concatenate((sixteen, np.zeros(len(EXTENDED_NAMES) - SIGMOID_COUNT)))
 
 
 class LagMemory(NamedTuple):
-    """What the lag remembers: force and lagged force of the sigmoid [N] and time constant [s]."""
+    """State of the lag: force and lagged force of the sigmoid [N] and time constant [s]."""
 
     plain: float
     force: float
@@ -134,7 +134,7 @@ class LagMemory(NamedTuple):
 def late_after(
     force: float, damping: float, extension: Extension, period: float, before: LagMemory | None
 ) -> LagMemory:
-    """The lag at a sample ``period`` [s] after another; without one nothing is late."""
+    """State of the lag ``period`` [s] after ``before``; None starts without lag."""
     constant = max(float(extension.compliance) * damping, 0.0)
     late = force
     if before is not None:
@@ -145,7 +145,7 @@ def late_after(
 def alternatives_after(
     force: Array, damping: Array, extension: Extension, period: float, before: LagMemory | None
 ) -> Array:
-    """Lagged forces [N] of alternatives for the one sample after another; they broadcast."""
+    """Lagged forces [N] of alternatives for one sample after ``before``; they broadcast."""
     if before is None:
         return force
     state = np.array(before.plain), np.array(before.force), np.array(before.constant)
@@ -155,11 +155,11 @@ def alternatives_after(
 # -- along a motion
 
 BRANCH_MEMORY = 2
-"""Arrays of the state without the jump: the last velocity [m/s] and the last branch."""
+"""Number of arrays in the state without the jump: the last velocity [m/s] and the last branch."""
 
 FEW = 64
-"""Samples up to which scalars take less time than arrays: NumPy takes a microsecond for each of a
-hundred operations, however few the numbers."""
+"""Number of samples up to which scalar code is faster. NumPy takes a microsecond for each of a
+hundred operations, even on short arrays."""
 
 _sample = staged(
     LAW,
@@ -196,7 +196,7 @@ def follow(
     acceleration = motion.acceleration
     if not jumps:
         branch, turning = branch_along(motion.velocity, acceleration, coefficients.v_h, state)
-        # The branch is in the shift: no sign of the acceleration is left to count.
+        # The branch is now part of v_h, so the sign of the acceleration is set to 1.
         coefficients = coefficients._replace(v_h=coefficients.v_h * branch)
         acceleration = np.ones(motion.velocity.size)
     if not extended:
@@ -217,7 +217,7 @@ def _follow_few(
     state: State | None,
     jumps: bool,
 ) -> tuple[Array, State]:
-    """The same for one set, sample by sample."""
+    """:func:`follow` for one set, sample by sample."""
     at_current = _sample(*parameters[:SIGMOID_COUNT].tolist())
     own = own_state(state, jumps=jumps)
     currents: list[float] = current.tolist()
@@ -252,21 +252,20 @@ def _follow_few(
 
 
 def own_state(state: State | None, *, jumps: bool) -> State | None:
-    """What of a state is not the branch; None at a start."""
+    """The state without the branch; None at a start."""
     return None if state is None else state[0 if jumps else BRANCH_MEMORY :]
 
 
 def lag_before(own: State | None) -> LagMemory | None:
-    """What :func:`own_state` says of the lag; None at a start."""
+    """The state of the lag in the result of :func:`own_state`; None at a start."""
     return None if own is None else LagMemory(*map(float, own[:3]))
 
 
 def branch_before(state: State | None, acceleration: float) -> tuple[float, float | None]:
-    """The branch before a sample, and the velocity [m/s], which a state without the jump begins
-    with.
+    """Branch and velocity [m/s] before a sample, from a state without the jump.
 
-    Without a state it is the branch of the acceleration, and no velocity.
-    """  # noqa: D205
+    Without a state the branch is the sign of the acceleration, and the velocity is None.
+    """
     if not state:
         return (acceleration > 0.0) - (acceleration < 0.0), None
     return float(state[1]), float(state[0])
@@ -275,10 +274,10 @@ def branch_before(state: State | None, acceleration: float) -> tuple[float, floa
 def branch_along(
     velocity: Array, acceleration: Array, half_width: Array, before: State | None
 ) -> tuple[Array, State]:
-    """The branch s (..., n), -1 to 1, along a velocity (n,), and the state after it.
+    """The branch s (..., n), from -1 to 1, along a velocity (n,), and the state after it.
 
-    ``half_width`` (..., n) [m/s] is v_h, of either sign; ``before`` the state after the sample
-    before, which may hold more. It starts on the branch of the acceleration (n,).
+    ``half_width`` (..., n) [m/s] is v_h, of either sign. ``before`` is the previous state, which
+    may contain more. Without it the branch starts with the sign of the acceleration (n,).
     """
     shape = np.broadcast_shapes(half_width.shape, velocity.shape)
     if before is None:
@@ -290,7 +289,7 @@ def branch_along(
     steps = np.broadcast_to(changes / np.maximum(np.abs(half_width), NARROWEST), shape)
     rising = changes >= 0.0
     found = np.empty(shape)
-    # Up to where the velocity turns it goes one way only.
+    # Between two extremes of the velocity the branch is monotonic.
     ends = [*(np.flatnonzero(rising[1:] != rising[:-1]) + 1).tolist(), velocity.size]
     first = 0
     for end in ends:
@@ -305,7 +304,7 @@ def branch_along(
 # -- over the current
 
 _MOTION = ("scale", "alpha", "viscous", "centred", "width")
-"""Formulas that the motion alone decides on."""
+"""Formulas that depend only on the motion."""
 
 _of_motion = staged(LAW, [PARAMETER_NAMES, ("v", "v_m")], _MOTION, arrays=False)
 _SEEN = (*_MOTION, "s", "change")
@@ -313,7 +312,7 @@ _SEEN = (*_MOTION, "s", "change")
 
 @cache
 def _over_current(extended: bool) -> tuple[Callable[..., Any], Callable[..., Any]]:
-    """A sample over currents in scalars, and samples at given currents in arrays."""
+    """Compiled formulas: one sample over currents as scalars, many samples as arrays."""
     results = ("force", "damping") if extended else ("force",)
     return (
         staged(LAW, [PARAMETER_NAMES, _SEEN, ("i",)], results, arrays=False),
@@ -322,7 +321,7 @@ def _over_current(extended: bool) -> tuple[Callable[..., Any], Callable[..., Any
 
 
 class SigmoidCurrentResponse(CurrentResponse):
-    """That of a set (16,) or (20,), whose motion is seen in scalars, sample by sample."""
+    """Response of a set (16,) or (20,); motion terms are computed in scalars per sample."""
 
     def __init__(self, parameters: Array, *, jumps: bool) -> None:
         self._jumps = jumps
@@ -352,11 +351,11 @@ class SigmoidCurrentResponse(CurrentResponse):
     def forces(
         self, samples: Sequence[MotionSample], current: Array, period: float, state: State | None
     ) -> Array:
-        """Force (n, m) [N]; what the currents make of the law is kept for the next samples."""
+        """Force (n, m) [N]; the terms of the current are kept for the next samples."""
         if self._latest is None or self._latest[0] is not current:
             self._latest = current, self._arrays(current)
         rows = [self._seen(sample, state) for sample in samples]
-        # Of one sample in scalars: arrays of one element take longer.
+        # Scalars for one sample: arrays of one element are slower.
         seen = rows[0] if len(rows) == 1 else np.array(rows).T[:, :, np.newaxis]
         found = self._latest[1](*seen)
         if self._extension is None:

@@ -1,22 +1,22 @@
-"""The sigmoid force law of an MR damper, written once as formulas, and what they compile to.
+"""The sigmoid force law of an MR damper as formulas, and the functions compiled from them.
 
-The law is that of Wang et al. (2004) in the form of the MATLAB routine ``mrf_sigmoid`` in
-D. M. D. da Silva, "Comparative study of optimization algorithms for parameter identification of
-the sigmoid model in MR dampers", University of Brasília, 2023 (eq. 7-11 and appendix D); where
-the typeset equations and the routine differ, the routine is followed. What a formula may hold is
-said in :mod:`mr_damper_ros.models.formulas`. Inputs: the sixteen parameters, the velocity ``v``
-[m/s], the peak velocity ``v_m`` [m/s] of the present cycle and the current ``i`` [A] in the coil.
-The hysteresis is on a branch from -1 to 1: it was on ``s`` before the velocity changed by
-``change`` [m/s]. Without a change s is the sign of the acceleration; how it follows a motion is
-told in :mod:`following`.
+The law is that of Wang et al. (2004) in the form of the MATLAB routine ``mrf_sigmoid`` in D. M. D.
+da Silva, "Comparative study of optimization algorithms for parameter identification of the sigmoid
+model in MR dampers", University of Brasília, 2023 (eq. 7-11 and appendix D). Where the typeset
+equations and the routine differ, the formulas follow the routine.
+:mod:`mr_damper_ros.models.formulas` describes the syntax of the formulas. The inputs are the
+sixteen parameters, the velocity ``v`` [m/s], the peak velocity ``v_m`` [m/s] of the present cycle
+and the coil current ``i`` [A]. The hysteresis is on a branch from -1 to 1: ``s`` is the branch
+before the velocity changed by ``change`` [m/s]. With zero change, s is the sign of the
+acceleration; :mod:`following` describes how s follows a motion.
 
-At one operating point, that is one peak velocity and one coil current, the force depends on
-seven *operating-point coefficients* only (:class:`.Coefficients`). Each of them is proportional to
-exactly one of the sixteen parameters, its *scale parameter*; the other nine, the *shape
-parameters*, say how the coefficients change with peak velocity and current.
+At one operating point, that is one peak velocity and one coil current, the force depends on only
+seven *operating-point coefficients* (:class:`.Coefficients`). Each of them is proportional to
+exactly one of the sixteen parameters, its *scale parameter*. The other nine, the *shape
+parameters*, describe how the coefficients depend on peak velocity and current.
 
-All functions take and return SI units: displacement in m about the centre of the motion,
-velocity in m/s, acceleration in m/s², current in A, force in N (tension positive).
+All functions use SI units: displacement in m about the centre of the motion, velocity in m/s,
+acceleration in m/s², current in A, force in N (tension positive).
 """
 
 from __future__ import annotations
@@ -44,7 +44,7 @@ SCALE_PARAMETER_NAMES = ("f0", "a0", "k1c", "k1e", "k4", "k6", "k5")
 """The scale parameter of each coefficient, in the order of :data:`COEFFICIENT_NAMES`."""
 
 NARROWEST = 1e-9
-"""A play [m/s] that is narrower is none."""
+"""Smallest width of the play [m/s]; a narrower one counts as zero."""
 
 COEFFICIENTS: Formulas = (
     ("growth", "exp(clip(a1 * v_m, -230.0, 230.0))"),
@@ -69,8 +69,8 @@ COEFFICIENTS: Formulas = (
 )
 """Yield force f_t [N], steepness alpha [s/m], viscous slopes k_c and k_e for velocity >= 0 and < 0
 [s/m], hysteresis velocity v_h [m/s], velocity offset v_d [m/s], force offset f_d [N]. The
-difference of two logistic functions of the current is written with tanh, which does not overflow;
-0/0, the only way to NaN, is a sigmoid of no steepness."""
+difference of two logistic functions of the current is written with tanh, which does not overflow.
+Only 0/0 gives NaN; it then stands for a steepness of zero."""
 
 FORCE: Formulas = (
     ("viscous", "1.0 + where(v >= 0.0, k_c, k_e) * abs(v)"),
@@ -83,7 +83,7 @@ FORCE: Formulas = (
     ("ratio", "where(abs(half) < 1e-6, 1.0, sigmoid / half)"),
     ("damping", "0.5 * f_t * alpha * ratio"),
 )
-"""Force [N], and the damping [N s/m] that the sigmoid amounts to: its force over its velocity."""
+"""Force [N], and the equivalent damping [N s/m] of the sigmoid: its force over its velocity."""
 
 LAW: Formulas = (*COEFFICIENTS, *FORCE)
 
@@ -93,7 +93,7 @@ _INDEX = {name: position for position, name in enumerate(PARAMETER_NAMES)}
 SCALE_INDICES = np.array([_INDEX[name] for name in SCALE_PARAMETER_NAMES])
 
 LARGEST_VELOCITY = 1e100
-"""[m/s]; beyond it the square of a velocity overflows."""
+"""Velocity [m/s] above which its square would overflow."""
 
 
 class Coefficients(NamedTuple):
@@ -114,21 +114,21 @@ class Coefficients(NamedTuple):
 
 
 class ForceAndDamping(NamedTuple):
-    """Force [N] of the sigmoid law and the damping [N s/m] of its sigmoid, or derivatives."""
+    """Force [N] and equivalent damping [N s/m] of the sigmoid law, or their derivatives."""
 
     force: Array
     damping: Array
 
 
 def _gradients(results: Sequence[str], by: Sequence[str]) -> Formulas:
-    """The derivatives of results of the law."""
+    """Formulas of the derivatives of these results."""
     return tuple(
         line for result in results for line in gradient(LAW, result, by, ["branch"])[len(LAW) :]
     )
 
 
 _BY_PARAMETERS = dict(_gradients(COEFFICIENT_NAMES[:-1], PARAMETER_NAMES))
-# f_d follows f_t, whose derivatives need not be computed twice.
+# f_d is proportional to f_t, so the derivatives of f_t are reused.
 _BY_PARAMETERS |= {
     f"f_d_by_{name}": f"k5 * f_t_by_{name}"
     for name in PARAMETER_NAMES
@@ -171,12 +171,12 @@ _all_derivatives = staged(
     _BY_COEFFICIENTS, _WITH_COEFFICIENTS, (*_FORCE_BY, *_DAMPING_BY), arrays=True
 )
 
-# Finite parameters may have any size: what overflows saturates.
+# Finite parameters may have any size; overflow saturates.
 _quiet = np.errstate(over="ignore", divide="ignore", invalid="ignore")
 
 
 def as_columns(parameters: Array) -> list[Any]:
-    """The parameters (..., p) one by one: numbers, or arrays (..., 1) of several sets."""
+    """The parameters (..., p) one by one: numbers, or arrays (..., 1) for several sets."""
     if parameters.ndim == 1:
         return list(parameters.tolist())
     return [parameters[..., place, np.newaxis] for place in range(parameters.shape[-1])]
@@ -200,9 +200,9 @@ def operating_point_coefficients(
 
     ``parameters`` has shape (..., 16), ``peak_velocity`` [m/s] and ``current`` [A] broadcast to
     shape (..., n) or are scalars; each coefficient has shape (..., n) (n = 1 for scalars). Finite
-    inputs give finite coefficients: what would overflow saturates at 1e100.
+    inputs give finite coefficients: values that would overflow saturate at 1e100.
 
-    Raises ValueError where the last axis of ``parameters`` is not sixteen long.
+    Raises ValueError if the last axis of ``parameters`` does not have length sixteen.
     """
     at = _coefficients(*as_columns(_checked(parameters)))
     return Coefficients(*at(_array(peak_velocity), _array(current)))
@@ -214,8 +214,8 @@ def force_from_coefficients(
 ) -> Array:
     """Force [N] of the law with the given coefficients.
 
-    ``velocity`` and ``acceleration`` have shape (n,); coefficients broadcast against them. Only
-    the sign of the acceleration is used: it tells the branch of the hysteresis loop.
+    ``velocity`` and ``acceleration`` have shape (n,); coefficients broadcast against them. Only the
+    sign of the acceleration is used: it selects the branch of the hysteresis loop.
     """
     return np.asarray(_force(*coefficients, *_moving(velocity, acceleration)))
 
@@ -224,9 +224,9 @@ def force_from_coefficients(
 def force_and_damping(
     coefficients: Coefficients, velocity: Array, acceleration: Array
 ) -> ForceAndDamping:
-    """Both of shape (..., n), for coefficients that broadcast against velocity (n,) [m/s].
+    """Force and damping of shape (..., n), for coefficients that broadcast against velocity (n,).
 
-    The damping is f_t tanh(alpha x / 2) / x, with x = v + sgn(a) v_h + v_d.
+    The velocity is in m/s. The damping is f_t tanh(alpha x / 2) / x, with x = v + sgn(a) v_h + v_d.
     """
     found = _force_and_damping(*coefficients, *_moving(velocity, acceleration))
     return ForceAndDamping(*found)
@@ -244,7 +244,7 @@ def coefficient_jacobian(
 def force_and_damping_jacobian(
     coefficients: Coefficients, velocity: ArrayLike, acceleration: ArrayLike
 ) -> ForceAndDamping:
-    """Derivatives of both by the seven coefficients, of shape (..., n, 7)."""
+    """Derivatives of force and damping by the seven coefficients, each of shape (..., n, 7)."""
     found = _all_derivatives(*coefficients, *_moving(velocity, acceleration))
     return ForceAndDamping(columns(*found[:7]), columns(*found[7:]))
 
@@ -260,7 +260,7 @@ def coefficient_parameter_jacobian(
     """
     v_m, i = _array(peak_velocity), _array(current)
     found = _coefficient_derivatives(*as_columns(_checked(parameters)))(v_m, i)
-    # What depends on one another lies together: most of the array is zero and never touched.
+    # Derivatives of one parameter are contiguous; most of the array is zero and is never touched.
     shape = np.broadcast_shapes(v_m.shape, i.shape)
     jacobian = np.zeros((len(COEFFICIENT_NAMES), len(PARAMETER_NAMES), *shape))
     for place, derivative in zip(_PLACES, found, strict=True):
@@ -269,9 +269,9 @@ def coefficient_parameter_jacobian(
 
 
 def sign_of_pair(f_t: ArrayLike) -> Array:
-    """Sign by which yield force and steepness are multiplied so that the former is positive.
+    """Sign that makes the yield force positive, to be multiplied with yield force and steepness.
 
-    They may change sign together without a change of the force: the positive pair is meant.
+    The force does not change if both change sign together; the positive pair is the convention.
     """
     return np.where(np.asarray(f_t) < 0.0, -1.0, 1.0)
 
@@ -283,17 +283,17 @@ def sine_force(
     acceleration: ArrayLike,
     current: ArrayLike,
 ) -> Array:
-    """Force [N] of the sixteen-parameter sigmoid law, for a sine, as the thesis has it.
+    """Force [N] of the sixteen-parameter sigmoid law for a sine, as defined in the thesis.
 
-    The peak velocity v_m = sqrt(v² - a u) is that of a sine about its centre. Of any other motion
-    the package takes the one of :mod:`mr_damper_ros.kinematics.peak_velocity`: use
-    :meth:`Model.force`.
+    The peak velocity v_m = sqrt(v² - a u) is that of a sine about its centre. For any other motion
+    use :meth:`Model.force`, which uses the peak velocity of
+    :mod:`mr_damper_ros.kinematics.peak_velocity`.
 
     ``parameters`` has shape (..., 16); displacement [m], velocity [m/s], acceleration [m/s²] and
-    current [A] broadcast to shape (n,). The result has shape (..., n). Finite inputs give a
-    finite force.
+    current [A] broadcast to shape (n,). The result has shape (..., n). Finite inputs give a finite
+    force.
 
-    Raises ValueError where the last axis of ``parameters`` is not sixteen long.
+    Raises ValueError if the last axis of ``parameters`` does not have length sixteen.
     """
     v = np.clip(np.asarray(velocity, dtype=float), -LARGEST_VELOCITY, LARGEST_VELOCITY)
     v_m = peak_velocity(displacement, v, acceleration)

@@ -1,6 +1,6 @@
-"""The sigmoid law as a model, and how its coefficients change with peak velocity and current.
+"""The sigmoid law as a model, and the dependence of its coefficients on peak velocity and current.
 
-The sixteen parameters fall into groups that share no unknown:
+The sixteen parameters form groups with no common unknown:
 
     f_t = f0 (1 + e^(a1 v)) (1 + k2 S(i; a2, I0))     f0 a1 k2 a2 I0
     alpha = a0 / (1 + k0 v)                           a0 k0
@@ -9,8 +9,8 @@ The sixteen parameters fall into groups that share no unknown:
     v_d = k6 v                                        k6
     f_d = k5 f_t                                      k5
 
-with S(i; a, I) = sigma(a (i + I)) - sigma(a I). In each group the scales (and k2, k3) enter
-linearly and are solved for; differential evolution searches the rest, at most three unknowns.
+with S(i; a, I) = sigma(a (i + I)) - sigma(a I). In each group the scales (and k2, k3) are linear
+and are solved for. Differential evolution searches the other unknowns of a group, at most three.
 """
 
 from __future__ import annotations
@@ -75,7 +75,7 @@ from mr_damper_ros.signals.arrays import Array
 _UNITS = {
     **dict.fromkeys(("a0", "a1", "a4", "k0", "k1c", "k1e"), "s/m"),
     **dict.fromkeys(("k2", "k3", "k4", "k5", "k6"), "1"),
-    # The thesis prints (m/s)^-1 for a3, which multiplies a current.
+    # The thesis prints (m/s)^-1 for a3, although it multiplies a current.
     **dict.fromkeys(("a2", "a3"), "1/A"),
     **dict.fromkeys(("I0", "I1"), "A"),
     "f0": "N",
@@ -99,39 +99,40 @@ _SIXTEEN = tuple(
 )
 
 _LITERATURE_PEAK_VELOCITY = 2.0 * math.pi * 1.0 * 2.5e-3
-"""Peak velocity [m/s] of the test that the literature's set is for: 1 Hz, 2.5 mm, at 0 A."""
+"""Peak velocity [m/s] of the test for the set from the literature: 1 Hz, 2.5 mm, at 0 A."""
 
 _GAIN_RANGE = 100.0
-"""Plausible range of k2 and k3: the current multiplies a coefficient by up to this."""
+"""Plausible range of k2 and k3, the largest factor of the current on a coefficient."""
 
 _SOFT = 2.0
-"""A step over current that is this part of the largest current wide, inverted."""
+"""Slope of a smooth step over the current, times the largest current."""
 
 _STEEPNESS = (2.0, 6.0, 20.0, 60.0)
 _HYSTERESIS = (0.0, -0.2, -0.4)
-"""Steepness and hysteresis velocity, times and over the largest velocity, to start a search."""
+"""Starts of a search: steepness times the largest velocity, and hysteresis velocity relative to it.
+"""
 
 _K5 = PARAMETER_NAMES.index("k5")
 _LAST = SCALE_PARAMETER_NAMES.index("k5")
 
 _USUAL_LAG = 0.02
-"""Time constant [s] that a lag of coil and fluid hardly exceeds. Until it is known, what it may
-hide at the begin of a window is left out."""
+"""Usual upper limit [s] of the time constants of coil and fluid. Before they are known, samples
+within this transient at the start of a window are excluded."""
 
 
 _EXPONENT_SPAN = 8.0
-"""Growth or decay over the range of peak velocity is searched up to e^8, 1 to 3000."""
+"""Largest exponent of growth or decay over the velocity range: e^8, a ratio of 3000."""
 
 
 Values = Mapping[str, Array | float]
 
 
 class _Law(NamedTuple):
-    """One group of parameters: which coefficients they make, and how.
+    """One group of parameters and the coefficients that they determine.
 
-    Each coefficient is scale (constant + gain step): ``constant`` and ``step`` are the derivatives
-    of the first by its scale at no gain, and by the gain at a scale of 1. ``gain`` is k2, k3 or
-    empty.
+    Each coefficient is scale (constant + gain step). For the first coefficient, ``constant`` is the
+    derivative with respect to its scale at zero gain, and ``step`` is the derivative with respect
+    to the gain at a scale of 1. ``gain`` is k2, k3 or empty.
     """
 
     stage: str
@@ -145,7 +146,7 @@ class _Law(NamedTuple):
     def of(
         cls, stage: str, coefficients: Sequence[str], gain: str, unknowns: tuple[str, ...]
     ) -> _Law:
-        """That of these coefficients."""
+        """The law of these coefficients."""
         places = [COEFFICIENT_NAMES.index(name) for name in coefficients]
         scales = tuple((place, SCALE_PARAMETER_NAMES[place]) for place in places)
         by = (scales[0][1], *([gain] if gain else []))
@@ -156,7 +157,7 @@ class _Law(NamedTuple):
         return cls(stage, scales, gain, unknowns, parts[0], parts[1] if gain else None)
 
     def basis(self, v: Array, i: Array, values: Values) -> tuple[Array, Array]:
-        """The two parts, for unknowns of shape (s, 1) and operating points of shape (k,)."""
+        """Constant and step, for unknowns of shape (s, 1) and operating points of shape (k,)."""
         unit = {**values, **{name: 1.0 for _, name in self.scales}}
         step = 0.0 if self.step is None else self.step(*_in_order(unit), v, i)
         if self.gain:
@@ -178,10 +179,10 @@ def fit_laws(
     free: frozenset[str],
     search: LawSearch,
 ) -> Array:
-    """Parameters (16,) whose laws come nearest to the table.
+    """Parameters (16,) whose laws fit the table best.
 
-    Parameters not in ``free`` keep the value they have in ``start`` (16,); ``search`` finds what is
-    not linear.
+    Parameters not in ``free`` keep their value in ``start`` (16,); ``search`` minimises over the
+    nonlinear ones.
     """
     values = dict(zip(PARAMETER_NAMES, np.asarray(start, dtype=float).tolist(), strict=True))
     bounds = shape_bounds(float(table.peak_velocity.max()), float(np.abs(table.current).max()))
@@ -205,15 +206,16 @@ def fit_laws(
 
 
 def searched_laws(free: frozenset[str]) -> int:
-    """How many of the laws need a search for these free parameters."""
+    """Number of laws that need a nonlinear search for these free parameters."""
     return sum(any(name in free for name in law.unknowns) for law in _LAWS)
 
 
 def shape_bounds(top_velocity: float, top_current: float) -> dict[str, tuple[float, float]]:
-    """Search bounds of the shape parameters that enter nonlinearly.
+    """Search bounds of the nonlinear shape parameters.
 
-    They follow from what the data span (peak velocity [m/s], current [A]), so that they suit any
-    damper. The slopes a2, a3 are positive: the mirror image is the same law with k2, k3 negative.
+    They follow from the range of the data (peak velocity [m/s], current [A]), so they suit any
+    damper. The slopes a2, a3 are positive, because negative slopes give the same law with k2, k3
+    negative.
     """
     v, i = max(top_velocity, 1e-12), max(top_current, 1e-12)
     exponent = (-_EXPONENT_SPAN / v, _EXPONENT_SPAN / v)
@@ -227,7 +229,7 @@ def shape_bounds(top_velocity: float, top_current: float) -> dict[str, tuple[flo
 
 
 class _LawProblem:
-    """Weighted misfit of one law to the table, its linear unknowns solved for."""
+    """Weighted misfit of one law to the table, with its linear unknowns solved for."""
 
     def __init__(
         self, law: _Law, table: CoefficientTable, values: Values, free: frozenset[str]
@@ -270,9 +272,9 @@ class _LawProblem:
 
 
 def _least_squares(basis: Array, target: Array) -> Array:
-    """Factors (s, c) of the columns of a basis (s, c, k) that come nearest to a target (k,)."""
+    """Factors (s, c) for the columns of a basis (s, c, k), fitted to a target (k,)."""
     gram = basis @ basis.swapaxes(1, 2)
-    # A trace of damping keeps the solution finite where two columns look alike, or one is zero.
+    # Slight damping keeps the solution finite if columns are equal or zero.
     places = np.arange(basis.shape[1])
     gram[:, places, places] = gram[:, places, places] * (1.0 + 1e-9) + 1e-300
     return np.asarray(np.linalg.solve(gram, (basis @ target)[..., np.newaxis])[..., 0])
@@ -290,7 +292,7 @@ _LAWS = (
 class SigmoidModel(Model):
     """The sixteen-parameter law of Wang et al. (2004).
 
-    ``jumps``: whether the force jumps where the motion turns, as that of the law does.
+    ``jumps``: whether the force jumps at a reversal of the motion, as in the original law.
     """
 
     name = "sigmoid"
@@ -325,7 +327,7 @@ class SigmoidModel(Model):
         rough_tolerance=0.01,
         rough_steps=20,
     )
-    """Seven scales are well posed: the cheapest of the starts leads where the others do."""
+    """The seven scales are well conditioned, so the start with the lowest cost is sufficient."""
 
     def __init__(self, *, jumps: bool = True) -> None:
         self._jumps = jumps
@@ -334,28 +336,28 @@ class SigmoidModel(Model):
     def follow(
         self, parameters: Array, motion: Motion, current: Array, period: float, state: State | None
     ) -> tuple[Array, State]:
-        """Force [N]; see :mod:`following` for what is remembered."""
+        """Force [N]; :mod:`following` describes the state."""
         return follow(parameters, motion, current, period, state, jumps=self._jumps)
 
     @cached_property
     def continuous(self) -> Model:
-        """The law whose branch follows the velocity where the motion turns."""
+        """The law whose branch follows the velocity continuously at a reversal."""
         return type(self)(jumps=False) if self._jumps else self
 
     def current_response(self, parameters: Array) -> CurrentResponse:
-        """Force over the current, of which only two factors depend on it."""
+        """Force over the current, of which only two factors depend on the current."""
         return SigmoidCurrentResponse(parameters, jumps=self._jumps)
 
     @property
     def formulas(self) -> WrittenLaw:
-        """The law for other languages."""
+        """The law as formulas for other languages."""
         return WrittenLaw(EXTENDED_NAMES, COEFFICIENTS, FORCE, COEFFICIENT_NAMES)
 
     def starts(self, reading: LoopReading) -> Array:
-        """Some steepness, some hysteresis, no dependence on velocity or current."""
+        """Several values of steepness and hysteresis, no dependence on velocity or current."""
         starts = []
         for steepness, hysteresis in product(_STEEPNESS, _HYSTERESIS):
-            # f0 counts twice where a1 is zero.
+            # With a1 = 0, f_t is twice f0.
             values = {
                 "f0": 0.4 * reading.force,
                 "a0": steepness / reading.speed,
@@ -368,7 +370,7 @@ class SigmoidModel(Model):
         return np.array(starts)
 
     def cold_starts(self, window: Window, parameters: Array) -> list[Array]:
-        """Scales with the coefficients of :meth:`starts`, for the shape of these parameters."""
+        """Scales that give the coefficients of :meth:`starts` for the present shape parameters."""
         speed = float(np.max(np.abs(window.motion.velocity)))
         reading = LoopReading.of(window)._replace(speed=speed)
         unit = parameters[:SIGMOID_COUNT].copy()
@@ -385,7 +387,7 @@ class SigmoidModel(Model):
         return LITERATURE.copy(), "literature", _LITERATURE_PEAK_VELOCITY
 
     def window_forces(self, windows: Sequence[Window]) -> SigmoidForces:
-        """All windows by one evaluation of the laws."""
+        """Forces of all windows by one evaluation of the laws."""
         return SigmoidForces(self, windows)
 
     def window_force(self, window: Window, parameters: Array) -> Array:
@@ -395,22 +397,22 @@ class SigmoidModel(Model):
         (force,) = self.window_forces([window]).forces(parameters)
         return force
 
-    # Unknowns of a window are the scales, but f0 k5 for k5: the force offset stays linear, and may
-    # be zero.
+    # The unknowns of a window are the scales, with f0 k5 in place of k5. The force offset is then
+    # linear and may be zero.
 
     @property
     def strong_unknowns(self) -> np.ndarray:
-        """Mask (7,)."""
+        """Mask (7,) of the unknowns that are gain parameters."""
         return np.isin(SCALE_PARAMETER_NAMES, ("f0", "k5"))
 
     def unknowns(self, parameters: Array) -> Array:
-        """Those (7,) of parameters (p,)."""
+        """The unknowns (7,) of parameters (p,)."""
         scales = parameters[SCALE_INDICES]
         scales[_LAST] *= scales[0]
         return scales
 
     def with_unknowns(self, parameters: Array, unknowns: Array) -> Array:
-        """Parameters (..., p) with these unknowns (..., 7), all else as in ``parameters`` (p,)."""
+        """Parameters (..., p) with these unknowns (..., 7), otherwise as ``parameters`` (p,)."""
         values = np.empty((*unknowns.shape[:-1], parameters.size))
         values[...] = parameters
         values[..., SCALE_INDICES] = unknowns
@@ -425,7 +427,7 @@ class SigmoidModel(Model):
         return found
 
     def fitted_errors(self, unknowns: Array, covariance: Array) -> tuple[np.ndarray, Array]:
-        """Places and standard errors (7,) of the scale parameters; of k5 to first order."""
+        """Indices and standard errors (7,) of the scale parameters; of k5 to first order."""
         errors = np.sqrt(np.diag(covariance))
         f0, offset = unknowns[0], unknowns[_LAST]
         if f0 == 0.0:
@@ -433,7 +435,7 @@ class SigmoidModel(Model):
         else:
             gradient = np.array([-offset / f0**2, 1.0 / f0])
             variance = gradient @ covariance[np.ix_([0, _LAST], [0, _LAST])] @ gradient
-            errors[_LAST] = np.sqrt(np.maximum(variance, 0.0))  # rounding may leave less
+            errors[_LAST] = np.sqrt(np.maximum(variance, 0.0))  # rounding may make it negative
         return SCALE_INDICES, errors
 
     def coefficients_at(
@@ -448,7 +450,7 @@ class SigmoidModel(Model):
     def coefficient_gradient(
         self, parameters: Array, peak_velocity: float, current: float
     ) -> Array:
-        """Derivatives (7, p), with positive f_t."""
+        """Derivatives (7, p) of the coefficients with positive f_t."""
         sixteen = parameters[:SIGMOID_COUNT]
         gradient = coefficient_parameter_jacobian(sixteen, peak_velocity, current)[0]
         f_t = operating_point_coefficients(sixteen, peak_velocity, current).f_t
@@ -456,10 +458,10 @@ class SigmoidModel(Model):
         return np.pad(gradient, ((0, 0), (0, parameters.size - SIGMOID_COUNT)))
 
     def without_dependence(self, parameters: Array, top_current: float) -> Array:
-        """The same scales; v_h and v_d stay proportional to the peak velocity.
+        """The set with the same scales; v_h and v_d remain proportional to the peak velocity.
 
-        Where k2 or k3 is freed, the coefficient rises smoothly up to the top current and saturates
-        beyond.
+        If a search frees k2 or k3, the coefficient rises smoothly up to the top current and
+        saturates above it.
         """
         values = np.array(parameters, dtype=float)
         values[self.places(("a1", "k0", "a4", "k2", "k3", "I0", "I1"))] = 0.0
@@ -474,11 +476,11 @@ class SigmoidModel(Model):
         return {**shape_bounds(top_velocity, top_current), **gains}
 
     def typical_sizes(self, windows: Sequence[Window]) -> Array:
-        """One of each unit: the scales of a damper are larger, or hardly matter."""
+        """One in each unit: the scales of a damper are larger or have little effect."""
         return np.ones(len(self.parameters))
 
     def searched_laws(self, free: frozenset[str]) -> int:
-        """How many of the laws need a search for these free parameters."""
+        """Number of laws that need a nonlinear search for these free parameters."""
         return searched_laws(free)
 
     def fit_laws(
@@ -488,12 +490,12 @@ class SigmoidModel(Model):
         free: frozenset[str],
         search: LawSearch,
     ) -> Array:
-        """The decoupled laws."""
+        """Fit the decoupled laws one by one."""
         sixteen, rest = np.split(start, [SIGMOID_COUNT])
         return np.concatenate((fit_laws(table, sixteen, free, search), rest))
 
     def softened(self, parameters: Array, held: np.ndarray, top_current: float) -> Array:
-        """The set with steps over current that are not too steep to be moved."""
+        """The set with steps over the current made smooth enough for a search."""
         steps = self.places(("a2", "a3"))
         values = np.array(parameters)
         values[steps[~held[steps]]] = _SOFT / max(top_current, 1e-12)
@@ -502,7 +504,7 @@ class SigmoidModel(Model):
     def draw_shape(
         self, rng: np.random.Generator, top_velocity: float, top_current: float
     ) -> dict[str, float]:
-        """Coefficients that change by a few times over the range."""
+        """Random shape parameters that change coefficients by a small factor over the range."""
         drawn = {
             "a1": rng.uniform(-1.5, 1.5) / top_velocity,
             "k0": rng.uniform(0.0, 10.0) / top_velocity,
@@ -517,7 +519,7 @@ class SigmoidModel(Model):
 
 
 class ExtendedSigmoidModel(SigmoidModel):
-    """The sixteen parameters with a compliance in series, stiffness, offset and a lagging coil."""
+    """The sixteen-parameter law with a series compliance, stiffness, offset and coil lag."""
 
     name = EXTENDED_MODEL
     title = "sigmoid with lag, stiffness, offset"
@@ -540,7 +542,7 @@ class ExtendedSigmoidModel(SigmoidModel):
 
     @property
     def scale_names(self) -> tuple[str, ...]:
-        """Those of the sigmoid law: the extension is common to all runs."""
+        """The scales of the sigmoid law; the extension is common to all runs."""
         return SCALE_PARAMETER_NAMES
 
     @property
@@ -549,15 +551,15 @@ class ExtendedSigmoidModel(SigmoidModel):
         return SigmoidModel()
 
     def to_simpler(self, values: Array) -> Array:
-        """The sixteen parameters (16,)."""
+        """The sixteen parameters (16,) of the sigmoid law."""
         return values[:SIGMOID_COUNT]
 
     def from_simpler(self, simple: Array) -> Array:
-        """Without lag, stiffness and offset."""
+        """The set without lag, stiffness and offset."""
         return without_extension(simple)
 
     def starts(self, reading: LoopReading) -> Array:
-        """Those of the sigmoid law with a small compliance."""
+        """The starts of the sigmoid law with a small compliance."""
         starts = super().starts(reading)
         starts[:, self.places([COMPLIANCE])] = 0.02 * reading.amplitude / reading.force
         return starts
@@ -568,7 +570,7 @@ class ExtendedSigmoidModel(SigmoidModel):
         return without_extension(values), name, speed
 
     def settled(self, window: Window, parameters: Array | None) -> np.ndarray:
-        """Mask (n,) of samples at which lag and coil have forgotten the past before the window."""
+        """Mask (n,) of samples at which lag and coil no longer depend on earlier motion."""
         lag = coil = _USUAL_LAG
         history = window.history
         if parameters is not None:
@@ -582,10 +584,10 @@ class ExtendedSigmoidModel(SigmoidModel):
     def plausible_ranges(
         self, windows: Sequence[Window], top_velocity: float, top_current: float
     ) -> dict[str, tuple[float, float]]:
-        """Those of the sigmoid law, and of the extension from what the data span.
+        """Ranges of the sigmoid law, and those of the extension for the data.
 
-        The compliance gives way to the force by no more than the amplitude of any window; the
-        stiffness and the offset make no more than all of the force in it.
+        The deflection of the compliance under the force is at most the amplitude of any window.
+        Stiffness and offset make at most the whole force in it.
         """
         forces = [float(np.max(np.abs(window.force))) for window in windows]
         stiffnesses = [
@@ -601,7 +603,7 @@ class ExtendedSigmoidModel(SigmoidModel):
 
 
 def _over(part: Array, whole: Array) -> Array:
-    """The quotient, 0 where the divisor is."""
-    if whole.ndim == 0:  # asked for at every step of a search
+    """The quotient; 0 if the divisor is 0."""
+    if whole.ndim == 0:  # scalar code, because a search calls it at every step
         return np.asarray(part / whole if whole else 0.0 * part)
     return np.asarray(part / np.where(whole != 0.0, whole, np.inf))

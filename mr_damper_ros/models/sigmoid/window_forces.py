@@ -40,28 +40,28 @@ _FORCE_BY = tuple(
     for coefficient, parameters in DEPENDENCES.items()
     for parameter in parameters
 )
-"""Places of the coefficients and of the parameters that they depend on."""
+"""Pairs of indices: a coefficient and a parameter that it depends on."""
 
 _DAMPING_BY = tuple(
     (coefficient, parameter)
     for coefficient, parameter in _FORCE_BY
     if COEFFICIENT_NAMES[coefficient] in ("f_t", "alpha", "v_h", "v_d")
 )
-"""The same of those coefficients that the damping depends on."""
+"""The pairs for the coefficients that affect the damping."""
 
 _SHAPE_INDICES = np.setdiff1d(np.arange(SIGMOID_COUNT), SCALE_INDICES)
 _F0, _K5 = (PARAMETER_NAMES.index(name) for name in ("f0", "k5"))
 _SCALED = {place: coefficient for coefficient, place in enumerate(SCALE_INDICES.tolist())}
-"""The coefficient that is proportional to a parameter, by their places."""
+"""Index of the coefficient that is proportional to a parameter, by the index of the parameter."""
 
 _COMPLIANCE, _STIFFNESS, _OFFSET, _COIL = range(SIGMOID_COUNT, len(EXTENDED_NAMES))
 
 _STEP_OF_COIL = 1e-6
-"""Step [s] of the difference that tells how the force changes with the time constant."""
+"""Step [s] of the difference for the derivative with respect to the coil's time constant."""
 
 
 class SigmoidForces(WindowForces):
-    """Those for parameters of shape (16,) or (20,)."""
+    """Window forces for parameters of shape (16,) or (20,)."""
 
     def __init__(self, model: Model, windows: Sequence[Window]) -> None:
         super().__init__(model, windows)
@@ -84,7 +84,7 @@ class SigmoidForces(WindowForces):
         ]
 
     def derivatives(self, parameters: Array, columns: Sequence[int]) -> list[Array]:
-        """Derivatives (n, c) of the force of each window by the parameters (p,) at c places."""
+        """Derivatives (n, c) of the force of each window, for parameters (p,), at c places."""
         if not is_extended(parameters):
             return [block.T for block in self._own.jacobians(parameters, columns)]
         coil = float(parameters[_COIL])
@@ -101,7 +101,7 @@ class SigmoidForces(WindowForces):
         return found
 
     def _without_lag_of_coil(self, parameters: Array, columns: Sequence[int]) -> list[Array]:
-        """Derivatives for a coil without lag, by which the derivative is left at zero."""
+        """Derivatives for a coil without lag; the column of the coil's time constant is zero."""
         sixteen = parameters[:SIGMOID_COUNT]
         lates = self._late_forces(parameters)
         of_sixteen = [place for place in columns if place < SIGMOID_COUNT]
@@ -124,8 +124,8 @@ class SigmoidForces(WindowForces):
         return found
 
     def _late_forces(self, parameters: Array) -> list[LateForce]:
-        """What the compliance makes of the force of each window, for parameters (20,)."""
-        # A search asks for the Jacobian where it has just asked for the residual.
+        """Lagged force of each window, for parameters (20,)."""
+        # Cached, because a search asks for the Jacobian right after the residual.
         if self._latest is None or self._latest[0] != parameters.tobytes():
             past = self._histories.along(parameters[:SIGMOID_COUNT])
             extension = extension_of(parameters)
@@ -141,7 +141,7 @@ class SigmoidForces(WindowForces):
         return not all(window.has_constant_current for window in self.windows)
 
     def _with_coil(self, time_constant: float) -> SigmoidForces:
-        """The same for the currents of the coil, which then lags no more."""
+        """The forces with the coil current in place of the supply current, without further lag."""
         if self._in_coil is None or self._in_coil[0] != time_constant:
             windows = [in_coil(window, time_constant) for window in self.windows]
             self._in_coil = time_constant, SigmoidForces(self.model, windows)
@@ -153,7 +153,7 @@ class SigmoidForces(WindowForces):
 
     @cached_property
     def _between(self) -> _Motions:
-        """Of the windows some of whose samples lie between those of their history."""
+        """Motions of the windows with samples between those of their history."""
         few = [window for window in self.windows if not window.history.holds_samples]
         return _Motions([(window.motion, window.current) for window in few])
 
@@ -166,12 +166,12 @@ class SigmoidForces(WindowForces):
 class _Motions:
     """Sigmoid forces along several motions, by one evaluation of the laws.
 
-    With one at a time, a third of the time of a search would go into calls. What the shape
-    parameters alone decide on is kept: a window is fitted with the scales.
+    Separate evaluations would add a third to the time of a search. Terms that depend only on the
+    shape parameters are cached, because fits of a window change only the scales.
     """
 
     def __init__(self, motions: Sequence[tuple[Motion, Array]]) -> None:
-        """Motion and current (n,) [A] of each; where both are steady one value stands for all."""
+        """Motion and current (n,) [A] of each; a steady motion is represented by one value."""
         self._velocities = [motion.velocity for motion, _ in motions]
         self._branches = [np.sign(motion.acceleration) for motion, _ in motions]
         speeds, currents = [], []
@@ -184,7 +184,7 @@ class _Motions:
         self._places = [slice(*pair) for pair in pairwise(edges)]
         self._peak_velocity = np.concatenate([np.empty(0), *speeds])
         current = np.concatenate([np.empty(0), *currents])
-        # One value stands for all where none differs.
+        # One value is sufficient if all are equal.
         self._current = current[:1] if np.all(current == current[:1]) else current
         self._kept: tuple[bytes, Array] | None = None
 
@@ -193,11 +193,11 @@ class _Motions:
         return [force_from_coefficients(*motion) for motion in self._each(parameters)]
 
     def along(self, parameters: Array) -> list[ForceAndDamping]:
-        """The same with the damping of the sigmoid, for parameters (16,)."""
+        """Force and equivalent damping along each motion, for parameters (16,)."""
         return [force_and_damping(*motion) for motion in self._each(parameters)]
 
     def jacobians(self, parameters: Array, columns: Sequence[int]) -> list[Array]:
-        """Derivatives (c, n) of each motion's force by the parameters at c places."""
+        """Derivatives (c, n) of each motion's force with respect to the parameters at c places."""
         inner = self._inner(parameters, columns)
         return [
             _chain(coefficient_jacobian(*motion), inner, place, _FORCE_BY, columns)
@@ -205,7 +205,7 @@ class _Motions:
         ]
 
     def jacobians_along(self, parameters: Array, columns: Sequence[int]) -> list[ForceAndDamping]:
-        """Derivatives (n, c) of what :meth:`along` gives by the parameters at c places."""
+        """Derivatives (n, c) of the results of :meth:`along`, by the parameters at c places."""
         inner = self._inner(parameters, columns)
         found = []
         for motion, place in zip(self._each(parameters), self._places, strict=True):
@@ -216,7 +216,7 @@ class _Motions:
         return found
 
     def _each(self, parameters: Array) -> Iterator[tuple[Coefficients, Array, Array]]:
-        """Of each motion the coefficients for parameters (..., 16), the velocity, the branch."""
+        """Coefficients for parameters (..., 16), velocity and branch of each motion."""
         if parameters.ndim > 1:
             together = operating_point_coefficients(parameters, self._peak_velocity, self._current)
         else:
@@ -240,7 +240,7 @@ class _Motions:
         return self._kept[1]
 
     def _inner(self, parameters: Array, columns: Sequence[int]) -> _Inner:
-        """Derivatives (m,) of the coefficients by the parameters at some places."""
+        """Derivatives (m,) of the coefficients with respect to the parameters at ``columns``."""
         if not set(columns) <= _SCALED.keys():
             by = coefficient_parameter_jacobian(parameters, self._peak_velocity, self._current)
             return {(c, p): by[:, c, p] for c, p in _FORCE_BY if p in columns}
@@ -254,7 +254,7 @@ class _Motions:
 
 
 _Inner = dict[tuple[int, int], Array]
-"""Derivatives by the places of the coefficient and of the parameter."""
+"""Derivatives by the indices of coefficient and parameter."""
 
 
 def _chain(
@@ -264,9 +264,10 @@ def _chain(
     dependences: Sequence[tuple[int, int]],
     columns: Sequence[int],
 ) -> Array:
-    """Derivatives (c, n) along one motion by the parameters at c places.
+    """Derivatives (c, n) along one motion with respect to the parameters at c places.
 
-    From those (n, 7) by the coefficients and those of the latter, at the ``place`` of the motion.
+    By the chain rule from ``outer`` (n, 7), the derivatives by the coefficients, and ``inner``,
+    those of the coefficients by the parameters, at the ``place`` of the motion.
     """
     rows = {parameter: row for row, parameter in enumerate(columns)}
     chosen = [(c, rows[p], inner[c, p][place]) for c, p in dependences if p in rows]
@@ -286,14 +287,14 @@ def _without_coil(parameters: Array) -> Array:
 
 
 class LateForce:
-    """What the compliance makes of the sigmoid force along a history, for one set of parameters.
+    """Lagged sigmoid force along a history, for one set of parameters.
 
-    ``plain``, where it is an argument, gives what belongs to the sigmoid law at the samples of the
-    window; it is asked only where these lie between those of the history.
+    The argument ``plain`` of a method returns the value of the sigmoid law at the samples of the
+    window. It is called only if these lie between the samples of the history.
     """
 
     def __init__(self, history: MotionHistory, past: ForceAndDamping, extension: Extension) -> None:
-        """``past``, each of shape (m,), belongs to the sigmoid law along the history."""
+        """``past``, each of shape (m,), is that of the sigmoid law along the history."""
         self._history, self._past, self._extension = history, past, extension
         constant = extension.time_constant(past.damping)
         self._lag = FirstOrderLag(constant, history.period, periodic=history.periodic)
@@ -305,7 +306,7 @@ class LateForce:
         return np.asarray(late + self._extension.gas(displacement))
 
     def jacobian(self, by_sigmoid: ForceAndDamping, plain: Callable[[], Array]) -> Array:
-        """Derivatives (n, p) of the force by p parameters of the sigmoid law.
+        """Derivatives (n, p) of the force with respect to p parameters of the sigmoid law.
 
         ``by_sigmoid``, each of shape (m, p), are those along the history.
         """
@@ -314,7 +315,7 @@ class LateForce:
         return self._at_samples(by_sigmoid.force, late, plain)
 
     def by_compliance(self) -> Array:
-        """Derivative (n,) of the force."""
+        """Derivative (n,) of the force with respect to the compliance."""
         nothing = np.zeros((self._late.size, 1))
         damping = np.maximum(self._past.damping, 0.0)[:, np.newaxis]
         late = self._lag.derivative(self._past.force, self._late, nothing, damping)
@@ -322,12 +323,12 @@ class LateForce:
 
     @property
     def _by_damping(self) -> Array:
-        """Derivative (m,) of the time constant by the damping: one below zero makes no lag."""
+        """Derivative (m,) of the time constant by the damping; negative damping gives no lag."""
         return np.where(self._past.damping > 0.0, self._extension.compliance, 0.0)
 
     def _at_samples(self, along: Array, late: Array, plain: Callable[[], Array]) -> Array:
-        """At the samples of the window what is late (m, ...) along the history."""
+        """Values at the samples of the window, from lagged values (m, ...) along the history."""
         if self._history.holds_samples:
             return self._history.at_samples(late)
-        # Only what the lag changes is interpolated: it is smoother than the force.
+        # Only the effect of the lag is interpolated, because it is smoother than the force.
         return np.asarray(plain() - self._history.at_samples(along - late))
