@@ -240,7 +240,7 @@ class WindowTracker:
         self._remember(TrackerMemory(windows=self._now.windows))
 
     def _forget_scales(self) -> None:
-        """Discard the states of the filter and the change detection, which belong to another set."""
+        """Discard the states of filter and change detection, which belong to another set."""
         self._now.state = None
         self._now.watch = None
         self._now.changed_ns = 0
@@ -377,8 +377,8 @@ class WindowTracker:
         if fit is None or evidence is None or summary is None:
             return outcome.refusal or fault_of_data("the window could not be fitted")
         if parts is not None and not parts.explained:
-            # Tested with the residual of the parts, because the window's own residual contains
-            # the error of the law. The residual baseline must not include this window yet.
+            # The window's own residual contains the error of the law, so the residual of the parts
+            # is compared with the baseline, before the window changes the baseline.
             self._unexplained = self._gatekeeper.is_usual(parts.rmse, parts.nrmse)
         force = known_force(fit, summary)
         holds = not self._now.other_damper and holds_at(self.parameters, fit.operating_point)

@@ -1,8 +1,8 @@
-"""What a tracker knows, kept in a folder: read at the start, written after every new set.
+"""The state of a tracker in a folder: read at the start, written after every new set.
 
-Beside the running set its memory is one line of JSON, arrays in it as base64 of their doubles: to
-the last digit, and nothing in it is ever executed. What is read back is checked against the types
-of the dataclasses, and for shapes and values that no identification leaves behind.
+The file contains the running set and the tracker's memory. The memory is one line of JSON. Arrays
+are stored as base64 of their doubles, so all digits are preserved. No content is ever executed. The
+reader checks the types against the dataclasses, and rejects impossible shapes and values.
 """
 
 from __future__ import annotations
@@ -33,28 +33,28 @@ from mr_damper_ros.tracking.tracker import TrackerMemory, WindowTracker
 T = TypeVar("T")
 
 _DATA = "float64"
-"""Key of an array's doubles (little endian, base64); its shape goes with it."""
+"""Key of an array's doubles (little endian, base64); the shape has a key of its own."""
 
 _STAMP_LIMIT = 2**63
 """Stamps [ns] have 64 bits."""
 
 
 def to_text(memory: TrackerMemory) -> str:
-    """One line that :func:`from_text` reads back to the last digit."""
+    """The memory as one line of text; :func:`from_text` reads it back exactly."""
     return json.dumps(_plain(memory), separators=(",", ":"))
 
 
 def from_text(text: str, model: Model) -> TrackerMemory:
-    """The memory in a line of text, of a tracker of the model.
+    """Read the memory of a tracker of this model from a line of text.
 
-    Raises StateError where the text is not one, or holds what no tracker has learnt.
+    Raises StateError if the text is malformed or contains impossible values.
     """
     try:
         data = json.loads(text)
         if isinstance(data, dict) and "points" not in data:
             data = _with_records(data)
         memory = _read(TrackerMemory, data, "memory")
-        # An older version may have known fewer parameters.
+        # An older version may have had fewer parameters.
         for each in memory.points.records:
             if (fit := each.baseline) is not None:
                 completed = dataclasses.replace(fit, parameters=model.completed(fit.parameters))
@@ -72,7 +72,7 @@ _OF_EARLIER = ("baselines", "reservoir", "reservoir_points", "reservoir_stamps",
 
 
 def _with_records(data: dict[str, Any]) -> dict[str, Any]:
-    """What an earlier version kept, one table for each kind of knowledge, in records of points."""
+    """Convert the data of an earlier version, one table per kind of entry, to point records."""
     fits, windows, points, stamps, temperatures = (data.get(name, []) for name in _OF_EARLIER)
     history = data.get("history", {})
     found = [(fit["operating_point"], {"baseline": fit}) for fit in fits]
@@ -99,7 +99,7 @@ def _with_records(data: dict[str, Any]) -> dict[str, Any]:
 
 
 def _plain(value: Any) -> Any:
-    """The value as JSON can hold it."""
+    """Convert a value to types that JSON supports."""
     if isinstance(value, np.ndarray):
         data = np.ascontiguousarray(value, dtype="<f8").tobytes()
         return {"shape": list(value.shape), _DATA: base64.b64encode(data).decode("ascii")}
@@ -113,10 +113,10 @@ def _plain(value: Any) -> Any:
 
 
 def _read(kind: type[T], data: Any, where: str) -> T:
-    """The value of a type in what JSON gave; ``where`` names it in errors (ValueError)."""
+    """Convert parsed JSON to a type; ``where`` names the value in errors (ValueError)."""
     value: Any
     origin, arguments = typing.get_origin(kind), typing.get_args(kind)
-    if origin in (types.UnionType, typing.Union):  # with None, there are no others here
+    if origin in (types.UnionType, typing.Union):  # the only unions here are those with None
         value = None if data is None else _read(arguments[0], data, where)
     elif origin is np.ndarray:
         value = _array(data, where)
@@ -159,7 +159,7 @@ def _tuple(arguments: tuple[Any, ...], data: Any, where: str) -> tuple[Any, ...]
 def _dataclass(kind: Any, data: Any, where: str) -> Any:
     hints = typing.get_type_hints(kind)
     fields = dataclasses.fields(kind)
-    # What a later version added has a default.
+    # Fields added by a later version have a default.
     needed = {
         field.name
         for field in fields
@@ -172,7 +172,7 @@ def _dataclass(kind: Any, data: Any, where: str) -> Any:
 
 
 def check(memory: TrackerMemory, model: Model) -> TrackerMemory:
-    """The memory itself; StateError for what is of the right types, yet of no tracker."""
+    """Return the memory unchanged; raises StateError if it contains impossible values."""
     for sound, what in _soundness(memory, len(model.parameters)):
         if not sound:
             raise StateError(f"the memory of the tracker cannot be used: {what} cannot be")
@@ -265,11 +265,11 @@ def _square(vector: np.ndarray, matrix: np.ndarray) -> bool:
 
 
 DISK_PATIENCE = 1.0
-"""Seconds that a disk has to write a state before anybody goes on without it."""
+"""Seconds to wait for the disk to write a state before continuing without it."""
 
 
 class TrackerState:
-    """The state of a tracker under its own name in a folder, beside the sets that a user keeps."""
+    """Stores a tracker's state under its own name, in the folder of the user's stored sets."""
 
     def __init__(self, tracker: WindowTracker, directory: StateDirectory, name: str) -> None:
         self._tracker = tracker
@@ -281,35 +281,35 @@ class TrackerState:
 
     @property
     def path(self) -> Path | None:
-        """The file of the tracker's own state; None where nothing is kept."""
+        """The file of the tracker's own state; None if nothing is stored."""
         return self._directory.file(self._name) if self._directory.keeps else None
 
     @property
     def fault(self) -> str:
-        """Why the state is not on disk; empty where it is, or where none is kept."""
+        """Why the state is not on disk; empty if it is, or if nothing is stored."""
         return self._writer.fault if self._writer else ""
 
     @property
     def set_aside(self) -> str:
-        """What could not be used and lies beside the state; empty once that is acknowledged."""
+        """Message about unusable files that were set aside; empty once acknowledged."""
         return self._set_aside
 
     @property
     def given(self) -> int:
-        """Number of the newest state that was to be written."""
+        """Number of the newest state given to the writer."""
         return self._writer.given if self._writer else 0
 
     @property
     def written(self) -> int:
-        """Number of the newest state that was written, or could not be; it includes all before."""
+        """Number of the newest state that was written or failed, as were all states before."""
         return self._writer.done if self._writer else 0
 
     def resume(self) -> str:
-        """Go on where a tracker of this name ended, and keep from now on what this one learns.
+        """Continue from the stored state of this name, and store the state from now on.
 
-        Returns in words what it goes on with, empty for nothing; what cannot be used is
-        :attr:`set_aside`. Raises StateError where the folder cannot be used, or where another
-        process keeps its state there under this name.
+        Returns a description of the state found, empty for none. An unusable file is reported by
+        :attr:`set_aside`. Raises StateError if the folder cannot be used, or if another process
+        stores its state there under this name.
         """
         if not self._directory.keeps:
             return ""
@@ -328,7 +328,7 @@ class TrackerState:
         return known
 
     def _write(self, item: tuple[ParameterSet, TrackerMemory]) -> None:
-        """Keep what the next start will take: StateError for anything else."""
+        """Write a state; raises StateError if the next start would reject it."""
         parameters, memory = item
         self._directory.save(self._name, parameters, to_text(check(memory, parameters.law)))
 
@@ -365,9 +365,10 @@ class TrackerState:
         self._set_aside = "; ".join(filter(None, (why, self._set_aside)))
 
     def acknowledge(self) -> str:
-        """Take notice of what was set aside, which is then not spoken of again; returns it.
+        """Acknowledge the files set aside, so that they are no longer reported.
 
-        The files stay, under another name. Raises StateError where they cannot be renamed.
+        Returns the message about them. The files are renamed, not deleted. Raises StateError if
+        they cannot be renamed.
         """
         if self._directory.keeps:
             self._directory.mark_asides_read(self._name)
@@ -375,12 +376,12 @@ class TrackerState:
         return taken
 
     def keep(self) -> None:
-        """Have the running set, and what goes with it, written soon."""
+        """Write the running set and the memory in the background."""
         if self._writer is not None:
             self._writer.keep((self._tracker.parameters, self._tracker.memory))
 
     def keep_now(self) -> str:
-        """Keep, and wait for it; returns what is wrong with that, if anything is."""
+        """Write the state and wait for the disk; returns a fault in words, or an empty text."""
         self.keep()
         if self._writer is None:
             return ""
@@ -389,10 +390,10 @@ class TrackerState:
         return self._writer.fault
 
     def save(self, name: str) -> Path:
-        """Keep the running set under a name, "" for the tracker's own; returns its file.
+        """Store the running set under a name, "" for the tracker's own; returns its file.
 
-        Raises StateError where that is not possible, or where another node keeps its state under
-        that name.
+        Raises StateError if this is not possible, or if another node stores its state under that
+        name.
         """
         path = self._directory.file(name or self._name)
         if path != self._directory.file(self._name):
@@ -408,16 +409,15 @@ class TrackerState:
         return path
 
     def load(self, name: str) -> ParameterSet:
-        """The set kept under a name, "" for the tracker's own.
+        """The set stored under a name, "" for the tracker's own.
 
-        Raises StateError where there is none that can be used, ParameterError for one of another
-        model.
+        Raises StateError if there is no usable set, ParameterError if it belongs to another law.
         """
         found = self._directory.load(name or self._name)
         return found.of_model(self._tracker.parameters.model)
 
     def close(self) -> None:
-        """Write what waits, as long as that may take, and end."""
+        """Write what waits for the disk, release the lock and end."""
         if self._writer is not None:
             self._writer.close(DISK_PATIENCE)
         if self._lock is not None:

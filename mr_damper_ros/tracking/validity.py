@@ -1,7 +1,7 @@
-"""The validity rules: the reason codes of a force that is not valid, and what each is judged by.
+"""The validity rules: the reason codes of an invalid force, and the test for each of them.
 
-Every rule is a function or a small class that returns a :class:`Doubt`; the predictor asks them
-all. What the measured force says is in :mod:`mr_damper_ros.tracking.residual_monitor`.
+Every rule is a function or a small class that returns a :class:`Doubt`. The predictor applies all
+rules. The comparison with the measured force is in :mod:`mr_damper_ros.tracking.residual_monitor`.
 """
 
 from __future__ import annotations
@@ -25,42 +25,42 @@ Codes = NDArray[np.uint8]
 """A :class:`DoubtKind` for each sample."""
 
 CURRENT_READING = 0.02
-"""A supply's reading of a constant current moves by so much [A]."""
+"""Variation of a supply's reading of a constant current [A]."""
 
 
 class DoubtKind(IntEnum):
-    """Why a force is not valid; the numbers are those of PredictedForce."""
+    """Reason code of an invalid force; the numbers are those of the message PredictedForce."""
 
     NONE = 0
-    """It is valid."""
+    """The force is valid."""
     MISSING = 1
-    """There are no parameters, or no current, to predict with."""
+    """There are no parameters, or no current for this sample."""
     NOT_FINITE = 2
-    """The parameters give no finite force."""
+    """The force is NaN or infinite."""
     REPEATED = 3
     """The block came twice or too late."""
     SETTLING = 4
-    """The motion, or what the law remembers of it, is not known well enough yet."""
+    """The motion, or the state of a law with memory, has not settled yet."""
     AT_REST = 5
-    """The damper does not move: its force then depends on how it came to rest."""
+    """The damper is at rest; its force depends on how it came to rest."""
     OUTDATED = 6
     """The samples, the current or the parameters are too old, or stamped in the future."""
     OUT_OF_RANGE = 7
-    """Motion or current are outside of what the parameters were identified from."""
+    """Peak velocity or current is outside the identified range."""
     TOO_LARGE = 8
-    """The force is larger than this damper has been measured to give."""
+    """The force exceeds the largest force measured on this damper."""
     SENSOR = 9
     """The measured force cannot be that of a damper in this motion."""
     DRIVING = 10
-    """The predicted force drives the motion, which no damper does."""
+    """The predicted force is not dissipative."""
     WRONG = 11
-    """The predicted force is far from the measured one."""
+    """The predicted force differs too much from the measured force."""
     REFUSED = 12
-    """The identifier says that the samples or the parameters cannot be trusted."""
+    """The identifier has rejected the newest windows."""
 
     @property
     def grave(self) -> bool:
-        """Whether something is wrong with the rig or the parameters, rather than not yet known."""
+        """Whether the code indicates a fault of the rig or the parameters, not missing data."""
         return self in _GRAVE
 
 
@@ -74,9 +74,9 @@ _GRAVE = frozenset(
 
 @dataclass(frozen=True)
 class Doubt:
-    """A reason not to rely on a force: its kind, and a sentence with figures for people.
+    """Why a force is invalid: the reason code, and a sentence with figures.
 
-    ``at``: mask (n,) of the samples that it holds for; None: all of them.
+    ``at`` is a mask (n,) of the samples concerned; None means all samples.
     """
 
     kind: DoubtKind = DoubtKind.NONE
@@ -84,11 +84,11 @@ class Doubt:
     at: Mask | None = field(default=None, compare=False)
 
     def __bool__(self) -> bool:
-        """Whether there is any doubt."""
+        """Whether the force is invalid."""
         return self.kind is not DoubtKind.NONE
 
     def after(self, count: int) -> Doubt:
-        """The same where so many samples without doubt come before."""
+        """Return the doubt with ``count`` unaffected samples put before the mask."""
         if self.at is None or count == 0:
             return self
         return replace(self, at=np.concatenate([np.zeros(count, dtype=bool), self.at]))
@@ -98,9 +98,9 @@ NO_DOUBT = Doubt()
 
 
 def doubts_of_samples(count: int, doubts: Sequence[Doubt]) -> tuple[Codes, Doubt]:
-    """The kind of doubt of each sample (n,), and the doubt of the newest that is not valid.
+    """The reason code of each sample (n,), and the doubt of the newest invalid sample.
 
-    Of several that hold for a sample the first one counts.
+    If several doubts apply to a sample, the first one counts.
     """
     codes = np.zeros(count, dtype=np.uint8)
     if not doubts:
@@ -116,7 +116,7 @@ def doubts_of_samples(count: int, doubts: Sequence[Doubt]) -> tuple[Codes, Doubt
 
 @dataclass(frozen=True)
 class ValiditySettings(CheckedSettings):
-    """When a predicted force is no longer valid."""
+    """Limits of the validity of a predicted force."""
 
     max_age: float = option(
         0.5,
@@ -176,9 +176,9 @@ class ValiditySettings(CheckedSettings):
 
 
 def current_allowance(current_range: tuple[float, float], margin: float) -> float:
-    """How far [A] the current may leave the identified range [A]: in proportion to its width.
+    """Margin [A] of the current beyond the identified range [A], ``margin`` times its width.
 
-    Of a set for a single current nothing is known of any other.
+    It is at least :data:`CURRENT_READING`, which applies to a set for a single current.
     """
     low, high = current_range
     return max(margin * (high - low), CURRENT_READING)
@@ -187,7 +187,10 @@ def current_allowance(current_range: tuple[float, float], margin: float) -> floa
 def doubt_of_current_range(
     current: Array, parameters: ParameterSet, margin: float, tried: float = -math.inf
 ) -> Doubt:
-    """Whether the parameters hold for currents (n,) [A], or are tried out up to them."""
+    """Whether currents (n,) [A] are outside the range of the parameters.
+
+    ``tried`` [A] is the highest current under trial; currents up to it are allowed.
+    """
     low, high = parameters.current_range
     allowed = current_allowance(parameters.current_range, margin)
     lowest, highest = span_of(current)
@@ -201,7 +204,7 @@ def doubt_of_current_range(
 
 
 def doubt_of_speed(speed: float, parameters: ParameterSet, margin: float) -> Doubt:
-    """Whether the parameters hold for a peak velocity [m/s]."""
+    """Whether a peak velocity [m/s] is outside the range of the parameters."""
     low, high = parameters.peak_velocity_range
     if low * (1.0 - margin) <= speed <= high * (1.0 + margin):
         return NO_DOUBT
@@ -213,7 +216,7 @@ def doubt_of_speed(speed: float, parameters: ParameterSet, margin: float) -> Dou
 
 
 def doubt_of_size(force: Array, parameters: ParameterSet, margin: float) -> Doubt:
-    """Whether a force (n,) [N] is one that this damper has been measured to give."""
+    """Whether a force (n,) [N] exceeds the largest force measured on this damper."""
     largest = parameters.largest_force
     if math.isnan(largest):
         return NO_DOUBT
@@ -232,7 +235,7 @@ def doubt_of_size(force: Array, parameters: ParameterSet, margin: float) -> Doub
 def doubt_of_missing(
     parameters: ParameterSet | None, current: ZeroOrderHold, start_ns: int
 ) -> Doubt:
-    """What the prediction for samples from a stamp on lacks."""
+    """Whether parameters or current are missing for samples from a stamp on."""
     if parameters is None:
         return Doubt(
             DoubtKind.MISSING,
@@ -255,7 +258,7 @@ def doubt_of_missing(
 
 
 def doubt_of_motion(motion: MotionFollower) -> Doubt:
-    """Whether the damper moves, and its velocity is known."""
+    """Whether the damper is at rest, or its velocity has not settled."""
     if motion.unsettled:
         return Doubt(DoubtKind.SETTLING, motion.unsettled)
     if not motion.doubt and motion.resting:
@@ -267,9 +270,10 @@ def doubt_of_motion(motion: MotionFollower) -> Doubt:
 
 
 def doubt_of_past(motion: MotionFollower, *, begun: bool) -> Doubt:
-    """Whether enough of the motion is known, and of what a law remembers of it.
+    """Whether the past of the motion, or the state of the law, is still unknown.
 
-    ``begun``: the law remembers, and the motion has not reversed since it began to follow it.
+    ``begun`` says that the law has memory and that the motion has not reversed since its state was
+    initialised.
     """
     if motion.doubt:
         return Doubt(DoubtKind.SETTLING, motion.doubt)
@@ -284,9 +288,9 @@ def doubt_of_past(motion: MotionFollower, *, begun: bool) -> Doubt:
 def doubt_of_current_age(
     current: ZeroOrderHold, end_ns: int, timeout: float, *, live: bool
 ) -> Doubt:
-    """Whether the current is known up to the stamp of the end of a block.
+    """Whether the current is outdated at the end of a block, or stamped after it.
 
-    The current of a recording may come far ahead of the samples; that of a running machine
+    The current of a recording may arrive far ahead of the samples; that of a running machine
     (``live``) cannot.
     """
     held, following = current.around(end_ns)
@@ -312,9 +316,11 @@ def doubt_of_current_age(
 def doubt_of_parameters_age(
     confirmed_ns: int | None, end_ns: int, settings: ValiditySettings, *, live: bool
 ) -> Doubt:
-    """Whether a window has confirmed the parameters lately; None for parameters that do not age.
+    """Whether the parameters have gone too long without a confirming window.
 
-    A recording may be older than the parameters it is predicted with, a running machine not.
+    ``confirmed_ns`` is the stamp of the last confirmation; None for parameters that do not age. The
+    samples of a recording may be older than the parameters; those of a running machine (``live``)
+    may not.
     """
     if confirmed_ns is None or settings.parameters_timeout == 0.0:
         return NO_DOUBT
@@ -335,7 +341,7 @@ def doubt_of_parameters_age(
 
 
 def middle(values: Array) -> float:
-    """Upper median: of a few values in a tenth of the time that NumPy's median takes."""
+    """Upper median; for a few values it takes a tenth of the time of NumPy's median."""
     if values.size == 1:
         return float(values[0])
     half = values.size // 2
@@ -343,18 +349,19 @@ def middle(values: Array) -> float:
 
 
 _LIVE = 60.0
-"""Stamps within so many seconds of the clock are those of a running machine."""
+"""Stamps within this many seconds of the clock are those of a running machine."""
 
 
 class Freshness:
-    """Follows the age of the samples of a stream, where they come from a running machine.
+    """Monitors the age of the samples of a stream from a running machine.
 
-    The stamps of a recording that is played tell when it was recorded, and nothing of how late the
-    samples come. So a stream counts as live once its stamps have been within a minute of the clock,
-    and stays so until they jump back: an overloaded computer does not turn it into a recording.
+    The stamps of a played recording are those of the original measurement, and give no age. A
+    stream therefore counts as live once its stamps have been within a minute of the clock. It stays
+    live until the stamps jump back, so that an overloaded computer does not turn it into a
+    recording.
 
-    ``max_age`` [s] is the limit; 0: none, nothing is taken for live. ``age`` [s] is that of the
-    last samples, NaN where they are not live.
+    ``max_age`` [s] is the limit; with 0 there is no limit and no stream counts as live. ``age`` [s]
+    is that of the last samples, NaN if they are not live.
     """
 
     def __init__(self, max_age: float) -> None:
@@ -363,7 +370,7 @@ class Freshness:
         self.age = math.nan
 
     def restart(self) -> None:
-        """The stamps have jumped back: whether they are live shows again."""
+        """Decide anew whether the stream is live, after the stamps have jumped back."""
         self.live = False
         self.age = math.nan
 
@@ -372,7 +379,10 @@ class Freshness:
         return self.live and (now_ns - stamp_ns) / NANOSECONDS > limit
 
     def judge(self, stamp_ns: int, now_ns: int | None) -> Doubt:
-        """Whether samples up to the stamp are too old by the clock; None: there is no clock."""
+        """Whether samples up to the stamp are too old, or in the future, by the clock.
+
+        ``now_ns`` is the time by the clock; None without a clock.
+        """
         if now_ns is None or self._max_age == 0.0:
             return NO_DOUBT
         age = (now_ns - stamp_ns) / NANOSECONDS
@@ -402,17 +412,17 @@ _DISTRUST = {
     Verdict.UNCONFIRMED: "the force has changed too much at once",
     Verdict.BEYOND_LIMITS: "the force differs too much from the first one",
 }
-"""Verdicts that speak against the samples or the parameters, in words."""
+"""Verdicts that count as rejections of a window, in words."""
 
 _IN_A_ROW = 2
-"""One window may be spoilt by a passing fault: the force is doubted from the second on."""
+"""Number of windows rejected in a row that makes the force invalid; a passing fault spoils one."""
 
 _FITS = 0.3
-"""Where the running parameters leave less than this NRMSE of a window they are trusted."""
+"""If the set in use has a smaller NRMSE in a rejected window, the rejection does not count."""
 
 
 class RefusedWindows:
-    """Follows the identifier's verdicts on windows: several refused in a row raise a doubt."""
+    """Counts the windows rejected in a row by the identifier; two make the force invalid."""
 
     def __init__(self) -> None:
         self._refused = 0
@@ -420,11 +430,11 @@ class RefusedWindows:
 
     @property
     def doubt(self) -> Doubt:
-        """Why the newest windows speak against the force."""
+        """Why the newest windows make the force invalid."""
         return self._doubt if self._refused >= _IN_A_ROW else NO_DOUBT
 
     def follow(self, verdict: int, nrmse_before: float, *, confirms: bool) -> None:
-        """Follow a report: its verdict, and the NRMSE of the parameters in use (NaN: unknown)."""
+        """Process a report: its verdict, and the NRMSE of the set in use (NaN if unknown)."""
         if confirms or nrmse_before < _FITS:
             self.forget()
         elif verdict in _DISTRUST:
@@ -436,5 +446,5 @@ class RefusedWindows:
             )
 
     def forget(self) -> None:
-        """The parameters are others now, or have been confirmed."""
+        """Restart the count, after new parameters or a confirmation."""
         self._refused = 0

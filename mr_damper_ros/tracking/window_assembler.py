@@ -1,7 +1,7 @@
 """Cuts a stream of blocks into windows for identification, by the data's stamps alone.
 
-The newest samples are kept in one array (:class:`SampleStore`): what is added or cut costs what it
-holds.
+:class:`SampleStore` keeps the newest samples in one array. The cost of adding a block or cutting a
+window is proportional to its number of samples.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from mr_damper_ros.tracking.screening import part_at_rest, rests_too_long
 class Samples(NamedTuple):
     """Displacement [m], force [N] and peak velocity [m/s] of samples, each of shape (n,).
 
-    ``force_after`` [sample periods]: how long after the sample its force was measured.
+    ``force_after`` [sample periods] is the delay from a sample to the measurement of its force.
     """
 
     displacement: Array
@@ -34,18 +34,18 @@ class Samples(NamedTuple):
 
 
 class SampleStore:
-    """Keeps what was added until it is forgotten; samples are counted from the first one on."""
+    """Keeps samples until they are discarded; a sample's count is its number since the first."""
 
     def __init__(self) -> None:
-        # Those of Samples, and the stamp [ns] after that of the first sample.
+        # The rows of Samples, and the stamp [ns] relative to that of the first sample.
         self._rows = RollingRows(len(Samples._fields) + 1)
         self._begin_ns: int | None = None
         self.first = 0
-        """Count of the first sample that is kept."""
+        """Count of the first sample kept."""
 
     @property
     def end(self) -> int:
-        """Count of the sample that comes next."""
+        """Count of the next sample to arrive."""
         return self.first + self._rows.count
 
     def add(
@@ -56,24 +56,28 @@ class SampleStore:
     ) -> None:
         """Add the samples of a block and the peak velocity [m/s] (n,) at them.
 
-        ``measured``: forces [N] in place of the block's, and how many sample periods after each.
+        ``measured`` holds forces [N] that replace the block's, and their delays after the samples
+        [sample periods].
         """
         count = block.sample_count
         force, after = measured or (block.force, 0.0)
         if self._begin_ns is None:
             self._begin_ns = block.start_ns
-        # From the stamp of its own block: a sample clock that is not quite the nominal one must
-        # not drift away from the stamps.
+        # Stamps start from that of each block, because the real sample rate differs from the
+        # nominal one and the error must not accumulate.
         stamps = np.rint(np.arange(count) * (block.period * NANOSECONDS))
         stamps += block.start_ns - self._begin_ns
         self._rows.add((block.displacement, force, peak_velocity, after, stamps), count)
 
     def samples(self, start: int, stop: int) -> Samples:
-        """The samples with these counts, as arrays of their own."""
+        """Copy the samples with these counts."""
         return Samples(*self._part(start, stop)[:-1].copy())
 
     def displacement(self, start: int, stop: int) -> Array:
-        """Displacement [m] of the samples with these counts, shape (n,); to be read at once."""
+        """Displacement [m] of the samples with these counts, shape (n,).
+
+        This is a view, valid until the next change of the store.
+        """
         return np.asarray(self._part(start, stop)[0])
 
     def stamp_ns(self, count: int) -> int:
@@ -82,7 +86,7 @@ class SampleStore:
         return self._begin_ns + int(self._part(count, count + 1)[-1, 0])
 
     def forget(self, before: int) -> None:
-        """Let go of the samples before the one with this count."""
+        """Discard the samples before the one with this count."""
         held = self._rows.count
         self._rows.keep(max(self.end - before, 0))
         self.first += held - self._rows.count
@@ -94,26 +98,27 @@ class SampleStore:
 _USUAL_WAIT_NS = 1_000_000_000
 
 _HOLD_BACK = 0.05
-"""Seconds for which blocks that overtook others wait for them: a window is in no hurry."""
+"""Seconds for which blocks out of order wait for the missing ones; windows are not urgent."""
 
 _WAIT_FOR_CURRENT = 64
-"""At most this many complete windows wait for the current to become known."""
+"""Largest number of complete windows that wait for their current."""
 
 _GROWTH = 1.25
-"""A window that lacks motion is tried again as many times as long."""
+"""Factor by which a window without a full cycle is extended at each trial."""
 
 _POINTS = 64
-"""Whether a longer window holds a cycle is seen in so many points for each window's length."""
+"""Number of averaged points per window length in the search for a cycle in a longer window."""
 
 
 @dataclass(frozen=True, eq=False)
 class RawWindow:
-    """Samples of one window: arrays of shape (n,), SI units; ``temperature`` [°C], NaN unknown.
+    """Samples of one window: arrays of shape (n,), SI units; ``temperature`` [°C], NaN if unknown.
 
-    ``peak_velocity`` [m/s] is that of the stream, which knows what went before; None where the
-    window is all there is. A look is a window cut early, to see whether its ``look`` newest samples
-    still fit the running set; 0 for a window to be fitted. ``force_after``: how many sample periods
-    after each sample its force was measured; None where all were measured at their samples.
+    ``peak_velocity`` [m/s] is estimated from the whole stream; None if there is only the window.
+    ``look`` is 0 for a window to be fitted. For a change check it is the number of newest samples
+    that are compared with the running set; such a window is cut early. ``force_after`` [sample
+    periods] is the delay from each sample to the measurement of its force; None if there is no
+    delay.
     """
 
     start_ns: int
@@ -134,7 +139,7 @@ class RawWindow:
 
 @dataclass(frozen=True)
 class WindowSettings(CheckedSettings):
-    """How a stream is cut; raises ValueError where the hop is longer than the window, too."""
+    """How a stream is cut; raises ValueError for a value out of range or a hop above the window."""
 
     window: float = option(
         2.0,
@@ -188,18 +193,18 @@ class WindowSettings(CheckedSettings):
 class WindowAssembler:
     """Collects blocks into windows of ``window`` seconds, one every ``hop`` seconds of data.
 
-    Where these seconds hold no cycle of the motion, the window reaches further back: to where it
-    holds one, up to ``longest``. Of such a window only every third, fifth, ... force is taken, so
-    that it has no more than three times the usual number of samples, and the displacement is the
-    average about it. The next one comes when as large a part of it is new as of a usual window;
-    what lacks motion in between, or at any length, is handed out as it is, to be refused.
+    If these seconds do not contain a cycle of the motion, the window is extended into the past
+    until it does, up to ``longest`` seconds. An extended window uses every third, fifth, ... force,
+    so that it has at most three times the usual number of samples. Its displacement is averaged
+    around each of these samples. The next extended window follows when the same fraction of it is
+    new as of a usual window. Windows in between, and windows without a cycle at any length, are
+    returned with the usual length, and are rejected later.
 
-    A window is handed out once the current is known for all of it, that is once a value stamped
-    at or after its last sample has come: what a window holds then does not depend on the order
-    in which the messages of different topics arrive. ``looks`` windows more are cut within each
-    hop where ``window`` seconds hold a cycle, see :class:`RawWindow`. A window from whose start the
-    current is not known is left out; the next look, which is as long, is then handed out in its
-    place.
+    A window is returned once the current is known for all of it, that is, once a value stamped at
+    or after its last sample has arrived. Its content therefore does not depend on the order in
+    which the messages of different topics arrive. If ``window`` seconds contain a cycle, ``looks``
+    change checks are cut in each hop, see :class:`RawWindow`. A window whose current is unknown at
+    its start is omitted; the next change check, which has the same length, replaces it.
     """
 
     def __init__(
@@ -211,7 +216,7 @@ class WindowAssembler:
         grid: GridSettings | None = None,
         centre_memory: float = MEMORY,
     ) -> None:
-        """Raises ValueError, as :class:`WindowSettings` does; ``longest`` None: its default."""
+        """Raise ValueError as :class:`WindowSettings` does; ``longest`` None takes the default."""
         longest = WindowSettings.longest_window if longest is None else longest
         self._settings = WindowSettings(window, hop, longest, centre_memory, looks)
         self._sequence = UniformGrid(grid, _HOLD_BACK)
@@ -226,21 +231,21 @@ class WindowAssembler:
 
     def _empty(self) -> None:
         self._store = SampleStore()
-        # Samples from the start of the present window on are counted so.
+        # Count of the first sample of the present window.
         self._start = 0
-        # End of the newest window with a cycle.
+        # Count of the end of the newest window with a cycle.
         self._newest = 0
-        # Of the parts of a hop: 0 where the next window is one to be fitted.
+        # Part of the hop: 0 if the next window is to be fitted, else a change check.
         self._part = 0
 
     @property
     def sequence(self) -> UniformGrid:
-        """How the blocks have followed each other so far."""
+        """The uniform grid, which tracks gaps and repeats of the blocks."""
         return self._sequence
 
     @property
     def fill(self) -> float:
-        """Part of the present window that is there, 0 to 1."""
+        """Filled fraction of the present window, 0 to 1."""
         last = self._sequence.last
         if last is None:
             return 0.0
@@ -249,9 +254,9 @@ class WindowAssembler:
 
     @property
     def waits_for_current(self) -> bool:
-        """Whether a complete window still waits for a value of the current a second later.
+        """Whether a complete window has waited for the current for more than a second.
 
-        A supply that is read ten times a second lets every window wait for a moment.
+        With a supply that is read ten times a second, every window waits for a short time.
         """
         last = self._sequence.last
         if not self._waiting or last is None:
@@ -260,17 +265,17 @@ class WindowAssembler:
         return newest_ns - self._waiting[0].end_ns >= _USUAL_WAIT_NS
 
     def take_events(self) -> list[str]:
-        """What happened since the last call, in sentences."""
+        """Return the messages since the last call."""
         events, self._events = self._events, []
         return events
 
     def reset(self) -> None:
-        """Forget the samples collected so far; the stream goes on."""
+        """Discard the samples collected so far; the stream continues."""
         self._empty()
         self._waiting.clear()
 
     def add_block(self, block: SampleBlock) -> list[RawWindow]:
-        """Add a block; returns the windows that became complete, oldest first."""
+        """Add a block; returns the completed windows, oldest first."""
         for placed in self._sequence.follow(block):
             self._add(placed)
         return self._ready()
@@ -286,16 +291,16 @@ class WindowAssembler:
         if self._peak is None or verdict.restarts:
             self._peak = StreamPeakVelocity(block.period, self._settings.centre_memory)
         if verdict.kind == "jump_back":
-            # Windows that still wait belong to the time before the jump.
+            # The waiting windows belong to the time before the jump.
             self._waiting.clear()
             self._current.follow_jump()
         self._store.add(block, self._peak.follow(block.displacement), placed.measured)
         self._cut(block.period)
 
     def add_current(self, stamp_ns: int, current: float) -> list[RawWindow]:
-        """Add a value of the supply current [A]; returns the windows that became complete.
+        """Add a value of the supply current [A]; returns the completed windows, oldest first.
 
-        Raises CurrentError where the current is not finite.
+        Raises CurrentError if the current is not finite.
         """
         self._current.add(stamp_ns, current)
         return self._ready()
@@ -314,7 +319,7 @@ class WindowAssembler:
             end = self._start + length
             reach = self._reach(end, length, period)
             if look:
-                # In part of a cycle what a law leaves of the force looks like a change of it.
+                # In less than a cycle, the model error cannot be told from a change of the force.
                 if reach == length:
                     self._waiting.append(self._window(end, length, length, period, look))
             elif reach and (end - self._newest) * length >= step * reach:
@@ -324,12 +329,12 @@ class WindowAssembler:
                 self._waiting.append(self._window(end, length, length, period))
             self._start += to_next - to_this
             self._part = (self._part + 1) % parts
-            # The next window ends after this one: what it does not reach is let go of.
+            # The next window ends later, so samples beyond its reach are discarded.
             longest = max(round(self._longest / period), length)
             self._store.forget(self._start + length - longest)
 
     def _reach(self, end: int, length: int, period: float) -> int:
-        """Samples back from the end that hold a cycle, ``length`` at least; 0 where too few do."""
+        """Number of samples before ``end`` that contain a cycle, at least ``length``, or 0."""
         store = self._store
         if holds_cycle(store.displacement(end - length, end)):
             return length
@@ -342,14 +347,14 @@ class WindowAssembler:
             reach = min(reach * _GROWTH, most)
             count = int(reach) // size
             if holds_cycle(points[-count:]):
-                # What a machine did before it stopped says nothing of where it stands now.
+                # Motion before a stop does not count towards a cycle at the present position.
                 resting = rests_too_long(part_at_rest(speed[-count:]))
                 return 0 if resting else min(count * size, most)
         return 0
 
     def _window(self, end: int, reach: int, length: int, period: float, look: int = 0) -> RawWindow:
-        """The window of so many samples before the end, thinned where it is a long one."""
-        # An odd number: then the sample in the middle is the average's own.
+        """The window of ``reach`` samples before ``end``, thinned if it is an extended one."""
+        # With an odd stride, each average is centred on a sample.
         stride = max((reach // length - 1) // 2 * 2 + 1, 1)
         count = reach // stride
         start = end - count * stride
