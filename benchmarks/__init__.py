@@ -1,1 +1,1 @@
-"""Figures of the identification against stated bars: ``make bench``."""
+"""Measured figures of the package and the bars that they must reach: ``make bench``."""

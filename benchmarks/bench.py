@@ -1,7 +1,7 @@
 """Measure all figures, write ``build/bench.json`` and print a table: ``make bench``.
 
-With ``--soak`` what takes longer than a test may: kills, Ctrl-C, hours of data, hostile input, into
-``build/soak.json``: ``make soak``.
+With ``--soak`` (``make soak``), run the long trials instead: kills, Ctrl-C, hours of data and
+hostile input. Their figures go to ``build/soak.json``.
 """
 
 from __future__ import annotations
@@ -32,10 +32,10 @@ _SOAK_OPTIONS: dict[str, tuple[float | int, str]] = {
 
 
 def measure(part: Part, arguments: Sequence[Any]) -> list[Figure]:
-    """The figures of a part, measured in a process of its own.
+    """Figures of one part, measured in a separate process.
 
-    Fast DDS looks for the interfaces of the network once in a process: in one that has had a
-    participant before, the lossy link is not seen.
+    Fast DDS reads the network interfaces once per process. A process that already had a participant
+    would not see the lossy link.
     """
     with ProcessPoolExecutor(1, mp_context=get_context("spawn")) as process:
         measured = process.submit(_measured, part.by, tuple(arguments)).result()

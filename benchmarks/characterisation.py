@@ -1,8 +1,8 @@
-"""What comes out of some forty streams today, kept to tell what a change of the program changes.
+"""Regression check: compare the results of some forty streams with stored results.
 
-    python -m benchmarks.characterisation          run them and tell what differs from what is kept
-    python -m benchmarks.characterisation --keep   run them and keep what comes out
-    python -m benchmarks.characterisation sine     only those with this in their name
+    python -m benchmarks.characterisation          run all streams and print the differences
+    python -m benchmarks.characterisation --keep   run all streams and store the results
+    python -m benchmarks.characterisation sine     run only streams with "sine" in their name
 
 Verdicts, sets, forces and validity of emulated dampers (own and foreign laws, switched currents,
 faults), of the shipped bags and, where MR_DAMPER_DATA is set, of real records.
@@ -37,19 +37,19 @@ from studies import earthquake, recordings
 KEPT = Path(__file__).with_suffix(".json")
 
 _EVERY = 0.5
-"""Seconds between two forces that are kept, each the mean of |F| in between."""
+"""Interval [s] of the stored forces; each is the mean of |F| over one interval."""
 
 _SWITCHED = 20.0
 _LONGEST = 25.0
-"""Seconds of a switched current, and of a real record."""
+"""Duration [s] of a stream with switched current, and of a real record."""
 
 _DIGITS = 6
 
 _SAME = 1e-4
-"""Numbers that differ by less than this part do so for rounding."""
+"""Relative difference below which two numbers differ only by rounding."""
 
 Said = dict[str, Any]
-"""What comes of a stream: ``reports``, ``sets``, ``force`` and ``valid`` every half second."""
+"""Results of a stream: ``reports`` and ``sets``, and ``force`` and ``valid`` every half second."""
 
 
 def _bag(path: Path) -> Said:
@@ -80,7 +80,7 @@ def _record(read: Callable[[Path], Sequence[Recording]], number: int, law: str) 
 
 
 def streams() -> dict[str, Callable[[], Said]]:
-    """The streams by name."""
+    """All streams by name."""
     bags = sorted((Path(__file__).parents[1] / "bags").iterdir())
     found: dict[str, Callable[[], Said]] = {
         f"bag {path.name}": partial(_bag, path) for path in bags if path.is_dir()
@@ -128,7 +128,7 @@ def _rounded(value: float) -> float | None:
 
 
 def differences(before: Said, now: Said) -> Iterator[str]:
-    """What differs, a sentence each; the first verdict or set that differs stands for the rest."""
+    """Descriptions of the differences; only the first different verdict or set is listed."""
     for number, (old, new) in enumerate(zip(before["reports"], now["reports"], strict=False)):
         if not _same(old, new):
             yield f"report {number}: {_told(old)}, now {_told(new)}"
@@ -167,7 +167,7 @@ def _run(name: str) -> tuple[str, Said]:
 
 
 def main() -> int:
-    """Run the program; the exit code is 1 where something differs."""
+    """Run the program; the exit code is 1 if there is a difference."""
     parser = argparse.ArgumentParser(prog="characterisation", description=__doc__)
     parser.add_argument("--keep", action="store_true", help="keep what comes out")
     parser.add_argument("part", nargs="?", default="", help="part of the names of streams")

@@ -1,4 +1,4 @@
-"""For how long a wrong force is called valid, whatever goes wrong: dampers of other laws."""
+"""Duration of wrong but valid force under many kinds of fault, for dampers of other laws."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ from mr_damper_ros.emulation.faults import Fault, faults_of
 from mr_damper_ros.emulation.motions import Excitation, SineMotion
 
 BEGIN, END = 10.0, 14.0
-"""When a fault begins and when it is repaired [s] since the start of the stream."""
+"""Times at which a fault begins and is repaired, since the start of the stream [s]."""
 
 STREAMS: dict[str, tuple[Callable[[], Excitation], float]] = {
     "sine": (partial(SineMotion, 0.005, 1.0), 1.5),
@@ -34,17 +34,17 @@ STREAMS: dict[str, tuple[Callable[[], Excitation], float]] = {
     "off": (partial(SineMotion, 0.005, 1.0), 0.0),
     "random": (partial(random_motion, 0.003, 0.2, 3.0, 60.0, seed=3), 1.0),
 }
-"""What goes on before anything goes wrong: a motion, and a constant current [A]."""
+"""Operation before the fault: a motion and a constant current [A]."""
 
 
 @dataclass(frozen=True)
 class Scenario:
-    """Faults, as text without times, in a stream.
+    """Faults in a stream, as text without times.
 
-    ``lasts``: it is not repaired. ``current``: what the supply goes to [A] at the beginning, to go
-    back at the end. ``unknowable``: the signals cannot tell. ``other_damper``: a set that is found
-    meanwhile cannot be told from that of another damper, though it shows that something has
-    happened.
+    ``lasts``: the fault is not repaired. ``current``: the supply switches to this current [A] when
+    the fault begins and back when it ends. ``unknowable``: the signals do not show the fault.
+    ``other_damper``: the signals show a change, but a set identified during the fault fits a
+    different damper equally well.
     """
 
     faults: str = ""
@@ -58,7 +58,7 @@ class Scenario:
 
     @property
     def name(self) -> str:
-        """What goes wrong, in which stream."""
+        """The faults and the stream in words."""
         moved = "" if self.current is None else f"current to {self.current:g} A"
         return f"{' '.join(filter(None, (moved, self.faults)))} ({self.stream})"
 
@@ -69,7 +69,7 @@ class Scenario:
 
     @property
     def schedule(self) -> CurrentSchedule | None:
-        """The current's schedule; None where it stays."""
+        """Schedule of the current; None for a constant current."""
         if self.current is None:
             return None
         usual = STREAMS[self.stream][1]
@@ -92,14 +92,14 @@ SCENARIOS: tuple[Scenario, ...] = (
     # The displacement.
     *_all("displacement_gain:1000", "displacement_gain:0.001", "displacement_gain:-1"),
     *_all("displacement_gain:0"),
-    # A damper that gives this force in a motion of this size gives the same signals.
+    # The signals are those of a damper that gives the same force at the scaled motion.
     Scenario("displacement_gain:10", other_damper=True),
     Scenario("displacement_gain:0.1", other_damper=True),
     *_all("displacement_stuck", "displacement_missing", "displacement_dropouts:5"),
     *_all("displacement_nan:2", "displacement_spikes:0.002", "displacement_noise:1e-4"),
     *_all("displacement_offset:0.01", "displacement_creep:0.001", "displacement_clip:0.003"),
     *_all("displacement_coarse:0.001", "displacement_hum:5e-5"),
-    # A spring beside the damper makes the force lead as much.
+    # A spring parallel to the damper would cause the same lead of the force.
     Scenario("displacement_delay:0.1", other_damper=True),
     Scenario("displacement_sluggish:0.1", other_damper=True),
     *_all("displacement_gain:-1", "displacement_stuck", lasts=True),
@@ -126,7 +126,7 @@ SCENARIOS: tuple[Scenario, ...] = (
     *_all("force_loss:0.5", "force_loss:0.2", lasts=True),
     *_all("amplitude:0.1", "amplitude:2", "tempo:0", "tempo:3", "tempo:0.1"),
     *_all("amplitude:0.1", "amplitude:10", "tempo:0.05", lasts=True),
-    # The way.
+    # The transmission path.
     *_all("lost_blocks:0.05", "lost_blocks:1", "doubled_blocks:0.2", "reordered_blocks:0.2"),
     *_all("late_blocks:0.3", "repeated_buffer", "stamp_jitter:0.4", "clock_jump:60"),
     *_all("clock_jump:-60", "clock_jump:1e6", "clock_drift:0.001", "wrong_period:2"),
@@ -136,7 +136,7 @@ SCENARIOS: tuple[Scenario, ...] = (
     *_all("displacement_gain:-1", "displacement_stuck", stream="random"),
     Scenario("displacement_gain:10", stream="random", other_damper=True),
     *_all("coil_factor:0", "force_loss:0.4", "tempo:0", "lost_blocks:0.05", stream="random"),
-    # The signals are those of a damper of another strength, as after a change of temperature, ...
+    # The signals are those of a stronger or weaker damper, as after a change of temperature, ...
     Scenario("force_gain:0.5", unknowable=True, lasts=True),
     Scenario("force_gain:1.5", unknowable=True, lasts=True),
     # ... of another gas pressure, ...
@@ -153,29 +153,30 @@ SCENARIOS: tuple[Scenario, ...] = (
 SETTINGS = TrialSettings(block_size=20)
 
 _AFTER_REPAIR = 9.0
-"""Longest time [s] for which a repaired rig is watched."""
+"""Longest time [s] for which a rig is observed after its repair."""
 
 _AFTER_CHANGE = 6.0
-"""Time [s] for which one is watched that is not repaired."""
+"""Time [s] for which a rig without repair is observed."""
 
 _GOOD = 0.15
-"""A force is good again whose error (RMS) is below this part of the peak, all valid, for 1 s."""
+"""Largest RMS error of a recovered force, as a fraction of the peak, over 1 s of valid force."""
 
 _ALL, _USUAL_TIME, _AS_MUCH = 0.99, 4.0, 0.9
-"""A force that was good for less than all of so many seconds before the fault is good again where
-it is for this part of that."""
+"""If the force was good for only part of the first number of seconds before the fault, it has
+recovered when it is good for the second number times that part."""
 
 _GOOD_SET = 0.2
-"""A set is good that leaves at most so much of the true force unexplained (NRMSE)."""
+"""Largest NRMSE of a good set against the true force."""
 
 
 @dataclass(frozen=True)
 class Outcome:
-    """What came of a scenario with a damper.
+    """Result of a scenario with a damper.
 
-    ``wrong_valid`` [s] is the longest stretch, ``worst`` the largest error in it over the peak, at
-    ``at`` [s]; ``recovery`` [windows] after the repair, NaN where there is none; ``bad_sets``:
-    names of the sets taken that are worse for the damper as it truly is.
+    ``wrong_valid`` [s] is the longest period of wrong but valid force. ``worst`` is the largest
+    error in it over the peak force, at time ``at`` [s]. ``recovery`` is the number of windows after
+    the repair, NaN without a repair. ``bad_sets`` names the accepted sets that describe the true
+    damper worse than their predecessors.
     """
 
     scenario: Scenario
@@ -188,7 +189,7 @@ class Outcome:
 
 
 def run(base: StreamTrial, scenario: Scenario, damper: str) -> Outcome:
-    """Let things go wrong in a stream that has run until then."""
+    """Apply the faults of a scenario to a stream that has run up to their beginning."""
     seed = zlib.crc32(f"{scenario.name} {damper}".encode())
     trial = base.branch(scenario.made(seed), scenario.schedule)
     end = scenario.begin if scenario.lasts else scenario.end
@@ -219,17 +220,18 @@ def run(base: StreamTrial, scenario: Scenario, damper: str) -> Outcome:
 
 
 def usual_share(result: TrialResult, begin: float) -> float:
-    """Part of the last seconds before a fault in which the force was valid and right."""
+    """Fraction of the last seconds before a fault with valid and correct force."""
     right = result.valid & (result.error <= WRONG)
     asked = (result.time >= begin - _USUAL_TIME) & (result.time < begin)
     return float(np.mean(right[asked]))
 
 
 def good_since(result: TrialResult, begin: float, usual: float = 1.0) -> float:
-    """Time [s] from which the force has been valid and good to the end; NaN for less than 1 s.
+    """Time [s] from which the force is valid and good to the end; NaN if that is less than 1 s.
 
-    Where the law cannot follow the damper all the time it was so for a part of the time only before
-    the fault, ``usual``: then that from which it is so for as large a part of a second.
+    If the law cannot always follow the damper, the force was good only for the fraction ``usual``
+    of the time before the fault. The result is then the start of the first second in which the
+    force is good for as large a fraction of the time.
     """
     error = np.where(result.valid, result.error, math.inf)
     count = round(1.0 / result.period)
@@ -237,7 +239,7 @@ def good_since(result: TrialResult, begin: float, usual: float = 1.0) -> float:
         right = (error <= WRONG) & (result.time >= begin)
         shares = np.convolve(right, np.full(count, 1.0 / count), mode="valid")
         places = np.flatnonzero(shares >= _AS_MUCH * usual)
-        # The second may begin a little earlier: it need not be good throughout.
+        # This second may begin a little earlier, because it need not be good throughout.
         return max(float(result.time[places[0]]), begin) if places.size else math.nan
     wrong = np.flatnonzero((error > WRONG) & (result.time >= begin))
     since = int(wrong[-1]) + 1 if wrong.size else int(np.searchsorted(result.time, begin))
@@ -247,10 +249,10 @@ def good_since(result: TrialResult, begin: float, usual: float = 1.0) -> float:
 
 
 def bad_sets(result: TrialResult, since: float) -> list[str]:
-    """The sets that are worse than a good one before, by the true motion and force.
+    """Sets that are worse than a good predecessor, judged by the true motion and force.
 
-    Worse both over a window before the set took effect and over the second after: a set that has
-    just caught up with a change is worse for what came before it.
+    Such a set is worse both over the window before it took effect and over the second after.
+    Comparing only the time before would count a set that has just followed a change of the damper.
     """
     spans = [(-SETTINGS.windows.window, 0.0), (0.0, 1.0)]
     return [
@@ -265,11 +267,11 @@ def measure(
     dampers: Sequence[str] = tuple(DAMPERS),
     processes: int = PROCESSES,
 ) -> list[Outcome]:
-    """All scenarios with all dampers; a stream up to the fault is run once."""
+    """Run all scenarios with all dampers; scenarios share the stream up to the fault."""
     groups: dict[tuple[str, str, float, int], list[Scenario]] = defaultdict(list)
     for place, scenario in enumerate(scenarios):
         for damper in dampers:
-            # The largest groups are split, so that the processes end together.
+            # Splitting the largest groups makes the processes end at about the same time.
             groups[damper, scenario.stream, scenario.begin, place % 2].append(scenario)
     found = in_processes(
         _run_group,
@@ -284,13 +286,13 @@ def _run_group(job: tuple[str, str, float, Sequence[Scenario]]) -> list[Outcome]
     damper, stream, begin, scenarios = job
     motion, current = STREAMS[stream]
     base = StreamTrial(DAMPERS[damper], motion(), current, settings=SETTINGS)
-    # The rig is a few samples ahead of what has been taken.
+    # The rig is a few samples ahead of the samples that were processed.
     base.advance(begin - 0.5)
     return [run(base, scenario, damper) for scenario in scenarios]
 
 
 def worst_of_each(outcomes: Sequence[Outcome]) -> list[Outcome]:
-    """Of each scenario the damper with the longest stretch, the longest first."""
+    """The worst damper of each scenario, sorted by the period of wrong but valid force."""
     worst: dict[str, Outcome] = {}
     for outcome in outcomes:
         key = outcome.scenario.name + str(outcome.scenario.lasts)
@@ -300,7 +302,7 @@ def worst_of_each(outcomes: Sequence[Outcome]) -> list[Outcome]:
 
 
 def told(outcome: Outcome) -> str:
-    """A sentence on an outcome."""
+    """One-sentence description of an outcome."""
     lasting = " for good" if outcome.scenario.lasts else ""
     return (
         f"{outcome.scenario.name}{lasting}, {outcome.damper}: {outcome.wrong_valid:.2f} s, "
@@ -309,12 +311,12 @@ def told(outcome: Outcome) -> str:
 
 
 def figures(every: int = 1, dampers: Sequence[str] = tuple(DAMPERS)) -> Measured:
-    """All scenarios, or ``every`` so many."""
+    """Run all scenarios, or one in ``every``."""
     return figures_of(measure(SCENARIOS[::every], dampers))
 
 
 def figures_of(outcomes: Sequence[Outcome]) -> Measured:
-    """The figures of what came of the scenarios."""
+    """Figures computed from the outcomes of the scenarios."""
     knowable = [outcome for outcome in outcomes if not outcome.scenario.unknowable]
     unknowable = [outcome for outcome in outcomes if outcome.scenario.unknowable]
     worst = worst_of_each(knowable)
@@ -349,10 +351,10 @@ def figures_of(outcomes: Sequence[Outcome]) -> Measured:
 # -- wild samples of the load cell, then a loss of force -------------------------------------------
 
 SPIKES = (3000, 8000, 20_000)
-"""Sizes of the wild samples [N], five a second for a second."""
+"""Sizes [N] of the outliers, which occur five times a second for one second."""
 
 _LOST = 0.3
-"""Part of the force that is left when it changes, half a second after the last wild sample."""
+"""Fraction of the force that remains after its loss, half a second after the last outlier."""
 
 SPIKED: dict[str, tuple[Callable[[], Excitation], float]] = {
     "0.05 Hz": (partial(SineMotion, 0.01, 0.05), 70.0),
@@ -361,13 +363,14 @@ SPIKED: dict[str, tuple[Callable[[], Excitation], float]] = {
     "5 Hz": (partial(SineMotion, 0.003, 5.0), 12.0),
     "random 0.2-3 Hz": (partial(random_motion, 3e-3, 0.2, 3.0, 40.0, 5), 16.0),
 }
-"""A motion, and the time [s] at which the wild samples come."""
+"""Motions by name, each with the time [s] of the outliers."""
 
 
 def spike_figures(names: Sequence[str] = tuple(SPIKED)) -> Measured:
-    """The error of a force is judged by the span of the measured one, not by that of a few samples.
+    """Run each size of outlier in each stream.
 
-    Each size of the wild samples in each of the streams.
+    The error of a force must be judged by the span of the measured force, which a few outliers must
+    not change.
     """
     found: list[tuple[Stretch, str]] = []
     for name in names:

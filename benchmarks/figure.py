@@ -1,7 +1,7 @@
-"""Measured figures: the table of all of them is ``figures.yaml``, with their bars and definitions.
+"""Measured figures; ``figures.yaml`` lists all of them with their bars and definitions.
 
-A part of ``make bench`` or ``make soak`` is a function that returns the values of its figures by
-key, each alone or with a note.
+Each part of ``make bench`` or ``make soak`` is a function that returns the values of its figures by
+key, with or without a note.
 """
 
 from __future__ import annotations
@@ -26,16 +26,16 @@ Job = TypeVar("Job")
 Result = TypeVar("Result")
 
 PROCESSES = 2
-"""Figures are made on two cores."""
+"""Number of cores on which the figures are measured."""
 
 
 @dataclass(frozen=True)
 class Figure:
-    """One figure: ``key`` in the JSON file, ``value``, and what it must reach.
+    """One figure with its ``key`` in the JSON file, its ``value`` and its ``bar``.
 
-    ``bar`` is a pair (low, high) that the value, or every value of a list, must lie within, or a
-    list of pairs, one for each value; None where the figure is only reported. ``value`` is None
-    where it was not measured, and ``note`` then says why.
+    ``bar`` is a pair (low, high) that limits the value, or every value of a list, or it is a list
+    of pairs, one for each value. It is None if the figure is only reported. ``value`` is None if it
+    was not measured; ``note`` then gives the reason.
     """
 
     key: str
@@ -46,7 +46,7 @@ class Figure:
 
     @property
     def reached(self) -> str:
-        """``yes``, ``no``, or ``-`` where there is nothing to compare."""
+        """``yes`` or ``no``; ``-`` without a value or a bar."""
         if self.value is None or self.bar is None:
             return "-"
         values = self.value if isinstance(self.value, list) else [self.value]
@@ -59,9 +59,9 @@ class Figure:
 class Part:
     """Figures that one function measures.
 
-    ``by`` is ``module.function``; ``quick`` are its arguments for a short run, which does not give
-    the real figures; ``options`` names those that the command line sets. ``figures`` has the bar
-    and the definition of each key.
+    ``by`` is ``module.function``. ``quick`` are its arguments for a short run, whose figures are
+    not representative. ``options`` names the arguments that the command line sets. ``figures`` has
+    the bar and the definition of each key.
     """
 
     by: str
@@ -70,7 +70,7 @@ class Part:
     options: Sequence[str] = ()
 
     def figures_of(self, measured: Measured) -> list[Figure]:
-        """What was measured, with bars and definitions. Raises ValueError for other keys."""
+        """Measured figures with bars and definitions; raises ValueError for unknown keys."""
         if measured.keys() - self.figures.keys():
             raise ValueError(f"{self.by} has measured {sorted(measured)}: not in figures.yaml")
         found = []
@@ -83,7 +83,7 @@ class Part:
 
 @cache
 def parts(program: str) -> dict[str, Part]:
-    """The parts of ``bench`` or ``soak`` by name, in the order of the table."""
+    """Parts of ``bench`` or ``soak`` by name, in the order of the table."""
     table = yaml.safe_load(Path(__file__).with_name("figures.yaml").read_text(encoding="utf-8"))
     return {
         name: Part(
@@ -107,7 +107,7 @@ def _bar(given: Any) -> Pair | list[Pair] | None:
 def in_processes(
     work: Callable[[Job], Result], jobs: Sequence[Job], processes: int = PROCESSES
 ) -> list[Result]:
-    """The results of the jobs in their order, from fresh processes; 1: from this one."""
+    """Results of the jobs in order, from fresh processes; with one process, from this process."""
     if processes == 1:
         return [work(job) for job in jobs]
     with ProcessPoolExecutor(processes, mp_context=get_context("spawn")) as pool:
@@ -115,19 +115,19 @@ def in_processes(
 
 
 def write(figures: Sequence[Figure], place: Path) -> None:
-    """Write what has been measured so far as one JSON object: what comes next may fail."""
+    """Write the figures measured so far as one JSON object, in case a later part fails."""
     place.parent.mkdir(parents=True, exist_ok=True)
     document = {figure.key: _number(figure.value) for figure in figures}
     place.write_text(json.dumps(document, indent=2, allow_nan=False) + "\n", encoding="utf-8")
 
 
 def _number(value: Value) -> Value:
-    """The value as JSON can hold it: what is infinite was not reached at all."""
+    """The value in a form that JSON supports; an infinite value was never reached."""
     return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
 def table(figures: Sequence[Figure]) -> str:
-    """Lines of text: key, figure, bar, reached, definition."""
+    """Table as text with the columns key, figure, bar, reached and definition."""
     rows = [("key", "figure", "bar", "reached", "definition")]
     for figure in figures:
         definition = f"{figure.definition} {figure.note}".strip()

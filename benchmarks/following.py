@@ -1,4 +1,4 @@
-"""A damper that heats from 28 to 71 °C or loses a tenth of its force, followed by the engine."""
+"""Tracking by the engine of a damper that heats from 28 to 71 °C or loses a tenth of its force."""
 
 from __future__ import annotations
 
@@ -98,7 +98,7 @@ def one_cycle() -> tuple[Array, Array, Array]:
 
 
 def scale_of(present: Array, reference: Array) -> float:
-    """Factor on ``reference`` (n,) that comes nearest to ``present`` (n,)."""
+    """Factor with which ``reference`` (n,) fits ``present`` (n,) best."""
     power = float(reference @ reference)
     return float(present @ reference) / power if power > 0.0 else math.nan
 
@@ -115,10 +115,10 @@ DAMPER = TemperatureDependentDamper(THESIS_28_CELSIUS, THESIS_71_CELSIUS)
 
 @dataclass(frozen=True, eq=False)
 class Drift:
-    """Errors of the reported force scales (k,) [1], and NRMSE of the forces predicted and fitted.
+    """Errors of the reported force scales (k,) [1], and NRMSE of the predicted and fitted forces.
 
-    ``predicted`` (m,): by the set in use on the window that follows; ``fitted`` (m,): by a fresh
-    least-squares fit of that window itself.
+    ``predicted`` (m,) is the NRMSE of the set in use on the next window. ``fitted`` (m,) is that of
+    a separate least-squares fit to the same window.
     """
 
     scale_errors: Array
@@ -137,7 +137,7 @@ class Drift:
 
 
 def thermal_model(duration: float) -> ThermalModel:
-    """Thermal model that takes the damper of this test from 28 to 71 °C in ``duration`` [s]."""
+    """Thermal model that heats the damper of this test from 28 to 71 °C in ``duration`` [s]."""
     cycle = one_cycle()
     powers = [
         float(np.mean(sine_force(values, *cycle, CURRENT) * cycle[1]))
@@ -162,7 +162,7 @@ def heated_run(duration: float = DURATION, seed: int = 1) -> Recording:
 
 
 def drift_of(run: Recording, settings: TrackerSettings) -> Drift:
-    """Follow the drift, and compare with what was true when each report was published."""
+    """Follow the drift and compare each report with the true values at its publication."""
     steps = follow(run, settings)
     length = round(WINDOW / run.period)
     first = next(step.report for step in steps if step.report.accepted)
@@ -197,7 +197,7 @@ def _true_loop(run: Recording, part: slice) -> Array:
 
 
 def drift_figures(duration: float = DURATION) -> Measured:
-    """Both trackers on the same recording."""
+    """Run both trackers on the same recording."""
     run = heated_run(duration)
     window, recursive = (
         drift_of(run, TrackerSettings(tracker=name)) for name in ("window", "recursive")
@@ -225,16 +225,16 @@ def drift_figures(duration: float = DURATION) -> Measured:
 FACTOR = 0.9
 WITHIN = 0.01
 OFFSETS = tuple(place / 8.0 for place in range(8))
-"""When the step comes, in parts of a hop after the end of a window."""
+"""Times of the step, in fractions of a hop after the end of a window."""
 
 _BEFORE, _AFTER = 8.0, 10.0
 
 
 def windows_until_right(offset: float, settings: TrackerSettings) -> float:
-    """Time from the step until the set in use is within 1 %, in lengths of a window.
+    """Time from the step until the error of the set in use stays within 1 %, in window lengths.
 
-    Within 1 % is the norm of the error of the force over a cycle against that of the force.
-    Infinite where that never happens; a set that becomes wrong again does not count.
+    The error is the norm of the force error over a cycle, relative to the norm of the force. The
+    time is infinite if the error does not stay within 1 %.
     """
     time = _BEFORE + offset * HOP
     run = recording(
@@ -257,7 +257,7 @@ def windows_until_right(offset: float, settings: TrackerSettings) -> float:
 
 
 def step_figures(offsets: Sequence[float] = OFFSETS) -> Measured:
-    """The longest of the steps at these times within a hop."""
+    """Longest of these durations over steps at several times within a hop."""
     found, recursive = (
         [windows_until_right(offset, TrackerSettings(tracker=name)) for offset in offsets]
         for name in ("window", "recursive")

@@ -1,14 +1,14 @@
-"""What validity and acceptance make of dampers of foreign laws, identified and predicted on line.
+"""Validity and acceptance for dampers of foreign laws, identified and predicted online.
 
-Three sides: wrong force that is called valid, right force that is refused, worse sets that are
-taken.
+The benchmark measures wrong force that is called valid, correct force that is refused, and accepted
+sets that are worse than their predecessors.
 
     python -m benchmarks.foreign_dampers           all combinations, with a line each
-    python -m benchmarks.foreign_dampers --quick   every fifth
-    python -m benchmarks.foreign_dampers 17 42     these
+    python -m benchmarks.foreign_dampers --quick   every fifth combination
+    python -m benchmarks.foreign_dampers 17 42     the combinations 17 and 42
 
-Every law of :data:`~benchmarks.foreign_laws.LAWS` meets every motion; currents, sensors, streams,
-faults, sizes and warming are dealt out evenly by a seed.
+Every law of :data:`~benchmarks.foreign_laws.LAWS` is combined with every motion. A seed distributes
+currents, sensors, streams, faults, sizes and warming evenly over the combinations.
 """
 
 from __future__ import annotations
@@ -46,19 +46,19 @@ from mr_damper_ros.tracking.validity import DoubtKind
 from studies.control.ground_motion import Shaking
 
 DURATION, SLOW_DURATION = 24.0, 40.0
-"""Length of a trial [s], and that of one with a slow motion."""
+"""Duration of a trial [s], and of a trial with a slow motion [s]."""
 
 BEGIN, END = 12.0, 15.0
-"""When a fault begins and when it is repaired [s]."""
+"""Times at which a fault begins and is repaired [s]."""
 
 GOOD = 0.25
-"""A set is good that leaves at most so much of the true force unexplained (NRMSE)."""
+"""Largest NRMSE of a good set against the true force."""
 
 FOLLOWING = 4.0
-"""Sets are compared over so many seconds from when the new one takes effect."""
+"""Duration [s] of the comparison of two sets, starting when the new one takes effect."""
 
 _OF_A_SET = 3.0
-"""A set is of the samples of the last seconds before it takes effect."""
+"""Duration [s] of the samples behind a set, which end when it takes effect."""
 
 _FINE = 5e-3
 _HIGHEST_CURRENT = 1.5
@@ -68,7 +68,7 @@ _HIGHEST_CURRENT = 1.5
 
 
 def _car_travel(seed: int) -> Excitation:
-    """Travel of a quarter car's suspension, with a passive damper, on a road of class B."""
+    """Suspension stroke of a quarter car with a passive damper on a road of class B."""
     car = QuarterCar()
     # The damper's force opposes the travel: F = c v.
     dynamics = car.dynamics + 1200.0 * np.outer(car.by_force, car.plant.velocity)
@@ -79,7 +79,7 @@ def _car_travel(seed: int) -> Excitation:
 
 
 def _earthquakes(seed: int) -> Excitation:
-    """The drift of a storey of 1.4 Hz, one earthquake after another."""
+    """Storey drift of a building at 1.4 Hz under a series of earthquakes."""
     rate = 2.0 * math.pi * 1.4
     dynamics = np.array([[0.0, 1.0], [-(rate**2), -0.5 * rate]])
     drifts, every = [], _FINE
@@ -105,7 +105,7 @@ def _simulated(dynamics: Array, forcing: Array, period: float) -> Array:
 
 
 def _from_rest(displacement: Array, peak: float, period: float) -> Array:
-    """The motion as large as ``peak`` [m], beginning and ending smoothly within half a second."""
+    """The motion scaled to ``peak`` [m], with half a second of smooth growth and fading."""
     place = period * np.arange(displacement.size)
     ramp = np.clip(np.minimum(place, place[-1] - place) / 0.5, 0.0, 1.0)
     factor = peak / float(np.max(np.abs(displacement)))
@@ -135,7 +135,7 @@ MOTIONS: dict[str, Callable[[int], Excitation]] = {
     "earthquakes": _earthquakes,
     "quarter car": _car_travel,
 }
-"""By name: the motion of a seed."""
+"""Functions by name that create a motion from a seed."""
 
 
 # -- currents --------------------------------------------------------------------------------
@@ -157,7 +157,7 @@ def _stepped(seed: int) -> CurrentSchedule:
 
 
 def _wandering(seed: int) -> CurrentSchedule:
-    """A random current whose memory is 0.5 s, set every 50 ms."""
+    """A random current with a correlation time of 0.5 s, set every 50 ms."""
     rng = np.random.default_rng(seed)
     kept, value, levels = math.exp(-0.05 / 0.5), 0.0, []
     for draw in rng.standard_normal(1200):
@@ -167,7 +167,7 @@ def _wandering(seed: int) -> CurrentSchedule:
 
 
 def _commanded(on: Callable[[Array, Array], Array], motion: Excitation) -> CurrentSchedule:
-    """The current of a controller that sees displacement and velocity, every 10 ms."""
+    """The current of a controller that uses displacement and velocity, every 10 ms."""
     grid = 0.01 * np.arange(round(SLOW_DURATION / 0.01), dtype=np.float64)
     found = motion.at(grid)
     levels = on(found.displacement - motion.centre, found.velocity)
@@ -176,12 +176,12 @@ def _commanded(on: Callable[[Array, Array], Array], motion: Excitation) -> Curre
 
 
 def _bang_bang(displacement: Array, velocity: Array) -> Array:
-    """On while the damper moves away from its centre."""
+    """Current on while the damper moves away from its centre."""
     return np.asarray(_HIGHEST_CURRENT * (displacement * velocity > 0.0))
 
 
 def _skyhook(displacement: Array, velocity: Array) -> Array:
-    """As skyhook asks for it, of a body that follows the slow part of the motion."""
+    """Current of a skyhook controller for a body that follows the slow part of the motion."""
     body = np.zeros(velocity.size)
     for place in range(1, body.size):
         body[place] = body[place - 1] + 0.01 / 0.15 * (velocity[place - 1] - body[place - 1])
@@ -198,7 +198,7 @@ CURRENTS: dict[str, Callable[[Excitation, int], CurrentSchedule]] = {
     "skyhook": lambda motion, _: _commanded(_skyhook, motion),
     "wandering": lambda _, seed: _wandering(seed),
 }
-"""By name: the schedule for a motion and a seed."""
+"""Functions by name that create a current schedule from a motion and a seed."""
 
 
 # -- instruments, streams, faults --------------------------------------------------------------
@@ -206,7 +206,7 @@ CURRENTS: dict[str, Callable[[Excitation, int], CurrentSchedule]] = {
 
 @dataclass(frozen=True)
 class Sensors:
-    """Noise of displacement [m] and force (part of the damper's size), and faults as text."""
+    """Noise of displacement [m] and force (relative to the size of the damper), faults as text."""
 
     displacement_noise: float = 1e-6
     force_noise: float = 0.005
@@ -230,17 +230,17 @@ FAULTS = (
     *("lost_blocks:0.05", "reordered_blocks:0.05", "current_missing", "coil_factor:0"),
     *("force_loss:0.5", "amplitude:0.3", "wear:0.7"),
 )
-"""From :data:`BEGIN` to :data:`END`."""
+"""Faults that last from :data:`BEGIN` to :data:`END`."""
 
 _OF_THE_DAMPER = ("coil_factor", "force_loss", "wear")
-"""With these the same signals are those of another damper."""
+"""Faults that produce the signals of a different damper."""
 
 
 @dataclass(frozen=True)
 class Combination:
-    """What is tried: names as in the tables here, and the damper's ``size`` [1].
+    """One combination: names from the tables of this module, and the ``size`` of the damper [1].
 
-    ``capacity`` [J/K] of what heats; infinite where nothing does.
+    ``capacity`` [J/K] is the heat capacity of the damper; infinite if it does not heat.
     """
 
     number: int
@@ -255,12 +255,12 @@ class Combination:
 
     @property
     def changes_damper(self) -> bool:
-        """Whether the damper is another one while the fault lasts."""
+        """Whether the fault gives the signals of a different damper."""
         return self.fault.partition(":")[0] in _OF_THE_DAMPER
 
     @property
     def name(self) -> str:
-        """All of it in words."""
+        """The combination in words."""
         warm = "" if math.isinf(self.capacity) else ", warming"
         fault = f", {self.fault}" if self.fault else ""
         return (
@@ -296,12 +296,14 @@ COMBINATIONS = _combinations()
 
 @dataclass(frozen=True)
 class Outcome:
-    """What came of a combination.
+    """Result of a combination.
 
-    ``wrong_valid`` [s] in all, the ``longest`` stretch of it [s], the largest error in it over the
-    peak, ``worst``; ``moving`` [s]: time in motion after the first identified set; of it the shares
-    that were ``valid``, ``right`` and ``refused`` though right [1]; seconds by DoubtKind for which
-    right force was ``refused_for``; ``confirmed``: share of windows in use or confirmed.
+    ``wrong_valid`` [s] is the total time of wrong but valid force, ``longest`` [s] its longest
+    period and ``worst`` the largest error in it over the peak force. ``moving`` [s] is the time in
+    motion after the first identified set. ``valid``, ``right`` and ``refused`` are the fractions of
+    this time with valid force, correct force, and correct force that was refused [1].
+    ``refused_for`` gives the seconds of refused correct force by DoubtKind. ``confirmed`` is the
+    fraction of windows whose fit was accepted or confirmed the set in use.
     """
 
     combination: Combination
@@ -320,7 +322,7 @@ class Outcome:
 
     @property
     def told(self) -> str:
-        """A line on it."""
+        """One line of text."""
         worse = "".join(
             f" {s.set_id}@{s.time:.1f}: {s.before:.0%}->{s.after:.0%}" for s in self.worse_sets
         )
@@ -335,7 +337,7 @@ class Outcome:
 
 
 def trial_of(given: Combination) -> tuple[StreamTrial, float]:
-    """The trial of a combination, not begun, and how long it is to run [s]."""
+    """The trial of a combination before its start, and its duration [s]."""
     motion = MOTIONS[given.motion](given.number)
     sensors = SENSORS[given.sensors]
     faults = [f"{text}@0" for text in sensors.faults.split()]
@@ -370,9 +372,9 @@ def run(given: Combination) -> Outcome:
 
 
 def outcome_of(given: Combination, result: TrialResult, seconds: float = 0.0) -> Outcome:
-    """What a trial of the combination says.
+    """Result of a finished trial of the combination.
 
-    Sets whose window and what follows contain a change of the damper itself are not compared.
+    Sets are not compared if the damper itself changes during their window or the time after it.
     """
     changes = (BEGIN, END) if given.changes_damper else ()
     worse = [
@@ -413,12 +415,12 @@ def outcome_of(given: Combination, result: TrialResult, seconds: float = 0.0) ->
 
 
 def figures(every: int = 1) -> Measured:
-    """All combinations, or ``every`` so many."""
+    """Run all combinations, or one in ``every``."""
     return figures_of(in_processes(run, COMBINATIONS[::every]))
 
 
 def figures_of(outcomes: Sequence[Outcome]) -> Measured:
-    """The figures of what came of the combinations."""
+    """Figures computed from the results of the combinations."""
     wrong = np.array([outcome.wrong_valid for outcome in outcomes])
     refused = 100.0 * np.array([outcome.refused for outcome in outcomes])
     worse = [(outcome, each) for outcome in outcomes for each in outcome.worse_sets]
@@ -454,13 +456,13 @@ def figures_of(outcomes: Sequence[Outcome]) -> Measured:
 
 
 SIZES = (1, 10, 100)
-"""Of blocks, in which the same stream must be as valid."""
+"""Block sizes that must give the same validity for the same stream."""
 
 
 def block_size_figures(duration: float = 20.0, streams: int = 4) -> Measured:
-    """A combination of each of some motions, as it would be without faults, in blocks of each size.
+    """Fraction of the time in motion with valid force, for several motions and block sizes.
 
-    The share of the time in motion for which the force is valid.
+    One combination of each motion runs without its faults.
     """
     motions = ("sine 0.4 Hz", "sine 2 Hz", "random 0.2-3 Hz", "quarter car")
     spreads, notes = [], []

@@ -1,8 +1,8 @@
-"""Dampers of eleven laws that the package does not have: emulated, never identified.
+"""Emulated dampers of eleven laws that the package does not contain.
 
-Each law is a small object with a state, followed in steps of a fraction of a sample. The
-parameters are invented, in the size of the literature's; ``size`` scales all forces. The laws after
-the eighth are of this benchmark: fluid inertia, shim valves, a coil with remanence.
+Each law is a small object with a state that is integrated in steps shorter than a sample. The
+parameters are invented, of the order of those in the literature; ``size`` scales all forces. The
+last three laws were made for this benchmark: fluid inertia, shim valves, and a coil with remanence.
 """
 
 from __future__ import annotations
@@ -22,15 +22,15 @@ _COLD = 28.0
 """Temperature [°C] at which the parameters hold."""
 
 _SUBSTEPS = 4
-"""Steps for each sample: 0.25 ms at 1 kHz."""
+"""Integration steps per sample: 0.25 ms each at 1 kHz."""
 
 
 @dataclass
 class Moment:
     """Displacement [m], velocity [m/s], acceleration [m/s²], coil current [A], temperature [K].
 
-    ``warmth`` [K] is the temperature above :data:`_COLD`; the step from the moment before took
-    ``step`` [s].
+    ``warmth`` [K] is the temperature above :data:`_COLD`, and ``step`` [s] the time since the
+    previous state.
     """
 
     u: float
@@ -42,20 +42,20 @@ class Moment:
 
 
 class ForeignLaw(Protocol):
-    """A law: the force [N] of the next moment. It remembers what it needs."""
+    """A law with its internal state; it returns the force [N] at the next time step."""
 
     def force(self, now: Moment) -> float:
-        """Force [N] at the next moment."""
+        """Force [N] at the next time step."""
 
 
 def _yield_force(i: float, off: float, on: float, knee: float) -> float:
-    """Friction [N] at a current [A]: ``off`` without, ``on`` more where the iron saturates."""
+    """Friction [N] at a current [A]: ``off`` at zero, and ``on`` more at magnetic saturation."""
     return off + on * math.tanh(abs(i) / knee)
 
 
 @dataclass
 class StribeckEndStop:
-    """tanh friction that is larger at low speed (Stribeck), a preload, and an end stop."""
+    """Friction as tanh of the velocity, with the Stribeck effect, a preload and an end stop."""
 
     size: float = 1.0
     stop: float = 0.009
@@ -74,7 +74,7 @@ class StribeckEndStop:
 
 @dataclass
 class GasBoucWen:
-    """Bouc-Wen beside a gas spring, asymmetric, whose fluid softens as it warms."""
+    """Asymmetric Bouc-Wen law with a parallel gas spring; the fluid softens as it warms."""
 
     size: float = 1.0
     z: float = 0.0
@@ -94,7 +94,7 @@ class GasBoucWen:
 
 @dataclass
 class StickingValve:
-    """A valve that sticks at each reversal and opens with a crack at more than its usual force."""
+    """A valve that sticks at each reversal and needs more than its normal force to open."""
 
     size: float = 1.0
     seed: int = 0
@@ -127,7 +127,7 @@ class StickingValve:
 
 @dataclass
 class Leakage:
-    """A leak beside the piston takes more and more of the flow at speed."""
+    """A leak past the piston that takes an increasing share of the flow at high speed."""
 
     size: float = 1.0
     late: float = 0.0
@@ -143,7 +143,7 @@ class Leakage:
 
 @dataclass
 class Electrorheological:
-    """The field acts a while after the voltage (electrorheological), with its square."""
+    """Electrorheological law: the force lags behind the voltage and grows with its square."""
 
     size: float = 1.0
     dead_time: float = 0.012
@@ -221,7 +221,7 @@ class HerschelBulkley:
 
 @dataclass
 class FluidInertia:
-    """Dahl friction, and the inertia of the fluid in a long duct and of what hangs on the cell."""
+    """Dahl friction plus the inertia of the fluid in a long duct and of parts on the load cell."""
 
     size: float = 1.0
     mass: float = 1.8
@@ -240,7 +240,7 @@ class FluidInertia:
 
 @dataclass
 class ShimValves:
-    """Shims that blow off at a speed of their own: other forces in rebound and in compression."""
+    """Shim valves that open at different speeds, with different rebound and compression forces."""
 
     size: float = 1.0
     late: float = 0.0
@@ -260,7 +260,7 @@ class ShimValves:
 
 @dataclass
 class Remanence:
-    """Iron that stays magnetised: the field lags behind the current by 0.15 A either way."""
+    """Iron with remanence: the field lags behind the current by 0.15 A in both directions."""
 
     size: float = 1.0
     field_current: float = 0.0
@@ -289,11 +289,11 @@ LAWS: dict[str, Callable[[float], ForeignLaw]] = {
     "shim_valves": ShimValves,
     "remanence": Remanence,
 }
-"""By name: the law of a size, which is 1 for some 0.8 to 1.2 kN at 1.2 A."""
+"""Functions by name that create a law from its size; size 1 gives about 0.8 to 1.2 kN at 1.2 A."""
 
 
 class ForeignDamper:
-    """A damper of a law, in a machine that samples every ``period`` [s]; its coil lags."""
+    """A damper of a law, sampled every ``period`` [s], whose coil current lags the command."""
 
     COIL_LAG: ClassVar[float] = 0.008
     """Time constant [s]."""
@@ -305,7 +305,7 @@ class ForeignDamper:
         self._coil = 0.0
 
     def force(self, motion: Motion, current: Array, celsius: float) -> Array:
-        """Force [N], shape (n,); between two samples motion and current are straight lines."""
+        """Force [N], shape (n,); motion and current are linear between two samples."""
         now = Moment(0.0, 0.0, 0.0, 0.0, celsius - _COLD, self._step)
         law, follows = self._law, min(self._step / self.COIL_LAG, 1.0)
         rows = np.stack([motion.displacement, motion.velocity, motion.acceleration, current]).T
