@@ -33,7 +33,7 @@ _HELD_BACK_EVERY = 4
 sample, so fewer new samples than chunks decide nothing."""
 
 BEYOND_CHANCE = 2.5
-"""Lead, in standard errors, from which a new set replaces the running set.
+"""Smallest lead, in standard errors, with which a new set replaces the running set.
 
 A lead that is pure chance exceeds this value once in 160 windows. Here it does so more rarely,
 because the noise in a new fit increases its error on the validation samples.
@@ -82,7 +82,7 @@ class Evidence:
 
     @property
     def better(self) -> bool:
-        """Whether the new set predicts better than the running one, beyond chance."""
+        """Whether the new set predicts significantly better than the running set."""
         return self.nrmse_after < self.nrmse_before and self.lead > BEYOND_CHANCE
 
     @property
@@ -418,7 +418,7 @@ class Experience:
 
 
 class Gatekeeper:
-    """The acceptance test: accepts or rejects new sets, by the records of earlier windows."""
+    """The acceptance test: accepts or rejects new sets by the records of earlier windows."""
 
     _PATIENCE = 4
     """After this many rejections in a row for the residual, the residual baseline starts anew."""

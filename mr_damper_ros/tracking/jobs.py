@@ -61,8 +61,7 @@ from mr_damper_ros.tracking.screening import (
 from mr_damper_ros.tracking.window_assembler import RawWindow
 
 _NEARER = 0.5
-"""Another start replaces the running set if its error is below this multiple of the running set's.
-"""
+"""A fit starts from the baseline if its error is below this multiple of the running set's error."""
 
 _ASTRAY = 2.0
 """The filter has diverged if the error on the validation samples exceeds this multiple of the
@@ -116,8 +115,8 @@ class Job:
     damper.
 
     A search has the settings ``evolution``. Its ``windows`` are those of the reservoir, up to
-    ``stamp_ns``; the last ``recent`` of them are at the recent operating points. ``asked`` tells a
-    requested search from one that fell due.
+    ``stamp_ns``; the last ``recent`` of them are at the recent operating points. ``asked`` is True
+    for a requested search and False for one that fell due.
 
     ``rival`` is a set that this window must confirm.
     """
@@ -178,7 +177,7 @@ class PartsByCurrent:
     """Errors of separate fits to the parts of a window, each at about one current.
 
     ``rmse`` [N] and ``nrmse`` are the errors of all parts together. ``explained`` says whether the
-    law with one set for all parts leaves hardly more.
+    error of one set for all parts is hardly larger.
     """
 
     rmse: float
@@ -348,7 +347,7 @@ def _evidence(job: Job, window: Window, values: Array, held_back: np.ndarray) ->
 
 
 def _start_of(job: Job, window: Window) -> Array:
-    """Start values (p,) of the fit: the running set or the baseline, whichever is nearer.
+    """Start values (p,) of the fit, from the running set or from the baseline.
 
     A search that starts far away may end in another local minimum. If the force of the baseline at
     the window's operating point has a much smaller error, the linear parameters of the running set

@@ -26,8 +26,8 @@ OperatingPoint = tuple[float, float]
 
 SAME_SPEED = 1.1
 SAME_CURRENT = 0.05
-"""Points within this factor of the peak velocity and this current [A] are the same operating
-point."""
+"""Two points are the same operating point if their peak velocities differ by at most this factor,
+and their currents by at most this difference [A]."""
 
 _COMPARABLE = (4.0, 2.0)
 """Forces and residuals are comparable within these multiples of the tolerances: a speed higher by

@@ -183,8 +183,8 @@ class PredictorSettings(ValiditySettings):
 
 _TOGETHER = 0.01
 """Seconds of samples that are predicted at once. A longer block is split into parts of this length,
-and each part uses what was learnt from the previous one, such as another set. The block length
-therefore does not affect the prediction."""
+and each part uses the set and the current learnt from the previous one. A long block is therefore
+predicted as well as several short ones."""
 
 _OF_THE_SET = (DoubtKind.WRONG, DoubtKind.DRIVING, DoubtKind.OUT_OF_RANGE, DoubtKind.TOO_LARGE)
 """Reason codes that another set may remove."""

@@ -59,8 +59,8 @@ class RecursiveFilter:
 
     ``problem`` is the window problem of these samples. ``drift_rate`` [1/sqrt(s)]: in one second
     the random walk of each unknown changes the force by this fraction of its root mean square. The
-    noise of the force is estimated from the residual that no values of the unknowns can remove,
-    with its autocorrelation; ``robust`` increases it at outliers.
+    noise of the force is estimated from the residual that remains after a linear fit of the
+    unknowns, with its autocorrelation; ``robust`` increases it at outliers.
     """
 
     def __init__(
@@ -125,10 +125,10 @@ class RecursiveFilter:
 
 
 def _noise(jacobian: Array, residual: Array, robust: bool) -> Array:
-    """Standard deviation [N] (n,) of the noise: the part of a residual (n,) left by any unknowns.
+    """Standard deviation [N] (n,) of the noise, estimated from a residual (n,).
 
-    ``jacobian`` (n, f) holds the derivatives by the unknowns; ``robust`` increases the noise at
-    outliers.
+    ``jacobian`` (n, f) holds the derivatives by the unknowns. The part of the residual in its span
+    is removed. ``robust`` increases the noise at outliers.
     """
     count, unknowns = jacobian.shape
     lengths = np.linalg.norm(jacobian, axis=0)

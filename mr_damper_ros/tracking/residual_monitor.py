@@ -279,7 +279,7 @@ class ResidualMonitor:
         """Whether the predicted force has agreed with the measured force over the last cycle.
 
         In slow motion the last ``_ENOUGH`` seconds suffice. A short error counts only while it
-        lasts and through its contribution to the root mean square.
+        lasts, and by its contribution to the root mean square.
         """
         enough = min(2.0 * self._time, _ENOUGH)
         return self._cycle_known and self._compared >= enough and not (self._wrong or self._wait)
