@@ -307,7 +307,7 @@ class Verdict(IntEnum):
 
     @property
     def confirms(self) -> bool:
-        """Whether the window confirms the set in use after the test, be it new or unchanged."""
+        """Whether the window confirms the set that is in use after the test."""
         return self.accepted or self is Verdict.NO_BETTER
 
 

@@ -77,8 +77,9 @@ class KnownSet:
     """A set, and the stamp up to which it fits the samples (None: the set does not age).
 
     ``half_cycle`` [s] is that of the motion when the set arrived, NaN if unknown. ``currents`` is
-    the range of the windows that the set fits; None if unknown, and the set then counts for all
-    currents. ``whole`` marks a set for all operating points, as opposed to a window set.
+    the current range of the windows that the set fits. None means that the range is unknown, and
+    the set then counts for all currents. ``whole`` marks a set for all operating points, as opposed
+    to a window set.
     """
 
     parameters: ParameterSet

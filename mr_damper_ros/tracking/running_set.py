@@ -117,7 +117,10 @@ def candidate(running: ParameterSet, values: Array, window: Window) -> Parameter
 def _wider_speeds(
     running: ParameterSet, found: tuple[float, float], frequency: float
 ) -> tuple[float, float]:
-    """Peak velocity range [m/s] of a set, extended by the range ``found`` of a window."""
+    """Peak velocity range [m/s] of the running set, extended by the range ``found`` of a window.
+
+    If ``frequency`` is NaN, the motion is not a sine, and the lower end of the range stays.
+    """
     slowest = running.peak_velocity_range[0]
     if math.isnan(frequency):
         # In a motion other than a sine, low values contain no information on the law at low speed.

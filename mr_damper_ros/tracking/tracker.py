@@ -473,7 +473,8 @@ class WindowTracker:
         self.parameters = found
         self._gatekeeper.follow_change(evidence)
         self._now.state = outcome.state
-        # The residual of an inexact law oscillates, so change detection restarts after a window.
+        # The residual of an inexact law oscillates, so the change detection restarts only with the
+        # next window.
         self._now.watch = None
         if not paused:
             # Temperature does not change so fast, so its relation to the force has changed.

@@ -319,7 +319,7 @@ class WindowAssembler:
             end = self._start + length
             reach = self._reach(end, length, period)
             if look:
-                # In less than a cycle, the model error cannot be told from a change of the force.
+                # In less than a cycle, model error cannot be distinguished from a change of force.
                 if reach == length:
                     self._waiting.append(self._window(end, length, length, period, look))
             elif reach and (end - self._newest) * length >= step * reach:
