@@ -1,8 +1,7 @@
 """Malformed and hostile input: blocks, record files, bags, parameter and state files.
 
-Every case starts from good input and spoils it. It fails where anything but the documented errors
-is raised, where it takes longer than a limit, or where a value comes out as valid that is not the
-law's. The same seed gives the same cases.
+Every case corrupts good input. A case fails if it raises an undocumented error, exceeds a time
+limit, or yields a valid value that differs from the law. The same seed gives the same cases.
 """
 
 from __future__ import annotations
@@ -55,7 +54,7 @@ WORDS = (
 
 
 def spoilt(chance: random.Random, good: bytes) -> bytes:
-    """The bytes with a few of them changed, left out, doubled, or words put in between."""
+    """The bytes with a few of them changed, removed or doubled, or with words inserted."""
     data = bytearray(good)
     for _ in range(chance.choice((1, 1, 1, 2, 5))):
         first = chance.randrange(len(data) + 1)
@@ -75,9 +74,9 @@ def spoilt(chance: random.Random, good: bytes) -> bytes:
 
 
 def motion(time_: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Displacement [m], velocity [m/s] and acceleration [m/s²] of the sine that all input is of."""
+    """Displacement [m], velocity [m/s] and acceleration [m/s²] of the sine behind all input."""
     rate = 2.0 * math.pi * FREQUENCY
-    # With a phase, so that no sample lies where the law jumps from one branch to the other.
+    # The phase keeps all samples away from the jump of the law between its branches.
     angle = rate * time_ + 0.3
     return (
         AMPLITUDE * np.sin(angle),
@@ -91,17 +90,17 @@ def motion(time_: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 _BLOCK = 20
 
 _RIGHT = 0.03
-"""Part of the peak force by which a valid block may differ from the law's force (RMS)."""
+"""Largest RMS error of a valid block against the law, as a fraction of the peak force."""
 
 _SETTLED = 2.0
-"""Seconds of good samples after which the motion must be followed that well."""
+"""Time [s] of good samples after which this error limit applies."""
 
 _FOLLOWING, _LONG, _NEW_STREAM = 2, 0.02, 0.2
-"""Good blocks after a bad one; part of the cases in which they go on until all has settled, and
-in which the stream is a new one."""
+"""Number of good blocks after a bad one; fraction of the cases that continue until everything has
+settled, and fraction that start a new stream."""
 
 _BLIND = 0.25
-"""Seconds after a new start in which nothing can be known of the motion: half a cycle."""
+"""Time [s] after a restart in which the motion is unknown: half a cycle."""
 
 _CYCLE = motion(np.linspace(0.0, 0.5, 500))
 _PEAK = float(np.max(np.abs(sine_force(THESIS_28_CELSIUS, *_CYCLE, CURRENT))))
@@ -128,7 +127,7 @@ class HostileStream:
         self._good = 0
 
     def try_block(self) -> str:
-        """One spoilt block, after which the stream is good again, for a while or for longer."""
+        """One corrupted block, followed by a short or long series of good blocks."""
         if self._chance.random() < _NEW_STREAM:
             self._begin()
         long = self._chance.random() < _LONG
@@ -176,7 +175,7 @@ class HostileStream:
         return f"a force that is wrong by {error:.0f} N is valid" if error > _RIGHT * _PEAK else ""
 
     def _next(self) -> dict[str, Any]:
-        """The next block as it should be, and its current."""
+        """The next correct block and its current."""
         first = self._sample
         self._sample += _BLOCK
         stamp = T0 + round(first * PERIOD * NANOSECONDS)
@@ -245,20 +244,20 @@ def _table() -> np.ndarray:
 
 
 def record_text() -> bytes:
-    """A sound text record."""
+    """A valid text record."""
     rows = "\n".join(",".join(f"{value:.6g}" for value in row) for row in _table())
     return f"t,u,F,i\n{rows}\n".encode()
 
 
 def record_mat() -> bytes:
-    """A sound MAT file."""
+    """A valid MAT file."""
     stored = BytesIO()
     savemat(stored, {"data": _table(), "name": "x"})
     return stored.getvalue()
 
 
 def record_bag(folder: Path) -> bytes:
-    """A sound bag, without the checksums that would tell of every change."""
+    """A valid bag without checksums, which would reveal every change."""
     time_ = np.arange(200) * PERIOD
     u = motion(time_)[0]
     write_bag(folder / "good", Recording("good", T0, PERIOD, u, 1e4 * u, np.ones(200)))
@@ -269,7 +268,7 @@ def record_bag(folder: Path) -> bytes:
 
 
 def checksum_places(whole: bytes | bytearray) -> list[int]:
-    """Where an MCAP file has the checksums of its chunks, its data section and its summary."""
+    """Positions of the checksums of chunks, data section and summary in an MCAP file."""
     places, position = [], 8
     while position < len(whole) - 8:
         operation, length = struct.unpack_from("<BQ", whole, position)
@@ -281,7 +280,7 @@ def checksum_places(whole: bytes | bytearray) -> list[int]:
 
 
 def try_record(chance: random.Random, path: Path, data: bytes) -> str:
-    """Read spoilt bytes as a record; what is wrong with what came out, or nothing."""
+    """Read corrupted bytes as a record; returns a description of a wrong result, if any."""
     path.write_bytes(data)
     columns = _COLUMNS[0] if chance.random() < 0.7 else chance.choice(_COLUMNS)
     options: dict[str, Any] = {}
@@ -296,7 +295,7 @@ def try_record(chance: random.Random, path: Path, data: bytes) -> str:
 
 
 def try_bag(path: Path, data: bytes) -> str:
-    """Read spoilt bytes as a bag; what is wrong with what came out, or nothing."""
+    """Read corrupted bytes as a bag; returns a description of a wrong result, if any."""
     path.write_bytes(data)
     try:
         recordings = read_bag(path)
@@ -315,7 +314,7 @@ def _fault_of(recording: Recording) -> str:
 
 
 def try_yaml(data: bytes) -> str:
-    """Read spoilt bytes as a parameter file; what is wrong with what came out, or nothing."""
+    """Read corrupted bytes as a parameter file; returns a description of a wrong result, if any."""
     try:
         text = data.decode()
     except UnicodeDecodeError:
@@ -337,9 +336,9 @@ _NAME_PARTS = (
 
 
 class HostileNames:
-    """Names of files in a state folder, next to a file that nobody may touch.
+    """Names of files in a state folder, next to a file that must stay untouched.
 
-    What is in the files is spoilt by :mod:`benchmarks.poisoned_starts`.
+    :mod:`benchmarks.poisoned_starts` corrupts the contents of such files.
     """
 
     def __init__(self, chance: random.Random, folder: Path) -> None:
@@ -356,7 +355,7 @@ class HostileNames:
         self._set = ParameterSet(THESIS_28_CELSIUS, set_id="good")
 
     def try_name(self) -> str:
-        """What is wrong with what came of a name, or nothing."""
+        """Description of a wrong result for a name, if any."""
         name = "".join(self._chance.choices(_NAME_PARTS, k=self._chance.choice((1, 1, 2, 3))))
         action = self._chance.choice((self._state.load, self._save, self._state.file))
         try:
@@ -380,14 +379,14 @@ class HostileNames:
 # -- all of them ------------------------------------------------------------
 
 TIME_LIMIT = 10.0
-"""Seconds after which a case counts as hanging."""
+"""Time [s] after which a case counts as hanging."""
 
 _SHARES = {"blocks": 35, "text": 20, "yaml": 20, "names": 23, "mat": 1, "bag": 1}
-"""Parts [%] of the kinds of input."""
+"""Percentage of each kind of input."""
 
 
 def figures(cases: int = 100_000, seed: int = 0) -> Measured:
-    """Try so many cases."""
+    """Run a number of cases."""
     tried, faults = campaign(cases, seed, TIME_LIMIT)
     return {"fuzz_failures": (len(faults), "; ".join([str(dict(tried)), *faults[:3]]))}
 
@@ -395,7 +394,7 @@ def figures(cases: int = 100_000, seed: int = 0) -> Measured:
 def campaign(
     cases: int, seed: int, limit: float | None = None, kinds: tuple[str, ...] = tuple(_SHARES)
 ) -> tuple[Counter[str], list[str]]:
-    """Cases tried of each kind, and what went wrong; ``limit`` [s] is the time of each."""
+    """Number of cases of each kind, and the failures; ``limit`` [s] is the time limit of a case."""
     chance = random.Random(seed)
     tried: Counter[str] = Counter()
     faults: list[str] = []
@@ -417,7 +416,7 @@ def campaign(
 
 @contextmanager
 def _limited(seconds: float | None) -> Iterator[None]:
-    """Raise TimeoutError in whatever takes longer."""
+    """Raise TimeoutError if the body takes longer than the limit."""
 
     def ring(*_: object) -> None:
         raise TimeoutError(f"it takes longer than {seconds} s")

@@ -1,4 +1,4 @@
-"""The same dampers without any trouble: how much of the force is called valid, and rightly so."""
+"""Valid and correct fraction of the force for the same dampers without faults."""
 
 from __future__ import annotations
 
@@ -17,19 +17,20 @@ from mr_damper_ros.emulation.motions import Excitation, SineMotion
 from mr_damper_ros.tracking.tracker import TrackerSettings
 
 MODELS = ("sigmoid", "sigmoid_lag")
-"""The laws that are identified: the default, and the one for any motion."""
+"""Identified laws: the default, and the law for any motion."""
 
 CURRENT = 1.2
 
 _TOP_SPEED, _LARGEST = 0.1, 0.01
-"""What the machine can do: [m/s], [m]."""
+"""Limits of the machine: velocity [m/s] and displacement [m]."""
 
 
 @dataclass(frozen=True)
 class Programme:
     """A motion for ``duration`` [s].
 
-    ``known_from`` [s]: all of it has been there once by then; 0 where it is the same throughout.
+    ``known_from`` [s] is the time by which every part of the motion has occurred once; 0 for a
+    motion that is the same throughout.
     """
 
     name: str
@@ -40,7 +41,7 @@ class Programme:
 
 def _sine(frequency: float) -> Programme:
     amplitude = min(_LARGEST, _TOP_SPEED / (2.0 * np.pi * frequency))
-    # Long enough for the slow ones to be identified and to go on for a while.
+    # Long enough to identify the slow motions and continue for some time.
     duration = max(15.0, 4.0 / frequency)
     return Programme(f"{frequency:g} Hz", partial(SineMotion, amplitude, frequency), duration)
 
@@ -60,7 +61,7 @@ PROGRAMMES: tuple[Programme, ...] = (
 
 @dataclass(frozen=True)
 class Health:
-    """What came of a programme with a damper: ``asked`` and ``valid`` in seconds."""
+    """Result of a programme with a damper: ``asked`` and ``valid`` in seconds."""
 
     name: str
     model: str
@@ -77,7 +78,7 @@ def _run(job: tuple[int, str, str]) -> Health:
     result = trial.run(programme.duration)
     begin = max(result.first_valid(), programme.known_from)
     if math.isinf(begin):
-        # Never: all of it counts against it.
+        # Nothing was ever valid: all of the time counts as a failure.
         begin = programme.known_from
     asked = (result.time >= begin) & ~at_rest(result)
     return Health(
@@ -94,7 +95,7 @@ def figures(
     dampers: Sequence[str] = tuple(DAMPERS),
     processes: int = PROCESSES,
 ) -> Measured:
-    """These programmes with these dampers, once for each model."""
+    """Run these programmes with these dampers, once for each model."""
     found = in_processes(_run, list(product(programmes, dampers, MODELS)), processes)
 
     def share(healths: Sequence[Health]) -> float:

@@ -2,12 +2,13 @@
 
 relay            publishes each block's force again as a predicted force
 command-relay    publishes a command of no current for each block
-send-current A   commands a current for ever, twenty times a second
-view URL N       asks a page as often as N browsers do
+send-current A   commands a current twenty times a second, until it is stopped
+view URL N       sends the requests of N browsers to a page
 
-The relays are the least that a node can do: the scale for the latency of the model and of the
-controller, with the same messages and quality of service, on rclpy's default executor. Another
-program is always busy, and ends with the one that has started it (:func:`start_busy_loop`).
+The relays do the minimum work of a node. They are the reference for the latency of the model and of
+the controller, with the same messages and quality of service, on the default executor of rclpy. A
+further program keeps a core busy and ends with the program that started it
+(:func:`start_busy_loop`).
 """
 
 from __future__ import annotations
@@ -51,7 +52,7 @@ def _keep_busy() -> None:
 
 
 def _relay(commands: bool) -> None:
-    """Answer each block with its force or with a command, until a signal comes."""
+    """Answer each block with its force or with a command, until a signal arrives."""
     import rclpy
     from mr_damper_msgs.msg import CurrentCommand, MtsSamples, PredictedForce
     from rclpy.executors import ExternalShutdownException
@@ -114,7 +115,7 @@ def _send_current(current: str) -> None:
 
 
 class Viewer(threading.Thread):
-    """Asks for what it has not got, until the page is gone."""
+    """Requests new data until the page is gone."""
 
     def __init__(self, address: str) -> None:
         super().__init__(daemon=True)
@@ -123,7 +124,7 @@ class Viewer(threading.Thread):
         self._window = 0
 
     def run(self) -> None:
-        """Ask and ask again."""
+        """Send requests in a loop."""
         due, status_due, samples_due = time.monotonic(), 0.0, 0.0
         while True:
             try:

@@ -1,4 +1,4 @@
-"""Whether what is published of a damper that does not change says so: sets, errors, force scale."""
+"""Stability of published sets, errors and force scale for a damper that does not change."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ from studies.thesis.published_runs import PHASE
 WINDOWS = 600
 
 MEMORIES = (0.0, 0.8, 0.95)
-"""Of noise whose autocorrelation falls as memory^lag, samples 1 ms apart."""
+"""Memory of noise with the autocorrelation memory^lag, for samples 1 ms apart."""
 
 REALISATIONS = 200
 CONDITION = "5.0mm_1Hz_1.5A"
@@ -55,12 +55,12 @@ _BOUC_WEN = {
     "n": 1.5,
 }
 _SOFT, _STIFF = 2e-3, 1.5e-4
-"""Ways to the yield [m]: each leaves the sigmoid law a misfit of 5 to 12 %, the one in a sine of
-5 mm and 1 Hz, the other in random motion."""
+"""Yield distances [m]. The sigmoid law fits each with an error of 5 to 12 %: the first in a sine of
+5 mm and 1 Hz, the second in random motion."""
 
 
 def exchanges(tracker: str, windows: int, seed: int = 3) -> int:
-    """Sets exchanged after the first in windows of a constant damper of the exact law."""
+    """Number of set changes after the first set, for a constant damper of the exact law."""
     duration = following.WINDOW + (windows - 1) * following.HOP
     run = following.recording(ConstantDamper(THESIS_28_CELSIUS), duration, seed=seed)
     steps = following.follow(run, TrackerSettings(tracker=tracker))
@@ -79,7 +79,7 @@ def correlated_noise(memory: float, deviation: float, seed: int) -> Array:
 
 
 def error_ratios(memory: float, realisations: int) -> tuple[Array, Array]:
-    """Claimed over actual errors (7,) of the coefficients: of window fits, and of the tracker."""
+    """Claimed over actual errors (7,) of the coefficients, for window fits and for the tracker."""
     condition = find(CONDITION)
     truth = parameters(condition)
     rig = EmulatedRig(
@@ -114,10 +114,10 @@ def _ratio(errors: Sequence[Array], values: Sequence[Array]) -> Array:
 def published_scales(
     motion: Excitation, truth: ParameterSet, windows: int
 ) -> tuple[Array, Array, float]:
-    """Force scales (w,) and their claimed errors as published, of a damper of another law.
+    """Published force scales (w,) and their claimed errors for a damper of another law.
 
-    Windows without a sample in common, followed with the sigmoid law. The first report with a
-    scale is left out, being that of the baseline. The last number is the median NRMSE of the fits.
+    The sigmoid law is tracked over windows that do not overlap. The first report with a scale
+    defines the baseline and is left out. The last value is the median NRMSE of the fits.
     """
     settings = RigSettings(displacement_noise=1e-6, seed=5)
     rig = EmulatedRig(ModelDamper(truth, settings.period), motion, _CURRENT, settings=settings)
@@ -142,7 +142,7 @@ def published_scales(
 
 
 def random_motion(duration: float, seed: int) -> SampledMotion:
-    """Gaussian motion of 3 mm rms with a flat spectrum from 0.5 to 3 Hz, of many tones."""
+    """Gaussian motion of 3 mm rms with a flat spectrum from 0.5 to 3 Hz, as a sum of many tones."""
     period, tones = 0.005, 200
     rng = np.random.default_rng(seed)
     rates = 2.0 * np.pi * rng.uniform(0.5, 3.0, tones)
@@ -152,7 +152,7 @@ def random_motion(duration: float, seed: int) -> SampledMotion:
 
 
 def bouc_wen(yield_length: float) -> ParameterSet:
-    """A damper of 0.7 kN of the modified Bouc-Wen law, which the sigmoid law does not follow."""
+    """A damper of 0.7 kN with the modified Bouc-Wen law, which the sigmoid law cannot reproduce."""
     model = MODELS["modified_bouc_wen"]
     values = model.starts(LoopReading(1000.0, 0.0, 0.03, 5e-3))[0].copy()
     for name, value in {**_BOUC_WEN, "yield_length": yield_length}.items():
@@ -161,7 +161,7 @@ def bouc_wen(yield_length: float) -> ParameterSet:
 
 
 def chi_square(scales: Array, errors: Array) -> float:
-    """Mean square of the deviations of a constant from its weighted mean, in its errors [1]."""
+    """Mean square of the deviations from the weighted mean, in standard errors [1]."""
     weights = errors**-2
     mean = float(weights @ scales) / float(np.sum(weights))
     return float(np.sum(((scales - mean) / errors) ** 2)) / (scales.size - 1)
@@ -172,7 +172,7 @@ def figures(
     realisations: int = REALISATIONS,
     misfit_windows: int = MISFIT_WINDOWS,
 ) -> Measured:
-    """A damper of another law in two motions, correlated noise, and an exact damper."""
+    """Measure a damper of another law in two motions, correlated noise, and an exact damper."""
     counts = {name: exchanges(name, windows) for name in ("window", "recursive")}
     duration = misfit_windows * following.WINDOW + _SETTLING
     irregular_motion = random_motion(duration, seed=1)

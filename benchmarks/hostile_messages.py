@@ -1,6 +1,7 @@
-"""One hostile message at a time to the running nodes: how long they are deaf, what memory it takes.
+"""Effect of single hostile messages on the running nodes: unresponsive time and memory.
 
-The rig runs meanwhile. A node is deaf as long as it leaves a service call unanswered.
+The rig runs during the test. A node counts as unresponsive while it leaves a service call
+unanswered.
 """
 
 from __future__ import annotations
@@ -43,21 +44,22 @@ from mr_damper_ros.signals.blocks import MOST_SAMPLES
 
 _MB = 1e6
 _SIZE = 1_000_000
-"""Of the largest messages [B]."""
+"""Size of the largest messages [B]."""
 
 _PARAMETER = 70
-"""Bytes of a parameter in a request: its name, and a field for each type of value."""
+"""Size of a parameter in a request [B]: its name, and a field for each type of value."""
 
 _WATCHED = 0.5
-"""Seconds for which a node is watched after a message, and at least after its last deafness."""
+"""Time [s] for which a node is observed after a message, and at least after it last responded
+late."""
 
 _SLOW = 0.1
-"""An answer that takes longer [s] has been held up."""
+"""Response time [s] above which a node counts as unresponsive."""
 
 _NODES = ("identifier", "model")
 
 _OPTIONS: dict[str, dict[str, object]] = {
-    # Few messages: a computer that is busy otherwise answers late, too.
+    # Only a few messages count: a computer that is busy with other work answers late as well.
     "bridge": {"block_size": 100},
     "identifier": {},
     "model": {},
@@ -66,9 +68,9 @@ _OPTIONS: dict[str, dict[str, object]] = {
 
 @dataclass(frozen=True)
 class HostileMessage:
-    """A message by its name: ``publish`` on a topic, or, where it goes to a service, its request.
+    """A named message: either ``publish`` on a topic, or a request to a service.
 
-    ``node`` is the one that offers the service.
+    ``node`` is the node that offers the service.
     """
 
     name: str
@@ -81,7 +83,11 @@ class HostileMessage:
 
 @dataclass(frozen=True)
 class Harm:
-    """What a message did: longest deafness [s] of a node, growth [MB] of one with its children."""
+    """Effect of a message on a node.
+
+    ``deaf`` is the longest unresponsive time [s], and ``grown`` the growth of the memory of the
+    node with its child processes [MB].
+    """
 
     case: str
     node: str
@@ -90,7 +96,7 @@ class Harm:
 
 
 def figures() -> Measured:
-    """The worst of all messages."""
+    """Worst effect of all messages."""
     harms = campaign()
     deaf = max(harms, key=lambda harm: harm.deaf)
     grown = max(harms, key=lambda harm: harm.grown)
@@ -102,7 +108,7 @@ def figures() -> Measured:
 
 
 def campaign(chosen: Callable[[HostileMessage], bool] = lambda _: True) -> list[Harm]:
-    """What each message did. Raises RuntimeError where a node ends."""
+    """Effect of each message; raises RuntimeError if a node ends."""
     with three_nodes(_OPTIONS) as rig:
         rig.observer.until(lambda: rig.sets and rig.reports[-1].accepted, "the first set")
         sender = _Sender(rig)
@@ -110,7 +116,7 @@ def campaign(chosen: Callable[[HostileMessage], bool] = lambda _: True) -> list[
 
 
 class _Sender:
-    """Sends a message and watches what it does."""
+    """Sends a message and measures its effect."""
 
     def __init__(self, rig: ThreeNodes) -> None:
         self._rig = rig
@@ -122,8 +128,8 @@ class _Sender:
         }
 
     def harm(self, case: HostileMessage) -> list[Harm]:
-        """Send it, and see what becomes of both nodes."""
-        # What it takes to send it is not the node's.
+        """Send a message and measure its effect on both nodes."""
+        # The time to send the message does not count for the node.
         send = self._ready(case)
         before = {name: self._memory(name) for name in _NODES}
         send()
@@ -151,7 +157,7 @@ class _Sender:
             publisher = self._node.create_publisher(kind, topic, profile)
             self._publishers[topic] = publisher
             self._rig.observer.until(publisher.get_subscription_count, f"a subscriber of {topic}")
-            # Connected on this side is not yet so on the other.
+            # The other side may connect later than this one.
             self._rig.observer.spin_for(0.5)
         return self._publishers[topic]
 
@@ -162,7 +168,7 @@ class _Sender:
         return self._clients[name]
 
     def _listen(self) -> dict[str, float]:
-        """The longest time [s] that each node left a call unanswered."""
+        """Longest time [s] that each node left a call unanswered."""
         deaf = dict.fromkeys(_NODES, 0.0)
         asked: dict[str, tuple[float, Any]] = {}
         until = time.monotonic() + _WATCHED
@@ -190,7 +196,7 @@ class _Sender:
         return [node.pid, *node.children]
 
     def _memory(self, name: str) -> int:
-        """Memory [B] in use, from where its peak is counted from now on."""
+        """Memory in use [B]; its peak is measured from this point on."""
         for pid in self._processes(name):
             Path(f"/proc/{pid}/clear_refs").write_text("5")
         return sum(resident_bytes(pid) for pid in self._processes(name))
@@ -198,7 +204,7 @@ class _Sender:
 
 def _peak_bytes(pid: int) -> int:
     lines = Path(f"/proc/{pid}/status").read_text().splitlines()
-    # Of a child that has just ended there is none.
+    # A child process that has just ended has none.
     return sum(1024 * int(line.split()[1]) for line in lines if line.startswith("VmHWM"))
 
 
@@ -267,7 +273,7 @@ _TOPICS = {
 
 
 def _usual(kind: type) -> dict[str, Any]:
-    """The fields of a message that means well, where others than those by default are needed."""
+    """Fields of a valid message that must differ from the defaults."""
     if kind is MtsSamples:
         small = to_field(1e-3 * np.ones(10))
         return {"period": 1e-3, "displacement": small, "force": small}
@@ -306,18 +312,18 @@ _VALUES: dict[str, dict[str, Any]] = {
         "four seconds of nanoseconds": Header(stamp=Time(sec=1_700_000_000, nanosec=2**32 - 1)),
     },
 }
-"""What no program writes, by type of a field."""
+"""Hostile values by type of field."""
 
 
 def _spoilt(kind: Any, usual: Mapping[str, Any]) -> Iterator[tuple[str, Any]]:
-    """Messages of a kind, one field of each as no program writes it."""
+    """Messages of one type, each with one hostile field."""
     for field, type_ in kind.get_fields_and_field_types().items():
         for what, value in _VALUES.get(type_, {}).items():
             yield f"{what} as {field}", kind(**{**usual, field: value})
 
 
 def _parameter_services() -> Iterator[HostileMessage]:
-    """That rclpy gives every node."""
+    """Services that rclpy adds to every node."""
     names = {
         "names of one letter": ["x"] * (_SIZE // 8),
         "a name of 1 MB": ["x" * _SIZE],

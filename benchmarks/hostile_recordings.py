@@ -1,9 +1,9 @@
-"""Recordings that nobody should have made: an identification of them ends in a set or a sentence.
+"""Identification from unsuitable recordings, which must end in a set or a clear error.
 
-Emulated dampers of several laws, in motions that say little (rest, steps, hundredths of a
-millimetre, a burst), with currents that change, and with faults of the rig. What counts as a
-failure is anything but a set whose error is a number, or a ValueError of this package: one of a
-library tells the user nothing.
+The recordings show emulated dampers of several laws in motions with little information (rest,
+steps, hundredths of a millimetre, a burst), with changing currents and with faults of the rig. An
+identification passes if it returns a set with a finite error or raises a ValueError of this
+package. An error of a library fails, because its message does not help the user.
 """
 
 from __future__ import annotations
@@ -55,17 +55,17 @@ FAULTS = (
     *("force_stuck@0.2", "force_spikes:500", "force_delay:0.003", "force_hum:20"),
     *("displacement_coarse:0.0005", "displacement_stuck@1", "displacement_delay:0.01"),
 )
-"""As texts; the first is none."""
+"""Faults as text; the first entry means no fault."""
 
 
 def figures(cases: int = 100, seed: int = 0) -> Measured:
-    """So many identifications."""
+    """Run a number of identifications."""
     ends, failures = campaign(cases, seed)
     return {"identify_failures": (len(failures), "; ".join([str(dict(ends)), *failures[:3]]))}
 
 
 def campaign(cases: int, seed: int) -> tuple[Counter[str], list[str]]:
-    """How many ended in a set, and in a sentence; and what went wrong."""
+    """Numbers of identifications that ended in a set and in an error message, and the failures."""
     ends: Counter[str] = Counter()
     failures = []
     for number in range(cases):

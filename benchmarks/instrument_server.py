@@ -1,4 +1,4 @@
-"""An emulated instrument behind a real TCP socket, with the troubles of real ones."""
+"""An emulated instrument behind a real TCP socket, with the faults of real instruments."""
 
 from __future__ import annotations
 
@@ -10,11 +10,11 @@ from mr_damper_ros.rig.supplies.scpi_link import EmulatedInstrument
 
 
 class InstrumentServer:
-    """Serves lines of SCPI on a free port of this computer, in threads of its own.
+    """Serves SCPI lines on a free port of this computer, in separate threads.
 
-    ``silent``: it hears and obeys, and answers nothing. ``deaf``: what comes is not even heard, as
-    when a cable is cut and nobody is told. ``dribble`` [s]: a byte of an answer comes after each
-    such time, and no answer ends; meanwhile nothing more is heard over that connection.
+    ``silent``: it executes commands but sends no answers. ``deaf``: it does not receive anything,
+    like after an undetected cable break. ``dribble`` [s]: it sends one byte of an answer after each
+    such interval and never completes it; meanwhile it reads nothing more from that connection.
     """
 
     def __init__(self, instrument: EmulatedInstrument) -> None:
@@ -47,7 +47,7 @@ class InstrumentServer:
         self._thread.start()
 
     def cut(self) -> None:
-        """Close the connections that there are; new ones are taken."""
+        """Close the present connections; new ones are accepted."""
         for connection in self._connections:
             try:
                 connection.request.shutdown(2)
@@ -56,7 +56,7 @@ class InstrumentServer:
         self._connections.clear()
 
     def close(self) -> None:
-        """Serve nothing more."""
+        """Stop the server."""
         self._server.shutdown()
         self._server.server_close()
         self.cut()

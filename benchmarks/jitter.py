@@ -1,8 +1,8 @@
-"""Streams with stamps that jitter and samples that are lost, against the same streams clean.
+"""Streams with stamp jitter and lost samples, compared with the same streams without them.
 
-Two kinds of jitter: samples taken evenly whose time was read unevenly (clock), and samples that
-were taken when their stamps say (sampling). Nothing tells the identification or the prediction
-which it is. Everything runs in one process, by the data's stamps.
+There are two kinds of jitter: uniform sampling with inaccurate stamps (clock), and non-uniform
+sampling at the times of the stamps (sampling). The identification and the prediction are not told
+the kind. Everything runs in one process, on the time of the stamps.
 """
 
 from __future__ import annotations
@@ -29,15 +29,15 @@ from mr_damper_ros.tracking.engine import Engine, EngineSettings
 from mr_damper_ros.tracking.tracker import TrackerSettings
 
 JITTER = 0.5
-"""Stamps are off by up to this part of a sample period, evenly distributed."""
+"""Largest error of a stamp, as a fraction of a sample period; uniformly distributed."""
 
 LOSS = 0.01
 DURATION = 30.0
 SETTLED = 10.0
-"""Seconds after which the forces count."""
+"""Time [s] after which the forces are evaluated."""
 
 _FINE = 10
-"""The rig makes so many samples a period, so that some can be taken in between."""
+"""Samples of the rig per sample period, which allow non-uniform sampling."""
 
 _CURRENT = 1.0
 _SETS = {"thesis": ParameterSet(THESIS_28_CELSIUS), "viscous_tanh": DAMPERS["viscous_tanh"]}
@@ -45,7 +45,7 @@ _SETS = {"thesis": ParameterSet(THESIS_28_CELSIUS), "viscous_tanh": DAMPERS["vis
 
 @dataclass(frozen=True)
 class Way:
-    """How the samples are taken and sent: ``kind`` is clean, clock or sampling."""
+    """Sampling and transmission of the samples; ``kind`` is clean, clock or sampling."""
 
     rate: float
     block_size: int
@@ -53,7 +53,7 @@ class Way:
 
 
 def made(damper: ParameterSet, motion: Excitation, rate: float, duration: float) -> RigBlock:
-    """What a rig does, without noise."""
+    """Signals of a rig without noise."""
     fine = rate * _FINE
     settings = RigSettings(fine, force_noise=0.0)
     rig = EmulatedRig(ModelDamper(damper, 1.0 / fine), motion, _CURRENT, settings=settings)
@@ -61,7 +61,7 @@ def made(damper: ParameterSet, motion: Excitation, rate: float, duration: float)
 
 
 def sent(rig: RigBlock, way: Way) -> list[SampleBlock]:
-    """The blocks that come of it."""
+    """The resulting blocks."""
     rng = np.random.default_rng(0)
     count = rig.force.size // _FINE
     size, period = way.block_size, 1.0 / way.rate
@@ -90,8 +90,8 @@ def sent(rig: RigBlock, way: Way) -> list[SampleBlock]:
 
 
 def followed(rig: RigBlock, way: Way) -> tuple[float, float]:
-    """Share [%] of the samples sent whose force is valid, and NRMSE against the rig's force."""
-    # Least squares leads to the minima of the default method, in a tenth of the time.
+    """Percentage of the sent samples with valid force, and NRMSE against the force of the rig."""
+    # Least squares finds the minima of the default method in a tenth of the time.
     engine = Engine(EngineSettings(tracking=TrackerSettings(method="least_squares")))
     valid, errors, truths = [], [], []
     grid = np.arange(rig.force.size) * rig.period
@@ -103,7 +103,7 @@ def followed(rig: RigBlock, way: Way) -> tuple[float, float]:
             continue
         known = prediction.valid_samples
         valid.append(float(np.mean(known)))
-        # Where the samples were taken evenly, the count tells when better than the stamp.
+        # With uniform sampling, the count gives the time more accurately than the stamp.
         begin = (
             (prediction.start_ns - rig.start_ns) / NANOSECONDS
             if way.kind == "sampling"
@@ -124,7 +124,7 @@ def figures(
     blocks: Sequence[int] = (1, 10),
     rates: Sequence[float] = (200.0, 1000.0),
 ) -> Measured:
-    """The worst of both dampers in a sine of the thesis and in random motion, from a cold start."""
+    """Worst of two dampers in a sine of the thesis and in random motion, from a cold start."""
     motions: dict[str, Excitation] = {
         "sine": SineMotion(0.005, 1.0),
         "random": random_motion(0.003, 0.3, 3.0, duration, seed=1),

@@ -1,6 +1,6 @@
-"""Model and controller beside bare relays: latency of blocks, of single samples, of commands.
+"""Latency of blocks, single samples and commands in model and controller, relative to bare relays.
 
-A node and a relay get the same blocks, each in the other's pause, so that a busy computer hits
+A node and a relay receive the same blocks alternately, so that other load on the computer affects
 both.
 """
 
@@ -52,30 +52,30 @@ DURATION = 120.0
 RATE, BLOCK = 1000.0, 10
 
 SETTLED = 3.0
-"""Seconds of a stream after which the predictions are valid."""
+"""Time [s] from the start of a stream until the predictions are valid."""
 
 CURRENT = 1.5
 """[A]."""
 
 _DESIRED = 0.6
-"""Desired force, as a part of the measured one: it takes another current at every block."""
+"""Desired force as a fraction of the measured force; it needs a different current in each block."""
 
 _CURRENT_EVERY = 0.1
 _SILENT = 3.0
-"""Seconds without an answer after which no more is waited for."""
+"""Longest time [s] to wait for an answer."""
 
 _NO_COMMAND = 5.0
-"""Seconds without a command after which none is waited for; the controller does not begin to send
-safe ones meanwhile."""
+"""Longest time [s] to wait for a command; the controller does not yet send safe commands in this
+time."""
 
 _STAMP, _STAMP_PLACE = struct.Struct("<iI"), 4
-"""Of a serialised message with a header: seconds and nanoseconds, after the encapsulation."""
+"""Stamp in a serialised message with a header: seconds and nanoseconds after the encapsulation."""
 
 
 def blocks_of(motion: str, size: int, duration: float) -> list[SampleBlock]:
-    """The force of the thesis in a sine, with noise in random motion up to 3 Hz, in blocks.
+    """Blocks with the force of the thesis, in a sine or in random motion up to 3 Hz with noise.
 
-    Their stamps count from 0.
+    The stamps begin at 0.
     """
     damper, settings = ConstantDamper(THESIS_28_CELSIUS), RigSettings(RATE, force_noise=0.0)
     rig = EmulatedRig(damper, SineMotion(0.005, 1.0), CURRENT, settings=settings)
@@ -97,12 +97,13 @@ def blocks_of(motion: str, size: int, duration: float) -> list[SampleBlock]:
 
 
 class Route:
-    """One of the two ways for a block: the topic it is sent on, and what its answers were.
+    """One of the two paths of a block: the topic on which it is sent, and its answers.
 
-    By number of the first sample: ``latencies`` [s] from a block's publication to the arrival of
-    its answer, and if ``dated`` ``ages`` [s] of its last sample when the answer was published.
-    ``valid_ones`` are the numbers of the answers that say something: a valid force, or a current.
-    Answers are kept as they came and read afterwards: this process is not to be what is late.
+    The results are listed by the index of the first sample. ``latencies`` [s] are the times from
+    the publication of a block to the arrival of its answer. If ``dated``, ``ages`` [s] are the ages
+    of the last sample at the publication of the answer. ``valid_ones`` are the indices of answers
+    with content: a valid force, or a current. Answers are stored in serialised form and read after
+    the measurement, so that this process causes no delay.
     """
 
     def __init__(
@@ -116,7 +117,7 @@ class Route:
         node.create_subscription(kind, topic, hear, quality.stream(), raw=True)
 
     def is_connected(self, nodes: int = 1) -> bool:
-        """Whether so many nodes take the blocks and somebody answers."""
+        """Whether this number of nodes receives the blocks and a node answers."""
         taken = self._publisher.get_subscription_count() >= nodes
         return bool(taken and self._node.count_publishers(self._topic))
 
@@ -126,17 +127,17 @@ class Route:
 
     @property
     def answers(self) -> int:
-        """Answers that have come."""
+        """Number of answers received."""
         return len(self._heard)
 
     @property
     def lost(self) -> int:
-        """Blocks without an answer."""
+        """Number of blocks without an answer."""
         return len(self._sent.keys() - {number for number, *_ in self._read()})
 
     @property
     def latencies(self) -> dict[int, float]:
-        """In the order of the answers."""
+        """Latencies [s] in the order of the answers."""
         return {
             number: arrival - self._sent[number]
             for number, _, arrival, _ in self._read()
@@ -145,7 +146,7 @@ class Route:
 
     @property
     def ages(self) -> dict[int, float]:
-        """Of those whose publication is dated."""
+        """Ages [s] for the answers whose publication time is known."""
         return {
             number: (published_ns - to_nanoseconds(message.header.stamp)) / NANOSECONDS
             - len(message.force) * message.period
@@ -154,7 +155,7 @@ class Route:
 
     @property
     def valid_ones(self) -> set[int]:
-        """Numbers of the blocks whose answer says something."""
+        """Indices of the blocks whose answer has content."""
         return {
             number
             for number, message, *_ in self._read()
@@ -162,12 +163,12 @@ class Route:
         }
 
     def forget(self) -> None:
-        """What was sent and heard so far does not count."""
+        """Discard the blocks and answers so far."""
         self._sent.clear()
         self._heard.clear()
 
     def send(self, number: int, message: bytes) -> None:
-        """Publish a block; what has come before the first one is no answer."""
+        """Publish a block; messages received before the first block are not answers."""
         if not self._sent:
             self._heard.clear()
         self._sent[number] = time.monotonic()
@@ -190,12 +191,12 @@ class Route:
 
 
 class SideBySide:
-    """A node and a relay; blocks are sent from this process.
+    """A node and a relay that receive blocks from this process.
 
-    ``commands``: the node is the controller, and each block waits for the command of the one
-    before; else it is the model, beside an ``identifier`` if asked for. ``cores``: where these run,
-    with so many programs that are always ``busy``; None: anywhere. ``dated``: the ages of the
-    answers are wanted, at the price of a slower executor.
+    With ``commands``, the node is the controller, and each block waits for the command of the
+    previous one. Otherwise it is the model, with an ``identifier`` if requested. ``cores`` are the
+    cores on which these run, together with ``busy`` programs that never pause; None means any core.
+    ``dated`` records the ages of the answers, which requires a slower executor.
     """
 
     def __init__(
@@ -266,17 +267,17 @@ class SideBySide:
         return np.array([self._node.cpu_seconds, self._relay.cpu_seconds])
 
     def latencies(self, first: int) -> list[Array]:
-        """Of node and relay [s], for blocks from this number on."""
+        """Latencies of node and relay [s], for blocks from this index on."""
         return [
             np.array([late for number, late in route.latencies.items() if number >= first])
             for route in (self.node, self.relay)
         ]
 
     def send(self, blocks: Sequence[SampleBlock]) -> None:
-        """Send all blocks at their time, and wait for the answers.
+        """Send each block at its time and wait for the answers.
 
-        Current and desired force come between two blocks: from devices of their own. Raises
-        RuntimeError where a command is waited for in vain.
+        Current and desired force are sent between two blocks, as from separate devices. Raises
+        RuntimeError if an expected command does not arrive.
         """
         length = blocks[0].sample_count * blocks[0].period
         messages = [
@@ -323,7 +324,8 @@ class SideBySide:
 # -- blocks of ten at 1 kHz, to model and controller -----------------------------------------------
 
 _USEFUL = {False: 1.0, True: 0.5}
-"""Part of the answers that must say something: all forces valid, commands not all the safe one."""
+"""Smallest fraction of answers with content: valid forces, or commands that are not only the safe
+current."""
 
 
 def _ratios(commands: bool, duration: float) -> Measured:
@@ -344,7 +346,7 @@ def _ratios(commands: bool, duration: float) -> Measured:
 
 
 def figures(duration: float = DURATION) -> Measured:
-    """From a block's publication to the arrival of its answer, over that of a bare relay."""
+    """Time from the publication of a block to its answer, relative to that of a bare relay."""
     return _ratios(commands=False, duration=duration) | _ratios(commands=True, duration=duration)
 
 
@@ -353,15 +355,15 @@ def figures(duration: float = DURATION) -> Measured:
 MOTIONS = ("sine", "random")
 
 _BUSY = 6
-"""Programs that are always busy on the core of the nodes."""
+"""Number of programs that keep the core of the nodes busy."""
 
 _ON_THE_WAY = 0.05
-"""Seconds that may pass from the model's judgement to the force's publication: the busy programs
-may have the processor in between."""
+"""Time [s] allowed between the age check in the model and the publication of the force, because the
+busy programs may occupy the processor in between."""
 
 
 def single_sample_figures(duration: float = 60.0, overload_duration: float = 15.0) -> Measured:
-    """The model, with the identifier running, and the relay, all on two cores."""
+    """Measure the model, with the identifier running, and the relay, all on two cores."""
     lost, p99, cpu, notes = [], [], [], []
     for motion in MOTIONS:
         blocks = blocks_of(motion, 1, duration)
@@ -384,7 +386,7 @@ def single_sample_figures(duration: float = 60.0, overload_duration: float = 15.
 
 
 def _stale_valid(duration: float) -> tuple[float, str]:
-    """Forces that were published too late and marked valid; the driver has a core of its own."""
+    """Number of forces published too late but marked valid; the driver has a separate core."""
     driver, *others = sorted(os.sched_getaffinity(0))
     core = others[:1] or [driver]
     with SideBySide(cores=core, busy=_BUSY, dated=True) as both, on_cores([driver]):
@@ -406,9 +408,9 @@ def _stale_valid(duration: float) -> tuple[float, str]:
 def page_ratio(
     watched: Callable[[ProfiledDomain], Any], segment: float, segments: int
 ) -> tuple[float, str]:
-    """99th percentile of the model's latency with something ``watched`` over that without.
+    """99th percentile of the latency of the model while ``watched``, over that while not watched.
 
-    In turn, so many times so many seconds each.
+    The two states alternate for ``segments`` times ``segment`` [s] each.
     """
     found: tuple[list[Array], list[Array]] = ([], [])
     blocks = blocks_of("sine", BLOCK, segment)

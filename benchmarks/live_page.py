@@ -1,4 +1,4 @@
-"""What the page costs, and what it costs the others."""
+"""Resources that the live page uses, and its effect on the other nodes."""
 
 from __future__ import annotations
 
@@ -16,12 +16,12 @@ from mr_damper_ros.tools.demo import page_of
 VIEWERS = 3
 
 WARM = 30.0
-"""Seconds after which the memory of the page's node is compared: it has started by then."""
+"""Time [s] after which the memory of the page's node is compared, when its start is complete."""
 
 
 @contextmanager
 def watched(domain: RosDomain) -> Iterator[Program]:
-    """A node live in a domain, with its viewers."""
+    """A node `live` in a domain, with its viewers."""
     with ExitStack() as stack:
         live = start_node("live", domain, port=0)
         stack.callback(live.close)
@@ -33,7 +33,7 @@ def watched(domain: RosDomain) -> Iterator[Program]:
 def figures(
     duration: float = 300.0, segment: float = 20.0, segments: int = 5, warm: float = WARM
 ) -> Measured:
-    """A whole system with its page, and what the page's node takes."""
+    """Resources that the page's node uses in a complete system."""
     with ExitStack() as stack:
         domain = stack.enter_context(closing(ProfiledDomain()))
         for name in ("identifier", "model"):

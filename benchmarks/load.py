@@ -34,21 +34,21 @@ _SETTLED = 5.0
 """Seconds of the streams after which the processor time counts."""
 
 _QUIET = 3.0
-"""Seconds for what all nodes say, which comes every second."""
+"""Time [s] to receive the diagnostics of all nodes, which are published every second."""
 
 _PATIENCE = 30.0
-"""Seconds without a report after which no more are waited for."""
+"""Longest time [s] to wait for a report."""
 
 _SHOWN = ("identifier: input", "model: input", "model: latency", "bridge: source")
 
 
 @dataclass(frozen=True)
 class Load:
-    """What is streamed: so many ``dampers``, sample ``rate`` [Hz] and ``block`` size of each.
+    """Streams of the test: the number of ``dampers``, and the ``rate`` [Hz] and ``block`` size.
 
-    ``listens``: all samples and predictions are counted by a subscriber, too; of many dampers that
-    would take a good part of a core itself. ``model`` are parameters of that node. ``inside`` says
-    in which place the bridges ("left") and the other nodes ("right") are started.
+    With ``listens``, a subscriber counts all samples and predictions as well. For many dampers, it
+    would use much of a core itself. ``model`` are parameters of that node. ``inside`` returns the
+    context in which the bridges ("left") and the other nodes ("right") are started.
     """
 
     dampers: int = 1
@@ -68,13 +68,13 @@ class Counted:
         self.missing = 0
 
     def take(self, sequence: int, count: int) -> None:
-        """Count a block; one that comes again or late counts as missing where it should be."""
+        """Count a block; samples of a delayed block remain counted as missing."""
         self.missing += max(sequence - self.end, 0)
         self.end = max(self.end, sequence + count)
 
 
 class Fleet:
-    """What is heard of the nodes: their own words, the fit reports, and the samples if wanted."""
+    """Messages received from the nodes: diagnostics, fit reports and, if requested, samples."""
 
     def __init__(self, observer: Observer, load: Load) -> None:
         self._observer, self._rate = observer, load.rate
@@ -124,11 +124,11 @@ class Fleet:
         return self._said.get(f"{name}/{what}".lstrip("/"), {})
 
     def sent(self, name: str) -> int:
-        """Samples that the bridge of a damper has sent, as far as it has said."""
+        """Number of samples that the bridge of a damper has sent, according to its diagnostics."""
         return int(self._words(name, "bridge: source").get("samples sent", 0))
 
     def losses(self) -> dict[str, int]:
-        """Samples that were missed or could not be used, by where."""
+        """Number of samples that were lost or could not be used, by place."""
         lost: Counter[str] = Counter()
         for node in ("identifier", "model"):
             for name in self.names:
@@ -139,14 +139,14 @@ class Fleet:
         return dict(lost)
 
     def unfitted(self, name: str) -> int:
-        """Windows of the samples sent that were not fitted, or whose fit failed."""
+        """Number of windows of the sent samples that were not fitted or whose fit failed."""
         known = self.sent(name) / self._rate - _CURRENT_PERIOD
         windows = int((known - WindowSettings.window) / WindowSettings.hop + 1e-9) + 1
         fitted = [r for r in self.reports[name] if r.verdict != Verdict.FAILED]
         return max(windows - len(fitted), 0)
 
     def drain(self) -> None:
-        """Wait until nothing is left to be fitted, or nothing comes, and for what the nodes say."""
+        """Wait until all windows are fitted or reports stop, then for the diagnostics."""
         self._observer.spin_for(_QUIET)
         while any(map(self.unfitted, self.names)):
             if time.monotonic() - self._last_report > _PATIENCE:
@@ -157,7 +157,7 @@ class Fleet:
 def measure(load: Load, duration: float) -> tuple[Fleet, dict[str, float]]:
     """Stream for ``duration`` [s] on two cores.
 
-    Returns what came of it, and the processor time of each kind of process [s/s].
+    Returns the received messages and the processor time of each kind of process [s/s].
     """
     with ExitStack() as stack:
         stack.enter_context(on_cores(sorted(os.sched_getaffinity(0))[:2]))
@@ -203,7 +203,7 @@ def measure(load: Load, duration: float) -> tuple[Fleet, dict[str, float]]:
 
 
 def _deactivate(observer: Observer, bridge: str) -> None:
-    """Let a bridge send no more; it still says how much it has sent."""
+    """Stop the samples of a bridge; it still reports how many it has sent."""
     client = observer.node.create_client(ChangeState, f"{bridge}/change_state")
     observer.until(client.service_is_ready, f"the services of {bridge}")
     request = ChangeState.Request(transition=Transition(id=Transition.TRANSITION_DEACTIVATE))
@@ -252,7 +252,7 @@ def eight_rig_figures(duration: float = 120.0, dampers: int = 8) -> Measured:
 
 
 LOSS, DELAY = 0.05, 0.02
-"""Of the frames, and seconds that the others take."""
+"""Fraction of lost frames, and delay of the other frames [s]."""
 
 
 class NetworkDomain(ProfiledDomain):
@@ -263,7 +263,7 @@ class NetworkDomain(ProfiledDomain):
 
     @property
     def environment(self) -> dict[str, str]:
-        """As for a domain on one computer, but for the network."""
+        """Environment as for a domain on one computer, except for the network settings."""
         return {
             **super().environment,
             "ROS_AUTOMATIC_DISCOVERY_RANGE": "SUBNET",
@@ -275,7 +275,7 @@ def lossy_link_figures(duration: float = 60.0) -> Measured:
     """Bridge and subscriber in one network namespace, identifier and model in another."""
     try:
         with closing(LossyLink(LOSS, DELAY)) as link:
-            # What was sent again comes late; here every block's force is to come, late or not.
+            # Repeated frames are delayed; the force of every block must arrive, delayed or not.
             load = Load(model={"newest_first": False}, domain=NetworkDomain, inside=link.inside)
             lost, note = _told(measure(load, duration)[0])
             return {

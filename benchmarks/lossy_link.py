@@ -1,4 +1,4 @@
-"""Two network namespaces, as if two machines, and a bad network between them.
+"""Two network namespaces that act as two machines, with a bad network between them.
 
 A thread carries every Ethernet frame from one tap device to the other, so that no kernel module
 for traffic control (netem) is needed. It needs Linux, the rights of root, and iproute2.
@@ -27,14 +27,14 @@ _LARGEST_FRAME = 65_536
 
 
 class NetworkError(RuntimeError):
-    """The namespaces or their link cannot be made here; the message says why."""
+    """The namespaces or their link cannot be created; the message gives the reason."""
 
 
 class LossyLink:
     """Namespaces "left" and "right", each with one interface, joined by a link.
 
-    ``loss`` is the part of the frames that is dropped, in either direction, ``delay`` [s] what
-    the others take. Raises NetworkError where this cannot be had.
+    ``loss`` is the fraction of frames that is dropped in each direction, and ``delay`` [s] the
+    delay of the other frames. Raises NetworkError if the link cannot be created.
     """
 
     def __init__(self, loss: float, delay: float, seed: int = 0) -> None:
@@ -58,12 +58,12 @@ class LossyLink:
         self._undo.callback(os.close, end)
 
     def close(self) -> None:
-        """Take the link and the namespaces away."""
+        """Remove the link and the namespaces."""
         self._undo.close()
 
     @contextmanager
     def inside(self, side: str) -> Iterator[None]:
-        """What this thread opens or starts meanwhile is in the namespace of that side."""
+        """Context in which this thread opens sockets and starts programs in one namespace."""
         with open("/proc/thread-self/ns/net") as own, open(self._path(side)) as other:
             _enter(other.fileno())
             try:

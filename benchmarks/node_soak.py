@@ -1,4 +1,4 @@
-"""What only time and violence show of the nodes: kills, Ctrl-C, hours of data at speed."""
+"""Endurance tests of the nodes: kills, Ctrl-C, and hours of data at increased speed."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ _BAD_WORDS = ("[ERROR]", "[FATAL]", "Traceback")
 
 
 class ThreeNodes:
-    """The three nodes in a domain of their own; every end of one leaves its log behind.
+    """The three nodes in a separate domain; the log of each ended node is kept.
 
     ``options`` are the parameters of each node, in the form that ``start_node`` takes; the
     identifier keeps its state in ``folder``.
@@ -46,7 +46,7 @@ class ThreeNodes:
         self._domain = ProfiledDomain()
         self._ended: list[str] = []
         self.observer = Observer(domain=self._domain)
-        # More than the publisher's one message: none shall replace another on its way.
+        # Deeper than the queue of the publisher, so that no message replaces an earlier one.
         latched = quality.latched()
         latched.depth = 100
         listen = self.observer.listen
@@ -63,7 +63,7 @@ class ThreeNodes:
         self.observer.until(lambda: self.reports, "the first report")
 
     def close(self) -> None:
-        """End what runs."""
+        """Stop all running nodes."""
         for node in self.nodes.values():
             node.stop()
             self._forget(node)
@@ -71,7 +71,7 @@ class ThreeNodes:
         self._domain.close()
 
     def start(self, name: str) -> Program:
-        """Start a node, in place of the one of this name, which has ended."""
+        """Start a node that replaces the ended node of this name."""
         if name in self.nodes:
             self._forget(self.nodes[name])
         self.nodes[name] = start_node(name, self._domain, **self._options[name])
@@ -89,7 +89,7 @@ class ThreeNodes:
 
     @property
     def errors(self) -> list[str]:
-        """Lines that tell of errors in the logs of all nodes, those that have ended too."""
+        """Error lines in the logs of all nodes, including ended ones."""
         running = [node.log for node in self.nodes.values() if node.running]
         return [
             line
@@ -101,7 +101,7 @@ class ThreeNodes:
 
 @contextmanager
 def three_nodes(options: Mapping[str, Mapping[str, object]]) -> Iterator[ThreeNodes]:
-    """The nodes with a state folder in build/: one for temporary files may be in memory."""
+    """The nodes with a state folder in build/, since a temporary folder may be in memory."""
     Path("build").mkdir(exist_ok=True)
     with (
         tempfile.TemporaryDirectory(dir="build") as folder,
@@ -114,7 +114,7 @@ def three_nodes(options: Mapping[str, Mapping[str, object]]) -> Iterator[ThreeNo
 # -- kill -9 ---------------------------------------------------------------------------------------
 
 _HEATING: dict[str, dict[str, object]] = {
-    # A damper that heats fast: most windows bring a new set.
+    # The damper heats fast, so most windows yield a new set.
     "bridge": {"emulated__heat_capacity": 20.0, "emulated__conductance": 0.0},
     "identifier": {"window": 1.0, "hop": 0.5, "method": "least_squares", "global_period": 0},
     "model": {},
@@ -126,21 +126,21 @@ _TOPICS: dict[str, tuple[type, str]] = {
     "model": (PredictedForce, "damper/predicted_force"),
     "worker": (FitReport, "damper/fit_report"),
 }
-"""What must come again after the kill of each."""
+"""Messages that must resume after the kill of each node."""
 
 _LONGEST_WAIT = 2.0
-"""The next kill comes after a random time [s] of up to this much."""
+"""Longest random time [s] until the next kill."""
 
 _PART_IN_START = 0.2
-"""Part of the kills that hit a node that has been killed and is still starting."""
+"""Fraction of the kills that hit a killed node while it restarts."""
 
 _UNDER_WAY = 0.3
-"""Seconds after which what a killed process had sent has come; no node starts faster."""
+"""Time [s] within which all messages of a killed process arrive; no node starts faster."""
 
 
 @dataclass(frozen=True)
 class Kill:
-    """What came of a kill: ``recovery`` [s], and ``fault``, empty where the state is intact."""
+    """Result of a kill: ``recovery`` [s], and ``fault``, which is empty if the state is intact."""
 
     victim: str
     recovery: float
@@ -148,7 +148,7 @@ class Kill:
 
 
 def kill_figures(nodes: int = 100, seed: int = 0) -> Measured:
-    """Kill nodes, and the worker as often."""
+    """Kill each node, and the worker, the same number of times."""
     kills = kill_all(nodes, nodes, seed)
     slowest = {
         victim: max((k.recovery for k in kills if k.victim == victim), default=0.0)
@@ -178,7 +178,7 @@ def kill_all(nodes: int, workers: int, seed: int) -> list[Kill]:
 
 
 def _kill(rig: ThreeNodes, victim: str, chance: random.Random) -> Kill:
-    """One kill, and the look at what it has left."""
+    """One kill, and the check of the remaining state."""
     accepted = len(rig.sets)
     rig.observer.until(lambda: len(rig.sets) > accepted, "another set")
     rig.observer.spin_for(chance.uniform(0.0, _LONGEST_WAIT))
@@ -213,7 +213,7 @@ def _kill(rig: ThreeNodes, victim: str, chance: random.Random) -> Kill:
 
 
 def _gone_on(rig: ThreeNodes, victim: str, came: list[float]) -> str:
-    """What is wrong after the kill of another than the identifier."""
+    """Faults after the kill of a process other than the identifier."""
     if victim != "worker":
         rig.start(victim)
     pid, last = rig.nodes["identifier"].pid, rig.sets[-1].id
@@ -226,8 +226,8 @@ def _gone_on(rig: ThreeNodes, victim: str, came: list[float]) -> str:
 
 
 def _restarted(rig: ThreeNodes, came: list[float]) -> tuple[str, float]:
-    """What is wrong after the kill of the identifier, and the time [s] that is not its own."""
-    # What it had sent is heard, and what it left is read, before the next one begins.
+    """Faults after the kill of the identifier, and the time [s] that it did not cause."""
+    # Before the next start, its last messages are received and its stored state is read.
     began = time.monotonic()
     rig.observer.spin_for(_UNDER_WAY)
     last = rig.sets[-1]
@@ -257,7 +257,7 @@ def _restarted(rig: ThreeNodes, came: list[float]) -> tuple[str, float]:
 
 
 def _read(rig: ThreeNodes) -> tuple[ParameterSet | None, TrackerMemory | None, str]:
-    """The kept set, its memory, and what is wrong with them."""
+    """The stored set, its memory, and their faults."""
     try:
         kept, text = rig.state.load_with_memory("identifier")
         if not text:
@@ -268,20 +268,20 @@ def _read(rig: ThreeNodes) -> tuple[ParameterSet | None, TrackerMemory | None, s
 
 
 def _is_next(kept: ParameterSet, published: DamperParameters) -> bool:
-    """Whether a kept set is the published one, or one that was just about to be published."""
+    """Whether a stored set is the published one, or one that was about to be published."""
     if kept.set_id == published.id:
         return kept.values.tolist() == list(published.values)
     return _number(kept.set_id) > _number(published.id) >= 0
 
 
 def _number(set_id: str) -> int:
-    """Number in the name of a set; -1 where there is none."""
+    """Number in the name of a set; -1 without a number."""
     number = set_id.rpartition("-")[2]
     return int(number) if number.isdigit() else -1
 
 
 def _same_baselines(before: TrackerMemory, after: TrackerMemory) -> bool:
-    """Whether all baselines of before are still there."""
+    """Whether all previous baselines still exist."""
     return len(after.points.baselines) >= len(before.points.baselines) and all(
         np.array_equal(one.coefficients, other.coefficients)
         for one, other in zip(before.points.baselines, after.points.baselines, strict=False)
@@ -300,21 +300,21 @@ _TO_START: dict[str, dict[str, object]] = {
 }
 
 _APART = {"bridge": "/interrupted", "replay": "/interrupted"}
-"""Namespaces: identifier and model hear the bridge that streams all the time, and it alone."""
+"""Namespaces. They ensure that identifier and model receive only the bridge that always streams."""
 
 START, _OLDEST = 0.8, 3.0
-"""Half of the signals come in the first so many seconds of a node's life, in which it loads and
-starts; the others later, up to the second age [s]."""
+"""Half of the signals arrive at an age of the node below the first number [s], while it loads and
+starts. The other half arrive later, up to the second age [s]."""
 
 _PAUSE = 0.15
-"""A second signal follows the first within so many seconds."""
+"""Longest time [s] between the first and a second signal."""
 
 _SIGINT_BIT = 1 << (signal.SIGINT - 1)
 
 
 @dataclass(frozen=True)
 class Interrupt:
-    """A Ctrl-C: the node's age [s] then, how long it took to end [s]; no ``fault``: in order."""
+    """A Ctrl-C at an ``age`` [s] of the node, the time to end [s], and a ``fault``, if any."""
 
     node: str
     age: float
@@ -324,7 +324,7 @@ class Interrupt:
 
 
 def interrupt_figures(count: int = 200, seed: int = 0) -> Measured:
-    """Interrupt each node so many times."""
+    """Interrupt each node ``count`` times."""
     interrupts = interrupt_all(count, seed)
     faults = [f"{one.node} at {one.age:.2f} s: {one.fault}" for one in interrupts if one.fault]
     slowest = max(interrupts, key=lambda one: one.duration)
@@ -368,7 +368,7 @@ def _interrupt(node: str, domain: RosDomain, chance: random.Random) -> Interrupt
 
 
 def _wait_until_held_back(process: Program) -> None:
-    """Wait until a signal is held back or heard: from there on it is the package's business."""
+    """Wait until the process blocks or catches SIGINT: from then on the package handles it."""
     status = Path(f"/proc/{process.pid}/status")
     while process.running:
         fields = dict(line.split(":\t", 1) for line in status.read_text().splitlines())
@@ -382,18 +382,18 @@ RATE = 20.0
 """Speed relative to the data's time."""
 
 _CURRENTS, _CURRENT_PERIOD = (1.5, 1.0, 0.5), 20.0
-"""The supply is set to these [A] in turn, each for so many seconds: new baselines, a fuller
-reservoir, refused windows."""
+"""Currents [A] that the supply takes in turn, and the duration of each [s]. They cause new
+baselines, a fuller reservoir and refused windows."""
 
 _LOOK = 1.0
-"""Seconds between two looks at the memory in use."""
+"""Interval [s] between two measurements of the memory in use."""
 
 _EDGE = 0.1
-"""The memory at the start and at the end is the median over this part of the time between."""
+"""The memory at the start and at the end is the median over this fraction of the run."""
 
 _AT_SPEED: dict[str, dict[str, object]] = {
     "bridge": {"rate": RATE, "block_size": 100},
-    # On a busy computer fits fall behind at this speed: what waits for them is no leak.
+    # On a busy computer, fits fall behind at this speed; the waiting data are not a leak.
     "identifier": {
         "hop": 2.0,
         "waiting_windows": 10,
@@ -405,9 +405,9 @@ _AT_SPEED: dict[str, dict[str, object]] = {
 
 
 def stream_figures(hours: float = 8.0) -> Measured:
-    """Stream so many hours of data; the first quarter, at most an hour, does not count.
+    """Stream hours of data; the first quarter, at most an hour, is not evaluated.
 
-    Within the first hour memory grows by design: nodes keep the currents of an hour.
+    Memory grows by design during the first hour, because nodes store the currents of an hour.
     """
     growth, errors = soak(hours, min(1.0, 0.25 * hours))
     return {
@@ -420,7 +420,7 @@ def stream_figures(hours: float = 8.0) -> Measured:
 
 
 def soak(hours: float, warm_up: float) -> tuple[dict[str, float], list[str]]:
-    """Growth [MB] of each process after ``warm_up`` [h], and what went wrong."""
+    """Memory growth [MB] of each process after ``warm_up`` [h], and the failures."""
     with three_nodes(_AT_SPEED) as rig:
         turn = _turning(rig)
         seconds = 3600.0 / RATE
@@ -440,7 +440,7 @@ def soak(hours: float, warm_up: float) -> tuple[dict[str, float], list[str]]:
 
 
 def _turning(rig: ThreeNodes) -> Callable[[], None]:
-    """What turns the knob of the bridge's supply when it is due."""
+    """Function that changes the setpoint of the bridge's supply when it is due."""
     client = rig.observer.node.create_client(SetParameters, "bridge/set_parameters")
     began, turns = time.monotonic(), 0
 
@@ -455,7 +455,7 @@ def _turning(rig: ThreeNodes) -> Callable[[], None]:
 
 
 def _watch(rig: ThreeNodes, turn: Callable[[], None], duration: float) -> dict[str, list[int]]:
-    """Memory [B] of each process, look by look."""
+    """Memory [B] of each process at each measurement."""
     used: dict[str, list[int]] = {name: [] for name in [*rig.nodes, "worker"]}
     end = time.monotonic() + duration
     while time.monotonic() < end or not used["worker"]:
@@ -467,6 +467,6 @@ def _watch(rig: ThreeNodes, turn: Callable[[], None], duration: float) -> dict[s
         for name, node in rig.nodes.items():
             used[name].append(node.resident_bytes)
         used["worker"].append(resident_bytes(worker))
-        # What was heard is not the subject: this program's own memory shall not grow either.
+        # Received messages are discarded, so that the memory of this program does not grow.
         del rig.reports[:-1000], rig.sets[:-1000]
     return used

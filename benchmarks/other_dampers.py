@@ -1,7 +1,7 @@
-"""Dampers of laws unlike the sixteen, and motions for them.
+"""Dampers with laws other than the sixteen-parameter law, and motions for them.
 
-The parameters are invented, in the size of the literature's: no such damper was measured. The
-coil of each lags.
+The parameters are invented, of the order of those in the literature; no such damper was measured.
+The coil current of each damper lags the command.
 """
 
 from __future__ import annotations
@@ -23,10 +23,10 @@ from mr_damper_ros.models import MODELS
 from mr_damper_ros.models.parameter_set import ParameterSet
 
 _GRID = 5e-3
-"""Period [s] of the samples of a motion of up to some 20 Hz; a spline goes through them."""
+"""Sample period [s] of a motion up to about 20 Hz; a spline interpolates the samples."""
 
 _RAMP = 0.5
-"""Seconds in which a random motion begins and ends."""
+"""Time [s] in which a random motion grows and fades."""
 
 
 def _damper(model: str, **values: float) -> ParameterSet:
@@ -51,7 +51,7 @@ DAMPERS = {
         delta=0.55,
         coil_time_constant=0.01,
     ),
-    # A stiff one of 1.3 kN, rounded by the damper in series.
+    # A stiff damper of 1.3 kN, whose loop is rounded by the dashpot in series.
     "modified_bouc_wen": _damper(
         "modified_bouc_wen",
         c0=2500.0,
@@ -69,7 +69,7 @@ DAMPERS = {
         n=1.6,
         coil_time_constant=0.02,
     ),
-    # A small one of 400 N with much gas: stiffness and offset.
+    # A small damper of 400 N with a high gas pressure: stiffness and offset.
     "bouc_wen": _damper(
         "bouc_wen",
         c0=1500.0,
@@ -85,14 +85,14 @@ DAMPERS = {
         coil_time_constant=0.015,
     ),
 }
-"""By name."""
+"""The dampers by name."""
 
 
 def random_motion(rms: float, low: float, high: float, duration: float, seed: int) -> SampledMotion:
-    """Gaussian motion of ``rms`` [m], of a flat spectrum from ``low`` to ``high`` [Hz].
+    """Gaussian motion of ``rms`` [m] with a flat spectrum from ``low`` to ``high`` [Hz].
 
-    It begins at rest, and comes to rest after the ``duration`` [s]: a machine that stops at once
-    would tear at the damper.
+    It begins at rest and returns to rest by the end of the ``duration`` [s], because an abrupt stop
+    would cause a large force.
     """
     rng = np.random.default_rng(seed)
     tones = 60
@@ -106,10 +106,10 @@ def random_motion(rms: float, low: float, high: float, duration: float, seed: in
 
 
 def chirp(top_speed: float, most: float, low: float, high: float, duration: float) -> SampledMotion:
-    """A sine from ``low`` to ``high`` [Hz] and back, again and again, evenly in their logarithm.
+    """A repeated logarithmic sweep from ``low`` to ``high`` [Hz] and back.
 
-    One way takes a quarter of the ``duration`` [s]. The amplitude keeps the ``top_speed`` [m/s],
-    but is ``most`` [m] at most.
+    One direction takes a quarter of the ``duration`` [s]. The amplitude keeps the speed at
+    ``top_speed`` [m/s], but does not exceed ``most`` [m].
     """
     grid = 1e-3
     time = np.arange(round(duration / grid) + 1) * grid
@@ -122,7 +122,7 @@ def chirp(top_speed: float, most: float, low: float, high: float, duration: floa
 
 
 def stairs(amplitude: float, frequency: float, factors: Sequence[float], each: float) -> Excitation:
-    """A sine whose amplitude is so many times ``amplitude`` [m] for ``each`` [s] in turn."""
+    """A sine whose amplitude changes every ``each`` [s] to a multiple of ``amplitude`` [m]."""
     motion: Excitation = SineMotion(amplitude * factors[0], frequency)
     for place, (before, after) in enumerate(pairwise(factors), start=1):
         motion = EnvelopedMotion(motion, after / before, place * each, math.inf, 0.1)
@@ -130,7 +130,7 @@ def stairs(amplitude: float, frequency: float, factors: Sequence[float], each: f
 
 
 def stops(motion: Excitation, moving: float, resting: float, times: int) -> Excitation:
-    """The motion, standing still for ``resting`` [s] after each ``moving`` [s]."""
+    """The motion with a rest of ``resting`` [s] after each ``moving`` [s]."""
     for place in range(times):
         begin = place * (moving + resting) + moving
         motion = WarpedMotion(motion, 0.0, begin, begin + resting, 0.1)

@@ -1,4 +1,4 @@
-"""Machine time from no knowledge to a known force: planned runs against random ones."""
+"""Machine time until the force is known to a given accuracy: planned runs against random runs."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ _SCALES, _SHAPES = 0.3, 0.2
 
 @dataclass(frozen=True)
 class DamperKind:
-    """Parameters (16,) that dampers scatter about, and the ranges [m/s], [A] that matter."""
+    """Mean parameters (16,) of a kind of damper, and the relevant ranges [m/s] and [A]."""
 
     name: str
     centre: tuple[float, ...]
@@ -67,7 +67,7 @@ KINDS = (
         (0.02, 0.2),
         (0.0, 1.5),
     ),
-    # What this package identifies from the sinusoid records of a commercial damper in a press.
+    # Identified by this package from the sinusoid records of a commercial damper in a press.
     DamperKind(
         "utfsm-like",
         (
@@ -102,22 +102,23 @@ def random_damper(kind: DamperKind, seed: int) -> Array:
 
 _ERROR = 0.01
 _NOISE = 0.02
-"""Of the force's root mean square over the range of the goal."""
+"""Accuracy as a fraction of the root mean square force over the range of the goal."""
 
 _DURATION = 4.0
 _AMPLITUDE = 0.01
 _HEADROOM = 1.25
-"""The machine's force limit, of the largest force of the damper within the goal."""
+"""Force limit of the machine, as a fraction of the largest force of the damper within the goal."""
 
 _MOST_RUNS = 25
-"""Of a campaign; one that needs more counts as endless."""
+"""Largest number of runs of a campaign; a campaign that needs more counts as infinite."""
 
 
 @dataclass(frozen=True)
 class _Reached:
-    """``runs`` until the claim was made and true, infinite if not; the first claim, and truth.
+    """``runs`` until the goal was claimed and truly met (or infinity), and the first claim.
 
-    ``claimed`` and ``true`` worst error, and the ``bound`` that was claimed with 95 % confidence.
+    The claim has the ``claimed`` and the ``true`` worst error, and the ``bound`` that was claimed
+    with 95 % confidence.
     """
 
     runs: float
@@ -128,9 +129,9 @@ class _Reached:
 
 @dataclass(frozen=True)
 class PlannedTrial:
-    """What came of one damper: planned runs, and the number of runs where each is by chance.
+    """Result of one damper: planned runs, and the number of runs if each is chosen at random.
 
-    ``inside``: whether no sample left the limits.
+    ``inside`` is true if no sample exceeded the limits.
     """
 
     planned: _Reached
@@ -139,14 +140,14 @@ class PlannedTrial:
 
     @property
     def saved(self) -> float:
-        """Runs by chance over planned ones; 1 where both are endless."""
+        """Number of random runs over that of planned runs; 1 if both are infinite."""
         return 1.0 if self.random == self.planned.runs else self.random / self.planned.runs
 
 
 class _RandomPlanner(RunPlanner):
-    """Takes any run: a sine at one current within the goal, as a list of conditions has them.
+    """Chooses runs at random: a sine at one current within the goal, as in a list of conditions.
 
-    The machine bears them all, which a plan has to find out.
+    All these runs are within the limits of the machine, which a plan must find out first.
     """
 
     def __init__(self, model: Model, goal: ForceGoal, limits: MachineLimits, seed: int) -> None:
@@ -168,7 +169,7 @@ class _RandomPlanner(RunPlanner):
 
 
 class _Machine:
-    """An emulated damper in a machine that looks at every sample."""
+    """An emulated damper in a machine that checks the limits at every sample."""
 
     def __init__(self, truth: Array, noise: float, limits: MachineLimits, seed: int) -> None:
         self.inside = True
@@ -179,7 +180,7 @@ class _Machine:
         self._made = 0
 
     def perform(self, run: PlannedRun) -> Recording:
-        """Make a run; the force is that of the damper, before it is measured."""
+        """Make a run; the force is the true force of the damper, without measurement errors."""
         schedule = CurrentSchedule(
             [place * run.stretch for place in range(len(run.currents))], run.currents
         )
@@ -234,9 +235,9 @@ def trial(kind: DamperKind, seed: int) -> PlannedTrial:
 
 
 def _campaign(planner: RunPlanner, first: PlannedRun, machine: _Machine, truth: Array) -> _Reached:
-    """Make runs until the goal is met and the truth bears it out; what is claimed wrongly goes on.
+    """Make runs until the goal is claimed and truly met; after a false claim, the runs continue.
 
-    Each run after the ``first`` is chosen after identifying from all before.
+    Each run after the ``first`` is chosen after an identification from all previous runs.
     """
     goal = planner.goal
     cycles = Cycles(planner.model, goal.cycles())
@@ -263,7 +264,7 @@ def _campaign(planner: RunPlanner, first: PlannedRun, machine: _Machine, truth: 
 
 
 def figures(dampers: int = 30) -> Measured:
-    """So many dampers, half of each kind."""
+    """Measure a number of dampers, half of each kind."""
     trials = [trial(kind, seed) for kind in KINDS for seed in range(dampers // len(KINDS))]
     courses = [each.planned for each in trials]
     within = sum(course.true <= _ERROR for course in courses)
@@ -284,14 +285,14 @@ def figures(dampers: int = 30) -> Measured:
 _FOREIGN_GOAL = ForceGoal(_ERROR, (0.02, 0.2), (0.0, 1.5), amplitude=0.008)
 _FOREIGN_LIMITS = MachineLimits(0.008, 0.2, 1e5, 1.5, _DURATION)
 _FOREIGN_RUNS, _STAIRS = 4, 3
-"""Runs: the first, and others at so many currents at least."""
+"""Number of first runs, and the smallest number of currents of the others."""
 
 _RATE, _REST = 1000, 1000
-"""Samples a second, and those before a run, in which the damper comes to its cycle."""
+"""Sample rate [Hz], and the samples before a run in which the damper settles to its cycle."""
 
 
 def _foreign_run(name: str, run: PlannedRun, rng: np.random.Generator) -> Recording:
-    """What the machine measures of a damper of a law that the package does not have."""
+    """Measurements of the machine for a damper whose law is not in the package."""
     time = np.arange(round(run.duration * _RATE) + _REST) / _RATE
     u, v, a = run.motion.at(time)
     current = run.current_at(np.maximum(time - _REST / _RATE, 0.0))
@@ -318,7 +319,7 @@ def _foreign_cycles(name: str) -> Array:
 
 
 def foreign_figures(laws: int = len(LAWS), model: str = "sigmoid") -> Measured:
-    """How the true worst error of so many foreign laws compares with the one that is told."""
+    """Compare the true worst error of several foreign laws with the claimed one."""
     planner = RunPlanner(MODELS[model], _FOREIGN_GOAL, _FOREIGN_LIMITS)
     cycles = Cycles(planner.model, _FOREIGN_GOAL.cycles())
     stairs = [run for run in planner.candidates if len(run.currents) >= _STAIRS]

@@ -1,9 +1,9 @@
-"""Starts from spoilt state and parameter files: each must start, or say in a sentence why not.
+"""Starts from corrupted state and parameter files: each must succeed or explain its refusal.
 
-A file is spoilt as a disk spoils it, or as a person or another program does who gives it a sound
-checksum: entries of the set and of the memory are replaced by what no tracker writes. A start is
-all that the nodes do with the file before the first sample: read, judge, resume, build the
-messages, keep. The same seed gives the same cases.
+Some files have the damage of a defective disk. Others have a valid checksum, as after an edit, and
+entries of the set and of the memory that no tracker writes. A start covers everything that the
+nodes do with the file before the first sample: read, check, resume, build the messages and store.
+The same seed gives the same cases.
 """
 
 from __future__ import annotations
@@ -44,10 +44,10 @@ from mr_damper_ros.tracking.window_assembler import RawWindow
 _NAME = "identifier"
 
 _FOLLOWED = 0.1
-"""Part of the starts that go on with a good window."""
+"""Fraction of the starts that continue with a good window."""
 
 _SAMPLES, _NOISE = 1000, 5.0
-"""Of a window; newtons."""
+"""Samples of a window, and noise of the force [N]."""
 
 _WORDS = ("", "x", "\ud800", "a\nb", "ä", "\0", "x" * 5000, "../x", "nan", "1e999", "bingham")
 _COUNTS = (-1, 0, 1, 2**31, 2**31 * 10**9, 2**63, -(2**63), 10**40)
@@ -59,13 +59,13 @@ _SETTINGS = {
 
 
 def figures(cases: int = 10_000, seed: int = 0, nodes: int = 40) -> Measured:
-    """Start so many times in this process, and so many real nodes."""
+    """Run a number of starts in this process and of real nodes."""
     faults = campaign(cases, seed) + campaign_of_nodes(nodes, seed)
     return {"poisoned_starts": (len(faults), f"Of {cases} and {nodes}. " + "; ".join(faults[:5]))}
 
 
 def campaign(cases: int, seed: int) -> list[str]:
-    """What went wrong in so many starts in this process."""
+    """Failures of a number of starts in this process."""
     chance = random.Random(seed)
     faults = []
     with tempfile.TemporaryDirectory(prefix="starts-") as folder:
@@ -123,9 +123,9 @@ def _tracker(kind: str, folder: Path) -> tuple[WindowTracker, TrackerState]:
 
 
 def _start(kind: str, data: bytes, folder: Path, follow: bool, damaged: bool) -> str:
-    """Start an identifier from a state and a model from a parameter file; what is wrong, if any.
+    """Start an identifier from a state and a model from a parameter file; return any failure.
 
-    ``damaged``: the file says of itself that it is not as it was written.
+    ``damaged`` means that the checksum of the file is wrong.
     """
     folder.mkdir(exist_ok=True)
     path = folder / f"{_NAME}.yaml"
@@ -167,9 +167,9 @@ def _go_on(tracker: WindowTracker) -> str:
 
 
 def _poisoned(chance: random.Random, good: bytes) -> tuple[bytes, bool]:
-    """A state file whose entries are wrong beneath a sound checksum, or one that is damaged.
+    """A state file with wrong entries and a valid checksum, or a damaged one.
 
-    And whether its checksum tells that it is.
+    The second value says whether the checksum reveals the damage.
     """
     how = chance.randrange(4)
     if how == 0:
@@ -185,7 +185,7 @@ def _poisoned(chance: random.Random, good: bytes) -> tuple[bytes, bool]:
         if how == 2:
             document = yaml.safe_load(text)
             _spoil_entry(chance, document)
-            # As JSON, which is YAML: that can write what no dumper of YAML would.
+            # JSON is valid YAML and can express values that no YAML dumper writes.
             text = json.dumps(document, allow_nan=True).replace("NaN", ".nan")
             text = text.replace("-Infinity", "-.inf").replace("Infinity", ".inf")
         else:
@@ -257,7 +257,7 @@ def _spoil_array(chance: random.Random, stored: dict[str, Any]) -> None:
 
 
 def campaign_of_nodes(count: int, seed: int) -> list[str]:
-    """What went wrong in so many starts of real nodes, in turn with a state, a file, a model."""
+    """Failures of a number of starts of real nodes, in turn with a state, a file and a model."""
     if count == 0:
         return []
     chance = random.Random(seed)
@@ -279,7 +279,7 @@ def campaign_of_nodes(count: int, seed: int) -> list[str]:
 
 
 def _start_node(observer: Observer, domain: ProfiledDomain, state: Path, by_file: bool) -> str:
-    """An identifier from a state must start; from a file it may also refuse it in a sentence."""
+    """An identifier must start from a state; it may refuse a file with an explanation."""
     heard = observer.listen(DamperParameters, "damper/parameters", quality.latched())
     options = {"initial_parameters": state / f"{_NAME}.yaml"} if by_file else {"state_dir": state}
     node = start_node(_NAME, domain, **options)
