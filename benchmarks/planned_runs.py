@@ -285,7 +285,7 @@ def figures(dampers: int = 30) -> Measured:
 _FOREIGN_GOAL = ForceGoal(_ERROR, (0.02, 0.2), (0.0, 1.5), amplitude=0.008)
 _FOREIGN_LIMITS = MachineLimits(0.008, 0.2, 1e5, 1.5, _DURATION)
 _FOREIGN_RUNS, _STAIRS = 4, 3
-"""Number of first runs, and the smallest number of currents of the others."""
+"""Number of runs, and the smallest number of currents in each run after the first."""
 
 _RATE, _REST = 1000, 1000
 """Sample rate [Hz], and the samples before a run in which the damper settles to its cycle."""

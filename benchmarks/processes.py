@@ -14,20 +14,20 @@ from rclpy.node import Node
 from mr_damper_ros.processes.programs import Program, RosDomain, node_arguments
 
 _PROFILES = Path(__file__).parents[1] / "config" / "fastdds.xml"
-"""Nodes that are started again are found sooner; see there."""
+"""Fast DDS profile with which restarted nodes are found sooner; the file explains it."""
 
 
 class ProfiledDomain(RosDomain):
-    """A domain of its own, for nodes with the Fast DDS profile that the package comes with."""
+    """A separate domain for nodes with the Fast DDS profile of the package."""
 
     @property
     def environment(self) -> dict[str, str]:
-        """What a program must be started with to be in it."""
+        """Environment variables with which a program joins the domain."""
         return {**super().environment, "FASTRTPS_DEFAULT_PROFILES_FILE": str(_PROFILES)}
 
 
 def driver_node(stack: ExitStack, domain: RosDomain) -> Node:
-    """A node of this process, in a context of its own in a domain; both go with the stack."""
+    """A node of this process with its own context in a domain; the stack closes both."""
     context = rclpy.Context()
     with domain.entered():
         context.init()
@@ -45,7 +45,7 @@ def start_node(program: str, domain: RosDomain, *arguments: str, **parameters: o
 
 @contextmanager
 def on_cores(cores: Sequence[int] | None) -> Iterator[None]:
-    """What is started meanwhile runs on these cores alone; None: on any."""
+    """Context in which started programs run on these cores only; None means any core."""
     before = os.sched_getaffinity(0)
     os.sched_setaffinity(0, before if cores is None else cores)
     try:

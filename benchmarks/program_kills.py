@@ -1,6 +1,6 @@
-"""Kill -9 of identify_many at random moments: what it has kept stays whole, and is not made again.
+"""Kill -9 of identify_many at random times: stored results stay intact and are not computed again.
 
-The program is called again and again on the same folder.
+The program is called repeatedly on the same folder.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ _READING: dict[str, Any] = {
     "columns": "displacement:mm,force:N,current:A",
     "period": 1.0 / _RATE,
 }
-"""How the recordings are read."""
+"""Options for reading the recordings."""
 
 _SCRIPT = f"""
 import sys
@@ -44,24 +44,24 @@ if __name__ == "__main__":
 """
 
 _SPREAD = 0.03
-"""Standard deviation of the force over the lot."""
+"""Standard deviation of the force scale over the lot."""
 
 _LONGEST_WAIT = 4.0
-"""A kill comes up to so many seconds after the one before; starting takes a part of that."""
+"""Longest time [s] between two kills, which includes the start of the program."""
 
 _PATIENCE = 1800.0
-"""Seconds in which the last call must end."""
+"""Time limit [s] of the last call."""
 
 
 class _Kept:
-    """The results in a folder, each with the time at which it was written."""
+    """The results in a folder and the time at which each was written."""
 
     def __init__(self, folder: Path) -> None:
         self.folder = folder
         self.seen: dict[Path, int] = {}
 
     def faults(self) -> list[str]:
-        """What is wrong since the last look."""
+        """Failures since the last check."""
         now = {path: path.stat().st_mtime_ns for path in self.folder.glob("dampers/[!.]*.json")}
         faults = [f"{path.name} is gone" for path in self.seen.keys() - now.keys()]
         for path, written in now.items():
@@ -77,7 +77,7 @@ class _Kept:
 
 
 def figures(kills: int = 50, seed: int = 0, dampers: int = 300) -> Measured:
-    """So many kills, half of the program and half of one of its processes."""
+    """Run a number of kills, half of the program and half of one of its processes."""
     chance = random.Random(seed)
     faults: list[str] = []
     Path("build").mkdir(exist_ok=True)
@@ -107,7 +107,7 @@ def figures(kills: int = 50, seed: int = 0, dampers: int = 300) -> Measured:
 
 
 def _children(process: int) -> list[int]:
-    """Processes of the pool, without the one that counts shared resources (Linux only)."""
+    """Processes of the pool, without the resource tracker (Linux only)."""
     try:
         text = Path(f"/proc/{process}/task/{process}/children").read_text()
         return [
@@ -120,7 +120,7 @@ def _children(process: int) -> list[int]:
 
 
 def _write_lot(folder: Path, dampers: int) -> None:
-    """So many dampers with a recording of half a second each."""
+    """A number of dampers with a recording of half a second each."""
     rng = np.random.default_rng(0)
     for number in range(dampers):
         values = scaled(THESIS_28_CELSIUS, 1.0 + _SPREAD * rng.standard_normal())

@@ -1,4 +1,4 @@
-"""Real records, where there are any: cold starts, jumps of the force, searches from any start."""
+"""Real records, if available: cold starts, jumps of the force, and searches from random starts."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ _RAW_CURRENTS = (0.0, 0.25, 0.5, 0.75, 1.0)
 
 
 def raw_records(utfsm: Path) -> list[Recording]:
-    """The runs in the logger's own files, as they came."""
+    """The runs in the original files of the logger."""
     paths = sorted((utfsm / "raw").glob("ME*.txt"))
     return [run for path in paths for run in read_runs(path, _RAW_COLUMNS, currents=_RAW_CURRENTS)]
 
@@ -46,17 +46,18 @@ def _unmeasured(*keys: str) -> Measured:
 # -- met by an identifier that knows nothing of the damper -----------------------------------------
 
 _GOOD, _NEXT = 0.75, 2.0
-"""Fit, 1 - NRMSE, of the predicted force that is good, in so many seconds after a set."""
+"""Smallest good fit, 1 - NRMSE, of the predicted force, and the time [s] of its evaluation after a
+set."""
 
 _MOVING = 1e-4
 _BEFORE, _AFTER = 1.0, 9.0
-"""Seconds of a record before the motion [m] begins, and after."""
+"""Duration [s] of a record before and after the start of the motion, and its threshold [m]."""
 
 _BLOCK = 0.02
 
 
 def _begin_of(record: Recording) -> Recording:
-    """The first seconds of its motion."""
+    """The first seconds of the motion in a record."""
     moves = np.abs(record.displacement - record.displacement[0]) > _MOVING
     begin = max(int(np.argmax(moves)) - round(_BEFORE / record.period), 0)
     part = slice(begin, begin + round((_BEFORE + _AFTER) / record.period))
@@ -69,9 +70,9 @@ def _begin_of(record: Recording) -> Recording:
 
 
 def _windows_until_good(record: Recording, model: str) -> tuple[float, float]:
-    """Windows in motion until the fit is good, infinite if never; the largest valid force.
+    """Number of windows in motion until the fit is good (or infinity), and the largest valid force.
 
-    The latter over the largest that was measured in the record.
+    The force is relative to the largest measured force of the record.
     """
     said = replay(
         record,
@@ -97,7 +98,7 @@ def _windows_until_good(record: Recording, model: str) -> tuple[float, float]:
 
 
 def cold_start_figures() -> Measured:
-    """The begin of the three earthquakes."""
+    """The beginning of the three earthquake records."""
     place = recordings.folder()
     if place is None:
         return _unmeasured("cold_start_windows", "cold_start_largest_force")
@@ -112,7 +113,7 @@ def cold_start_figures() -> Measured:
 # -- how far the predicted force jumps between two samples -----------------------------------------
 
 _SETTLED = 1.0
-"""Seconds of a record that do not count: the observer and the centre settle."""
+"""Time [s] at the start of a record that is ignored, while the observer and the centre settle."""
 
 
 def _largest_step(force: Array, period: float) -> float:
@@ -120,7 +121,7 @@ def _largest_step(force: Array, period: float) -> float:
 
 
 def _worst_jump(records: Iterable[Recording], parameters: ParameterSet) -> tuple[float, str]:
-    """Largest step of the predicted force over that of the measured one, and the record's name."""
+    """Largest step of the predicted force over that of the measured force, and the record name."""
     return max(
         (
             _largest_step(earthquake.predicted(record, parameters, identify=False), record.period)
@@ -132,7 +133,7 @@ def _worst_jump(records: Iterable[Recording], parameters: ParameterSet) -> tuple
 
 
 def jump_figures(laws: Sequence[str] = LAWS) -> Measured:
-    """With the set of the sinusoid records."""
+    """Measure the steps with the set of the sinusoid records."""
     place = recordings.folder()
     if place is None:
         return _unmeasured("reversal_jump", "reversal_jump_smoothed")
@@ -153,16 +154,16 @@ def jump_figures(laws: Sequence[str] = LAWS) -> Measured:
 # -- whether a search ends in the lowest minimum, whatever it starts from --------------------------
 
 _AS_GOOD = 1.01
-"""A search that ends with a cost up to this times the published one agrees with it."""
+"""A search agrees with the published one if its cost is at most this many times as large."""
 
 _SCALES = 1.0
-"""Standard deviation of the logarithm of a drawn scale, about that of the model's own start."""
+"""Standard deviation of the logarithm of a random scale, around the default start of the model."""
 
 _Search = tuple[str, Sequence[Window], Array, int]
 
 
 def _random_start(law: str, windows: Sequence[Window], seed: int) -> Array:
-    """Some damper's parameters (p,): another strength, another shape."""
+    """Parameters (p,) of a random damper with a different force and shape."""
     model, rng = MODELS[law], np.random.default_rng(seed)
     speeds, currents = operating_points_within(windows)
     start = model.initial_values()[0]
@@ -181,10 +182,10 @@ def _identified(search: _Search, tell: Tell) -> GlobalFit:
 def _agreeing(
     law: str, windows: Sequence[Window], published: GlobalFit, starts: int, pool: ProcessPool
 ) -> float:
-    """Part of the searches from random starts that end as low as the published one.
+    """Fraction of the searches from random starts that reach the cost of the published one.
 
-    All are measured alike, by the noise that the published one was weighed with: the cost of a
-    search is in units of what its own fits of single records left.
+    All costs use the noise estimate of the published search, because each search scales its own
+    cost by the residuals of its fits to single records.
     """
     searches = [
         (law, windows, _random_start(law, windows, seed), seed) for seed in range(1, starts + 1)
@@ -199,7 +200,7 @@ def _agreeing(
 def _containing(
     windows: Sequence[Window], published: GlobalFit, pool: ProcessPool
 ) -> tuple[float, str]:
-    """Part of the observable parameters that lie in their own interval, and the others' names."""
+    """Fraction of the observable parameters within their interval, and the names of the others."""
     found = published.parameter_set
     names = [n for n, seen in zip(found.law.parameter_names, found.observable, strict=True) if seen]
     fit, profiles = profiled(published, windows, names, EvolutionSettings(), pool)

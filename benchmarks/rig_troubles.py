@@ -1,4 +1,4 @@
-"""An emulated rig with one fault after the other: what `check_rig` must call each of them."""
+"""Emulated rigs with one fault each, which `check_rig` must name."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ MOTIONS: dict[str, Excitation] = {
 def record(
     faults: str = "", motion: str = "steps", current: float = 1.0, seed: int = 0
 ) -> RigRecord:
-    """What is heard of an emulated rig with these faults."""
+    """Messages of an emulated rig with these faults."""
     found = faults_of(faults.split(), seed)
     rig = EmulatedRig(
         ConstantDamper(THESIS_28_CELSIUS),
@@ -98,4 +98,4 @@ FAULTS = {
     "supply_clock:2": Trouble.CURRENT_CLOCK,
     "tempo:0": Trouble.AT_REST,
 }
-"""What each fault is to be called."""
+"""Expected name of each fault."""

@@ -1,6 +1,6 @@
-"""Fits of steady runs of the thesis' damper: what they cost, and how near they come to the limit.
+"""Fits of steady runs of the thesis' damper: their cost and their distance from the accuracy limit.
 
-Costs are processor time of one thread.
+The cost is the processor time of one thread.
 """
 
 from __future__ import annotations
@@ -84,7 +84,7 @@ def clean_runs() -> list[Recording]:
 
 
 def cpu_seconds(work: Callable[[], object]) -> float:
-    """Processor time [s] of this process for one call; on an idle machine that is wall time."""
+    """Processor time [s] of this process for one call, equal to wall time on an idle machine."""
     began = time.process_time()
     work()
     return time.process_time() - began
@@ -93,10 +93,10 @@ def cpu_seconds(work: Callable[[], object]) -> float:
 def interleaved_medians(
     works: Sequence[Callable[[], object]], repetitions: Sequence[int]
 ) -> list[float]:
-    """Median :func:`cpu_seconds` of each work, run in turn so that disturbances hit all.
+    """Median :func:`cpu_seconds` of each work, run in turn so that disturbances affect all.
 
-    In each of as many rounds as the smallest number of ``repetitions``, every work runs its
-    share of its own number in a row.
+    The number of rounds is the smallest of the ``repetitions``. In each round, every work runs its
+    share of its repetitions in a row.
     """
     rounds = min(repetitions)
     times: list[list[float]] = [[] for _ in works]
@@ -129,7 +129,7 @@ class Scatter:
 
     @property
     def coverage(self) -> float:
-        """Part of the 95 % intervals that hold the truth, over all coefficients [1]."""
+        """Fraction of the 95 % intervals that contain the truth, over all coefficients [1]."""
         return float(np.mean(np.abs(self.errors) <= _INTERVAL * self.standard_errors))
 
 
@@ -150,7 +150,7 @@ def scatter(realisations: int, samples: int) -> Scatter:
         )
         for seed in range(realisations)
     ]
-    # The least variance of unbiased coefficients from samples of the exact motion at 1 kHz.
+    # Smallest variance of unbiased coefficients from samples of the exact motion at 1 kHz.
     motion = SineMotion(condition.amplitude, condition.frequency, phase=PHASE).at(
         np.arange(samples, dtype=np.float64) * 1e-3
     )
@@ -163,7 +163,7 @@ def scatter(realisations: int, samples: int) -> Scatter:
 
 
 def noise_figures(realisations: int = 500, samples: int = 2000) -> Measured:
-    """Variance of the coefficients against the bound, and coverage of their intervals."""
+    """Variance of the coefficients relative to the bound, and coverage of their intervals."""
     found = scatter(realisations, samples)
     return {
         "crlb_ratio": (
@@ -179,7 +179,7 @@ def noise_figures(realisations: int = 500, samples: int = 2000) -> Measured:
 
 
 def stream_figures(runs: int | None = None) -> Measured:
-    """Error of the predicted force on the clean runs, or on the first so many."""
+    """Error of the predicted force on all clean runs, or on the first few."""
     errors = []
     for condition in [c for c in CONDITIONS if is_clean(c)][:runs]:
         run = synthesise(condition)
@@ -206,14 +206,14 @@ RESIDUAL_LIMIT = 1.001
 
 @dataclass(frozen=True)
 class Refit:
-    """Processor times [s] of the reference and of both fits; residuals against the reference's."""
+    """Processor times [s] of the reference and of both fits, and residuals over the reference's."""
 
     seconds: tuple[float, ...]
     residual_ratios: tuple[float, ...]
 
 
 def reference_fit(window: Window, start: Array) -> tuple[Array, float]:
-    """Parameters (16,) and norm of the residual [N], as the thesis does it (eq. 12).
+    """Parameters (16,) and norm of the residual [N] by the method of the thesis (eq. 12).
 
     Nelder-Mead over all sixteen parameters, with the limits and tolerances of fminsearch.
     """
@@ -224,10 +224,10 @@ def reference_fit(window: Window, start: Array) -> tuple[Array, float]:
 
 
 def measured_refit(condition_name: str, repetitions: int, samples: int = 1000) -> Refit:
-    """Re-fit of a window of a damper that has lost 1 % of its force since the one before.
+    """Fit a window again after the damper has lost 1 % of its force since the previous window.
 
-    The start is what was fitted to the window before; the reference runs ``repetitions`` times,
-    the fits ten times as often.
+    The start is the fit to the previous window. The reference runs ``repetitions`` times, and the
+    fits ten times as often.
     """
     condition = find(condition_name)
     truth = parameters(condition)
@@ -245,7 +245,7 @@ def measured_refit(condition_name: str, repetitions: int, samples: int = 1000) -
 
 
 def refit_figures(repetitions: int = 5) -> Measured:
-    """Medians over conditions; a speed counts where the residual is the reference's."""
+    """Medians over conditions; a speed counts only if the residual equals that of the reference."""
     refits = [measured_refit(name, repetitions) for name in REFITTED]
 
     def speedup(which: int) -> tuple[float | None, str]:
@@ -269,14 +269,14 @@ def refit_figures(repetitions: int = 5) -> Measured:
 GENERATIONS = 500
 
 _GAIN_RANGE = 100.0
-"""Bounds of k2 and k3, those of the identification's own search."""
+"""Bounds of k2 and k3, equal to those of the search in the identification."""
 
 _SCALE_REACH = 3.0
-"""Scales are searched up to so many times the size that the identification found."""
+"""Upper bound of the scales, as a multiple of the identified values."""
 
 
 def search_bounds(windows: Sequence[Window], found: Array) -> list[tuple[float, float]]:
-    """Bounds of the sixteen parameters, no wider than those of the identification itself."""
+    """Bounds of the sixteen parameters, no wider than those of the identification."""
     bounds = shape_bounds(
         max(float(window.motion.peak_velocity.max()) for window in windows),
         max(float(np.abs(window.current).max()) for window in windows),
@@ -289,7 +289,7 @@ def search_bounds(windows: Sequence[Window], found: Array) -> list[tuple[float, 
 
 
 def global_figures(generations: int = GENERATIONS, repetitions: int = 10) -> Measured:
-    """Identify one set from all runs, then let the reference try; both know the same bounds.
+    """Identify one set from all runs, then run the reference with the same bounds.
 
     The reference is SciPy's differential evolution with the thesis' settings: rand/1/bin, F = CR =
     0.8, 15 individuals per unknown, all samples; a whole generation is evaluated at once.
@@ -346,10 +346,10 @@ print(time.process_time() - began)
 
 
 def thread_figures(every: int = 3, generations: int = 100) -> Measured:
-    """Identify in a fresh process without the variables of BLAS, and in one with them.
+    """Identify in a fresh process without the environment variables of BLAS, and in one with them.
 
-    A user starts Python and calls ``mr.identify``, with no variable set: what the libraries take by
-    themselves must not cost more than one thread does.
+    A user calls ``mr.identify`` in Python without setting variables. The default threads of the
+    libraries must not cost more than a single thread.
     """
     others = {name: value for name, value in os.environ.items() if name not in _VARIABLES}
     script = _SCRIPT.format(path=sys.path, every=every, generations=generations)
@@ -375,7 +375,7 @@ _HIGHEST_CURRENT = 2.0
 
 
 def inverse_figures() -> Measured:
-    """Random desired forces, partly beyond what can be had, in blocks of ten; every eighth set."""
+    """Random desired forces, some out of reach, in blocks of ten, for every eighth set."""
     sets = [ParameterSet(parameters(c, m)) for c in CONDITIONS for m in PUBLISHED_METHODS]
     chosen, rng, total = sets[:: len(sets) // 8], np.random.default_rng(1), 0.0
     for known in chosen:
@@ -401,7 +401,7 @@ def inverse_figures() -> Measured:
 
 
 def _unrelated(rng: np.random.Generator) -> Motion:
-    """Samples up to 0.25 m/s that have nothing to do with each other."""
+    """Independent random samples with velocities up to 0.25 m/s."""
     velocity = rng.uniform(-0.25, 0.25, _BLOCK)
     return Motion(
         displacement=rng.normal(0.0, 0.005, _BLOCK),

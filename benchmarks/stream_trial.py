@@ -1,4 +1,4 @@
-"""A rig, its instruments, the identification and the prediction in one process, by stamps alone.
+"""A rig, its instruments, the identification and the prediction in one process, on stamp time.
 
     trial = StreamTrial(DAMPERS["viscous_tanh"], SineMotion(0.005, 1.0), 1.5)
     trial.advance(10.0)
@@ -6,9 +6,9 @@
     broken.advance(10.0)
     broken.result().wrong_valid(since=12.0).longest
 
-No wall clock is asked: what a trial gives depends on its arguments alone. It does what the bridge
-does, block by block, and drives the engine; a set or a report takes effect on the prediction a
-stated time after the samples that completed its window.
+A trial does not use the wall clock, so its result depends only on its arguments. It does the work
+of the bridge, block by block, and drives the engine. A set or a report affects the prediction after
+a given delay from the last sample of its window.
 """
 
 from __future__ import annotations
@@ -47,24 +47,24 @@ from mr_damper_ros.tracking.validity import DoubtKind
 from mr_damper_ros.tracking.window_assembler import WindowSettings
 
 CURRENT_STEP = 0.005
-"""As the bridge: a change [A] of the current that is published at once."""
+"""Change of the current [A] that is published at once, as in the bridge."""
 
 WRONG = 0.2
-"""A force is wrong that is off by more than this part of the peak force."""
+"""Error above which a force is wrong, as a fraction of the peak force."""
 
 PEAK_MEMORY = 10.0
-"""The peak force is that of the last so many seconds."""
+"""Time [s] over which the peak force is taken."""
 
 WORSE = 0.05
-"""A set is worse that leaves so much more of the true force unexplained (NRMSE)."""
+"""Increase of the NRMSE against the true force above which a set is worse than another."""
 
 _REST_SPEED, _REST_TIME = 0.01, 0.5
-"""At rest: below this part of the top speed for so long [s]."""
+"""The machine is at rest if it stays below this fraction of the top speed for this time [s]."""
 
 
 @dataclass(frozen=True)
 class TrialSettings:
-    """How a trial runs; all but the first line as the nodes have it by default.
+    """Settings of a trial; all but the first line have the defaults of the nodes.
 
     ``sample_rate`` [Hz], ``block_size``, noises of displacement [m] and force [N] and their seed;
     ``current_rate``: readings of the supply per second. ``delay`` and ``search_delay`` [s]: time
@@ -87,10 +87,10 @@ class TrialSettings:
 
 
 class Stretch(NamedTuple):
-    """Time [s] for which something holds: the ``longest`` without a break, and ``total``.
+    """Time [s] in which a condition holds: the ``longest`` unbroken period, and the ``total``.
 
-    ``worst`` is the largest error there over the peak force, ``at`` [s] the time of it (NaN where
-    there is none).
+    ``worst`` is the largest error in this time over the peak force, and ``at`` [s] its time (NaN
+    without an error).
     """
 
     longest: float
@@ -100,7 +100,7 @@ class Stretch(NamedTuple):
 
 
 class SetInUse(NamedTuple):
-    """A set and the time [s] from which the prediction uses it."""
+    """A set, and the time [s] from which the prediction uses it."""
 
     time: float
     parameters: ParameterSet
@@ -108,13 +108,16 @@ class SetInUse(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class TrialResult:
-    """What came of a trial, sample by sample of the rig; arrays of shape (n,).
+    """Result of a trial at each sample of the rig; arrays of shape (n,).
 
-    ``time`` [s]; ``current`` [A] that the supply really gives; ``true``: force [N] between rod and
-    load cell, without noise or a fault of the instruments; ``measured``: what the instruments say
-    (NaN: nothing was sent); ``predicted`` [N] (NaN: none); ``doubts``: kind of doubt of each, -1
-    where nothing came. ``reports`` are in the order in which they took effect, at ``report_times``
-    [s].
+    - ``time`` [s].
+    - ``current`` [A]: the actual output of the supply.
+    - ``true`` [N]: force between rod and load cell, without noise or instrument faults.
+    - ``measured`` [N]: reading of the instruments, NaN for samples that were not sent.
+    - ``predicted`` [N]: NaN without a prediction.
+    - ``doubts``: reason code of each prediction, -1 without a prediction.
+
+    ``reports`` are in the order in which they took effect, at ``report_times`` [s].
     """
 
     time: Array
@@ -141,7 +144,7 @@ class TrialResult:
     @property
     def peak(self) -> Array:
         """Largest true force [N] of the last :data:`PEAK_MEMORY` seconds, shape (n,)."""
-        # The largest of each tenth of a second is enough, and quick.
+        # The maximum of each tenth of a second is accurate enough and quick to compute.
         part = max(round(0.1 / self.period), 1)
         size = np.abs(self.true)
         largest = np.maximum.reduceat(size, np.arange(0, size.size, part))
@@ -152,16 +155,16 @@ class TrialResult:
 
     @property
     def error(self) -> Array:
-        """|predicted - true| over the peak, shape (n,); NaN where there is no prediction."""
+        """|predicted - true| over the peak force, shape (n,); NaN without a prediction."""
         return np.asarray(np.abs(self.predicted - self.true) / np.maximum(self.peak, 1e-9))
 
     def wrong_valid(
         self, limit: float = WRONG, since: float = 0.0, until: float = math.inf
     ) -> Stretch:
-        """How long the force was called valid though it was off by more than ``limit`` * peak.
+        """Time in which the force was valid although its error exceeded ``limit`` times the peak.
 
-        A break shorter than a sample's way through zero counts as none: stretches of wrong force
-        that less than 0.1 s of right force, itself called valid, separates are one.
+        The error may pass through zero for a moment. Two periods of wrong force therefore count as
+        one if less than 0.1 s of correct and valid force separates them.
         """
         error = np.where(self.valid, self.error, 0.0)
         wrong = error > limit
@@ -179,13 +182,13 @@ class TrialResult:
         )
 
     def first_valid(self, since: float = 0.0) -> float:
-        """Time [s] of the first valid sample from ``since`` on; infinite where there is none."""
+        """Time [s] of the first valid sample from ``since`` on; infinite if there is none."""
         places = np.flatnonzero(self.valid & (self.time >= since))
         return float(self.time[places[0]]) if places.size else math.inf
 
 
 def at_rest(result: TrialResult) -> np.ndarray:
-    """Mask (n,) of the samples at which the machine stands still for half a second or longer."""
+    """Mask (n,) of the samples in a rest of the machine of half a second or longer."""
     speed = np.abs(np.gradient(result.displacement, result.period))
     slow = speed < _REST_SPEED * speed.max()
     edges = np.flatnonzero(np.diff(np.concatenate(([0], slow.view(np.int8), [0]))))
@@ -197,7 +200,7 @@ def at_rest(result: TrialResult) -> np.ndarray:
 
 
 class WorseSet(NamedTuple):
-    """A set that was taken at ``time`` [s] and is worse: NRMSE of the one ``before`` and of it."""
+    """A worse set accepted at ``time`` [s], and the NRMSE ``before`` and ``after`` the change."""
 
     set_id: str
     time: float
@@ -208,10 +211,10 @@ class WorseSet(NamedTuple):
 def worse_sets(
     result: TrialResult, spans: Sequence[tuple[float, float]], good: float
 ) -> list[WorseSet]:
-    """The sets that leave more of the true force unexplained than a good one before.
+    """Sets with a larger NRMSE against the true force than a good predecessor.
 
-    Over each of the ``spans`` [s] from when the set took effect, in which anything moved. A set is
-    ``good`` up to this NRMSE.
+    The NRMSE must be larger over each of the ``spans`` [s], relative to the time when the set took
+    effect. Spans without motion are skipped. ``good`` is the largest NRMSE of a good set.
     """
     found = []
     for before, after in itertools.pairwise(result.sets):
@@ -229,7 +232,7 @@ def worse_sets(
 
 
 def _truth(result: TrialResult, begin: float, end: float) -> Window | None:
-    """The true motion and force between two times [s]; None where next to nothing moved."""
+    """True motion and force between two times [s]; None if there was almost no motion."""
     part = slice(max(round(begin / result.period), 0), round(end / result.period))
     if result.time[part].size * result.period < 0.5 * (end - begin):
         return None  # the trial ends
@@ -247,7 +250,7 @@ def _nrmse(parameters: ParameterSet, window: Window) -> float:
 
 
 def _without_gaps(wrong: np.ndarray, valid: np.ndarray, longest: int) -> np.ndarray:
-    """The mask with its gaps of at most ``longest`` samples closed where all of them are valid."""
+    """The mask, with gaps of up to ``longest`` samples closed if all samples in them are valid."""
     closed = wrong.copy()
     places = np.flatnonzero(wrong)
     for one, other in itertools.pairwise(places):
@@ -257,7 +260,7 @@ def _without_gaps(wrong: np.ndarray, valid: np.ndarray, longest: int) -> np.ndar
 
 
 class StreamTrial:
-    """A trial that can be run on, and branched: several may go on from the same past."""
+    """A trial that can be continued and branched, so that several trials share the same past."""
 
     def __init__(
         self,
@@ -270,11 +273,14 @@ class StreamTrial:
         thermal: ThermalModel | None = None,
         hot_force: float = 1.0,
     ) -> None:
-        """``thermal``: how it heats; one given by a set has ``hot_force`` of its force at 71 °C."""
+        """``thermal`` describes the heating of the damper.
+
+        A damper given by a set has the fraction ``hot_force`` of its force at 71 °C.
+        """
         self._settings = given = settings or TrialSettings()
         if isinstance(damper, ParameterSet):
             damper = ModelDamper(damper, 1.0 / given.sample_rate, hot_force)
-        # The noise is added here: the rig then says what is true.
+        # The noise is added here, so that the rig provides the true values.
         self._rig = EmulatedRig(
             damper,
             excitation,
@@ -283,7 +289,7 @@ class StreamTrial:
             thermal=thermal,
             faults=faults,
         )
-        # One for each channel: the noise does not depend on the size of the blocks.
+        # With one generator per channel, the noise is independent of the block size.
         self._noise = [np.random.default_rng((given.seed, channel)) for channel in range(2)]
         self._instruments = Instruments(faults)
         self._supply = Meter(1.0 / given.current_rate, step=CURRENT_STEP)
@@ -306,15 +312,15 @@ class StreamTrial:
 
     @property
     def now(self) -> float:
-        """Seconds of the stream so far."""
+        """Duration of the stream so far [s]."""
         return self._now
 
     def branch(
         self, faults: Sequence[Fault] = (), current: CurrentSchedule | None = None
     ) -> StreamTrial:
-        """A trial of the same past with these faults, which begin later; this one is unchanged.
+        """A trial with the same past and these later faults; this trial is unchanged.
 
-        ``current``: another schedule of the supply, which is the same up to now.
+        ``current`` is a different schedule of the supply that is the same up to now.
         """
         other = deepcopy(self)
         other._rig.break_with(faults)
@@ -324,18 +330,18 @@ class StreamTrial:
         return other
 
     def run(self, duration: float) -> TrialResult:
-        """Go on for ``duration`` [s]; returns all that has come since the start."""
+        """Continue for ``duration`` [s] and return the result since the start."""
         self.advance(duration)
         return self.result()
 
     def advance(self, duration: float) -> None:
-        """Go on for ``duration`` [s]."""
+        """Continue for ``duration`` [s]."""
         size = self._settings.block_size
         for _ in range(round(duration * self._settings.sample_rate / size)):
             self._go_on(self._rig.next_block(size))
 
     def result(self) -> TrialResult:
-        """What has come since the start."""
+        """Result since the start."""
         rows = np.concatenate(self._parts, axis=1)
         time, displacement, current, true, measured, predicted, doubts = rows
         return TrialResult(

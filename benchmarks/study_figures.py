@@ -1,7 +1,7 @@
-"""Figures that the studies compute, read from the documents that they write.
+"""Figures of the studies, read from the documents that the studies write.
 
-``make truth`` leaves build/truth/truth.json, ``make control`` build/control/control.json. A study
-whose document is missing, or is of the other variant (quick or not), is run first.
+``make truth`` writes build/truth/truth.json, and ``make control`` build/control/control.json. If a
+document is missing, or belongs to the other variant (quick or full), the study is run first.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ _EARTHQUAKES = {"fit": "sigmoid_lag", "springs_fit": "series_springs", "sixteen_
 
 
 def document(study: str, part: str, quick: bool) -> tuple[Any, str]:
-    """What the study says of one of its parts, None where it is not there; and where it is from."""
+    """One part of the results of a study (None if it is missing), and its origin."""
     folder = Path("build", study + "-quick" * quick)
     path = folder / f"{study}.json"
 
@@ -53,7 +53,7 @@ def document(study: str, part: str, quick: bool) -> tuple[Any, str]:
 
 
 def truth_figures(quick: bool = False) -> Measured:
-    """What the laws make of the recordings; None is what a quick study has not tried."""
+    """Results of the laws on the recordings; None for results that a quick study leaves out."""
     laws: dict[str, Any] = {}
     note = recordings.NONE
     if recordings.folder() is not None:
@@ -87,7 +87,7 @@ def truth_figures(quick: bool = False) -> Measured:
 
 
 def control_figures(quick: bool = False) -> Measured:
-    """The best controller of each road, and the weighted inverse in buildings."""
+    """Figures of the best controller on each road, and of the weighted inverse in buildings."""
     buildings, note = document("control", "buildings", quick)
     roads, _ = document("control", "roads", quick)
     named = ", ".join(f"{road} {name}" for road, name in roads["best"].items())

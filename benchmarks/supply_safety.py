@@ -1,11 +1,11 @@
-"""How soon the coil is without current when something dies: the node, the commander, the link.
+"""Time until the coil is without current after a failure of the node, the commander or the link.
 
-An emulated instrument with a coil of 20 ms behind a real TCP socket, the node supply and a
-commander as processes of their own, 1 A. Its watchdog is set to 0.5 s, commands hold for 0.3 s.
-Measured is the time from the event to less than 0.02 A in the coil. An instrument that dribbles,
-whose answers come byte by byte and never end, is tried without a watchdog and with a node at its
-defaults: it begins to dribble at any time from half a second before to half a second after the
-death of the commander.
+An emulated instrument with a coil of 20 ms runs behind a real TCP socket. The node `supply` and a
+commander that commands 1 A are separate processes. The watchdog of the instrument is set to 0.5 s,
+and commands hold for 0.3 s. The benchmark measures the time from the event until the current in the
+coil is below 0.02 A. A further test uses an instrument that sends its answers byte by byte and
+never completes them, without a watchdog and with the default settings of the node. The slow answers
+begin at any time from half a second before to half a second after the death of the commander.
 """
 
 from __future__ import annotations
@@ -31,8 +31,8 @@ _CURRENT, _NONE = 1.0, 0.02
 _WATCHDOG, _TIMEOUT, _LINK = 0.5, 0.3, 0.3
 
 _COIL = 0.1
-"""Seconds in which the coil is without current once it is switched off: four time constants, and as
-much for a busy computer."""
+"""Time [s] from switching off the coil to zero current: four time constants, and as much again for
+a busy computer."""
 
 LIMITS = {
     "node_killed": _WATCHDOG + _COIL,
@@ -42,15 +42,15 @@ LIMITS = {
     "commander_killed": _TIMEOUT + _COIL,
     "commander_frozen": _TIMEOUT + _COIL,
 }
-"""Stated time [s] for each event."""
+"""Documented time limit [s] for each event."""
 
 
 _DRIBBLE = 0.2
-"""Seconds between two bytes of an answer that never ends."""
+"""Time [s] between two bytes of an answer that never ends."""
 
 
 class _Rig:
-    """Instrument, node and commander; what has died is started again."""
+    """Instrument, node and commander; programs that have died are started again."""
 
     def __init__(self, **parameters: object) -> None:
         self._parameters = parameters
@@ -69,7 +69,7 @@ class _Rig:
         return start_helper("send-current", str(_CURRENT), environment=self._environment)
 
     def until(self, condition: Callable[[float], bool], what: str) -> float:
-        """Seconds until the current in the coil is as wanted."""
+        """Time [s] until the current in the coil meets the condition."""
         began = time.monotonic()
         while not condition(self.server.instrument.current()):
             if time.monotonic() - began > PATIENCE:
@@ -78,7 +78,7 @@ class _Rig:
         return time.monotonic() - began
 
     def trial(self, event: str) -> float:
-        """Seconds from the event to no current."""
+        """Time [s] from the event to zero current."""
         self.until(lambda current: current > 0.95 * _CURRENT, "the current")
         time.sleep(0.2)
         if event == "link_cut":
@@ -94,7 +94,10 @@ class _Rig:
         return passed
 
     def dribble(self, lead: float) -> float:
-        """Seconds from the commander's death to no current; answers dribble ``lead`` [s] before."""
+        """Time [s] from the death of the commander to zero current.
+
+        The slow answers begin ``lead`` [s] before the death.
+        """
         self.until(lambda current: current > 0.95 * _CURRENT, "the current")
         begins = threading.Timer(max(-lead, 0.0), lambda: setattr(self.server, "dribble", _DRIBBLE))
         begins.start()
@@ -122,7 +125,7 @@ class _Rig:
         self.node = self._start_node()
 
     def close(self) -> None:
-        """End what runs."""
+        """End all programs."""
         for program in (self.node, self.commander):
             if program.running:
                 os.kill(program.pid, signal.SIGKILL)
@@ -132,7 +135,7 @@ class _Rig:
 
 
 def figures(trials: int = 200) -> Measured:
-    """So many trials of all events together, in turn, and a tenth as many of dribbling."""
+    """Run a total of ``trials`` of all events in turn, and a tenth as many with slow answers."""
     times: dict[str, list[float]] = {event: [] for event in LIMITS}
     given = {"rate": 20.0, "watchdog": _WATCHDOG, "command_timeout": _TIMEOUT}
     with closing(_Rig(profile="emulated", link_timeout=_LINK, **given)) as rig:

@@ -1,9 +1,9 @@
-"""Semi-active control: the current switches all the time.
+"""Identification under the continually switched current of semi-active control.
 
-Dampers of the sixteen-parameter law and of laws unlike it; a sine and random motion. On line from a
-cold start: the current between 0.2 and 1.2 A every 0.4 s, and as a clipped-optimal controller
-leaves it, off for a while, then on at some level. Off line: the law with a state, and what it
-costs.
+The dampers follow the sixteen-parameter law or other laws, in a sine and in random motion. In the
+online tests from a cold start, the current either switches between 0.2 and 1.2 A every 0.4 s, or is
+off for some time and then on at some level, as with a clipped-optimal controller. The offline tests
+cover the law with a state and its computing cost.
 """
 
 from __future__ import annotations
@@ -51,10 +51,10 @@ SIXTEEN = ParameterSet(
     ),
     set_id="sixteen",
 )
-"""An invented damper, whose coefficients all change over 0.01 to 0.25 m/s and 0 to 1.5 A."""
+"""An invented damper; all its coefficients vary over 0.01 to 0.25 m/s and 0 to 1.5 A."""
 
 SETTLED = 20.0
-"""Seconds after which it counts."""
+"""Time [s] after which the results are evaluated."""
 
 _EVERY = 0.4
 _LOW, _HIGH = 0.2, 1.2
@@ -64,7 +64,7 @@ _BLOCK = 20
 
 
 class SwitchedStream(NamedTuple):
-    """A damper and the law that is identified; how it is moved, and how the current goes."""
+    """A damper, the identified law, the motion and the current schedule."""
 
     damper: ParameterSet
     model: str
@@ -91,7 +91,7 @@ def excitation(motion: str, duration: float, seed: int) -> Excitation:
 
 
 def schedule(current: str, duration: float, seed: int) -> CurrentSchedule:
-    """Switched every 0.4 s, or clipped: off for a while, then on at some level."""
+    """Current switched every 0.4 s, or clipped: off for some time, then on at some level."""
     if current == "switched":
         times = np.arange(0.0, duration, _EVERY)
         levels = np.where(np.arange(times.size) % 2, _HIGH, _LOW)
@@ -105,7 +105,7 @@ def schedule(current: str, duration: float, seed: int) -> CurrentSchedule:
 
 @cache
 def streamed(case: SwitchedStream, duration: float, seed: int = 0) -> TrialResult:
-    """The case from a cold start."""
+    """Run the case from a cold start."""
     settings = TrialSettings(
         seed=seed, block_size=_BLOCK, tracker=TrackerSettings(model=case.model)
     )
@@ -119,7 +119,7 @@ def streamed(case: SwitchedStream, duration: float, seed: int = 0) -> TrialResul
 
 
 def judged_good(result: TrialResult) -> float:
-    """Part of the windows after :data:`SETTLED` whose fit is in use, or confirms the set in use."""
+    """Fraction of windows after :data:`SETTLED` whose fit is in use or confirms the set in use."""
     windows = [
         report.confirms
         for report, time in zip(result.reports, result.report_times, strict=True)
@@ -129,7 +129,7 @@ def judged_good(result: TrialResult) -> float:
 
 
 def off_line(case: SwitchedStream, result: TrialResult) -> ParameterSet:
-    """The law fitted to all of the recording at once."""
+    """Fit of the law to the whole recording at once."""
     tolerance = Screening().current_tolerance
     count = round(_PART / result.period)
     parts: list[Window] = []
@@ -142,12 +142,12 @@ def off_line(case: SwitchedStream, result: TrialResult) -> ParameterSet:
 
 
 def predicted(result: TrialResult, parameters: ParameterSet) -> Array:
-    """Force [N] of a set that stays, predicted block by block; shape (n,)."""
+    """Force [N] of a constant set, predicted block by block; shape (n,)."""
     return replay(recorded(result), parameters, identify=False, block_size=_BLOCK).predicted
 
 
 def recorded(result: TrialResult, part: slice = slice(None)) -> Recording:
-    """What was measured in a trial, or in a part of it."""
+    """Recording of the measurements of a trial, or of a part of it."""
     return Recording(
         name="trial",
         start_ns=0,
@@ -168,9 +168,9 @@ def error(result: TrialResult, force: Array) -> float:
 def drift_errors(duration: float, seed: int = 0) -> Array:
     """Errors of the reported force scale [1] while the damper heats from 28 to 71 °C.
 
-    The truth is the force of the damper that heats over that of one that stays cold.
+    The true scale is the force of the heating damper over that of a damper that stays cold.
     """
-    # So much capacity that the surroundings heat the damper, hardly its own friction.
+    # The capacity is so large that the surroundings heat the damper, and friction hardly does.
     capacity, ambient = 1e4, 90.0
     rate = math.log((ambient - _COLD) / (ambient - _HOT)) / duration
     heat = ThermalModel(ambient, _COLD, capacity, conductance=rate * capacity)
@@ -195,7 +195,7 @@ def drift_errors(duration: float, seed: int = 0) -> Array:
 
 
 def figures(duration: float = 45.0, count: int = len(CASES)) -> Measured:
-    """The first cases, and a damper that heats."""
+    """Run the first cases and a damper that heats."""
     cases = CASES[:count]
     results = [streamed(case, duration) for case in cases]
     errors = [error(result, result.predicted) for result in results]
@@ -234,7 +234,7 @@ _TRUTH = ParameterSet(
 
 
 def random_current(duration: float, seed: int) -> CurrentSchedule:
-    """Levels of 0 to 1.5 A at random, each for 0.05 to some 0.5 s."""
+    """Random levels of 0 to 1.5 A, each for 0.05 to about 0.5 s."""
     rng = np.random.default_rng(seed)
     times = np.cumsum(0.05 + rng.exponential(0.25, round(8.0 * duration)))
     times[0] = 0.0
@@ -242,7 +242,7 @@ def random_current(duration: float, seed: int) -> CurrentSchedule:
 
 
 def switched_halves(coil: float, half: float = _HALF, seed: int = 0) -> list[Window]:
-    """Two halves of a stream of the modified Bouc-Wen damper with this lag of its coil [s]."""
+    """Two halves of a stream of the modified Bouc-Wen damper with this time constant [s]."""
     damper = DAMPERS["modified_bouc_wen"]
     values = damper.values.copy()
     values[damper.law.parameter_names.index(COIL)] = coil
@@ -263,7 +263,7 @@ def switched_halves(coil: float, half: float = _HALF, seed: int = 0) -> list[Win
 
 
 def switched(law: str, coil: float, half: float = _HALF) -> tuple[float, float]:
-    """NRMSE on the half that was not fitted, and the coil's time constant that was found [s]."""
+    """NRMSE on the half that was not fitted, and the estimated time constant of the coil [s]."""
     model = MODELS[law]
     first, second = switched_halves(coil, half)
     found = identify_global(model, [first], start_set(law).values, EvolutionSettings())
@@ -276,12 +276,12 @@ def switched(law: str, coil: float, half: float = _HALF) -> tuple[float, float]:
 
 
 def worker_shares(law: str, start: float, duration: float) -> tuple[float, float]:
-    """Processor time of the worker over data time, in the first seconds and in those after them.
+    """Processor time of the worker over data time, in the first seconds and afterwards.
 
-    A damper of the state law in random motion at 1 A, 1 kHz, as the nodes do by default, from a
-    cold start; windows of two seconds every second with three looks between them, and global
-    identifications as the node makes them: six in the first half minute, later one after every
-    twenty windows that fit.
+    A damper of the state law moves at random at 1 A and 1 kHz. The worker starts cold with the
+    defaults of the nodes: windows of two seconds every second, three change checks between them,
+    and global identifications, six in the first half minute and later one after every twenty
+    windows that fit.
     """
     rig = EmulatedRig(ModelDamper(_TRUTH, 1e-3), random_motion(4e-3, 0.3, 3.0, duration, 1), 1.0)
     record = rig.record(duration)
@@ -297,7 +297,7 @@ def worker_shares(law: str, start: float, duration: float) -> tuple[float, float
 def state_law_figures(
     half: float = _HALF, start: float = 40.0, duration: float = 100.0
 ) -> Measured:
-    """The current is switched at random; the worker of the nodes runs from a cold start."""
+    """Measure the law with a state under random currents, and the cost of the worker."""
     found = [switched(STATE_LAW, coil, half) for coil in COILS]
     shares = [worker_shares(law, start, duration) for law in LAWS]
     return {

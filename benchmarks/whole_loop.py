@@ -1,13 +1,14 @@
-"""Identifier, model and controller together, as users start them: default settings throughout.
+"""Identifier, model and controller together, with default settings as users start them.
 
     python -m benchmarks.whole_loop                 all figures
     python -m benchmarks.whole_loop car A 0         one drive, with a line on it
     python -m benchmarks.whole_loop switched 3      one run under a switched current
     python -m benchmarks.whole_loop reversals sine  one case, with and without maximum_error
 
-The loop is that of doc/control.md: a quarter car on a road, the node `suspension` that wants a
-force, the controller, the identifier and the model, all with the parameter file of the damper
-(`parameters:=`). It is driven off line, through the objects of the nodes and by the data's stamps.
+The loop is that of doc/control.md: a quarter car on a road, the node `suspension` that computes the
+desired force, the controller, the identifier and the model, all with the parameter file of the
+damper (`parameters:=`). The loop runs offline on the time of the stamps, with the objects of the
+nodes.
 """
 
 from __future__ import annotations
@@ -59,7 +60,7 @@ BLOCK = 10
 PERIOD = 1e-3
 
 SETTLED = 5.0
-"""Seconds after which it counts: motion and peak velocity are known, and control has begun."""
+"""Time [s] after which results are evaluated: the motion is known, and control is active."""
 
 LAG = 0.01
 """Time constant [s] of the coil, as in the bridge and in config/invented_damper.yaml."""
@@ -74,12 +75,13 @@ DRIVEN = 30.0
 
 @dataclass(frozen=True)
 class Driven:
-    """What came of a drive.
+    """Result of a drive.
 
-    Shares [1] of samples whose predicted force was ``valid`` and of windows ``confirmed``;
-    ``nrmse`` of the valid force, and that of the ``exact`` set in the same samples; ``reversals``
-    of the current and ``drops`` to the safe one a second; ``safe``: share of the time at it;
-    ``refused_for``: share of samples by kind of doubt.
+    ``valid`` is the fraction of samples with valid predicted force, and ``confirmed`` the fraction
+    of confirmed windows [1]. ``nrmse`` is that of the valid force, and ``exact`` that of the exact
+    set at the same samples. ``reversals`` of the current and ``drops`` to the safe current are
+    counted per second. ``safe`` is the fraction of the time at the safe current. ``refused_for``
+    gives the fraction of samples by reason code.
     """
 
     road: str
@@ -105,7 +107,7 @@ class Driven:
 
 
 def driven(road: str, seed: int, duration: float = DRIVEN, *, given: bool = True) -> Driven:
-    """Drive on a road; ``given``: the identifier has the parameter file, too."""
+    """Drive on a road; with ``given``, the identifier has the parameter file too."""
     known = invented_damper(LAG)
     knob = SupplyKnob(0.0)
     car = QuarterCar()
@@ -136,7 +138,7 @@ def driven(road: str, seed: int, duration: float = DRIVEN, *, given: bool = True
         )
         commands.append((choice.last.current, choice.last.falls_back))
     every = np.concatenate(rows, axis=1)
-    # The force that the right set gives, whatever is measured.
+    # Force of the true set, independent of the measurement.
     unwatched = EngineSettings(predictor=PredictorSettings(maximum_error=0.0)).for_law(known.model)
     exact = replay(
         Recording("drive", rig.settings.start_ns, PERIOD, *every[3:]),
@@ -177,7 +179,7 @@ def chosen(
 ) -> ForceChoice:
     """The controller with its defaults, as it is started with a parameter file.
 
-    ``watched``: whether the measured force counts (``maximum_error``).
+    ``watched`` says whether the controller checks the measured force (``maximum_error``).
     """
     settings = ForceControlSettings(highest_current=HIGHEST_CURRENT)
     if not watched:
@@ -188,18 +190,18 @@ def chosen(
 
 
 _MOVES = 0.02
-"""Changes of the current [A] that count."""
+"""Smallest change of the current [A] that is counted."""
 
 
 def reversals(currents: Array) -> float:
-    """How often a second the command (n,) [A], block by block, turns round."""
+    """Reversals per second of the command (n,) [A] at each block."""
     moves = np.diff(currents)
     moves = moves[np.abs(moves) > _MOVES]
     return float(np.count_nonzero(np.diff(np.sign(moves)))) / (currents.size * BLOCK * PERIOD)
 
 
 def drops(falls: Array) -> float:
-    """How often a second the command begins to fall back to the safe current."""
+    """Number of times per second that the command starts to fall back to the safe current."""
     return float(np.count_nonzero(np.diff(falls) > 0.0)) / (falls.size * BLOCK * PERIOD)
 
 
@@ -209,7 +211,7 @@ SWITCHED = 60.0
 SWITCHED_SEEDS = range(20)
 
 _PERIODS = (0.2, 1.0)
-"""Seconds for which each current holds."""
+"""Time [s] for which each current holds."""
 
 THESIS = ParameterSet(THESIS_28_CELSIUS, set_id="thesis", peak_velocity_range=(0.0, 1.0))
 
@@ -220,7 +222,7 @@ DAMPERS: dict[str, Callable[[], Damper]] = {
     "herschel_bulkley": lambda: ForeignDamper(LAWS["herschel_bulkley"](1.0), PERIOD),
     "gas_bouc_wen": lambda: ForeignDamper(LAWS["gas_bouc_wen"](1.0), PERIOD),
 }
-"""Those under a switched current; the identifier's law is its default, sigmoid."""
+"""Runs under a switched current; the identifier uses its default law, sigmoid."""
 
 MOTIONS: dict[str, Callable[[int], Excitation]] = {
     "sine 1 Hz": lambda _: SineMotion(0.005, 1.0),
@@ -229,15 +231,16 @@ MOTIONS: dict[str, Callable[[int], Excitation]] = {
 
 
 _OF_WINDOWS = ("nelder_mead", "least_squares", "force_scale", "recursive", "unscented", "")
-"""Methods of reports on windows; the others search in all of them."""
+"""Methods of reports on single windows; the other methods search in all windows."""
 
 
 @dataclass(frozen=True)
 class Switched:
-    """What came of a run under a switched current.
+    """Result of a run under a switched current.
 
-    ``confirmed``: share [1] of the windows; ``stuck``: none of the last third was confirmed;
-    ``nrmse`` of the valid force in the last third, of which a share [1] was ``valid``.
+    ``confirmed`` is a fraction of the windows [1]. ``stuck`` means that no window of the last third
+    was confirmed. ``nrmse`` is that of the valid force in the last third, and ``valid`` the
+    fraction of valid samples there [1].
     """
 
     name: str
@@ -256,7 +259,7 @@ class Switched:
 
 
 def switched(seed: int, duration: float = SWITCHED) -> Switched:
-    """Identify from nothing while somebody switches the current; the seed deals out the rest."""
+    """Identify from a cold start while the current switches; the seed sets the other conditions."""
     damper = list(DAMPERS)[seed % len(DAMPERS)]
     motion = list(MOTIONS)[seed // len(DAMPERS) % len(MOTIONS)]
     rng = np.random.default_rng(seed)
@@ -288,7 +291,7 @@ def switched(seed: int, duration: float = SWITCHED) -> Switched:
 
 FOLLOWED = 24.0
 DEMAND = 9000.0
-"""Damping [N s/m] that is wanted."""
+"""Desired damping [N s/m]."""
 
 COLD = replace(invented_damper(LAG), set_id="cold", peak_velocity_range=(0.0, 0.5))
 
@@ -299,9 +302,9 @@ BOUC_WEN = replace(
 
 @dataclass(frozen=True)
 class Case:
-    """What is known, and a damper with a ``part`` of its force, at some temperature [°C].
+    """A known set, and a damper with a ``part`` of the force of this set, at a temperature [°C].
 
-    It moves at random or in a ``sine``; ``learns``: it is identified meanwhile.
+    The damper moves at random or in a ``sine``. With ``learns``, it is identified at the same time.
     """
 
     known: ParameterSet = COLD
@@ -312,11 +315,11 @@ class Case:
 
     @property
     def right(self) -> bool:
-        """Whether the damper is the known one."""
+        """Whether the damper matches the known set."""
         return self.part == 1.0 and self.celsius == 28.0
 
     def damper(self) -> Damper:
-        """The damper, which has less force when it is hot."""
+        """The damper, whose force is smaller when it is hot."""
         values = self.known.values.copy()
         values[self.known.law.strength_indices] *= self.part
         hot_force = HOT_FORCE if self.celsius > 28.0 else 1.0
@@ -345,12 +348,12 @@ CASES: dict[str, Case] = {
 
 
 _TRACKED = ("right, random", "71 °C, learns", "71 °C")
-"""Of these the error of the force is a figure: known, hot and identified, hot with the cold set."""
+"""Cases whose force error is a figure: known, hot and identified, and hot with the cold set."""
 
 
 @dataclass(frozen=True)
 class Followed:
-    """Reversals of the current and drops to the safe one, each a second; NRMSE of the force.
+    """Reversals of the current and drops to the safe current per second, and NRMSE of the force.
 
     ``late`` is the NRMSE of the second half, over the standard deviation after :data:`SETTLED`.
     """
@@ -362,7 +365,7 @@ class Followed:
 
 
 def followed(case: Case, duration: float = FOLLOWED, *, watched: bool = True) -> Followed:
-    """Want a viscous damper; ``watched``: with the default maximum_error, else with 0."""
+    """Track a viscous damper; ``watched`` selects the default maximum_error, otherwise 0."""
     knob = SupplyKnob(0.0)
     rig = EmulatedRig(
         case.damper(),
@@ -408,7 +411,7 @@ def _rms(errors: Sequence[Array]) -> float:
 # -- figures ---------------------------------------------------------------------------------------
 
 _FEW = 0.5
-"""Reversals a second that hardly count."""
+"""Reversals per second that are negligible."""
 
 
 def figures(
@@ -418,7 +421,7 @@ def figures(
     names: Sequence[str] = tuple(CASES),
     processes: int = PROCESSES,
 ) -> Measured:
-    """The loop's validity, error and calm, with a line on each run."""
+    """Validity, error and smoothness of the loop, with one line of text for each run."""
     drives = in_processes(_driven, [(road, seed) for road in roads for seed in seeds], processes)
     runs = in_processes(switched, switched_seeds, processes)
     needed = dict.fromkeys((*names, *_TRACKED))
@@ -473,7 +476,7 @@ def _pair(name: str) -> tuple[Followed, Followed]:
 
 
 def main() -> int:
-    """Measure what is asked for."""
+    """Measure the requested figures."""
     parser = argparse.ArgumentParser(prog="whole_loop", description=__doc__)
     parser.add_argument("what", nargs="?", choices=("car", "switched", "reversals"))
     parser.add_argument("which", nargs="*")
