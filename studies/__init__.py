@@ -1,5 +1,5 @@
-"""Studies that end in a report: the thesis reproduced, controllers, force laws.
+"""Studies that produce a report: reproduction of the thesis, controllers, force laws.
 
-``python -m studies thesis|control|truth`` writes a report, ``python -m studies bags`` the thesis'
-runs as bags. Nothing that is installed imports this package.
+``python -m studies thesis|control|truth`` writes a report, and ``python -m studies bags`` writes
+the runs of the thesis as bags. No installed module imports this package.
 """

@@ -1,4 +1,4 @@
-"""``python -m studies NAME ...`` runs the study of this name; ``--help`` says what it takes."""
+"""``python -m studies NAME ...`` runs the study of this name; ``--help`` lists its options."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ STUDIES = {
 
 
 def main(arguments: list[str]) -> int:
-    """Run the study that the first argument names; returns its exit code."""
+    """Run the study named by the first argument; returns its exit code."""
     name = arguments[0] if arguments else ""
     if name not in STUDIES:
         print(f"studies: the studies are {', '.join(STUDIES)}", file=sys.stderr)

@@ -1,4 +1,4 @@
-"""How the studies draw and tabulate: line styles by number, labels of panels, heads of tables."""
+"""Shared drawing and tables of the studies: line styles, labels of panels, heads of tables."""
 
 from __future__ import annotations
 
@@ -8,13 +8,13 @@ from mr_damper_ros.report.document import DASHES, INK, MARKS
 
 
 def line(number: int, *, marked: bool = False) -> dict[str, Any]:
-    """Style of the so-manieth line of a figure; ``marked``: with a symbol at each point."""
+    """Style of the line with a given number; ``marked`` adds a symbol at each point."""
     style = {"linestyle": DASHES[number], "color": INK[number]}
     return {**style, "marker": MARKS[number]} if marked else style
 
 
 def name_axes(axes: Any, across: str, up: str) -> None:
-    """Name the quantities of panels (r, c): below the last row, and left of the first column."""
+    """Label the quantities of panels (r, c) below the last row and left of the first column."""
     for axis in axes[-1]:
         axis.set_xlabel(across)
     for axis in axes[:, 0]:
@@ -22,5 +22,5 @@ def name_axes(axes: Any, across: str, up: str) -> None:
 
 
 def heads(text: str) -> tuple[str, ...]:
-    """Heads of the columns of a table, between bars."""
+    """Headers of the columns of a table, between bars."""
     return tuple(head.strip() for head in text.split("|"))

@@ -1,4 +1,4 @@
-"""Earthquake records, predicted block by block by what the nodes are made of, in data time."""
+"""Prediction of earthquake records, block by block in data time, with the core of the nodes."""
 
 from __future__ import annotations
 
@@ -18,22 +18,22 @@ from mr_damper_ros.signals.recording import Recording
 from studies import recordings
 
 CURRENTS = (0.2, 0.6, 1.0)
-"""[A], of the columns of force in earthquake.mat."""
+"""Currents [A] of the force columns in earthquake.mat."""
 
 _PERIOD = 1e-3
 _SMOOTHED = 300
-"""Samples over which the makers of the records averaged them."""
+"""Length of the moving average that the authors of the records applied [samples]."""
 
 _BLOCK = 20
 _MOVING = 1e-4
-"""The motion has begun once it has gone so far [m] from where it began."""
+"""Distance from the initial position [m] at which the motion has begun."""
 
 _LEFT_OUT = 5.0
-"""Seconds of motion that do not count."""
+"""Time [s] of motion that is not evaluated."""
 
 
 def records(utfsm: Path, moving_average: int | None = None) -> list[Recording]:
-    """The three records, as delivered, or with a moving average over so many samples undone."""
+    """The three records as delivered, or with a moving average of a given length undone."""
     return [
         read_record(
             utfsm / "earthquake.mat",
@@ -47,7 +47,7 @@ def records(utfsm: Path, moving_average: int | None = None) -> list[Recording]:
 
 
 def unsmoothed_records(utfsm: Path) -> list[Recording]:
-    """The three records as they were before their makers averaged them."""
+    """The three records with the moving average of their authors undone."""
     return records(utfsm, _SMOOTHED)
 
 

@@ -1,4 +1,4 @@
-"""What the studies share: their options, their progress, and the page at the end."""
+"""Shared parts of the studies: options, progress and the final page."""
 
 from __future__ import annotations
 
@@ -25,9 +25,9 @@ Say = Callable[[str], None]
 
 @dataclass(frozen=True)
 class Study:
-    """A study: ``build`` computes the parts that the options name and returns the report's page.
+    """A study whose ``build`` computes the selected parts and returns the page of the report.
 
-    ``quick`` says what the short variant leaves out; ``add_options`` declares further options.
+    ``quick`` describes what the short variant leaves out. ``add_options`` declares further options.
     """
 
     name: str
@@ -79,7 +79,7 @@ class Study:
 
 @dataclass(frozen=True)
 class Part:
-    """What a part of a report makes: chapters, a sentence for each, figures for the document."""
+    """Results of a part of a report: chapters, a sentence for each, and figures in the document."""
 
     chapters: Sequence[Chapter]
     headlines: Sequence[str]
@@ -87,7 +87,8 @@ class Part:
 
 
 Make = Callable[[ProcessPool, bool, Say], Part]
-"""A part from the processes, whether the quick variant is wanted, and what is told of progress."""
+"""Function that computes a part from the processes, the choice of the quick variant, and a function
+that reports progress."""
 
 
 def write_parts(
@@ -98,7 +99,7 @@ def write_parts(
     notice: str,
     makes: Mapping[str, Make],
 ) -> Path:
-    """Make the parts that the options name; write ``report.html`` and ``<name>.json``.
+    """Compute the selected parts and write ``report.html`` and ``<name>.json``.
 
     Returns the page.
     """
@@ -124,7 +125,7 @@ def write_parts(
 
 
 def _say(text: str) -> None:
-    """Progress: one line on a terminal, lines elsewhere."""
+    """Progress display: a single updated line on a terminal, separate lines elsewhere."""
     sys.stderr.write(f"\r{text}\033[K" if sys.stderr.isatty() else f"{text}\n")
     sys.stderr.flush()
 

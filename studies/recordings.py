@@ -1,4 +1,4 @@
-"""Real recordings, where the environment variable MR_DAMPER_DATA says that there are any."""
+"""Real recordings, if the environment variable MR_DAMPER_DATA gives their folder."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ def window_of(recording: Recording) -> Window:
 
 
 def folder() -> Path | None:
-    """Folder ``utfsm`` of the recordings, or None."""
+    """Folder ``utfsm`` of the recordings, or None if it does not exist."""
     place = os.environ.get("MR_DAMPER_DATA", "")
     path = Path(place) / "utfsm"
     return path if place and path.is_dir() else None
@@ -32,7 +32,7 @@ def folder() -> Path | None:
 def processed_records(utfsm: Path) -> list[Recording]:
     """The sinusoid records in ``processed``, whole, ramps included.
 
-    Amplitude, frequency and current are in the name. Raises ValueError for one that tells none.
+    The file name contains amplitude, frequency and current. Raises ValueError for other names.
     """
     return [processed(path)[1] for path in sorted((utfsm / "processed").glob("*.txt"))]
 
@@ -47,7 +47,7 @@ def processed_motions(utfsm: Path) -> dict[str, list[Window]]:
 
 
 def processed_windows(utfsm: Path) -> list[Window]:
-    """All of them."""
+    """All processed sinusoid records."""
     return [window for windows in processed_motions(utfsm).values() for window in windows]
 
 

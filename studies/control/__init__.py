@@ -1,1 +1,1 @@
-"""Controllers of the damper side by side on emulated plants (``python -m studies control``)."""
+"""Comparison of controllers of the damper on emulated plants (``python -m studies control``)."""

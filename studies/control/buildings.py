@@ -1,7 +1,7 @@
-"""The buildings of the benchmark in earthquakes: what each controller makes of them.
+"""Performance of each controller in the buildings of the benchmark under earthquakes.
 
-As the benchmark's authors have it, the dampers lie between ground and first floor, four of them
-side by side, and an estimator reads the absolute accelerations of the floors.
+As in the benchmark, four parallel dampers lie between ground and first floor, and an estimator
+reads the absolute accelerations of the floors.
 """
 
 from __future__ import annotations
@@ -45,13 +45,13 @@ from studies.control.shear_building import BUILDINGS, STOREYS, ShearBuilding, St
 from studies.drawing import heads
 
 DAMPERS = 4
-"""Side by side: the authors' model multiplies the force of the damper by four."""
+"""Number of parallel dampers: the authors' model multiplies the force of the damper by four."""
 
 SCALE = 0.5
-"""Of the full ground motion: what the authors simulate."""
+"""Fraction of the full ground motion that the authors simulate."""
 
 HIGHEST_CURRENT = 1.0
-"""[A] of passive-on and of every controller: the highest of the recordings."""
+"""Largest current [A] of passive-on and of every controller: the highest of the recordings."""
 
 UNCONTROLLED = "uncontrolled"
 OFF, ON = "passive-off", "passive-on"
@@ -67,20 +67,20 @@ EARTHQUAKES: dict[str, Callable[[], GroundMotion]] = {
     "rehearsal (invented)": REHEARSAL.motion,
 }
 JUDGED = tuple(EARTHQUAKES)[:3]
-"""The last one is what weights are tried on."""
+"""Ground motions of the evaluation; the remaining one serves to select weights."""
 
 _AUTHORS_WEIGHT, _AUTHORS_EFFORT = 1e13, 1.0
-"""Of the roof's displacement and of the force."""
+"""Weights of the roof displacement and of the force."""
 
 _DISTURBANCE, _NOISE = 0.1, 5e-4
-"""Of the authors' Kalman filter."""
+"""Settings of the authors' Kalman filter."""
 
 _BLOCK = 5
 _DEADBAND = 60.0
-"""[N] of a damper: the current stays for less."""
+"""Force threshold of a damper [N]: smaller differences leave the current unchanged."""
 
 REVERSAL = 0.05
-"""A current that goes back by less [A] has not turned."""
+"""Smallest change back [A] that counts as a reversal of the current."""
 
 
 @dataclass(frozen=True)
@@ -93,14 +93,14 @@ class OutputWeights:
 
 
 CHOSEN = OutputWeights(displacement=1e13, acceleration=1e5, force=0.01)
-"""Of :data:`WEIGHTED`: the best of five tried on the rehearsal in building I."""
+"""Weights of :data:`WEIGHTED`: the best of five candidates on the rehearsal in building I."""
 
 
 @dataclass(frozen=True)
 class BuildingRun:
-    """A controller in a building and an earthquake, with coils that lag by so many seconds.
+    """A controller in a building under an earthquake, with the time constant of the coils [s].
 
-    No more than the ``longest`` seconds of the earthquake are simulated.
+    At most the first ``longest`` seconds of the earthquake are simulated.
     """
 
     strategy: str
@@ -130,7 +130,7 @@ class BuildingResult:
 
 
 def simulate(task: BuildingRun) -> BuildingResult:
-    """Shake the building."""
+    """Simulate the building."""
     building, ground = BUILDINGS[task.building], _ground(task.earthquake)
     start = HIGHEST_CURRENT if task.strategy == ON else 0.0
     knob = SupplyKnob(start)
@@ -172,7 +172,7 @@ def simulate(task: BuildingRun) -> BuildingResult:
 
 
 def reversals(current: Array, least: float = REVERSAL) -> int:
-    """How often a current (n,) [A] turns, where it goes back by more than ``least``."""
+    """Number of reversals of a current (n,) [A] by more than ``least``."""
     turns, sense = 0, 0
     low = high = float(current[0])
     for value in current.tolist():
@@ -192,12 +192,12 @@ def _ground(name: str) -> GroundMotion:
 
 
 def _absolute(building: ShearBuilding, states: Array, force: Array) -> Array:
-    """Absolute accelerations (n, floors) [m/s²]: what accelerometers read."""
+    """Absolute accelerations (n, floors) [m/s²], as read by accelerometers."""
     return states @ building.dynamics[STOREYS:].T + np.outer(force, building.by_force[STOREYS:])
 
 
 def _choice(task: BuildingRun, rig: PlantRig, building: ShearBuilding) -> tuple[Choice, int]:
-    """How the current is chosen, and after how many samples."""
+    """Function that chooses the current, and the number of samples between its calls."""
     if task.strategy in (UNCONTROLLED, OFF):
         return lambda _: 0.0, _BLOCK
     if task.strategy == ON:
@@ -218,10 +218,10 @@ def _choice(task: BuildingRun, rig: PlantRig, building: ShearBuilding) -> tuple[
         return switch, 1
     settings = ForceControlSettings(
         highest_current=HIGHEST_CURRENT,
-        # Stiff where the motion is not known, as passive-on is.
+        # While the motion is unknown, the damper is stiff, as with passive-on.
         fallback=FallbackSettings(safe_current=HIGHEST_CURRENT),
         force_deadband=_DEADBAND,
-        # The emulated damper is the set itself, at any speed.
+        # The emulated damper follows the set at any speed.
         predictor=PredictorSettings(velocity_margin=100.0),
     )
     controller = ForceController(settings)
@@ -230,7 +230,7 @@ def _choice(task: BuildingRun, rig: PlantRig, building: ShearBuilding) -> tuple[
 
 
 class _Observed:
-    """The wanted force [N] of all dampers, from accelerations and measured force."""
+    """Desired force [N] of all dampers, from accelerations and measured force."""
 
     def __init__(self, rig: PlantRig, building: ShearBuilding, weights: OutputWeights) -> None:
         plant = building.plant
@@ -254,7 +254,7 @@ class _Observed:
         self._rig, self._building = rig, building
 
     def __call__(self, measured: RigBlock) -> float:
-        """The wanted force [N] after a block."""
+        """Desired force [N] after a block."""
         assert self._rig.motion is not None
         motion = self._rig.motion
         read = _absolute(self._building, motion.states, DAMPERS * motion.force)
@@ -289,14 +289,14 @@ LAG = 0.01
 CASES = tuple((building, earthquake) for building in BUILDINGS for earthquake in JUDGED)
 
 _RECREATED = {OFF: (66.5, 67.1), ON: (29.2, 51.7), BANG_BANG: (29.9, 47.9)}
-"""Percent of displacement and acceleration that others re-created: building I, El Centro, without
-a lag of the coil, with the authors' own set of the damper."""
+"""Displacement and acceleration [%] that other authors reproduced: building I, El Centro, without
+coil lag, with the benchmark authors' set of the damper."""
 
 _SHOWN = ("I", "El Centro 1940")
 
 
 def tasks(longest: float) -> list[BuildingRun]:
-    """All that the chapter shows, of so many seconds of each earthquake at most."""
+    """Results of the chapter, for a limited duration of each earthquake."""
     every = [
         BuildingRun(strategy, building, earthquake, LAG, longest=longest)
         for building, earthquake in CASES

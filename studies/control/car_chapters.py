@@ -54,11 +54,11 @@ class Drives:
 _TRADE_OFF_ROAD = "C"
 
 _MOST_SHOWN = 200.0
-"""Percent of passive-off, of the bars by road."""
+"""Bars by road, in percent of passive-off."""
 
 
 def best_on(drives: Drives, road: str) -> str:
-    """The controller of least comfort plus holding, each against passive-off."""
+    """The controller with the smallest sum of comfort and holding, each relative to passive-off."""
     off = drives.of(OFF, road, LAG)
 
     def cost(strategy: str) -> float:
@@ -69,7 +69,7 @@ def best_on(drives: Drives, road: str) -> str:
 
 
 def damper_chapter() -> Chapter:
-    """What the damper of the car is."""
+    """Description of the damper of the car."""
     figure, axes = panels(1, 2, 6.6, 2.6)
     known = invented_damper(0.0)
     time = np.linspace(0.0, 2.0, 2000, endpoint=False)
@@ -229,7 +229,7 @@ def bump_chapter(drives: Drives) -> Chapter:
 
 
 def lag_chapter(drives: Drives) -> Chapter:
-    """What the lag of the coil costs."""
+    """Loss of performance caused by the lag of the coil."""
     rows = []
     for strategy in CONTROLLERS:
         for road in ("A", "C", "E"):

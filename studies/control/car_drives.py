@@ -1,7 +1,7 @@
-"""A quarter car on roads and over a bump: what each controller makes of it.
+"""Performance of each controller in a quarter car on roads and over a bump.
 
-The controllers are given the true motion of body and wheel; the damper is commanded through its
-inverse, by the set that is known, from what a rig measures of it.
+The controllers receive the true motion of body and wheel. The inverse of the known set computes the
+current of the damper from the measurements of a rig.
 """
 
 from __future__ import annotations
@@ -44,18 +44,18 @@ from mr_damper_ros.tracking.engine import Engine
 CAR = QuarterCar()
 GRAVITY = 9.80665
 STATIC_LOAD = (CAR.body + CAR.wheel) * GRAVITY
-"""[N]."""
+"""Static load of the tyre [N]."""
 
 SPEEDS = {"A": 30.0, "B": 25.0, "C": 20.0, "D": 15.0, "E": 10.0}
-"""Speed [m/s] on a road of each class: the worse, the slower."""
+"""Speed [m/s] on a road of each class; it is lower on worse roads."""
 
 BUMP = Bump(height=0.06, length=3.0, speed=8.0, start=3.0, road=IsoRoad("A", 8.0, seed=1))
-"""On a good road, as a car comes to one: a controller knows the motion by then."""
+"""The bump follows a stretch of good road, so that the controller knows the motion by then."""
 BUMP_ROAD = "bump"
 
 BLOCK = 5
 SETTLED = 2.0
-"""Seconds after the start from which on it counts."""
+"""Time [s] after the start from which results are evaluated."""
 
 OFF, ON = "passive-off", "passive-on"
 
@@ -70,26 +70,26 @@ CONTROLLERS: dict[str, Controller] = {
     "SH-ADD": mixed_skyhook_add(SOFT, HARD, 12.0),
     "clipped-optimal": linear_feedback(optimal_gain(CAR, Weights())),
 }
-"""One setting each for all roads; none was tuned to a road."""
+"""Controllers, each with the same settings on all roads; none was tuned to a road."""
 
 STRATEGIES = (OFF, ON, *CONTROLLERS)
 
 CONSTANTS = {f"{current:g} A": current for current in (0.1, 0.2, 0.3, 0.4, 0.6)}
-"""Currents [A] that hold: what a passive damper of some hardness would do."""
+"""Constant currents [A], which represent passive dampers of different hardness."""
 
 _HELD = {OFF: 0.0, ON: HIGHEST_CURRENT, **CONSTANTS}
 
 ROADS = (*SPEEDS, BUMP_ROAD)
 
 LAG = 0.01
-"""Time constant [s] of the coil, where it lags."""
+"""Time constant [s] of the coil in drives with coil lag."""
 
 
 @dataclass(frozen=True)
 class Drive:
-    """A controller on a road, with a coil that lags by so many seconds.
+    """A controller on a road, with the time constant of the coil [s].
 
-    Raises ValueError for a drive of which nothing would count.
+    Raises ValueError for a drive that is too short to be evaluated.
     """
 
     strategy: str
@@ -110,12 +110,12 @@ class Drive:
 class DriveResult:
     """RMS values and peaks of a drive.
 
-    ``comfort`` is the body's acceleration [m/s²], ``holding`` the tyre's load about the static one
-    as a part of it [1], ``travel`` that of the suspension [m]; ``power`` [W] is what the damper
-    takes, ``coil`` the mean square of its current [A²]. ``met`` is the share of blocks whose wanted
-    force could be had, ``doubted`` that of blocks without control. Of the peaks of body and
-    suspension, ``highest`` and ``furthest``. ``series`` are samples (4, n) 5 ms apart: time [s],
-    acceleration, load, current.
+    ``comfort`` is the acceleration of the body [m/s²], ``holding`` the deviation of the tyre load
+    from the static load, relative to it [1], and ``travel`` the suspension stroke [m]. ``power``
+    [W] is the power that the damper dissipates, and ``coil`` the mean square of its current [A²].
+    ``met`` is the fraction of blocks with an attainable desired force, and ``doubted`` that of
+    blocks without control. ``highest`` and ``furthest`` are the peaks of the body and of the
+    suspension. ``series`` are samples (4, n) 5 ms apart: time [s], acceleration, load, current.
     """
 
     comfort: float
@@ -157,7 +157,7 @@ def car_rig(
 def force_choice(
     rig: PlantRig, known: ParameterSet, controller: Controller, engine: Engine | None = None
 ) -> ForceChoice:
-    """What the nodes `suspension` and `controller` do together, with an engine identifying."""
+    """The nodes `suspension` and `controller` in one object, with an engine that identifies."""
     settings = ForceControlSettings(highest_current=HIGHEST_CURRENT)
     choice = ForceChoice(ForceController(settings), lambda _: controller(moment_of(rig)), engine)
     choice.controller.predictor.set_parameters(known)
@@ -165,12 +165,12 @@ def force_choice(
 
 
 def constant(current: float) -> Choice:
-    """The same current [A] whatever happens."""
+    """A constant current [A]."""
     return lambda _: current
 
 
 def drive(task: Drive) -> DriveResult:
-    """Drive, and judge what follows the first seconds."""
+    """Run the drive and evaluate it after the first seconds."""
     held = _HELD.get(task.strategy, 0.0)
     knob = SupplyKnob(held)
     rig = car_rig(_surroundings(task.road, task.seed), knob, task.coil_time_constant)

@@ -1,12 +1,12 @@
-"""How the ground shakes: one recorded earthquake and invented ones, by their seed.
+"""Ground motions: one recorded earthquake, and invented ones from a seed.
 
 El Centro is the north-south component of 18 May 1940 (Imperial Valley), recorded by the United
 States Coast and Geodetic Survey, in the version of Peknold with 1559 values every 0.02 s that
-textbooks use (Chopra, Dynamics of Structures, appendix 6); its peak is 0.319 g. The records of
-Kobe and Maule that the benchmark uses too are not in this package: two invented motions stand in
-their place. They are noise with the spectrum of Kanai and Tajimi (Tajimi, 2nd World Conference on
-Earthquake Engineering, 1960), without its low end as Clough and Penzien propose, within an
-envelope.
+textbooks use (Chopra, Dynamics of Structures, appendix 6); its peak is 0.319 g. The benchmark also
+uses records of Kobe and Maule, which are not in this package; two invented motions replace them.
+These are noise with the Kanai-Tajimi spectrum (Tajimi, 2nd World Conference on Earthquake
+Engineering, 1960) within an envelope; its low frequencies are removed as Clough and Penzien
+propose.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ _FINE = 0.005
 
 @dataclass(frozen=True, eq=False)
 class GroundMotion:
-    """Accelerations (n,) [m/s²] so many seconds (``every``) apart; straight lines in between."""
+    """Accelerations (n,) [m/s²] at intervals of ``every`` [s], interpolated linearly."""
 
     name: str
     acceleration: Array
@@ -34,21 +34,21 @@ class GroundMotion:
 
     @property
     def duration(self) -> float:
-        """From the first to the last value [s]."""
+        """Time from the first to the last value [s]."""
         return self.every * (self.acceleration.size - 1)
 
     def at(self, time: Array) -> Array:
-        """The plant's input (n,) at these times (n,) [s]: the acceleration [m/s²]."""
+        """Acceleration (n,) [m/s²] at these times (n,) [s], the input of the plant."""
         known = self.every * np.arange(self.acceleration.size)
         return np.interp(time, known, self.acceleration, right=0.0)
 
     def scaled(self, factor: float) -> GroundMotion:
-        """So many times as strong."""
+        """The motion multiplied by a factor."""
         return GroundMotion(self.name, factor * self.acceleration, self.every)
 
 
 def el_centro() -> GroundMotion:
-    """The record of 1940, in full size."""
+    """The record of 1940 at full scale."""
     text = resources.files("studies.control").joinpath("el_centro_1940.csv").read_text("ascii")
     values = np.array([int(value) for line in text.split() for value in line.split(",")])
     return GroundMotion("El Centro 1940", 1e-5 * GRAVITY * values, _EVERY)
@@ -56,9 +56,9 @@ def el_centro() -> GroundMotion:
 
 @dataclass(frozen=True)
 class Shaking:
-    """An invented earthquake: peak [g], the ground's own frequency [Hz] and damping ratio [1].
+    """An invented earthquake: peak [g], natural frequency [Hz] and damping ratio of the ground [1].
 
-    It grows for ``rise`` seconds, is strong for so many and decays over ``decay`` [s].
+    It grows for ``rise`` seconds, stays strong for a given time and decays over ``decay`` [s].
     """
 
     name: str
@@ -95,10 +95,10 @@ class Shaking:
 
 
 NEAR_FAULT = Shaking("near fault, invented", 0.83, 1.8, 0.35, 3.0, 5.0, 4.0, seed=1995)
-"""Of the size of Kobe's: short, strong, slow."""
+"""A motion similar to Kobe: short, strong and slow."""
 
 SUBDUCTION = Shaking("subduction, invented", 0.55, 3.5, 0.45, 8.0, 12.0, 6.0, seed=2010)
-"""Of the size of Maule's: long, and faster; shortened to its strong part."""
+"""A motion similar to Maule: long and faster, shortened to its strong part."""
 
 REHEARSAL = Shaking("rehearsal, invented", 0.35, 2.5, 0.6, 4.0, 8.0, 4.0, seed=7)
-"""What weights are tried on: none of those that are judged."""
+"""The motion for the selection of weights; it is not among the evaluated motions."""

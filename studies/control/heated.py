@@ -1,8 +1,8 @@
-"""A damper that heats while it is driven: with the set of the start, and with the newest one.
+"""Control of a damper that heats during a drive, with the initial set and with the newest set.
 
-It is to act like a viscous damper. Skyhook would not show what a set is worth: on a rough road its
-force can be had for a sixth of the time, in pieces shorter than the coil's lag, and is missed by
-more than half of it with the true set too.
+The desired force is that of a viscous damper. Skyhook would not show the benefit of a better set:
+on a rough road, its force is attainable for a sixth of the time, in periods shorter than the lag of
+the coil. Even with the true set, the error exceeds half of that force.
 """
 
 from __future__ import annotations
@@ -38,20 +38,20 @@ from studies.control.car_drives import (
 from studies.drawing import heads, line
 
 THERMAL = ThermalModel(capacity=215.0)
-"""Half of the usual heat capacity, so that the drive may be short."""
+"""Half of the usual heat capacity, which permits a short drive."""
 
 DAMPING = 2500.0
-"""[N s/m] of the viscous damper that is wanted: a force that always resists the motion."""
+"""Damping [N s/m] of the desired viscous damper, whose force always resists the motion."""
 
 STRETCH = 5.0
-"""Seconds that a value of the series is of."""
+"""Time [s] covered by each value of the series."""
 
 
 @dataclass(frozen=True)
 class HeatedDrive:
-    """``learns``: the damper is identified meanwhile; else the set of 28 °C is kept.
+    """A drive; with ``learns`` the damper is identified, otherwise the set of 28 °C is kept.
 
-    Raises ValueError for a drive that is shorter than a value of its series.
+    Raises ValueError for a drive that is shorter than one value of its series.
     """
 
     learns: bool
@@ -69,11 +69,12 @@ class HeatedDrive:
 
 @dataclass(frozen=True)
 class HeatedResult:
-    """Values of every few seconds of a drive, (n,).
+    """Values (n,) of consecutive periods of a drive.
 
-    End of the stretch [s], temperature [°C]; where the wanted force could be had, RMSE [N] of the
-    force, RMS of the wanted one, and how much of it came: 1 for all; acceleration of the body
-    [m/s²], load of the tyre [1]. ``accepted`` is how many sets were taken.
+    They are the end of the period [s], the temperature [°C], the acceleration of the body [m/s²]
+    and the load of the tyre [1]. For the time in which the desired force was attainable, they are
+    also the RMSE of the force [N], the RMS of the desired force [N], and the fraction of it that
+    was achieved (1 for all). ``accepted`` is the number of accepted sets.
     """
 
     time: Array = field(repr=False)
@@ -86,19 +87,19 @@ class HeatedResult:
     accepted: int
 
     def nrmse(self, begin: float, end: float) -> float:
-        """Miss of the wanted force between two times [s], as a part of it."""
+        """Error of the force between two times [s], relative to the desired force."""
         chosen = (self.time > begin) & (self.time <= end)
         missed, wanted = self.missed[chosen], self.wanted[chosen]
         return float(np.sqrt(np.mean(missed**2) / np.mean(wanted**2)))
 
     def share_between(self, begin: float, end: float) -> float:
-        """How much of the wanted force came between two times [s]."""
+        """Achieved fraction of the desired force between two times [s]."""
         chosen = (self.time > begin) & (self.time <= end)
         return float(np.average(self.share[chosen], weights=self.wanted[chosen] ** 2))
 
 
 def drive_heated(task: HeatedDrive) -> HeatedResult:
-    """Drive until the damper is hot."""
+    """Run the drive until the damper is hot."""
     knob = SupplyKnob()
     road = IsoRoad(task.road, SPEEDS[task.road], task.seed)
     rig = car_rig(road, knob, task.coil_time_constant, THERMAL)
@@ -109,7 +110,7 @@ def drive_heated(task: HeatedDrive) -> HeatedResult:
     rows, stretches, before = [], [], None
     for block in commanded(rig, knob, choose, BLOCK, task.duration):
         motion, measured = block.motion, block.measured
-        # What was commanded after the block before has made the force of this one.
+        # The command after the previous block has produced the force of this one.
         wanted = np.nan
         if before is not None and before.attainable and not before.doubt:
             wanted = before.wanted
@@ -145,13 +146,13 @@ FIXED, NEWEST = "set of 28 °C", "identified on line"
 _NAMES = {False: FIXED, True: NEWEST}
 
 _BEGINNING = (5.0, 20.0)
-"""Seconds that the end is compared with: the controller knows the motion, the damper is cool."""
+"""Reference period [s] for the end: the motion is known and the damper is still cool."""
 
 _END = 15.0
 
 
 def heated_chapter(found: Mapping[bool, HeatedResult], task: HeatedDrive) -> Chapter:
-    """What is lost with an old set; ``found`` by whether it is identified meanwhile."""
+    """Loss with an old set; the keys of ``found`` say whether the damper is identified."""
     figure, axes = panels(3, 1, 6.6, 4.8, sharex=True)
     for place, learns in enumerate((False, True)):
         result, style = found[learns], line(place)
@@ -212,6 +213,6 @@ def heated_chapter(found: Mapping[bool, HeatedResult], task: HeatedDrive) -> Cha
 
 
 def growth(result: HeatedResult) -> float:
-    """Miss of the force at the end over that at the beginning."""
+    """Error of the force at the end over that at the beginning."""
     end = float(result.time[-1])
     return result.nrmse(end - _END, end) / result.nrmse(*_BEGINNING)

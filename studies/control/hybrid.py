@@ -1,9 +1,9 @@
-"""A hybrid simulation, all of it emulated: the building is reckoned, the damper is in a machine.
+"""An emulated hybrid simulation with a simulated building and a damper in a test machine.
 
-Every step the reckoned building tells the machine where the first floor is, the machine moves the
-damper, and the force that is measured there moves the building. The machine is late, which feeds
-the building with energy; the command therefore runs ahead by the inverse of a model of the machine,
-as the authors of the benchmark have it (theirs adapts; this one is fixed, and wrong by a tenth).
+At every step, the simulation sends the position of the first floor to the machine. The machine
+moves the damper, and the measured force acts on the simulated building. The lag of the machine adds
+energy to the building. The command therefore passes through the inverse of a model of the machine,
+as in the benchmark. The authors' compensator adapts; this one is fixed and has an error of a tenth.
 """
 
 from __future__ import annotations
@@ -36,24 +36,24 @@ from studies.control.recorded_damper import recorded_damper
 from studies.control.shear_building import BUILDINGS
 
 STEP = 1.0 / 4096.0
-"""Seconds of an integration step, as the authors have it; the building is solved exactly for a
-force that holds for a step."""
+"""Integration step [s] of the benchmark. The building is solved exactly for a force that is
+constant during a step."""
 
 BANDWIDTH, DAMPING = 30.0, 0.9
-"""The machine: a second order of this frequency [Hz] and damping ratio; it is 9.5 ms late."""
+"""Natural frequency [Hz] and damping ratio of the second-order machine, which lags by 9.5 ms."""
 
 MODEL_ERROR = 0.1
-"""The compensator takes the machine for so much quicker than it is."""
+"""Fraction by which the compensator overestimates the speed of the machine."""
 
 DELAY = 2.0 * DAMPING / (2.0 * math.pi * BANDWIDTH)
-"""Seconds by which a slow motion is late."""
+"""Lag of a slow motion [s]."""
 
 _ACCELERATION_MEMORY = 0.008
 
 
 @dataclass(frozen=True)
 class HybridRun:
-    """``machine``: it moves the damper; else that is in the building: the reference."""
+    """A run; without ``machine``, the damper is in the building, which is the reference."""
 
     machine: bool
     compensated: bool = False
@@ -74,7 +74,7 @@ class HybridResult:
 
 
 def hybrid(task: HybridRun) -> HybridResult:
-    """Run it; it ends early where it becomes unstable."""
+    """Run the simulation; it ends early if it becomes unstable."""
     plant = MovingPlant(BUILDINGS[task.building].plant, STEP)
     ground = el_centro().scaled(SCALE)
     machine, damper = _LateMachine(), BuiltInDamper(recorded_damper(0.0))
@@ -106,7 +106,7 @@ def hybrid(task: HybridRun) -> HybridResult:
 
 
 class _LateMachine:
-    """A test machine that follows a command late."""
+    """A test machine that follows its command with a lag."""
 
     def __init__(self) -> None:
         from scipy.linalg import expm  # here: see mr_damper_ros.entry_points
@@ -119,7 +119,7 @@ class _LateMachine:
         self._state = np.zeros(2)
 
     def follow(self, wanted: DamperMotion, *, compensated: bool) -> DamperMotion:
-        """How it moves a step later."""
+        """Motion of the machine one step later."""
         command = wanted.displacement
         if compensated:
             modelled = self._rate * (1.0 + MODEL_ERROR)
@@ -132,7 +132,7 @@ class _LateMachine:
 
 
 def missed(values: Array, reference: Array) -> float:
-    """RMS of the difference over the RMS of the reference; what is missing at the end counts."""
+    """RMS of the difference over that of the reference; a missing end counts as an error."""
     whole = np.zeros(reference.size)
     whole[: values.size] = values[: reference.size]
     return float(np.sqrt(np.mean((whole - reference) ** 2) / np.mean(reference**2)))
@@ -147,7 +147,7 @@ TASKS = tuple(_NAMES)
 
 
 def hybrid_chapter(found: Mapping[HybridRun, HybridResult]) -> Chapter:
-    """With a machine that is late, and with a command that runs ahead."""
+    """Results with a lagging machine, with and without compensation of the command."""
     reference = found[REFERENCE]
     figure, axes = panels(2, 1, 6.6, 3.8, sharex=True)
     for place, (task, name) in enumerate(_NAMES.items()):

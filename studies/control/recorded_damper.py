@@ -1,9 +1,9 @@
-"""The damper of the buildings: a real one, as its recordings tell.
+"""The damper of the buildings: a real damper, identified from its recordings.
 
-The extended sigmoid law, identified by this package from twenty sinusoid records of an MR damper
-in a test machine (github.com/DanielMaurelE/vRTHS_AMBC_MRdamper, MIT licence, © 2022 mequiroz): one
-set for all of them, which fits them to 6 %. The records are of constant currents, so that they tell
-nothing of the coil.
+This package identified the extended sigmoid law from twenty sinusoid records of an MR damper in a
+test machine (github.com/DanielMaurelE/vRTHS_AMBC_MRdamper, MIT licence, © 2022 mequiroz). One set
+fits all records to 6 %. The currents of the records are constant, so they give no information about
+the coil.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ _VALUES = {
 
 
 def recorded_damper(coil_time_constant: float) -> ParameterSet:
-    """Its set, with a coil that lags by so many seconds."""
+    """Parameter set of the damper, with the time constant of the coil [s]."""
     values = {**_VALUES, COIL: coil_time_constant}
     return ParameterSet(
         np.array([values[name] for name in MODELS["sigmoid_lag"].parameter_names]),

@@ -1,4 +1,4 @@
-"""The report of the control study: all tasks, in processes, and the page from them."""
+"""Report of the control study: all tasks, run in processes, and the resulting page."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ _NOTICE = (
 
 @dataclass(frozen=True)
 class Extent:
-    """Seconds of a drive, of the heated drive, of an earthquake at most, of the hybrid run."""
+    """Durations [s]: a drive, the heated drive, the longest earthquake and the hybrid run."""
 
     drive: float = 12.0
     heated: float = 90.0
@@ -57,7 +57,7 @@ class Extent:
 
 FULL = Extent()
 QUICK = Extent(drive=4.0, heated=40.0, earthquake=6.0, hybrid=6.0)
-"""Shorter, to see that all works: its figures are not the real ones."""
+"""Short variant that checks whether everything works; its figures are not representative."""
 
 
 def _roads(pool: ProcessPool, quick: bool, say: Say) -> Part:
@@ -96,7 +96,7 @@ def _roads(pool: ProcessPool, quick: bool, say: Say) -> Part:
 
 
 def _against_passive(drives: Drives) -> dict[str, object]:
-    """The best controller of each road, and its worst road against the passive dampers."""
+    """The best controller of each road, and its worst road relative to the passive dampers."""
     best = {road: car_chapters.best_on(drives, road) for road in SPEEDS}
     worst = {
         f"car_{quantity}_over_{against.replace('-', '_')}": max(

@@ -1,4 +1,4 @@
-"""Buildings that dampers are built into, and the estimator of their states.
+"""Buildings with dampers, and the estimator of their states.
 
 The buildings are those of the hybrid simulations of the Universidad Técnica Federico Santa María:
 masses, stiffness, damping, controller and criteria are those that D. Maurel published with his
@@ -50,7 +50,7 @@ class ShearBuilding:
 
     @property
     def by_force(self) -> Array:
-        """What a force that pulls the first floor back adds to them (6,)."""
+        """Contribution (6,) of a restoring force on the first floor to these derivatives."""
         return np.array([0.0, 0.0, 0.0, -1.0 / self.mass, 0.0, 0.0])
 
     @property
@@ -73,10 +73,10 @@ BUILDINGS = {
 
 
 class StateEstimator:
-    """The Kalman filter, settled, of a plant whose outputs are read every ``period`` [s].
+    """Steady-state Kalman filter of a plant whose outputs are sampled every ``period`` [s].
 
-    The outputs are ``outputs`` (k, n) x + ``direct`` (k,) F; ``disturbance`` is the density of the
-    plant's input, ``noise`` that of each output. The damper's force is known.
+    The outputs are ``outputs`` (k, n) x + ``direct`` (k,) F. ``disturbance`` is the noise density
+    of the input of the plant, and ``noise`` that of each output. The force of the damper is known.
     """
 
     def __init__(
@@ -101,6 +101,6 @@ class StateEstimator:
         self.states = np.zeros(count)
 
     def follow(self, force: float, outputs: Array) -> Array:
-        """The states (n,) a period later, for a force [N] and outputs (k,) that hold."""
+        """The states (n,) one period later, for a constant force [N] and constant outputs (k,)."""
         self.states = self._step @ np.concatenate([self.states, (force,), outputs])
         return self.states

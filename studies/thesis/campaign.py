@@ -1,4 +1,4 @@
-"""Settings of a reproduction, and its long tasks: in parallel, kept on disk, gone on with.
+"""Settings of a reproduction, and its long tasks, which run in parallel and can be resumed.
 
 A task is a picklable function of keyword arguments that returns JSON values and depends on
 nothing else, so the number of workers does not change any result. Results are kept line by line
@@ -23,18 +23,18 @@ import mr_damper_ros
 from mr_damper_ros.processes.process_pool import ProcessPool, Tell
 
 _FOLDERS = (Path(mr_damper_ros.__file__).parent, Path(__file__).parent)
-"""The code that results depend on."""
+"""Code on which the results depend."""
 
 _ABOVE = ("nodes", "tools")
-"""Rooms of the package that no result depends on."""
+"""Subpackages on which no result depends."""
 
 
 @dataclass(frozen=True)
 class Settings:
-    """``runs``: repetitions of what is random; ``quick``: fewer evaluations, generations and cases.
+    """Settings: ``runs`` of random methods; ``quick`` for fewer evaluations and cases.
 
-    ``folder`` holds everything that is written; ``recordings`` is the folder ``utfsm`` of real
-    recordings, or None. Raises ValueError for values out of range.
+    ``folder`` receives all output. ``recordings`` is the folder ``utfsm`` of real recordings, or
+    None. Raises ValueError for values out of range.
     """
 
     folder: Path
@@ -56,7 +56,7 @@ Task = dict[str, Any]
 
 @dataclass
 class Campaign:
-    """Runs the tasks of a reproduction; ``say`` hears of the progress."""
+    """Runs the tasks of a reproduction and reports progress to ``say``."""
 
     settings: Settings
     say: Callable[[str], None] = field(default=lambda text: None)
@@ -67,7 +67,7 @@ class Campaign:
         return [[int(x) for x in child.generate_state(4)] for child in root.spawn(count)]
 
     def each(self, name: str, function: Callable[..., Any], tasks: Sequence[Task]) -> list[Any]:
-        """``function(**task)`` for every task, in order; those done earlier are read from disk."""
+        """``function(**task)`` for every task, in order; earlier results are read from disk."""
         keys = [json.dumps(task, sort_keys=True) for task in tasks]
         path = self.settings.folder / "data" / f"{name}-{_code_digest()}.jsonl"
         known = _read(path)
@@ -77,7 +77,7 @@ class Campaign:
         path.parent.mkdir(parents=True, exist_ok=True)
         count = len(tasks) - len(missing)
         with path.open("a", encoding="utf-8") as file:
-            file.write("\n")  # after the incomplete line of a campaign that was killed
+            file.write("\n")  # begin after the incomplete line of a killed campaign
 
             def keep(index: int, result: Any) -> None:
                 nonlocal count
@@ -85,7 +85,7 @@ class Campaign:
                 known[key] = result
                 file.write(json.dumps([key, result]) + "\n")
                 file.flush()
-                # Ten lines or so for a log.
+                # About ten lines for a log.
                 if count == len(tasks) or count % max(len(missing) // 10, 1) == 0:
                     self.say(f"{name}: {count} of {len(tasks)}")
 
@@ -100,7 +100,7 @@ def _call(function: Callable[..., Any], task: Task, tell: Tell) -> Any:
 
 
 def _plain(value: Any) -> Any:
-    """The value as JSON gives it back, so that fresh and kept results are the same."""
+    """The value after a JSON round trip, so that new and stored results are equal."""
     return json.loads(json.dumps(value))
 
 
@@ -118,7 +118,7 @@ def _read(path: Path) -> dict[str, Any]:
 
 @lru_cache(maxsize=1)
 def _code_digest() -> str:
-    """Digest of the code that the results depend on, as it is when the program starts."""
+    """Digest of the code on which the results depend, taken when the program starts."""
     digest = hashlib.sha256(f"{sys.version} {np.__version__} {scipy.__version__}".encode())
     for folder in _FOLDERS:
         for path in sorted(folder.rglob("*")):

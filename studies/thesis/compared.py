@@ -1,4 +1,4 @@
-"""Values of ours beside those of the thesis, and the table of them."""
+"""Comparison of our values with those of the thesis, and its table."""
 
 from __future__ import annotations
 
@@ -11,9 +11,9 @@ from mr_damper_ros.report.document import Table
 
 @dataclass(frozen=True)
 class Compared:
-    """A value of ours beside the thesis' (None where the thesis states none, or its words).
+    """Our value and that of the thesis (its wording, or None if the thesis states no value).
 
-    ``relative`` is False where the true value is zero, so that a relative difference says nothing.
+    ``relative`` is False if the true value is zero, where a relative difference is meaningless.
     """
 
     quantity: str
@@ -40,7 +40,7 @@ def percent(difference: float) -> str:
 
 
 def comparison(name: str, caption: str, values: Sequence[Compared]) -> Table:
-    """Table of ours, the thesis' and the relative difference."""
+    """Table of our values, those of the thesis and the relative difference."""
     rows = [
         (
             v.quantity,

@@ -50,7 +50,7 @@ COEFFICIENT_UNITS = {
 _SCALES = np.array([1e3 if unit == "mm/s" else 1.0 for unit in COEFFICIENT_UNITS.values()])
 
 _AGREEING = 0.02
-"""Relative norm of the difference of two loops that agree."""
+"""Largest relative norm of the difference between two loops that agree."""
 
 FIGURES = {0.0: "60–67", 0.5: "68–75", 1.0: "76–83", 1.5: "84–90"}
 """Figures of the thesis by current [A] (table 12)."""
@@ -198,7 +198,7 @@ def _coefficients(data: dict[str, Any]) -> Table:
 
 
 def _agreement(data: dict[str, Any]) -> str:
-    """How far the coefficients of the published sets agree where their loops do, in words."""
+    """Agreement, in words, of the coefficients of published sets whose loops agree."""
     f_t, f_d = (list(COEFFICIENT_UNITS).index(name) for name in ("f_t", "f_d"))
     apart: dict[str, tuple[Array, Array]] = {}
     for condition in CONDITIONS:

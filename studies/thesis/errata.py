@@ -1,13 +1,14 @@
 """Errors in the thesis' tables and figures, found by criteria that use the tables only.
 
-A row of tables 17-40 is in error where
+A row of tables 17-40 is in error if
 
-* its sixteen values are those of another current, and its force is far from what its own current
-  gives elsewhere (copied);
+* its sixteen values equal those of a different current, and its force differs much from the forces
+  of its own current elsewhere (copied);
 * its loop would drive the machine instead of damping it (not dissipative);
 * its loop has the wrong sense of rotation (hysteresis reversed);
-* its force lies out of the family of its current (out of family);
-* the other method's loop is far from it, and its offset is the less plausible of the two (offset).
+* its force lies outside the range of its current (out of family);
+* the loop of the other method differs much from it, and its offset is the less plausible of the two
+  (offset).
 """
 
 from __future__ import annotations
@@ -48,12 +49,12 @@ METHOD_TITLES = {"nelder_mead": "Nelder–Mead", "differential_evolution": "DE"}
 
 @dataclass(frozen=True)
 class Features:
-    """What a row's loop looks like.
+    """Features of the loop of a row.
 
-    ``half_span`` and ``offset`` of the force [N]; ``dissipation``: mean power over peak velocity
-    and RMS force [1]; ``hysteresis`` velocity over peak velocity [1], negative where the force
-    lags; ``stiffness``: part of the force in phase with the displacement [N], positive where the
-    loop turns the usual way.
+    ``half_span`` and ``offset`` are those of the force [N]. ``dissipation`` is the mean power over
+    peak velocity and RMS force [1]. ``hysteresis`` is the hysteresis velocity over the peak
+    velocity [1], negative if the force lags. ``stiffness`` is the component of the force in phase
+    with the displacement [N], positive if the loop has the usual sense of rotation.
     """
 
     half_span: float
@@ -82,7 +83,7 @@ def features(values: Array, condition: Condition) -> Features:
 
 
 def disagreement(condition: Condition) -> float:
-    """Norm of the difference of the two methods' loops over that of the first [1]."""
+    """Norm of the difference between the loops of the two methods, over that of the first [1]."""
     one, two = (
         loop(parameters(condition, method), condition).force for method in PUBLISHED_METHODS
     )
@@ -144,7 +145,7 @@ def sound_conditions() -> tuple[Condition, ...]:
 
 
 def statements() -> list[dict[str, Any]]:
-    """Statements of the text that its own numbers contradict: what, stated, found, verdict."""
+    """Statements of the text that its own numbers contradict: topic, stated, found, verdict."""
     stroke = find("5.0mm_1Hz_0.5A").amplitude
     sigma, variance = facts.FORCE_ERROR["sigma"], facts.FORCE_ERROR["variance"]
     low, high = facts.SEARCH_LOW, facts.SEARCH_HIGH
@@ -238,9 +239,9 @@ def _half_span(name: str) -> float:
 def _variance_with_outliers(low: float, high: float) -> float:
     """Bound on the variance between bounds where a box plot shows an outlier.
 
-    A box short enough to leave room for one has half of the values close together, and a quarter
-    on either side. The variance is largest with that half and one quarter at one bound, the other
-    quarter at the other bound.
+    If the box is short enough to leave room for an outlier, half of the values lie close together,
+    with a quarter on each side. The variance is largest if this half and one quarter lie at one
+    bound, and the other quarter at the other bound.
     """
     return 0.75 * 0.25 * (high - low) ** 2
 

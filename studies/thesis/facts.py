@@ -1,4 +1,4 @@
-"""Numbers that the thesis states, with the places where it does."""
+"""Numbers from the thesis, with their sources in it."""
 
 from __future__ import annotations
 
@@ -85,8 +85,8 @@ REPEATED = {
 
 SEARCH_LOW = np.array([0.0, -1, -1, -250, -10, -5, -1, -20, -1, -10, -10, -800, -5, -1, -0.5, 0])
 SEARCH_HIGH = np.array([15.0, 1, 1, 250, 10, 5, 1, 20, 1, 10, 10, 800, 5, 1, 0.5, 0.5])
-"""Bounds of the search. The round extremes of tables 10 and 11 are taken for the thesis' bounds;
-those of f0 (below) and k5 are assumed, as the tables show none."""
+"""Bounds of the search. The round extremes of tables 10 and 11 are taken as the bounds of the
+thesis. The lower bound of f0 and the bounds of k5 are assumed, as the tables show none."""
 
 MODEL_ERRORS = {
     "bingham": 3.8096,

@@ -1,8 +1,9 @@
-"""Why the parameters scatter: what one run and all runs together determine.
+"""Reason for the scatter of the parameters: identifiability from one run and from all runs.
 
 The Jacobian of the run with respect to relative changes of the sixteen parameters has seven
-singular values that count and nine that are zero: along those nine directions the parameters may
-move and the loop does not. All sound runs together leave few flat directions or none.
+significant singular values and nine that are zero. The parameters can change along these nine
+directions without any change of the loop. All runs without errata together leave few such
+directions or none.
 """
 
 from __future__ import annotations

@@ -41,7 +41,7 @@ def identify(name: str, noise_seed: int, seed: list[int], generations: int) -> d
     """Task: Nelder-Mead and DE over all sixteen parameters of one run."""
     misfit = cycle(name, noise_seed)
     published = parameters(find(name))
-    # From values 5 % off, alternately up and down: from the truth there is nothing to search.
+    # The start is 5 % off, alternately up and down; a search from the truth would be trivial.
     start = published * (1.0 + 0.05 * (-1.0) ** np.arange(published.size))
     simplex, cost, count = fminsearch(lambda p: float(misfit.costs(p)), start)
     reach = REACH * np.maximum(np.abs(published), 1e-3)

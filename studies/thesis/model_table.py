@@ -20,7 +20,7 @@ from studies.thesis.errata import sound_conditions
 from studies.thesis.runs import title, window
 
 SAMPLES = 500
-"""About so many samples, evenly taken, are fitted; the error is that of the whole record."""
+"""Approximate number of evenly spaced fitted samples; the error is that of the whole record."""
 
 _CYCLES = 2.0
 _SHOWN = "5.0mm_1Hz_0.5A"
@@ -28,7 +28,7 @@ _QUICK = ("7.5mm_3Hz_0.0A", "5.0mm_1Hz_0.5A", "2.5mm_3Hz_1.5A")
 
 
 def _judged(part: Window, whole: Window) -> dict[str, Any]:
-    """Every model fitted to a part of a record, and its error on the whole of it.
+    """Every model fitted to a part of a record, and its error on the whole record.
 
     Times are processor times [s].
     """

@@ -1,7 +1,7 @@
 """One parameter set for all currents, amplitudes and frequencies, by the package's global method.
 
-Of the sigmoid law and of the extended one (lag, stiffness, offset); on the re-synthesised runs and
-on real recordings.
+The section covers the sigmoid law and the extended law (lag, stiffness, offset), on re-synthesised
+runs and on real recordings.
 """
 
 from __future__ import annotations
@@ -38,10 +38,10 @@ from studies.thesis.runs import title, window
 LAWS = ("sigmoid", EXTENDED_MODEL)
 GENERATIONS = 500
 _KEPT, _QUICK_KEPT = 4, 16
-"""One sample in so many of a re-synthesised run is used."""
+"""Stride of the samples that are used of a re-synthesised run."""
 
 _OPEN = 100.0
-"""A standard error of so many times the value says that nothing is known."""
+"""Standard error, relative to the value, above which a parameter counts as unknown."""
 
 
 def resynthesised(

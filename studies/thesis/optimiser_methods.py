@@ -1,7 +1,7 @@
-"""The optimisers that are compared, each a search from a random start until the budget is spent.
+"""The compared optimisers; each searches from a random start until the budget is spent.
 
-A gradient counts as many evaluations as there are unknowns. Methods with seven unknowns keep the
-random start's shape parameters.
+A gradient counts as one evaluation per unknown. Methods with seven unknowns keep the shape
+parameters of the random start.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ class BudgetSpentError(Exception):
 
 
 class EvaluationMeter:
-    """Counts evaluations of a misfit and keeps the best set and when it was found."""
+    """Counts evaluations of a misfit and records the best set and its evaluation number."""
 
     def __init__(self, misfit: CycleMisfit, budget: int) -> None:
         self.misfit = misfit
@@ -60,7 +60,7 @@ class EvaluationMeter:
         return values
 
     def note(self, parameters: Array, cost: float, evaluations: int) -> None:
-        """Book evaluations that ended with this set; raises BudgetSpentError."""
+        """Count the evaluations that led to this set; raises BudgetSpentError."""
         if self.used + evaluations > self.budget:
             raise BudgetSpentError
         self.used += evaluations
@@ -97,7 +97,7 @@ def _least_squares_16(meter: EvaluationMeter, rng: np.random.Generator) -> None:
 
 
 def _phases(misfit: CycleMisfit) -> Window:
-    """The averaged cycle as a window, for the package's own fit."""
+    """The averaged cycle as a window for the fit of the package."""
     sine = window(CONDITION, 0).motion.sine
     count = misfit.force.size
     motion = Motion(
@@ -111,7 +111,7 @@ def _phases(misfit: CycleMisfit) -> Window:
 
 
 def _package_fit(method: str) -> Method:
-    """The package's own window fit; starts that are poor compete with some read off the data."""
+    """The window fit of the package; poor starts compete with starts estimated from the data."""
 
     def search(meter: EvaluationMeter, rng: np.random.Generator) -> None:
         fit = fit_window(MODELS["sigmoid"], _phases(meter.misfit), _random(rng), method=method)

@@ -1,9 +1,9 @@
-"""Optimisers side by side: the same run, the same random starts, the same budget.
+"""Comparison of optimisers on the same run, with the same random starts and the same budget.
 
-The problem is the thesis' own: one run (5 mm, 1 Hz, 1.5 A), sixteen parameters within the bounds of
-its tables 10 and 11. A method that ends before the budget is spent starts again from another
-random point, as a user would do. Methods with seven unknowns keep the random start's shape
-parameters. A gradient counts as many evaluations as there are unknowns.
+The problem is that of the thesis: one run (5 mm, 1 Hz, 1.5 A) and sixteen parameters within the
+bounds of its tables 10 and 11. A method that ends before the budget is spent starts again from a
+new random point, as a user would do. Methods with seven unknowns keep the shape parameters of the
+random start. A gradient counts as one evaluation per unknown.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ from studies.thesis.runs import cycle, loop
 BUDGET, QUICK_BUDGET = 20000, 5000
 
 SUCCESS = 1.05
-"""A run succeeds where its RMSE is within this factor of the noise that the truth leaves."""
+"""A run succeeds if its RMSE is at most this factor times the residual noise of the true set."""
 
 CHECKPOINTS = 60
 
@@ -84,7 +84,7 @@ def _checkpoints(budget: int) -> Array:
 
 
 def _thinned(trace: list[tuple[int, float]], budget: int) -> list[float | None]:
-    """Best RMSE [N] at each checkpoint; None before the first evaluation is booked."""
+    """Best RMSE [N] at each checkpoint; None before the first evaluation is counted."""
     result: list[float | None] = []
     place, best = 0, None
     for checkpoint in _checkpoints(budget):

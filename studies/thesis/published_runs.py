@@ -2,13 +2,13 @@
 
 The recordings behind D. M. D. da Silva, "Comparative study of optimization algorithms for
 parameter identification of the sigmoid model in MR dampers", University of Brasília, 2023, were
-not published. Its tables 17-40 were: 34 conditions, each identified by two methods. A run made
-here is the force of the Nelder-Mead set of a condition on the sinusoid that the thesis fitted to
-its motion, with noise of the size that the thesis reports. It is not an original recording, and
-says so.
+not published. Its tables 17-40 were; they list 34 conditions, each identified by two methods. A
+re-synthesised run is the force of the Nelder-Mead set of a condition for the sinusoid that the
+thesis fitted to its motion, with noise of the size that the thesis reports. Its details state that
+it is not an original recording.
 
-Stated assumptions, where the thesis is silent: 1 ms between samples; white noise of 1 micrometre
-on the displacement, what a laboratory's displacement transducer resolves.
+The thesis does not state two values, which are assumed: 1 ms between samples, and white noise of
+1 micrometre on the displacement, the resolution of a laboratory displacement transducer.
 """
 
 from __future__ import annotations
@@ -54,7 +54,7 @@ def recording_name(condition: Condition) -> str:
 def synthesise(condition: Condition, *, seed: int = 0) -> Recording:
     """Run of a condition: 7001 samples; the same condition and seed give the same samples.
 
-    Raises ConditionError where the thesis does not have the condition.
+    Raises ConditionError if the thesis does not contain the condition.
     """
     values = parameters(condition)
     rig = EmulatedRig(
@@ -65,7 +65,7 @@ def synthesise(condition: Condition, *, seed: int = 0) -> Recording:
             sample_rate=SAMPLE_RATE,
             force_noise=THESIS_FORCE_NOISE,
             displacement_noise=DISPLACEMENT_NOISE,
-            # Each condition has noise of its own.
+            # Each condition has independent noise.
             seed=(seed, CONDITIONS.index(condition)),
         ),
     )

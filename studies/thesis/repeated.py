@@ -27,7 +27,7 @@ AS_FOUND = "5.0mm_1Hz_1.5A"
 GENERATIONS = 500
 PHASES = 64
 POPULATION = 160
-"""Ten per unknown: assumed, the thesis states none."""
+"""Population of ten per unknown. It is assumed, because the thesis does not state it."""
 
 STATISTICS = ("maximum", "minimum", "mean", "variance")
 

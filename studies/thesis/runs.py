@@ -1,4 +1,4 @@
-"""Runs to identify from: re-synthesised conditions, whole and as one averaged cycle."""
+"""Runs for identification: re-synthesised conditions, complete and as one averaged cycle."""
 
 from __future__ import annotations
 
@@ -79,9 +79,9 @@ def loop(parameters: Array, condition: Condition, points: int = LOOP_POINTS) -> 
 class CycleMisfit:
     """Misfit of a steady run as a function of the sixteen parameters, on phase bins.
 
-    In a steady cycle the samples of one phase differ by noise only, so their mean and number say
-    all about the model; the scatter within the bins, about a line, is a constant. ``costs`` is the
-    mean square error [N²] over all samples, that constant included.
+    In a steady cycle, the samples at one phase differ only by noise. Their mean and number
+    therefore contain all information about the model, and the scatter about a line within the bins
+    is constant. ``costs`` is the mean square error [N²] over all samples, including that constant.
     """
 
     def __init__(self, run: Window, bins: int) -> None:

@@ -1,4 +1,4 @@
-"""The sections of the report in their order, and the report from them."""
+"""The sections of the report in order, and the assembly of the report."""
 
 from __future__ import annotations
 
@@ -44,8 +44,8 @@ SECTIONS = {
 }
 """Title and module of each section by its name.
 
-In a module ``compute`` makes the numbers of a campaign, ``show`` the blocks of the report from
-them, and ``headline`` says the result in a sentence.
+In a module, ``compute`` calculates the numbers of a campaign, ``show`` creates the blocks of the
+report from them, and ``headline`` summarises the result in a sentence.
 """
 
 _TITLE = "Parameter identification of the sigmoid model of an MR damper: the thesis reproduced"
@@ -55,7 +55,7 @@ _RUNS, _QUICK_RUNS = 100, 10
 
 
 def build(campaign: Campaign, only: Sequence[str]) -> Path:
-    """Compute what is missing and write the report; returns its page."""
+    """Compute missing results and write the report; returns its page."""
     settings = campaign.settings
     chapters, headlines = [], []
     for name, (title, section) in SECTIONS.items():

@@ -1,7 +1,7 @@
 """Sensitivity of the force to every parameter (thesis 4.8, figures 42-52, tables 13 and 14).
 
-The thesis does not say what its "error of the force" is. The sum of the squared change over the
-7001 samples, for a change of 20 %, gives its numbers; they are taken for that.
+The thesis does not define its "error of the force". The sum of the squared change over the 7001
+samples, for a change of 20 %, reproduces its numbers, so this definition is used.
 """
 
 from __future__ import annotations

@@ -1,1 +1,1 @@
-"""What the force laws are worth on recordings and a benchmark (``python -m studies truth``)."""
+"""Accuracy of the force laws on recordings and on a benchmark (``python -m studies truth``)."""

@@ -1,13 +1,14 @@
 """The hysteretic benchmark of Noël and Schoukens: a mass on a spring and a Bouc-Wen hysteresis.
 
 J. P. Noël and M. Schoukens, Hysteretic benchmark with a dynamic nonlinearity, Workshop on Nonlinear
-System Identification Benchmarks, Brussels, 2016. Equations, parameters, steps and signals are
-those of its public descriptions; its files are not needed, for everything is simulated here:
+System Identification Benchmarks, Brussels, 2016. Equations, parameters, steps and signals follow
+its public descriptions. Its files are not needed, because this module simulates everything:
 
     m y'' + c y' + k y + z = u,    z' = alpha y' - beta (gamma |y'| z + delta y' |z|)
 
-The steps are Newmark's of constant average acceleration, and the trapezoidal rule for z. Theirs are
-20 to a sample of 1/750 s; filtering and thinning afterwards keeps what is below half the rate.
+The integration uses Newmark's method with constant average acceleration, and the trapezoidal rule
+for z. As in the benchmark, a sample of 1/750 s has 20 steps. Filtering and decimation then keep the
+frequencies below half the sample rate.
 """
 
 from __future__ import annotations
@@ -21,30 +22,30 @@ import numpy as np
 from mr_damper_ros.signals.arrays import Array
 
 PERIOD = 1.0 / 750.0
-"""[s], of the samples."""
+"""Sample period [s]."""
 
 STEPS = 20
-"""Steps of the simulation to a sample."""
+"""Simulation steps per sample."""
 
 COUNT = 8192
-"""Samples of a period of a multisine."""
+"""Samples in a period of a multisine."""
 
 BAND = (5.0, 150.0)
-"""[Hz], of a multisine."""
+"""Band of a multisine [Hz]."""
 
 FORCE_RMS = 50.0
-"""[N], of a multisine."""
+"""Root mean square force of a multisine [N]."""
 
 OUTPUT_NOISE = 8e-6
-"""Standard deviation [m] of the noise of the displacement where a model is estimated."""
+"""Standard deviation [m] of the displacement noise in the estimation of a model."""
 
 _SWEEP_FORCE, _SWEEP_FROM, _SWEEP_TO, _SWEEP_RATE = 40.0, 20.0, 50.0, 10.0 / 60.0
 
 _THINNING = (2, 2, 5)
-"""Stages in which the simulation is thinned to the samples."""
+"""Decimation factors from the simulation steps to the samples."""
 
 _CLOSE = 1e-12
-"""A step is solved once the velocity changes by less than this part of its size ..."""
+"""A step has converged if the velocity changes by less than this fraction of its magnitude ..."""
 
 _MOST_ROUNDS = 20
 
@@ -53,8 +54,8 @@ _MOST_ROUNDS = 20
 class HystereticOscillator:
     """Mass [kg], damping [N s/m], stiffness [N/m] and the hysteresis; the defaults are the truth.
 
-    ``alpha`` [N/m] is its stiffness at rest, ``with_speed`` beta gamma and ``with_motion`` beta
-    delta [1/m]: what of it there is to find, since the three of them are one too many.
+    ``alpha`` [N/m] is the stiffness of the hysteresis at rest. ``with_speed`` is beta gamma and
+    ``with_motion`` is beta delta [1/m]: only these products are identifiable.
     """
 
     mass: float = 2.0
@@ -73,7 +74,7 @@ class HystereticOscillator:
         )
 
     def simulate(self, force: Array, step: float) -> Response:
-        """Answer to a force (n,) [N] of every ``step`` [s], from rest."""
+        """Response from rest to a force (n,) [N] given every ``step`` [s]."""
         m, c, k = self.mass, self.damping, self.stiffness
         half = 0.5 * step
         held = 2.0 * m / step + c + k * half
@@ -111,7 +112,7 @@ TRUTH = HystereticOscillator()
 
 
 def multisine(seed: int, count: int = COUNT, steps: int = STEPS) -> Array:
-    """A period (count * steps,) [N] of a random-phase multisine, at the steps of the simulation."""
+    """One period (count * steps,) [N] of a random-phase multisine at the simulation steps."""
     lines = np.fft.rfftfreq(count, PERIOD)
     chosen = np.flatnonzero((lines >= BAND[0]) & (lines <= BAND[1]))
     phases = np.random.default_rng(seed).uniform(0.0, 2.0 * math.pi, chosen.size)
@@ -122,7 +123,7 @@ def multisine(seed: int, count: int = COUNT, steps: int = STEPS) -> Array:
 
 
 def sine_sweep(duration: float = math.inf, steps: int = STEPS) -> Array:
-    """A sweep (n,) [N] of 40 N from 20 to 50 Hz by 10 Hz a minute, or the beginning of it."""
+    """A sweep (n,) [N] of 40 N from 20 to 50 Hz at 10 Hz per minute, or the beginning of it."""
     longest = (_SWEEP_TO - _SWEEP_FROM) / _SWEEP_RATE
     time = np.arange(0.0, min(duration, longest), PERIOD / steps)
     return np.asarray(
@@ -131,7 +132,7 @@ def sine_sweep(duration: float = math.inf, steps: int = STEPS) -> Array:
 
 
 def thinned(signal: Array, steps: int = STEPS) -> Array:
-    """A simulated signal at the samples, what is above half their rate taken out first."""
+    """A simulated signal decimated to the samples, after an anti-aliasing filter."""
     from scipy.signal import decimate  # here: see mr_damper_ros.entry_points
 
     for factor in _THINNING:
@@ -142,9 +143,9 @@ def thinned(signal: Array, steps: int = STEPS) -> Array:
 
 
 def settled(oscillator: HystereticOscillator, period: Array, steps: int = STEPS) -> Response:
-    """Answer at the samples to a force that goes on for ever: the second of two periods.
+    """Steady-state response at the samples to a periodic force: the second of two periods.
 
-    One more is simulated behind them, so that the filters of the thinning have no edge.
+    A third period is simulated after them, so that the decimation filters have no edge effect.
     """
     half = period.size // 2
     force = np.concatenate((period, period, period[:half]))

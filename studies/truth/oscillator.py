@@ -1,8 +1,8 @@
-"""The hysteretic benchmark for our laws, and estimated in its own form.
+"""The hysteretic benchmark with the laws of this package, and estimated in its own form.
 
-A law gets the displacement and answers with the force that the spring, the damper and the
-hysteresis give together, which is what a load cell between them and the mass would read; then its
-set takes their place under the mass, and answers a force with a displacement.
+First, a law predicts the total force of spring, damper and hysteresis from the displacement. A load
+cell between these elements and the mass would measure this force. Then the identified set replaces
+these elements under the mass, and the displacement under an external force is simulated.
 """
 
 from __future__ import annotations
@@ -48,10 +48,10 @@ from studies.truth.hysteretic_oscillator import (
 )
 
 _ESTIMATION, _TEST, _NOISE = 0, 1, 2
-"""Seeds."""
+"""Seeds of the signals."""
 
 _LAW_STEPS = 5
-"""Steps to a sample where a law stands under the mass."""
+"""Simulation steps per sample with a law under the mass."""
 
 _ROUNDS = 2
 _SHOWN = 400
@@ -59,7 +59,7 @@ _SHOWN = 400
 
 @dataclass(frozen=True)
 class OscillatorTrial:
-    """A law; ``count`` samples of a multisine. ``moves``: whether it is put under the mass too."""
+    """A law and ``count`` samples of a multisine; with ``moves`` it is put under the mass too."""
 
     law: str
     count: int
@@ -68,10 +68,11 @@ class OscillatorTrial:
 
 @dataclass(frozen=True, eq=False)
 class OscillatorResult:
-    """NRMSE [1] of the force on the multisine it was identified from and on another.
+    """NRMSE [1] of the force on the multisine of the identification and on a second multisine.
 
-    ``missed`` [m]: RMS error of the displacement under another multisine, NaN where the law was not
-    put under the mass; ``loop`` (3, n): displacement [m], true and predicted force [N].
+    ``missed`` [m] is the RMS error of the displacement under the second multisine, NaN if the law
+    was not put under the mass. ``loop`` (3, n) is the displacement [m] and the true and the
+    predicted force [N].
     """
 
     parameter_set: ParameterSet
@@ -84,9 +85,10 @@ class OscillatorResult:
 
 @dataclass(frozen=True)
 class EstimationTrial:
-    """``count`` samples of a multisine, and seconds of a sweep.
+    """``count`` samples of a multisine, and the duration of a sweep [s].
 
-    ``steps``: of the estimation to a sample; the truth always has all of its own.
+    ``steps`` are the simulation steps per sample in the estimation. The truth always uses its full
+    number of steps.
     """
 
     count: int
@@ -96,10 +98,10 @@ class EstimationTrial:
 
 @dataclass(frozen=True, eq=False)
 class EstimationResult:
-    """The oscillator estimated, with standard errors (6,); RMS errors [m] under other forces.
+    """The estimated oscillator, its standard errors (6,), and RMS errors [m] under other forces.
 
-    ``linear``: mass, damping and stiffness of the best linear oscillator, where it began;
-    ``linear_error`` [m] its RMS error on the other multisine.
+    ``linear`` holds mass, damping and stiffness of the best linear oscillator, from which the
+    estimation starts. ``linear_error`` [m] is its RMS error on the second multisine.
     """
 
     found: HystereticOscillator
@@ -113,7 +115,7 @@ class EstimationResult:
 
 
 def judge_on_oscillator(task: OscillatorTrial) -> OscillatorResult:
-    """Identify a law from displacement to force, and judge it on another multisine."""
+    """Identify a law from displacement to force, and evaluate it on a second multisine."""
     began = time.process_time()
     model = MODELS[task.law]
     known, other = (_window(seed, task.count) for seed in (_ESTIMATION, _TEST))
@@ -140,7 +142,7 @@ def judge_on_oscillator(task: OscillatorTrial) -> OscillatorResult:
 
 
 def _window(seed: int, count: int) -> Window:
-    """Displacement and force of what holds the mass, without noise, at no current."""
+    """Displacement and force of the elements under the mass, without noise, at zero current."""
     answer = settled(TRUTH, multisine(seed, count))
     force = (
         TRUTH.damping * answer.velocity + TRUTH.stiffness * answer.displacement + answer.hysteretic
@@ -149,7 +151,7 @@ def _window(seed: int, count: int) -> Window:
 
 
 def _moved(found: ParameterSet, period: Array) -> Array:
-    """Displacement [m] at the samples of the mass on a law, under a force that goes on for ever."""
+    """Steady-state displacement [m] of the mass on a law at the samples, under a periodic force."""
     step, count = PERIOD / _LAW_STEPS, period.size // _LAW_STEPS
     half, mass = 0.5 * step, TRUTH.mass
     current, state = np.zeros(1), None
@@ -180,10 +182,10 @@ def _one(displacement: float, velocity: float, acceleration: float) -> Motion:
 
 
 def estimate_oscillator(task: EstimationTrial) -> EstimationResult:
-    """Estimate the six numbers from force and noisy displacement, and judge them on other forces.
+    """Estimate six parameters from force and noisy displacement, and test them on other forces.
 
-    Least squares of the simulated displacement, from the best linear oscillator on; nothing of the
-    truth is used but the form of its equations.
+    The estimation minimises the squared error of the simulated displacement and starts from the
+    best linear oscillator. It uses only the form of the true equations.
     """
     from scipy.optimize import least_squares  # here: see mr_damper_ros.entry_points
 
@@ -232,7 +234,7 @@ def _sweep_error(found: HystereticOscillator, task: EstimationTrial) -> float:
 
 
 def _linear(force: Array, displacement: Array) -> tuple[float, float, float]:
-    """Mass, damping and stiffness with (m s² + c s + k) Y = U at the lines of the multisine."""
+    """Mass, damping and stiffness that satisfy (m s² + c s + k) Y = U at the multisine lines."""
     frequencies = np.fft.rfftfreq(force.size, PERIOD)
     lines = (frequencies >= BAND[0]) & (frequencies <= BAND[1])
     s = 2j * math.pi * frequencies[lines]
@@ -277,7 +279,7 @@ _NUMBERS = (
 
 
 def oscillator_headline(found: Mapping[str, OscillatorResult], estimation: EstimationResult) -> str:
-    """A sentence for the chapter."""
+    """Summary sentence of the chapter."""
     best = min(found, key=lambda law: found[law].other)
     off = max(abs(value / truth - 1.0) for value, truth in _values(estimation))
     return (
@@ -290,7 +292,7 @@ def oscillator_headline(found: Mapping[str, OscillatorResult], estimation: Estim
 def oscillator_chapter(
     found: Mapping[str, OscillatorResult], estimation: EstimationResult
 ) -> Chapter:
-    """Motion in and force out, force in and motion out."""
+    """Results from motion to force, and from force to motion."""
     laws = Table(
         "oscillator_laws",
         "Each law identified from the displacement under one multisine, judged on another: NRMSE "
@@ -417,7 +419,7 @@ def oscillator_document(
 
 
 def _values(estimation: EstimationResult) -> list[tuple[float, float]]:
-    """Estimate and truth of each number."""
+    """Estimate and true value of each parameter."""
     return [
         (getattr(estimation.found, name), float(getattr(TRUTH, name))) for _, name, _ in _NUMBERS
     ]

@@ -1,4 +1,4 @@
-"""What the laws make of the recordings: one set for all, motions left out, earthquakes."""
+"""Accuracy of the laws on the recordings: one set for all, motions left out, earthquakes."""
 
 from __future__ import annotations
 
@@ -39,14 +39,14 @@ _RAW_COLUMNS = "time:0.005*s,-,force:980.665*N,displacement:10*mm"
 _RAW_CURRENTS = (0.0, 0.25, 0.5, 0.75, 1.0)
 _BLOCK = 10
 _SHOWN_EVERY = 5
-"""Every so many samples of an earthquake are kept to be drawn."""
+"""Stride of the samples of an earthquake that are kept for drawing."""
 
 
 @dataclass(frozen=True)
 class RecordTrial:
-    """A law on the sinusoid records; ``left_out`` names a motion that the set has not seen.
+    """A law on the sinusoid records; ``left_out`` names a motion excluded from the identification.
 
-    ``every`` takes each so many of a motion's currents, to be quick.
+    ``every`` is the stride over the currents of a motion, which shortens the task.
     """
 
     utfsm: Path
@@ -57,7 +57,7 @@ class RecordTrial:
 
 @dataclass(frozen=True, eq=False)
 class RecordResult:
-    """The set; NRMSE [1] of the records judged, by name, and of raw ones; seconds it took."""
+    """The set; NRMSE [1] of the evaluated and of the raw records, by name; and the duration [s]."""
 
     parameter_set: ParameterSet
     nrmse: Mapping[str, float]
@@ -67,7 +67,7 @@ class RecordResult:
 
 @dataclass(frozen=True)
 class EarthquakeTrial:
-    """An earthquake record at a current, by a law's set, with the identifier running or not.
+    """An earthquake record at a current and a law, with or without the identifier.
 
     ``longest`` [s] cuts the record short.
     """
@@ -90,10 +90,10 @@ class EarthquakeResult:
 
 
 def judge_records(task: RecordTrial) -> RecordResult:
-    """Identify the law, and predict what it was judged by as the model node does.
+    """Identify the law, and predict the evaluated records as the model node does.
 
-    With a motion left out these are its records: the peak velocity is then held in the range of
-    the others. Else they are all records, and the raw ones of the logger besides.
+    If a motion is left out, its records are evaluated, and the peak velocity is held within the
+    range of the others. Otherwise all records and the raw records of the logger are evaluated.
     """
     motions = {
         motion: windows[:: task.every]
@@ -115,7 +115,7 @@ def judge_records(task: RecordTrial) -> RecordResult:
 def set_without(
     motions: Mapping[str, Sequence[Window]], law: str, left_out: str | None
 ) -> ParameterSet:
-    """One set of a law for the windows of all motions but the one left out."""
+    """One set of a law for the windows of all motions except the one left out."""
     model = MODELS[law]
     windows = [w for motion, each in motions.items() if motion != left_out for w in each]
     start = model.initial_values()[0]
@@ -130,7 +130,7 @@ def error_of(found: ParameterSet, window: Window) -> float:
 
 
 def _raw_errors(found: ParameterSet, utfsm: Path) -> dict[str, float]:
-    """NRMSE of the logger's own records, whose force has no zero: the means are taken off."""
+    """NRMSE of the raw logger records without means, because their force offset is unknown."""
     errors = {}
     for path in sorted((utfsm / "raw").glob("*.txt")):
         for run in read_runs(path, _RAW_COLUMNS, currents=_RAW_CURRENTS):
@@ -183,7 +183,7 @@ _SOURCE = (
     "(github.com/DanielMaurelE/vRTHS_AMBC_MRdamper, MIT licence, © 2022 mequiroz)."
 )
 _SHOWN = (10.0, 14.0)
-"""Seconds of an earthquake that are drawn."""
+"""Time range [s] of an earthquake that is drawn."""
 
 
 @dataclass(frozen=True)
@@ -201,18 +201,18 @@ class Recorded:
         return sorted({current for _, current, _ in self.earthquakes})
 
     def fits(self, law: str, follows: bool) -> list[float | None]:
-        """Fit [%] of each earthquake; None where it was not tried."""
+        """Fit [%] of each earthquake; None if it was not computed."""
         found = (self.earthquakes.get((law, current, follows)) for current in self.currents)
         return [None if result is None else result.fit for result in found]
 
     def static_mean(self, law: str) -> float:
-        """Mean fit [%] of the earthquakes by the sinusoid set alone; NaN where one is missing."""
+        """Mean fit [%] of the earthquakes with the sinusoid set alone; NaN if one is missing."""
         fits = [math.nan if fit is None else fit for fit in self.fits(law, follows=False)]
         return float(np.mean(fits)) if fits else math.nan
 
 
 def headlines(found: Recorded) -> list[str]:
-    """A sentence for each of the chapters below."""
+    """Summary sentences of the chapters."""
     alone = {law: _median(result.nrmse) for law, result in found.one_set.items()}
     unseen = {law: _median(errors) for law, errors in found.left_out.items()}
     shaken = {law: found.static_mean(law) for law in found.one_set}
@@ -231,7 +231,7 @@ def headlines(found: Recorded) -> list[str]:
 
 
 def sinusoid_chapter(found: Recorded) -> Chapter:
-    """Every law on the sinusoid records."""
+    """Results of every law on the sinusoid records."""
     rows: list[Sequence[Cell]] = []
     for law, result in found.one_set.items():
         errors, unseen = list(result.nrmse.values()), list(found.left_out[law].values())
@@ -306,7 +306,7 @@ def sinusoid_chapter(found: Recorded) -> Chapter:
 
 
 def earthquake_chapter(found: Recorded) -> Chapter:
-    """Every law on the earthquakes."""
+    """Results of every law on the earthquakes."""
     currents = found.currents
     rows: list[Sequence[Cell]] = [
         (

@@ -1,4 +1,4 @@
-"""The report of what the laws are worth: recordings, and a benchmark whose truth is known."""
+"""Report on the accuracy of the laws: recordings, and a benchmark with a known truth."""
 
 from __future__ import annotations
 
@@ -46,16 +46,17 @@ _NOTICE = (
 )
 
 _NEEDS_PEAKS = ("sigmoid", "sigmoid_lag")
-"""Laws of the peak velocity, which a mass that is moved knows only afterwards."""
+"""Laws that depend on the peak velocity, which is known only after the motion of the mass."""
 
 
 @dataclass(frozen=True)
 class TruthExtent:
-    """How much of everything is done.
+    """Extent of the study.
 
-    ``laws`` that are tried, ``online`` those with the identifier running; ``every`` so many of the
-    currents of the sinusoid records; ``currents`` [A] and ``longest`` [s] of the earthquakes;
-    samples ``count``, steps a sample and seconds of a sweep of the benchmark.
+    ``laws`` are the laws under test, and ``online`` those with the identifier running. ``every`` is
+    the stride over the currents of the sinusoid records. ``currents`` [A] and ``longest`` [s] apply
+    to the earthquakes. The other values are the sample ``count``, the steps per sample and the
+    duration of a sweep [s] of the benchmark.
     """
 
     laws: tuple[str, ...] = tuple(MODELS)
@@ -79,7 +80,7 @@ SHORT = TruthExtent(
     steps=5,
     sweep=10.0,
 )
-"""Shorter, to see that all works: its figures are not the real ones."""
+"""Short variant that checks whether everything works; its figures are not representative."""
 
 
 def _recordings(pool: ProcessPool, quick: bool, say: Say) -> Part:
