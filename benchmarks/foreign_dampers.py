@@ -64,7 +64,7 @@ _FINE = 5e-3
 _HIGHEST_CURRENT = 1.5
 
 
-# -- motions ---------------------------------------------------------------------------------
+# -- motions ---------------------------------------------------------------------------------------
 
 
 def _car_travel(seed: int) -> Excitation:
@@ -138,7 +138,7 @@ MOTIONS: dict[str, Callable[[int], Excitation]] = {
 """Functions by name that create a motion from a seed."""
 
 
-# -- currents --------------------------------------------------------------------------------
+# -- currents --------------------------------------------------------------------------------------
 
 
 def _switched(longest: float, seed: int) -> CurrentSchedule:
@@ -201,7 +201,7 @@ CURRENTS: dict[str, Callable[[Excitation, int], CurrentSchedule]] = {
 """Functions by name that create a current schedule from a motion and a seed."""
 
 
-# -- instruments, streams, faults --------------------------------------------------------------
+# -- instruments, streams, faults ------------------------------------------------------------------
 
 
 @dataclass(frozen=True)
@@ -291,7 +291,7 @@ COMBINATIONS = _combinations()
 """All of them."""
 
 
-# -- what came of them -----------------------------------------------------------------------
+# -- results of the combinations -------------------------------------------------------------------
 
 
 @dataclass(frozen=True)

@@ -76,7 +76,7 @@ def campaign(cases: int, seed: int) -> tuple[Counter[str], list[str]]:
         try:
             found = mr.identify(recordings, model=law, level_per_record=levels)
             end = "a set" if np.isfinite(found.parameter_set.nrmse) and str(found) else "no number"
-        except Exception as error:  # whatever it is, it is a failure unless ...
+        except Exception as error:  # a failure, except a ValueError of the package
             place = Path(traceback.extract_tb(error.__traceback__)[-1].filename)
             ours = isinstance(error, ValueError) and place.is_relative_to(_PACKAGE)
             end = "a sentence" if ours else f"{type(error).__name__}: {error}"

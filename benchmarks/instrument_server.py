@@ -33,7 +33,7 @@ class InstrumentServer:
                     for line in self.rfile:
                         outer._hear(self, line)
                 except OSError:
-                    return  # whoever spoke has died
+                    return  # the client has died
 
         class _SocketServer(socketserver.ThreadingTCPServer):
             daemon_threads = True

@@ -43,7 +43,7 @@ def _unmeasured(*keys: str) -> Measured:
     return dict.fromkeys(keys, (None, recordings.NONE))
 
 
-# -- met by an identifier that knows nothing of the damper -----------------------------------------
+# -- cold starts of the identifier on an unknown damper --------------------------------------------
 
 _GOOD, _NEXT = 0.75, 2.0
 """Smallest good fit, 1 - NRMSE, of the predicted force, and the time [s] of its evaluation after a
@@ -151,7 +151,7 @@ def jump_figures(laws: Sequence[str] = LAWS) -> Measured:
     }
 
 
-# -- whether a search ends in the lowest minimum, whatever it starts from --------------------------
+# -- convergence of searches from random starts to the lowest minimum ------------------------------
 
 _AS_GOOD = 1.01
 """A search agrees with the published one if its cost is at most this many times as large."""

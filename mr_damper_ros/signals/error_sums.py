@@ -64,7 +64,7 @@ class ErrorSums:
 
     @property
     def nrmse(self) -> float:
-        """RMSE/std of the measurement; NaN where there is nothing to compare or no variation."""
+        """RMSE over the standard deviation; NaN without samples or variation."""
         spread = self.spread
         return self.rmse / spread if spread > 0.0 else math.nan
 

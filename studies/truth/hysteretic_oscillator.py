@@ -45,7 +45,7 @@ _THINNING = (2, 2, 5)
 """Decimation factors from the simulation steps to the samples."""
 
 _CLOSE = 1e-12
-"""A step has converged if the velocity changes by less than this fraction of its magnitude ..."""
+"""A step has converged if the velocity changes by less than this fraction of its magnitude."""
 
 _MOST_ROUNDS = 20
 
