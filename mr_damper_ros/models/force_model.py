@@ -40,17 +40,6 @@ _STEP = 1e-6
 _SMALLEST = 0.1
 """Lower limit of the size of a parameter for a difference, relative to its typical size."""
 
-_KEPT = 0.5
-"""Time [s] of motion from which a state is reconstructed; lags settle sooner. A hysteresis depends
-on the travelled distance, so its model asks for more."""
-
-_LONGEST_KEPT = 30.0
-"""Upper limit [s], needed for a damper that hardly moves."""
-
-_TOGETHER = 500
-"""Number of samples processed at once when a state is reconstructed. Half a minute takes ten
-seconds sample by sample, which is too long for a stream."""
-
 _USUAL_RUN = LoopReading(1000.0, 0.0, 2.0 * np.pi * 1.0 * 5e-3, 5e-3)
 """A typical run: 1 kN, 5 mm, 1 Hz."""
 
