@@ -29,7 +29,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from importlib import import_module
 from multiprocessing.connection import Connection
-from typing import Any, Protocol
+from typing import Any
 
 from mr_damper_ros.processes import child_process
 from mr_damper_ros.processes.blas_threads import keep_one_thread
@@ -87,26 +87,6 @@ class Failed:
 Outcome = Progress | Done | Failed
 
 
-class TaskRunner(Protocol):
-    """Runs one task at a time, in this or another process; see :class:`Worker`."""
-
-    @property
-    def busy(self) -> bool:
-        """Whether a task has been submitted and has not yet ended."""
-
-    def submit(self, function: Callable[..., Any], *args: Any, budget: float = math.inf) -> int:
-        """Start a task and return its number."""
-
-    def cancel(self) -> None:
-        """Ask the running task to stop and return its present result."""
-
-    def poll(self) -> list[Outcome]:
-        """The outcomes since the last call."""
-
-    def take_notices(self) -> list[str]:
-        """Sentences about the runner itself since the last call."""
-
-
 class Control:
     """The connection of a task in the worker to the node; its methods may be called often."""
 
@@ -125,120 +105,114 @@ class Control:
         return not self.should_stop()
 
 
-class _Process:
-    """One worker process with the threads that talk to it: no call here ever blocks."""
+class _Place:
+    """One worker process, with the threads that talk to it; it is replaced if it dies or hangs.
+
+    No method ever blocks. ``process_number`` counts the processes; ``ready`` tells whether the
+    present one has loaded its module.
+    """
 
     def __init__(self, module: str) -> None:
-        self.started = time.monotonic()
+        self._module = module
+        self.process_number = self.replaced = 0
+        self._looked = time.monotonic()
+        self._start()
+
+    def _start(self) -> None:
+        self.process_number += 1
         self.ready = False
-        self._inbox: queue.SimpleQueue[Any] = queue.SimpleQueue()
+        self._started, self._silence = time.monotonic(), 0.0
         ours, theirs = socket.socketpair()
         with theirs:
-            self._child = subprocess.Popen(
-                child_process.command(serve, str(theirs.fileno()), module),
+            self._child: subprocess.Popen[bytes] | None = subprocess.Popen(
+                child_process.command(serve, str(theirs.fileno()), self._module),
                 stdin=subprocess.DEVNULL,
                 pass_fds=[theirs.fileno()],
                 # Ctrl-C goes to the whole group of the terminal; the worker must not receive it.
                 start_new_session=True,
             )
-        self._connection = Connection(ours.detach())
-        self._sending = threading.Lock()
-        threading.Thread(target=self._receive, name="worker answers", daemon=True).start()
+        self._inbox: queue.SimpleQueue[Any] = queue.SimpleQueue()
+        self._connection, self._sending = Connection(ours.detach()), threading.Lock()
+        threading.Thread(
+            target=_receive, args=(self._connection, self._sending, self._inbox), daemon=True
+        ).start()
 
     @property
-    def pid(self) -> int:
-        return self._child.pid
+    def pid(self) -> int | None:
+        """Id of the process; None while there is none."""
+        return None if self._child is None else self._child.pid
 
-    def _receive(self) -> None:
-        try:
-            while True:
-                self._inbox.put(self._connection.recv())
-        except Exception:  # closed, or half a message of a killed process
-            self._inbox.put(("gone",))
-        finally:
-            # Wait for a running send, which ends by itself: nothing reads it any more.
-            with self._sending:
-                self._connection.close()
-
-    def messages(self) -> list[Any]:
-        """The messages since the last call; ("gone",) is the last message of all."""
-        received = []
-        with contextlib.suppress(queue.Empty):
-            while True:
-                received.append(self._inbox.get_nowait())
-        return received
-
-    def send(self, message: bytes) -> None:
-        """Send bytes in a separate thread, because a stopped process does not read."""
+    def send(self, *messages: bytes) -> None:
+        """Send messages in a separate thread, because a stopped process does not read."""
+        connection, sending = self._connection, self._sending
 
         def work() -> None:
             # A broken pipe means a dead worker, which the receiving thread reports.
-            with self._sending, contextlib.suppress(OSError):
-                self._connection.send_bytes(message)
+            with sending, contextlib.suppress(OSError):
+                for message in messages:
+                    connection.send_bytes(message)
 
-        threading.Thread(target=work, name="worker task", daemon=True).start()
-
-    def kill(self) -> None:
-        self._child.kill()
-        with contextlib.suppress(subprocess.TimeoutExpired):
-            self._child.wait(timeout=_GRACE)
-
-
-class _Slot:
-    """A place for one process: a process that dies, hangs or does not become ready is replaced."""
-
-    def __init__(self, module: str) -> None:
-        self.replaced = 0
-        self._module = module
-        self._next_start = 0.0
-        self._looked = time.monotonic()
-        self._silence = 0.0
-        self.process: _Process | None = _Process(module)
+        threading.Thread(target=work, daemon=True).start()
 
     def look(self) -> list[Any]:
-        """The messages of the process since the last call. Never blocks.
+        """The messages of the process since the last call.
 
-        ("lost", reason) is appended if the process was replaced. ("started",) follows later if the
-        replacement had to wait.
+        ("lost", reason) is the last message of a process that had to be replaced.
         """
-        now, process = time.monotonic(), self.process
+        now = time.monotonic()
         self._silence += min(now - self._looked, _LONGEST_LOOK)
         self._looked = now
-        if process is None:
-            if now < self._next_start:
-                return []
-            self.process = _Process(self._module)
-            return [("started",)]
-        messages = process.messages()
-        if messages:
-            self._silence = 0.0
-        process.ready = process.ready or ("ready",) in messages
+        if self._child is None:
+            if now >= self._started + _RESTART_PAUSE:
+                self._start()
+            return []
+        messages = []
+        with contextlib.suppress(queue.Empty):
+            while True:
+                messages.append(self._inbox.get_nowait())
+                self._silence = 0.0
+        self.ready = self.ready or ("ready",) in messages
         why = ""
-        if ("gone",) in messages:
+        if _GONE in messages:
             why = "the worker process died"
-        elif not process.ready and now - process.started > _START_LIMIT:
+        elif not self.ready and now - self._started > _START_LIMIT:
             why = f"the worker did not start within {_START_LIMIT:g} s"
-        elif process.ready and self._silence > _SILENCE_LIMIT:
+        elif self.ready and self._silence > _SILENCE_LIMIT:
             why = "the worker process hangs"
         if why:
-            self.replace()
+            self.kill()
             messages.append(("lost", why))
         return messages
 
-    def replace(self) -> None:
-        """Kill the process and start another, after a pause if it was not yet ready."""
-        process = self.process
-        assert process is not None
-        process.kill()
-        self.replaced += 1
-        self.process = _Process(self._module) if process.ready else None
-        self._next_start = time.monotonic() + _RESTART_PAUSE
+    def kill(self) -> None:
+        """Kill the process; :meth:`look` starts the next one."""
+        child, self._child, self.ready = self._child, None, False
+        if child is not None:
+            self.replaced += 1
+            child.kill()
+            with contextlib.suppress(subprocess.TimeoutExpired):
+                child.wait(timeout=_GRACE)
 
     def close(self) -> None:
-        """End the process, and start no other."""
-        if self.process is not None:
-            self.process.kill()
-        self.process, self._next_start = None, math.inf
+        """End the process for good."""
+        self.kill()
+        self._started = math.inf
+
+
+_GONE = ("gone",)
+"""The last message of all: the connection has ended."""
+
+
+def _receive(connection: Connection, sending: threading.Lock, inbox: queue.SimpleQueue) -> None:
+    try:
+        while True:
+            inbox.put(connection.recv())
+    except Exception:  # closed, or half a message of a killed process
+        inbox.put(_GONE)
+    finally:
+        # Wait for a running send, which ends by itself: nothing reads it any more.
+        with sending:
+            connection.close()
 
 
 class WorkerPool:
@@ -250,8 +224,8 @@ class WorkerPool:
     """
 
     def __init__(self, module: str, count: int = 1) -> None:
-        self._slots = [_Slot(module) for _ in range(count)]
-        self._free = deque(self._slots)
+        self._places = [_Place(module) for _ in range(count)]
+        self._free = deque(self._places)
         self._waiting: deque[Worker] = deque()
         self._notices: list[str] = []
         self.tickets = itertools.count(1)
@@ -260,18 +234,17 @@ class WorkerPool:
     @property
     def ready(self) -> bool:
         """Whether at least one process is ready."""
-        return any(slot.process is not None and slot.process.ready for slot in self._slots)
+        return any(place.ready for place in self._places)
 
     @property
     def replaced(self) -> int:
         """Number of processes replaced so far."""
-        return sum(slot.replaced for slot in self._slots)
+        return sum(place.replaced for place in self._places)
 
     @property
     def pid(self) -> int | None:
         """Id of the next free process; None if there is none."""
-        process = self._next().process if self._free else None
-        return None if process is None else process.pid
+        return self._next().pid if self._free else None
 
     def worker(self) -> Worker:
         """A worker that runs one task at a time in a process of this pool."""
@@ -279,38 +252,37 @@ class WorkerPool:
 
     def close(self) -> None:
         """End the processes. They hold no data that could be lost."""
-        for slot in self._slots:
-            slot.close()
+        for place in self._places:
+            place.close()
 
     def queue(self, worker: Worker) -> None:
         """Give the worker a process when its turn comes."""
         self._waiting.append(worker)
         self.look_after()
 
-    def release(self, slot: _Slot) -> None:
-        """Take back the place of a process whose task has ended."""
-        self._free.append(slot)
+    def release(self, place: _Place) -> None:
+        """Take back the process of a task that has ended."""
+        self._free.append(place)
         self.look_after()
 
     def look_after(self) -> None:
         """Replace free processes that have died, and assign free ones to waiting workers."""
-        for slot in self._free:
-            lost = [message[1] for message in slot.look() if message[0] == "lost"]
+        for place in self._free:
+            lost = [message[1] for message in place.look() if message[0] == "lost"]
             self._notices += [f"{why}: the worker is replaced" for why in lost]
         while self._waiting and self._free:
-            slot = self._next()
-            self._free.remove(slot)
-            self._waiting.popleft().take(slot)
+            place = self._next()
+            self._free.remove(place)
+            self._waiting.popleft().take(place)
 
     def take_notices(self) -> list[str]:
         """Sentences about free processes (deaths, replacements) since the last call."""
         notices, self._notices = self._notices, []
         return notices
 
-    def _next(self) -> _Slot:
-        """The first ready place; without one, a place whose process is still starting."""
-        ready = (slot for slot in self._free if slot.process is not None and slot.process.ready)
-        return next(ready, self._free[0])
+    def _next(self) -> _Place:
+        """The first ready process; without one, a process that is still starting."""
+        return next((place for place in self._free if place.ready), self._free[0])
 
 
 class Worker:
@@ -322,13 +294,14 @@ class Worker:
 
     def __init__(self, pool: WorkerPool) -> None:
         self._pool = pool
-        self._slot: _Slot | None = None
+        self._place: _Place | None = None
         self._notices: list[str] = []
         self._number = 0
         self._ticket = b""
         self._task: bytes | None = None
         self._budget = math.inf
         self._retried = False
+        self._sent_to = 0  # number of the process that received the task
         self._started: float | None = None  # start time of the task, in a process that is ready
         self._stop_asked: float | None = None
 
@@ -340,7 +313,7 @@ class Worker:
     @property
     def waits(self) -> bool:
         """Whether a task waits for a process."""
-        return self.busy and self._slot is None
+        return self.busy and self._place is None
 
     @property
     def ready(self) -> bool:
@@ -355,9 +328,7 @@ class Worker:
     @property
     def pid(self) -> int | None:
         """Id of the process for the task, or of the next free one; None if there is none."""
-        if self._slot is None:
-            return self._pool.pid
-        return None if self._slot.process is None else self._slot.process.pid
+        return (self._place or self._pool).pid
 
     def submit(self, function: Callable[..., Any], *args: Any, budget: float = math.inf) -> int:
         """Start ``function(*args, control)`` in a process and return the task's number.
@@ -371,38 +342,57 @@ class Worker:
         self._number += 1
         self._ticket = _NUMBER.pack(next(self._pool.tickets))
         self._task = _TASK + self._ticket + pickle.dumps((function, args), -1)
-        self._budget = budget
-        self._retried = False
-        self._stop_asked = None
+        self._budget, self._retried = budget, False
+        self._started = self._stop_asked = None
         self._pool.queue(self)
         return self._number
 
-    def take(self, slot: _Slot) -> None:
-        """Run the task in the process of this place."""
-        self._slot = slot
-        self._begin(slot)
+    def take(self, place: _Place) -> None:
+        """Run the task in this process."""
+        self._place = place
+        self._send(place)
+
+    def _send(self, place: _Place) -> None:
+        """Send the task to the process, if there is one."""
+        if self._task is None or place.pid is None:
+            return
+        self._sent_to = place.process_number
+        self._started = time.monotonic() if place.ready else None
+        stop = () if self._stop_asked is None else (_STOP + self._ticket,)
+        place.send(self._task, *stop)
 
     def cancel(self) -> None:
         """Ask the task to stop with its present result; :meth:`poll` still returns it."""
         if self.busy and self._stop_asked is None:
             self._stop_asked = time.monotonic()
-            if self._slot is not None and self._slot.process is not None:
-                self._slot.process.send(_STOP + self._ticket)
+            if self._place is not None and self._place.pid is not None:
+                self._place.send(_STOP + self._ticket)
 
     def poll(self) -> list[Outcome]:
         """Return the outcomes since the last call, and end overdue tasks. Never blocks."""
         self._pool.look_after()
         self._notices += self._pool.take_notices()
-        slot = self._slot
-        if slot is None:
+        place = self._place
+        if place is None:
             return []
         outcomes: list[Outcome] = []
-        for kind, *content in slot.look():
-            outcomes += self._received(slot, kind, content)
-        outcomes += self._overdue(slot)
+        for kind, *content in place.look():
+            if kind == "lost":
+                outcomes += self._lost(content[0])
+            elif kind == "ready":
+                self._started = time.monotonic()
+            elif content and self.busy and content[0] == _NUMBER.unpack(self._ticket)[0]:
+                if kind == "progress":
+                    outcomes.append(Progress(self._number, content[1]))
+                    continue
+                self._task = None
+                outcomes.append((Done if kind == "done" else Failed)(self._number, content[1]))
+        if self._sent_to != place.process_number:
+            self._send(place)
+        outcomes += self._overdue(place)
         if not self.busy:
-            self._slot = None
-            self._pool.release(slot)
+            self._place = None
+            self._pool.release(place)
         return outcomes
 
     def take_notices(self) -> list[str]:
@@ -410,33 +400,7 @@ class Worker:
         notices, self._notices = self._notices, []
         return notices
 
-    def _begin(self, slot: _Slot) -> None:
-        """Send the task to the process, if there is one."""
-        self._started = None
-        if self._task is None or slot.process is None:
-            return
-        slot.process.send(self._task)
-        if self._stop_asked is not None:
-            slot.process.send(_STOP + self._ticket)
-        if slot.process.ready:
-            self._started = time.monotonic()
-
-    def _received(self, slot: _Slot, kind: str, content: list[Any]) -> list[Outcome]:
-        if kind == "lost":
-            return self._lost(slot, content[0])
-        if kind == "started":
-            self._begin(slot)
-        elif kind == "ready":
-            self._started = time.monotonic()
-        elif content and self.busy and content[0] == _NUMBER.unpack(self._ticket)[0]:
-            if kind == "progress":
-                return [Progress(self._number, content[1])]
-            self._task = None
-            ended = Done if kind == "done" else Failed
-            return [ended(self._number, content[1])]
-        return []
-
-    def _overdue(self, slot: _Slot) -> list[Outcome]:
+    def _overdue(self, place: _Place) -> list[Outcome]:
         now = time.monotonic()
         if self._task is None or self._started is None:
             return []
@@ -445,24 +409,23 @@ class Worker:
             self.cancel()
         if self._stop_asked is None or now <= max(self._stop_asked, self._started) + _GRACE:
             return []
-        slot.replace()
+        place.kill()
         why = f"the task exceeded its {self._budget:g} s" if over_budget else "it was cancelled"
-        return self._lost(slot, f"{why} and did not stop when asked to", retry=False)
+        return self._lost(f"{why} and did not stop when asked to", retry=False)
 
-    def _lost(self, slot: _Slot, why: str, *, retry: bool = True) -> list[Outcome]:
+    def _lost(self, why: str, *, retry: bool = True) -> list[Outcome]:
         """Try the task once more in the next process, otherwise give it up."""
-        again = retry and not self._retried and self._stop_asked is None
-        what = (
-            ""
-            if self._task is None
-            else " and its task " + ("starts again" if again else "is given up")
-        )
-        self._notices.append(f"{why}: the worker is replaced{what}")
+        self._started = None
         if self._task is None:
+            self._notices.append(f"{why}: the worker is replaced")
             return []
+        again = retry and not self._retried and self._stop_asked is None
+        self._notices.append(
+            f"{why}: the worker is replaced and its task "
+            + ("starts again" if again else "is given up")
+        )
         if again:
             self._retried = True
-            self._begin(slot)
             return []
         self._task = None
         return [Failed(self._number, why)]
@@ -583,3 +546,7 @@ class InlineWorker:
     def take_notices(self) -> list[str]:
         """Always empty: there is no separate process that could fail."""
         return []
+
+
+TaskRunner = Worker | InlineWorker
+"""Runs one task at a time, in another process or in this one."""
