@@ -176,7 +176,8 @@ class CampaignCourse:
             if plan.state in _ENDS:
                 self._end(_ENDS[plan.state], plan.reason)
             elif len(self.steps) >= self._most_runs:
-                self.end(f"{self._most_runs} runs were made, and more were not allowed")
+                made = f"{self._most_runs} runs were made, and more were not allowed"
+                self.end(f"{made}; {plan.reason}" if plan.reason else made)
         return self._ended
 
     @property

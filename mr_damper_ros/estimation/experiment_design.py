@@ -468,8 +468,8 @@ class Plan:
 
     ``now``: errors at the points of the goal; ``expected``: worst error [1] after the run;
     ``runs_left``: number of runs until the goal is met, None if it is unknown or the goal cannot be
-    met; ``reason``: why the goal is met or cannot be met, in words. A run may help even if the goal
-    cannot be met.
+    met; ``reason``: why the goal is met or cannot be met, or that the law prevents it, in words. A
+    run may help even if the goal cannot be met.
     """
 
     state: PlanState
@@ -599,26 +599,25 @@ class RunPlanner:
         best = self.candidates[place]
         unfollowed = self._model_errors(windows, parameters)
         left, expected, reached = self._look_ahead(parameters, present, sigma, place, unfollowed)
+        misfit = self._law_at_fault(now)
         # With undetermined laws the number of runs cannot be predicted.
         if left is None and len(sets) == 1:
-            return Plan(
-                PlanState.OUT_OF_REACH,
-                now,
-                run=best,
-                expected=expected,
-                runs_left=None,
-                reason=(
-                    f"{_LOOK_AHEAD} more runs would leave an error of {reached:.2%}: allow "
-                    "longer runs or a larger error"
-                )
-                + (
-                    "choose another law"
-                    if now.model_error > self.goal.error
-                    else "allow longer runs"
-                )
-                + ", or a larger error",
+            reason = misfit or (
+                f"{_LOOK_AHEAD} more runs would leave an error of {reached:.2%}: allow longer runs "
+                "or a larger error"
             )
-        return Plan(PlanState.RUN, now, best, expected, left)
+            return Plan(PlanState.OUT_OF_REACH, now, best, expected, None, reason)
+        return Plan(PlanState.RUN, now, best, expected, left, misfit)
+
+    def _law_at_fault(self, now: PointErrors) -> str:
+        """A sentence if the model error of the law alone exceeds the goal; empty otherwise."""
+        if now.model_error <= self.goal.error:
+            return ""
+        return (
+            f"the law {self.model.name} itself leaves {now.model_error:.2%} of the force, where "
+            f"{self.goal.error:.2%} is wanted, and no run changes that: choose another model "
+            "(choose_law compares them on the runs made), or a larger error"
+        )
 
     def _errors(self, parameters: Array, information: Array, model_errors: Array) -> PointErrors:
         gradient = relative_gradient(self._goal_cycles, parameters)

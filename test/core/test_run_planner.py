@@ -138,6 +138,15 @@ def test_the_error_of_the_force_includes_what_the_law_does_not_follow(planner: R
     assert "that the law does not follow" in now.sentence
 
 
+def test_a_law_that_does_not_fit_is_named_as_the_reason() -> None:
+    goal = replace(GOAL, error=0.02)
+    wrong = [with_third_harmonic(window, MISFIT) for window in windows(*RUNS)]
+    plan = RunPlanner(LAW, goal, LIMITS).next(wrong, known.PLAUSIBLE, EVERY)
+    assert plan.state is PlanState.OUT_OF_REACH
+    assert plan.reason.startswith("the law sigmoid itself leaves ")
+    assert "choose another model (choose_law" in plan.reason
+
+
 @pytest.mark.parametrize(
     ("limits", "sentence"),
     [
