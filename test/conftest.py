@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import signal
 
+import pytest
+
 from mr_damper_ros.processes.blas_threads import keep_one_thread
 
 # Several processes compute at once.
@@ -12,3 +14,8 @@ keep_one_thread()
 # A shell starts what runs in its background with Ctrl-C ignored, and so would be all programs that
 # the tests start: those that are to end by it would not.
 signal.signal(signal.SIGINT, signal.default_int_handler)
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Tests over DDS first: they mostly wait, and the longest must not begin at the end."""
+    items.sort(key=lambda item: "test/ros/" not in item.nodeid)

