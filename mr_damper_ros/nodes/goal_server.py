@@ -167,14 +167,14 @@ class SearchGoals:
             return IdentifyGlobal.Result(
                 message="cancelled, or superseded by a reset or another set", nrmse=math.nan
             )
-        fit, report = event.outcome.found, event.report
-        if fit is None:
+        outcome, report = event.outcome, event.report
+        if outcome.found is None:
             return IdentifyGlobal.Result(message=report.reason, nrmse=math.nan)
-        message = fit.message
+        message = outcome.message
         if not report.accepted:
             message += f"; not in use: {report.reason}"
         found = dataclasses.replace(
-            fit.parameter_set,
+            outcome.found,
             set_id=report.set_id if report.accepted else _REFUSED,
             stamp_ns=report.stamp_ns,
         )
@@ -184,5 +184,5 @@ class SearchGoals:
             message=message,
             parameters=parameters_message(found, self._frame_id, self._node),
             nrmse=report.nrmse_after,
-            evaluations=fit.evaluations,
+            evaluations=report.evaluations,
         )

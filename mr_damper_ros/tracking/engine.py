@@ -19,7 +19,7 @@ from mr_damper_ros.signals.blocks import NANOSECONDS, SampleBlock
 from mr_damper_ros.signals.recording import CurrentReading, StreamItem
 from mr_damper_ros.signals.uniform_grid import GridSettings
 from mr_damper_ros.tracking.identifier import Identifier, PipelineSettings, Publication
-from mr_damper_ros.tracking.jobs import Job, Kind
+from mr_damper_ros.tracking.jobs import Job
 from mr_damper_ros.tracking.predictor import ForcePredictor, Prediction, PredictorSettings
 from mr_damper_ros.tracking.state_directory import StateDirectory
 from mr_damper_ros.tracking.tracker import TrackerSettings, WindowTracker
@@ -100,10 +100,10 @@ class Engine:
         return self.identifier.tracker
 
     def _seconds_until_outcome(self, job: Job) -> float:
-        if job.kind is Kind.LOOK:
-            return 0.0  # takes milliseconds in the node and ends before the next block
-        settings = self.settings
-        return settings.search_delay if job.kind is Kind.SEARCH else settings.fit_delay
+        if job.raw is None:
+            return self.settings.search_delay
+        # A change check takes milliseconds in the node and ends before the next block.
+        return 0.0 if job.raw.look else self.settings.fit_delay
 
     def add_current(self, stamp_ns: int, current: float) -> None:
         """Add a value of the supply current [A]; raises CurrentError if it is not finite."""

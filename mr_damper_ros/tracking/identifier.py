@@ -18,7 +18,7 @@ from mr_damper_ros.processes.worker import Failed, Progress, TaskRunner
 from mr_damper_ros.settings.option_table import CheckedSettings, option
 from mr_damper_ros.signals.blocks import SampleBlock
 from mr_damper_ros.tracking.acceptance import Judgement, Verdict
-from mr_damper_ros.tracking.jobs import Job, Kind, Outcome, run
+from mr_damper_ros.tracking.jobs import Job, Outcome, run
 from mr_damper_ros.tracking.reports import Report
 from mr_damper_ros.tracking.tracker import WindowTracker
 from mr_damper_ros.tracking.tracker_state import DISK_PATIENCE, TrackerState
@@ -135,7 +135,7 @@ class Identifier:
         """The kind of the running job: "fit", "search", or "" for none."""
         if self._running is None:
             return ""
-        return Kind.WINDOW.value if self._running.search is None else Kind.SEARCH.value
+        return "fit" if self._running.search is None else "search"
 
     def add_block(self, block: SampleBlock) -> list[str]:
         """Add samples; returns messages on gaps, repeats and other faults of the sequence."""
@@ -208,7 +208,7 @@ class Identifier:
         before = self.tracker.parameters
         report = self.tracker.complete(ended.job, outcome)
         if report is not None:
-            if report.global_due and ended.job.kind is Kind.WINDOW:
+            if report.global_due and not ended.job.samples.look:
                 self._searches.append(Search())
             self.last_report = report
             found = None if self.tracker.parameters is before else self.tracker.parameters

@@ -10,21 +10,26 @@ import math
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
-from enum import Enum
 
 import numpy as np
 
 from mr_damper_ros.estimation.covariance import NoiseModel
 from mr_damper_ros.estimation.differential_evolution import EvolutionSettings
-from mr_damper_ros.estimation.global_fit import GlobalFit, error_of_set, identify_global
+from mr_damper_ros.estimation.global_fit import error_of_set, identify_global
 from mr_damper_ros.estimation.global_search import adapted
-from mr_damper_ros.estimation.window_fit import WindowFit, WindowPrior, fit_window
+from mr_damper_ros.estimation.window_fit import (
+    WINDOW_METHODS,
+    WindowFit,
+    WindowPrior,
+    fit_window,
+)
 from mr_damper_ros.kinematics.motion import DataError
 from mr_damper_ros.kinematics.window import LONGEST_SETTLING, Window
 from mr_damper_ros.models.force_model import Model
 from mr_damper_ros.models.misfit import WindowProblem
 from mr_damper_ros.models.parameter_set import EARLY_SOURCE, ParameterSet
 from mr_damper_ros.processes.worker import Control
+from mr_damper_ros.settings.option_table import CheckedSettings, group, option
 from mr_damper_ros.signals.arrays import Array
 from mr_damper_ros.signals.blocks import NANOSECONDS
 from mr_damper_ros.tracking.acceptance import (
@@ -40,15 +45,17 @@ from mr_damper_ros.tracking.acceptance import (
     too_little_motion,
 )
 from mr_damper_ros.tracking.cusum import ChangeWatch, change_point, fit_scale
-from mr_damper_ros.tracking.force_scale import (
-    ForceScale,
-    baseline_at,
-    force_scale,
-    with_strength,
-)
-from mr_damper_ros.tracking.operating_point import Kept, nearest_same, thinned_to_keep
+from mr_damper_ros.tracking.force_scale import baseline_at, force_scale, with_strength
+from mr_damper_ros.tracking.operating_point import Kept, KnownForce, nearest_same, thinned_to_keep
 from mr_damper_ros.tracking.recursive_tracker import METHOD, FilterState, RecursiveFilter
-from mr_damper_ros.tracking.running_set import WindowSummary, candidate
+from mr_damper_ros.tracking.reports import Report
+from mr_damper_ros.tracking.running_set import (
+    SteadyMotion,
+    candidate,
+    known_force,
+    set_of_change,
+    set_of_window,
+)
 from mr_damper_ros.tracking.screening import (
     Screening,
     fault_at_rest,
@@ -84,26 +91,6 @@ _BESIDES = 0.01
 if the additional error is at most ``_BESIDES`` of the force."""
 
 
-class Kind(Enum):
-    """Kind of a job: window fit, change check or global search."""
-
-    WINDOW = "fit"
-    LOOK = "look"
-    SEARCH = "search"
-
-
-@dataclass(frozen=True)
-class FitOptions:
-    """How a window is fitted; see the options of the same names."""
-
-    method: str = "nelder_mead"
-    robust: bool = False
-    tracker: str = "window"
-    drift_rate: float = 1e-3
-    smallest_change: float = 0.02
-    screening: Screening = field(default_factory=Screening)
-
-
 @dataclass(frozen=True, eq=False)
 class Job:
     """A task for the worker, starting from the ``running`` set.
@@ -118,12 +105,13 @@ class Job:
     ``stamp_ns``; the last ``recent`` of them are at the recent operating points. ``asked`` is True
     for a requested search and False for one that fell due.
 
-    ``rival`` is a set that this window must confirm.
+    ``rival`` is a set that this window must confirm. ``number`` is part of the name of a new set.
     """
 
     running: ParameterSet
-    options: FitOptions = field(default_factory=FitOptions)
+    options: FitOptions
     raw: RawWindow | None = None
+    number: int = 0
     rival: ParameterSet | None = None
     windows: tuple[Window, ...] = ()
     baselines: tuple[WindowFit, ...] = ()
@@ -134,13 +122,6 @@ class Job:
     stamp_ns: int = 0
     recent: int = 1
     asked: bool = True
-
-    @property
-    def kind(self) -> Kind:
-        """Kind of the job."""
-        if self.raw is None:
-            return Kind.SEARCH
-        return Kind.LOOK if self.raw.look else Kind.WINDOW
 
     @property
     def samples(self) -> RawWindow:
@@ -189,26 +170,84 @@ class PartsByCurrent:
 class Outcome:
     """Result of a job; ``refusal`` says why nothing was fitted, None if something was.
 
+    ``report`` holds the figures of the job; the tracker adds the verdict. ``found`` is the new set,
+    ``fit`` the fit of a window, ``force`` the size of its force, and ``motion`` its motion.
     ``kept`` is the window thinned for the reservoir, or its parts if the current changes; empty for
     a change check. It is returned because computing the motion of a window again would take longer
     than transferring it. ``parts`` holds the errors of separate fits to these parts; None if the
-    current is constant. ``found`` is the result of a search. ``rival_wins`` says whether the rival
-    of the job predicts the window better; if so, the rest of the outcome is relative to the rival.
-    It is None without a rival. ``duration`` [s] is the duration of the job.
+    current is constant. ``rival_wins`` says whether the rival of the job predicts the window
+    better; if so, the rest of the outcome is relative to the rival. It is None without a rival.
+    ``message`` says how a search ended. ``duration`` [s] is the duration of the job.
     """
 
     refusal: Judgement | None = None
-    fit: WindowFit | None = None
-    found: GlobalFit | None = None
+    report: Report | None = None
+    found: ParameterSet | None = None
     evidence: Evidence | None = None
-    summary: WindowSummary | None = None
+    fit: WindowFit | None = None
+    force: KnownForce | None = None
+    motion: SteadyMotion = field(default_factory=SteadyMotion)
     kept: tuple[Kept, ...] = ()
     parts: PartsByCurrent | None = None
     state: FilterState | None = None
     watch: ChangeWatch | None = None
-    scale: ForceScale = field(default_factory=ForceScale)
     rival_wins: bool | None = None
+    message: str = ""
     duration: float = math.nan
+
+
+def blank_report(job: Job) -> Report:
+    """The report on a job from which nothing was found."""
+    raw, model = job.raw, job.model
+    if raw is None:
+        # Linear laws are solved by least squares; the others need a search.
+        searched = model.searched_laws(frozenset(model.parameter_names)) > 0
+        return Report(
+            window_start_ns=job.stamp_ns,
+            stamp_ns=job.stamp_ns,
+            set_id=job.running.set_id,
+            sample_count=sum(window.sample_count for window in job.windows),
+            method="differential_evolution" if searched else "least_squares",
+        )
+    unknown = np.full(len(model.coefficient_names), math.nan)
+    return Report(
+        window_start_ns=raw.start_ns,
+        stamp_ns=raw.end_ns,
+        set_id=job.running.set_id,
+        sample_count=raw.force.size,
+        method=job.options.method,
+        current=float(np.mean(raw.current)),
+        temperature=raw.temperature,
+        coefficient_names=model.coefficient_names,
+        coefficients=unknown,
+        coefficient_errors=unknown,
+        coefficient_discrepancies=unknown,
+    )
+
+
+def _report(job: Job, window: Window, fit: WindowFit) -> Report:
+    """The figures of a fitted window."""
+    report = replace(
+        blank_report(job),
+        method=fit.method,
+        evaluations=fit.evaluations,
+        scale=force_scale(job.model, window, fit, job.baselines),
+        peak_velocity=fit.operating_point[0],
+        amplitude=window.motion.amplitude,
+        frequency=window.motion.frequency,
+        coefficients=fit.coefficients,
+    )
+    if job.samples.look:  # a single factor does not determine the errors of the coefficients
+        return report
+    report = replace(report, coefficient_errors=_errors(fit.coefficient_covariance))
+    if fit.coefficient_discrepancy is None:
+        return report
+    return replace(report, coefficient_discrepancies=_errors(fit.coefficient_discrepancy))
+
+
+def _errors(covariance: Array) -> Array:
+    # Rounding may make a variance near zero slightly negative.
+    return np.sqrt(np.maximum(np.diag(covariance), 0.0))
 
 
 def run(job: Job, control: Control | None = None) -> Outcome:
@@ -246,7 +285,7 @@ def _fit(job: Job, control: Control | None) -> Outcome:
         return Outcome(fault_of_data(fault) if fault else too_little_motion(lack))
     if raw.force_after is not None:
         window = window.measured_after(raw.force_after)
-    if job.kind is Kind.LOOK:
+    if raw.look:
         return _look(job, window)
     before_change = math.ceil((job.changed_ns - raw.start_ns) / (raw.period * NANOSECONDS))
     if before_change > 0.5 * window.sample_count:
@@ -299,6 +338,47 @@ TRACKERS: dict[str, Callable[[Job, Window], Outcome | None] | None] = {
 """Tracking methods by name. A function continues from the state of a job and returns its outcome,
 or None to request a window fit. With None as the entry, every window is fitted. A new method is one
 more entry."""
+
+
+@dataclass(frozen=True)
+class FitOptions(CheckedSettings):
+    """How a window is fitted."""
+
+    smallest_change: float = option(
+        0.02,
+        "Relative change of the force that triggers an early fit (see looks). False alarms "
+        "occur at intervals of hours if the force is close to its noise, and practically "
+        "never otherwise.",
+        minimum=0.001,
+        maximum=1.0,
+    )
+    tracker: str = option(
+        "window",
+        "Tracking method: window (each window is fitted on its own) or recursive (an extended "
+        "Kalman filter, which uses every sample once and starts from the fit of a window; "
+        "unscented is an earlier name of it).",
+        choices=tuple(TRACKERS),
+    )
+    drift_rate: float = option(
+        1e-3,
+        "For tracker recursive: expected random walk of the force [1/sqrt(s)], relative to "
+        "the force. A larger value tracks faster and averages less.",
+        minimum=1e-9,
+        maximum=1.0,
+    )
+    method: str = option(
+        "nelder_mead",
+        "Fit of a window: nelder_mead (simplex search, as in the thesis, refined by least "
+        "squares) or least_squares (Levenberg-Marquardt only: the same minimum, about five "
+        "times faster).",
+        choices=WINDOW_METHODS,
+    )
+    robust: bool = option(
+        False,
+        "Whether the influence of force outliers is bounded (Huber's weights). It costs some "
+        "milliseconds per window and has no noticeable effect without outliers.",
+    )
+    screening: Screening = group(Screening)
 
 
 def _fitted(job: Job, window: Window, should_stop: Callable[[], bool] | None) -> Outcome:
@@ -369,30 +449,33 @@ def _start_of(job: Job, window: Window) -> Array:
 def _outcome(
     job: Job, window: Window, fit: WindowFit, evidence: Evidence, state: FilterState | None
 ) -> Outcome:
-    """The outcome of a fit, with its force scale and a change detection for later samples."""
-    model, options = job.model, job.options
-    found = candidate(job.running, fit.parameters, window)
+    """The outcome of a fit, with a change detection for later samples."""
+    model, options, running = job.model, job.options, job.running
+    judged = candidate(running, fit.parameters, window)
     settled = model.settled(window, fit.parameters)
     watch = ChangeWatch.after_fit(
-        found.window_force(window)[settled],
+        judged.window_force(window)[settled],
         window.force[settled],
         fit.operating_point,
         options.smallest_change,
     )
     parts = parts_by_current(model, window, options.screening.current_tolerance)
     divided = bool(parts) and parts[0] is not window
+    stamp_ns, name = job.samples.end_ns, f"window-{job.number}"
     return Outcome(
-        fit=fit,
+        report=_report(job, window, fit),
+        found=set_of_window(running, fit, evidence, window, set_id=name, stamp_ns=stamp_ns),
         evidence=evidence,
-        summary=WindowSummary.of(window),
+        fit=fit,
+        force=known_force(fit, window),
+        motion=SteadyMotion.of(window),
         kept=tuple(
             thinned_to_keep(part, with_past=model.needs_past(part), parts=len(parts))
             for part in parts
         ),
-        parts=judge_parts(window, parts, found) if divided else None,
+        parts=judge_parts(window, parts, judged) if divided else None,
         state=state,
         watch=watch,
-        scale=force_scale(model, window, fit, job.baselines),
     )
 
 
@@ -494,23 +577,27 @@ def _look(job: Job, window: Window) -> Outcome:
     # resembles a change.
     noise = NoiseModel.of(trained * own - measured)
     lead = Lead.together([Lead.of(own, trained * own, measured, held_back, noise)])
-    found = fit_scale(own, measured)
-    if not found.factor > 0.0 or np.ptp(changed.force) == 0.0:
+    scale = fit_scale(own, measured)
+    if not scale.factor > 0.0 or np.ptp(changed.force) == 0.0:
         return Outcome(watch=watch)  # only a failed sensor gives such a force
-    fit = with_strength(model, changed, job.start, found, EARLY_SOURCE)
+    fit = with_strength(model, changed, job.start, scale, EARLY_SOURCE)
     state = job.state
     if state is not None:
         strength = WindowProblem(model, changed, job.start).strength
-        factors = np.where(strength, found.factor, 1.0)
+        factors = np.where(strength, scale.factor, 1.0)
         covariance = state.covariance * np.outer(factors, factors) + fit.covariance
         state = FilterState(state.scales * factors, covariance, raw.end_ns, here)
+    evidence = Evidence(before / spread, after / spread, after, trained - 1.0, lead)
+    found = set_of_change(
+        job.running, fit, evidence, changed, set_id=f"early-{job.number}", stamp_ns=raw.end_ns
+    )
     return Outcome(
+        report=_report(job, changed, fit),
+        found=found,
+        evidence=evidence,
         fit=fit,
-        evidence=Evidence(before / spread, after / spread, after, trained - 1.0, lead),
-        summary=WindowSummary.of(changed),
         state=state,
         watch=watch,
-        scale=force_scale(model, changed, fit, job.baselines),
     )
 
 
@@ -529,18 +616,21 @@ def _search(job: Job, control: Control | None) -> Outcome:
         job.evolution or EvolutionSettings(),
         control.report if control else None,
     )
-    found = fit.parameter_set
+    found = replace(fit.parameter_set, set_id=f"global-{job.number}", stamp_ns=job.stamp_ns)
+    report = replace(blank_report(job), evaluations=fit.evaluations)
     # A window of very few samples has no validation samples.
     judged = [window.part(judges) for window, judges in pairs if judges.any()]
     before, after = (error_of_set(each, judged).nrmse for each in (start, found))
     last = judged[-max(job.recent, 1) :]
     recent = error_of_set(start, last).nrmse, error_of_set(found, last).nrmse
-    leads: list[Lead] = []
+    lead, leads = math.inf, []
     for window, judges in pairs:
         old, new = start.window_force(window), found.window_force(window)
         if not np.isfinite(old).all():
-            return Outcome(found=fit, evidence=Evidence(before, after, recent=recent))
+            break
         noise = NoiseModel.of(new - window.force)
         leads.append(Lead.of(old, new, window.force, judges, noise))
-    lead = Lead.together(leads)
-    return Outcome(found=fit, evidence=Evidence(before, after, lead=lead, recent=recent))
+    else:
+        lead = Lead.together(leads)
+    evidence = Evidence(before, after, lead=lead, recent=recent)
+    return Outcome(report=report, found=found, evidence=evidence, message=fit.message)

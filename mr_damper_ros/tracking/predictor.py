@@ -12,10 +12,10 @@ The steps from a block to its predicted force are:
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from itertools import pairwise
-from typing import NamedTuple
 
 import numpy as np
 
@@ -39,14 +39,11 @@ from mr_damper_ros.tracking.validity import (
     Freshness,
     RefusedWindows,
     ValiditySettings,
-    doubt_of_current_age,
-    doubt_of_current_range,
     doubt_of_missing,
     doubt_of_motion,
-    doubt_of_parameters_age,
     doubt_of_past,
-    doubt_of_size,
-    doubt_of_speed,
+    doubts_of_age,
+    doubts_of_range,
     doubts_of_samples,
     middle,
 )
@@ -190,22 +187,6 @@ _OF_THE_SET = (DoubtKind.WRONG, DoubtKind.DRIVING, DoubtKind.OUT_OF_RANGE, Doubt
 """Reason codes that another set may remove."""
 
 
-class _Unlearned(NamedTuple):
-    """Samples ``period`` [s] apart from which nothing has been learnt yet.
-
-    ``forces`` are the predicted and the measured force [N], (n,); ``current`` [A] has shape (n,).
-    ``known`` says whether the motion determines the force. The force of the first ``bridged``
-    samples was not measured.
-    """
-
-    forces: tuple[Array, Array]
-    motion: Motion
-    current: Array
-    known: bool
-    period: float
-    bridged: int
-
-
 class ForcePredictor:
     """Predicts the force of each block as it arrives."""
 
@@ -228,7 +209,8 @@ class ForcePredictor:
         self._monitor = ResidualMonitor(math.inf, settings.maximum_error)
         # Number of reversals of the motion when the state of the law was initialised.
         self._begun_at = 0
-        self._unlearned: _Unlearned | None = None
+        # The rest of the work on the newest samples.
+        self._unlearned: Callable[[], None] | None = None
         self._newest_doubt = NO_DOUBT
         self.tried = -math.inf
         """Highest current [A] under trial. Up to it, only the measured force decides validity."""
@@ -300,22 +282,37 @@ class ForcePredictor:
         This takes longer than a prediction, so call it after the prediction is published. If it is
         not called, the next :meth:`predict` does the necessary part, with the same results.
         """
+        self._finish_learning()
         if self._motion is not None:
-            self._learn(self._motion)
             self._motion.catch_up()
 
-    def _learn(self, follower: MotionFollower) -> None:
+    def _finish_learning(self) -> None:
         unlearned, self._unlearned = self._unlearned, None
-        if unlearned is None:
-            return
-        (predicted, measured), motion, current, known, period, bridged = unlearned
+        if unlearned is not None:
+            unlearned()
+
+    def _learn(
+        self,
+        forces: tuple[Array, Array],
+        motion: Motion,
+        current: Array,
+        follower: MotionFollower,
+        *,
+        known: bool,
+        period: float,
+        bridged: int,
+    ) -> None:
+        """Learn from samples: the predicted and the measured force [N], and the current [A], (n,).
+
+        The samples are ``period`` [s] apart. ``known`` says whether the motion determines the
+        force. The force of the first ``bridged`` samples was not measured.
+        """
         half_cycle = follower.half_cycle
         if known:
-            forces = predicted, measured
             self._bank.follow(motion, current, forces, period, half_cycle, bridged)
         part = slice(bridged, None)
         self._monitor.learn(
-            (predicted[part], measured[part]),
+            (forces[0][part], forces[1][part]),
             motion.velocity[part],
             current[part],
             half_cycle,
@@ -385,7 +382,7 @@ class ForcePredictor:
         self, block: SampleBlock, bridged: int, continuity: str, stale: Doubt
     ) -> Prediction:
         assert self._motion is not None
-        self._learn(self._motion)
+        self._finish_learning()
         motion = self._motion.follow(block.displacement)
         missing = doubt_of_missing(self.parameters, self._current, block.start_ns)
         if missing:
@@ -439,8 +436,12 @@ class ForcePredictor:
             if not monitor.holds:
                 begun = self._force.remembers and follower.reversals == self._begun_at
                 settling = doubt_of_past(follower, begun=begun)
-        unlearned = _Unlearned(
-            (force, block.force), motion, current, not settling, block.period, bridged
+        unlearned = partial(
+            self._learn,
+            *((force, block.force), motion, current, follower),
+            known=not settling,
+            period=block.period,
+            bridged=bridged,
         )
         if settling:
             # While the motion does not determine the force, the force does not test the set.
@@ -456,22 +457,22 @@ class ForcePredictor:
         assert present is not None
         by_force = [each.after(bridged) for each in measured]
         doubts = [
-            doubt_of_current_age(self._current, block.end_ns, settings.current_timeout, live=live),
-            doubt_of_parameters_age(present.confirmed_ns, block.end_ns, settings, live=live),
+            *doubts_of_age(self._current, present.confirmed_ns, block.end_ns, settings, live=live)
         ]
         # A force that agreed with the measured force for a cycle is valid, even outside the
         # identified range and after rejected windows.
         if monitor.holds:
             doubts += by_force
         else:
-            used = present.parameters
-            doubts += [
-                doubt_of_current_range(current, used, settings.current_margin, self.tried),
-                *by_force,
-                doubt_of_size(force, used, settings.force_margin),
-                doubt_of_speed(_speed(motion, follower), used, settings.velocity_margin),
-                self._refused.doubt,
-            ]
+            of_current, *of_others = doubts_of_range(
+                present.parameters,
+                settings,
+                current,
+                _speed(motion, follower),
+                force,
+                tried=self.tried,
+            )
+            doubts += [of_current, *by_force, *of_others, self._refused.doubt]
         return [each for each in doubts if each]
 
     def _without_force(

@@ -30,36 +30,6 @@ with a delay may also attenuate the motion. Within it, the loop keeps its shape.
 
 
 @dataclass(frozen=True)
-class WindowSummary:
-    """Figures of a fitted window for the report, and the range that the window covers.
-
-    ``amplitude`` is in m; ``frequency`` in Hz, NaN if the motion is not a sine. The range of the
-    peak velocity [m/s] omits the lowest and the highest twentieth; that of the current is in A.
-    ``largest_force`` [N] and ``spread`` [N], the standard deviation, are those of the force.
-    """
-
-    amplitude: float
-    frequency: float
-    peak_velocity_range: tuple[float, float]
-    current_range: tuple[float, float]
-    largest_force: float
-    spread: float
-
-    @classmethod
-    def of(cls, window: Window) -> WindowSummary:
-        """The summary of a window."""
-        current = window.current
-        return cls(
-            amplitude=window.motion.amplitude,
-            frequency=window.motion.frequency,
-            peak_velocity_range=window.peak_velocity_range,
-            current_range=(float(current.min()), float(current.max())),
-            largest_force=window.largest_force,
-            spread=float(np.std(window.force)),
-        )
-
-
-@dataclass(frozen=True)
 class SteadyMotion:
     """The sine of the newest good windows, and the number of such windows in a row.
 
@@ -71,22 +41,26 @@ class SteadyMotion:
     frequency: float = math.nan
     current: float = math.nan
 
-    def windows_of(self, summary: WindowSummary) -> int:
-        """Number of good windows in a row with the motion of this window; 0 if it is not a sine."""
-        low, high = summary.current_range
+    @classmethod
+    def of(cls, window: Window) -> SteadyMotion:
+        """The motion of one window; NaN if it is not a sine at one current."""
+        current = window.current
+        constant = float(np.ptp(current)) <= 2.0 * SAME_CURRENT
+        middle = 0.5 * float(current.min() + current.max()) if constant else math.nan
+        return cls(1, window.motion.amplitude, window.motion.frequency, middle)
+
+    def windows_before(self, motion: SteadyMotion) -> int:
+        """Number of good windows in a row with this motion; 0 if it is not a sine."""
         same = (
-            math.isclose(summary.amplitude, self.amplitude, rel_tol=_SAME_AMPLITUDE)
-            and math.isclose(summary.frequency, self.frequency, rel_tol=_SAME_FREQUENCY)
-            and max(abs(low - self.current), abs(high - self.current)) <= SAME_CURRENT
+            math.isclose(motion.amplitude, self.amplitude, rel_tol=_SAME_AMPLITUDE)
+            and math.isclose(motion.frequency, self.frequency, rel_tol=_SAME_FREQUENCY)
+            and abs(motion.current - self.current) <= SAME_CURRENT
         )
         return self.windows if same else 0
 
-    def followed_by(self, summary: WindowSummary) -> SteadyMotion:
+    def followed_by(self, motion: SteadyMotion) -> SteadyMotion:
         """The motion after a good window."""
-        current = 0.5 * sum(summary.current_range)
-        return SteadyMotion(
-            self.windows_of(summary) + 1, summary.amplitude, summary.frequency, current
-        )
+        return replace(motion, windows=self.windows_before(motion) + 1)
 
 
 def holds_at(running: ParameterSet, point: OperatingPoint) -> bool:
@@ -99,11 +73,10 @@ def holds_at(running: ParameterSet, point: OperatingPoint) -> bool:
     )
 
 
-def known_force(fit: WindowFit, summary: WindowSummary) -> KnownForce:
+def known_force(fit: WindowFit, window: Window) -> KnownForce:
     """The size of the force of a window, without the residual of the fit."""
-    speed, current = fit.operating_point
-    size = summary.spread * math.sqrt(max(1.0 - fit.nrmse**2, 0.0))
-    return KnownForce(speed, current, size, summary.largest_force)
+    size = float(np.std(window.force)) * math.sqrt(max(1.0 - fit.nrmse**2, 0.0))
+    return KnownForce(*fit.operating_point, size, window.largest_force)
 
 
 def candidate(running: ParameterSet, values: Array, window: Window) -> ParameterSet:
@@ -132,7 +105,7 @@ def set_of_window(
     running: ParameterSet,
     fit: WindowFit,
     evidence: Evidence,
-    summary: WindowSummary,
+    window: Window,
     *,
     set_id: str,
     stamp_ns: int,
@@ -156,8 +129,8 @@ def set_of_window(
         discrepancies[places] = model.fitted_errors(fit.scales, fit.discrepancy)[1]
     # The running set predicted the force here, so its range stays valid.
     agrees = abs(evidence.force_change) <= _AGREES
-    velocity_range, current_range = summary.peak_velocity_range, summary.current_range
-    largest_force = summary.largest_force
+    velocity_range, largest_force = window.peak_velocity_range, window.largest_force
+    current_range = float(window.current.min()), float(window.current.max())
     known = (
         model.knows_speeds(running.observable)
         and (agrees or _is_within(velocity_range, running.peak_velocity_range, SAME_SPEED)),
@@ -165,7 +138,7 @@ def set_of_window(
         and (agrees or _is_within(current_range, running.current_range, 1.0, SAME_CURRENT)),
     )
     if known[0]:
-        velocity_range = _wider_speeds(running, velocity_range, summary.frequency)
+        velocity_range = _wider_speeds(running, velocity_range, window.motion.frequency)
     if known[1]:
         current_range = _wider(current_range, running.current_range)
     if any(known):
@@ -192,7 +165,7 @@ def set_of_change(
     running: ParameterSet,
     fit: WindowFit,
     evidence: Evidence,
-    summary: WindowSummary,
+    window: Window,
     *,
     set_id: str,
     stamp_ns: int,
@@ -217,14 +190,9 @@ def set_of_change(
         source=fit.method,
         nrmse=evidence.nrmse_after,
         stamp_ns=stamp_ns,
-        largest_force=_larger(summary.largest_force, running.largest_force),
+        largest_force=float(np.fmax(window.largest_force, running.largest_force)),
         discrepancies=discrepancies,
     )
-
-
-def _larger(known: float, other: float) -> float:
-    """The larger of two forces [N]; ``other`` may be unknown (NaN)."""
-    return known if math.isnan(other) else max(known, other)
 
 
 def _wider(one: tuple[float, float], other: tuple[float, float]) -> tuple[float, float]:

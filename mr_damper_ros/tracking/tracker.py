@@ -11,15 +11,13 @@ import math
 from dataclasses import dataclass, field, replace
 from functools import partial
 
-import numpy as np
-
 from mr_damper_ros.estimation.differential_evolution import EvolutionSettings
-from mr_damper_ros.estimation.window_fit import WINDOW_METHODS
+from mr_damper_ros.estimation.window_fit import WindowFit
 from mr_damper_ros.models import MODELS
 from mr_damper_ros.models.parameter_set import DEFAULT_MODEL, ParameterSet, start_set
 from mr_damper_ros.models.plausibility import implausible
 from mr_damper_ros.processes.blas_threads import one_thread
-from mr_damper_ros.settings.option_table import CheckedSettings, group, option
+from mr_damper_ros.settings.option_table import group, option
 from mr_damper_ros.signals.blocks import NANOSECONDS
 from mr_damper_ros.tracking.acceptance import (
     STILL_GOOD,
@@ -33,23 +31,17 @@ from mr_damper_ros.tracking.acceptance import (
 from mr_damper_ros.tracking.cusum import ChangeWatch
 from mr_damper_ros.tracking.force_scale import (
     FluidTemperature,
+    ForceScale,
     SeenScale,
     temperature_map,
     widened,
     with_temperature,
 )
-from mr_damper_ros.tracking.jobs import TRACKERS, FitOptions, Job, Kind, Outcome, run
+from mr_damper_ros.tracking.jobs import TRACKERS, FitOptions, Job, Outcome, blank_report, run
 from mr_damper_ros.tracking.operating_point import KnownPoints
 from mr_damper_ros.tracking.recursive_tracker import FilterState
-from mr_damper_ros.tracking.reports import Report, report_of
-from mr_damper_ros.tracking.running_set import (
-    SteadyMotion,
-    holds_at,
-    known_force,
-    set_of_change,
-    set_of_window,
-)
-from mr_damper_ros.tracking.screening import Screening
+from mr_damper_ros.tracking.reports import Report
+from mr_damper_ros.tracking.running_set import SteadyMotion, holds_at
 from mr_damper_ros.tracking.window_assembler import RawWindow
 
 OF_THE_SET = "auto"
@@ -69,7 +61,7 @@ _OF_SENSORS = (Verdict.FAULT_OF_DATA, Verdict.DISTURBED, Verdict.BEYOND_LIMITS)
 
 
 @dataclass(frozen=True)
-class TrackerSettings(CheckedSettings):
+class TrackerSettings(FitOptions):
     """Settings of the identification of windows; raises ValueError for values out of range."""
 
     model: str = option(
@@ -77,40 +69,6 @@ class TrackerSettings(CheckedSettings):
         f"Force law to identify; {OF_THE_SET}: that of the initial parameters, or "
         f"{DEFAULT_MODEL} without any.",
         choices=(OF_THE_SET, *MODELS),
-    )
-    smallest_change: float = option(
-        0.02,
-        "Relative change of the force that triggers an early fit (see looks). False alarms "
-        "occur at intervals of hours if the force is close to its noise, and practically "
-        "never otherwise.",
-        minimum=0.001,
-        maximum=1.0,
-    )
-    tracker: str = option(
-        "window",
-        "Tracking method: window (each window is fitted on its own) or recursive (an extended "
-        "Kalman filter, which uses every sample once and starts from the fit of a window; "
-        "unscented is an earlier name of it).",
-        choices=tuple(TRACKERS),
-    )
-    drift_rate: float = option(
-        1e-3,
-        "For tracker recursive: expected random walk of the force [1/sqrt(s)], relative to "
-        "the force. A larger value tracks faster and averages less.",
-        minimum=1e-9,
-        maximum=1.0,
-    )
-    method: str = option(
-        "nelder_mead",
-        "Fit of a window: nelder_mead (simplex search, as in the thesis, refined by least "
-        "squares) or least_squares (Levenberg-Marquardt only: the same minimum, about five "
-        "times faster).",
-        choices=WINDOW_METHODS,
-    )
-    robust: bool = option(
-        False,
-        "Whether the influence of force outliers is bounded (Huber's weights). It costs some "
-        "milliseconds per window and has no noticeable effect without outliers.",
     )
     global_period: int = option(
         20,
@@ -123,25 +81,12 @@ class TrackerSettings(CheckedSettings):
         maximum=1_000_000,
     )
     evolution: EvolutionSettings = group(EvolutionSettings)
-    screening: Screening = group(Screening)
     acceptance: AcceptanceSettings = group(AcceptanceSettings)
 
     @property
     def law(self) -> str:
         """Name of the force law if there are no initial parameters."""
         return DEFAULT_MODEL if self.model == OF_THE_SET else self.model
-
-    @property
-    def fit_options(self) -> FitOptions:
-        """The settings that a job needs."""
-        return FitOptions(
-            self.method,
-            self.robust,
-            self.tracker,
-            self.drift_rate,
-            self.smallest_change,
-            self.screening,
-        )
 
     def following(self, initial: ParameterSet) -> TrackerSettings:
         """The settings with the law of the initial set.
@@ -283,22 +228,26 @@ class WindowTracker:
     def identify(self, evolution: EvolutionSettings | None = None) -> Report:
         """Run a global identification of the reservoir in this process; see :meth:`search`."""
         job = self.search(evolution)
-        return self._complete_search(job, run(job))
+        report = self.complete(job, run(job))
+        assert report is not None
+        return report
 
     def job_of(self, window: RawWindow) -> Job:
         """The job of a window fit or a change check, starting from the running set."""
-        if window.end_ns < self._now.changed_ns:
-            self._now.changed_ns = 0  # the clock was set back
+        now, look = self._now, window.look > 0
+        if window.end_ns < now.changed_ns:
+            now.changed_ns = 0  # the clock was set back
         return Job(
             self.parameters,
-            self._settings.fit_options,
+            self._settings,
             window,
-            None if window.look else self._rival,
-            () if window.look else self.points.recent(window.start_ns),
-            self.points.baselines,
-            self._now.state,
-            self._now.watch,
-            self._now.changed_ns,
+            now.windows + 1,
+            rival=None if look else self._rival,
+            windows=() if look else self.points.recent(window.start_ns),
+            baselines=self.points.baselines,
+            state=now.state,
+            watch=now.watch,
+            changed_ns=now.changed_ns,
         )
 
     def search(self, evolution: EvolutionSettings | None = None, *, asked: bool = True) -> Job:
@@ -307,15 +256,15 @@ class WindowTracker:
         An accepted set of a requested search (``asked``) is used at once. Otherwise, while the
         running set is good, the next window must confirm it.
         """
-        self._now.accepted_since_global = 0
-        self._now.unexplained_windows = 0
-        self._now.global_patience += max(self._now.global_patience // 2, 1)
-        kept = self.points.kept
-        self._now.searched_points = len(kept)
+        now, kept = self._now, self.points.kept
+        now.accepted_since_global = now.unexplained_windows = 0
+        now.global_patience += max(now.global_patience // 2, 1)
+        now.searched_points = len(kept)
         newest_ns = kept[-1].stamp_ns if kept else 0
         return Job(
             self.parameters,
-            self._settings.fit_options,
+            self._settings,
+            number=now.windows,
             windows=self.points.windows,
             evolution=evolution or self._settings.evolution,
             stamp_ns=max(newest_ns, self.parameters.stamp_ns),
@@ -328,26 +277,41 @@ class WindowTracker:
 
         Returns None for a change check without an early fit.
         """
-        complete = {
-            Kind.WINDOW: self._complete_window,
-            Kind.LOOK: self._complete_look,
-            Kind.SEARCH: self._complete_search,
-        }
-        return complete[job.kind](job, outcome)
-
-    def _complete_window(self, job: Job, outcome: Outcome) -> Report:
-        self._now.windows += 1
-        self._paused_before(job.samples)
-        judgement = self._judge_with_rival(job, outcome)
-        raw = job.samples
-        scale, self._now.scales = widened(outcome.scale, self._now.scales, raw.start_ns, raw.end_ns)
-        outcome = replace(outcome, scale=scale)
-        report = report_of(
-            job, outcome, judgement, self.parameters.set_id, global_due=self._global_is_due()
+        report = outcome.report or blank_report(job)
+        fluid, paused = FluidTemperature(), False
+        if job.raw is not None:
+            paused = not job.raw.start_ns <= self._seen_ns <= job.raw.end_ns
+            self._seen_ns = job.raw.end_ns
+        if job.raw is None:
+            judgement = self._judge_search(job, outcome)
+        elif job.raw.look:
+            early = self._judge_look(job, outcome, paused=paused)
+            if early is None:
+                return None
+            judgement = early
+        else:
+            self._now.windows += 1
+            judgement = self._judge_with_rival(job, outcome)
+            scale, self._now.scales = widened(
+                report.scale, self._now.scales, job.raw.start_ns, job.raw.end_ns
+            )
+            report = replace(report, scale=scale)
+            if outcome.fit is not None and judgement.verdict.confirms:
+                fluid = self._fluid_temperature(job.raw.temperature, outcome.fit, scale)
+        verdict, evidence = judgement.verdict, outcome.evidence
+        return replace(
+            report,
+            verdict=verdict,
+            reason=judgement.sentence,
+            set_id=self.parameters.set_id,
+            # The windows of a search are old, so a fit to them does not confirm the set for new
+            # samples.
+            confirms=verdict.accepted if job.raw is None else verdict.confirms,
+            nrmse_before=evidence.nrmse_before if evidence else math.nan,
+            nrmse_after=evidence.nrmse_after if evidence else math.nan,
+            global_due=job.raw is not None and self._global_is_due(),
+            fluid=fluid,
         )
-        if outcome.fit is None or not report.confirms:
-            return report
-        return replace(report, fluid=self._fluid_temperature(job, outcome))
 
     def _judge_with_rival(self, job: Job, outcome: Outcome) -> Judgement:
         """Judge a window; a rival that predicts it better is used from then on."""
@@ -367,35 +331,20 @@ class WindowTracker:
 
     def _judge(self, job: Job, outcome: Outcome) -> Judgement:
         """Judge a window, and update the running set and the records."""
-        fit, evidence, summary, parts = (
-            outcome.fit,
-            outcome.evidence,
-            outcome.summary,
-            outcome.parts,
-        )
+        now, found, parts = self._now, outcome.found, outcome.parts
+        fit, evidence, force = outcome.fit, outcome.evidence, outcome.force
         self._unexplained = False
-        if fit is None or evidence is None or summary is None:
+        if found is None or fit is None or evidence is None or force is None:
             return outcome.refusal or fault_of_data("the window could not be fitted")
         if parts is not None and not parts.explained:
             # The window's own residual contains the error of the law, so the residual of the parts
             # is compared with the baseline, before the window changes the baseline.
             self._unexplained = self._gatekeeper.is_usual(parts.rmse, parts.nrmse)
-        force = known_force(fit, summary)
-        holds = not self._now.other_damper and holds_at(self.parameters, fit.operating_point)
-        known_motion = self._now.motion.windows_of(summary) >= _SEVERAL
-        found = set_of_window(
-            self.parameters,
-            fit,
-            evidence,
-            summary,
-            set_id=f"window-{self._now.windows}",
-            stamp_ns=job.samples.end_ns,
-        )
         judgement = self._gatekeeper.judge(
             evidence,
             force,
-            holds=holds,
-            same_motion=known_motion,
+            holds=not now.other_damper and holds_at(self.parameters, fit.operating_point),
+            same_motion=now.motion.windows_before(outcome.motion) >= _SEVERAL,
             one_point=parts is None,
             objection=partial(implausible, found),
         )
@@ -410,92 +359,89 @@ class WindowTracker:
             )
         if judgement.teaches:
             # The records learn from every good window, the running set only from accepted ones.
-            self._now.state = outcome.state
-            self._now.watch = self._now.watch or outcome.watch
-            self._now.motion = self._now.motion.followed_by(summary)
+            now.state = outcome.state
+            now.watch = now.watch or outcome.watch
+            now.motion = now.motion.followed_by(outcome.motion)
             if parts is None or parts.explained:
                 # A fit with a wrong dependence on the current is not a suitable baseline.
-                self._now.points = self.points.with_baseline(fit)
+                now.points = self.points.with_baseline(fit)
         if judgement.verdict.accepted:
-            self._now.watch = outcome.watch
-            self._now.other_damper = False
-            self._now.accepted += 1
+            now.watch = outcome.watch
+            now.other_damper = False
+            now.accepted += 1
             self.parameters = found
         if judgement.verdict is Verdict.UNCONFIRMED:
             self._rival = found
         if judgement.verdict is Verdict.BEYOND_LIMITS:
             self._unexplained = False
-        self._now.unexplained_windows += self._unexplained
+        now.unexplained_windows += self._unexplained
         if judgement.teaches or self._unexplained:
-            self._now.accepted_since_global += judgement.teaches
+            now.accepted_since_global += judgement.teaches
             for kept in outcome.kept:
-                self._now.points = self.points.with_window(kept, job.samples.end_ns)
+                now.points = self.points.with_window(kept, job.samples.end_ns)
         return judgement
 
-    def _paused_before(self, window: RawWindow) -> bool:
-        """Whether a window shares no samples with the previous one; it becomes the previous one."""
-        paused = not window.start_ns <= self._seen_ns <= window.end_ns
-        self._seen_ns = window.end_ns
-        return paused
-
-    def _fluid_temperature(self, job: Job, outcome: Outcome) -> FluidTemperature:
+    def _fluid_temperature(
+        self, celsius: float, fit: WindowFit, scale: ForceScale
+    ) -> FluidTemperature:
         """Learn from a measured temperature; without a measurement, estimate the temperature."""
-        assert outcome.fit is not None
-        point, celsius = outcome.fit.operating_point, job.samples.temperature
         if math.isnan(celsius):
-            found = temperature_map(self.points.at(point))
-            return FluidTemperature() if found is None else found.temperature(outcome.scale)
-        self._now.points = with_temperature(self.points, point, celsius, outcome.scale)
+            found = temperature_map(self.points.at(fit.operating_point))
+            return FluidTemperature() if found is None else found.temperature(scale)
+        self._now.points = with_temperature(self.points, fit.operating_point, celsius, scale)
         return FluidTemperature()
 
-    def _complete_look(self, job: Job, outcome: Outcome) -> Report | None:
-        """Process a change check; returns a report if an early fit is accepted, else None."""
-        self._now.watch = outcome.watch or self._now.watch
-        raw = job.samples
-        paused = self._paused_before(raw)
-        fit, evidence, summary, watch = (
-            outcome.fit,
-            outcome.evidence,
-            outcome.summary,
-            outcome.watch,
-        )
-        if fit is None or evidence is None or summary is None or watch is None:
+    def _judge_look(self, job: Job, outcome: Outcome, *, paused: bool) -> Judgement | None:
+        """Judge a change check; None unless an early fit is accepted.
+
+        ``paused`` says that it shares no samples with the window before it.
+        """
+        now, raw = self._now, job.samples
+        now.watch = outcome.watch or now.watch
+        found, fit, evidence = outcome.found, outcome.fit, outcome.evidence
+        if found is None or fit is None or evidence is None:
             return None
-        if not self._gatekeeper.may_be_early(evidence):
+        if not self._gatekeeper.may_be_early(evidence) or implausible(found):
             return None
-        set_id = f"early-{self._now.windows + 1}"
-        found = set_of_change(
-            self.parameters, fit, evidence, summary, set_id=set_id, stamp_ns=raw.end_ns
-        )
-        if implausible(found):
-            return None
-        self._now.windows += 1
+        now.windows += 1
         self.parameters = found
         self._gatekeeper.follow_change(evidence)
-        self._now.state = outcome.state
+        now.state = outcome.state
         # The residual of an inexact law oscillates, so the change detection restarts only with the
         # next window.
-        self._now.watch = None
+        now.watch = None
         if not paused:
             # Temperature does not change so fast, so its relation to the force has changed.
-            self._now.points = self.points.without_temperatures()
-        length = round((fit.sample_count - 1) * raw.period * NANOSECONDS)
-        self._now.changed_ns = raw.end_ns - length
-        judgement = Judgement(
+            now.points = self.points.without_temperatures()
+        now.changed_ns = raw.end_ns - round((fit.sample_count - 1) * raw.period * NANOSECONDS)
+        return Judgement(
             Verdict.ACCEPTED_EARLY,
             f"the force changed by {evidence.force_change:+.0%} at "
-            f"t = {self._now.changed_ns / NANOSECONDS:.2f} s: fitted early",
+            f"t = {now.changed_ns / NANOSECONDS:.2f} s: fitted early",
         )
-        report = report_of(job, outcome, judgement, set_id, global_due=self._global_is_due())
-        # A single factor does not determine the errors of the coefficients.
-        unknown = np.full_like(report.coefficients, math.nan)
-        return replace(report, coefficient_errors=unknown, coefficient_discrepancies=unknown)
+
+    def _judge_search(self, job: Job, outcome: Outcome) -> Judgement:
+        """Judge a search; its set is used at once, or once the next window confirms it."""
+        found, evidence = outcome.found, outcome.evidence
+        judgement = outcome.refusal or fault_of_data("the windows could not be fitted")
+        if found is not None and evidence is not None:
+            judgement = self._gatekeeper.judge_global(
+                evidence, partial(implausible, found), tentative=not job.asked
+            )
+        # If the law cannot follow the current, the searches become rarer.
+        self._now.unexplained_patience *= 2
+        if judgement.verdict is Verdict.UNCONFIRMED:
+            self._now.unexplained_patience, self._rival = _SEVERAL, found
+        elif judgement.verdict.accepted and found is not None:
+            self._now.unexplained_patience, self._rival = _SEVERAL, None
+            self.parameters = found
+            self._forget_scales()
+        return judgement
 
     def _global_is_due(self) -> bool:
-        period, points = self._settings.global_period, len(self.points.kept)
+        now, period, points = self._now, self._settings.global_period, len(self.points.kept)
         if period == 0:
             return False
-        now = self._now
         has_grown = points >= _GROWTH * now.searched_points
         waited = now.unexplained_windows >= now.unexplained_patience
         if self._unexplained and points > 1 and (has_grown or waited):
@@ -507,34 +453,4 @@ class WindowTracker:
             # of one operating point does. That point may be a poor one, so searches at the next
             # points may correct the result.
             return now.accepted_since_global > 0 and now.accepted <= period
-        return (
-            self._now.accepted_since_global >= min(period, self._now.global_patience) and points > 1
-        )
-
-    def _complete_search(self, job: Job, outcome: Outcome) -> Report:
-        judgement = self._judge_search(job, outcome)
-        waits = judgement.verdict is Verdict.UNCONFIRMED
-        found = judgement.verdict.accepted or waits
-        # If the law cannot follow the current, the searches become rarer.
-        self._now.unexplained_patience = _SEVERAL if found else 2 * self._now.unexplained_patience
-        if found and outcome.found is not None:
-            found_set = replace(
-                outcome.found.parameter_set,
-                set_id=f"global-{self._now.windows}",
-                stamp_ns=job.stamp_ns,
-            )
-            if waits:
-                self._rival = found_set
-            else:
-                self._rival, self.parameters = None, found_set
-                self._forget_scales()
-        return report_of(job, outcome, judgement, self.parameters.set_id)
-
-    def _judge_search(self, job: Job, outcome: Outcome) -> Judgement:
-        if outcome.found is None or outcome.evidence is None:
-            return outcome.refusal or fault_of_data("the windows could not be fitted")
-        return self._gatekeeper.judge_global(
-            outcome.evidence,
-            partial(implausible, outcome.found.parameter_set),
-            tentative=not job.asked,
-        )
+        return now.accepted_since_global >= min(period, now.global_patience) and points > 1

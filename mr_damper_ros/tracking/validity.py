@@ -7,7 +7,7 @@ rules. The comparison with the measured force is in :mod:`mr_damper_ros.tracking
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from enum import IntEnum
 
@@ -19,7 +19,7 @@ from mr_damper_ros.models.parameter_set import ParameterSet
 from mr_damper_ros.settings.option_table import CheckedSettings, option
 from mr_damper_ros.signals.arrays import Array, Mask, span_of
 from mr_damper_ros.signals.blocks import NANOSECONDS, ZeroOrderHold
-from mr_damper_ros.tracking.acceptance import Verdict
+from mr_damper_ros.tracking.acceptance import STILL_GOOD, Verdict
 
 Codes = NDArray[np.uint8]
 """A :class:`DoubtKind` for each sample."""
@@ -184,77 +184,24 @@ def current_allowance(current_range: tuple[float, float], margin: float) -> floa
     return max(margin * (high - low), CURRENT_READING)
 
 
-def doubt_of_current_range(
-    current: Array, parameters: ParameterSet, margin: float, tried: float = -math.inf
-) -> Doubt:
-    """Whether currents (n,) [A] are outside the range of the parameters.
-
-    ``tried`` [A] is the highest current under trial; currents up to it are allowed.
-    """
-    low, high = parameters.current_range
-    allowed = current_allowance(parameters.current_range, margin)
-    lowest, highest = span_of(current)
-    if low - allowed <= lowest and highest <= max(high, tried) + allowed:
-        return NO_DOUBT
-    return Doubt(
-        DoubtKind.OUT_OF_RANGE,
-        f"the current of {middle(current):.2f} A is outside the identified range of {low:.2f} to "
-        f"{high:.2f} A",
-    )
-
-
-def doubt_of_speed(speed: float, parameters: ParameterSet, margin: float) -> Doubt:
-    """Whether a peak velocity [m/s] is outside the range of the parameters."""
-    low, high = parameters.peak_velocity_range
-    if low * (1.0 - margin) <= speed <= high * (1.0 + margin):
-        return NO_DOUBT
-    return Doubt(
-        DoubtKind.OUT_OF_RANGE,
-        f"the peak velocity of {speed:.3g} m/s is outside the identified range of {low:.3g} to "
-        f"{high:.3g} m/s",
-    )
-
-
-def doubt_of_size(force: Array, parameters: ParameterSet, margin: float) -> Doubt:
-    """Whether a force (n,) [N] exceeds the largest force measured on this damper."""
-    largest = parameters.largest_force
-    if math.isnan(largest):
-        return NO_DOUBT
-    lowest, highest = span_of(force)
-    reached = max(highest, -lowest)
-    if reached <= (1.0 + margin) * largest:
-        return NO_DOUBT
-    return Doubt(
-        DoubtKind.TOO_LARGE,
-        f"the predicted force reaches {reached:.4g} N, but the largest measured force of this "
-        f"damper is {largest:.4g} N: do the parameters belong to it?",
-        np.abs(force) > (1.0 + margin) * largest,
-    )
-
-
 def doubt_of_missing(
     parameters: ParameterSet | None, current: ZeroOrderHold, start_ns: int
 ) -> Doubt:
     """Whether parameters or current are missing for samples from a stamp on."""
-    if parameters is None:
-        return Doubt(
-            DoubtKind.MISSING,
-            "no parameters yet: start the identifier or give parameter_file",
-        )
-    if current.known_from(start_ns):
-        return NO_DOUBT
     last = current.last_stamp_ns
-    if last is None:
-        return Doubt(
-            DoubtKind.MISSING,
-            "no supply current yet: is it published on supply/current?",
+    if parameters is None:
+        sentence = "no parameters yet: start the identifier or give parameter_file"
+    elif current.known_from(start_ns):
+        return NO_DOUBT
+    elif last is None:
+        sentence = "no supply current yet: is it published on supply/current?"
+    else:
+        sentence = (
+            "no supply current for these samples yet: the newest is stamped "
+            f"{(last - start_ns) / NANOSECONDS:.3g} s after their start; are both stamped by one "
+            "clock?"
         )
-    ahead = (last - start_ns) / NANOSECONDS
-    return Doubt(
-        DoubtKind.MISSING,
-        f"no supply current for these samples yet: the newest is stamped {ahead:.3g} s after "
-        "their start; are both stamped by one clock?",
-    )
+    return Doubt(DoubtKind.MISSING, sentence)
 
 
 def doubt_of_motion(motion: MotionFollower) -> Doubt:
@@ -275,69 +222,103 @@ def doubt_of_past(motion: MotionFollower, *, begun: bool) -> Doubt:
     ``begun`` says that the law has memory and that the motion has not reversed since its state was
     initialised.
     """
-    if motion.doubt:
-        return Doubt(DoubtKind.SETTLING, motion.doubt)
-    if begun:
-        return Doubt(
-            DoubtKind.SETTLING,
-            "the state of the model is unknown until the motion has reversed",
-        )
-    return NO_DOUBT
+    state = "the state of the model is unknown until the motion has reversed" if begun else ""
+    sentence = motion.doubt or state
+    return Doubt(DoubtKind.SETTLING, sentence) if sentence else NO_DOUBT
 
 
-def doubt_of_current_age(
-    current: ZeroOrderHold, end_ns: int, timeout: float, *, live: bool
-) -> Doubt:
-    """Whether the current is outdated at the end of a block, or stamped after it.
+def doubts_of_age(
+    current: ZeroOrderHold,
+    confirmed_ns: int | None,
+    end_ns: int,
+    settings: ValiditySettings,
+    *,
+    live: bool,
+) -> Iterator[Doubt]:
+    """Whether current or parameters are outdated at the end of a block, or stamped after it.
 
-    The current of a recording may arrive far ahead of the samples; that of a running machine
-    (``live``) cannot.
+    ``confirmed_ns`` is the stamp of the last window that confirmed the parameters; None for
+    parameters that do not age. The current of a recording may arrive far ahead of the samples, and
+    its samples may be older than the parameters; neither is possible on a running machine
+    (``live``).
     """
+    timeout = settings.current_timeout
     held, following = current.around(end_ns)
     age = (end_ns - held) / NANOSECONDS
+    ahead = ((current.last_stamp_ns or held) - end_ns) / NANOSECONDS
+    jumped = following is not None and following - held > timeout * NANOSECONDS
     if age > timeout:
-        return Doubt(
+        yield Doubt(
             DoubtKind.OUTDATED,
             f"the supply current is {age:.1f} s old: is it still published, with stamps on the "
             "clock of the samples?",
         )
-    newest = current.last_stamp_ns or held
-    ahead = (newest - end_ns) / NANOSECONDS
-    jumped = following is not None and following - held > timeout * NANOSECONDS
-    if jumped or (live and ahead > timeout):
-        return Doubt(
+    elif jumped or (live and ahead > timeout):
+        yield Doubt(
             DoubtKind.OUTDATED,
             f"the supply current is stamped {ahead:.1f} s after the samples: are both stamped by "
             "one clock?",
         )
-    return NO_DOUBT
-
-
-def doubt_of_parameters_age(
-    confirmed_ns: int | None, end_ns: int, settings: ValiditySettings, *, live: bool
-) -> Doubt:
-    """Whether the parameters have gone too long without a confirming window.
-
-    ``confirmed_ns`` is the stamp of the last confirmation; None for parameters that do not age. The
-    samples of a recording may be older than the parameters; those of a running machine (``live``)
-    may not.
-    """
     if confirmed_ns is None or settings.parameters_timeout == 0.0:
-        return NO_DOUBT
+        return
     age = (end_ns - confirmed_ns) / NANOSECONDS
     if age > settings.parameters_timeout:
-        return Doubt(
+        yield Doubt(
             DoubtKind.OUTDATED,
             f"no window has confirmed the parameters for {age:.0f} s: "
             "is the identifier running, and does the damper move?",
         )
-    if live and -age > settings.current_timeout:
-        return Doubt(
+    elif live and -age > timeout:
+        yield Doubt(
             DoubtKind.OUTDATED,
             f"the parameters are stamped {-age:.1f} s after the samples, so that their age is not "
             "known: was the clock set back?",
         )
-    return NO_DOUBT
+
+
+def doubts_of_range(
+    parameters: ParameterSet,
+    settings: ValiditySettings,
+    current: Array,
+    speed: float,
+    force: Array,
+    *,
+    tried: float = -math.inf,
+) -> tuple[Doubt, Doubt, Doubt]:
+    """Whether currents [A], force [N] or peak velocity [m/s] are outside the range of a set.
+
+    ``current`` and ``force`` have shape (n,). ``tried`` [A] is the highest current under trial;
+    currents up to it are allowed. The largest force is that measured on this damper.
+    """
+    of_current = of_force = of_speed = NO_DOUBT
+    low, high = parameters.current_range
+    allowed = current_allowance(parameters.current_range, settings.current_margin)
+    lowest, highest = span_of(current)
+    if not (low - allowed <= lowest and highest <= max(high, tried) + allowed):
+        of_current = Doubt(
+            DoubtKind.OUT_OF_RANGE,
+            f"the current of {middle(current):.2f} A is outside the identified range of {low:.2f} "
+            f"to {high:.2f} A",
+        )
+    lowest, highest = span_of(force)
+    limit = (1.0 + settings.force_margin) * parameters.largest_force
+    if max(highest, -lowest) > limit:  # False if the largest force is unknown (NaN)
+        of_force = Doubt(
+            DoubtKind.TOO_LARGE,
+            f"the predicted force reaches {max(highest, -lowest):.4g} N, but the largest measured "
+            f"force of this damper is {parameters.largest_force:.4g} N: do the parameters belong "
+            "to it?",
+            np.abs(force) > limit,
+        )
+    low, high = parameters.peak_velocity_range
+    margin = settings.velocity_margin
+    if not low * (1.0 - margin) <= speed <= high * (1.0 + margin):
+        of_speed = Doubt(
+            DoubtKind.OUT_OF_RANGE,
+            f"the peak velocity of {speed:.3g} m/s is outside the identified range of {low:.3g} "
+            f"to {high:.3g} m/s",
+        )
+    return of_current, of_force, of_speed
 
 
 def middle(values: Array) -> float:
@@ -392,17 +373,14 @@ class Freshness:
         self.age = age
         if abs(age) <= self._max_age:
             return NO_DOUBT
-        if age > 0.0:
-            sentence = (
-                f"the samples are {age:.2f} s old, and max_age is {self._max_age:g} s: is the "
-                "computer overloaded, or its clock not that of the samples?"
-            )
-        else:
-            sentence = (
-                f"the samples are stamped {-age:.2f} s in the future: are the clocks of the "
-                "computers set alike? for a replay set max_age to 0"
-            )
-        return Doubt(DoubtKind.OUTDATED, sentence)
+        return Doubt(
+            DoubtKind.OUTDATED,
+            f"the samples are {age:.2f} s old, and max_age is {self._max_age:g} s: is the "
+            "computer overloaded, or its clock not that of the samples?"
+            if age > 0.0
+            else f"the samples are stamped {-age:.2f} s in the future: are the clocks of the "
+            "computers set alike? for a replay set max_age to 0",
+        )
 
 
 _DISTRUST = {
@@ -417,12 +395,12 @@ _DISTRUST = {
 _IN_A_ROW = 2
 """Number of windows rejected in a row that makes the force invalid; a passing fault spoils one."""
 
-_FITS = 0.3
-"""If the set in use has a smaller NRMSE in a rejected window, the rejection does not count."""
-
 
 class RefusedWindows:
-    """Counts the windows rejected in a row by the identifier; two make the force invalid."""
+    """Counts the windows rejected in a row by the identifier; two make the force invalid.
+
+    A rejection does not count if the set in use is good in the window.
+    """
 
     def __init__(self) -> None:
         self._refused = 0
@@ -435,7 +413,7 @@ class RefusedWindows:
 
     def follow(self, verdict: int, nrmse_before: float, *, confirms: bool) -> None:
         """Process a report: its verdict, and the NRMSE of the set in use (NaN if unknown)."""
-        if confirms or nrmse_before < _FITS:
+        if confirms or nrmse_before < STILL_GOOD:
             self.forget()
         elif verdict in _DISTRUST:
             self._refused += 1

@@ -334,13 +334,12 @@ def waiting(factor: float = 1.0) -> tuple[WindowTracker, ParameterSet]:
     outcome = run(job)
     assert outcome.found is not None
     assert outcome.evidence is not None
-    values = outcome.found.parameter_set.values.copy()
+    values = outcome.found.values.copy()
     values[known.index("f0")] *= factor
-    found = dataclasses.replace(outcome.found.parameter_set, values=values)
+    found = dataclasses.replace(outcome.found, values=values)
     evidence = dataclasses.replace(outcome.evidence, recent=(0.2, 0.1))
-    fit = dataclasses.replace(outcome.found, parameter_set=found)
     good = tracked.parameters
-    report = tracked.complete(job, dataclasses.replace(outcome, found=fit, evidence=evidence))
+    report = tracked.complete(job, dataclasses.replace(outcome, found=found, evidence=evidence))
     assert report is not None
     assert report.verdict is Verdict.UNCONFIRMED
     assert tracked.parameters is good
@@ -385,13 +384,11 @@ def test_a_set_that_the_model_would_refuse_is_not_taken() -> None:
     job = tracked.search()
     outcome = run(job)
     assert outcome.found is not None
-    found = outcome.found.parameter_set
-    values = found.values.copy()
+    values = outcome.found.values.copy()
     values[known.index("f0")] *= 1e6
-    absurd = dataclasses.replace(found, values=values)
-    fit = dataclasses.replace(outcome.found, parameter_set=absurd)
+    absurd = dataclasses.replace(outcome.found, values=values)
     good = tracked.parameters
-    report = tracked.complete(job, dataclasses.replace(outcome, found=fit))
+    report = tracked.complete(job, dataclasses.replace(outcome, found=absurd))
     assert report is not None
     assert report.verdict is Verdict.POOR_FIT
     assert "more than the possible" in report.reason
