@@ -11,11 +11,10 @@ from scipy.optimize import brentq
 
 from benchmarks.figure import Measured
 from mr_damper_ros.emulation.emulator import (
-    ConstantDamper,
     Damper,
+    EmulatedDamper,
     EmulatedRig,
     RigSettings,
-    TemperatureDependentDamper,
     ThermalModel,
     scaled,
 )
@@ -110,7 +109,7 @@ COLD, HOT = 28.0, 71.0
 CONDUCTANCE = 0.2
 """Convection [W/K]; the heat capacity follows from the duration."""
 
-DAMPER = TemperatureDependentDamper(THESIS_28_CELSIUS, THESIS_71_CELSIUS)
+DAMPER = EmulatedDamper(THESIS_28_CELSIUS, THESIS_71_CELSIUS)
 
 
 @dataclass(frozen=True, eq=False)
@@ -238,7 +237,7 @@ def windows_until_right(offset: float, settings: TrackerSettings) -> float:
     """
     time = _BEFORE + offset * HOP
     run = recording(
-        ConstantDamper(THESIS_28_CELSIUS),
+        EmulatedDamper(THESIS_28_CELSIUS),
         time + _AFTER,
         seed=round(100 * offset),
         faults=[fault_of(f"force_loss:{FACTOR}@{time}")],

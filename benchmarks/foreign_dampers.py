@@ -354,7 +354,7 @@ def trial_of(given: Combination) -> tuple[StreamTrial, float]:
         # A large damper has more to heat.
         thermal = ThermalModel(initial=28.0, capacity=given.capacity * given.size, conductance=0.5)
     trial = StreamTrial(
-        ForeignDamper(LAWS[given.law](given.size), 1.0 / settings.sample_rate),
+        ForeignDamper(LAWS[given.law](given.size)),
         motion,
         CURRENTS[given.current](motion, given.number),
         faults=faults_of(faults, given.number),

@@ -293,21 +293,21 @@ LAWS: dict[str, Callable[[float], ForeignLaw]] = {
 
 
 class ForeignDamper:
-    """A damper of a law, sampled every ``period`` [s], whose coil current lags the command."""
+    """A damper of a law whose coil current lags the command."""
 
     COIL_LAG: ClassVar[float] = 0.008
     """Time constant [s]."""
 
-    def __init__(self, law: ForeignLaw, period: float) -> None:
+    def __init__(self, law: ForeignLaw) -> None:
         self._law = law
-        self._step = period / _SUBSTEPS
         self._before: tuple[float, float, float, float] | None = None
         self._coil = 0.0
 
-    def force(self, motion: Motion, current: Array, celsius: float) -> Array:
+    def force(self, motion: Motion, current: Array, celsius: float, period: float) -> Array:
         """Force [N], shape (n,); motion and current are linear between two samples."""
-        now = Moment(0.0, 0.0, 0.0, 0.0, celsius - _COLD, self._step)
-        law, follows = self._law, min(self._step / self.COIL_LAG, 1.0)
+        step = period / _SUBSTEPS
+        now = Moment(0.0, 0.0, 0.0, 0.0, celsius - _COLD, step)
+        law, follows = self._law, min(step / self.COIL_LAG, 1.0)
         rows = np.stack([motion.displacement, motion.velocity, motion.acceleration, current]).T
         force = np.empty(current.size)
         for place, sample in enumerate(rows.tolist()):

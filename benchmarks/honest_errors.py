@@ -13,9 +13,8 @@ from benchmarks import following
 from benchmarks.figure import Measured
 from mr_damper_ros.emulation.emulator import (
     THESIS_FORCE_NOISE,
-    ConstantDamper,
+    EmulatedDamper,
     EmulatedRig,
-    ModelDamper,
     RigSettings,
 )
 from mr_damper_ros.emulation.motions import Excitation, SampledMotion, SineMotion
@@ -62,7 +61,7 @@ _SOFT, _STIFF = 2e-3, 1.5e-4
 def exchanges(tracker: str, windows: int, seed: int = 3) -> int:
     """Number of set changes after the first set, for a constant damper of the exact law."""
     duration = following.WINDOW + (windows - 1) * following.HOP
-    run = following.recording(ConstantDamper(THESIS_28_CELSIUS), duration, seed=seed)
+    run = following.recording(EmulatedDamper(THESIS_28_CELSIUS), duration, seed=seed)
     steps = following.follow(run, TrackerSettings(tracker=tracker))
     verdicts = [step.report.verdict for step in steps]
     if Verdict.ACCEPTED not in verdicts:
@@ -83,7 +82,7 @@ def error_ratios(memory: float, realisations: int) -> tuple[Array, Array]:
     condition = find(CONDITION)
     truth = parameters(condition)
     rig = EmulatedRig(
-        ConstantDamper(truth),
+        EmulatedDamper(truth),
         SineMotion(condition.amplitude, condition.frequency, phase=PHASE),
         condition.current,
         settings=RigSettings(displacement_noise=1e-6, force_noise=0.0),
@@ -120,7 +119,7 @@ def published_scales(
     defines the baseline and is left out. The last value is the median NRMSE of the fits.
     """
     settings = RigSettings(displacement_noise=1e-6, seed=5)
-    rig = EmulatedRig(ModelDamper(truth, settings.period), motion, _CURRENT, settings=settings)
+    rig = EmulatedRig(EmulatedDamper(truth), motion, _CURRENT, settings=settings)
     run = rig.record(_SETTLING + windows * following.WINDOW)
     part = slice(round(_SETTLING / run.period), None)
     run = replace(

@@ -18,7 +18,12 @@ import numpy as np
 import mr_damper_ros as mr
 from benchmarks.figure import Measured
 from benchmarks.other_dampers import DAMPERS, stairs, stops
-from mr_damper_ros.emulation.emulator import CurrentSchedule, EmulatedRig, ModelDamper, RigSettings
+from mr_damper_ros.emulation.emulator import (
+    CurrentSchedule,
+    EmulatedDamper,
+    EmulatedRig,
+    RigSettings,
+)
 from mr_damper_ros.emulation.faults import Instruments, faults_of
 from mr_damper_ros.emulation.motions import (
     BandLimitedMotion,
@@ -95,7 +100,7 @@ def _recording(damper: str, rng: np.random.Generator) -> Recording:
     times = np.arange(0.0, count / rate, each)
     faults = faults_of(fault.split())
     rig = EmulatedRig(
-        ModelDamper(DAMPERS[damper], 1.0 / rate),
+        EmulatedDamper(DAMPERS[damper]),
         MOTIONS[motion],
         CurrentSchedule(times.tolist(), rng.uniform(0.0, 2.0, times.size).tolist()),
         settings=RigSettings(

@@ -17,8 +17,8 @@ from benchmarks.figure import Measured
 from benchmarks.other_dampers import DAMPERS, random_motion
 from mr_damper_ros.emulation.emulator import (
     THESIS_FORCE_NOISE,
+    EmulatedDamper,
     EmulatedRig,
-    ModelDamper,
     RigSettings,
 )
 from mr_damper_ros.emulation.motions import Excitation, SineMotion
@@ -56,7 +56,7 @@ def made(damper: ParameterSet, motion: Excitation, rate: float, duration: float)
     """Signals of a rig without noise."""
     fine = rate * _FINE
     settings = RigSettings(fine, force_noise=0.0)
-    rig = EmulatedRig(ModelDamper(damper, 1.0 / fine), motion, _CURRENT, settings=settings)
+    rig = EmulatedRig(EmulatedDamper(damper), motion, _CURRENT, settings=settings)
     return rig.next_block(round(duration * fine))
 
 

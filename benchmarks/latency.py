@@ -36,7 +36,7 @@ from benchmarks.helper_programs import (
 )
 from benchmarks.other_dampers import random_motion
 from benchmarks.processes import ProfiledDomain, driver_node, on_cores, start_node
-from mr_damper_ros.emulation.emulator import ConstantDamper, EmulatedRig, ModelDamper, RigSettings
+from mr_damper_ros.emulation.emulator import EmulatedDamper, EmulatedRig, RigSettings
 from mr_damper_ros.emulation.motions import SineMotion
 from mr_damper_ros.models.parameter_set import ParameterSet
 from mr_damper_ros.models.published import THESIS_28_CELSIUS
@@ -77,10 +77,10 @@ def blocks_of(motion: str, size: int, duration: float) -> list[SampleBlock]:
 
     The stamps begin at 0.
     """
-    damper, settings = ConstantDamper(THESIS_28_CELSIUS), RigSettings(RATE, force_noise=0.0)
+    damper, settings = EmulatedDamper(THESIS_28_CELSIUS), RigSettings(RATE, force_noise=0.0)
     rig = EmulatedRig(damper, SineMotion(0.005, 1.0), CURRENT, settings=settings)
     if motion == "random":
-        moving = ModelDamper(ParameterSet(THESIS_28_CELSIUS), 1.0 / RATE)
+        moving = EmulatedDamper(THESIS_28_CELSIUS)
         excitation = random_motion(3e-3, 0.3, 3.0, duration, seed=1)
         rig = EmulatedRig(moving, excitation, CURRENT, settings=RigSettings(RATE, seed=1))
     made = rig.next_block(round(duration * RATE / size) * size)

@@ -12,13 +12,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from mr_damper_ros.emulation.motions import (
-    EnvelopedMotion,
-    Excitation,
-    SampledMotion,
-    SineMotion,
-    WarpedMotion,
-)
+from mr_damper_ros.emulation.motions import ChangedMotion, Excitation, SampledMotion, SineMotion
 from mr_damper_ros.models import MODELS
 from mr_damper_ros.models.parameter_set import ParameterSet
 
@@ -125,7 +119,7 @@ def stairs(amplitude: float, frequency: float, factors: Sequence[float], each: f
     """A sine whose amplitude changes every ``each`` [s] to a multiple of ``amplitude`` [m]."""
     motion: Excitation = SineMotion(amplitude * factors[0], frequency)
     for place, (before, after) in enumerate(pairwise(factors), start=1):
-        motion = EnvelopedMotion(motion, after / before, place * each, math.inf, 0.1)
+        motion = ChangedMotion(motion, place * each, math.inf, 0.1, after / before)
     return motion
 
 
@@ -133,5 +127,5 @@ def stops(motion: Excitation, moving: float, resting: float, times: int) -> Exci
     """The motion with a rest of ``resting`` [s] after each ``moving`` [s]."""
     for place in range(times):
         begin = place * (moving + resting) + moving
-        motion = WarpedMotion(motion, 0.0, begin, begin + resting, 0.1)
+        motion = ChangedMotion(motion, begin, begin + resting, 0.1, tempo=0.0)
     return motion

@@ -12,8 +12,8 @@ from benchmarks.figure import Measured
 from benchmarks.foreign_laws import LAWS, ForeignDamper
 from mr_damper_ros.campaign.course import planned
 from mr_damper_ros.emulation.emulator import (
-    ConstantDamper,
     CurrentSchedule,
+    EmulatedDamper,
     EmulatedRig,
     RigSettings,
 )
@@ -185,7 +185,7 @@ class _Machine:
             [place * run.stretch for place in range(len(run.currents))], run.currents
         )
         motion = RepeatedMotion(run.motion)
-        damper = ConstantDamper(self._truth)
+        damper = EmulatedDamper(self._truth)
         clean = EmulatedRig(damper, motion, schedule, settings=RigSettings(force_noise=0.0)).record(
             run.duration
         )
@@ -296,8 +296,8 @@ def _foreign_run(name: str, run: PlannedRun, rng: np.random.Generator) -> Record
     time = np.arange(round(run.duration * _RATE) + _REST) / _RATE
     u, v, a = run.motion.at(time)
     current = run.current_at(np.maximum(time - _REST / _RATE, 0.0))
-    damper = ForeignDamper(LAWS[name](1.0), 1.0 / _RATE)
-    force = damper.force(Motion(u, v, a, np.abs(v), sine=None), current, 28.0)[_REST:]
+    damper = ForeignDamper(LAWS[name](1.0))
+    force = damper.force(Motion(u, v, a, np.abs(v), sine=None), current, 28.0, 1.0 / _RATE)[_REST:]
     force = force + rng.normal(0.0, _NOISE * float(np.sqrt(np.mean(force**2))), force.size)
     return Recording(name, 0, 1.0 / _RATE, u[_REST:], force, current[_REST:])
 
@@ -312,8 +312,8 @@ def _foreign_cycles(name: str) -> Array:
         phase = 2.0 * math.pi * (np.arange(-2 * count, count) / steps + 0.5) / PHASES
         u, v = _FOREIGN_GOAL.amplitude * np.sin(phase), speed * np.cos(phase)
         motion = Motion(u, v, -(omega**2) * u, np.abs(v), sine=None)
-        damper = ForeignDamper(LAWS[name](1.0), 2.0 * math.pi / omega / count)
-        force = damper.force(motion, np.full(u.size, current), 28.0)
+        damper, period = ForeignDamper(LAWS[name](1.0)), 2.0 * math.pi / omega / count
+        force = damper.force(motion, np.full(u.size, current), 28.0, period)
         forces.append(force[2 * count :: steps])
     return np.array(forces)
 

@@ -19,7 +19,7 @@ from typing import Any
 import numpy as np
 
 from benchmarks.figure import Measured
-from mr_damper_ros.emulation.emulator import ConstantDamper, EmulatedRig, RigSettings, scaled
+from mr_damper_ros.emulation.emulator import EmulatedDamper, EmulatedRig, RigSettings, scaled
 from mr_damper_ros.emulation.motions import SineMotion
 from mr_damper_ros.models.published import THESIS_28_CELSIUS
 
@@ -125,7 +125,7 @@ def _write_lot(folder: Path, dampers: int) -> None:
     for number in range(dampers):
         values = scaled(THESIS_28_CELSIUS, 1.0 + _SPREAD * rng.standard_normal())
         settings = RigSettings(sample_rate=_RATE, seed=(0, number))
-        rig = EmulatedRig(ConstantDamper(values), SineMotion(5e-3, 4.0), 0.5, settings=settings)
+        rig = EmulatedRig(EmulatedDamper(values), SineMotion(5e-3, 4.0), 0.5, settings=settings)
         run = rig.record(0.5)
         rows = np.column_stack((1e3 * run.displacement, run.force, run.current))
         path = folder / f"D{number:04}" / "run.csv"

@@ -6,7 +6,7 @@ from functools import cache
 
 import numpy as np
 
-from mr_damper_ros.emulation.emulator import ConstantDamper, EmulatedRig, RigSettings
+from mr_damper_ros.emulation.emulator import EmulatedDamper, EmulatedRig, RigSettings
 from mr_damper_ros.emulation.faults import Instruments, faults_of
 from mr_damper_ros.emulation.motions import (
     BandLimitedMotion,
@@ -38,7 +38,7 @@ def record(
     """Messages of an emulated rig with these faults."""
     found = faults_of(faults.split(), seed)
     rig = EmulatedRig(
-        ConstantDamper(THESIS_28_CELSIUS),
+        EmulatedDamper(THESIS_28_CELSIUS),
         MOTIONS[motion],
         current,
         settings=RigSettings(displacement_noise=2e-6, seed=seed),

@@ -22,7 +22,7 @@ from mr_damper_ros.api.replay import replay
 from mr_damper_ros.control.inverse_model import InverseModel
 from mr_damper_ros.emulation.emulator import (
     THESIS_FORCE_NOISE,
-    ConstantDamper,
+    EmulatedDamper,
     EmulatedRig,
     RigSettings,
     scaled,
@@ -70,7 +70,7 @@ def steady_window(parameters: Array, condition: Condition, *, samples: int, seed
     :mod:`studies.thesis.published_runs`.
     """
     rig = EmulatedRig(
-        ConstantDamper(parameters),
+        EmulatedDamper(parameters),
         SineMotion(condition.amplitude, condition.frequency, phase=PHASE),
         condition.current,
         settings=RigSettings(displacement_noise=DISPLACEMENT_NOISE, seed=seed),

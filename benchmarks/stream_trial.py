@@ -26,8 +26,8 @@ from mr_damper_ros.emulation.emulator import (
     THESIS_FORCE_NOISE,
     CurrentSchedule,
     Damper,
+    EmulatedDamper,
     EmulatedRig,
-    ModelDamper,
     RigSettings,
     ThermalModel,
 )
@@ -279,7 +279,7 @@ class StreamTrial:
         """
         self._settings = given = settings or TrialSettings()
         if isinstance(damper, ParameterSet):
-            damper = ModelDamper(damper, 1.0 / given.sample_rate, hot_force)
+            damper = EmulatedDamper(damper, hot_force)
         # The noise is added here, so that the rig provides the true values.
         self._rig = EmulatedRig(
             damper,

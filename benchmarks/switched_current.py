@@ -20,8 +20,8 @@ from benchmarks.stream_trial import StreamTrial, TrialResult, TrialSettings
 from mr_damper_ros.api.replay import replay
 from mr_damper_ros.emulation.emulator import (
     CurrentSchedule,
+    EmulatedDamper,
     EmulatedRig,
-    ModelDamper,
     RigSettings,
     ThermalModel,
 )
@@ -178,7 +178,7 @@ def drift_errors(duration: float, seed: int = 0) -> Array:
     settings = TrialSettings(seed=seed, block_size=_BLOCK)
     trial = StreamTrial(SIXTEEN, motion, current, settings=settings, thermal=heat, hot_force=0.74)
     result = trial.run(duration)
-    cold = EmulatedRig(ModelDamper(SIXTEEN, result.period), motion, current)
+    cold = EmulatedRig(EmulatedDamper(SIXTEEN), motion, current)
     reference = cold.record(duration).force
     begin = round(result.reports[0].window_start_ns)
     errors, first = [], math.nan
@@ -247,7 +247,7 @@ def switched_halves(coil: float, half: float = _HALF, seed: int = 0) -> list[Win
     values = damper.values.copy()
     values[damper.law.parameter_names.index(COIL)] = coil
     rig = EmulatedRig(
-        ModelDamper(ParameterSet(values, model=damper.model), 1.0 / _RATE),
+        EmulatedDamper(ParameterSet(values, model=damper.model)),
         random_motion(4e-3, 0.3, 3.0, 2.0 * half, seed),
         random_current(2.0 * half, seed),
         settings=RigSettings(sample_rate=_RATE, seed=seed),
@@ -283,7 +283,7 @@ def worker_shares(law: str, start: float, duration: float) -> tuple[float, float
     and global identifications, six in the first half minute and later one after every twenty
     windows that fit.
     """
-    rig = EmulatedRig(ModelDamper(_TRUTH, 1e-3), random_motion(4e-3, 0.3, 3.0, duration, 1), 1.0)
+    rig = EmulatedRig(EmulatedDamper(_TRUTH), random_motion(4e-3, 0.3, 3.0, duration, 1), 1.0)
     record = rig.record(duration)
     engine = Engine(EngineSettings().for_law(law))
     at_start = 0.0

@@ -32,20 +32,14 @@ from mr_damper_ros.emulation.commanded_rig import ForceChoice, turned
 from mr_damper_ros.emulation.emulator import (
     CurrentSchedule,
     Damper,
+    EmulatedDamper,
     EmulatedRig,
-    ModelDamper,
     RigSettings,
     SupplyKnob,
     ThermalModel,
 )
 from mr_damper_ros.emulation.motions import Excitation, SineMotion
-from mr_damper_ros.emulation.plant_rig import (
-    HIGHEST_CURRENT,
-    HOT_FORCE,
-    BuiltInDamper,
-    PlantRig,
-    invented_damper,
-)
+from mr_damper_ros.emulation.plant_rig import HIGHEST_CURRENT, HOT_FORCE, PlantRig, invented_damper
 from mr_damper_ros.models.parameter_set import ParameterSet
 from mr_damper_ros.models.published import THESIS_28_CELSIUS
 from mr_damper_ros.rig.sources.emulated_source import moment_of
@@ -112,7 +106,7 @@ def driven(road: str, seed: int, duration: float = DRIVEN, *, given: bool = True
     knob = SupplyKnob(0.0)
     car = QuarterCar()
     rig = PlantRig(
-        BuiltInDamper(invented_damper(0.0), HOT_FORCE),
+        EmulatedDamper(invented_damper(0.0), HOT_FORCE, built_in=True),
         car.plant,
         IsoRoad(road, SPEED, seed),
         knob.schedule,
@@ -217,10 +211,10 @@ THESIS = ParameterSet(THESIS_28_CELSIUS, set_id="thesis", peak_velocity_range=(0
 
 
 DAMPERS: dict[str, Callable[[], Damper]] = {
-    "sigmoid": lambda: ModelDamper(THESIS, PERIOD),
-    "sigmoid_lag": lambda: ModelDamper(invented_damper(LAG), PERIOD),
-    "herschel_bulkley": lambda: ForeignDamper(LAWS["herschel_bulkley"](1.0), PERIOD),
-    "gas_bouc_wen": lambda: ForeignDamper(LAWS["gas_bouc_wen"](1.0), PERIOD),
+    "sigmoid": lambda: EmulatedDamper(THESIS),
+    "sigmoid_lag": lambda: EmulatedDamper(invented_damper(LAG)),
+    "herschel_bulkley": lambda: ForeignDamper(LAWS["herschel_bulkley"](1.0)),
+    "gas_bouc_wen": lambda: ForeignDamper(LAWS["gas_bouc_wen"](1.0)),
 }
 """Runs under a switched current; the identifier uses its default law, sigmoid."""
 
@@ -323,7 +317,7 @@ class Case:
         values = self.known.values.copy()
         values[self.known.law.strength_indices] *= self.part
         hot_force = HOT_FORCE if self.celsius > 28.0 else 1.0
-        return ModelDamper(replace(self.known, values=values), PERIOD, hot_force)
+        return EmulatedDamper(replace(self.known, values=values), hot_force)
 
     def motion(self) -> Excitation:
         """The motion."""

@@ -40,13 +40,8 @@ from mr_damper_ros.control.force_controller import ForceController, ForceControl
 from mr_damper_ros.control.linear_plant import IsoRoad, QuarterCar
 from mr_damper_ros.control.semi_active import skyhook
 from mr_damper_ros.emulation.commanded_rig import ForceChoice, commanded
-from mr_damper_ros.emulation.emulator import RigSettings, SupplyKnob
-from mr_damper_ros.emulation.plant_rig import (
-    HIGHEST_CURRENT,
-    BuiltInDamper,
-    PlantRig,
-    invented_damper,
-)
+from mr_damper_ros.emulation.emulator import EmulatedDamper, RigSettings, SupplyKnob
+from mr_damper_ros.emulation.plant_rig import HIGHEST_CURRENT, PlantRig, invented_damper
 from mr_damper_ros.rig.sources.emulated_source import moment_of
 
 COIL = 0.01  # time constant of the coil [s]
@@ -57,7 +52,7 @@ def comfort(controlled: bool) -> float:
     """RMS of the body's acceleration [m/s2] over eight seconds of road."""
     knob = SupplyKnob(0.0)
     rig = PlantRig(
-        BuiltInDamper(invented_damper(COIL)),
+        EmulatedDamper(invented_damper(COIL), built_in=True),
         QuarterCar().plant,
         IsoRoad("C", speed=20.0, seed=1),
         knob.schedule,

@@ -15,17 +15,15 @@ from typing import Protocol
 
 import numpy as np
 
-from mr_damper_ros.emulation.faults import Fault, at_load_cell, in_coil
+from mr_damper_ros.control.inverse_model import in_coil
+from mr_damper_ros.emulation.faults import Fault, Samples, Stage, changed, moved
 from mr_damper_ros.emulation.motions import Excitation, is_sine
 from mr_damper_ros.kinematics.motion import Motion
 from mr_damper_ros.kinematics.peak_velocity import MEMORY, PeakVelocity, peak_velocity
 from mr_damper_ros.models.first_order_lag import coil_current
 from mr_damper_ros.models.parameter_set import ParameterSet
-from mr_damper_ros.models.sigmoid.law import (
-    PARAMETER_NAMES,
-    force_from_coefficients,
-    operating_point_coefficients,
-)
+from mr_damper_ros.models.quantities import State
+from mr_damper_ros.models.sigmoid.law import PARAMETER_NAMES
 from mr_damper_ros.signals.arrays import Array
 from mr_damper_ros.signals.blocks import NANOSECONDS, RigBlock
 from mr_damper_ros.signals.recording import DEFAULT_START_NS, Recording
@@ -57,76 +55,60 @@ def scaled(parameters: Array, factor: float) -> Array:
 class Damper(Protocol):
     """The damper in the test machine."""
 
-    def force(self, motion: Motion, current: Array, celsius: float) -> Array:
-        """Force [N], shape (n,); the displacement is relative to the centre of the motion."""
+    def force(self, motion: Motion, current: Array, celsius: float, period: float) -> Array:
+        """Force [N], shape (n,), of the next samples, ``period`` [s] apart.
+
+        The displacement is relative to the centre of the motion.
+        """
 
 
-@dataclass(frozen=True, eq=False)
-class ConstantDamper:
-    """A damper that is independent of temperature; ``parameters`` has shape (16,)."""
+class EmulatedDamper:
+    """A damper of any law whose force changes linearly from 28 °C to 71 °C.
 
-    parameters: Array
+    ``cold`` is its set at 28 °C, or the values (16,) of the sigmoid law. ``hot`` is a factor on the
+    gain parameters at 71 °C, or the set at 71 °C: *forces* are then interpolated, not parameters,
+    because the two sets may lie in different basins. The damper keeps the state of its law.
 
-    def force(self, motion: Motion, current: Array, celsius: float) -> Array:
-        """Force [N], shape (n,)."""
-        return _force(self.parameters, motion, current)
-
-
-@dataclass(frozen=True, eq=False)
-class TemperatureDependentDamper:
-    """A damper with parameters at two temperatures, between which its *forces* are interpolated.
-
-    ``cold`` and ``hot`` have shape (16,). The forces are interpolated linearly, and the parameters
-    are not, because the two sets may lie in different basins. Outside the temperature range, the
-    force is that of the nearer temperature. ``hot=scaled(cold, 0.74)`` gives a uniform loss of
-    force.
-
-    Raises EmulatorError if the hot temperature is not above the cold temperature.
+    ``built_in``: in a plant, it has the continuous form of its law, without jumps of the force at
+    reversals, no lag of the coil, which the plant adds, and outside the peak velocity range of its
+    set the coefficients of the nearest peak velocity.
     """
 
-    cold: Array
-    hot: Array
-    cold_celsius: float = _COLD
-    hot_celsius: float = _HOT
+    def __init__(
+        self,
+        cold: ParameterSet | Array,
+        hot: ParameterSet | Array | float = 1.0,
+        *,
+        built_in: bool = False,
+    ) -> None:
+        first = cold if isinstance(cold, ParameterSet) else ParameterSet(cold)
+        self._law = first.law.continuous if built_in else first.law
+        self._range = first.peak_velocity_range if built_in else None
+        self._values = [in_coil(first) if built_in else first.values]
+        self._factor = hot if isinstance(hot, (int, float)) else 1.0
+        if not isinstance(hot, (int, float)):
+            self._values.append(hot.values if isinstance(hot, ParameterSet) else hot)
+        self._states: list[State | None] = [None] * len(self._values)
+        self._celsius, self._weight, self._now = math.nan, 0.0, self._values
 
-    def __post_init__(self) -> None:
-        if not self.hot_celsius > self.cold_celsius:
-            raise EmulatorError(
-                f"the hot temperature, {self.hot_celsius} °C, is not above the cold one, "
-                f"{self.cold_celsius} °C"
+    def force(self, motion: Motion, current: Array, celsius: float, period: float) -> Array:
+        """Force [N], shape (n,), of the next samples, ``period`` [s] apart."""
+        if celsius != self._celsius:
+            self._celsius = celsius
+            self._weight = min(max((celsius - _COLD) / (_HOT - _COLD), 0.0), 1.0)
+            if self._factor != 1.0:
+                values = self._values[0].copy()
+                gains = self._law.strength_indices
+                values[gains] *= 1.0 + self._weight * (self._factor - 1.0)
+                self._now = [np.clip(values, *self._law.bounds)]
+        held = motion if self._range is None else motion.held_within(*self._range)
+        forces = []
+        for place, values in enumerate(self._now):
+            force, self._states[place] = self._law.follow(
+                values, held, current, period, self._states[place]
             )
-
-    def force(self, motion: Motion, current: Array, celsius: float) -> Array:
-        """Force [N], shape (n,)."""
-        weight = (celsius - self.cold_celsius) / (self.hot_celsius - self.cold_celsius)
-        weight = min(max(weight, 0.0), 1.0)
-        cold = _force(self.cold, motion, current)
-        return cold + weight * (_force(self.hot, motion, current) - cold)
-
-
-def _force(parameters: Array, motion: Motion, current: Array) -> Array:
-    coefficients = operating_point_coefficients(parameters, motion.peak_velocity, current)
-    return force_from_coefficients(coefficients, motion.velocity, motion.acceleration)
-
-
-class ModelDamper:
-    """A damper of any model whose gain parameters change linearly with temperature.
-
-    ``hot_force`` is the factor on the gain parameters at 71 °C, relative to 28 °C. ``period`` [s]
-    is the sample period. The damper keeps the state of its model from call to call.
-    """
-
-    def __init__(self, parameters: ParameterSet, period: float, hot_force: float = 1.0) -> None:
-        self._parameters = parameters
-        self._stream = parameters.law.stream(period)
-        self._hot_force = hot_force
-
-    def force(self, motion: Motion, current: Array, celsius: float) -> Array:
-        """Force [N], shape (n,)."""
-        weight = float(np.interp(celsius, (_COLD, _HOT), (0.0, 1.0)))
-        values = self._parameters.values.copy()
-        values[self._parameters.law.strength_indices] *= 1.0 + weight * (self._hot_force - 1.0)
-        return self._stream.follow(np.clip(values, *self._parameters.law.bounds), motion, current)
+            forces.append(force)
+        return forces[0] + self._weight * (forces[-1] - forces[0])
 
 
 @dataclass(frozen=True)
@@ -329,8 +311,7 @@ class EmulatedRig(MeasuredRig):
 
     def _go_on(self, excitation: Excitation, faults: Sequence[Fault]) -> None:
         before = self._excitation
-        for fault in faults:
-            excitation = fault.moved(excitation)
+        excitation = moved(faults, excitation)
         if is_sine(excitation):
             self._peak = None
         elif self._peak is None:
@@ -394,8 +375,8 @@ class EmulatedRig(MeasuredRig):
         if is_sine(self._excitation) != (self._peak is None):
             # A command has changed the kind of motion.
             self._go_on(self._excitation, ())
-        moved = self._excitation.at(time)
-        displacement, velocity, acceleration = moved
+        kinematics = self._excitation.at(time)
+        displacement, velocity, acceleration = kinematics
         current = self._current.at(time)
         centred = displacement - self._excitation.centre
         v_m = (
@@ -404,11 +385,11 @@ class EmulatedRig(MeasuredRig):
             else self._peak.follow(velocity, acceleration)
         )
         motion = Motion(centred, velocity, acceleration, v_m, sine=None)
-        fed = in_coil(self._faults, time, current)
+        fed = changed(self._faults, Stage.COIL, Samples(time, current, period, kinematics))
         coil = coil_current(fed, self._coil, period, self._before)
         self._before = fed[-1], coil[-1]
-        force = self._damper.force(motion, coil, self._celsius)
-        true_force = at_load_cell(self._faults, time, moved, force)
+        force = self._damper.force(motion, coil, self._celsius, period)
+        true_force = changed(self._faults, Stage.FORCE, Samples(time, force, period, kinematics))
         celsius = np.full(count, self._celsius)
         self._power[part] = true_force * velocity
         self._made += count

@@ -16,7 +16,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from mr_damper_ros.emulation.motions import EnvelopedMotion, Excitation, Kinematics, WarpedMotion
+from mr_damper_ros.emulation.motions import ChangedMotion, Excitation, Kinematics
 from mr_damper_ros.signals.arrays import Array
 from mr_damper_ros.signals.blocks import NANOSECONDS, RigBlock
 
@@ -28,6 +28,9 @@ _ROUNDING = 1e-9
 
 _CHANGE = 0.1
 """Time [s] in which the machine changes its motion."""
+
+
+_NO_MOTION = Kinematics(*np.empty((3, 0)))
 
 
 class FaultError(ValueError):
@@ -63,12 +66,15 @@ class Stage(Enum):
 
 
 class Samples(NamedTuple):
-    """``values`` (n,) at ``time`` (n,) [s] with sample ``period`` [s], and the true motion."""
+    """``values`` (n,) at ``time`` (n,) [s] with sample ``period`` [s].
+
+    ``motion``: the true motion, except for :attr:`Stage.CHANNEL`.
+    """
 
     time: Array
     values: Array
-    period: float = math.nan
-    motion: Kinematics | None = None
+    period: float
+    motion: Kinematics = _NO_MOTION
 
 
 @dataclass(frozen=True)
@@ -148,36 +154,24 @@ class Fault:
         """
         return bool(self.active(np.array([block.sequence * block.period]))[0])
 
-    def moved(self, excitation: Excitation) -> Excitation:
-        """The motion of the machine with this fault."""
-        if self.kind.stage is not Stage.MOTION:
-            return excitation
-        moved: Excitation = self.kind.act(self, excitation)
-        return moved
 
-    def changed(self, stage: Stage, samples: Samples) -> Array:
-        """The values (n,) of the samples after a stage."""
-        if self.kind.stage is not stage:
-            return samples.values
-        values: Array = self.kind.act(self, samples)
-        there = self.active(samples.time)
-        return np.where(there, values, samples.values) if self.kind.masked else values
-
-
-def _changed_by(faults: Sequence[Fault], stage: Stage, samples: Samples) -> Array:
+def moved(faults: Sequence[Fault], excitation: Excitation) -> Excitation:
+    """The motion of the machine with these faults."""
     for fault in faults:
-        samples = samples._replace(values=fault.changed(stage, samples))
+        if fault.kind.stage is Stage.MOTION:
+            excitation = fault.kind.act(fault, excitation)
+    return excitation
+
+
+def changed(faults: Sequence[Fault], stage: Stage, samples: Samples) -> Array:
+    """The values (n,) of the samples after a stage."""
+    for fault in faults:
+        if fault.kind.stage is stage:
+            values = fault.kind.act(fault, samples)
+            if fault.kind.masked:
+                values = np.where(fault.active(samples.time), values, samples.values)
+            samples = samples._replace(values=values)
     return samples.values
-
-
-def in_coil(faults: Sequence[Fault], time: Array, current: Array) -> Array:
-    """Current [A] in the coil, shape (n,), when the supply reports ``current``."""
-    return _changed_by(faults, Stage.COIL, Samples(time, current))
-
-
-def at_load_cell(faults: Sequence[Fault], time: Array, motion: Kinematics, force: Array) -> Array:
-    """Force [N] between rod and load cell, shape (n,), for the damper force ``force``."""
-    return _changed_by(faults, Stage.FORCE, Samples(time, force, motion=motion))
 
 
 class Delivery(NamedTuple):
@@ -203,7 +197,7 @@ class Instruments:
             kind = fault.kind
             if kind.stage is Stage.CHANNEL:
                 samples = Samples(time, getattr(block, fault.channel), block.period)
-                shown: dict[str, Any] = {fault.channel: fault.changed(Stage.CHANNEL, samples)}
+                shown: dict[str, Any] = {fault.channel: changed([fault], kind.stage, samples)}
                 block = replace(block, **shown)
             elif kind.stage is Stage.BLOCK and (fault.concerns(block) or not kind.masked):
                 block = kind.act(fault, block)
@@ -221,20 +215,6 @@ class Instruments:
         return sent
 
 
-# --- any quantity -------------------------------------------------------------------------------
-
-
-def _gain(fault: Fault, samples: Samples) -> Array:
-    return fault.amount * samples.values
-
-
-def _offset(fault: Fault, samples: Samples) -> Array:
-    return samples.values + fault.amount
-
-
-# --- in the machine -----------------------------------------------------------------------------
-
-
 def _wear(fault: Fault, samples: Samples) -> Array:
     if math.isinf(fault.end):
         return samples.values
@@ -242,29 +222,11 @@ def _wear(fault: Fault, samples: Samples) -> Array:
     return np.interp(samples.time, times, (1.0, fault.amount)) * samples.values
 
 
-def _friction(fault: Fault, samples: Samples) -> Array:
-    assert samples.motion is not None
-    # The sign of the velocity, smoothed within 1 mm/s.
-    return samples.values + fault.amount * np.tanh(samples.motion.velocity / 1e-3)
-
-
-def _spring(fault: Fault, samples: Samples) -> Array:
-    assert samples.motion is not None
-    return samples.values + fault.amount * samples.motion.displacement
-
-
-def _end_stop(fault: Fault, samples: Samples) -> Array:
-    assert samples.motion is not None
-    u = samples.motion.displacement
-    return samples.values + 1e6 * (u - np.clip(u, -fault.amount, fault.amount))
-
-
 def _backlash(fault: Fault, samples: Samples) -> Array:
     """After each reversal, the rod follows the machine only when the play is used up.
 
     ``fault.memory`` is the position of the rod [m].
     """
-    assert samples.motion is not None
     result, half = samples.values.copy(), 0.5 * fault.amount
     for place in np.flatnonzero(fault.active(samples.time)):
         u = float(samples.motion.displacement[place])
@@ -275,21 +237,6 @@ def _backlash(fault: Fault, samples: Samples) -> Array:
     return result
 
 
-def _amplitude(fault: Fault, excitation: Excitation) -> Excitation:
-    return EnvelopedMotion(excitation, fault.amount, fault.begin, fault.end, _CHANGE)
-
-
-def _tempo(fault: Fault, excitation: Excitation) -> Excitation:
-    return WarpedMotion(excitation, fault.amount, fault.begin, fault.end, _CHANGE)
-
-
-# --- in the instruments -------------------------------------------------------------------------
-
-
-def _creep(fault: Fault, samples: Samples) -> Array:
-    return samples.values + fault.amount * (samples.time - fault.begin)
-
-
 def _stuck(fault: Fault, samples: Samples) -> Array:
     before = samples.values[samples.time < fault.begin - _ROUNDING]
     if before.size:
@@ -297,48 +244,25 @@ def _stuck(fault: Fault, samples: Samples) -> Array:
     return np.full(samples.values.size, fault.memory or 0.0)
 
 
-def _outages(instead: float) -> Callable[[Fault, Samples], Array]:
+def _outages(fault: Fault, samples: Samples, instead: float) -> Array:
     """Random outages of 20 ms with the value ``instead``.
 
     ``fault.memory`` is the end of the last outage [s].
     """
-
-    def act(fault: Fault, samples: Samples) -> Array:
-        time, values, period, _ = samples
-        begins = fault.active(time) & (fault.rng.random(time.size) < fault.amount * period)
-        since = np.where(begins, time, -math.inf)
-        last = -math.inf if fault.memory is None else fault.memory
-        until = np.maximum.accumulate(np.maximum(since + 0.02, last))
-        fault.memory = float(until[-1])
-        return np.where(time < until, instead, values)
-
-    return act
-
-
-def _missing(fault: Fault, samples: Samples) -> Array:
-    return np.full(samples.values.size, math.nan)
+    time, values, period, _ = samples
+    begins = fault.active(time) & (fault.rng.random(time.size) < fault.amount * period)
+    since = np.where(begins, time, -math.inf)
+    last = -math.inf if fault.memory is None else fault.memory
+    until = np.maximum.accumulate(np.maximum(since + 0.02, last))
+    fault.memory = float(until[-1])
+    return np.where(time < until, instead, values)
 
 
 def _spikes(fault: Fault, samples: Samples) -> Array:
+    """Five spikes per second on average, of either sign."""
     drawn = fault.rng.random((2, samples.time.size))
     hit = drawn[0] < 5.0 * samples.period
     return samples.values + np.where(hit, fault.amount * np.sign(drawn[1] - 0.5), 0.0)
-
-
-def _noise(fault: Fault, samples: Samples) -> Array:
-    return samples.values + fault.amount * fault.rng.standard_normal(samples.time.size)
-
-
-def _hum(fault: Fault, samples: Samples) -> Array:
-    return samples.values + fault.amount * np.sin(2.0 * np.pi * 50.0 * samples.time)
-
-
-def _clip(fault: Fault, samples: Samples) -> Array:
-    return np.clip(samples.values, -fault.amount, fault.amount)
-
-
-def _coarse(fault: Fault, samples: Samples) -> Array:
-    return np.round(samples.values / fault.amount) * fault.amount
 
 
 def _delay(fault: Fault, samples: Samples) -> Array:
@@ -359,14 +283,6 @@ def _sluggish(fault: Fault, samples: Samples) -> Array:
     return result
 
 
-def _swapped(fault: Fault, block: RigBlock) -> RigBlock:
-    return replace(block, displacement=1e-6 * block.force, force=block.displacement / 1e-6)
-
-
-def _crosstalk(fault: Fault, block: RigBlock) -> RigBlock:
-    return replace(block, force=block.force + fault.amount * block.current)
-
-
 def _repeated_buffer(fault: Fault, block: RigBlock) -> RigBlock:
     if not fault.concerns(block):
         fault.memory = block
@@ -376,20 +292,9 @@ def _repeated_buffer(fault: Fault, block: RigBlock) -> RigBlock:
     return replace(block, displacement=last.displacement, force=last.force)
 
 
-# --- in transmission ----------------------------------------------------------------------------
-
-
 def _chosen(fault: Fault, block: RigBlock) -> bool:
     """Draw whether this block has the fault."""
     return bool(fault.rng.random() < fault.amount) and fault.concerns(block)
-
-
-def _lost(fault: Fault, block: RigBlock) -> list[RigBlock]:
-    return [] if _chosen(fault, block) else [block]
-
-
-def _doubled(fault: Fault, block: RigBlock) -> list[RigBlock]:
-    return [block, block] if _chosen(fault, block) else [block]
 
 
 def _reordered(fault: Fault, block: RigBlock) -> list[RigBlock]:
@@ -402,12 +307,14 @@ def _reordered(fault: Fault, block: RigBlock) -> list[RigBlock]:
 
 def _late(fault: Fault, block: RigBlock) -> list[RigBlock]:
     waiting: list[RigBlock] = [*(fault.memory or []), block]
-    since = block.sequence * block.period - fault.begin
-    if fault.concerns(block) and since % 1.0 < fault.amount:
-        fault.memory = waiting
-        return []
-    fault.memory = []
-    return waiting
+    held = fault.concerns(block) and _since(fault, block) % 1.0 < fault.amount
+    fault.memory = waiting if held else []
+    return [] if held else waiting
+
+
+def _since(fault: Fault, block: RigBlock) -> float:
+    """Time [s] from the beginning of the fault to the block."""
+    return block.sequence * block.period - fault.begin
 
 
 def _ahead(block: RigBlock, seconds: float) -> RigBlock:
@@ -416,70 +323,143 @@ def _ahead(block: RigBlock, seconds: float) -> RigBlock:
     return replace(block, start_ns=block.start_ns + shift, ahead_ns=block.ahead_ns + shift)
 
 
-def _stamp_jitter(fault: Fault, block: RigBlock) -> RigBlock:
-    return _ahead(block, fault.amount * (2.0 * fault.rng.random() - 1.0) * block.period)
-
-
-def _clock_jump(fault: Fault, block: RigBlock) -> RigBlock:
-    return _ahead(block, fault.amount)
-
-
-def _clock_drift(fault: Fault, block: RigBlock) -> RigBlock:
-    return _ahead(block, fault.amount * (block.sequence * block.period - fault.begin))
-
-
-def _wrong_period(fault: Fault, block: RigBlock) -> RigBlock:
-    return replace(block, period=block.period * fault.amount)
-
-
-def _recount(fault: Fault, block: RigBlock) -> RigBlock:
-    return replace(block, sequence=block.sequence - round(fault.begin / block.period))
-
-
-def _supply_clock(fault: Fault, block: RigBlock) -> RigBlock:
-    return replace(block, supply_ahead_ns=round(fault.amount * NANOSECONDS))
-
-
+# In the functions of the table, f is the fault, s the samples, b the block.
 KINDS: tuple[Kind, ...] = (
-    Kind("force_loss", Stage.FORCE, _gain, "1", 0.5),
+    Kind("force_loss", Stage.FORCE, lambda f, s: f.amount * s.values, "1", 0.5),
     Kind("wear", Stage.FORCE, _wear, "1", 0.7, masked=False),
-    Kind("friction", Stage.FORCE, _friction, "N", 200.0),
-    Kind("spring", Stage.FORCE, _spring, "N/m", 1e5),
-    Kind("end_stop", Stage.FORCE, _end_stop, "m", 0.004, 0.0),
+    # The sign of the velocity, smoothed within 1 mm/s.
+    Kind(
+        "friction",
+        Stage.FORCE,
+        lambda f, s: s.values + f.amount * np.tanh(s.motion.velocity / 1e-3),
+        "N",
+        200.0,
+    ),
+    Kind(
+        "spring",
+        Stage.FORCE,
+        lambda f, s: s.values + f.amount * s.motion.displacement,
+        "N/m",
+        1e5,
+    ),
+    Kind(
+        "end_stop",
+        Stage.FORCE,
+        lambda f, s: s.values + 1e6 * (s.motion[0] - np.clip(s.motion[0], -f.amount, f.amount)),
+        "m",
+        0.004,
+        0.0,
+    ),
     Kind("backlash", Stage.FORCE, _backlash, "m", 0.5e-3, 0.0),
-    Kind("coil_factor", Stage.COIL, _gain, "1", 0.0),
-    Kind("coil_offset", Stage.COIL, _offset, "A", 0.1),
-    Kind("amplitude", Stage.MOTION, _amplitude, "1", 0.1),
-    Kind("tempo", Stage.MOTION, _tempo, "1", 0.0, 0.0),
-    Kind("gain", Stage.CHANNEL, _gain, "1", 10.0),
-    Kind("offset", Stage.CHANNEL, _offset, "channel"),
-    Kind("creep", Stage.CHANNEL, _creep, "channel/s"),
+    Kind("coil_factor", Stage.COIL, lambda f, s: f.amount * s.values, "1", 0.0),
+    Kind("coil_offset", Stage.COIL, lambda f, s: s.values + f.amount, "A", 0.1),
+    Kind(
+        "amplitude",
+        Stage.MOTION,
+        lambda f, motion: ChangedMotion(motion, f.begin, f.end, _CHANGE, factor=f.amount),
+        "1",
+        0.1,
+    ),
+    Kind(
+        "tempo",
+        Stage.MOTION,
+        lambda f, motion: ChangedMotion(motion, f.begin, f.end, _CHANGE, tempo=f.amount),
+        "1",
+        0.0,
+        0.0,
+    ),
+    Kind("gain", Stage.CHANNEL, lambda f, s: f.amount * s.values, "1", 10.0),
+    Kind("offset", Stage.CHANNEL, lambda f, s: s.values + f.amount, "channel"),
+    Kind(
+        "creep", Stage.CHANNEL, lambda f, s: s.values + f.amount * (s.time - f.begin), "channel/s"
+    ),
     Kind("stuck", Stage.CHANNEL, _stuck),
-    Kind("dropouts", Stage.CHANNEL, _outages(0.0), "1/s", 2.0, 0.0, masked=False),
-    Kind("nan", Stage.CHANNEL, _outages(math.nan), "1/s", 2.0, 0.0, masked=False),
-    Kind("missing", Stage.CHANNEL, _missing),
+    Kind(
+        "dropouts", Stage.CHANNEL, lambda f, s: _outages(f, s, 0.0), "1/s", 2.0, 0.0, masked=False
+    ),
+    Kind(
+        "nan", Stage.CHANNEL, lambda f, s: _outages(f, s, math.nan), "1/s", 2.0, 0.0, masked=False
+    ),
+    Kind("missing", Stage.CHANNEL, lambda f, s: np.full(s.values.size, math.nan)),
     Kind("spikes", Stage.CHANNEL, _spikes, "channel"),
-    Kind("noise", Stage.CHANNEL, _noise, "channel", least=0.0),
-    Kind("hum", Stage.CHANNEL, _hum, "channel"),
-    Kind("clip", Stage.CHANNEL, _clip, "channel", least=0.0),
-    Kind("coarse", Stage.CHANNEL, _coarse, "channel", least=1e-12),
+    Kind(
+        "noise",
+        Stage.CHANNEL,
+        lambda f, s: s.values + f.amount * f.rng.standard_normal(s.time.size),
+        "channel",
+        least=0.0,
+    ),
+    Kind(
+        "hum",
+        Stage.CHANNEL,
+        lambda f, s: s.values + f.amount * np.sin(2.0 * np.pi * 50.0 * s.time),
+        "channel",
+    ),
+    Kind(
+        "clip",
+        Stage.CHANNEL,
+        lambda f, s: np.clip(s.values, -f.amount, f.amount),
+        "channel",
+        least=0.0,
+    ),
+    Kind(
+        "coarse",
+        Stage.CHANNEL,
+        lambda f, s: np.round(s.values / f.amount) * f.amount,
+        "channel",
+        least=1e-12,
+    ),
     Kind("delay", Stage.CHANNEL, _delay, "s", 0.05, 0.0),
     Kind("sluggish", Stage.CHANNEL, _sluggish, "s", 0.05, 0.0),
-    Kind("swapped", Stage.BLOCK, _swapped),
-    Kind("crosstalk", Stage.BLOCK, _crosstalk, "N/A", 100.0),
+    Kind(
+        "swapped",
+        Stage.BLOCK,
+        lambda f, b: replace(b, displacement=1e-6 * b.force, force=b.displacement / 1e-6),
+    ),
+    Kind(
+        "crosstalk",
+        Stage.BLOCK,
+        lambda f, b: replace(b, force=b.force + f.amount * b.current),
+        "N/A",
+        100.0,
+    ),
     Kind("repeated_buffer", Stage.BLOCK, _repeated_buffer, masked=False),
-    Kind("lost_blocks", Stage.DELIVERY, _lost, "1", 0.05, 0.0),
-    Kind("doubled_blocks", Stage.DELIVERY, _doubled, "1", 0.1, 0.0),
+    Kind("lost_blocks", Stage.DELIVERY, lambda f, b: [] if _chosen(f, b) else [b], "1", 0.05, 0.0),
+    Kind("doubled_blocks", Stage.DELIVERY, lambda f, b: [b] * (1 + _chosen(f, b)), "1", 0.1, 0.0),
     Kind("reordered_blocks", Stage.DELIVERY, _reordered, "1", 0.1, 0.0),
     Kind("late_blocks", Stage.DELIVERY, _late, "s", 0.3, 0.0),
-    Kind("stamp_jitter", Stage.LABEL, _stamp_jitter, "1", 0.3, 0.0),
-    Kind("clock_jump", Stage.LABEL, _clock_jump, "s", 60.0),
-    Kind("clock_drift", Stage.LABEL, _clock_drift, "s/s", 1e-4),
-    Kind("wrong_period", Stage.LABEL, _wrong_period, "1", 2.0, 1e-6),
-    Kind("recount", Stage.LABEL, _recount),
-    Kind("supply_clock", Stage.LABEL, _supply_clock, "s", 2.0),
+    Kind(
+        "stamp_jitter",
+        Stage.LABEL,
+        lambda f, b: _ahead(b, f.amount * (2.0 * f.rng.random() - 1.0) * b.period),
+        "1",
+        0.3,
+        0.0,
+    ),
+    Kind("clock_jump", Stage.LABEL, lambda f, b: _ahead(b, f.amount), "s", 60.0),
+    Kind("clock_drift", Stage.LABEL, lambda f, b: _ahead(b, f.amount * _since(f, b)), "s/s", 1e-4),
+    Kind(
+        "wrong_period",
+        Stage.LABEL,
+        lambda f, b: replace(b, period=b.period * f.amount),
+        "1",
+        2.0,
+        1e-6,
+    ),
+    Kind(
+        "recount",
+        Stage.LABEL,
+        lambda f, b: replace(b, sequence=b.sequence - round(f.begin / b.period)),
+    ),
+    Kind(
+        "supply_clock",
+        Stage.LABEL,
+        lambda f, b: replace(b, supply_ahead_ns=round(f.amount * NANOSECONDS)),
+        "s",
+        2.0,
+    ),
 )
-"""All kinds of fault. A new kind needs a function and a row here."""
+"""All kinds of fault. A new kind needs a row here, and a function if it has a memory."""
 
 FAULTS: dict[str, tuple[Kind, str]] = {
     f"{channel}_{kind.name}" if channel else kind.name: (kind, channel)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import NamedTuple, Protocol
 
 import numpy as np
@@ -140,24 +140,18 @@ class SampledMotion:
         )
 
 
-class _Ramp(NamedTuple):
-    """A smooth step, its derivative and its second derivative, each of shape (n,)."""
+def _ramp(time: Array, begin: float, duration: float) -> Array:
+    """A step from 0 to 1 within ``duration`` [s] after ``begin`` [s], twice differentiable.
 
-    value: Array
-    rate: Array
-    bend: Array
-
-
-def _ramp(time: Array, begin: float, duration: float) -> _Ramp:
-    """A step from 0 to 1 within ``duration`` [s], twice continuously differentiable.
-
-    It starts at ``begin`` [s].
+    Rows (3, n): the step, its derivative and its second derivative.
     """
     x = np.clip((time - begin) / duration, 0.0, 1.0)
-    return _Ramp(
-        x**3 * (10.0 - 15.0 * x + 6.0 * x**2),
-        30.0 * x**2 * (1.0 - x) ** 2 / duration,
-        60.0 * x * (1.0 - x) * (1.0 - 2.0 * x) / duration**2,
+    return np.stack(
+        (
+            x**3 * (10.0 - 15.0 * x + 6.0 * x**2),
+            30.0 * x**2 * (1.0 - x) ** 2 / duration,
+            60.0 * x * (1.0 - x) * (1.0 - 2.0 * x) / duration**2,
+        )
     )
 
 
@@ -168,19 +162,31 @@ def _ramp_integral(time: Array, begin: float, duration: float) -> Array:
     return np.asarray(within + np.maximum(time - begin - duration, 0.0))
 
 
-@dataclass(frozen=True)
-class EnvelopedMotion:
-    """A motion whose amplitude is multiplied by ``factor`` from ``begin`` to ``end`` [s].
+def _enveloped(motion: Kinematics, envelope: Array, centre: float) -> Kinematics:
+    """A motion about ``centre`` [m] times an envelope (3, n) with its two derivatives."""
+    value, rate, bend = envelope
+    u, v, a = motion
+    u = u - centre
+    return Kinematics(
+        centre + value * u, value * v + rate * u, value * a + 2.0 * rate * v + bend * u
+    )
 
-    The amplitude changes smoothly within ``duration`` [s] after ``begin``, and back again after
+
+@dataclass(frozen=True)
+class ChangedMotion:
+    """A motion with another amplitude and another speed from ``begin`` to ``end`` [s].
+
+    The amplitude is multiplied by ``factor``, the speed by ``tempo``; a tempo of 0 stops the
+    motion. Both change smoothly within ``duration`` [s] after ``begin``, and back again after
     ``end``, which may be infinite.
     """
 
     motion: Excitation
-    factor: float
     begin: float
     end: float
     duration: float
+    factor: float = 1.0
+    tempo: float = 1.0
 
     @property
     def centre(self) -> float:
@@ -190,47 +196,20 @@ class EnvelopedMotion:
     def at(self, time: Array) -> Kinematics:
         """Kinematics at the times [s], shape (n,)."""
         up, down = (_ramp(time, start, self.duration) for start in (self.begin, self.end))
-        value, rate, bend = (
-            (self.factor - 1.0) * (one - other) for one, other in zip(up, down, strict=True)
-        )
-        value = 1.0 + value
-        u, v, a = self.motion.at(time)
-        u = u - self.centre
-        return Kinematics(
-            self.centre + value * u, value * v + rate * u, value * a + 2.0 * rate * v + bend * u
-        )
-
-
-@dataclass(frozen=True)
-class WarpedMotion:
-    """A motion whose speed is multiplied by ``tempo`` from ``begin`` to ``end`` [s].
-
-    A tempo of 0 stops the motion. The tempo changes smoothly within ``duration`` [s] after
-    ``begin``, and back again after ``end``, which may be infinite.
-    """
-
-    motion: Excitation
-    tempo: float
-    begin: float
-    end: float
-    duration: float
-
-    @property
-    def centre(self) -> float:
-        """Centre of the motion [m]."""
-        return self.motion.centre
-
-    def at(self, time: Array) -> Kinematics:
-        """Kinematics at the times [s], shape (n,)."""
-        up, down = (_ramp(time, start, self.duration) for start in (self.begin, self.end))
-        passed = _ramp_integral(time, self.begin, self.duration) - _ramp_integral(
-            time, self.end, self.duration
-        )
-        change = self.tempo - 1.0
-        tempo = 1.0 + change * (up.value - down.value)
-        bend = change * (up.rate - down.rate)
-        u, v, a = self.motion.at(time + change * passed)
-        return Kinematics(u, v * tempo, a * tempo**2 + v * bend)
+        if self.tempo == 1.0:
+            moved = self.motion.at(time)
+        else:
+            more = self.tempo - 1.0
+            tempo, bend, _ = more * (up - down)
+            passed, left = (
+                _ramp_integral(time, start, self.duration) for start in (self.begin, self.end)
+            )
+            u, v, a = self.motion.at(time + more * (passed - left))
+            tempo = 1.0 + tempo
+            moved = Kinematics(u, v * tempo, a * tempo**2 + v * bend)
+        envelope = (self.factor - 1.0) * (up - down)
+        envelope[0] += 1.0
+        return _enveloped(moved, envelope, self.centre)
 
 
 _SINES = 48
@@ -344,36 +323,22 @@ _SURRENDER = 2.0
 """Time [s] in which a motion other than a sine fades after the first command."""
 
 
-@dataclass(frozen=True)
-class _Moved:
-    """A motion that starts to grow at ``begin`` [s] and to fade at ``end`` [s]."""
+@dataclass
+class _Stretch:
+    """A motion that starts to grow at ``begin`` [s] and to fade at ``end`` [s].
 
-    motion: PeriodicMotion
+    Growth and fading take ``change`` [s] each.
+    """
+
+    motion: Excitation
     begin: float
+    change: float
     end: float = math.inf
-
-    @property
-    def change(self) -> float:
-        """Duration [s] of the growth and of the fading."""
-        return self.motion.growth
 
     @property
     def over(self) -> float:
         """Time [s] at which the motion has faded."""
         return self.end + self.change
-
-    def at(self, time: Array) -> Kinematics:
-        """Kinematics at the times [s], shape (n,); zero before the beginning."""
-        # The first envelope suppresses the motion until it begins, the second one lets it fade.
-        whole = RepeatedMotion(self.motion)
-        grown = EnvelopedMotion(whole, 0.0, -math.inf, self.begin, self.change)
-        return _faded(grown, self.end, self.change).at(time)
-
-
-def _faded(motion: Excitation, end: float, duration: float) -> Excitation:
-    if math.isinf(end):
-        return motion
-    return EnvelopedMotion(motion, 0.0, end, math.inf, duration)
 
 
 class CommandedMotion:
@@ -389,47 +354,39 @@ class CommandedMotion:
         duration = _SURRENDER
         if isinstance(before, SineMotion):
             duration = PeriodicMotion(MotionKind.SINE, before.amplitude, before.frequency).growth
-        self._before: Excitation | None = _faded(before, time, duration)
-        self._free = time + duration
-        self._stretches: list[_Moved] = []
+        self._stretches = [_Stretch(before, -math.inf, duration, time)]
         self._wanted: PeriodicMotion | None = None
 
     @property
     def is_sine(self) -> bool:
         """Whether all present and pending motions are sines."""
-        return all(one.motion.kind is MotionKind.SINE for one in self._stretches)
+        return all(is_sine(stretch.motion) for stretch in self._stretches)
 
     def command(self, motion: PeriodicMotion | None, time: float) -> None:
         """Command a motion from ``time`` [s] on; None commands rest.
 
         The times of commands must increase, and no later sample may have been requested.
         """
-        if self._before is not None and time >= self._free:
-            self._before = None
-        self._stretches = [one for one in self._stretches if one.over > time]
-        if motion == self._wanted:
-            return
-        self._wanted = motion
-        self._stretches = [one for one in self._stretches if one.begin <= time]
-        free = max(time, self._free)
-        if self._stretches:
-            moving = self._stretches[-1]
-            if math.isinf(moving.end):
-                moving = replace(moving, end=max(time, moving.begin + moving.change))
-                self._stretches[-1] = moving
-            free = max(free, moving.over)
-        if motion is not None:
-            self._stretches.append(_Moved(motion, free))
+        stretches = [stretch for stretch in self._stretches if stretch.over > time]
+        if motion != self._wanted:
+            self._wanted = motion
+            stretches = [stretch for stretch in stretches if stretch.begin <= time]
+            if stretches and math.isinf(stretches[-1].end):
+                now = stretches[-1]
+                now.end = max(time, now.begin + now.change)
+            if motion is not None:
+                free = max([time, *(stretch.over for stretch in stretches)])
+                stretches.append(_Stretch(RepeatedMotion(motion), free, motion.growth))
+        self._stretches = stretches
 
     def at(self, time: Array) -> Kinematics:
         """Kinematics at the times [s], shape (n,)."""
         total = np.zeros((3, time.size))
-        if self._before is not None:
-            total += np.stack(self._before.at(time))
-        else:
-            total[0] = self.centre
-        for one in self._stretches:
-            total += np.stack(one.at(time))
+        total[0] = self.centre
+        for each in self._stretches:
+            envelope = _ramp(time, each.begin, each.change) - _ramp(time, each.end, each.change)
+            u, v, a = each.motion.at(time)
+            total += _enveloped(Kinematics(u - each.motion.centre, v, a), envelope, 0.0)
         return Kinematics(*total)
 
 

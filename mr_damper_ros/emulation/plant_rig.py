@@ -14,11 +14,11 @@ from typing import Protocol
 
 import numpy as np
 
-from mr_damper_ros.control.inverse_model import in_coil
 from mr_damper_ros.control.linear_plant import LinearPlant, MovingPlant
 from mr_damper_ros.emulation.emulator import (
     CHUNK,
     CurrentSchedule,
+    Damper,
     MeasuredRig,
     RigSettings,
     ThermalModel,
@@ -28,7 +28,6 @@ from mr_damper_ros.kinematics.peak_velocity import PeakVelocity
 from mr_damper_ros.models import MODELS
 from mr_damper_ros.models.first_order_lag import COIL
 from mr_damper_ros.models.parameter_set import ParameterSet
-from mr_damper_ros.models.quantities import State
 from mr_damper_ros.signals.arrays import Array
 from mr_damper_ros.signals.blocks import RigBlock
 
@@ -63,39 +62,6 @@ class PlantMotion:
     coil: Array
 
 
-class BuiltInDamper:
-    """A damper of any law in its continuous form, for simulation in a plant.
-
-    The continuous form has no force jumps at reversals of the motion. Outside the peak velocity
-    range of its set, the damper uses the coefficients of the nearest peak velocity. ``hot_force``
-    is the factor on the gain parameters at 71 °C, relative to 28 °C; between these temperatures the
-    gain parameters change linearly.
-    """
-
-    def __init__(self, parameters: ParameterSet, hot_force: float = 1.0) -> None:
-        self._law = parameters.law.continuous
-        self._values = in_coil(parameters)
-        self._hot_force = hot_force
-        self._range = parameters.peak_velocity_range
-        self._warm = math.nan, self._values
-        self._state: State | None = None
-
-    def force(self, motion: Motion, coil: Array, celsius: float, period: float) -> float:
-        """Force [N] of the next sample, ``period`` [s] after the previous one.
-
-        ``motion`` has one sample; ``coil`` (1,) is the coil current [A].
-        """
-        if celsius != self._warm[0]:
-            values = self._values.copy()
-            values[self._law.strength_indices] *= 1.0 + (self._hot_force - 1.0) * float(
-                np.interp(celsius, (28.0, 71.0), (0.0, 1.0))
-            )
-            self._warm = celsius, values
-        held = motion.held_within(*self._range)
-        force, self._state = self._law.follow(self._warm[1], held, coil, period, self._state)
-        return float(force[0])
-
-
 class PlantRig(MeasuredRig):
     """A damper in a plant.
 
@@ -107,7 +73,7 @@ class PlantRig(MeasuredRig):
 
     def __init__(
         self,
-        damper: BuiltInDamper,
+        damper: Damper,
         plant: LinearPlant,
         surroundings: Surroundings,
         current: CurrentSchedule | float,
@@ -183,9 +149,8 @@ class PlantRig(MeasuredRig):
                 self._peak.follow(velocity, acceleration),
                 sine=None,
             )
-            self._force = self._damper.force(
-                motion, np.array([self._coil]), self._celsius, self._step
-            )
+            coil = np.array([self._coil])
+            self._force = float(self._damper.force(motion, coil, self._celsius, self._step)[0])
             heat += self._force * now.velocity * self._step
             self.plant.step(self._dampers * self._force, each)
         self._made += 1

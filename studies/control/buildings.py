@@ -17,8 +17,8 @@ from mr_damper_ros.control.fallback import FallbackSettings
 from mr_damper_ros.control.force_controller import ForceController, ForceControlSettings
 from mr_damper_ros.control.semi_active import regulator_gain
 from mr_damper_ros.emulation.commanded_rig import Choice, ForceChoice, commanded
-from mr_damper_ros.emulation.emulator import RigSettings, SupplyKnob
-from mr_damper_ros.emulation.plant_rig import BuiltInDamper, PlantRig
+from mr_damper_ros.emulation.emulator import EmulatedDamper, RigSettings, SupplyKnob
+from mr_damper_ros.emulation.plant_rig import PlantRig
 from mr_damper_ros.report.document import (
     DASHES,
     GREY,
@@ -135,7 +135,7 @@ def simulate(task: BuildingRun) -> BuildingResult:
     start = HIGHEST_CURRENT if task.strategy == ON else 0.0
     knob = SupplyKnob(start)
     rig = PlantRig(
-        BuiltInDamper(recorded_damper(task.coil_time_constant)),
+        EmulatedDamper(recorded_damper(task.coil_time_constant), built_in=True),
         building.plant,
         ground,
         knob.schedule,

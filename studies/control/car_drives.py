@@ -26,11 +26,10 @@ from mr_damper_ros.control.semi_active import (
     skyhook,
 )
 from mr_damper_ros.emulation.commanded_rig import Choice, ForceChoice, commanded
-from mr_damper_ros.emulation.emulator import RigSettings, SupplyKnob, ThermalModel
+from mr_damper_ros.emulation.emulator import EmulatedDamper, RigSettings, SupplyKnob, ThermalModel
 from mr_damper_ros.emulation.plant_rig import (
     HIGHEST_CURRENT,
     HOT_FORCE,
-    BuiltInDamper,
     PlantRig,
     Surroundings,
     invented_damper,
@@ -143,7 +142,7 @@ def car_rig(
 ) -> PlantRig:
     """The car with the invented damper."""
     return PlantRig(
-        BuiltInDamper(invented_damper(coil_time_constant), HOT_FORCE),
+        EmulatedDamper(invented_damper(coil_time_constant), HOT_FORCE, built_in=True),
         CAR.plant,
         surroundings,
         knob.schedule,

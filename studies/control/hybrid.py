@@ -15,7 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from mr_damper_ros.control.linear_plant import DamperMotion, MovingPlant
-from mr_damper_ros.emulation.plant_rig import BuiltInDamper
+from mr_damper_ros.emulation.emulator import EmulatedDamper
 from mr_damper_ros.kinematics.motion import Motion
 from mr_damper_ros.kinematics.peak_velocity import PeakVelocity
 from mr_damper_ros.report.document import (
@@ -77,7 +77,7 @@ def hybrid(task: HybridRun) -> HybridResult:
     """Run the simulation; it ends early if it becomes unstable."""
     plant = MovingPlant(BUILDINGS[task.building].plant, STEP)
     ground = el_centro().scaled(SCALE)
-    machine, damper = _LateMachine(), BuiltInDamper(recorded_damper(0.0))
+    machine, damper = _LateMachine(), EmulatedDamper(recorded_damper(0.0), built_in=True)
     peak, smooth = PeakVelocity(STEP), 0.0
     share = -math.expm1(-STEP / _ACCELERATION_MEMORY)
     count = round(task.duration / STEP)
@@ -96,7 +96,7 @@ def hybrid(task: HybridRun) -> HybridResult:
             peak.follow(velocity, acceleration),
             sine=None,
         )
-        force = DAMPERS * damper.force(motion, coil, 28.0, STEP)
+        force = DAMPERS * float(damper.force(motion, coil, 28.0, STEP)[0])
         rows.append((floor.displacement, moved.displacement, force, float(plant.state[2])))
         if abs(floor.displacement) > 1.0:
             break

@@ -15,7 +15,7 @@ from __future__ import annotations
 
 from mr_damper_ros.emulation.emulator import (
     THESIS_FORCE_NOISE,
-    ConstantDamper,
+    EmulatedDamper,
     EmulatedRig,
     RigSettings,
 )
@@ -58,7 +58,7 @@ def synthesise(condition: Condition, *, seed: int = 0) -> Recording:
     """
     values = parameters(condition)
     rig = EmulatedRig(
-        ConstantDamper(values),
+        EmulatedDamper(values),
         SineMotion(condition.amplitude, condition.frequency, phase=PHASE),
         condition.current,
         settings=RigSettings(

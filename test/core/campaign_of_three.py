@@ -10,8 +10,8 @@ from mr_damper_ros.campaign import course
 from mr_damper_ros.campaign.folder import CampaignTask
 from mr_damper_ros.campaign.runs import signal
 from mr_damper_ros.emulation.emulator import (
-    ConstantDamper,
     CurrentSchedule,
+    EmulatedDamper,
     EmulatedRig,
     RigSettings,
 )
@@ -38,7 +38,7 @@ def perform(
     """A run as an emulated rig makes it."""
     times = [place * run.stretch for place in range(len(run.currents))]
     rig = EmulatedRig(
-        ConstantDamper(known.PLAUSIBLE),
+        EmulatedDamper(known.PLAUSIBLE),
         RepeatedMotion(run.motion),
         CurrentSchedule(times, run.currents),
         settings=RigSettings(sample_rate=rate, force_noise=noise, seed=seed),
@@ -61,7 +61,7 @@ def played(run: PlannedRun) -> Recording:
     amperes = np.concatenate([rest + current[0], current, rest])
     times = np.flatnonzero(np.diff(amperes, prepend=np.nan) != 0.0)
     rig = EmulatedRig(
-        ConstantDamper(known.PLAUSIBLE),
+        EmulatedDamper(known.PLAUSIBLE),
         motion,
         CurrentSchedule((times * 2e-3).tolist(), amperes[times].tolist()),
         settings=RigSettings(sample_rate=500.0, force_noise=5.0),

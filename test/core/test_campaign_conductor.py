@@ -20,8 +20,8 @@ from mr_damper_ros.campaign.course import CampaignCourse, CampaignOutcome
 from mr_damper_ros.campaign.folder import CampaignFolder, CampaignTask, read_campaign_runs
 from mr_damper_ros.campaign.runs import REST, MachineCommand
 from mr_damper_ros.emulation.emulator import (
-    ConstantDamper,
     CurrentSchedule,
+    EmulatedDamper,
     EmulatedRig,
     RigSettings,
 )
@@ -86,7 +86,7 @@ class EmulatedMachine:
         self._motion = CommandedMotion(SineMotion(1e-9, 1.0), 0.0)
         self._times, self._currents = [0.0], [0.0]
         self._rig = EmulatedRig(
-            ConstantDamper(known.PLAUSIBLE),
+            EmulatedDamper(known.PLAUSIBLE),
             self._motion,
             CurrentSchedule(self._times, self._currents),
             settings=RigSettings(sample_rate=RATE, force_noise=5.0),

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from mr_damper_ros.emulation.emulator import (
-    ConstantDamper,
     CurrentSchedule,
+    EmulatedDamper,
     EmulatedRig,
     RigSettings,
 )
@@ -42,7 +42,7 @@ def switching(seconds: float = 2.0) -> CurrentSchedule:
 def raw(current: CurrentSchedule, *, coil: float = 0.0, number: int = 0) -> RawWindow:
     """A window of a sine, from a stream that began with it."""
     rig = EmulatedRig(
-        ConstantDamper(known.PLAUSIBLE),
+        EmulatedDamper(known.PLAUSIBLE),
         SineMotion(5e-3, 1.0),
         current,
         settings=RigSettings(seed=number),

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from known import PLAUSIBLE
 
-from mr_damper_ros.emulation.emulator import ConstantDamper, EmulatedRig, RigSettings
+from mr_damper_ros.emulation.emulator import EmulatedDamper, EmulatedRig, RigSettings
 from mr_damper_ros.emulation.faults import (
     CHANNELS,
     FAULTS,
@@ -49,7 +49,7 @@ def sent_each_time(text: str = "", size: int = SIZE) -> list[list[RigBlock]]:
     """What a rig with a fault sends in 1.2 s, each time that it has made a block."""
     faults = faults_of(text.split())
     rig = EmulatedRig(
-        ConstantDamper(PLAUSIBLE), SineMotion(0.005, 2.0), 1.0, settings=SETTINGS, faults=faults
+        EmulatedDamper(PLAUSIBLE), SineMotion(0.005, 2.0), 1.0, settings=SETTINGS, faults=faults
     )
     instruments = Instruments(faults)
     made = [rig.next_block(size) for _ in range(round(DURATION * 1000) // size)]

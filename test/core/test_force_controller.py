@@ -23,10 +23,9 @@ from mr_damper_ros.control.force_controller import (
 from mr_damper_ros.emulation.emulator import (
     CurrentSchedule,
     Damper,
+    EmulatedDamper,
     EmulatedRig,
-    ModelDamper,
     RigSettings,
-    TemperatureDependentDamper,
 )
 from mr_damper_ros.emulation.motions import SineMotion
 from mr_damper_ros.models.parameter_set import ParameterSet
@@ -158,7 +157,7 @@ def lagging_coil(name: str, time_constant: float) -> ParameterSet:
 
 
 def test_a_dissipative_force_is_tracked() -> None:
-    trial = tracked(ControlLoop(controlled(WHOLE), ModelDamper(WHOLE, PERIOD)), 12e3)
+    trial = tracked(ControlLoop(controlled(WHOLE), EmulatedDamper(WHOLE)), 12e3)
     assert trial.attainable.mean() > 0.3
     assert trial.nrmse < TRACKED
 
@@ -170,7 +169,7 @@ def test_other_laws_are_controlled_too() -> None:
     other = ParameterSet(
         values, model="bouc_wen", peak_velocity_range=(0.0, 1.0), current_range=(0.0, 2.0)
     )
-    trial = tracked(ControlLoop(controlled(other), ModelDamper(other, PERIOD)), 25e3)
+    trial = tracked(ControlLoop(controlled(other), EmulatedDamper(other)), 25e3)
     assert trial.attainable.mean() > 0.3
     assert trial.nrmse < TRACKED
 
@@ -181,7 +180,7 @@ def test_feedback_makes_good_a_damper_that_has_got_weaker() -> None:
     errors = []
     for gain in (0.0, 2.0):
         controller = controlled(WHOLE, feedback_gain=gain)
-        damper = TemperatureDependentDamper(weak, weak)
+        damper = EmulatedDamper(weak)
         errors.append(tracked(ControlLoop(controller, damper), 12e3).nrmse)
     assert errors[1] < 0.7 * errors[0]
     assert controller.feedback_factor == pytest.approx(1.0 / 0.9, abs=0.04)
@@ -200,7 +199,7 @@ def after(
     """The last command of a sine during which a force was wanted all the time."""
     loop = ControlLoop(
         controller,
-        damper or ModelDamper(WHOLE, PERIOD),
+        damper or EmulatedDamper(WHOLE),
         noise=noise,
         excitation=SineMotion(5e-3, 1.0),
     )
@@ -259,25 +258,25 @@ def reached(damper: Damper, **changes: float) -> tuple[float, bool]:
 
 
 def test_it_probes_higher_currents_step_by_step_while_the_force_is_right() -> None:
-    highest, _ = reached(ModelDamper(WHOLE, PERIOD), probe_step=0.2)
+    highest, _ = reached(EmulatedDamper(WHOLE), probe_step=0.2)
     assert 0.8 <= highest <= 2.0
 
 
 def test_it_does_not_probe_on_once_the_force_is_wrong() -> None:
     """A damper that gives no more at more than 0.4 A, unlike its set."""
 
-    class Saturated(ModelDamper):
-        def force(self, motion: Any, current: Array, celsius: float) -> Array:
-            return super().force(motion, np.minimum(current, 0.4), celsius)
+    class Saturated(EmulatedDamper):
+        def force(self, motion: Any, current: Array, celsius: float, period: float) -> Array:
+            return super().force(motion, np.minimum(current, 0.4), celsius, period)
 
-    highest, _ = reached(Saturated(WHOLE, PERIOD), probe_step=0.4)
+    highest, _ = reached(Saturated(WHOLE), probe_step=0.4)
     assert highest <= 0.81
 
 
 def test_a_coil_that_lags_is_not_hurried_by_currents_beyond_the_identified_ones() -> None:
     """The force would not be valid for them: each rise would end in the safe current."""
     late = replace(lagging_coil("sigmoid_lag", 0.03), current_range=(0.0, 0.4))
-    trial = tracked(ControlLoop(controlled(late), ModelDamper(late, PERIOD)), 12e3)
+    trial = tracked(ControlLoop(controlled(late), EmulatedDamper(late)), 12e3)
     assert max(command.current for command in trial.commands) == 0.4
     begun = trial.commands[round(SETTLED / PERIOD / BLOCK) :]
     assert {command.doubt.kind for command in begun} == {DoubtKind.NONE}
@@ -287,7 +286,7 @@ def test_a_prediction_that_the_measured_force_belies_commands_nothing() -> None:
     strong = PLAUSIBLE.copy()
     strong[0] *= 2.0
     controller = controlled(WHOLE)
-    command = after(controller, damper=TemperatureDependentDamper(strong, strong))
+    command = after(controller, damper=EmulatedDamper(strong))
     assert command.doubt.kind is DoubtKind.WRONG
     assert command.current == 0.0
 

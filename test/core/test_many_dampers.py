@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 import mr_damper_ros as mr
-from mr_damper_ros.emulation.emulator import ConstantDamper, EmulatedRig, RigSettings, scaled
+from mr_damper_ros.emulation.emulator import EmulatedDamper, EmulatedRig, RigSettings, scaled
 from mr_damper_ros.emulation.motions import SineMotion
 from mr_damper_ros.lots.population import KnownDamper, Population
 from mr_damper_ros.models.parameter_set import ParameterSet
@@ -26,7 +26,7 @@ STRENGTHS = {"D1": 1.0, "D2": 1.01, "D3": 0.99, "D4": 0.7, "D5": 1.02, "D6": 0.9
 
 def record(path: Path, strength: float, current: float, seed: int) -> None:
     rig = EmulatedRig(
-        ConstantDamper(scaled(known.PLAUSIBLE, strength)),
+        EmulatedDamper(scaled(known.PLAUSIBLE, strength)),
         SineMotion(5e-3, 4.0),
         current,
         settings=RigSettings(sample_rate=500.0, seed=seed),

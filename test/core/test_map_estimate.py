@@ -9,7 +9,7 @@ from known import SIGMOID
 from random_motion import BandLimitedRandom
 
 from benchmarks.other_dampers import DAMPERS
-from mr_damper_ros.emulation.emulator import EmulatedRig, ModelDamper, RigSettings
+from mr_damper_ros.emulation.emulator import EmulatedDamper, EmulatedRig, RigSettings
 from mr_damper_ros.emulation.motions import SineMotion
 from mr_damper_ros.estimation.window_fit import WindowFit, WindowPrior, fit_window
 from mr_damper_ros.kinematics.window import Window
@@ -76,7 +76,7 @@ def test_what_a_short_window_of_random_motion_leaves_open_stays() -> None:
 def test_a_running_set_from_part_of_a_cycle_is_given_up_where_a_cycle_refutes_it() -> None:
     # A damper of another law: what the fit leaves of it is smooth, and counts for few samples.
     rig = EmulatedRig(
-        ModelDamper(DAMPERS["modified_bouc_wen"], 1e-3),
+        EmulatedDamper(DAMPERS["modified_bouc_wen"]),
         SineMotion(0.01, 0.1),
         1.2,
         settings=RigSettings(1000.0, seed=0),

@@ -10,8 +10,8 @@ import pytest
 from mr_damper_ros.control.linear_plant import IsoRoad, MovingPlant, QuarterCar
 from mr_damper_ros.control.semi_active import SuspensionSettings, controller_of
 from mr_damper_ros.emulation.commanded_rig import commanded
-from mr_damper_ros.emulation.emulator import RigSettings, SupplyKnob
-from mr_damper_ros.emulation.plant_rig import HOT_FORCE, BuiltInDamper, PlantRig, invented_damper
+from mr_damper_ros.emulation.emulator import EmulatedDamper, RigSettings, SupplyKnob
+from mr_damper_ros.emulation.plant_rig import HOT_FORCE, PlantRig, invented_damper
 from mr_damper_ros.signals.blocks import Moment
 from studies.control.shear_building import BUILDINGS, STOREYS, StateEstimator
 
@@ -22,7 +22,7 @@ def car_rig(current: float | SupplyKnob = 0.3, **options: object) -> PlantRig:
     supply = current.schedule if isinstance(current, SupplyKnob) else current
     settings = {"settings": RigSettings(seed=5), **options}
     return PlantRig(
-        BuiltInDamper(invented_damper(0.0), HOT_FORCE),
+        EmulatedDamper(invented_damper(0.0), HOT_FORCE, built_in=True),
         CAR.plant,
         IsoRoad("C", 20.0, seed=2),
         supply,

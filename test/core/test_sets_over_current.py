@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from benchmarks.other_dampers import DAMPERS
-from mr_damper_ros.emulation.emulator import CurrentSchedule, EmulatedRig, ModelDamper
+from mr_damper_ros.emulation.emulator import CurrentSchedule, EmulatedDamper, EmulatedRig
 from mr_damper_ros.emulation.motions import SineMotion
 from mr_damper_ros.models.parameter_set import GLOBAL_SOURCE, ParameterSet
 from mr_damper_ros.models.sigmoid.law import operating_point_coefficients
@@ -134,7 +134,7 @@ def course(
     ``from_file``: somebody gave the former, so that it does not age.
     """
     schedule = currents or CurrentSchedule([0.0, STEP], [LOW, HIGH])
-    rig = EmulatedRig(ModelDamper(damper, known.PERIOD), SineMotion(5e-3, 1.0), schedule)
+    rig = EmulatedRig(EmulatedDamper(damper), SineMotion(5e-3, 1.0), schedule)
     made = ForcePredictor(PredictorSettings(**settings))
     first = whole or whole_of(SIGMOID)
     made.set_parameters(first, None if from_file else rig.settings.start_ns)

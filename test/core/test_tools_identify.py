@@ -16,7 +16,7 @@ import numpy as np
 import pytest
 from fresh_python import said
 
-from mr_damper_ros.emulation.emulator import ConstantDamper, EmulatedRig, RigSettings
+from mr_damper_ros.emulation.emulator import EmulatedDamper, EmulatedRig, RigSettings
 from mr_damper_ros.emulation.motions import SineMotion
 from mr_damper_ros.estimation.differential_evolution import GlobalProgress
 from mr_damper_ros.io.bag_reader import read_bag
@@ -221,7 +221,7 @@ def runs(tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
     folder, paths = tmp_path_factory.mktemp("runs"), []
     for seed, current in enumerate((0.0, 0.5, 1.0, 1.5)):
         rig = EmulatedRig(
-            ConstantDamper(known.PLAUSIBLE),
+            EmulatedDamper(known.PLAUSIBLE),
             SineMotion(5e-3, 2.0),
             current,
             settings=RigSettings(sample_rate=500.0, seed=seed),

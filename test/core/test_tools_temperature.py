@@ -9,7 +9,7 @@ import pytest
 
 from mr_damper_ros.api.findings import temperature_maps
 from mr_damper_ros.api.measured_runs import measured_run
-from mr_damper_ros.emulation.emulator import EmulatedRig, TemperatureDependentDamper, ThermalModel
+from mr_damper_ros.emulation.emulator import EmulatedDamper, EmulatedRig, ThermalModel
 from mr_damper_ros.emulation.motions import SineMotion
 from mr_damper_ros.io.bag_writer import write_bag
 from mr_damper_ros.models.parameter_set import ParameterSet
@@ -23,7 +23,7 @@ COLD, HOT = 28.0, 71.0
 def heated(current: float = 1.5, *, thermometer: bool = True) -> Recording:
     """Fifty seconds in which the damper heats from 28 °C to nearly 71 °C."""
     rig = EmulatedRig(
-        TemperatureDependentDamper(THESIS_28_CELSIUS, THESIS_71_CELSIUS),
+        EmulatedDamper(THESIS_28_CELSIUS, THESIS_71_CELSIUS),
         SineMotion(5e-3, 1.0),
         current,
         thermal=ThermalModel(capacity=25.0, conductance=0.0),

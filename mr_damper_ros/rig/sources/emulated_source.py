@@ -12,11 +12,10 @@ from mr_damper_ros.control.linear_plant import ROUGHNESS, Bump, IsoRoad, Quarter
 from mr_damper_ros.emulation.emulator import (
     CHUNK,
     Damper,
+    EmulatedDamper,
     EmulatedRig,
-    ModelDamper,
     RigSettings,
     SupplyKnob,
-    TemperatureDependentDamper,
     ThermalModel,
     scaled,
 )
@@ -30,13 +29,7 @@ from mr_damper_ros.emulation.motions import (
     chirp,
     stepped,
 )
-from mr_damper_ros.emulation.plant_rig import (
-    HOT_FORCE,
-    BuiltInDamper,
-    PlantRig,
-    Surroundings,
-    invented_damper,
-)
+from mr_damper_ros.emulation.plant_rig import HOT_FORCE, PlantRig, Surroundings, invented_damper
 from mr_damper_ros.models.parameter_set import ParameterSet
 from mr_damper_ros.models.published import THESIS_28_CELSIUS, THESIS_71_CELSIUS
 from mr_damper_ros.rig.commander import (
@@ -334,16 +327,14 @@ def _excitation(rig: EmulatedOptions) -> Excitation:
 def _damper(rig: EmulatedOptions) -> Damper:
     """The damper that the options describe; raises ValueError or OSError."""
     if rig.damper == _THESIS_TEMPERATURES:
-        return TemperatureDependentDamper(
-            THESIS_28_CELSIUS, scaled(THESIS_71_CELSIUS, rig.hot_force)
-        )
+        return EmulatedDamper(THESIS_28_CELSIUS, scaled(THESIS_71_CELSIUS, rig.hot_force))
     if rig.damper.endswith((".yaml", ".yml")):
         given = ParameterSet.from_yaml(Path(rig.damper).read_text(encoding="utf-8"))
-        return ModelDamper(given, 1.0 / rig.sample_rate, rig.hot_force)
+        return EmulatedDamper(given, rig.hot_force)
     from mr_damper_ros.models.published import find, parameters
 
     values = parameters(find(rig.damper))
-    return TemperatureDependentDamper(values, scaled(values, rig.hot_force))
+    return EmulatedDamper(values, rig.hot_force)
 
 
 _BUMP = "bump"
@@ -383,7 +374,7 @@ class QuarterCarSource(_EmulatedSupply):
 
     def __init__(self, settings: QuarterCarOptions, stream: StreamSettings) -> None:
         super().__init__(settings, stream)
-        self._damper: BuiltInDamper | None = None
+        self._damper: EmulatedDamper | None = None
 
     def open(self) -> list[str]:
         """Read the parameters of the damper."""
@@ -393,7 +384,7 @@ class QuarterCarSource(_EmulatedSupply):
             if given.damper == _INVENTED
             else ParameterSet.from_yaml(Path(given.damper).read_text(encoding="utf-8"))
         )
-        self._damper = BuiltInDamper(known, given.hot_force)
+        self._damper = EmulatedDamper(known, given.hot_force, built_in=True)
         self.commander = self._supply()
         return []
 
