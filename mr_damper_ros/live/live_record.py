@@ -7,7 +7,6 @@ exert no back-pressure.
 
 from __future__ import annotations
 
-import json
 import math
 import secrets
 import threading
@@ -15,12 +14,14 @@ import time
 from collections import deque
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
 
-from mr_damper_ros.models import MODELS
+from mr_damper_ros.models.parameter_set import ParameterSet
 from mr_damper_ros.processes.files import json_ready
 from mr_damper_ros.signals.arrays import Array
+from mr_damper_ros.signals.blocks import NANOSECONDS
 
 _PART = 4
 """A full table frees 1 / ``_PART`` of its rows at once, so that the cost per row is small."""
@@ -136,6 +137,12 @@ SAMPLES_KEPT = 10_000
 HISTORY_KEPT = 36_000
 """Rows of one hour; the older half of a longer run is kept at a lower resolution."""
 
+_RATE = 100.0
+"""Rows of signals per second of data: as many as a screen shows of a motion of a few hertz."""
+
+_SLOPE = 4e-3
+"""Half-width [s] of the line through the displacement whose slope is the velocity; see page.js."""
+
 _HISTORY_STEP = 0.1
 MARKS_KEPT = 500
 
@@ -175,23 +182,31 @@ class WindowSeen:
     """Value and standard error by name."""
 
 
-@dataclass(frozen=True)
-class SetSeen:
-    """A parameter set in use; the arrays have one entry per parameter."""
+_OF_A_REPORT = (
+    *("nrmse_before", "nrmse_after", "temperature", "current", "peak_velocity", "amplitude"),
+    *("frequency", "verdict"),
+)
+"""Names that a report, the message of a report and the table ``windows`` share."""
 
-    time: float
-    set_id: str
-    model: str
-    source: str
-    node: str
-    nrmse: float
-    names: Sequence[str]
-    units: Sequence[str]
-    values: Sequence[float]
-    standard_errors: Sequence[float]
-    observable: Sequence[bool]
-    peak_velocity_range: tuple[float, float]
-    current_range: tuple[float, float]
+
+def window_seen(
+    report: Any, names: Sequence[str], values: Sequence[float], errors: Sequence[float], **told: Any
+) -> WindowSeen:
+    """The result in a report or in its message, with the ``names`` of its coefficients.
+
+    ``told`` are the fields of :class:`WindowSeen` that the two name differently, and further
+    ``figures``.
+    """
+    figures = {name: float(getattr(report, name)) for name in _OF_A_REPORT} | told.pop("figures")
+    known = zip(names, values, errors, strict=False)
+    coefficients = {name: (value, error) for name, value, error in known if math.isfinite(value)}
+    return WindowSeen(
+        figures,
+        reason=report.reason,
+        accepted=report.accepted,
+        coefficients=coefficients,
+        **told,
+    )
 
 
 @dataclass(frozen=True)
@@ -206,16 +221,6 @@ class Concern:
 
 
 @dataclass(frozen=True)
-class Mark:
-    """An event at ``time`` [s since the epoch]: a set, a fault or a step of the current."""
-
-    number: int
-    time: float
-    kind: str
-    text: str
-
-
-@dataclass(frozen=True)
 class Fault:
     """An error that stays listed until a viewer acknowledges it, even if it is over."""
 
@@ -227,24 +232,6 @@ class Fault:
     """Time [s] on the clock of the record."""
     active: bool = True
     seen: bool = False
-
-
-def fault_after(
-    fault: Fault | None, name: str, message: str, now: float, number: int, *, wrong: bool
-) -> Fault | None:
-    """The fault after a new diagnostic at ``now`` [s]; None if there is no fault to list.
-
-    ``wrong``: whether the error is present; ``number``: the number of a new fault. A fault that
-    returns before it is acknowledged keeps its start time. A fault that is over is removed when it
-    is acknowledged.
-    """
-    if wrong and fault is not None and fault.active:
-        return replace(fault, message=message)
-    if wrong:
-        return Fault(number, name, message, now if fault is None else fault.since)
-    if fault is None or fault.seen:
-        return None
-    return replace(fault, active=False)
 
 
 @dataclass(frozen=True, eq=False)
@@ -279,29 +266,26 @@ class LiveRecord:
         self._lock = threading.Lock()
         # The random start differs from that of an earlier process, whose viewers may still ask.
         self._generations = secrets.randbits(31)
-        self._tables: dict[str, tuple[int, RollingTable]] = {}
-        self._sentences: deque[tuple[int, bytes]] = deque(maxlen=SENTENCES_KEPT)
-        self._windows_seen = 0
+        self._sentences: deque[dict[str, Any]] = deque(maxlen=SENTENCES_KEPT)
+        self._windows_seen = self._fault_count = self._mark_count = 0
         self.last_window: WindowSeen | None = None
         """The result of the last window; None before the first."""
-        self.parameters: SetSeen | None = None
+        self.parameters: ParameterSet | None = None
         """The set in use; None before the first."""
         self._concerns: dict[str, tuple[Concern, float]] = {}
         self._faults: dict[str, Fault] = {}
-        self._fault_count = 0
         self._events: deque[str] = deque(maxlen=SENTENCES_KEPT)
-        self._marks: deque[Mark] = deque(maxlen=MARKS_KEPT)
-        self._mark_count = 0
+        self._marks: deque[dict[str, Any]] = deque(maxlen=MARKS_KEPT)
         self._set_points: dict[str, tuple[float, float]] = {}
+        self._currents: deque[tuple[float, float]] = deque(maxlen=SAMPLES_KEPT)
+        self._current = math.nan
         self._recording: Mapping[str, str] | None = None
-        self._origin = math.nan
-        self._last_time = -math.inf
         self._heard = -math.inf
         self._fluid = (math.nan, math.nan)
         self._begin()
 
     def _begin(self) -> None:
-        self._tables = {}
+        self._tables: dict[str, tuple[int, RollingTable]] = {}
         self._add_table("signals", RollingTable(SIGNALS, self._signals_kept))
         self._add_table("samples", RollingTable(SAMPLES, SAMPLES_KEPT))
         self._add_table("history", RollingTable(HISTORY, HISTORY_KEPT, _joined_ranges))
@@ -314,10 +298,64 @@ class LiveRecord:
         self._level_since = self._level_left = -math.inf
         self._origin = math.nan
         self._last_time = -math.inf
+        self._recent: Array = np.empty((0, len(SAMPLES)))
+        self._tick = -math.inf
 
     def _add_table(self, name: str, table: RollingTable) -> None:
         self._generations += 1
         self._tables[name] = (self._generations, table)
+
+    def add_current(self, time_s: float, current: float) -> None:
+        """Add a reading of the supply current [A], stamped ``time_s`` [s]."""
+        with self._lock:
+            if self._currents and time_s < self._currents[-1][0]:
+                self._currents.clear()
+            self._currents.append((time_s, current))
+
+    def add_samples(
+        self,
+        start_s: float,
+        period: float,
+        displacement: Array,
+        measured: Array,
+        predicted: Array,
+        valid: Array,
+        velocity: Array | None = None,
+    ) -> None:
+        """Add contiguous samples (n,) at the full rate, and a row of signals for each hundredth.
+
+        Without the ``velocity`` [m/s], it is the slope of the displacement. The rows of signals
+        then come a few milliseconds later than the samples.
+        """
+        times = start_s + period * np.arange(displacement.size)
+        rows = np.column_stack([times, displacement, measured, predicted, valid])
+        with self._lock:
+            self._restart_before(start_s)
+            self._tables["samples"][1].extend(rows)
+            if velocity is None:
+                rows, velocity = self._with_slope(rows, period)
+            ticks = np.floor(rows[:, 0] * _RATE + 1e-6)
+            due = np.flatnonzero(np.diff(ticks, prepend=self._tick))
+            self._tick = float(ticks[-1]) if ticks.size else self._tick
+            chosen = np.column_stack([rows, velocity])[due]
+            for time_s, place, force, expected, trusted, speed in chosen.tolist():
+                while self._currents and self._currents[0][0] <= time_s:
+                    self._current = self._currents.popleft()[1]
+                row = (time_s, place, speed, self._current, force, expected)
+                self._add_row(row, valid=trusted > 0.0)
+
+    def _with_slope(self, rows: Array, period: float) -> tuple[Array, Array]:
+        """The rows (k, columns) with a known velocity, and that velocity (k,)."""
+        half = max(round(_SLOPE / period), 1)
+        if self._recent.size and rows[0, 0] - self._recent[-1, 0] > 1.5 * period:
+            self._recent = self._recent[:0]
+        rows = np.concatenate([self._recent, rows])
+        self._recent = rows[-2 * half :]
+        if len(rows) <= 2 * half:
+            return rows[:0], rows[:0, 0]
+        offsets = np.arange(-half, half + 1)
+        slope = np.correlate(rows[:, 1], offsets / (period * np.sum(offsets**2)), "valid")
+        return rows[half : len(rows) - half], slope
 
     def add_signals(
         self,
@@ -331,26 +369,30 @@ class LiveRecord:
         valid: bool,
     ) -> None:
         """Add the measured and predicted signals at one stamp [s]; SI units."""
-        row = (time_s, displacement, velocity, current, measured, predicted)
         with self._lock:
-            if time_s < self._last_time - _JUMP:
-                self._begin()
-                if self.parameters is not None:
-                    self._trace_set(self.parameters, -math.inf)
-            if math.isnan(self._origin):
-                self._origin = time_s
-            self._last_time = time_s
-            self._heard = self._clock()
-            wanted = (self._set_point(name) for name in ("current_command", "desired_force"))
-            self._tables["signals"][1].append((*row, predicted - measured, *wanted, float(valid)))
-            self._summarise((*row, predicted - measured if valid else math.nan, float(valid)))
-            self._follow_current(time_s, current)
+            self._restart_before(time_s)
+            row = (time_s, displacement, velocity, current, measured, predicted)
+            self._add_row(row, valid=valid)
 
-    def _summarise(self, row: tuple[float, ...]) -> None:
-        if self._tenth and row[0] >= self._tenth[0][0] + _HISTORY_STEP:
+    def _restart_before(self, time_s: float) -> None:
+        """Begin a new record if the stamps have gone back."""
+        if time_s < self._last_time - _JUMP:
+            self._begin()
+            if self.parameters is not None:
+                self._trace_set(self.parameters, math.nan)
+
+    def _add_row(self, row: tuple[float, ...], *, valid: bool) -> None:
+        self._last_time, self._heard = row[0], self._clock()
+        if math.isnan(self._origin):
+            self._origin = self._last_time
+        error = row[5] - row[4]
+        wanted = (self._set_point(name) for name in ("current_command", "desired_force"))
+        self._tables["signals"][1].append((*row, error, *wanted, float(valid)))
+        if self._tenth and self._last_time >= self._tenth[0][0] + _HISTORY_STEP:
             self._tables["history"][1].append(_range_of(np.array(self._tenth)).tolist())
             self._tenth = []
-        self._tenth.append(row)
+        self._tenth.append((*row, error if valid else math.nan, float(valid)))
+        self._follow_current(self._last_time, row[3])
 
     def _follow_current(self, time_s: float, current: float) -> None:
         """Add a mark for each step of the current from one level to the next."""
@@ -363,12 +405,6 @@ class LiveRecord:
                 step = f"{self._level:.3g} to {self._next_level:.3g} A"
                 self._mark("current", step, self._level_left)
             self._level = self._next_level
-
-    def add_samples(self, start_s: float, period: float, *columns: Array) -> None:
-        """Add samples at the full rate: the columns (n,) of :data:`SAMPLES` except the time."""
-        time_s = start_s + period * np.arange(columns[0].size)
-        with self._lock:
-            self._tables["samples"][1].extend(np.column_stack([time_s, *columns]))
 
     def set_point(self, name: str, value: float) -> None:
         """Set the present ``current_command`` [A] or ``desired_force`` [N]."""
@@ -386,8 +422,9 @@ class LiveRecord:
             self._mark("record", f"recording {'begins' if recording else 'ends'}", self._last_time)
 
     def _mark(self, kind: str, text: str, time_s: float) -> None:
+        """Add an event: a set, a fault, a step of the current, the begin or end of a recording."""
         self._mark_count += 1
-        self._marks.append(Mark(self._mark_count, time_s, kind, text))
+        self._marks.append({"number": self._mark_count, "time": time_s, "kind": kind, "text": text})
 
     def add_fluid_temperature(self, celsius: float, error: float) -> None:
         """Set the fluid temperature [°C] of the next window, estimated from the force."""
@@ -407,36 +444,35 @@ class LiveRecord:
             self._tables["windows"][1].append([figures.get(name, math.nan) for name in WINDOWS])
             self._windows_seen += 1
             self.last_window = window
-            told = {
-                **figures,
-                "number": self._windows_seen,
-                "verdict": window.verdict,
-                "reason": window.reason,
-                "accepted": window.accepted,
-                "parameter_set": window.parameter_set,
-            }
-            self._sentences.append((self._windows_seen, _json(told)))
-            if window.coefficients:
-                pairs = window.coefficients
+            self._sentences.append(
+                {
+                    **figures,
+                    "number": self._windows_seen,
+                    "verdict": window.verdict,
+                    "reason": window.reason,
+                    "accepted": window.accepted,
+                    "parameter_set": window.parameter_set,
+                }
+            )
+            pairs = window.coefficients
+            if pairs:
                 self._trace("coefficients", figures.get("time", math.nan), pairs, WINDOWS_KEPT)
 
-    def set_parameters(self, seen: SetSeen) -> None:
+    def set_parameters(self, seen: ParameterSet) -> None:
         """Set the parameter set in use."""
         with self._lock:
             self.parameters = seen
             # A set without a stamp was not identified from samples; it is in use from now on.
-            since = seen.time if seen.time > 0.0 else self._last_time
-            self._trace_set(seen, since)
+            since = seen.stamp_ns / NANOSECONDS if seen.stamp_ns else self._last_time
+            self._trace_set(seen, since if math.isfinite(since) else math.nan)
             self._mark("set", f"{seen.set_id} ({seen.source.replace('_', ' ')})", since)
 
-    def _trace_set(self, seen: SetSeen, since: float) -> None:
-        """Add a set to the table; ``since`` [s] is infinite if it is in use from the beginning."""
-        named = zip(seen.names, seen.values, seen.standard_errors, seen.observable, strict=True)
-        pairs = {
-            name: (value, error if determined else math.nan)
-            for name, value, error, determined in named
-        }
-        self._trace("parameters", since if math.isfinite(since) else math.nan, pairs, SETS_KEPT)
+    def _trace_set(self, seen: ParameterSet, since: float) -> None:
+        """Add a set to the table; ``since`` [s] is NaN if it is in use from the beginning."""
+        errors = np.where(seen.observable, seen.standard_errors, math.nan)
+        pairs = zip(seen.values.tolist(), errors.tolist(), strict=True)
+        named = dict(zip(seen.law.parameter_names, pairs, strict=True))
+        self._trace("parameters", since, named, SETS_KEPT)
 
     def _trace(
         self, name: str, time_s: float, pairs: Mapping[str, tuple[float, float]], capacity: int
@@ -447,8 +483,7 @@ class LiveRecord:
         if table is None or table.columns[1:] != columns:
             table = RollingTable(columns, capacity, first_of_two)
             self._add_table(name, table)
-        values = [value for value, _ in pairs.values()]
-        errors = [error for _, error in pairs.values()]
+        values, errors = zip(*pairs.values(), strict=True)
         table.append((time_s, *values, *errors))
 
     def add_concern(self, concern: Concern) -> None:
@@ -471,26 +506,32 @@ class LiveRecord:
             self._judge(node, "not heard any more", wrong=now - when > SILENT_AFTER)
 
     def _judge(self, name: str, message: str, *, wrong: bool) -> None:
-        before, number = self._faults.get(name), self._fault_count + 1
-        fault = fault_after(before, name, message, self._clock(), number, wrong=wrong)
-        if fault is None:
-            self._faults.pop(name, None)
-            return
-        if fault.active and not (before is not None and before.active):
+        """Update the fault of this name.
+
+        A fault that returns before it is acknowledged keeps its start time. A fault that is over is
+        removed when it is acknowledged.
+        """
+        fault = self._faults.get(name)
+        if wrong and (fault is None or not fault.active):
+            self._fault_count += 1
+            since = self._clock() if fault is None else fault.since
+            self._faults[name] = Fault(self._fault_count, name, message, since)
             self._mark("fault", f"{name}: {message}", self._last_time)
-        self._faults[name] = fault
-        self._fault_count = max(self._fault_count, fault.number)
+        elif wrong and fault is not None:
+            self._faults[name] = replace(fault, message=message)
+        elif fault is not None and fault.seen:
+            del self._faults[name]
+        elif fault is not None:
+            self._faults[name] = replace(fault, active=False)
 
     def acknowledge(self, number: int) -> None:
         """Acknowledge all faults up to this number."""
         with self._lock:
-            seen = {
-                name: replace(fault, seen=fault.seen or fault.number <= number)
-                for name, fault in self._faults.items()
-            }
-            self._faults = {
-                name: fault for name, fault in seen.items() if fault.active or not fault.seen
-            }
+            for name, fault in list(self._faults.items()):
+                if fault.number <= number and not fault.active:
+                    del self._faults[name]
+                elif fault.number <= number:
+                    self._faults[name] = replace(fault, seen=True)
 
     def add_event(self, sentence: str) -> None:
         """Add a sentence about an action of this program."""
@@ -523,43 +564,36 @@ class LiveRecord:
         """Time [s] since the last signals; infinite before the first."""
         return self._clock() - self._heard
 
-    def status(self, windows_after: int, marks_after: int = 0) -> bytes:
-        """The status of the system without the tables, as JSON.
+    def status(self, windows_after: int, marks_after: int = 0) -> dict[str, Any]:
+        """The status of the system without the tables, as values for JSON.
 
         ``windows_after`` and ``marks_after`` are the numbers of the last window and the last mark
         that the viewer has.
         """
+        concerns = self.concerns
         with self._lock:
-            tables = {
-                name: {"generation": generation, "next": table.next_index}
-                for name, (generation, table) in self._tables.items()
-            }
-            sentences = [text for number, text in self._sentences if number > windows_after]
-            seen, events, recording = self.parameters, list(self._events), self._recording
-            marks = [vars(mark) for mark in self._marks if mark.number > marks_after]
             self._judge_silences()
             now = self._clock()
-            faults = [
-                {**vars(fault), "since": now - fault.since} for fault in self._faults.values()
-            ]
-        parts = {
-            "tables": _json(tables),
-            "units": _json(_units(seen)),
-            "set": _json(None if seen is None else vars(seen)),
-            "concerns": _json(
-                [{**vars(concern), "silence": silence} for concern, silence in self.concerns]
-            ),
-            "faults": _json(faults),
-            "events": _json(events),
-            "marks": _json(marks),
-            "recording": _json(recording),
-            "recorded": _json(self._recorded),
-            "silence": _json(self.silence),
-            "silent_after": _json(SILENT_AFTER),
-            "origin": _json(self._origin),
-            "windows": b"[" + b",".join(sentences) + b"]",
-        }
-        return b"{" + b",".join(b'"%s":%s' % (k.encode(), v) for k, v in parts.items()) + b"}"
+            told = {
+                "tables": {
+                    name: {"generation": generation, "next": table.next_index}
+                    for name, (generation, table) in self._tables.items()
+                },
+                "units": _units(self.parameters),
+                "set": None if self.parameters is None else _set_told(self.parameters),
+                "concerns": [{**vars(each), "silence": silence} for each, silence in concerns],
+                "faults": [{**vars(f), "since": now - f.since} for f in self._faults.values()],
+                "events": list(self._events),
+                "marks": [mark for mark in self._marks if mark["number"] > marks_after],
+                "recording": self._recording,
+                "recorded": self._recorded,
+                "silence": self.silence,
+                "silent_after": SILENT_AFTER,
+                "origin": self._origin,
+                "windows": [w for w in self._sentences if w["number"] > windows_after],
+            }
+        found: dict[str, Any] = json_ready(told)
+        return found
 
 
 def _range_of(rows: Array) -> Array:
@@ -578,19 +612,20 @@ def _joined_ranges(pairs: Array) -> Array:
     return joined
 
 
-def _units(seen: SetSeen | None) -> dict[str, str]:
+def _units(seen: ParameterSet | None) -> dict[str, str]:
     """Units of all columns by name, including the parameters and coefficients of a set."""
     if seen is None:
         return UNITS
-    law = MODELS.get(seen.model)
-    coefficients = law.coefficient_quantities if law else ()
+    coefficients = {quantity.name: quantity.unit for quantity in seen.law.coefficient_quantities}
+    return {**UNITS, **coefficients, **seen.law.units}
+
+
+def _set_told(seen: ParameterSet) -> dict[str, object]:
     return {
-        **UNITS,
-        **{quantity.name: quantity.unit for quantity in coefficients},
-        **dict(zip(seen.names, seen.units, strict=True)),
+        "set_id": seen.set_id,
+        "model": seen.model,
+        "source": str(seen.source),
+        "nrmse": seen.nrmse,
+        "names": list(seen.law.parameter_names),
+        "observable": seen.observable.tolist(),
     }
-
-
-def _json(value: object) -> bytes:
-    """JSON with null for values that are not finite."""
-    return json.dumps(json_ready(value), separators=(",", ":"), allow_nan=False).encode()

@@ -275,13 +275,13 @@ class _Handler(BaseHTTPRequestHandler):
             content, kind = self.served.files[path]
             self._answer(HTTPStatus.OK, content, kind)
         elif path == "/status":
-            fixed = {
+            status = {
                 "title": self.served.title,
                 "commands": self.served.commands,
                 "verdicts": _VERDICTS,
+                **record.status(_number(query, "windows", 0), _number(query, "marks", 0)),
             }
-            status = record.status(_number(query, "windows", 0), _number(query, "marks", 0))
-            content = json.dumps(fixed).encode()[:-1] + b"," + status[1:]
+            content = json.dumps(status, separators=(",", ":"), allow_nan=False).encode()
             self._answer(HTTPStatus.OK, content, "application/json")
         elif path.startswith("/tables/"):
             name = path.removeprefix("/tables/")

@@ -2,25 +2,19 @@
 
 from __future__ import annotations
 
-import math
+from collections import deque
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
-
-import numpy as np
 
 from mr_damper_ros.io.bag_files import opened_bag
 from mr_damper_ros.io.bag_reader import bag_stream
-from mr_damper_ros.live.live_record import LiveRecord, SetSeen, WindowSeen
+from mr_damper_ros.live.live_record import LiveRecord, window_seen
 from mr_damper_ros.models.parameter_set import ParameterSet
-from mr_damper_ros.signals.blocks import NANOSECONDS, SampleBlock
+from mr_damper_ros.signals.blocks import NANOSECONDS
 from mr_damper_ros.signals.recording import CurrentReading, StreamItem
 from mr_damper_ros.tracking.engine import Engine, EngineSettings
-from mr_damper_ros.tracking.predictor import Prediction
-from mr_damper_ros.tracking.reports import Report
 from mr_damper_ros.tracking.validity import DoubtKind
-
-_RATE = 100.0
-"""Rate of the signals [1/s], equal to that of the model node."""
 
 _SET_POINTS = (
     ("/supply/current_command", "mr_damper_msgs/msg/CurrentCommand", "current_command", "current"),
@@ -63,14 +57,30 @@ def replay_into(
     BagError or ParameterError if the bag or the set cannot be used.
     """
     start = start or start_of(path)
-    if start is not None and settings is None:
-        settings = EngineSettings().for_law(start.model)
-    engine = Engine(settings, start)
     if start is not None:
-        record.set_parameters(_set_seen(start, 0.0))
-    held = _Held(_set_points(path))
-    for block, prediction in engine.follow(held.currents_of(bag_stream(path))):
-        _show(record, block, prediction, held)
+        settings = settings or EngineSettings().for_law(start.model)
+        record.set_parameters(replace(start, stamp_ns=0))
+    engine = Engine(settings, start)
+    set_points = deque(_set_points(path))
+
+    def stream() -> Iterator[StreamItem]:
+        for item in bag_stream(path):
+            if isinstance(item, CurrentReading):
+                record.add_current(item.stamp_ns / NANOSECONDS, item.current)
+            yield item
+
+    for block, prediction in engine.follow(stream()):
+        while set_points and set_points[0][0] <= prediction.start_ns:
+            record.set_point(*set_points.popleft()[1:])
+        record.add_samples(
+            prediction.start_ns / NANOSECONDS,
+            prediction.period,
+            prediction.at_its_samples(block.displacement),
+            prediction.at_its_samples(block.force),
+            prediction.force,
+            prediction.doubts == DoubtKind.NONE,
+            prediction.velocity,
+        )
         _show_publications(record, engine)
     _show_publications(record, engine)
 
@@ -78,37 +88,31 @@ def replay_into(
 def _show_publications(record: LiveRecord, engine: Engine) -> None:
     for published in engine.take_publications():
         report = published.report
-        record.add_window(_window_seen(report, published.duration))
+        record.add_window(
+            window_seen(
+                report,
+                report.coefficient_names,
+                report.coefficients.tolist(),
+                report.coefficient_errors.tolist(),
+                figures={
+                    "time": report.stamp_ns / NANOSECONDS,
+                    "force_scale": report.scale.value,
+                    "force_scale_error": report.scale.standard_error,
+                    "fluid_temperature": report.fluid.celsius,
+                    "fluid_temperature_error": report.fluid.standard_error,
+                    "fit_duration": published.duration,
+                },
+                verdict=report.verdict.name,
+                parameter_set=report.set_id,
+            )
+        )
         if published.parameters is not None:
-            seen = _set_seen(published.parameters, report.stamp_ns / NANOSECONDS)
-            record.set_parameters(seen)
+            record.set_parameters(replace(published.parameters, stamp_ns=report.stamp_ns))
 
 
-class _Held:
-    """The current and the setpoints at a sample."""
-
-    def __init__(self, set_points: dict[str, list[tuple[int, float]]]) -> None:
-        self._waiting = {name: iter(values) for name, values in set_points.items()}
-        self._next = {name: next(values, None) for name, values in self._waiting.items()}
-        self.current = math.nan
-
-    def currents_of(self, stream: Iterator[StreamItem]) -> Iterator[StreamItem]:
-        """Yield the items of the stream; ``current`` holds the last current [A]."""
-        for item in stream:
-            if isinstance(item, CurrentReading):
-                self.current = item.current
-            yield item
-
-    def follow(self, record: LiveRecord, stamp_ns: int) -> None:
-        """Pass the setpoints up to this stamp [ns] to the record."""
-        for name, values in self._waiting.items():
-            while (found := self._next[name]) is not None and found[0] <= stamp_ns:
-                record.set_point(name, found[1])
-                self._next[name] = next(values, None)
-
-
-def _set_points(path: Path) -> dict[str, list[tuple[int, float]]]:
-    found: dict[str, list[tuple[int, float]]] = {}
+def _set_points(path: Path) -> list[tuple[int, str, float]]:
+    """Stamp [ns], name and value of each setpoint in a bag, in the order of the stamps."""
+    found = []
     with opened_bag(path) as bag:
         fields = {
             bag.topic(topic, kind, required=False): (name, field)
@@ -119,79 +123,5 @@ def _set_points(path: Path) -> dict[str, list[tuple[int, float]]]:
             name, field = fields[topic]
             stamp = message.header.stamp
             stamp_ns = int(stamp.sec) * NANOSECONDS + int(stamp.nanosec)
-            found.setdefault(name, []).append((stamp_ns, float(getattr(message, field))))
-    return found
-
-
-def _show(record: LiveRecord, block: SampleBlock, prediction: Prediction, held: _Held) -> None:
-    count, period = prediction.force.size, prediction.period
-    arrived = slice(block.sample_count - count, None)
-    displacement, measured = block.displacement[arrived], block.force[arrived]
-    valid = prediction.doubts == DoubtKind.NONE
-    start = prediction.start_ns / NANOSECONDS
-    record.add_samples(start, period, displacement, measured, prediction.force, valid)
-    times = start + period * np.arange(count)
-    ticks = np.floor(times * _RATE + 1e-6)
-    for k in np.flatnonzero(np.diff(ticks, prepend=np.floor((start - period) * _RATE + 1e-6))):
-        held.follow(record, prediction.start_ns + round(k * period * NANOSECONDS))
-        record.add_signals(
-            float(times[k]),
-            float(displacement[k]),
-            float(prediction.velocity[k]),
-            held.current,
-            float(measured[k]),
-            float(prediction.force[k]),
-            valid=bool(valid[k]),
-        )
-
-
-def _window_seen(report: Report, duration: float) -> WindowSeen:
-    coefficients = zip(
-        report.coefficient_names,
-        report.coefficients.tolist(),
-        report.coefficient_errors.tolist(),
-        strict=True,
-    )
-    return WindowSeen(
-        figures={
-            "time": report.stamp_ns / NANOSECONDS,
-            "nrmse_before": report.nrmse_before,
-            "nrmse_after": report.nrmse_after,
-            "force_scale": report.scale.value,
-            "force_scale_error": report.scale.standard_error,
-            "temperature": report.temperature,
-            "fluid_temperature": report.fluid.celsius,
-            "fluid_temperature_error": report.fluid.standard_error,
-            "current": report.current,
-            "peak_velocity": report.peak_velocity,
-            "amplitude": report.amplitude,
-            "frequency": report.frequency,
-            "fit_duration": duration,
-            "verdict": float(report.verdict),
-        },
-        verdict=report.verdict.name,
-        reason=report.reason,
-        parameter_set=report.set_id,
-        accepted=report.accepted,
-        coefficients={
-            n: (value, error) for n, value, error in coefficients if math.isfinite(value)
-        },
-    )
-
-
-def _set_seen(found: ParameterSet, since: float) -> SetSeen:
-    return SetSeen(
-        time=since,
-        set_id=found.set_id,
-        model=found.model,
-        source=str(found.source),
-        node="",
-        nrmse=found.nrmse,
-        names=found.law.parameter_names,
-        units=[parameter.unit for parameter in found.law.parameters],
-        values=found.values.tolist(),
-        standard_errors=found.standard_errors.tolist(),
-        observable=found.observable.tolist(),
-        peak_velocity_range=found.peak_velocity_range,
-        current_range=found.current_range,
-    )
+            found.append((stamp_ns, name, float(getattr(message, field))))
+    return sorted(found)

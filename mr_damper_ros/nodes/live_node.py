@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import queue
 import time
 from collections import deque
@@ -16,91 +15,81 @@ from diagnostic_msgs.msg import DiagnosticArray
 from mr_damper_msgs.msg import (
     CurrentCommand,
     DamperParameters,
-    DamperSignals,
     DesiredForce,
     FitReport,
     MtsSamples,
     PredictedForce,
+    SupplyCurrent,
 )
 from mr_damper_msgs.srv import SaveParameters
 from rclpy.node import Node
-from rclpy.qos import HistoryPolicy, QoSProfile, ReliabilityPolicy
+from rclpy.qos import ReliabilityPolicy
 from rclpy.task import Future
 from sensor_msgs.msg import Temperature
 from std_srvs.srv import Trigger
 
-from mr_damper_ros.live.live_record import Concern, LiveRecord, SetSeen, WindowSeen
+from mr_damper_ros.live.live_record import Concern, LiveRecord, window_seen
 from mr_damper_ros.live.page_server import PageServer, is_local
+from mr_damper_ros.models.parameter_set import ParameterError, ParameterSet
 from mr_damper_ros.nodes import quality
 from mr_damper_ros.nodes.bag_recorder import BagRecorder
 from mr_damper_ros.nodes.command_topic import COMMAND_TOPIC, DEMAND_TOPIC
-from mr_damper_ros.nodes.messages import from_field, parameter_set, to_nanoseconds
-from mr_damper_ros.nodes.mirrors import JOINED_FORCES_TOPIC, JOINED_SAMPLES_TOPIC, SIGNALS_TOPIC
+from mr_damper_ros.nodes.inputs import CURRENT_TOPIC
+from mr_damper_ros.nodes.messages import from_field, parameter_set, to_seconds
+from mr_damper_ros.nodes.mirrors import JOINED_FORCES_TOPIC, JOINED_SAMPLES_TOPIC
 from mr_damper_ros.nodes.node_parameters import ConfigurationError, NodeParameters
+from mr_damper_ros.nodes.parameter_input import PARAMETERS_TOPIC, REPORT_TOPIC
 from mr_damper_ros.nodes.spinning import run
 from mr_damper_ros.settings.option_table import ParameterTable, option
-from mr_damper_ros.signals.blocks import NANOSECONDS
 from mr_damper_ros.tracking.acceptance import Verdict
 
 _WAITING = 50
-"""Queue length for signals; the oldest are dropped, so that a viewer exerts no back-pressure."""
+"""Queue length; the oldest are dropped, so that a viewer exerts no back-pressure."""
 
-_SAME = (
-    *("nrmse_before", "nrmse_after", "force_scale", "temperature", "current", "peak_velocity"),
-    *("amplitude", "frequency"),
-)
-"""Fields of a window with the same name as in FitReport."""
+_SHOWN = 100
+"""Shown characters of a name: a message may hold a megabyte of them."""
 
 
-_OF_A_SET = ("model", "source", "node", "nrmse")
-_ARRAYS_OF_A_SET = ("names", "units", "values", "standard_errors", "observable")
-"""Fields of a set with the same name as in DamperParameters."""
+class RecordInput:
+    """Stores the messages of a node's namespace in a record.
 
-
-def listen(node: Node, record: LiveRecord) -> _Ear:
-    """Subscribe a node to all topics of the page in its namespace, and store them in the record."""
-    seen = _Ear(record, node.get_namespace().strip("/"))
-    looking = QoSProfile(
-        reliability=ReliabilityPolicy.BEST_EFFORT, history=HistoryPolicy.KEEP_LAST, depth=_WAITING
-    )
-    for kind, topic, hear, profile in (
-        (DamperSignals, SIGNALS_TOPIC, seen.signals, looking),
-        (DamperParameters, "damper/parameters", seen.parameters, quality.latched()),
-        (Temperature, "damper/fluid_temperature", seen.temperature, quality.stream(_WAITING)),
-        (FitReport, "damper/fit_report", seen.report, quality.stream(_WAITING)),
-        (DiagnosticArray, "/diagnostics", seen.diagnostics, quality.stream(_WAITING)),
-        (MtsSamples, JOINED_SAMPLES_TOPIC, seen.samples, looking),
-        (PredictedForce, JOINED_FORCES_TOPIC, seen.forces, looking),
-        (CurrentCommand, COMMAND_TOPIC, seen.command, looking),
-        (DesiredForce, DEMAND_TOPIC, seen.demand, looking),
-    ):
-        node.create_subscription(kind, topic, hear, profile)
-    return seen
-
-
-class _Ear:
-    """Stores the content of messages; only diagnostics of ``namespace`` are kept, of all if empty.
-
-    ``newest_set`` is the last set that was published.
+    Only diagnostics of the namespace are stored, of all nodes without a namespace. ``newest_set``
+    is the last set that was published.
     """
 
-    def __init__(self, record: LiveRecord, namespace: str) -> None:
+    def __init__(self, node: Node, record: LiveRecord) -> None:
         self._record = record
+        namespace = node.get_namespace().strip("/")
         self._prefix = f"{namespace}/" if namespace else ""
         self._samples: deque[MtsSamples] = deque(maxlen=_WAITING)
-        self.newest_set: DamperParameters | None = None
+        self.newest_set: ParameterSet | None = None
+        waiting = quality.stream(_WAITING)
+        looking = quality.stream(_WAITING)
+        looking.reliability = ReliabilityPolicy.BEST_EFFORT
+        for kind, topic, take, profile in (
+            (MtsSamples, JOINED_SAMPLES_TOPIC, self._take_samples, looking),
+            (PredictedForce, JOINED_FORCES_TOPIC, self._take_forces, looking),
+            (SupplyCurrent, CURRENT_TOPIC, self._take_current, looking),
+            (CurrentCommand, COMMAND_TOPIC, self._take_command, looking),
+            (DesiredForce, DEMAND_TOPIC, self._take_desired_force, looking),
+            (DamperParameters, PARAMETERS_TOPIC, self._take_parameters, quality.latched()),
+            (Temperature, "damper/fluid_temperature", self._take_temperature, waiting),
+            (FitReport, REPORT_TOPIC, self._take_report, waiting),
+            (DiagnosticArray, "/diagnostics", self._take_diagnostics, waiting),
+        ):
+            node.create_subscription(kind, topic, take, profile)
 
-    def samples(self, message: MtsSamples) -> None:
+    def _take_samples(self, message: MtsSamples) -> None:
         self._samples.append(message)
 
-    def forces(self, message: PredictedForce) -> None:
+    def _take_forces(self, message: PredictedForce) -> None:
         """Join predicted forces with their samples, which arrive before them."""
         same = [block for block in self._samples if block.seq == message.seq]
         self._samples.clear()
-        if not same or len(same[0].force) != len(message.force):
+        if not same or not 0 < len(same[0].force) == len(message.force):
             return
         self._record.add_samples(
-            to_nanoseconds(message.header.stamp) / NANOSECONDS,
+            to_seconds(message.header.stamp),
             message.period,
             from_field(same[0].displacement),
             from_field(same[0].force),
@@ -108,72 +97,46 @@ class _Ear:
             np.frombuffer(message.sample_doubts, dtype=np.uint8) == PredictedForce.NONE,
         )
 
-    def command(self, message: CurrentCommand) -> None:
+    def _take_current(self, message: SupplyCurrent) -> None:
+        self._record.add_current(to_seconds(message.header.stamp), message.current)
+
+    def _take_command(self, message: CurrentCommand) -> None:
         self._record.set_point("current_command", message.current)
 
-    def demand(self, message: DesiredForce) -> None:
+    def _take_desired_force(self, message: DesiredForce) -> None:
         self._record.set_point("desired_force", message.force)
 
-    def signals(self, message: DamperSignals) -> None:
-        self._record.add_signals(
-            to_nanoseconds(message.header.stamp) / NANOSECONDS,
-            message.displacement,
-            message.velocity,
-            message.current,
-            message.measured_force,
-            message.predicted_force,
-            valid=message.valid,
-        )
-
-    def temperature(self, message: Temperature) -> None:
+    def _take_temperature(self, message: Temperature) -> None:
         self._record.add_fluid_temperature(message.temperature, message.variance**0.5)
 
-    def report(self, message: FitReport) -> None:
+    def _take_report(self, message: FitReport) -> None:
         named = Verdict.__members__.values()
-        verdict = next((item.name for item in named if item == message.verdict), "NOT_TOLD")
         self._record.add_window(
-            WindowSeen(
+            window_seen(
+                message,
+                message.coefficient_names,
+                message.coefficients,
+                message.coefficient_standard_errors,
                 figures={
-                    **{name: getattr(message, name) for name in _SAME},
-                    "time": to_nanoseconds(message.header.stamp) / NANOSECONDS,
+                    "time": to_seconds(message.header.stamp),
+                    "force_scale": message.force_scale,
                     "force_scale_error": message.force_scale_standard_error,
                     "fit_duration": message.duration,
-                    "verdict": float(message.verdict),
                 },
-                verdict=verdict,
-                reason=message.reason,
+                verdict=next((v.name for v in named if v == message.verdict), "NOT_TOLD"),
                 parameter_set=message.parameter_set,
-                accepted=message.accepted,
-                coefficients={
-                    name: (value, error)
-                    for name, value, error in zip(
-                        message.coefficient_names,
-                        message.coefficients,
-                        message.coefficient_standard_errors,
-                        strict=False,
-                    )
-                    if math.isfinite(value)
-                },
             )
         )
 
-    def parameters(self, message: DamperParameters) -> None:
-        arrays: dict[str, Any] = {n: list(getattr(message, n)) for n in _ARRAYS_OF_A_SET}
-        if len({len(array) for array in arrays.values()}) > 1:
-            return
-        self.newest_set = message
-        self._record.set_parameters(
-            SetSeen(
-                time=to_nanoseconds(message.header.stamp) / NANOSECONDS,
-                set_id=message.id,
-                peak_velocity_range=(message.peak_velocity_min, message.peak_velocity_max),
-                current_range=(message.current_min, message.current_max),
-                **{name: getattr(message, name) for name in _OF_A_SET},
-                **arrays,
-            )
-        )
+    def _take_parameters(self, message: DamperParameters) -> None:
+        try:
+            self.newest_set = parameter_set(message)
+        except ParameterError as error:
+            self._record.add_event(f"parameters {message.id[:_SHOWN]} are not shown: {error}")
+        else:
+            self._record.set_parameters(self.newest_set)
 
-    def diagnostics(self, message: DiagnosticArray) -> None:
+    def _take_diagnostics(self, message: DiagnosticArray) -> None:
         for status in message.status:
             if status.name.startswith(self._prefix):
                 self._record.add_concern(
@@ -206,8 +169,9 @@ _LOOK = 0.1
 class LiveParameters(ParameterTable):
     """Parameters of the live node.
 
-    It serves a page that shows the running system of its namespace, from damper/signals,
-    damper/fit_report, damper/parameters, damper/fluid_temperature and /diagnostics.
+    It serves a page that shows the running system of its namespace, from damper/joined_samples,
+    damper/joined_forces, supply/current, damper/fit_report, damper/parameters,
+    damper/fluid_temperature and /diagnostics.
     """
 
     host: str = option(
@@ -278,7 +242,7 @@ class LiveNode(Node):
                 f"the page cannot be served at {options.host}, port {options.port}: "
                 f"{error.strerror or error}; choose another with -p port:=NUMBER"
             ) from error
-        self._ear = listen(self, self._record)
+        self._input = RecordInput(self, self._record)
         self.get_logger().info(f"the page is at {self._page.address}")
         if not is_local(options.host):
             self.get_logger().warning(
@@ -321,8 +285,8 @@ class LiveNode(Node):
         told["name"] = told["name"] or "run"
         by = f" by {told['operator']}" if told["operator"] else ""
         details = {**told, "provenance": f"recorded from the page{by}: {told['note']}".rstrip(": ")}
-        if self._ear.newest_set is not None:
-            details["start_set"] = parameter_set(self._ear.newest_set).to_yaml()
+        if self._input.newest_set is not None:
+            details["start_set"] = self._input.newest_set.to_yaml()
         try:
             folder = Path(self._options.record_folder).expanduser()
             self._recorder = BagRecorder(self, folder, details)

@@ -55,6 +55,11 @@ def to_nanoseconds(stamp: Time) -> int:
     return int(stamp.sec) * _SECOND + int(stamp.nanosec)
 
 
+def to_seconds(stamp: Time) -> float:
+    """Seconds since the epoch from a stamp."""
+    return to_nanoseconds(stamp) / _SECOND
+
+
 def header(nanoseconds: int, frame_id: str) -> Header:
     """A header with this stamp."""
     return Header(stamp=to_stamp(nanoseconds), frame_id=frame_id)

@@ -66,8 +66,7 @@ class ModelParameters(SetOptions):
         100.0,
         "Largest number of messages per second of data on damper/signals (DamperSignals): "
         "displacement, velocity, current, measured and predicted force at one stamp, for "
-        "plotting tools and for the page of the node live; 0: none. Increase it for motion "
-        "faster than a few hertz.",
+        "plotting tools; 0: none. Increase it for motion faster than a few hertz.",
         minimum=0.0,
         maximum=10_000.0,
     )

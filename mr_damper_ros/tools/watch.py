@@ -91,7 +91,11 @@ def _parameters(record: LiveRecord, width: int) -> list[str]:
     entries = [
         f"{name} {value:.4g}" + (f" ± {error:.2g}" if known else " (not determined)")
         for name, value, error, known in zip(
-            seen.names, seen.values, seen.standard_errors, seen.observable, strict=True
+            seen.law.parameter_names,
+            seen.values,
+            seen.standard_errors,
+            seen.observable,
+            strict=True,
         )
     ]
     columns = max((width + 3) // (_ENTRY + 3), 1)
@@ -151,12 +155,12 @@ def _parser() -> argparse.ArgumentParser:
 def _watch(options: argparse.Namespace) -> int:
     if not options.period > 0.0:
         raise ValueError(f"--period must be more than 0 s, not {options.period:g}")
-    from mr_damper_ros.nodes.live_node import listen
+    from mr_damper_ros.nodes.live_node import RecordInput
     from mr_damper_ros.nodes.observer import Observer
 
     record = LiveRecord()
     with Observer("watch", namespace=options.namespace) as observer:
-        listen(observer.node, record)
+        RecordInput(observer.node, record)
         if options.once:
             observer.spin_for(_AT_LEAST)
             print(summary(record, _width()))

@@ -9,8 +9,8 @@ from collections.abc import Callable
 import known
 import numpy as np
 
-from mr_damper_ros.live.live_record import Concern, LiveRecord, SetSeen, WindowSeen
-from mr_damper_ros.models.sigmoid.law import PARAMETER_NAMES
+from mr_damper_ros.live.live_record import Concern, LiveRecord, WindowSeen
+from mr_damper_ros.models.parameter_set import ParameterSet
 
 START = 1_700_000_000.0
 COEFFICIENTS = {"f_t": 620.0, "alpha": 41.0, "k_c": 1.2, "k_e": 1.1, "v_h": -8e-3, "v_d": 2e-4}
@@ -32,6 +32,7 @@ def show_signals(record: LiveRecord, begin: float, duration: float) -> None:
 
 def show_samples(record: LiveRecord, duration: float) -> None:
     """The same motion at 1 kHz, in blocks of ten."""
+    record.add_current(START, 0.5)
     omega, amplitude = 2.0 * math.pi * 1.5, 5e-3
     for begin in np.arange(0.0, duration - 1e-9, 0.01):
         at = begin + 1e-3 * np.arange(10)
@@ -76,23 +77,15 @@ def show_window(record: LiveRecord, number: int, *, accepted: bool = True) -> No
 
 def show_set(record: LiveRecord, number: int) -> None:
     """A set in use; the last two parameters are not determined."""
-    count = len(PARAMETER_NAMES)
     values = known.PLAUSIBLE * (1.0 + 0.01 * math.sin(number))
     record.set_parameters(
-        SetSeen(
-            time=START + number,
+        ParameterSet(
+            values,
+            0.02 * np.abs(values),
+            np.arange(values.size) < values.size - 2,
             set_id=f"nelder_mead-{number}",
-            model="sigmoid",
             source="nelder_mead",
-            node="/identifier",
-            nrmse=0.045,
-            names=PARAMETER_NAMES,
-            units=("N",) + ("1",) * (count - 1),
-            values=[float(value) for value in values],
-            standard_errors=[float(0.02 * abs(value)) for value in values],
-            observable=[True] * (count - 2) + [False] * 2,
-            peak_velocity_range=(0.0, 0.1),
-            current_range=(0.5, 0.5),
+            stamp_ns=round((START + number) * 1e9),
         )
     )
 

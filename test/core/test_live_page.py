@@ -321,7 +321,7 @@ def test_what_is_commanded_is_drawn_beside_what_there_is(browser: Browser) -> No
 
 
 def test_loops_have_the_full_rate_and_a_reference_behind_them(browser: Browser) -> None:
-    record = running_damper.running(6)
+    record = LiveRecord()
     running_damper.show_samples(record, 6.0)
     loop = "document.querySelector('[data-chart=force-velocity]')"
     with opened(browser, record) as address:

@@ -205,6 +205,6 @@ def test_a_run_is_recorded_and_opened_again(start: Any, listener: Listener, tmp_
     np.testing.assert_array_equal(recorded.force, original.force)
     record = empty_record(bag)
     replay_into(record, bag)
-    again = json.loads(record.status(0))
+    again = record.status(0)
     assert sum(window["accepted"] for window in again["windows"]) > 0
     assert again["recorded"].startswith("first run, Ada, cold")
