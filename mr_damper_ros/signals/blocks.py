@@ -20,10 +20,6 @@ LATE_NS = NANOSECONDS
 """A stamp that is earlier by up to this time is delayed or repeated. If it is earlier by more, the
 clock was set back."""
 
-_SHORTEST_PERIOD, _LONGEST_PERIOD = 1e-9, 1e6
-"""Limits of the sample period [s]: stamps have a resolution of 1 ns and 31 bits for seconds."""
-
-
 _LARGEST = 1e12
 """Largest magnitude of a displacement [m] or force [N]. No machine reaches it, and its square does
 not overflow."""
@@ -73,7 +69,7 @@ class SampleBlock:
     ``start_ns`` is the stamp of sample 0, ``sequence`` its index since the source started.
 
     Raises BlockError if there are no samples, lengths differ, a value is not finite or its
-    magnitude exceeds 1e12, or the period lies outside 1 ns to 1e6 s.
+    magnitude exceeds 1e12, or the period lies outside 1 ns to 2³¹ s.
     """
 
     start_ns: int
@@ -88,10 +84,11 @@ class SampleBlock:
             raise BlockError("the block holds no samples")
         if self.force.size != n:
             raise BlockError(f"the block holds {n} displacements but {self.force.size} forces")
-        if not _SHORTEST_PERIOD <= self.period <= _LONGEST_PERIOD:
+        # Stamps have a resolution of 1 ns and 31 bits for seconds.
+        if not 1.0 <= self.period * NANOSECONDS <= STAMP_LIMIT:
             raise BlockError(
                 f"the sample period is {self.period} s: it must be positive, "
-                f"from {_SHORTEST_PERIOD:g} to {_LONGEST_PERIOD:g} s"
+                f"from {1.0 / NANOSECONDS:g} to {STAMP_LIMIT / NANOSECONDS:.2g} s"
             )
         for name in ("displacement", "force"):
             values = getattr(self, name)
@@ -126,33 +123,24 @@ def joined(blocks: Iterable[SampleBlock]) -> list[SampleBlock]:
     """The same samples in as few blocks as possible: one for each uninterrupted series."""
     runs: list[list[SampleBlock]] = []
     for block in blocks:
-        if runs and _follows(runs[-1][-1], block):
+        last = runs[-1][-1] if runs else None
+        if (
+            last is not None
+            and block.period == last.period
+            and block.sequence == last.sequence + last.sample_count
+            and abs(block.start_ns - last.end_ns) <= 0.5 * block.period * NANOSECONDS
+        ):
             runs[-1].append(block)
         else:
             runs.append([block])
-    return [_one(run) for run in runs]
-
-
-def _follows(last: SampleBlock, block: SampleBlock) -> bool:
-    late = abs(block.start_ns - last.end_ns) / NANOSECONDS
-    return (
-        block.period == last.period
-        and block.sequence == last.sequence + last.sample_count
-        and late <= 0.5 * block.period
-    )
-
-
-def _one(run: list[SampleBlock]) -> SampleBlock:
-    first = run[0]
-    if len(run) == 1:
-        return first
-    return SampleBlock(
-        first.start_ns,
-        first.sequence,
-        first.period,
-        np.concatenate([block.displacement for block in run]),
-        np.concatenate([block.force for block in run]),
-    )
+    return [
+        replace(
+            run[0],
+            displacement=np.concatenate([block.displacement for block in run]),
+            force=np.concatenate([block.force for block in run]),
+        )
+        for run in runs
+    ]
 
 
 STAMP_LIMIT = 2**31 * NANOSECONDS
@@ -240,10 +228,6 @@ KEEP_CURRENT = 3600.0
 """Duration [s] of the current values that a stream keeps. In fast playback of a bag, the current
 can arrive long before the samples that it belongs to."""
 
-_SURPLUS = 8
-"""Old values are dropped once they exceed one in this many of all values. Each drop moves the other
-values, which takes milliseconds for an hour of a fast supply."""
-
 
 class CurrentError(ValueError):
     """A value of the current cannot be used; the message gives the reason."""
@@ -283,7 +267,8 @@ class ZeroOrderHold:
         self._values.insert(place, current)
         # One value older than the horizon stays, because it holds until the next.
         surplus = bisect_right(self._stamps, self._stamps[-1] - self._keep_ns) - 1
-        if surplus > len(self._stamps) // _SURPLUS:
+        # Each drop moves the other values, so many are dropped at once.
+        if 2 * surplus > len(self._stamps):
             del self._stamps[:surplus], self._values[:surplus]
 
     def follow_jump(self) -> None:

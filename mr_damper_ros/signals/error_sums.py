@@ -7,14 +7,12 @@ NRMSE of several records pools all their samples; it is not the mean of their NR
 from __future__ import annotations
 
 import math
+import sys
 from collections import deque
 from collections.abc import Iterable
 from dataclasses import dataclass
 
 from mr_damper_ros.signals.arrays import Array
-
-_ROUNDING = 1e-12
-"""Variance of a constant caused by rounding, as a fraction of its mean square."""
 
 
 @dataclass(frozen=True)
@@ -60,7 +58,9 @@ class ErrorSums:
             return math.nan
         mean_square = self.measured_square / self.count
         variance = mean_square - (self.measured / self.count) ** 2
-        return math.sqrt(variance) if variance > _ROUNDING * mean_square else 0.0
+        # The variance of a constant is that of the rounding of the sums.
+        rounding = self.count * sys.float_info.epsilon * mean_square
+        return math.sqrt(variance) if variance > rounding else 0.0
 
     @property
     def nrmse(self) -> float:

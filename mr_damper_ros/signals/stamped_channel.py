@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from bisect import bisect_left, insort
+from bisect import bisect_left
 from collections import deque
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
@@ -48,9 +48,6 @@ _FOLLOWS = (0.05, 0.001)
 """Gains with which a tried clock follows the error of a stamp, in offset and rate. With twice the
 first and five times the second, 30 of those streams are numbered correctly."""
 
-_REMEMBERED = 64
-"""Number of stamps that are stored to detect repeats."""
-
 _PATIENCE = 0.3
 """Longest time [s] that a sample of the leader waits for the follower."""
 
@@ -65,16 +62,33 @@ class EvenSample(Generic[V]):
     value: V
 
 
-class EvenStamps(Generic[V]):
-    """Estimates the indices and times of samples from their stamps [ns], given in ascending order.
+@dataclass
+class ChannelCounts:
+    """Numbers of received values and of those that could not be used, and of jumps back."""
 
-    The period is estimated from the first few hundred stamps. ``lost`` counts the skipped indices
-    and ``unclear`` the samples that were left out because their index is uncertain.
+    received: int = 0
+    repeated: int = 0
+    late: int = 0
+    not_finite: int = 0
+    jumps: int = 0
+
+
+class StampedChannel(Generic[V]):
+    """Sorts values by their stamps [ns] and estimates the index and time of each sample.
+
+    A value is released when a stamp arrives that is ``hold_back`` [s] later, so that delayed values
+    can be sorted in. The order restarts if the stamps are set back. The ``period`` [s] is estimated
+    from the first few hundred stamps and is NaN before. ``lost`` counts the skipped indices and
+    ``unclear`` the samples that were left out beside them because their index is uncertain.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, hold_back: float) -> None:
+        self._hold_ns = round(hold_back * NANOSECONDS)
+        self._held: list[tuple[int, V]] = []
+        self._released: int | None = None
+        self.clock = ArrivalClock()
+        self.counts = ChannelCounts()
         self.period = math.nan
-        """Time [s] between two samples; NaN until it is known."""
         self._clock: StampClock | None = None
         self._begun: list[tuple[int, V]] = []
         self._next = 0
@@ -84,8 +98,33 @@ class EvenStamps(Generic[V]):
         self.lost = 0
         self.unclear = 0
 
-    def add(self, stamp_ns: int, value: V) -> list[EvenSample[V]]:
-        """Add a sample; returns the samples whose index is now certain."""
+    def add(self, stamp_ns: int, arrival_ns: int, value: V) -> list[EvenSample[V]]:
+        """Add a value; returns the samples whose order and index are now certain."""
+        counts, held = self.counts, self._held
+        counts.received += 1
+        if isinstance(value, float) and not math.isfinite(value):
+            counts.not_finite += 1
+            return []
+        self.clock.add(stamp_ns, arrival_ns)
+        if self._released is not None and self._released - stamp_ns >= LATE_NS:
+            counts.jumps += 1
+            held.clear()
+        elif self._released is not None and stamp_ns < self._released:
+            counts.late += 1
+            return []
+        place = bisect_left(held, stamp_ns, key=lambda item: item[0])
+        if stamp_ns == self._released or (place < len(held) and held[place][0] == stamp_ns):
+            counts.repeated += 1
+            return []
+        held.insert(place, (stamp_ns, value))
+        certain: list[EvenSample[V]] = []
+        while held and held[-1][0] - held[0][0] >= self._hold_ns:
+            self._released, value = held.pop(0)
+            certain += self._number(self._released, value)
+        return certain
+
+    def _number(self, stamp_ns: int, value: V) -> list[EvenSample[V]]:
+        """Number the next sample; returns the samples whose index is now certain."""
         certain: list[EvenSample[V]] = []
         if self._clock is not None:
             late_ns = stamp_ns - self._clock.at(self._next)
@@ -108,11 +147,10 @@ class EvenStamps(Generic[V]):
         """Estimate the clock from the collected samples and number these samples."""
         begun, self._begun = self._begun, []
         self.period, numbers, first_ns = _count([stamp for stamp, _ in begun])
-        clock = StampClock(self._next, first_ns, self.period)
+        self._clock = clock = StampClock(self._next, first_ns, self.period)
         pairs = [(self._next + int(n), stamp) for n, (stamp, _) in zip(numbers, begun, strict=True)]
         for index, stamp in (*pairs, *reversed(pairs)):
             clock.learn(index, stamp)
-        self._clock = clock
         # A loss among the very first samples cannot be detected, so they are left out.
         skipped = min(_STRETCH, len(begun) // 3)
         self._next += int(numbers[skipped])
@@ -123,40 +161,35 @@ class EvenStamps(Generic[V]):
         return certain
 
     def _place(self, stamp_ns: int, value: V, late: float) -> list[EvenSample[V]]:
-        clock = self._clock
+        clock, waiting = self._clock, self._waiting
         assert clock is not None
-        self._doubts.append(abs(late) > 0.5 + _MARGIN)
-        if late > 0.5 + _MARGIN:
-            skipped = math.ceil(late - 0.5 - _MARGIN)
-            self._leave_out_late_ones()
+        most = 0.5 + _MARGIN
+        self._doubts.append(abs(late) > most)
+        if late > most:
+            # Late samples before a loss may belong before or after it: they are left out.
+            while waiting and waiting[-1][1] >= 0.5 - _MARGIN:
+                waiting.pop()
+                self.unclear += 1
+            skipped = math.ceil(late - most)
             self.lost += skipped
             self._next += skipped
             late -= skipped
-        elif late < -0.5 - _MARGIN and self._waiting:
+        elif late < -most and waiting:
             # The index of the previous sample was too high.
             self._next -= 1
-            self._waiting.pop()
+            waiting.pop()
             self.unclear += 1
             late += 1.0
         clock.learn(self._next, stamp_ns)
-        sample = EvenSample(self._next, clock.at(self._next), stamp_ns, value)
-        self._waiting.append((sample, late))
+        waiting.append((EvenSample(self._next, clock.at(self._next), stamp_ns, value), late))
         self._next += 1
         # After an undetected loss, all stamps are late. One that is not late rules out a loss.
-        if len(self._waiting) <= _WAITING or all(
-            late >= 0.5 - _MARGIN for _, late in self._waiting
-        ):
+        if len(waiting) <= _WAITING or all(late >= 0.5 - _MARGIN for _, late in waiting):
             return []
-        certain = self._waiting[:-_WAITING]
-        del self._waiting[:-_WAITING]
+        certain = waiting[:-_WAITING]
+        del waiting[:-_WAITING]
         # The clock has improved since these samples arrived.
         return [replace(each, time_ns=clock.at(each.index)) for each, _ in certain]
-
-    def _leave_out_late_ones(self) -> None:
-        """Leave out late samples before a loss: they may belong before or after it."""
-        while self._waiting and self._waiting[-1][1] >= 0.5 - _MARGIN:
-            self._waiting.pop()
-            self.unclear += 1
 
 
 def _count(stamps_ns: list[int]) -> tuple[float, np.ndarray, int]:
@@ -215,80 +248,6 @@ def _numbered(times: Array, follows: tuple[float, float] = (0.0, 0.0)) -> tuple[
     return np.array(numbers), against
 
 
-@dataclass
-class ChannelCounts:
-    """Numbers of received values and of those that could not be used, and of jumps back."""
-
-    received: int = 0
-    repeated: int = 0
-    late: int = 0
-    not_finite: int = 0
-    jumps: int = 0
-
-
-class StampedChannel(Generic[V]):
-    """Sorts values by their stamps [ns] and estimates the time of each sample.
-
-    A value is released when a stamp arrives that is ``hold_back`` [s] later, so that delayed values
-    can be sorted in. The order restarts if the stamps are set back.
-    """
-
-    def __init__(self, hold_back: float) -> None:
-        self._hold_ns = round(hold_back * NANOSECONDS)
-        self._waiting: list[tuple[int, V]] = []
-        self._seen: deque[int] = deque(maxlen=_REMEMBERED)
-        self._released: int | None = None
-        self._even: EvenStamps[V] = EvenStamps()
-        self.clock = ArrivalClock()
-        self.counts = ChannelCounts()
-
-    @property
-    def period(self) -> float:
-        """Time [s] between two samples; NaN until it is known."""
-        return self._even.period
-
-    @property
-    def lost(self) -> int:
-        """Number of samples that never arrived, according to the clock."""
-        return self._even.lost
-
-    @property
-    def unclear(self) -> int:
-        """Number of samples left out next to lost ones because their index is uncertain."""
-        return self._even.unclear
-
-    def add(self, stamp_ns: int, arrival_ns: int, value: V) -> list[EvenSample[V]]:
-        """Add a value; returns the samples whose order and index are now certain."""
-        counts = self.counts
-        counts.received += 1
-        if isinstance(value, float) and not math.isfinite(value):
-            counts.not_finite += 1
-            return []
-        self.clock.add(stamp_ns, arrival_ns)
-        if self._released is not None and stamp_ns <= self._released:
-            if stamp_ns in self._seen:
-                counts.repeated += 1
-                return []
-            if self._released - stamp_ns < LATE_NS:
-                counts.late += 1
-                return []
-            counts.jumps += 1
-            self._waiting, self._released = [], None
-            self._seen.clear()
-        place = bisect_left(self._waiting, stamp_ns, key=lambda item: item[0])
-        if place < len(self._waiting) and self._waiting[place][0] == stamp_ns:
-            counts.repeated += 1
-            return []
-        insort(self._waiting, (stamp_ns, value), key=lambda item: item[0])
-        found: list[EvenSample[V]] = []
-        while self._waiting and self._waiting[-1][0] - self._waiting[0][0] >= self._hold_ns:
-            stamp_ns, value = self._waiting.pop(0)
-            self._released = stamp_ns
-            self._seen.append(stamp_ns)
-            found += self._even.add(stamp_ns, value)
-        return found
-
-
 @dataclass(frozen=True, eq=False)
 class JoinedRun:
     """Samples without a gap: index and time [ns] of the first, and the values (n,) of both."""
@@ -322,7 +281,7 @@ class ChannelJoin:
         self._at_stamps = sampled_at_stamps
         self._leading: deque[EvenSample[float]] = deque()
         self._following: deque[EvenSample[float]] = deque()
-        self._last: EvenSample[float] | None = None
+        self._last: list[EvenSample[float]] = []
         self.without_partner = 0
 
     def lead(self, stamp_ns: int, arrival_ns: int, value: float) -> None:
@@ -335,71 +294,38 @@ class ChannelJoin:
 
     def take(self) -> list[JoinedRun]:
         """The samples that can be joined now."""
-        if not self._leading or not self._following:
+        if not self._leading or len(self._following) < 2:
             return []
-        base = self._leading[0].time_ns
         samples = list(self._leading)
+        base = samples[0].time_ns
         wanted = np.array([sample.time_ns - base for sample in samples], dtype=np.float64)
-        ahead = self._ahead_ns(base)
-        times = self._times(self._following, base) + ahead
-        values = np.array([sample.value for sample in self._following])
+        times, values = self._table(self._following, base)
+        if self._own_clocks:
+            times += self.follower.clock.ahead_ns(base) - self.leader.clock.ahead_ns(base)
         # The cubic needs two samples of the follower after a sample of the leader.
-        ready = int(np.searchsorted(wanted, times[-2], side="right")) if times.size > 1 else 0
-        newest = float(wanted[-1])
-        overdue = int(np.searchsorted(wanted, newest - _PATIENCE * NANOSECONDS, side="left"))
+        ready = int(np.searchsorted(wanted, times[-2], side="right"))
+        overdue = int(np.searchsorted(wanted, wanted[-1] - _PATIENCE * NANOSECONDS))
         count = max(ready, overdue)
         if self._at_stamps:
             count = min(count, max(len(samples) - 2, 0))
         if count == 0:
             return []
-        following, known = interpolated(times, values, wanted[:count], self._longest(self.follower))
+        wanted = wanted[:count]
+        following, known = interpolated(times, values, wanted, self._longest(self.follower))
         leading = np.array([sample.value for sample in samples[:count]])
         if self._at_stamps:
-            before = [self._last] if self._last is not None else []
-            own = self._times([*before, *samples], base)
-            leading, there = interpolated(
-                own,
-                np.array([sample.value for sample in (*before, *samples)]),
-                wanted[:count],
-                self._longest(self.leader),
-            )
+            own = self._table([*self._last, *samples], base)
+            leading, there = interpolated(own[0], own[1], wanted, self._longest(self.leader))
             known &= there
-        self._forget(count, float(wanted[count - 1]), times)
-        self.without_partner += int(np.count_nonzero(~known))
-        return self._runs(samples[:count], leading, following, known)
-
-    def _longest(self, channel: StampedChannel[float]) -> float:
-        """Longest time [ns] between two neighbouring samples."""
-        # Two values sampled at their stamps may each be off by half a period.
-        periods = 2.0 if self._at_stamps else 1.5 + _MARGIN
-        return periods * channel.period * NANOSECONDS
-
-    def _times(self, samples: Iterable[EvenSample[float]], base: int) -> Array:
-        return np.array(
-            [(s.stamp_ns if self._at_stamps else s.time_ns) - base for s in samples],
-            dtype=np.float64,
-        )
-
-    def _ahead_ns(self, stamp_ns: int) -> float:
-        """Time [ns] that converts a time of the follower to the clock of the leader when added."""
-        if not self._own_clocks:
-            return 0.0
-        return float(self.follower.clock.ahead_ns(stamp_ns) - self.leader.clock.ahead_ns(stamp_ns))
-
-    def _forget(self, count: int, until: float, times: Array) -> None:
+        self._last = [samples[count - 1]]
         for _ in range(count):
-            self._last = self._leading.popleft()
-        for _ in range(max(int(np.searchsorted(times, until)) - 2, 0)):
+            self._leading.popleft()
+        for _ in range(max(int(np.searchsorted(times, wanted[-1])) - 2, 0)):
             self._following.popleft()
-
-    def _runs(
-        self, samples: list[EvenSample[float]], leading: Array, following: Array, known: np.ndarray
-    ) -> list[JoinedRun]:
-        index = np.array([sample.index for sample in samples])
+        self.without_partner += int(np.count_nonzero(~known))
         kept = np.flatnonzero(known)
-        if kept.size == 0:
-            return []
-        breaks = np.flatnonzero(np.diff(index[kept]) != 1) + 1
+        index = np.array([sample.index for sample in samples])
+        parts = np.split(kept, np.flatnonzero(np.diff(index[kept]) != 1) + 1)
         return [
             JoinedRun(
                 int(index[part[0]]),
@@ -407,8 +333,20 @@ class ChannelJoin:
                 leading[part],
                 following[part],
             )
-            for part in np.split(kept, breaks)
+            for part in parts
+            if part.size
         ]
+
+    def _longest(self, channel: StampedChannel[float]) -> float:
+        """Longest time [ns] between two neighbouring samples."""
+        # Two values sampled at their stamps may each be off by half a period.
+        periods = 2.0 if self._at_stamps else 1.5 + _MARGIN
+        return periods * channel.period * NANOSECONDS
+
+    def _table(self, samples: Iterable[EvenSample[float]], base: int) -> Array:
+        """Times [ns] after ``base`` and values of the samples, shape (2, n)."""
+        rows = [(s.stamp_ns if self._at_stamps else s.time_ns, s.value) for s in samples]
+        return np.array([(time - base, value) for time, value in rows], dtype=np.float64).T
 
     def _start_ns(self, time_ns: int) -> int:
         return time_ns + (self.leader.clock.ahead_ns(time_ns) if self._own_clocks else 0)
