@@ -34,11 +34,12 @@ from std_msgs.msg import Header
 
 from benchmarks.figure import Measured
 from benchmarks.node_soak import ThreeNodes, three_nodes
+from benchmarks.processes import resident_bytes
 from mr_damper_ros.models.published import THESIS_28_CELSIUS
 from mr_damper_ros.models.sigmoid.law import PARAMETER_NAMES
 from mr_damper_ros.nodes import quality
 from mr_damper_ros.nodes.messages import to_field
-from mr_damper_ros.processes.programs import PATIENCE, resident_bytes
+from mr_damper_ros.processes.programs import PATIENCE
 from mr_damper_ros.signals.arrays import Array
 from mr_damper_ros.signals.blocks import MOST_SAMPLES
 

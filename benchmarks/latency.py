@@ -35,7 +35,7 @@ from benchmarks.helper_programs import (
     start_helper,
 )
 from benchmarks.other_dampers import random_motion
-from benchmarks.processes import ProfiledDomain, driver_node, on_cores, start_node
+from benchmarks.processes import ProfiledDomain, cpu_seconds, driver_node, on_cores, start_node
 from mr_damper_ros.emulation.emulator import EmulatedDamper, EmulatedRig, RigSettings
 from mr_damper_ros.emulation.motions import SineMotion
 from mr_damper_ros.models.parameter_set import ParameterSet
@@ -264,7 +264,7 @@ class SideBySide:
     @property
     def cpu_seconds(self) -> Array:
         """Processor time [s] of the node and of the relay so far, shape (2,)."""
-        return np.array([self._node.cpu_seconds, self._relay.cpu_seconds])
+        return np.array([cpu_seconds(self._node.pid), cpu_seconds(self._relay.pid)])
 
     def latencies(self, first: int) -> list[Array]:
         """Latencies of node and relay [s], for blocks from this index on."""

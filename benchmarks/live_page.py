@@ -9,7 +9,7 @@ from contextlib import ExitStack, closing, contextmanager
 from benchmarks.figure import Measured
 from benchmarks.helper_programs import Viewer, start_helper
 from benchmarks.latency import page_ratio
-from benchmarks.processes import ProfiledDomain, start_node
+from benchmarks.processes import ProfiledDomain, cpu_seconds, resident_bytes, start_node
 from mr_damper_ros.processes.programs import PATIENCE, Program, RosDomain
 from mr_damper_ros.tools.demo import page_of
 
@@ -49,10 +49,10 @@ def figures(
         )
         stack.callback(bridge.close)
         time.sleep(warm)
-        began, before, memory = time.monotonic(), live.cpu_seconds, live.resident_bytes
+        began, before, memory = time.monotonic(), cpu_seconds(live.pid), resident_bytes(live.pid)
         time.sleep(duration)
-        used = (live.cpu_seconds - before) / (time.monotonic() - began)
-        growth = live.resident_bytes - memory
+        used = (cpu_seconds(live.pid) - before) / (time.monotonic() - began)
+        growth = resident_bytes(live.pid) - memory
         windows = Viewer(page_of(live)).windows()
     return {
         "live_cpu_percent": (100.0 * used, f"{windows} windows."),

@@ -20,10 +20,10 @@ from mr_damper_msgs.msg import FitReport, MtsSamples, PredictedForce
 
 from benchmarks.figure import Measured
 from benchmarks.lossy_link import LossyLink, NetworkError
-from benchmarks.processes import ProfiledDomain, on_cores, start_node
+from benchmarks.processes import ProfiledDomain, cpu_seconds, on_cores, start_node
 from mr_damper_ros.nodes import quality
 from mr_damper_ros.nodes.observer import Observer
-from mr_damper_ros.processes.programs import PATIENCE, Program, cpu_seconds
+from mr_damper_ros.processes.programs import PATIENCE, Program
 from mr_damper_ros.tracking.acceptance import Verdict
 from mr_damper_ros.tracking.window_assembler import WindowSettings
 
@@ -214,10 +214,10 @@ def _deactivate(observer: Observer, bridge: str) -> None:
 def _used(hosts: dict[str, Program], bridges: Sequence[Program]) -> dict[str, float]:
     """Processor time [s] so far, by kind of process."""
     return {
-        "identifiers": hosts["identifier"].cpu_seconds,
+        "identifiers": cpu_seconds(hosts["identifier"].pid),
         "workers": sum(map(cpu_seconds, hosts["identifier"].children)),
-        "models": hosts["model"].cpu_seconds,
-        "bridges": sum(bridge.cpu_seconds for bridge in bridges),
+        "models": cpu_seconds(hosts["model"].pid),
+        "bridges": sum(cpu_seconds(bridge.pid) for bridge in bridges),
     }
 
 

@@ -19,11 +19,11 @@ from rcl_interfaces.srv import SetParameters
 from rclpy.parameter import Parameter
 
 from benchmarks.figure import Measured
-from benchmarks.processes import ProfiledDomain, start_node
+from benchmarks.processes import ProfiledDomain, resident_bytes, start_node
 from mr_damper_ros.models.parameter_set import ParameterSet
 from mr_damper_ros.nodes import quality
 from mr_damper_ros.nodes.observer import Observer
-from mr_damper_ros.processes.programs import Program, RosDomain, node_arguments, resident_bytes
+from mr_damper_ros.processes.programs import Program, RosDomain, node_arguments
 from mr_damper_ros.tracking.state_directory import StateDirectory, StateError
 from mr_damper_ros.tracking.tracker import TrackerMemory
 from mr_damper_ros.tracking.tracker_state import from_text
@@ -465,7 +465,7 @@ def _watch(rig: ThreeNodes, turn: Callable[[], None], duration: float) -> dict[s
         if worker is None:
             continue  # it would be an error in the log
         for name, node in rig.nodes.items():
-            used[name].append(node.resident_bytes)
+            used[name].append(resident_bytes(node.pid))
         used["worker"].append(resident_bytes(worker))
         # Received messages are discarded, so that the memory of this program does not grow.
         del rig.reports[:-1000], rig.sets[:-1000]

@@ -43,6 +43,19 @@ def start_node(program: str, domain: RosDomain, *arguments: str, **parameters: o
     return Program([str(path), *arguments, *node_arguments(parameters)], domain.environment)
 
 
+def resident_bytes(pid: int) -> int:
+    """Memory in use [B] of a process (resident set), shared libraries included."""
+    pages = int(Path(f"/proc/{pid}/statm").read_text().split()[1])
+    return pages * os.sysconf("SC_PAGE_SIZE")
+
+
+def cpu_seconds(pid: int) -> float:
+    """Processor time used so far [s] by a process, without child processes."""
+    # The name of the program, in parentheses, may contain blanks.
+    fields = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
+    return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
+
+
 @contextmanager
 def on_cores(cores: Sequence[int] | None) -> Iterator[None]:
     """Context in which started programs run on these cores only; None means any core."""

@@ -33,7 +33,6 @@ from mr_damper_ros.nodes.messages import (
 )
 from mr_damper_ros.nodes.node_parameters import ConfigurationError, NodeParameters
 from mr_damper_ros.nodes.spinning import run
-from mr_damper_ros.processes.programs import HELP
 from mr_damper_ros.processes.worker import Worker, WorkerPool
 from mr_damper_ros.settings.option_table import ParameterTable, group, option
 from mr_damper_ros.signals.blocks import NANOSECONDS, SampleBlock
@@ -401,6 +400,6 @@ def main(pool: WorkerPool) -> int:
         node,
         IdentifierParameters,
         between=IdentifierNode.attend_in_time,
-        hosted=HELP,
+        hosted=True,
         shared_workers=True,
     )

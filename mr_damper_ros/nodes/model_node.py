@@ -15,7 +15,6 @@ from mr_damper_ros.nodes.messages import PredictionMessage
 from mr_damper_ros.nodes.mirrors import JoinedMirror, SignalMirror, WrenchMirror
 from mr_damper_ros.nodes.parameter_input import PARAMETERS_TOPIC, SetOptions
 from mr_damper_ros.nodes.spinning import run
-from mr_damper_ros.processes.programs import HELP
 from mr_damper_ros.settings.option_table import group, option
 from mr_damper_ros.signals.blocks import SampleBlock
 from mr_damper_ros.signals.error_sums import RunningError
@@ -146,4 +145,4 @@ class ModelNode(BlockNode[ModelParameters, Prediction]):
 
 def main() -> int:
     """Run the node, or one in each of several namespaces."""
-    return run(ModelNode, ModelParameters, between=ModelNode.finish_in_time, hosted=HELP)
+    return run(ModelNode, ModelParameters, between=ModelNode.finish_in_time, hosted=True)

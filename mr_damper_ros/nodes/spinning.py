@@ -30,7 +30,7 @@ from mr_damper_ros.nodes.node_parameters import ConfigurationError
 from mr_damper_ros.nodes.quality import OVERRIDES
 from mr_damper_ros.nodes.rclpy_internals import RCLError, given_parameters
 from mr_damper_ros.processes.blas_threads import keep_one_thread
-from mr_damper_ros.processes.programs import WORKERS_HELP, Place, hosting
+from mr_damper_ros.processes.programs import Place, hosting, hosting_parser
 from mr_damper_ros.settings.option_table import ParameterTable, describe
 
 SUCCESS = 0
@@ -54,13 +54,13 @@ def run(
     arguments: Sequence[str] | None = None,
     ended: Callable[[N], int | None] = lambda _: None,
     between: Callable[[N], float] = lambda _: _WAKE_UP,
-    hosted: str = "",
+    hosted: bool = False,
     shared_workers: bool = False,
 ) -> int:
     """Run a node until SIGINT, SIGTERM or the end of its work; returns the exit code.
 
-    ``hosted`` is the help for hosting a node in each of several namespaces. The factory is then
-    called for each namespace with ``cli_args``, as rclpy's Node takes them. With ``shared_workers``
+    With ``hosted``, the command line may ask for a node in each of several namespaces. The factory
+    is then called for each with ``cli_args``, as rclpy's Node takes them. With ``shared_workers``
     the nodes share worker processes, and the command line may give their number.
 
     ``ended`` returns the exit code once the node's work is over, None before. ``between`` is called
@@ -76,7 +76,9 @@ def run(
         if "-h" in others or "--help" in others:
             print("Parameters, set by --ros-args -p NAME:=VALUE or --params-file FILE:\n")
             print(describe(parameters))
-            print(hosted + (WORKERS_HELP if shared_workers else ""), end="")
+            if hosted:
+                print("One process may hold a node in each of several namespaces:\n")
+                print(hosting_parser(shared_workers=shared_workers).format_help(), end="")
             return SUCCESS
         places: tuple[Place, ...] = ()
         if hosted:

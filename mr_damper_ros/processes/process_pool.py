@@ -27,11 +27,11 @@ from concurrent.futures import (
     ProcessPoolExecutor,
     wait,
 )
+from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from functools import partial
 from multiprocessing.queues import SimpleQueue
 from pathlib import Path
-from types import TracebackType
 from typing import Any, TypeVar
 
 from mr_damper_ros.processes import child_process
@@ -52,7 +52,7 @@ _PATIENCE = 0.05
 """Seconds between two checks for progress of the processes."""
 
 
-class ProcessPool:
+class ProcessPool(AbstractContextManager):
     """A context with ``count`` processes, started when there are tasks for them.
 
     With a count of one, or in a process that may not have children (a daemon of
@@ -65,15 +65,7 @@ class ProcessPool:
         self.count = 1 if multiprocessing.current_process().daemon else count
         self._pool: ProcessPoolExecutor | None = None
 
-    def __enter__(self) -> ProcessPool:
-        return self
-
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         if self._pool is not None:
             self._stop.set()
             self._pool.shutdown(wait=True, cancel_futures=True)
@@ -91,32 +83,44 @@ class ProcessPool:
         their present results. ``done`` is called with each result as soon as it is complete, in any
         order.
         """
-        hear = listen or _go_on
-        if self.count == 1 or len(tasks) < 2:
-            return _one_after_another(function, tasks, hear, done)
-        pool = self._started()
-        numbered: dict[Future[Result], int] = {
-            pool.submit(_call, function, task, index): index for index, task in enumerate(tasks)
-        }
         results: list[Result | None] = [None] * len(tasks)
+        stopped = False
+
+        def tell(index: int, news: Any) -> bool:
+            nonlocal stopped
+            stopped = stopped or not (listen is None or listen(index, news))
+            return not stopped
+
+        def keep(index: int, result: Result) -> None:
+            results[index] = result
+            if done is not None:
+                done(index, result)
+
+        if self.count == 1 or len(tasks) < 2:
+            for index, task in enumerate(tasks):
+                if not stopped:
+                    with one_thread():
+                        result = function(task, partial(tell, index))
+                    keep(index, result)
+            return results
+        pool = self._started()
+        numbered = {pool.submit(_call, function, t, index): index for index, t in enumerate(tasks)}
         waiting = set(numbered)
         try:
             while waiting:
                 finished, waiting = wait(waiting, timeout=_PATIENCE)
                 for future in finished:
                     if not future.cancelled():
-                        results[numbered[future]] = future.result()
-                        if done is not None:
-                            done(numbered[future], future.result())
-                for index, news in self._heard():
-                    if not self._stop.is_set() and not hear(index, news):
+                        keep(numbered[future], future.result())
+                for index, news in self._news():
+                    if not self._stop.is_set() and not tell(index, news):
                         self._end(waiting)
         except BaseException:
             self._end(waiting)
             while waiting:
                 waiting = wait(waiting, timeout=_PATIENCE).not_done
                 # A process whose progress is not read cannot end.
-                self._heard()
+                self._news()
             raise
         return results
 
@@ -125,73 +129,40 @@ class ProcessPool:
         for future in waiting:
             future.cancel()
 
-    def _heard(self) -> list[tuple[int, Any]]:
+    def _news(self) -> list[tuple[int, Any]]:
         news = []
-        while not self._told.empty():
-            news.append(self._told.get())
+        while not self._progress.empty():
+            news.append(self._progress.get())
         return news
 
     def _started(self) -> ProcessPoolExecutor:
         if self._pool is None:
             context = multiprocessing.get_context("spawn")
             self._stop = context.Event()
-            self._told: SimpleQueue[tuple[int, Any]] = context.SimpleQueue()
-            self._pool = ProcessPoolExecutor(
-                self.count,
-                context,
-                initializer=_begin,
-                initargs=(os.getpid(), self._stop, self._told),
-            )
+            self._progress: SimpleQueue[tuple[int, Any]] = context.SimpleQueue()
+            channel = (os.getpid(), self._stop, self._progress)
+            self._pool = ProcessPoolExecutor(self.count, context, _begin, channel)
         return self._pool
-
-
-def _go_on(index: int, news: Any) -> bool:
-    return True
-
-
-def _one_after_another(
-    function: Callable[[Task, Tell], Result],
-    tasks: Sequence[Task],
-    listen: Listen,
-    done: Callable[[int, Result], None] | None,
-) -> list[Result | None]:
-    results: list[Result | None] = [None] * len(tasks)
-    stopped = False
-
-    def hear(index: int, news: Any) -> bool:
-        nonlocal stopped
-        stopped = stopped or not listen(index, news)
-        return not stopped
-
-    for index, task in enumerate(tasks):
-        if stopped:
-            break
-        with one_thread():
-            result = function(task, partial(hear, index))
-        results[index] = result
-        if done is not None:
-            done(index, result)
-    return results
 
 
 _channel: tuple[Any, SimpleQueue[tuple[int, Any]]] | None = None
 """In a pool process: the stop event and the queue for progress."""
 
 
-def _begin(parent: int, stop: Any, told: SimpleQueue[tuple[int, Any]]) -> None:
+def _begin(parent: int, stop: Any, progress: SimpleQueue[tuple[int, Any]]) -> None:
     global _channel
-    _channel = stop, told
+    _channel = stop, progress
     child_process.compute_for(parent)
 
 
 def _call(function: Callable[[Task, Tell], Result], task: Task, index: int) -> Result:
     assert _channel is not None
-    stop, told = _channel
+    stop, progress = _channel
 
     def tell(news: Any) -> bool:
         if stop.is_set():
             return False
-        told.put((index, news))
+        progress.put((index, news))
         return True
 
     return function(task, tell)
@@ -251,21 +222,17 @@ class LocalProcesses(Workforce):
         self.end()
         self._context = child_process.FreshContext()
         self._pool = ProcessPoolExecutor(
-            self._count,
-            self._context,
-            initializer=child_process.compute_for,
-            initargs=(os.getpid(),),
+            self._count, self._context, child_process.compute_for, (os.getpid(),)
         )
         return self._pool
 
     def end(self) -> None:
         """End the processes, even if they are busy."""
-        if self._pool is None:
-            return
-        self._pool.shutdown(wait=False, cancel_futures=True)
-        for process in self._context.children:
-            process.kill()
-        self._pool = None
+        if self._pool is not None:
+            self._pool.shutdown(wait=False, cancel_futures=True)
+            for process in self._context.children:
+                process.kill()
+            self._pool = None
 
 
 class DaskCluster(Workforce):
@@ -384,27 +351,44 @@ def finish(
     waiting, suspects = deque(tasks), deque[KeptTask]()
     losses: Counter[str] = Counter()
     under_way: dict[Future[Document], KeptTask] = {}
+
+    def submit(source: deque[KeptTask]) -> None:
+        under_way[executor.submit(call, source[0])] = source[0]
+        source.popleft()
+
+    def repeat_or_give_up(task: KeptTask) -> None:
+        """Treat a task that was interrupted by the death of its process."""
+        # The task may have stored its document before its process could report it.
+        document = results.kept(task)
+        if document is not None:
+            finished(task, document)
+            return
+        losses[task.name] += 1
+        if losses[task.name] >= _GIVEN_UP:
+            lost(task)
+        elif losses[task.name] >= _SUSPECT:
+            suspects.append(task)
+        else:
+            waiting.appendleft(task)
+
     executor = workforce.start()
     try:
         while waiting or suspects or under_way:
-            broken = False
+            broken = []
             try:
                 while waiting and len(under_way) < workforce.at_once:
-                    under_way[executor.submit(call, waiting[0])] = waiting[0]
-                    waiting.popleft()
+                    submit(waiting)
                 if suspects and not under_way:
-                    under_way[executor.submit(call, suspects[0])] = suspects[0]
-                    suspects.popleft()
-            except workforce.breaks_with:
-                broken = True
-            done = wait(under_way, return_when=FIRST_COMPLETED).done if under_way else set()
-            for future in done:
-                task = under_way.pop(future)
+                    submit(suspects)
+            except workforce.breaks_with as error:
+                broken.append(error)
+            for future in wait(under_way, return_when=FIRST_COMPLETED).done if under_way else ():
+                task = under_way[future]
                 try:
                     document = future.result()
-                except workforce.breaks_with:
-                    broken = True
-                    under_way[future] = task
+                except workforce.breaks_with as error:
+                    broken.append(error)
+                    continue
                 except workforce.loses_with:
                     lost(task)
                 except (Exception, CancelledError) as error:
@@ -415,39 +399,16 @@ def finish(
                     if not workforce.shares_folders and final(document):
                         results.keep(task, document)
                     finished(task, document)
+                del under_way[future]
             if broken:
-                _sort_out(under_way, results, losses, waiting, suspects, finished, lost)
+                for task in under_way.values():
+                    repeat_or_give_up(task)
+                under_way.clear()
                 executor = workforce.start()
     finally:
         for future in under_way:
             future.cancel()
         workforce.end()
-
-
-def _sort_out(
-    under_way: dict[Future[Document], KeptTask],
-    results: ResultFolder,
-    losses: Counter[str],
-    waiting: deque[KeptTask],
-    suspects: deque[KeptTask],
-    finished: Callable[[KeptTask, Document], None],
-    lost: Callable[[KeptTask], None],
-) -> None:
-    """After the death of all processes, repeat the interrupted tasks or give them up."""
-    for task in under_way.values():
-        # The task may have stored its document before its process could report it.
-        document = results.kept(task)
-        if document is not None:
-            finished(task, document)
-            continue
-        losses[task.name] += 1
-        if losses[task.name] >= _GIVEN_UP:
-            lost(task)
-        elif losses[task.name] >= _SUSPECT:
-            suspects.append(task)
-        else:
-            waiting.appendleft(task)
-    under_way.clear()
 
 
 @dataclass(frozen=True)

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
+import argparse
 import atexit
-import contextlib
 import os
 import re
 import signal
@@ -11,29 +11,15 @@ import socket
 import subprocess
 import time
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
-from dataclasses import dataclass
+from contextlib import AbstractContextManager, contextmanager, suppress
 from pathlib import Path
-from types import TracebackType
-
-HELP = """\
-One process may hold a node in each of several namespaces:
-
-  --namespace NAME[=FILE]  a node in this namespace, with this parameter file; once for each
-"""
-
-WORKERS_HELP = """\
-  --workers NUMBER         worker processes for all of them (default: as many as processors)
-"""
+from typing import NamedTuple, NoReturn
 
 _NAME = re.compile(r"/?[A-Za-z_][A-Za-z0-9_]*(/[A-Za-z_][A-Za-z0-9_]*)*")
 """A ROS namespace, possibly nested."""
 
-_NAMESPACE, _WORKERS = "--namespace", "--workers"
 
-
-@dataclass(frozen=True)
-class Place:
+class Place(NamedTuple):
     """A namespace for a node, and the path of its parameter file, empty for none."""
 
     namespace: str
@@ -46,8 +32,7 @@ class Place:
         return ["--ros-args", "-r", f"__ns:=/{self.namespace}", *file]
 
 
-@dataclass(frozen=True)
-class Hosting:
+class Hosting(NamedTuple):
     """``places`` of nodes, empty for a single node as usual, and the ``rest`` of the arguments."""
 
     places: tuple[Place, ...]
@@ -55,37 +40,63 @@ class Hosting:
     rest: tuple[str, ...]
 
 
+class _Parser(argparse.ArgumentParser):
+    def error(self, message: str) -> NoReturn:
+        raise ValueError(message)
+
+
+def hosting_parser(*, shared_workers: bool = True) -> argparse.ArgumentParser:
+    """The options of a program that may hold a node in each of several namespaces.
+
+    If its nodes share no workers, there is no option for their number.
+    """
+    parser = _Parser(add_help=False, allow_abbrev=False, usage=argparse.SUPPRESS)
+    parser.add_argument(
+        "--namespace",
+        type=_place,
+        action="append",
+        default=[],
+        metavar="NAME[=FILE]",
+        help="a node in this namespace, with this parameter file; once for each",
+    )
+    if shared_workers:
+        parser.add_argument(
+            "--workers",
+            type=_positive,
+            metavar="NUMBER",
+            help="worker processes for all of them (default: as many as processors)",
+        )
+    return parser
+
+
+def _place(text: str) -> Place:
+    name, _, file = text.partition("=")
+    if not _NAME.fullmatch(name):
+        raise argparse.ArgumentTypeError(
+            f"a name has letters, digits and underscores, unlike {name!r}"
+        )
+    return Place(name.lstrip("/"), file)
+
+
+def _positive(text: str) -> int:
+    if not text.isdecimal() or int(text) < 1:
+        raise argparse.ArgumentTypeError(f"the number must be at least 1, not {text!r}")
+    return int(text)
+
+
 def hosting(arguments: Sequence[str], *, shared_workers: bool = True) -> Hosting:
     """Parse the arguments of a program, without its name and the ROS arguments.
 
-    If its nodes share no workers, the option for their number stays in ``rest``.
-
     Raises ValueError, with a sentence, if the arguments are invalid.
     """
-    places: list[Place] = []
-    workers = 0
-    rest: list[str] = []
-    left = iter(arguments)
-    for argument in left:
-        if argument == _NAMESPACE:
-            name, _, file = next(left, "").partition("=")
-            if not _NAME.fullmatch(name):
-                raise ValueError(
-                    f"{_NAMESPACE} needs a name of letters, digits and underscores, not {name!r}"
-                )
-            places.append(Place(name.lstrip("/"), file))
-        elif argument == _WORKERS and shared_workers:
-            given = next(left, "")
-            if not given.isdecimal() or int(given) < 1:
-                raise ValueError(f"{_WORKERS} needs a number of at least 1, not {given!r}")
-            workers = int(given)
-        else:
-            rest.append(argument)
-    names = [place.namespace for place in places]
+    parser = hosting_parser(shared_workers=shared_workers)
+    options, rest = parser.parse_known_args(arguments)
+    names = [place.namespace for place in options.namespace]
     for name in names:
         if names.count(name) > 1:
             raise ValueError(f"the namespace {name} is given twice")
-    return Hosting(tuple(places), workers or min(max(len(places), 1), _processors()), tuple(rest))
+    workers = getattr(options, "workers", None) or min(max(len(names), 1), _processors())
+    return Hosting(tuple(options.namespace), workers, tuple(rest))
 
 
 def worker_count(arguments: Sequence[str]) -> int:
@@ -106,8 +117,6 @@ def _processors() -> int:
 
 PATIENCE = 60.0
 """Deadline [s] for waiting; generous, for a loaded machine."""
-
-_TICKS = os.sysconf("SC_CLK_TCK")
 
 
 class ProgramError(RuntimeError):
@@ -179,24 +188,15 @@ class Program:
         return " / ".join(self.log.strip().splitlines()[-3:])
 
     @property
-    def resident_bytes(self) -> int:
-        """Memory in use [B] (resident set), without child processes."""
-        return resident_bytes(self.pid)
-
-    @property
-    def cpu_seconds(self) -> float:
-        """Processor time used so far [s], without child processes."""
-        return cpu_seconds(self.pid)
-
-    @property
     def children(self) -> list[int]:
         """Ids of its running child processes."""
         found = []
-        for entry in Path("/proc").iterdir():
-            if entry.name.isdigit():
-                with contextlib.suppress(OSError):  # it has just ended
-                    if int(_fields(int(entry.name))[1]) == self.pid:
-                        found.append(int(entry.name))
+        for entry in Path("/proc").glob("[0-9]*"):
+            with suppress(OSError):  # it has just ended
+                # The name, in parentheses, may contain blanks.
+                fields = (entry / "stat").read_text().rpartition(")")[2].split()
+                if int(fields[1]) == self.pid:
+                    found.append(int(entry.name))
         return found
 
     def wait_for_log(self, part: str, patience: float = PATIENCE) -> None:
@@ -269,26 +269,8 @@ def node_arguments(
     return arguments
 
 
-def resident_bytes(pid: int) -> int:
-    """Memory in use [B] of a process (resident set), shared libraries included."""
-    pages = int(Path(f"/proc/{pid}/statm").read_text().split()[1])
-    return pages * os.sysconf("SC_PAGE_SIZE")
-
-
-def cpu_seconds(pid: int) -> float:
-    """Processor time used so far [s] by a process, without child processes."""
-    fields = _fields(pid)
-    return (int(fields[11]) + int(fields[12])) / _TICKS
-
-
 def _content(file: int) -> str:
     return os.pread(file, os.fstat(file).st_size, 0).decode(errors="replace")
-
-
-def _fields(pid: int) -> list[str]:
-    """State, parent id and the following fields of Linux's /proc/PID/stat."""
-    # The name, in parentheses, may contain blanks: the fields are counted from its end.
-    return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
 
 
 _NUMBERS = range(61, 101)
@@ -298,7 +280,7 @@ _FIRST_PORT = 20_000
 """An open port, this number plus the number of the domain, reserves the domain."""
 
 
-class RosDomain:
+class RosDomain(AbstractContextManager):
     """A ROS domain reserved for this object, across all processes, until it is closed.
 
     Raises RuntimeError if no domain is free.
@@ -340,13 +322,5 @@ class RosDomain:
         """Release the domain."""
         self._socket.close()
 
-    def __enter__(self) -> RosDomain:
-        return self
-
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self.close()
