@@ -228,9 +228,7 @@ def test_what_is_missing_makes_the_force_invalid_with_the_reason(
         ("node", "x" * 1000, "the name of the node of the parameters is"),
     ],
 )
-def test_a_message_of_unusable_parameters_is_refused(
-    field: str, value: Any, sentence: str
-) -> None:
+def test_a_message_of_unusable_parameters_is_refused(field: str, value: Any, sentence: str) -> None:
     bad = parameters_message(TRUE_SET, "damper", "/test")
     setattr(bad, field, value)
     with pytest.raises(ParameterError) as refused:
