@@ -88,8 +88,7 @@ def streams() -> dict[str, Callable[[], Said]]:
     for each in foreign_dampers.COMBINATIONS[::5]:
         found[f"foreign {each.name}"] = partial(_combination, each.number)
     for number, case in enumerate(switched_current.CASES):
-        name = f"switched {case.damper.set_id} by {case.model}, {case.motion}, {case.current}"
-        found[name] = partial(_switched, number)
+        found[f"switched {case.name}"] = partial(_switched, number)
     if recordings.folder() is not None:
         for law in ("sigmoid_lag", "series_springs"):
             for number in (0, 2, 4, 7):

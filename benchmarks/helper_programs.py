@@ -6,46 +6,22 @@ send-current A   commands a current twenty times a second, until it is stopped
 view URL N       sends the requests of N browsers to a page
 
 The relays do the minimum work of a node. They are the reference for the latency of the model and of
-the controller, with the same messages and quality of service, on the default executor of rclpy. A
-further program keeps a core busy and ends with the program that started it
-(:func:`start_busy_loop`).
+the controller, with the same messages and quality of service, on the default executor of rclpy.
 """
 
 from __future__ import annotations
 
 import http.client
 import json
-import signal
 import sys
 import threading
 import time
 from collections.abc import Callable
 from urllib.parse import urlsplit
 
-from mr_damper_ros.processes import child_process
-from mr_damper_ros.processes.programs import Program
-
 RELAY_SAMPLES, RELAY_FORCE, RELAY_COMMAND = "relay/samples", "relay/force", "relay/current_command"
 
 _SIGNALS_EVERY, _SAMPLES_EVERY, _STATUS_EVERY = 0.1, 0.25, 0.5
-
-
-def start_helper(name: str, *arguments: str, environment: dict[str, str] | None = None) -> Program:
-    """Start one of these programs."""
-    return Program(
-        [sys.executable, "-m", "benchmarks.helper_programs", name, *arguments], environment
-    )
-
-
-def start_busy_loop() -> Program:
-    """Start a program that is always busy."""
-    return Program(child_process.command(_keep_busy))
-
-
-def _keep_busy() -> None:
-    signal.signal(signal.SIGINT, signal.SIG_DFL)  # so it is ended
-    while True:
-        pass
 
 
 # -- relays --------------------------------------------------------------------------------------

@@ -33,8 +33,8 @@ from sensor_msgs.msg import Temperature
 from std_msgs.msg import Header
 
 from benchmarks.figure import Measured
-from benchmarks.node_soak import ThreeNodes, three_nodes
-from benchmarks.processes import resident_bytes
+from benchmarks.kills import ThreeNodes, three_nodes
+from benchmarks.nodes import resident_bytes
 from mr_damper_ros.models.published import THESIS_28_CELSIUS
 from mr_damper_ros.models.sigmoid.law import PARAMETER_NAMES
 from mr_damper_ros.nodes import quality
@@ -137,9 +137,9 @@ class _Sender:
         deaf = self._listen()
         result = []
         for name in _NODES:
-            if not self._rig.nodes[name].running:
+            if not self._rig.programs[name].running:
                 raise RuntimeError(
-                    f"the {name} has ended after {case.name}: {self._rig.nodes[name].last_words}"
+                    f"the {name} has ended after {case.name}: {self._rig.programs[name].last_words}"
                 )
             peak = sum(_peak_bytes(pid) for pid in self._processes(name))
             result.append(Harm(case.name, name, deaf[name], (peak - before[name]) / _MB))
@@ -193,7 +193,7 @@ class _Sender:
         return deaf
 
     def _processes(self, name: str) -> list[int]:
-        node = self._rig.nodes[name]
+        node = self._rig.programs[name]
         return [node.pid, *node.children]
 
     def _memory(self, name: str) -> int:

@@ -10,8 +10,8 @@ import os
 import struct
 import tempfile
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import ExitStack, closing, nullcontext
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import nullcontext
 from pathlib import Path
 from typing import Any
 
@@ -23,7 +23,6 @@ from mr_damper_msgs.msg import (
     PredictedForce,
     SupplyCurrent,
 )
-from rclpy.executors import SingleThreadedExecutor
 from rclpy.serialization import deserialize_message, serialize_message
 
 from benchmarks.figure import Measured
@@ -31,22 +30,19 @@ from benchmarks.helper_programs import (
     RELAY_COMMAND,
     RELAY_FORCE,
     RELAY_SAMPLES,
-    start_busy_loop,
-    start_helper,
 )
+from benchmarks.nodes import Nodes, cpu_seconds, on_cores
 from benchmarks.other_dampers import random_motion
-from benchmarks.processes import ProfiledDomain, cpu_seconds, driver_node, on_cores, start_node
 from mr_damper_ros.emulation.emulator import EmulatedDamper, EmulatedRig, RigSettings
 from mr_damper_ros.emulation.motions import SineMotion
 from mr_damper_ros.models.parameter_set import ParameterSet
 from mr_damper_ros.models.published import THESIS_28_CELSIUS
 from mr_damper_ros.nodes import quality
-from mr_damper_ros.nodes.messages import current_message, samples_message, to_nanoseconds
+from mr_damper_ros.nodes.messages import current_message, samples_message
 from mr_damper_ros.nodes.spinning import make_executor
 from mr_damper_ros.processes.programs import PATIENCE
 from mr_damper_ros.signals.arrays import Array
 from mr_damper_ros.signals.blocks import NANOSECONDS, SampleBlock
-from mr_damper_ros.tracking.validity import ValiditySettings
 
 DURATION = 120.0
 RATE, BLOCK = 1000.0, 10
@@ -99,22 +95,16 @@ def blocks_of(motion: str, size: int, duration: float) -> list[SampleBlock]:
 class Route:
     """One of the two paths of a block: the topic on which it is sent, and its answers.
 
-    The results are listed by the index of the first sample. ``latencies`` [s] are the times from
-    the publication of a block to the arrival of its answer. If ``dated``, ``ages`` [s] are the ages
-    of the last sample at the publication of the answer. ``valid_ones`` are the indices of answers
-    with content: a valid force, or a current. Answers are stored in serialised form and read after
-    the measurement, so that this process causes no delay.
+    Blocks have the index of their first sample. Answers are stored in serialised form and read
+    after the measurement, so that this process causes no delay.
     """
 
-    def __init__(
-        self, node: Any, samples_topic: str, kind: type, topic: str, *, dated: bool
-    ) -> None:
+    def __init__(self, node: Any, samples_topic: str, kind: type, topic: str) -> None:
         self._node, self._kind, self._topic = node, kind, topic
         self._sent: dict[int, float] = {}
-        self._heard: list[tuple[bytes, float, int]] = []
+        self._heard: list[tuple[bytes, float]] = []
         self._publisher = node.create_publisher(MtsSamples, samples_topic, quality.stream())
-        hear = self._hear_dated if dated else self._hear
-        node.create_subscription(kind, topic, hear, quality.stream(), raw=True)
+        node.create_subscription(kind, topic, self._hear, quality.stream(), raw=True)
 
     def is_connected(self, nodes: int = 1) -> bool:
         """Whether this number of nodes receives the blocks and a node answers."""
@@ -126,41 +116,22 @@ class Route:
         return len(self._heard) >= len(self._sent)
 
     @property
-    def answers(self) -> int:
-        """Number of answers received."""
-        return len(self._heard)
-
-    @property
     def lost(self) -> int:
         """Number of blocks without an answer."""
         return len(self._sent.keys() - {number for number, *_ in self._read()})
 
-    @property
-    def latencies(self) -> dict[int, float]:
-        """Latencies [s] in the order of the answers."""
-        return {
-            number: arrival - self._sent[number]
-            for number, _, arrival, _ in self._read()
-            if number in self._sent
-        }
+    def latencies(self, first: int) -> Array:
+        """Times [s] from publication to answer, for blocks from this index on."""
+        return np.array([late for number, late, _ in self._read() if number >= first])
 
     @property
-    def ages(self) -> dict[int, float]:
-        """Ages [s] for the answers whose publication time is known."""
-        return {
-            number: (published_ns - to_nanoseconds(message.header.stamp)) / NANOSECONDS
-            - len(message.force) * message.period
-            for number, message, _, published_ns in self._read()
-        }
-
-    @property
-    def valid_ones(self) -> set[int]:
-        """Indices of the blocks whose answer has content."""
-        return {
+    def useful(self) -> list[int]:
+        """Indices of the blocks whose answer has content: a valid force, or a current."""
+        return [
             number
-            for number, message, *_ in self._read()
+            for number, _, message in self._read()
             if (message.valid if self._kind is PredictedForce else message.current != 0.0)
-        }
+        ]
 
     def forget(self) -> None:
         """Discard the blocks and answers so far."""
@@ -175,103 +146,77 @@ class Route:
         self._publisher.publish(message)
 
     def _hear(self, message: bytes) -> None:
-        self._heard.append((message, time.monotonic(), 0))
+        self._heard.append((message, time.monotonic()))
 
-    def _hear_dated(self, message: bytes, way: Mapping[str, int]) -> None:
-        # This process may be late itself: the middleware tells when the answer was published.
-        self._heard.append((message, time.monotonic(), way["source_timestamp"]))
-
-    def _read(self) -> Iterator[tuple[int, Any, float, int]]:
+    def _read(self) -> Iterator[tuple[int, float, Any]]:
         # A command has no number: there blocks are answered one after the other.
         blocks = list(self._sent)
-        for place, (serialised, arrival, published_ns) in enumerate(self._heard):
+        for place, (serialised, arrival) in enumerate(self._heard):
             message = deserialize_message(serialised, self._kind)
             number = message.seq if self._kind is PredictedForce else blocks[place]
-            yield number, message, arrival, published_ns
+            if number in self._sent:
+                yield number, arrival - self._sent[number], message
 
 
-class SideBySide:
+class SideBySide(Nodes):
     """A node and a relay that receive blocks from this process.
 
     With ``commands``, the node is the controller, and each block waits for the command of the
-    previous one. Otherwise it is the model, with an ``identifier`` if requested. ``cores`` are the
-    cores on which these run, together with ``busy`` programs that never pause; None means any core.
-    ``dated`` records the ages of the answers, which requires a slower executor.
+    previous one. Otherwise it is the model, with an ``identifier`` if requested.
     """
 
-    def __init__(
-        self,
-        *,
-        commands: bool = False,
-        identifier: bool = False,
-        cores: Sequence[int] | None = None,
-        busy: int = 0,
-        dated: bool = False,
-    ) -> None:
+    def __init__(self, *, commands: bool = False, identifier: bool = False) -> None:
+        super().__init__()
         self._commands = commands
-        with ExitStack() as stack:
-            domain = self.domain = stack.enter_context(closing(ProfiledDomain()))
-            folder = stack.enter_context(tempfile.TemporaryDirectory())
-            file = Path(folder) / "parameters.yaml"
-            known = ParameterSet(
-                THESIS_28_CELSIUS, peak_velocity_range=(0.0, 0.1), current_range=(0.0, 2.0)
-            )
-            file.write_text(known.to_yaml(), encoding="utf-8")
-            name, relay = ("controller", "command-relay") if commands else ("model", "relay")
-            # Where this computer is busy, blocks wait for the commands of those before.
-            patient = {"samples_timeout": _NO_COMMAND, "max_age": 0.0} if commands else {}
-            with on_cores(cores):
-                self._relay = start_helper(relay, environment=domain.environment)
-                stack.callback(self._relay.close)
-                self._node = start_node(name, domain, parameter_file=file, **patient)
-                stack.callback(self._node.close)
-            if identifier:
-                stack.callback(start_node("identifier", domain, initial_parameters=str(file)).close)
-            driver = driver_node(stack, domain)
-            # The events executor does not hand on when a message was published.
-            make = SingleThreadedExecutor if dated else make_executor
-            self._executor = make(context=driver.context)
-            self._executor.add_node(driver)
-            stack.callback(self._executor.shutdown)
-            stream = quality.stream()
-            self._supply = driver.create_publisher(SupplyCurrent, "supply/current", stream)
-            self._desired = driver.create_publisher(DesiredForce, "damper/desired_force", stream)
-            kind: type = CurrentCommand if commands else PredictedForce
-            ways = ("supply/current_command", RELAY_COMMAND)
-            answers = ways if commands else ("damper/predicted_force", RELAY_FORCE)
-            self.node = Route(driver, "mts/samples", kind, answers[0], dated=dated)
-            self.relay = Route(driver, RELAY_SAMPLES, kind, answers[1], dated=dated)
-            nodes = 2 if identifier else 1
+        self._folder = tempfile.TemporaryDirectory()
+        file = Path(self._folder.name) / "parameters.yaml"
+        known = ParameterSet(
+            THESIS_28_CELSIUS, peak_velocity_range=(0.0, 0.1), current_range=(0.0, 2.0)
+        )
+        file.write_text(known.to_yaml(), encoding="utf-8")
+        self._names = ("controller", "command-relay") if commands else ("model", "relay")
+        # Where this computer is busy, blocks wait for the commands of those before.
+        patient = {"samples_timeout": _NO_COMMAND, "max_age": 0.0} if commands else {}
+        self.start_helper(self._names[1])
+        self.start(self._names[0], parameter_file=file, **patient)
+        if identifier:
+            self.start("identifier", initial_parameters=file)
+        driver = self.observer.node
+        self._executor = make_executor(context=driver.context)
+        self._executor.add_node(driver)
+        self._supply = driver.create_publisher(SupplyCurrent, "supply/current", quality.stream())
+        self._desired = driver.create_publisher(
+            DesiredForce, "damper/desired_force", quality.stream()
+        )
+        kind: type = CurrentCommand if commands else PredictedForce
+        ways = ("supply/current_command", RELAY_COMMAND)
+        answers = ways if commands else ("damper/predicted_force", RELAY_FORCE)
+        self.node = Route(driver, "mts/samples", kind, answers[0])
+        self.relay = Route(driver, RELAY_SAMPLES, kind, answers[1])
+        nodes = 2 if identifier else 1
 
-            def connected() -> bool:
-                taken = self._supply.get_subscription_count() >= nodes
-                return taken and self.node.is_connected(nodes) and self.relay.is_connected()
+        def connected() -> bool:
+            taken = self._supply.get_subscription_count() >= nodes
+            return taken and self.node.is_connected(nodes) and self.relay.is_connected()
 
-            self._spin_until(time.monotonic() + PATIENCE, connected)
-            if not connected():
-                raise RuntimeError("a node or the relay did not start")
-            with on_cores(cores):
-                for _ in range(busy):
-                    stack.callback(start_busy_loop().close)
-            self._stack = stack.pop_all()
+        self._spin_until(time.monotonic() + PATIENCE, connected)
+        if not connected():
+            raise RuntimeError("a node or the relay did not start")
 
-    def __enter__(self) -> SideBySide:
-        return self
-
-    def __exit__(self, *error: object) -> None:
-        self._stack.close()
+    def close(self) -> None:
+        """End all programs."""
+        self._executor.shutdown()
+        super().close()
+        self._folder.cleanup()
 
     @property
     def cpu_seconds(self) -> Array:
         """Processor time [s] of the node and of the relay so far, shape (2,)."""
-        return np.array([cpu_seconds(self._node.pid), cpu_seconds(self._relay.pid)])
+        return np.array([cpu_seconds(self.programs[name].pid) for name in self._names])
 
     def latencies(self, first: int) -> list[Array]:
         """Latencies of node and relay [s], for blocks from this index on."""
-        return [
-            np.array([late for number, late in route.latencies.items() if number >= first])
-            for route in (self.node, self.relay)
-        ]
+        return [route.latencies(first) for route in (self.node, self.relay)]
 
     def send(self, blocks: Sequence[SampleBlock]) -> None:
         """Send each block at its time and wait for the answers.
@@ -306,15 +251,10 @@ class SideBySide:
                     self._spin_until(time.monotonic() + _NO_COMMAND, route.is_answered)
                     if not route.is_answered():
                         raise RuntimeError(f"block {number} has no command")
-        last, before = time.monotonic(), -1
-        while self._answers < 2 * len(blocks) and time.monotonic() - last < _SILENT:
-            self._spin_until(time.monotonic() + 0.1)
-            if self._answers > before:
-                last, before = time.monotonic(), self._answers
-
-    @property
-    def _answers(self) -> int:
-        return self.node.answers + self.relay.answers
+        self._spin_until(
+            time.monotonic() + _SILENT,
+            lambda: self.node.is_answered() and self.relay.is_answered(),
+        )
 
     def _spin_until(self, due: float, done: Callable[[], bool] = lambda: False) -> None:
         while (left := due - time.monotonic()) > 0.0 and not done():
@@ -333,7 +273,7 @@ def _ratios(commands: bool, duration: float) -> Measured:
     with SideBySide(commands=commands) as both:
         both.send(blocks)
         first = round(SETTLED * RATE)
-        useful = sum(number >= first for number in both.node.valid_ones)
+        useful = sum(number >= first for number in both.node.useful)
         if useful < _USEFUL[commands] * (len(blocks) - first // BLOCK):
             raise RuntimeError("the answers are not valid: their latency is of no use")
         latencies = both.latencies(first)
@@ -350,19 +290,12 @@ def figures(duration: float = DURATION) -> Measured:
     return _ratios(commands=False, duration=duration) | _ratios(commands=True, duration=duration)
 
 
-# -- blocks of one sample, and an overload ---------------------------------------------------------
+# -- blocks of one sample --------------------------------------------------------------------------
 
 MOTIONS = ("sine", "random")
 
-_BUSY = 6
-"""Number of programs that keep the core of the nodes busy."""
 
-_ON_THE_WAY = 0.05
-"""Time [s] allowed between the age check in the model and the publication of the force, because the
-busy programs may occupy the processor in between."""
-
-
-def single_sample_figures(duration: float = 60.0, overload_duration: float = 15.0) -> Measured:
+def single_sample_figures(duration: float = 60.0) -> Measured:
     """Measure the model, with the identifier running, and the relay, all on two cores."""
     lost, p99, cpu, notes = [], [], [], []
     for motion in MOTIONS:
@@ -372,7 +305,7 @@ def single_sample_figures(duration: float = 60.0, overload_duration: float = 15.
             both.send(blocks)
             used = (both.cpu_seconds - before) / duration
             late = [1e3 * float(np.quantile(x, 0.99)) for x in both.latencies(round(3.0 * RATE))]
-            valid = len(both.node.valid_ones) / len(blocks)
+            valid = len(both.node.useful) / len(blocks)
             notes.append(f"{motion}: the relay lost {both.relay.lost}; valid {valid:.1%}")
             lost.append(float(both.node.lost))
         p99.append((late[0] / late[1], "{:.2f} ms beside {:.2f} ms".format(*late)))
@@ -381,33 +314,13 @@ def single_sample_figures(duration: float = 60.0, overload_duration: float = 15.
         "single_sample_lost": (lost, "; ".join(notes)),
         "single_sample_p99_ratio": ([x for x, _ in p99], "; ".join(told for _, told in p99)),
         "single_sample_cpu_ratio": ([x for x, _ in cpu], "; ".join(told for _, told in cpu)),
-        "stale_valid": _stale_valid(overload_duration),
     }
-
-
-def _stale_valid(duration: float) -> tuple[float, str]:
-    """Number of forces published too late but marked valid; the driver has a separate core."""
-    driver, *others = sorted(os.sched_getaffinity(0))
-    core = others[:1] or [driver]
-    with SideBySide(cores=core, busy=_BUSY, dated=True) as both, on_cores([driver]):
-        both.send(blocks_of("random", 1, duration))
-        ages, valid = both.node.ages, both.node.valid_ones
-        most = ValiditySettings().max_age + _ON_THE_WAY
-        stale = {number for number, age in ages.items() if age > most}
-        return float(len(stale & valid)), (
-            f"{len(stale)} were older, {len(valid)} valid, of these the oldest "
-            f"{max((ages[k] for k in valid), default=0.0):.2f} s; the relay lost "
-            f"{both.relay.lost}, its oldest came after "
-            f"{max(both.relay.ages.values(), default=0.0):.2f} s."
-        )
 
 
 # -- beside a page that is looked at ---------------------------------------------------------------
 
 
-def page_ratio(
-    watched: Callable[[ProfiledDomain], Any], segment: float, segments: int
-) -> tuple[float, str]:
+def page_ratio(watched: Callable[[Nodes], Any], segment: float, segments: int) -> tuple[float, str]:
     """99th percentile of the latency of the model while ``watched``, over that while not watched.
 
     The two states alternate for ``segments`` times ``segment`` [s] each.
@@ -418,7 +331,7 @@ def page_ratio(
         for number in range(2 * segments):
             both.node.forget()
             both.relay.forget()
-            with watched(both.domain) if number % 2 else nullcontext():
+            with watched(both) if number % 2 else nullcontext():
                 both.send(blocks)
             found[number % 2].append(both.latencies(round(SETTLED * RATE))[0])
     without, beside = (1e3 * float(np.quantile(np.concatenate(x), 0.99)) for x in found)

@@ -1,29 +1,36 @@
-"""The nodes under load: samples lost, windows fitted, processor time.
+"""The nodes under load: samples lost, windows fitted, processor time, memory over hours.
 
 One damper at 1 and at 5 kHz; eight dampers at once, their identifiers and models in two processes;
-bridge and nodes on two machines with a bad network between them.
+bridge and nodes on two machines with a bad network between them; a page with viewers; hours of data
+at increased speed.
 """
 
 from __future__ import annotations
 
 import os
+import statistics
 import time
 from collections import Counter, defaultdict
-from collections.abc import Callable, Sequence
-from contextlib import AbstractContextManager, ExitStack, closing, nullcontext
+from collections.abc import Callable, Iterator
+from contextlib import AbstractContextManager, closing, contextmanager, nullcontext
 from dataclasses import dataclass, field
 
 from diagnostic_msgs.msg import DiagnosticArray
 from lifecycle_msgs.msg import Transition
 from lifecycle_msgs.srv import ChangeState
 from mr_damper_msgs.msg import FitReport, MtsSamples, PredictedForce
+from rcl_interfaces.srv import SetParameters
+from rclpy.parameter import Parameter
 
 from benchmarks.figure import Measured
+from benchmarks.helper_programs import Viewer
+from benchmarks.kills import ThreeNodes, three_nodes
+from benchmarks.latency import page_ratio
 from benchmarks.lossy_link import LossyLink, NetworkError
-from benchmarks.processes import ProfiledDomain, cpu_seconds, on_cores, start_node
+from benchmarks.nodes import Nodes, ProfiledDomain, cpu_seconds, on_cores, resident_bytes
 from mr_damper_ros.nodes import quality
-from mr_damper_ros.nodes.observer import Observer
 from mr_damper_ros.processes.programs import PATIENCE, Program
+from mr_damper_ros.tools.demo import page_of
 from mr_damper_ros.tracking.acceptance import Verdict
 from mr_damper_ros.tracking.window_assembler import WindowSettings
 
@@ -60,47 +67,33 @@ class Load:
     inside: Callable[[str], AbstractContextManager[None]] = lambda side: nullcontext()
 
 
-class Counted:
-    """Counts the samples that are missing from a stream of blocks, which begins with sample 0."""
+class Fleet(Nodes):
+    """The nodes of all dampers, and what was received from them.
 
-    def __init__(self) -> None:
-        self.end = 0
-        self.missing = 0
+    These are diagnostics, fit reports and, if requested, samples.
+    """
 
-    def take(self, sequence: int, count: int) -> None:
-        """Count a block; samples of a delayed block remain counted as missing."""
-        self.missing += max(sequence - self.end, 0)
-        self.end = max(self.end, sequence + count)
-
-
-class Fleet:
-    """Messages received from the nodes: diagnostics, fit reports and, if requested, samples."""
-
-    def __init__(self, observer: Observer, load: Load) -> None:
-        self._observer, self._rate = observer, load.rate
-        self.names = (
-            [f"damper_{number}" for number in range(1, load.dampers + 1)]
-            if load.dampers > 1
-            else [""]
-        )
+    def __init__(self, load: Load) -> None:
+        with load.inside("left"):
+            super().__init__(load.domain())
+        self._load = load
+        numbers = range(1, load.dampers + 1)
+        self.names = [f"damper_{number}" for number in numbers] if load.dampers > 1 else [""]
         self._said: dict[str, dict[str, str]] = {}
         self.skipped = 0
         self.reports: dict[str, list[FitReport]] = defaultdict(list)
-        self.heard: dict[str, Counted] = {}
+        self._missing: Counter[str] = Counter()
         self._last_report = time.monotonic()
-        observer.listen(DiagnosticArray, "/diagnostics", quality.stream(), self._take)
+        self.observer.listen(DiagnosticArray, "/diagnostics", quality.stream(), self._take)
         for name in self.names:
-            self._listen(FitReport, f"/{name}/damper/fit_report", self._keep(name))
+            self._listen(FitReport, name, "damper/fit_report", self._keep(name))
             if load.listens:
-                for kind, topic in (
-                    (MtsSamples, "mts/samples"),
-                    (PredictedForce, "damper/predicted_force"),
-                ):
-                    counted = self.heard[topic] = Counted()
-                    self._listen(kind, f"/{name}/{topic}", self._count(counted))
+                self._listen(MtsSamples, name, "mts/samples", self._count("mts/samples"))
+                topic = "damper/predicted_force"
+                self._listen(PredictedForce, name, topic, self._count(topic))
 
-    def _listen(self, kind: type, topic: str, hear: Callable[..., None]) -> None:
-        self._observer.listen(kind, topic.replace("//", "/"), quality.lossless(), hear)
+    def _listen(self, kind: type, name: str, topic: str, hear: Callable[..., None]) -> None:
+        self.observer.listen(kind, _full(name, topic), quality.lossless(), hear)
 
     def _keep(self, name: str) -> Callable[[FitReport], None]:
         def keep(report: FitReport) -> None:
@@ -110,8 +103,20 @@ class Fleet:
 
         return keep
 
-    def _count(self, counted: Counted) -> Callable[[MtsSamples | PredictedForce], None]:
-        return lambda message: counted.take(message.seq, len(message.force))
+    def _count(self, topic: str) -> Callable[[MtsSamples | PredictedForce], None]:
+        """Count the samples that are missing from a stream of blocks, which begins with sample 0.
+
+        Samples of a delayed block remain counted as missing.
+        """
+        end = 0
+        self._missing[topic] = 0
+
+        def count(message: MtsSamples | PredictedForce) -> None:
+            nonlocal end
+            self._missing[topic] += max(message.seq - end, 0)
+            end = max(end, message.seq + len(message.force))
+
+        return count
 
     def _take(self, message: DiagnosticArray) -> None:
         for status in message.status:
@@ -120,38 +125,82 @@ class Fleet:
                 self._said[status.name] = values
                 self.skipped += int(values.get("skipped blocks", 0))
 
-    def _words(self, name: str, what: str) -> dict[str, str]:
-        return self._said.get(f"{name}/{what}".lstrip("/"), {})
-
     def sent(self, name: str) -> int:
         """Number of samples that the bridge of a damper has sent, according to its diagnostics."""
-        return int(self._words(name, "bridge: source").get("samples sent", 0))
+        said = self._said.get(f"{name}/bridge: source".lstrip("/"), {})
+        return int(said.get("samples sent", 0))
 
     def losses(self) -> dict[str, int]:
         """Number of samples that were lost or could not be used, by place."""
         lost: Counter[str] = Counter()
         for node in ("identifier", "model"):
             for name in self.names:
-                said = self._words(name, f"{node}: input")
+                said = self._said[f"{name}/{node}: input".lstrip("/")]
                 lost[f"at the {node}"] += int(said["lost"]) + int(said["rejected messages"])
-        for topic, counted in self.heard.items():
-            lost[f"of {topic}"] = counted.missing
-        return dict(lost)
+        return {**lost, **{f"of {topic}": count for topic, count in self._missing.items()}}
 
     def unfitted(self, name: str) -> int:
         """Number of windows of the sent samples that were not fitted or whose fit failed."""
-        known = self.sent(name) / self._rate - _CURRENT_PERIOD
+        known = self.sent(name) / self._load.rate - _CURRENT_PERIOD
         windows = int((known - WindowSettings.window) / WindowSettings.hop + 1e-9) + 1
         fitted = [r for r in self.reports[name] if r.verdict != Verdict.FAILED]
         return max(windows - len(fitted), 0)
 
+    def begin(self) -> None:
+        """Start all nodes, and wait for samples of all bridges."""
+        load = self._load
+        places = [text for name in self.names if name for text in ("--namespace", name)]
+        with load.inside("right"):
+            self.start("identifier", *places)
+            self.start("model", *places, **load.model)
+        for name in self.names:
+            for topic in ("damper/predicted_force", "damper/fit_report"):
+                self.observer.wait_for_publishers(_full(name, topic))
+        with load.inside("left"):
+            for name in self.names:
+                self.start_as(
+                    f"{name} bridge",
+                    "bridge",
+                    *("--ros-args", "-r", f"__ns:=/{name}", "--"),
+                    wait_for_subscribers=3 if load.listens else 2,
+                    wait_timeout=PATIENCE,
+                    emulated__sample_rate=load.rate,
+                    block_size=load.block,
+                )
+        self.observer.until(lambda: all(map(self.sent, self.names)), "samples of all bridges")
+
+    def used(self) -> dict[str, float]:
+        """Processor time [s] so far, by kind of process."""
+        found = {name: cpu_seconds(program.pid) for name, program in self.programs.items()}
+        return {
+            "identifiers": found["identifier"],
+            "workers": sum(map(cpu_seconds, self.programs["identifier"].children)),
+            "models": found["model"],
+            "bridges": sum(used for name, used in found.items() if name.endswith("bridge")),
+        }
+
     def drain(self) -> None:
         """Wait until all windows are fitted or reports stop, then for the diagnostics."""
-        self._observer.spin_for(_QUIET)
+        for name in self.names:
+            _deactivate(self, _full(name, "bridge"))
+        self.observer.spin_for(_QUIET)
         while any(map(self.unfitted, self.names)):
             if time.monotonic() - self._last_report > _PATIENCE:
                 break
-            self._observer.spin_for(_QUIET)
+            self.observer.spin_for(_QUIET)
+
+    @property
+    def told(self) -> tuple[float, str]:
+        """Number of samples lost, and details."""
+        losses = self.losses()
+        where = ", ".join(f"{count} {place}" for place, count in losses.items())
+        sent, fits = sum(map(self.sent, self.names)), sum(map(len, self.reports.values()))
+        note = f"{where}; {sent} sent, {fits} fits, {self.skipped} blocks skipped by a model."
+        return float(sum(losses.values())), note
+
+
+def _full(name: str, topic: str) -> str:
+    return f"/{name}/{topic}" if name else f"/{topic}"
 
 
 def measure(load: Load, duration: float) -> tuple[Fleet, dict[str, float]]:
@@ -159,74 +208,23 @@ def measure(load: Load, duration: float) -> tuple[Fleet, dict[str, float]]:
 
     Returns the received messages and the processor time of each kind of process [s/s].
     """
-    with ExitStack() as stack:
-        stack.enter_context(on_cores(sorted(os.sched_getaffinity(0))[:2]))
-        domain = stack.enter_context(closing(load.domain()))
-        with load.inside("left"):
-            observer = stack.enter_context(closing(Observer(domain=domain)))
-        fleet = Fleet(observer, load)
-        places = [text for name in fleet.names if name for text in ("--namespace", name)]
-        with load.inside("right"):
-            hosts = {
-                node: stack.enter_context(closing(start_node(node, domain, *places, **given)))
-                for node, given in (("identifier", {}), ("model", load.model))
-            }
-        for name in fleet.names:
-            for topic in ("damper/predicted_force", "damper/fit_report"):
-                observer.wait_for_publishers(f"/{name}/{topic}".replace("//", "/"))
-        with load.inside("left"):
-            bridges = [
-                stack.enter_context(
-                    closing(
-                        start_node(
-                            "bridge",
-                            domain,
-                            *("--ros-args", "-r", f"__ns:=/{name}", "--"),
-                            wait_for_subscribers=3 if load.listens else 2,
-                            wait_timeout=PATIENCE,
-                            emulated__sample_rate=load.rate,
-                            block_size=load.block,
-                        )
-                    )
-                )
-                for name in fleet.names
-            ]
-        observer.until(lambda: all(map(fleet.sent, fleet.names)), "samples of all bridges")
-        observer.spin_for(_SETTLED)
-        began, before = time.monotonic(), _used(hosts, bridges)
-        observer.spin_for(duration)
-        elapsed, after = time.monotonic() - began, _used(hosts, bridges)
-        for name in fleet.names:
-            _deactivate(observer, f"/{name}/bridge".replace("//", "/"))
+    with on_cores(sorted(os.sched_getaffinity(0))[:2]), Fleet(load) as fleet:
+        fleet.begin()
+        fleet.observer.spin_for(_SETTLED)
+        began, before = time.monotonic(), fleet.used()
+        fleet.observer.spin_for(duration)
+        elapsed, after = time.monotonic() - began, fleet.used()
         fleet.drain()
         return fleet, {kind: (after[kind] - before[kind]) / elapsed for kind in after}
 
 
-def _deactivate(observer: Observer, bridge: str) -> None:
+def _deactivate(nodes: Nodes, bridge: str) -> None:
     """Stop the samples of a bridge; it still reports how many it has sent."""
-    client = observer.node.create_client(ChangeState, f"{bridge}/change_state")
-    observer.until(client.service_is_ready, f"the services of {bridge}")
+    client = nodes.observer.node.create_client(ChangeState, f"{bridge}/change_state")
+    nodes.observer.until(client.service_is_ready, f"the services of {bridge}")
     request = ChangeState.Request(transition=Transition(id=Transition.TRANSITION_DEACTIVATE))
     future = client.call_async(request)
-    observer.until(future.done, f"the end of the samples of {bridge}")
-
-
-def _used(hosts: dict[str, Program], bridges: Sequence[Program]) -> dict[str, float]:
-    """Processor time [s] so far, by kind of process."""
-    return {
-        "identifiers": cpu_seconds(hosts["identifier"].pid),
-        "workers": sum(map(cpu_seconds, hosts["identifier"].children)),
-        "models": cpu_seconds(hosts["model"].pid),
-        "bridges": sum(cpu_seconds(bridge.pid) for bridge in bridges),
-    }
-
-
-def _told(fleet: Fleet) -> tuple[float, str]:
-    losses = fleet.losses()
-    where = ", ".join(f"{count} {place}" for place, count in losses.items())
-    sent, fits = sum(map(fleet.sent, fleet.names)), sum(map(len, fleet.reports.values()))
-    note = f"{where}; {sent} sent, {fits} fits, {fleet.skipped} blocks skipped by a model."
-    return float(sum(losses.values())), note
+    nodes.observer.until(future.done, f"the end of the samples of {bridge}")
 
 
 def figures(duration: float = 600.0) -> Measured:
@@ -234,8 +232,8 @@ def figures(duration: float = 600.0) -> Measured:
     slow, cpu = measure(Load(), duration)
     fast, _ = measure(Load(rate=5000.0, block=50), duration)
     return {
-        "lost_1khz": _told(slow),
-        "lost_5khz": _told(fast),
+        "lost_1khz": slow.told,
+        "lost_5khz": fast.told,
         "cpu_model_percent": 100.0 * cpu["models"],
         "cpu_identifier_percent": 100.0 * cpu["identifiers"],
     }
@@ -245,7 +243,7 @@ def eight_rig_figures(duration: float = 120.0, dampers: int = 8) -> Measured:
     """All identifiers in a process with two workers, all models in another."""
     fleet, used = measure(Load(dampers, listens=False), duration)
     return {
-        "eight_rigs_lost": _told(fleet),
+        "eight_rigs_lost": fleet.told,
         "eight_rigs_unfitted": float(sum(map(fleet.unfitted, fleet.names))),
         **{f"eight_rigs_cpu_{kind}_percent": 100.0 * share for kind, share in used.items()},
     }
@@ -277,9 +275,131 @@ def lossy_link_figures(duration: float = 60.0) -> Measured:
         with closing(LossyLink(LOSS, DELAY)) as link:
             # Repeated frames are delayed; the force of every block must arrive, delayed or not.
             load = Load(model={"newest_first": False}, domain=NetworkDomain, inside=link.inside)
-            lost, note = _told(measure(load, duration)[0])
+            lost, note = measure(load, duration)[0].told
             return {
                 "lossy_link_lost": (lost, f"{note} {link.dropped} of {link.frames} frames dropped.")
             }
     except NetworkError as error:
         return {"lossy_link_lost": (None, str(error))}
+
+
+# -- a page with viewers ---------------------------------------------------------------------------
+
+VIEWERS = 3
+
+
+@contextmanager
+def watched(nodes: Nodes) -> Iterator[Program]:
+    """A node `live` with its viewers, beside other nodes."""
+    live = nodes.start("live", port=0)
+    nodes.start_helper("view", page_of(live), str(VIEWERS))
+    yield live
+    nodes.end("view")
+    nodes.end("live")
+
+
+def page_figures(
+    duration: float = 300.0, segment: float = 20.0, segments: int = 5, warm: float = 30.0
+) -> Measured:
+    """Resources of the page's node in a complete system, ``warm`` [s] after its start."""
+    with Nodes() as nodes:
+        for name in ("identifier", "model"):
+            nodes.start(name)
+        with watched(nodes) as live:
+            nodes.start("bridge", block_size=10, wait_for_subscribers=2, wait_timeout=PATIENCE)
+            time.sleep(warm)
+            began, before, memory = (
+                time.monotonic(),
+                cpu_seconds(live.pid),
+                resident_bytes(live.pid),
+            )
+            time.sleep(duration)
+            used = (cpu_seconds(live.pid) - before) / (time.monotonic() - began)
+            growth = resident_bytes(live.pid) - memory
+            windows = Viewer(page_of(live)).windows()
+    return {
+        "live_cpu_percent": (100.0 * used, f"{windows} windows."),
+        "live_memory_growth_mb": growth / 1e6,
+        "live_p99_ratio": page_ratio(watched, segment, segments),
+    }
+
+
+# -- hours of data ---------------------------------------------------------------------------------
+
+RATE = 20.0
+"""Speed relative to the data's time."""
+
+_CURRENTS, _TURN = (1.5, 1.0, 0.5), 20.0
+"""Currents [A] that the supply takes in turn, and the duration of each [s]. They cause new
+baselines, a fuller reservoir and refused windows."""
+
+_LOOK = 1.0
+"""Interval [s] between two measurements of the memory in use."""
+
+_EDGE = 0.1
+"""The memory at the start and at the end is the median over this fraction of the run."""
+
+_AT_SPEED: dict[str, dict[str, object]] = {
+    "bridge": {"rate": RATE, "block_size": 100},
+    # On a busy computer, fits fall behind at this speed; the waiting data are not a leak.
+    "identifier": {
+        "hop": 2.0,
+        "waiting_windows": 10,
+        "method": "least_squares",
+        "global_period": 500,
+    },
+}
+
+
+def soak_figures(hours: float = 8.0) -> Measured:
+    """Stream hours of data; the first quarter, at most an hour, is not evaluated.
+
+    Memory grows by design during the first hour, because nodes store the currents of an hour.
+    """
+    growth, errors = soak(hours, min(1.0, 0.25 * hours))
+    return {
+        "soak_growth_mb": (
+            max(growth.values()),
+            ", ".join(f"{name} {value:+.2f}" for name, value in growth.items()),
+        ),
+        "soak_errors": (len(errors), errors[0] if errors else ""),
+    }
+
+
+def soak(hours: float, warm_up: float) -> tuple[dict[str, float], list[str]]:
+    """Memory growth [MB] of each process after ``warm_up`` [h], and the failures."""
+    used: dict[str, list[int]] = defaultdict(list)
+    with three_nodes(_AT_SPEED) as rig:
+        client = rig.observer.node.create_client(SetParameters, "bridge/set_parameters")
+        began, turns = time.monotonic(), 0
+        while (elapsed := time.monotonic() - began) < 3600.0 * hours / RATE:
+            if elapsed >= _TURN * turns:
+                turns += 1
+                current = Parameter("emulated.current", value=_CURRENTS[turns % len(_CURRENTS)])
+                client.call_async(SetParameters.Request(parameters=[current.to_parameter_msg()]))
+            rig.observer.spin_for(_LOOK)
+            if elapsed >= 3600.0 * warm_up / RATE:
+                _note_memory(rig, used)
+        errors = rig.errors + [
+            f"the {name} has ended" for name, node in rig.programs.items() if not node.running
+        ]
+        if not any(report.accepted for report in rig.reports[-100:]):
+            errors.append("no window was accepted at the end")
+    edge = max(round(_EDGE * len(used["worker"])), 1)
+    growth = {
+        name: 1e-6 * (statistics.median(sizes[-edge:]) - statistics.median(sizes[:edge]))
+        for name, sizes in used.items()
+    }
+    return growth, errors
+
+
+def _note_memory(rig: ThreeNodes, used: dict[str, list[int]]) -> None:
+    """Add the memory [B] of each process."""
+    worker = rig.worker
+    if worker is None:
+        return  # it would be an error in the log
+    for name, node in rig.programs.items():
+        used[name].append(resident_bytes(node.pid))
+    used["worker"].append(resident_bytes(worker))
+    # Received messages are discarded, so that the memory of this program does not grow.
+    del rig.reports[:-1000], rig.sets[:-1000]

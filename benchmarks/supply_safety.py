@@ -10,21 +10,17 @@ begin at any time from half a second before to half a second after the death of 
 
 from __future__ import annotations
 
-import os
 import signal
 import threading
 import time
 from collections.abc import Callable
-from contextlib import closing
-from pathlib import Path
 
 import numpy as np
-from ament_index_python.packages import get_package_prefix
 
 from benchmarks.figure import Measured
-from benchmarks.helper_programs import start_helper
 from benchmarks.instrument_server import InstrumentServer
-from mr_damper_ros.processes.programs import PATIENCE, Program, RosDomain, node_arguments
+from benchmarks.nodes import Nodes
+from mr_damper_ros.processes.programs import PATIENCE, Program
 from mr_damper_ros.rig.supplies.scpi_link import EmulatedInstrument
 
 _CURRENT, _NONE = 1.0, 0.02
@@ -49,31 +45,25 @@ _DRIBBLE = 0.2
 """Time [s] between two bytes of an answer that never ends."""
 
 
-class _Rig:
+class _Rig(Nodes):
     """Instrument, node and commander; programs that have died are started again."""
 
     def __init__(self, **parameters: object) -> None:
-        self._parameters = parameters
-        self._domain = RosDomain()
-        self._environment = self._domain.environment
+        super().__init__()
         self.server = InstrumentServer(EmulatedInstrument(time_constant=0.02))
-        self._path = Path(get_package_prefix("mr_damper_ros")) / "lib" / "mr_damper_ros" / "supply"
-        self.node = self._start_node()
-        self.commander = self._start_commander()
+        self._parameters = {"address": self.server.address, **parameters}
+        self.start("supply", **self._parameters)
+        self._command()
 
-    def _start_node(self) -> Program:
-        given = {"address": self.server.address, **self._parameters}
-        return Program([str(self._path), *node_arguments(given)], self._environment)
-
-    def _start_commander(self) -> Program:
-        return start_helper("send-current", str(_CURRENT), environment=self._environment)
+    def _command(self) -> Program:
+        return self.start_helper("send-current", str(_CURRENT))
 
     def until(self, condition: Callable[[float], bool], what: str) -> float:
         """Time [s] until the current in the coil meets the condition."""
         began = time.monotonic()
         while not condition(self.server.instrument.current()):
             if time.monotonic() - began > PATIENCE:
-                raise TimeoutError(f"in vain waited for {what}: {self.node.errors[-500:]}")
+                raise TimeoutError(f"in vain waited for {what}: {self.errors[:5]}")
             time.sleep(0.001)
         return time.monotonic() - began
 
@@ -86,9 +76,8 @@ class _Rig:
         elif event == "link_dead":
             self.server.deaf = True
         else:
-            victim = self.node if event.startswith("node") else self.commander
-            kill = event.endswith("killed")
-            os.kill(victim.pid, signal.SIGKILL if kill else signal.SIGSTOP)
+            victim = self.programs["supply" if event.startswith("node") else "send-current"]
+            victim.send_signal(signal.SIGKILL if event.endswith("killed") else signal.SIGSTOP)
         passed = self.until(lambda current: current < _NONE, "no current")
         self._mend(event)
         return passed
@@ -102,47 +91,39 @@ class _Rig:
         begins = threading.Timer(max(-lead, 0.0), lambda: setattr(self.server, "dribble", _DRIBBLE))
         begins.start()
         time.sleep(max(lead, 0.0))
-        os.kill(self.commander.pid, signal.SIGKILL)
+        self.programs["send-current"].kill()
         passed = self.until(lambda current: current < _NONE, "no current")
         begins.join()
-        self._mend("dribble")
-        self.commander.close()
-        self.commander = self._start_commander()
+        self._mend("commander and node")
         return passed
 
     def _mend(self, event: str) -> None:
         self.server.deaf, self.server.dribble = False, 0.0
-        if event.startswith("commander"):
-            if event.endswith("killed"):
-                self.commander.close()
-                self.commander = self._start_commander()
-            else:
-                os.kill(self.commander.pid, signal.SIGCONT)
-            return
-        if self.node.running:
-            os.kill(self.node.pid, signal.SIGKILL)
-        self.node.close()
-        self.node = self._start_node()
+        if event == "commander_frozen":
+            self.programs["send-current"].send_signal(signal.SIGCONT)
+        elif event.startswith("commander"):
+            self._command()
+        if not event.startswith("commander_"):
+            self.programs["supply"].kill()
+            self.start("supply", **self._parameters)
 
     def close(self) -> None:
         """End all programs."""
-        for program in (self.node, self.commander):
-            if program.running:
-                os.kill(program.pid, signal.SIGKILL)
-            program.close()
+        for program in self.programs.values():
+            program.kill()
+        super().close()
         self.server.close()
-        self._domain.close()
 
 
 def figures(trials: int = 200) -> Measured:
     """Run a total of ``trials`` of all events in turn, and a tenth as many with slow answers."""
     times: dict[str, list[float]] = {event: [] for event in LIMITS}
     given = {"rate": 20.0, "watchdog": _WATCHDOG, "command_timeout": _TIMEOUT}
-    with closing(_Rig(profile="emulated", link_timeout=_LINK, **given)) as rig:
+    with _Rig(profile="emulated", link_timeout=_LINK, **given) as rig:
         for place in range(trials):
             event = list(LIMITS)[place % len(LIMITS)]
             times[event].append(rig.trial(event))
-    with closing(_Rig()) as rig:
+    with _Rig() as rig:
         leads = np.linspace(-0.5, 0.5, max(trials // 10, 3)).tolist()
         dribbling = [rig.dribble(lead) for lead in leads]
     within = sum(t <= LIMITS[event] for event, found in times.items() for t in found)

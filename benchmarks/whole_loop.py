@@ -1,10 +1,5 @@
 """Identifier, model and controller together, with default settings as users start them.
 
-    python -m benchmarks.whole_loop                 all figures
-    python -m benchmarks.whole_loop car A 0         one drive, with a line on it
-    python -m benchmarks.whole_loop switched 3      one run under a switched current
-    python -m benchmarks.whole_loop reversals sine  one case, with and without maximum_error
-
 The loop is that of doc/control.md: a quarter car on a road, the node `suspension` that computes the
 desired force, the controller, the identifier and the model, all with the parameter file of the
 damper (`parameters:=`). The loop runs offline on the time of the stamps, with the objects of the
@@ -13,15 +8,13 @@ nodes.
 
 from __future__ import annotations
 
-import argparse
 import sys
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
-from benchmarks.figure import PROCESSES, Measured, in_processes, parts, table
-from benchmarks.foreign_laws import LAWS, ForeignDamper
+from benchmarks.figure import PROCESSES, Measured, in_processes
 from benchmarks.other_dampers import DAMPERS as OTHER_DAMPERS
 from benchmarks.other_dampers import random_motion
 from mr_damper_ros.api.replay import replay
@@ -30,7 +23,6 @@ from mr_damper_ros.control.linear_plant import IsoRoad, QuarterCar
 from mr_damper_ros.control.semi_active import SuspensionSettings, controller_of
 from mr_damper_ros.emulation.commanded_rig import ForceChoice, turned
 from mr_damper_ros.emulation.emulator import (
-    CurrentSchedule,
     Damper,
     EmulatedDamper,
     EmulatedRig,
@@ -41,7 +33,6 @@ from mr_damper_ros.emulation.emulator import (
 from mr_damper_ros.emulation.motions import Excitation, SineMotion
 from mr_damper_ros.emulation.plant_rig import HIGHEST_CURRENT, HOT_FORCE, PlantRig, invented_damper
 from mr_damper_ros.models.parameter_set import ParameterSet
-from mr_damper_ros.models.published import THESIS_28_CELSIUS
 from mr_damper_ros.rig.sources.emulated_source import moment_of
 from mr_damper_ros.signals.arrays import Array
 from mr_damper_ros.signals.blocks import RigBlock
@@ -88,16 +79,6 @@ class Driven:
     drops: float
     safe: float
     refused_for: dict[str, float]
-
-    @property
-    def told(self) -> str:
-        """A line on it."""
-        return (
-            f"road {self.road}, seed {self.seed}: valid {self.valid:.1%}, NRMSE {self.nrmse:.2%} "
-            f"(exact set {self.exact:.2%}), confirmed {self.confirmed:.0%}, {self.reversals:.1f} "
-            f"reversals/s, {self.drops:.2f} drops/s, {self.safe:.0%} of the time falling back; "
-            + " ".join(f"{kind} {share:.1%}" for kind, share in self.refused_for.items())
-        )
 
 
 def driven(road: str, seed: int, duration: float = DRIVEN, *, given: bool = True) -> Driven:
@@ -197,88 +178,6 @@ def reversals(currents: Array) -> float:
 def drops(falls: Array) -> float:
     """Number of times per second that the command starts to fall back to the safe current."""
     return float(np.count_nonzero(np.diff(falls) > 0.0)) / (falls.size * BLOCK * PERIOD)
-
-
-# -- an emulated rig under a switched current ------------------------------------------------------
-
-SWITCHED = 60.0
-SWITCHED_SEEDS = range(20)
-
-_PERIODS = (0.2, 1.0)
-"""Time [s] for which each current holds."""
-
-THESIS = ParameterSet(THESIS_28_CELSIUS, set_id="thesis", peak_velocity_range=(0.0, 1.0))
-
-
-DAMPERS: dict[str, Callable[[], Damper]] = {
-    "sigmoid": lambda: EmulatedDamper(THESIS),
-    "sigmoid_lag": lambda: EmulatedDamper(invented_damper(LAG)),
-    "herschel_bulkley": lambda: ForeignDamper(LAWS["herschel_bulkley"](1.0)),
-    "gas_bouc_wen": lambda: ForeignDamper(LAWS["gas_bouc_wen"](1.0)),
-}
-"""Runs under a switched current; the identifier uses its default law, sigmoid."""
-
-MOTIONS: dict[str, Callable[[int], Excitation]] = {
-    "sine 1 Hz": lambda _: SineMotion(0.005, 1.0),
-    "random 0.5-3 Hz": lambda seed: random_motion(0.004, 0.5, 3.0, SWITCHED, seed=seed),
-}
-
-
-_OF_WINDOWS = ("nelder_mead", "least_squares", "force_scale", "recursive", "unscented", "")
-"""Methods of reports on single windows; the other methods search in all windows."""
-
-
-@dataclass(frozen=True)
-class Switched:
-    """Result of a run under a switched current.
-
-    ``confirmed`` is a fraction of the windows [1]. ``stuck`` means that no window of the last third
-    was confirmed. ``nrmse`` is that of the valid force in the last third, and ``valid`` the
-    fraction of valid samples there [1].
-    """
-
-    name: str
-    confirmed: float
-    stuck: bool
-    nrmse: float
-    valid: float
-
-    @property
-    def told(self) -> str:
-        """A line on it."""
-        return (
-            f"{self.name}: confirmed {self.confirmed:.0%}{', STUCK' if self.stuck else ''}; in the "
-            f"last third valid {self.valid:.0%}, NRMSE {self.nrmse:.1%}"
-        )
-
-
-def switched(seed: int, duration: float = SWITCHED) -> Switched:
-    """Identify from a cold start while the current switches; the seed sets the other conditions."""
-    damper = list(DAMPERS)[seed % len(DAMPERS)]
-    motion = list(MOTIONS)[seed // len(DAMPERS) % len(MOTIONS)]
-    rng = np.random.default_rng(seed)
-    times = np.concatenate([[0.0], np.cumsum(rng.uniform(*_PERIODS, round(2.0 * duration)))])
-    levels = rng.uniform(0.0, 1.5, times.size)
-    rig = EmulatedRig(
-        DAMPERS[damper](),
-        MOTIONS[motion](seed),
-        CurrentSchedule(times.tolist(), levels.tolist()),
-        settings=RigSettings(displacement_noise=1e-6, seed=seed),
-    )
-    said = replay(rig.record(duration))
-    windows = [each for each in said.reports if each.sample_count and each.method in _OF_WINDOWS]
-    late = said.time > 2.0 / 3.0 * duration
-    right = said.valid & late
-    end_ns = said.start_ns + 2.0 / 3.0 * duration * 1e9
-    last = [report.confirms for report in windows if report.stamp_ns > end_ns]
-    error = (said.predicted - said.measured)[right]
-    return Switched(
-        f"seed {seed}: {damper}, {motion}",
-        float(np.mean([report.confirms for report in windows])),
-        not any(last),
-        float(np.sqrt(np.mean(error**2)) / np.std(said.measured[late])) if right.any() else np.nan,
-        float(np.mean(said.valid[late])),
-    )
 
 
 # -- what the measured force does to the current ---------------------------------------------------
@@ -411,17 +310,14 @@ _FEW = 0.5
 def figures(
     roads: Sequence[str] = ROADS,
     seeds: Sequence[int] = SEEDS,
-    switched_seeds: Sequence[int] = SWITCHED_SEEDS,
     names: Sequence[str] = tuple(CASES),
     processes: int = PROCESSES,
 ) -> Measured:
-    """Validity, error and smoothness of the loop, with one line of text for each run."""
+    """Validity, error and smoothness of the loop; prints each run."""
     drives = in_processes(_driven, [(road, seed) for road in roads for seed in seeds], processes)
-    runs = in_processes(switched, switched_seeds, processes)
     needed = dict.fromkeys((*names, *_TRACKED))
     pairs = dict(zip(needed, in_processes(_pair, list(needed), processes), strict=True))
-    told = [each.told for each in drives] + [each.told for each in runs]
-    print("\n".join([*told, *(_told(*pair) for pair in pairs.items())]), file=sys.stderr)
+    print(*drives, *pairs.items(), sep="\n", file=sys.stderr)
     ratios = {
         name: (pairs[name][0].reversals + _FEW) / (pairs[name][1].reversals + _FEW)
         for name in names
@@ -429,17 +325,11 @@ def figures(
     worst = max(ratios, key=lambda name: ratios[name])
     least = min(drives, key=lambda each: each.valid)
     far = max(drives, key=lambda each: each.nrmse / each.exact)
-    poor = min(runs, key=lambda each: each.confirmed)
     cold, hot, hot_fixed = (pairs[name][0].late for name in _TRACKED)
     return {
         "loop_valid_percent": (100.0 * least.valid, f"Road {least.road}, seed {least.seed}."),
         "loop_nrmse_ratio": (far.nrmse / far.exact, f"Road {far.road}, seed {far.seed}."),
         "loop_drops": max(each.drops for each in drives),
-        "loop_confirmed_percent": (
-            100.0 * poor.confirmed,
-            f"{poor.name}; median {100.0 * float(np.median([r.confirmed for r in runs])):.0f} %.",
-        ),
-        "loop_stuck": (float(sum(each.stuck for each in runs)), f"Of {len(runs)}."),
         "controller_reversals_ratio": (
             ratios[worst],
             f"{worst}; " + ", ".join(f"{name} {each:.2f}" for name, each in ratios.items()),
@@ -453,42 +343,9 @@ def figures(
     }
 
 
-def _told(name: str, pair: tuple[Followed, Followed]) -> str:
-    on, off = pair
-    return (
-        f"{name}: {on.reversals:.1f} reversals/s (maximum_error 0: {off.reversals:.1f}), "
-        f"{on.drops:.2f} drops/s, NRMSE {on.nrmse:.1%} ({off.nrmse:.1%})"
-    )
-
-
 def _driven(task: tuple[str, int]) -> Driven:
     return driven(*task)
 
 
 def _pair(name: str) -> tuple[Followed, Followed]:
     return followed(CASES[name]), followed(CASES[name], watched=False)
-
-
-def main() -> int:
-    """Measure the requested figures."""
-    parser = argparse.ArgumentParser(prog="whole_loop", description=__doc__)
-    parser.add_argument("what", nargs="?", choices=("car", "switched", "reversals"))
-    parser.add_argument("which", nargs="*")
-    given = parser.parse_args()
-    if given.what is None:
-        print(table(parts("bench")["whole_loop"].figures_of(figures())))
-    elif given.what == "switched":
-        for seed in given.which or SWITCHED_SEEDS:
-            print(switched(int(seed)).told, flush=True)
-    elif given.what == "reversals":
-        for name in given.which or CASES:
-            print(_told(name, _pair(name)), flush=True)
-    else:
-        road, *seeds = given.which or ("C",)
-        for seed in seeds or SEEDS:
-            print(driven(road, int(seed)).told, flush=True)
-    return 0
-
-
-if __name__ == "__main__":
-    raise SystemExit(main())

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from backports import zstd
 
-from benchmarks.fuzz import checksum_places
+from benchmarks.hostile import checksum_places
 from mr_damper_ros.io.bag_files import BagError, check_bag_files
 from mr_damper_ros.io.bag_reader import read_bag
 from mr_damper_ros.io.bag_writer import write_bag

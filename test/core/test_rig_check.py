@@ -6,8 +6,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from troubled_rig import FAULTS, MOTIONS, RATE, record
 
-from benchmarks.rig_troubles import FAULTS, MOTIONS, RATE, record
 from mr_damper_ros.rig_check.checks import check_rig
 from mr_damper_ros.rig_check.record import RigRecord, Trouble, channel_lag
 

@@ -1,4 +1,4 @@
-"""Malformed and hostile input: blocks, record files, bags, parameter and state files.
+"""Malformed and hostile input in one campaign: blocks, files, names, recordings and saved states.
 
 Every case corrupts good input. A case fails if it raises an undocumented error, exceeds a time
 limit, or yields a valid value that differs from the law. The same seed gives the same cases.
@@ -12,8 +12,9 @@ import random
 import signal
 import struct
 import tempfile
+import traceback
 from collections import Counter
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from io import BytesIO
 from pathlib import Path
@@ -22,12 +23,29 @@ from typing import Any
 import numpy as np
 from scipy.io import savemat
 
+import mr_damper_ros as mr
 from benchmarks.figure import Measured
+from benchmarks.other_dampers import DAMPERS, stairs, stops
+from mr_damper_ros.emulation.emulator import (
+    CurrentSchedule,
+    EmulatedDamper,
+    EmulatedRig,
+    RigSettings,
+)
+from mr_damper_ros.emulation.faults import Instruments, faults_of
+from mr_damper_ros.emulation.motions import (
+    BandLimitedMotion,
+    Excitation,
+    SineMotion,
+    chirp,
+    stepped,
+)
 from mr_damper_ros.io.bag_files import BagError
 from mr_damper_ros.io.bag_reader import read_bag
 from mr_damper_ros.io.bag_writer import write_bag
 from mr_damper_ros.io.columns import ColumnError, RecordError
 from mr_damper_ros.io.records import read_record
+from mr_damper_ros.models import MODELS
 from mr_damper_ros.models.parameter_set import ParameterError, ParameterSet
 from mr_damper_ros.models.published import THESIS_28_CELSIUS
 from mr_damper_ros.models.sigmoid.law import sine_force
@@ -52,6 +70,9 @@ WORDS = (
     *(b"null", b"~", b"<<: *a", b"!!binary ="),
 )
 
+Try = Callable[[], str]
+"""Runs one case and returns a description of the failure; empty if there is none."""
+
 
 def spoilt(chance: random.Random, good: bytes) -> bytes:
     """The bytes with a few of them changed, removed or doubled, or with words inserted."""
@@ -75,25 +96,17 @@ def spoilt(chance: random.Random, good: bytes) -> bytes:
 
 def motion(time_: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Displacement [m], velocity [m/s] and acceleration [m/s²] of the sine behind all input."""
-    rate = 2.0 * math.pi * FREQUENCY
     # The phase keeps all samples away from the jump of the law between its branches.
-    angle = rate * time_ + 0.3
-    return (
-        AMPLITUDE * np.sin(angle),
-        AMPLITUDE * rate * np.cos(angle),
-        -AMPLITUDE * rate**2 * np.sin(angle),
-    )
+    return SineMotion(AMPLITUDE, FREQUENCY, phase=0.3).at(time_)
 
 
 # -- blocks ------------------------------------------------------------
 
 _BLOCK = 20
 
-_RIGHT = 0.03
-"""Largest RMS error of a valid block against the law, as a fraction of the peak force."""
-
-_SETTLED = 2.0
-"""Time [s] of good samples after which this error limit applies."""
+_RIGHT, _SETTLED = 0.03, 2.0
+"""Largest RMS error of a valid block against the law, as a fraction of the peak force, and the time
+[s] of good samples after which it applies."""
 
 _FOLLOWING, _LONG, _NEW_STREAM = 2, 0.02, 0.2
 """Number of good blocks after a bad one; fraction of the cases that continue until everything has
@@ -102,8 +115,9 @@ settled, and fraction that start a new stream."""
 _BLIND = 0.25
 """Time [s] after a restart in which the motion is unknown: half a cycle."""
 
-_CYCLE = motion(np.linspace(0.0, 0.5, 500))
-_PEAK = float(np.max(np.abs(sine_force(THESIS_28_CELSIUS, *_CYCLE, CURRENT))))
+_PEAK = float(
+    np.max(np.abs(sine_force(THESIS_28_CELSIUS, *motion(np.linspace(0.0, 0.5, 500)), CURRENT)))
+)
 
 
 class HostileStream:
@@ -114,17 +128,13 @@ class HostileStream:
         self._begin()
 
     def _begin(self) -> None:
-        self._predictor = ForcePredictor(PredictorSettings())
-        self._predictor.set_parameters(
-            ParameterSet(
-                THESIS_28_CELSIUS,
-                peak_velocity_range=(0.05, 0.08),
-                current_range=(CURRENT, CURRENT),
-            )
+        known = ParameterSet(
+            THESIS_28_CELSIUS, peak_velocity_range=(0.05, 0.08), current_range=(CURRENT, CURRENT)
         )
+        self._predictor = ForcePredictor(PredictorSettings())
+        self._predictor.set_parameters(known)
         self._assembler = WindowAssembler(0.5, 0.25, 1)
-        self._sample = 0
-        self._good = 0
+        self._sample = self._good = 0
 
     def try_block(self) -> str:
         """One corrupted block, followed by a short or long series of good blocks."""
@@ -132,11 +142,8 @@ class HostileStream:
             self._begin()
         long = self._chance.random() < _LONG
         following = round(2.0 * _SETTLED / PERIOD / _BLOCK) if long else _FOLLOWING
-        for number in range(1 + following):
-            fault = self._follow(spoil=number == 0)
-            if fault:
-                return fault
-        return ""
+        faults = (self._follow(spoil=number == 0) for number in range(1 + following))
+        return next(filter(None, faults), "")
 
     def _follow(self, *, spoil: bool) -> str:
         values = self._next()
@@ -168,20 +175,18 @@ class HostileStream:
             return "valid before anything can be known"
         if good < _SETTLED:
             return ""
-        time_ = (block.sequence + np.arange(block.sample_count)) * PERIOD
-        u, v, a = motion(time_)
-        truth = sine_force(THESIS_28_CELSIUS, u, v, a, np.full(time_.size, CURRENT))
-        error = math.sqrt(float(np.mean((predicted - truth) ** 2)))
-        return f"a force that is wrong by {error:.0f} N is valid" if error > _RIGHT * _PEAK else ""
+        moved = motion((block.sequence + np.arange(block.sample_count)) * PERIOD)
+        error = predicted - sine_force(THESIS_28_CELSIUS, *moved, CURRENT)
+        rms = math.sqrt(float(np.mean(error**2)))
+        return f"a force that is wrong by {rms:.0f} N is valid" if rms > _RIGHT * _PEAK else ""
 
     def _next(self) -> dict[str, Any]:
-        """The next correct block and its current."""
+        """The next correct block; its current is sent."""
         first = self._sample
         self._sample += _BLOCK
         stamp = T0 + round(first * PERIOD * NANOSECONDS)
         self._add_current(stamp, CURRENT)
-        time_ = (first + np.arange(_BLOCK)) * PERIOD
-        u, _, _ = motion(time_)
+        u, _, _ = motion((first + np.arange(_BLOCK)) * PERIOD)
         return {
             "start_ns": stamp,
             "sequence": first,
@@ -193,12 +198,12 @@ class HostileStream:
     def _spoil(self, values: dict[str, Any]) -> None:
         chance = self._chance
         number, count = chance.choice(NUMBERS), chance.choice((0, 1, 5000))
-        spoilt = np.array(values["displacement"])
-        spoilt[chance.randrange(_BLOCK)] = number
+        wrong = np.array(values["displacement"])
+        wrong[chance.randrange(_BLOCK)] = number
         shift = chance.choice((-(10**18), -(10**8), -1, 1, 10**8, 10**18, 2**62))
         change: dict[str, Any] = chance.choice(
             (
-                {chance.choice(("displacement", "force")): spoilt},
+                {chance.choice(("displacement", "force")): wrong},
                 {"displacement": np.full(_BLOCK, number)},
                 {"force": np.zeros(chance.choice((0, 1, 1000)))},
                 {"period": number},
@@ -227,7 +232,7 @@ _COLUMNS = (
     "time:s," + "-," * 500 + "force:N",
 )
 
-YAML = b"""model: bingham
+_YAML = b"""model: bingham
 id: a
 nrmse: 0.1
 current_range: [0, 1.5]
@@ -238,33 +243,24 @@ parameters:
 """
 
 
-def _table() -> np.ndarray:
-    time_ = np.arange(30) * PERIOD
-    return np.column_stack((time_, 1e3 * motion(time_)[0], 1e4 * time_, np.ones(30)))
-
-
-def record_text() -> bytes:
-    """A valid text record."""
-    rows = "\n".join(",".join(f"{value:.6g}" for value in row) for row in _table())
-    return f"t,u,F,i\n{rows}\n".encode()
-
-
-def record_mat() -> bytes:
-    """A valid MAT file."""
-    stored = BytesIO()
-    savemat(stored, {"data": _table(), "name": "x"})
-    return stored.getvalue()
-
-
-def record_bag(folder: Path) -> bytes:
-    """A valid bag without checksums, which would reveal every change."""
+def _good_files(folder: Path) -> dict[str, bytes]:
+    """A valid text record, MAT file, bag and parameter file."""
     time_ = np.arange(200) * PERIOD
     u = motion(time_)[0]
+    table = np.column_stack((time_, 1e3 * u, 1e4 * time_, np.ones(200)))[:30]
+    rows = "\n".join(",".join(f"{value:.6g}" for value in row) for row in table)
+    stored = BytesIO()
+    savemat(stored, {"data": table, "name": "x"})
     write_bag(folder / "good", Recording("good", T0, PERIOD, u, 1e4 * u, np.ones(200)))
-    whole = bytearray(next((folder / "good").glob("*.mcap")).read_bytes())
-    for place in checksum_places(whole):
-        whole[place : place + 4] = bytes(4)
-    return bytes(whole)
+    bag = bytearray(next((folder / "good").glob("*.mcap")).read_bytes())
+    for place in checksum_places(bag):  # they would reveal every change
+        bag[place : place + 4] = bytes(4)
+    return {
+        "text": f"t,u,F,i\n{rows}\n".encode(),
+        "mat": stored.getvalue(),
+        "bag": bytes(bag),
+        "yaml": _YAML,
+    }
 
 
 def checksum_places(whole: bytes | bytearray) -> list[int]:
@@ -279,49 +275,37 @@ def checksum_places(whole: bytes | bytearray) -> list[int]:
     return places
 
 
-def try_record(chance: random.Random, path: Path, data: bytes) -> str:
-    """Read corrupted bytes as a record; returns a description of a wrong result, if any."""
-    path.write_bytes(data)
+def _read_record(chance: random.Random, path: Path) -> list[Recording]:
     columns = _COLUMNS[0] if chance.random() < 0.7 else chance.choice(_COLUMNS)
     options: dict[str, Any] = {}
     if chance.random() < 0.2:
         options = {"current": chance.choice(NUMBERS), "period": chance.choice(NUMBERS)}
-    try:
-        recording = read_record(path, columns, **options)
-        recording.check_plausible()
-    except (RecordError, ColumnError, RecordingError, OSError):
-        return ""
-    return _fault_of(recording)
+    return [read_record(path, columns, **options)]
 
 
-def try_bag(path: Path, data: bytes) -> str:
-    """Read corrupted bytes as a bag; returns a description of a wrong result, if any."""
+def _try_file(path: Path, data: bytes, read: Callable[[Path], Sequence[Recording]]) -> str:
+    """Read corrupted bytes as recordings."""
     path.write_bytes(data)
     try:
-        recordings = read_bag(path)
+        recordings = read(path)
         for recording in recordings:
             recording.check_plausible()
-    except (BagError, RecordingError, OSError):
+    except (BagError, RecordError, ColumnError, RecordingError, OSError):
         return ""
-    return next(filter(None, map(_fault_of, recordings)), "")
+    for found in recordings:
+        for values in (found.displacement, found.force, found.current):
+            if values.shape != (found.sample_count,) or not np.isfinite(values).all():
+                return "a recording with values that are not finite, or missing"
+        if not found.period > 0.0:
+            return "a recording without a period"
+    return ""
 
 
-def _fault_of(recording: Recording) -> str:
-    for values in (recording.displacement, recording.force, recording.current):
-        if values.shape != (recording.sample_count,) or not np.isfinite(values).all():
-            return "a recording with values that are not finite, or missing"
-    return "" if recording.period > 0.0 else "a recording without a period"
-
-
-def try_yaml(data: bytes) -> str:
-    """Read corrupted bytes as a parameter file; returns a description of a wrong result, if any."""
+def _try_yaml(data: bytes) -> str:
+    """Read corrupted bytes as a parameter file."""
     try:
-        text = data.decode()
-    except UnicodeDecodeError:
-        return ""
-    try:
-        parameters = ParameterSet.from_yaml(text)
-    except ParameterError:
+        parameters = ParameterSet.from_yaml(data.decode())
+    except (UnicodeDecodeError, ParameterError):
         return ""
     return "" if np.isfinite(parameters.values).all() else "a parameter that is not finite"
 
@@ -336,10 +320,7 @@ _NAME_PARTS = (
 
 
 class HostileNames:
-    """Names of files in a state folder, next to a file that must stay untouched.
-
-    :mod:`benchmarks.poisoned_starts` corrupts the contents of such files.
-    """
+    """Names of files in a state folder, next to a file that must stay untouched."""
 
     def __init__(self, chance: random.Random, folder: Path) -> None:
         self._chance = chance
@@ -355,7 +336,7 @@ class HostileNames:
         self._set = ParameterSet(THESIS_28_CELSIUS, set_id="good")
 
     def try_name(self) -> str:
-        """Description of a wrong result for a name, if any."""
+        """Load, save or locate a file of a random name."""
         name = "".join(self._chance.choices(_NAME_PARTS, k=self._chance.choice((1, 1, 2, 3))))
         action = self._chance.choice((self._state.load, self._save, self._state.file))
         try:
@@ -376,42 +357,125 @@ class HostileNames:
         return self._state.save(name, self._set)
 
 
-# -- all of them ------------------------------------------------------------
+# -- recordings with little information -----------------------------------------------------------
 
-TIME_LIMIT = 10.0
-"""Time [s] after which a case counts as hanging."""
+_PACKAGE = Path(mr.__file__).parent
+
+_MOTIONS: Mapping[str, Excitation] = {
+    "sine": SineMotion(5e-3, 1.3),
+    "slow": SineMotion(2e-2, 0.05),
+    "tiny": SineMotion(2e-5, 1.0),
+    "random": BandLimitedMotion(1e-2, 0.3, 6.0, 1),
+    "chirp": chirp(4e-3, 0.5, 4.0, 10.0),
+    "stepped": stepped(4e-3, 0.5, 4.0, 10.0),
+    "resting": stops(SineMotion(6e-3, 1.5), 0.3, 3.0, 6),
+    "burst": stairs(2e-2, 3.0, (1.0, 0.2, 0.01), 0.5),
+}
+
+_FAULTS = (
+    *("", "swapped", "backlash", "friction"),
+    *("force_gain:-1", "force_gain:1000", "force_offset:800", "force_clip:300"),
+    *("force_stuck@0.2", "force_spikes:500", "force_delay:0.003", "force_hum:20"),
+    *("displacement_coarse:0.0005", "displacement_stuck@1", "displacement_delay:0.01"),
+)
+"""Faults as text; the first entry means no fault."""
+
+
+def _try_identification(rng: np.random.Generator) -> str:
+    """Identify from recordings of emulated dampers of several laws.
+
+    It must return a set with a finite error or raise a ValueError of this package: the message of
+    an error of a library does not help the user.
+    """
+    law, levels = _one_of(rng, MODELS), float(rng.choice([0.0, 0.1]))
+    damper = _one_of(rng, DAMPERS)
+    recordings = [_poor_recording(damper, rng) for _ in range(rng.integers(1, 4))]
+    try:
+        found = mr.identify(recordings, model=law, level_per_record=levels)
+        end = "" if np.isfinite(found.parameter_set.nrmse) and str(found) else "no number"
+    except Exception as error:  # a failure, except a ValueError of the package
+        place = Path(traceback.extract_tb(error.__traceback__)[-1].filename)
+        ours = isinstance(error, ValueError) and place.is_relative_to(_PACKAGE)
+        end = "" if ours else f"{type(error).__name__}: {error}"
+    told = "; ".join(each.name for each in recordings)
+    return f"{law}, {damper}: {told}: {end}" if end else ""
+
+
+def _poor_recording(damper: str, rng: np.random.Generator) -> Recording:
+    rate = float(rng.choice((100.0, 200.0, 500.0, 1000.0)))
+    count = int(rng.choice((300, 800, 2000)))
+    moved, fault = _one_of(rng, _MOTIONS), str(rng.choice(_FAULTS))
+    each = float(rng.choice([0.2, 1e3]))  # seconds of a current, or one for all
+    times = np.arange(0.0, count / rate, each)
+    faults = faults_of(fault.split())
+    rig = EmulatedRig(
+        EmulatedDamper(DAMPERS[damper]),
+        _MOTIONS[moved],
+        CurrentSchedule(times.tolist(), rng.uniform(0.0, 2.0, times.size).tolist()),
+        settings=RigSettings(
+            sample_rate=rate,
+            force_noise=float(rng.choice((0.0, 0.5, 5.0, 30.0))),
+            displacement_noise=float(rng.choice((0.0, 1e-6, 1e-5))),
+        ),
+        faults=faults,
+    )
+    ((block, _),) = Instruments(faults).read(rig.next_block(count))
+    return Recording(
+        name=f"{moved} {fault or 'sound'} ({count} samples, {rate:g} Hz, {times.size} currents)",
+        start_ns=block.start_ns,
+        period=block.period,
+        displacement=block.displacement,
+        force=block.force,
+        current=block.current,
+    )
+
+
+def _one_of(rng: np.random.Generator, names: Mapping[str, object]) -> str:
+    return list(names)[int(rng.integers(len(names)))]
+
+
+# -- the campaign ---------------------------------------------------------------------------------
 
 _SHARES = {"blocks": 35, "text": 20, "yaml": 20, "names": 23, "mat": 1, "bag": 1}
-"""Percentage of each kind of input."""
+"""Kinds of quick cases, with their percentages."""
+
+TIME_LIMIT = 10.0
+"""Time [s] after which a quick case counts as hanging."""
 
 
 def figures(cases: int = 100_000, seed: int = 0) -> Measured:
-    """Run a number of cases."""
-    tried, faults = campaign(cases, seed, TIME_LIMIT)
-    return {"fuzz_failures": (len(faults), "; ".join([str(dict(tried)), *faults[:3]]))}
-
-
-def campaign(
-    cases: int, seed: int, limit: float | None = None, kinds: tuple[str, ...] = tuple(_SHARES)
-) -> tuple[Counter[str], list[str]]:
-    """Number of cases of each kind, and the failures; ``limit`` [s] is the time limit of a case."""
+    """Run a number of quick cases."""
     chance = random.Random(seed)
-    tried: Counter[str] = Counter()
-    faults: list[str] = []
-    with tempfile.TemporaryDirectory(prefix="fuzz-") as folder:
-        tries = _tries(chance, Path(folder))
-        weights = [_SHARES[kind] for kind in kinds]
-        for number in range(cases):
-            (kind,) = chance.choices(kinds, weights)
-            tried[kind] += 1
-            try:
-                with _limited(limit):
-                    fault = tries[kind]()
-            except Exception as error:
-                fault = f"{type(error).__name__}: {str(error)[:200]}"
+    kinds = chance.choices(list(_SHARES), list(_SHARES.values()), k=cases)
+    faults = campaign(kinds, seed, TIME_LIMIT)
+    return {"fuzz_failures": (len(faults), "; ".join([str(dict(Counter(kinds))), *faults[:3]]))}
+
+
+def identification_figures(cases: int = 100, seed: int = 0) -> Measured:
+    """Run a number of identifications."""
+    faults = campaign(["recording"] * cases, seed)
+    return {"identify_failures": (len(faults), "; ".join([f"Of {cases}.", *faults[:3]]))}
+
+
+def campaign(kinds: Sequence[str], seed: int, limit: float | None = None) -> list[str]:
+    """Failures of a case of each of the ``kinds``; ``limit`` [s] is the time limit of a case."""
+    faults = []
+    with tempfile.TemporaryDirectory(prefix="hostile-") as folder:
+        tries = _tries(random.Random(seed), seed, Path(folder))
+        for number, kind in enumerate(kinds):
+            fault = described(tries[kind], limit)
             if fault:
                 faults.append(f"case {number}, {kind}: {fault}")
-    return tried, faults
+    return faults
+
+
+def described(trial: Try, limit: float | None = None) -> str:
+    """Failure of a case, which may be an error; one slower than ``limit`` [s] fails."""
+    try:
+        with _limited(limit):
+            return trial()
+    except Exception as error:
+        return f"{type(error).__name__}: {str(error)[:200]!a}"
 
 
 @contextmanager
@@ -421,11 +485,8 @@ def _limited(seconds: float | None) -> Iterator[None]:
     def ring(*_: object) -> None:
         raise TimeoutError(f"it takes longer than {seconds} s")
 
-    if seconds is None:
-        yield
-        return
     before = signal.signal(signal.SIGALRM, ring)
-    signal.setitimer(signal.ITIMER_REAL, seconds)
+    signal.setitimer(signal.ITIMER_REAL, seconds or 0.0)
     try:
         yield
     finally:
@@ -433,14 +494,20 @@ def _limited(seconds: float | None) -> Iterator[None]:
         signal.signal(signal.SIGALRM, before)
 
 
-def _tries(chance: random.Random, folder: Path) -> dict[str, Callable[[], str]]:
-    text, mat, bag = record_text(), record_mat(), record_bag(folder)
+def _tries(chance: random.Random, seed: int, folder: Path) -> dict[str, Try]:
+    good = _good_files(folder)
     names = HostileNames(chance, folder / "states" / "state")
+    numbers = iter(range(2**31))
+
+    def file(kind: str, name: str, read: Callable[[Path], Sequence[Recording]]) -> Try:
+        return lambda: _try_file(folder / name, spoilt(chance, good[kind]), read)
+
     return {
         "blocks": HostileStream(chance).try_block,
-        "text": lambda: try_record(chance, folder / "record.csv", spoilt(chance, text)),
-        "mat": lambda: try_record(chance, folder / "record.mat", spoilt(chance, mat)),
-        "bag": lambda: try_bag(folder / "record.mcap", spoilt(chance, bag)),
-        "yaml": lambda: try_yaml(spoilt(chance, YAML)),
+        "text": file("text", "record.csv", lambda path: _read_record(chance, path)),
+        "mat": file("mat", "record.mat", lambda path: _read_record(chance, path)),
+        "bag": file("bag", "record.mcap", read_bag),
+        "yaml": lambda: _try_yaml(spoilt(chance, good["yaml"])),
         "names": names.try_name,
+        "recording": lambda: _try_identification(np.random.default_rng((seed, next(numbers)))),
     }

@@ -1,102 +1,70 @@
-"""Endurance tests of the nodes: kills, Ctrl-C, and hours of data at increased speed."""
+"""Kills and interrupts at random moments: of nodes, of their worker, and of a long program."""
 
 from __future__ import annotations
 
+import json
 import os
 import random
 import signal
-import statistics
+import subprocess
+import sys
 import tempfile
 import time
-from collections.abc import Callable, Iterator, Mapping
-from contextlib import ExitStack, closing, contextmanager
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from mr_damper_msgs.msg import DamperParameters, FitReport, MtsSamples, PredictedForce
-from rcl_interfaces.srv import SetParameters
-from rclpy.parameter import Parameter
 
 from benchmarks.figure import Measured
-from benchmarks.processes import ProfiledDomain, resident_bytes, start_node
+from benchmarks.nodes import Nodes
+from mr_damper_ros.emulation.emulator import EmulatedDamper, EmulatedRig, RigSettings, scaled
+from mr_damper_ros.emulation.motions import SineMotion
 from mr_damper_ros.models.parameter_set import ParameterSet
+from mr_damper_ros.models.published import THESIS_28_CELSIUS
 from mr_damper_ros.nodes import quality
-from mr_damper_ros.nodes.observer import Observer
-from mr_damper_ros.processes.programs import Program, RosDomain, node_arguments
+from mr_damper_ros.processes.programs import Program, node_arguments
 from mr_damper_ros.tracking.state_directory import StateDirectory, StateError
 from mr_damper_ros.tracking.tracker import TrackerMemory
 from mr_damper_ros.tracking.tracker_state import from_text
 
 NODES = ("bridge", "identifier", "model")
 
-_BAD_WORDS = ("[ERROR]", "[FATAL]", "Traceback")
 
+class ThreeNodes(Nodes):
+    """Bridge, identifier and model; the identifier keeps its state in ``folder``.
 
-class ThreeNodes:
-    """The three nodes in a separate domain; the log of each ended node is kept.
-
-    ``options`` are the parameters of each node, in the form that ``start_node`` takes; the
-    identifier keeps its state in ``folder``.
+    ``options`` are the parameters of each node.
     """
 
     def __init__(self, folder: Path, options: Mapping[str, Mapping[str, object]]) -> None:
+        super().__init__()
         self.state = StateDirectory(folder)
         self._options = {**options, "identifier": {**options["identifier"], "state_dir": folder}}
-        self._domain = ProfiledDomain()
-        self._ended: list[str] = []
-        self.observer = Observer(domain=self._domain)
         # Deeper than the queue of the publisher, so that no message replaces an earlier one.
         latched = quality.latched()
         latched.depth = 100
         listen = self.observer.listen
         self.sets: list[DamperParameters] = listen(DamperParameters, "damper/parameters", latched)
         self.reports: list[FitReport] = listen(FitReport, "damper/fit_report", quality.stream())
-        self.nodes: dict[str, Program] = {}
-
-    def begin(self) -> None:
-        """Start all nodes, and wait until they work."""
         for name in NODES:
-            self.start(name)
-        self.observer.wait_for_publishers("mts/samples")
-        self.observer.wait_for_publishers("damper/predicted_force")
+            self.restart(name)
+        for topic in ("mts/samples", "damper/predicted_force"):
+            self.observer.wait_for_publishers(topic)
         self.observer.until(lambda: self.reports, "the first report")
 
-    def close(self) -> None:
-        """Stop all running nodes."""
-        for node in self.nodes.values():
-            node.stop()
-            self._forget(node)
-        self.observer.close()
-        self._domain.close()
-
-    def start(self, name: str) -> Program:
+    def restart(self, name: str) -> Program:
         """Start a node that replaces the ended node of this name."""
-        if name in self.nodes:
-            self._forget(self.nodes[name])
-        self.nodes[name] = start_node(name, self._domain, **self._options[name])
-        return self.nodes[name]
-
-    def _forget(self, node: Program) -> None:
-        self._ended.append(node.log)
-        node.close()
+        return self.start(name, **self._options.get(name, {}))
 
     @property
     def worker(self) -> int | None:
         """Id of the identifier's worker process; None while there is none."""
-        children = self.nodes["identifier"].children
+        children = self.programs["identifier"].children
         return children[0] if children else None
-
-    @property
-    def errors(self) -> list[str]:
-        """Error lines in the logs of all nodes, including ended ones."""
-        running = [node.log for node in self.nodes.values() if node.running]
-        return [
-            line
-            for log in self._ended + running
-            for line in log.splitlines()
-            if any(word in line for word in _BAD_WORDS)
-        ]
 
 
 @contextmanager
@@ -105,9 +73,8 @@ def three_nodes(options: Mapping[str, Mapping[str, object]]) -> Iterator[ThreeNo
     Path("build").mkdir(exist_ok=True)
     with (
         tempfile.TemporaryDirectory(dir="build") as folder,
-        closing(ThreeNodes(Path(folder).absolute(), options)) as rig,
+        ThreeNodes(Path(folder).absolute(), options) as rig,
     ):
-        rig.begin()
         yield rig
 
 
@@ -117,7 +84,6 @@ _HEATING: dict[str, dict[str, object]] = {
     # The damper heats fast, so most windows yield a new set.
     "bridge": {"emulated__heat_capacity": 20.0, "emulated__conductance": 0.0},
     "identifier": {"window": 1.0, "hop": 0.5, "method": "least_squares", "global_period": 0},
-    "model": {},
 }
 
 _TOPICS: dict[str, tuple[type, str]] = {
@@ -126,7 +92,7 @@ _TOPICS: dict[str, tuple[type, str]] = {
     "model": (PredictedForce, "damper/predicted_force"),
     "worker": (FitReport, "damper/fit_report"),
 }
-"""Messages that must resume after the kill of each node."""
+"""Messages that must resume after the kill of each process."""
 
 _LONGEST_WAIT = 2.0
 """Longest random time [s] until the next kill."""
@@ -147,7 +113,7 @@ class Kill:
     fault: str
 
 
-def kill_figures(nodes: int = 100, seed: int = 0) -> Measured:
+def figures(nodes: int = 100, seed: int = 0) -> Measured:
     """Kill each node, and the worker, the same number of times."""
     kills = kill_all(nodes, nodes, seed)
     slowest = {
@@ -183,8 +149,8 @@ def _kill(rig: ThreeNodes, victim: str, chance: random.Random) -> Kill:
     rig.observer.until(lambda: len(rig.sets) > accepted, "another set")
     rig.observer.spin_for(chance.uniform(0.0, _LONGEST_WAIT))
     if victim != "worker" and chance.random() < _PART_IN_START:
-        rig.nodes[victim].kill()
-        rig.start(victim)
+        rig.programs[victim].kill()
+        rig.restart(victim)
         rig.observer.spin_for(chance.uniform(0.0, _LONGEST_WAIT))
     kind, topic = _TOPICS[victim]
     came: list[float] = []
@@ -196,11 +162,10 @@ def _kill(rig: ThreeNodes, victim: str, chance: random.Random) -> Kill:
     subscription = rig.observer.node.create_subscription(kind, topic, hear, quality.stream())
     began = time.monotonic()
     try:
-        if victim == "worker":
-            if rig.worker is not None:
-                os.kill(rig.worker, signal.SIGKILL)
-        else:
-            rig.nodes[victim].kill()
+        if victim != "worker":
+            rig.programs[victim].kill()
+        elif rig.worker is not None:
+            os.kill(rig.worker, signal.SIGKILL)
         if victim == "identifier":
             fault, looked = _restarted(rig, came)
         else:
@@ -215,12 +180,12 @@ def _kill(rig: ThreeNodes, victim: str, chance: random.Random) -> Kill:
 def _gone_on(rig: ThreeNodes, victim: str, came: list[float]) -> str:
     """Faults after the kill of a process other than the identifier."""
     if victim != "worker":
-        rig.start(victim)
-    pid, last = rig.nodes["identifier"].pid, rig.sets[-1].id
+        rig.restart(victim)
+    identifier, last = rig.programs["identifier"], rig.sets[-1].id
     rig.observer.spin_for(_UNDER_WAY)
     came.clear()
     rig.observer.until(lambda: came, f"{victim} after its kill", tick=0.01)
-    if rig.nodes["identifier"].pid != pid or not rig.nodes["identifier"].running:
+    if not identifier.running:
         return "the identifier has ended"
     return "the set was lost" if rig.sets[-1].id == "literature" != last else _read(rig)[2]
 
@@ -235,19 +200,18 @@ def _restarted(rig: ThreeNodes, came: list[float]) -> tuple[str, float]:
     looked = time.monotonic() - began
     came.clear()
     count = len(rig.sets)
-    rig.start("identifier")
+    identifier = rig.restart("identifier")
     rig.observer.until(lambda: len(rig.sets) > count, "the set after a restart", tick=0.01)
     rig.observer.until(lambda: came, "a report after a restart", tick=0.01)
-    if fault or before is None or memory is None:
+    if before is None or memory is None:
         return fault, looked
     again = rig.sets[count]
+    newer = _number(again.id) > _number(before.set_id)
     if not _is_next(before, last):
         fault = f"{before.set_id} was kept, but {last.id} had been published"
-    elif f"going on with parameters {before.set_id} " not in rig.nodes["identifier"].log:
+    elif f"going on with parameters {before.set_id} " not in identifier.log:
         fault = f"{before.set_id} was kept, but it did not go on with it"
-    elif list(again.values) != before.values.tolist() and _number(again.id) <= _number(
-        before.set_id
-    ):
+    elif list(again.values) != before.values.tolist() and not newer:
         fault = f"{before.set_id} was kept, but {again.id} was published"
     rig.observer.until(lambda: rig.reports[-1].accepted, "an accepted window")
     after = _read(rig)[1]
@@ -290,24 +254,26 @@ def _same_baselines(before: TrackerMemory, after: TrackerMemory) -> bool:
 
 # -- Ctrl-C ----------------------------------------------------------------------------------------
 
-INTERRUPTED = ("bridge", "identifier", "live", "model", "replay")
-
 _BAG = Path(__file__).parents[1] / "bags" / "5.0mm_1Hz_1.5A"
 
-_TO_START: dict[str, dict[str, object]] = {
+INTERRUPTED: dict[str, dict[str, object]] = {
+    "bridge": {},
+    "identifier": {},
     "live": {"port": 0},
+    "model": {},
     "replay": {"bag": _BAG, "loop": True, "wait_for_subscribers": 0},
 }
+"""Nodes and their parameters."""
 
-_APART = {"bridge": "/interrupted", "replay": "/interrupted"}
-"""Namespaces. They ensure that identifier and model receive only the bridge that always streams."""
+_SENDING = ("bridge", "replay")
+"""Nodes in another namespace: the others receive only the bridge that always streams."""
 
 START, _OLDEST = 0.8, 3.0
 """Half of the signals arrive at an age of the node below the first number [s], while it loads and
 starts. The other half arrive later, up to the second age [s]."""
 
 _PAUSE = 0.15
-"""Longest time [s] between the first and a second signal."""
+"""Longest time [s] between a first and a second signal."""
 
 _SIGINT_BIT = 1 << (signal.SIGINT - 1)
 
@@ -337,33 +303,30 @@ def interrupt_figures(count: int = 200, seed: int = 0) -> Measured:
 def interrupt_all(count: int, seed: int) -> list[Interrupt]:
     """All interrupts, each node in turn."""
     chance = random.Random(seed)
-    with ExitStack() as stack:
-        domain = stack.enter_context(closing(ProfiledDomain()))
-        stack.enter_context(closing(start_node("bridge", domain)))
-        return [_interrupt(node, domain, chance) for _ in range(count) for node in INTERRUPTED]
+    with Nodes() as nodes:
+        nodes.start_as("stream", "bridge")
+        return [_interrupt(nodes, node, chance) for _ in range(count) for node in INTERRUPTED]
 
 
-def _interrupt(node: str, domain: RosDomain, chance: random.Random) -> Interrupt:
+def _interrupt(nodes: Nodes, node: str, chance: random.Random) -> Interrupt:
     early = chance.random() < 0.5
     age = chance.uniform(0.0, START) if early else chance.uniform(START, _OLDEST)
     pauses = [0.0, *([chance.uniform(0.0, _PAUSE)] if chance.random() < 0.5 else [])]
     began = time.monotonic()
-    namespace = node_arguments({}, {"__ns": _APART.get(node, "/")})
-    process = start_node(node, domain, *namespace, **_TO_START.get(node, {}))
+    namespace = "/interrupted" if node in _SENDING else "/"
+    arguments = node_arguments({}, {"__ns": namespace})
+    process = nodes.start(node, *arguments, **INTERRUPTED[node])
     _wait_until_held_back(process)
     time.sleep(max(began + age - time.monotonic(), 0.0))
     pressed = time.monotonic()
     for pause in pauses:
         time.sleep(pause)
-        if process.running:
-            os.kill(process.pid, signal.SIGINT)
+        process.send_signal(signal.SIGINT)
     code = process.wait()
     duration = time.monotonic() - pressed
-    log = process.log
-    process.close()
     fault = f"exit code {code}" if code else ""
-    if "Traceback" in log or "KeyboardInterrupt" in log:
-        fault += f" {log[-400:]!r}"
+    if "Traceback" in process.log or "KeyboardInterrupt" in process.log:
+        fault += f" {process.log[-400:]!r}"
     return Interrupt(node, age, len(pauses), duration, fault)
 
 
@@ -376,97 +339,107 @@ def _wait_until_held_back(process: Program) -> None:
             return
 
 
-# -- hours of data ---------------------------------------------------------------------------------
+# -- a program that is called again after each kill ------------------------------------------------
 
-RATE = 20.0
-"""Speed relative to the data's time."""
+_RATE = 500.0
 
-_CURRENTS, _CURRENT_PERIOD = (1.5, 1.0, 0.5), 20.0
-"""Currents [A] that the supply takes in turn, and the duration of each [s]. They cause new
-baselines, a fuller reservoir and refused windows."""
-
-_LOOK = 1.0
-"""Interval [s] between two measurements of the memory in use."""
-
-_EDGE = 0.1
-"""The memory at the start and at the end is the median over this fraction of the run."""
-
-_AT_SPEED: dict[str, dict[str, object]] = {
-    "bridge": {"rate": RATE, "block_size": 100},
-    # On a busy computer, fits fall behind at this speed; the waiting data are not a leak.
-    "identifier": {
-        "hop": 2.0,
-        "waiting_windows": 10,
-        "method": "least_squares",
-        "global_period": 500,
-    },
-    "model": {},
+_READING: dict[str, Any] = {
+    "columns": "displacement:mm,force:N,current:A",
+    "period": 1.0 / _RATE,
 }
+"""Options for reading the recordings."""
+
+_SCRIPT = f"""
+import sys
+sys.path[:] = {sys.path!r}
+from pathlib import Path
+from mr_damper_ros.lots.many_dampers import identify_many
+
+if __name__ == "__main__":
+    results = Path(sys.argv[1])
+    lot = results.parent / "lot"
+    identify_many(lot, folder=results, method="least_squares", workers=2, **{_READING!r})
+"""
+
+_SPREAD = 0.03
+"""Standard deviation of the force scale over the lot."""
+
+_LONGEST_CALL = 4.0
+"""Longest time [s] between two kills, which includes the start of the program."""
+
+_PATIENCE = 1800.0
+"""Time limit [s] of the last call."""
 
 
-def stream_figures(hours: float = 8.0) -> Measured:
-    """Stream hours of data; the first quarter, at most an hour, is not evaluated.
+def program_figures(kills: int = 50, seed: int = 0, dampers: int = 300) -> Measured:
+    """Kill ``identify_many`` and one of its processes in turn; stored results must stay as is."""
+    chance = random.Random(seed)
+    faults: list[str] = []
+    seen: dict[Path, int] = {}
+    Path("build").mkdir(exist_ok=True)
+    with tempfile.TemporaryDirectory(dir="build") as folder:
+        place = Path(folder).absolute()
+        (place / "program.py").write_text(_SCRIPT)
+        _write_lot(place / "lot", dampers)
+        results = place / "results"
+        command = [sys.executable, str(place / "program.py"), str(results)]
+        program = subprocess.Popen(command)
+        for number in range(kills):
+            if program.poll() is not None:
+                program = subprocess.Popen(command)
+            time.sleep(chance.uniform(0.0, _LONGEST_CALL))
+            children = _children(program.pid)
+            victim = program.pid if number % 2 == 0 or not children else chance.choice(children)
+            os.kill(victim, signal.SIGKILL)
+            if victim == program.pid:
+                program.wait()
+            faults += _changed(results, seen)
+        program.wait(_PATIENCE)
+        subprocess.run(command, check=True, timeout=_PATIENCE)
+        faults += _changed(results, seen)
+        if len(seen) != dampers:
+            faults.append(f"{dampers - len(seen)} dampers are missing")
+    return {"many_kills_faults": (len(faults), f"{kills} kills. " + "; ".join(faults[:3]))}
 
-    Memory grows by design during the first hour, because nodes store the currents of an hour.
-    """
-    growth, errors = soak(hours, min(1.0, 0.25 * hours))
-    return {
-        "soak_growth_mb": (
-            max(growth.values()),
-            ", ".join(f"{name} {value:+.2f}" for name, value in growth.items()),
-        ),
-        "soak_errors": (len(errors), errors[0] if errors else ""),
-    }
+
+def _changed(results: Path, seen: dict[Path, int]) -> list[str]:
+    """Faults of the stored results; ``seen`` has the time at which each was written."""
+    now = {path: path.stat().st_mtime_ns for path in results.glob("dampers/[!.]*.json")}
+    faults = [f"{path.name} is gone" for path in seen.keys() - now.keys()]
+    for path, written in now.items():
+        if seen.get(path, written) != written:
+            faults.append(f"{path.name} was made again")
+        if path not in seen:
+            try:
+                json.loads(path.read_text(encoding="utf-8"))
+            except ValueError:
+                faults.append(f"{path.name} is damaged")
+    seen.update(now)
+    return faults
 
 
-def soak(hours: float, warm_up: float) -> tuple[dict[str, float], list[str]]:
-    """Memory growth [MB] of each process after ``warm_up`` [h], and the failures."""
-    with three_nodes(_AT_SPEED) as rig:
-        turn = _turning(rig)
-        seconds = 3600.0 / RATE
-        _watch(rig, turn, warm_up * seconds)
-        used = _watch(rig, turn, (hours - warm_up) * seconds)
-        errors = rig.errors + [
-            f"the {name} has ended" for name, node in rig.nodes.items() if not node.running
+def _children(process: int) -> list[int]:
+    """Processes of the pool, without the resource tracker (Linux only)."""
+    try:
+        text = Path(f"/proc/{process}/task/{process}/children").read_text()
+        return [
+            int(word)
+            for word in text.split()
+            if b"spawn_main" in Path(f"/proc/{word}/cmdline").read_bytes()
         ]
-        if not any(report.accepted for report in rig.reports[-100:]):
-            errors.append("no window was accepted at the end")
-    edge = max(round(_EDGE * len(used["worker"])), 1)
-    growth = {
-        name: 1e-6 * (statistics.median(sizes[-edge:]) - statistics.median(sizes[:edge]))
-        for name, sizes in used.items()
-    }
-    return growth, errors
+    except OSError:
+        return []
 
 
-def _turning(rig: ThreeNodes) -> Callable[[], None]:
-    """Function that changes the setpoint of the bridge's supply when it is due."""
-    client = rig.observer.node.create_client(SetParameters, "bridge/set_parameters")
-    began, turns = time.monotonic(), 0
-
-    def turn() -> None:
-        nonlocal turns
-        if time.monotonic() >= began + _CURRENT_PERIOD * turns:
-            turns += 1
-            current = Parameter("emulated.current", value=_CURRENTS[turns % len(_CURRENTS)])
-            client.call_async(SetParameters.Request(parameters=[current.to_parameter_msg()]))
-
-    return turn
-
-
-def _watch(rig: ThreeNodes, turn: Callable[[], None], duration: float) -> dict[str, list[int]]:
-    """Memory [B] of each process at each measurement."""
-    used: dict[str, list[int]] = {name: [] for name in [*rig.nodes, "worker"]}
-    end = time.monotonic() + duration
-    while time.monotonic() < end or not used["worker"]:
-        turn()
-        rig.observer.spin_for(_LOOK)
-        worker = rig.worker
-        if worker is None:
-            continue  # it would be an error in the log
-        for name, node in rig.nodes.items():
-            used[name].append(resident_bytes(node.pid))
-        used["worker"].append(resident_bytes(worker))
-        # Received messages are discarded, so that the memory of this program does not grow.
-        del rig.reports[:-1000], rig.sets[:-1000]
-    return used
+def _write_lot(folder: Path, dampers: int) -> None:
+    """A number of dampers with a recording of half a second each."""
+    rng = np.random.default_rng(0)
+    for number in range(dampers):
+        values = scaled(THESIS_28_CELSIUS, 1.0 + _SPREAD * rng.standard_normal())
+        settings = RigSettings(sample_rate=_RATE, seed=(0, number))
+        rig = EmulatedRig(EmulatedDamper(values), SineMotion(5e-3, 4.0), 0.5, settings=settings)
+        run = rig.record(0.5)
+        rows = np.column_stack((1e3 * run.displacement, run.force, run.current))
+        path = folder / f"D{number:04}" / "run.csv"
+        path.parent.mkdir(parents=True)
+        np.savetxt(path, rows, fmt="%.7g", delimiter=",")

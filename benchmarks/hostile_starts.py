@@ -14,8 +14,7 @@ import json
 import math
 import random
 import tempfile
-from collections.abc import Callable
-from contextlib import closing
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -25,15 +24,14 @@ from mr_damper_msgs.msg import DamperParameters
 from rclpy.serialization import serialize_message
 
 from benchmarks.figure import Measured
-from benchmarks.fuzz import CURRENT, NUMBERS, PERIOD, T0, motion, spoilt
-from benchmarks.processes import ProfiledDomain, start_node
+from benchmarks.hostile import CURRENT, NUMBERS, PERIOD, T0, described, motion, spoilt
+from benchmarks.nodes import Nodes
 from mr_damper_ros.models.parameter_set import ParameterError, ParameterSet, start_set
 from mr_damper_ros.models.plausibility import check_plausible
 from mr_damper_ros.models.published import THESIS_28_CELSIUS
 from mr_damper_ros.models.sigmoid.law import sine_force
 from mr_damper_ros.nodes import quality
 from mr_damper_ros.nodes.messages import parameter_set, parameters_message, report_message
-from mr_damper_ros.nodes.observer import Observer
 from mr_damper_ros.signals.blocks import NANOSECONDS
 from mr_damper_ros.tracking.acceptance import Verdict
 from mr_damper_ros.tracking.state_directory import StateDirectory, StateError, read_parameter_file
@@ -72,12 +70,8 @@ def campaign(cases: int, seed: int) -> list[str]:
         files = _good_files(Path(folder) / "good")
         for number in range(cases):
             kind = chance.choice(list(_SETTINGS))
-            data, damaged = _poisoned(chance, files[kind])
-            follow = chance.random() < _FOLLOWED
-            try:
-                fault = _start(kind, data, Path(folder) / "state", follow, damaged)
-            except Exception as error:
-                fault = f"{type(error).__name__}: {str(error)[:200]!a}"
+            poisoned, follow = _poisoned(chance, files[kind]), chance.random() < _FOLLOWED
+            fault = described(partial(_start, kind, Path(folder) / "state", follow, *poisoned))
             if fault:
                 faults.append(f"start {number}, {kind}: {fault}")
     return faults
@@ -122,7 +116,7 @@ def _tracker(kind: str, folder: Path) -> tuple[WindowTracker, TrackerState]:
     return tracker, TrackerState(tracker, StateDirectory(folder), _NAME)
 
 
-def _start(kind: str, data: bytes, folder: Path, follow: bool, damaged: bool) -> str:
+def _start(kind: str, folder: Path, follow: bool, data: bytes, damaged: bool) -> str:
     """Start an identifier from a state and a model from a parameter file; return any failure.
 
     ``damaged`` means that the checksum of the file is wrong.
@@ -211,23 +205,16 @@ def _spoil_entry(chance: random.Random, document: Any) -> None:
         waiting += [inner[key] for key in keys if isinstance(inner[key], (dict, list))]
     inner, key = chance.choice(places)
     before = inner[key]
-    change: Callable[[], Any] = chance.choice(
-        (
-            lambda: chance.choice(NUMBERS),
-            lambda: chance.choice(_WORDS),
-            lambda: chance.choice(_COUNTS),
-            lambda: chance.choice((None, True, [], {}, [[]], [before], [before, before])),
-            lambda: _scaled(before, chance.choice((-1.0, 1e-9, 1e9, 1e300, 0.0))),
-            lambda: _scaled(before, chance.choice((-1.0, 0.5, 2.0, 10.0))),
-        )
-    )
     if isinstance(before, dict) and "float64" in before and chance.random() < 0.7:
         _spoil_array(chance, before)
     elif isinstance(before, list) and before and chance.random() < 0.5:
         chance.shuffle(before)
         del before[chance.randrange(len(before) + 1) :]
     else:
-        inner[key] = change()
+        odd: tuple[Any, ...] = (None, True, [], {}, [[]], [before], [before, before])
+        factors = ((-1.0, 1e-9, 1e9, 1e300, 0.0), (-1.0, 0.5, 2.0, 10.0))
+        scaled = [[_scaled(before, factor) for factor in each] for each in factors]
+        inner[key] = chance.choice(chance.choice((NUMBERS, _WORDS, _COUNTS, odd, *scaled)))
 
 
 def _scaled(value: Any, factor: float) -> Any:
@@ -257,39 +244,31 @@ def _spoil_array(chance: random.Random, stored: dict[str, Any]) -> None:
 
 
 def campaign_of_nodes(count: int, seed: int) -> list[str]:
-    """Failures of a number of starts of real nodes, in turn with a state, a file and a model."""
-    if count == 0:
-        return []
+    """Failures of a number of starts of real nodes, two of three from a state, one from a file."""
     chance = random.Random(seed)
     faults = []
-    with (
-        closing(ProfiledDomain()) as domain,
-        tempfile.TemporaryDirectory(prefix="starts-") as folder,
-        Observer(domain=domain) as observer,
-    ):
+    with tempfile.TemporaryDirectory(prefix="starts-") as folder, Nodes() as nodes:
         good = _good_files(Path(folder) / "good")["window"]
         for number in range(count):
             state = Path(folder) / str(number)
             state.mkdir()
             (state / f"{_NAME}.yaml").write_bytes(_poisoned(chance, good)[0])
-            fault = _start_node(observer, domain, state, by_file=number % 3 == 2)
+            fault = described(partial(_start_node, nodes, state, by_file=number % 3 == 2))
             if fault:
                 faults.append(f"node {number}: {fault}")
     return faults
 
 
-def _start_node(observer: Observer, domain: ProfiledDomain, state: Path, by_file: bool) -> str:
+def _start_node(nodes: Nodes, state: Path, by_file: bool) -> str:
     """An identifier must start from a state; it may refuse a file with an explanation."""
-    heard = observer.listen(DamperParameters, "damper/parameters", quality.latched())
-    options = {"initial_parameters": state / f"{_NAME}.yaml"} if by_file else {"state_dir": state}
-    node = start_node(_NAME, domain, **options)
-    try:
-        observer.until(lambda: heard or not node.running, "a set, or the end of the node")
-        refused = by_file and node.wait() == 2 if not node.running else False
-        if "Traceback" in node.log or not (heard or refused):
-            return f"{node.log[-300:]!r}"
-        return ""
-    except TimeoutError as error:
-        return str(error)
-    finally:
-        node.close()
+    heard = nodes.observer.listen(DamperParameters, "damper/parameters", quality.latched())
+    if by_file:
+        node = nodes.start(_NAME, initial_parameters=state / f"{_NAME}.yaml")
+    else:
+        node = nodes.start(_NAME, state_dir=state)
+    nodes.observer.until(lambda: heard or not node.running, "a set, or the end of the node")
+    refused = by_file and not node.running and node.wait() == 2
+    bad = "Traceback" in node.log or not (heard or refused)
+    told = repr(node.log[-300:]) if bad else ""
+    nodes.end(_NAME)
+    return told
