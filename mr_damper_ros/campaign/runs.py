@@ -326,7 +326,10 @@ def write_signal(run: PlannedRun, path: Path, sample_rate: float = 1000.0) -> No
 
 
 _PLACES = 8
-"""Number of possible starting points of the run per cycle."""
+"""Number of possible starting points of the run per shortest cycle."""
+
+_MOST_PLACES = 2000
+"""Largest number of starting points that are tried in a recording."""
 
 _SETTINGS = DriveSettings()
 """The tolerances are those of a driven machine."""
@@ -339,12 +342,44 @@ class RunNotFoundError(ValueError):
 def cut_run(run: PlannedRun, recording: Recording) -> Recording:
     """The part of a recording that contains a run.
 
-    If the current is stepped, its first step locates the run; otherwise it is the part with the
-    steadiest motion, or with the smallest deviation from the command. Raises RunNotFoundError.
+    If the current is stepped, its first step locates the run; otherwise it is the part whose motion
+    deviates least from the command. Raises RunNotFoundError.
     """
-    if len(run.currents) == 1 and run.kind is not MotionKind.SINE:
-        return _most_as_wanted(run, recording)
-    return _from_step(run, recording) if len(run.currents) > 1 else _steadiest(run, recording)
+    period, displacement = recording.period, recording.displacement
+    match = RepeatedMatch(run.motion, period)
+    count = max(round(run.duration / period), match.count)
+    stepped = len(run.currents) > 1
+    if stepped:
+        first, second = run.currents[:2]
+        beyond = (recording.current - 0.5 * (first + second)) * np.sign(second - first) > 0.0
+        steps = np.flatnonzero(np.diff(beyond.astype(np.int8)) > 0) + 1
+        begins = steps - round(run.stretch / period)
+    else:
+        highest = max(run.frequency, run.highest_frequency)
+        stride = max(round(1.0 / (_PLACES * highest * period)), 1)
+        begins = np.arange(
+            0, recording.sample_count, max(stride, displacement.size // _MOST_PLACES)
+        )
+    best, nearest = None, math.inf
+    for begin in begins[(begins >= 0) & (begins + count <= displacement.size)].tolist():
+        # The phase of a sine may drift against the command, so only its ends are compared.
+        length = match.count if run.kind is MotionKind.SINE else count
+        ends = displacement[begin : begin + length], displacement[begin + count - length :][:length]
+        left = max(map(match.left_of, ends))
+        current = float(np.median(recording.current[begin : begin + count]))
+        wrong = 0.0 if stepped else abs(current - run.currents[0])
+        if wrong <= _SETTINGS.current_tolerance and left < nearest:
+            best, nearest = begin, left
+    if best is None or not (stepped or nearest <= _SETTINGS.amplitude_tolerance):
+        amperes = " to ".join(f"{current:g}" for current in run.currents[:2])
+        off = "" if best is None else f", and deviates by {nearest:.0%} at least"
+        raise RunNotFoundError(
+            f"{recording.name} does not hold the run: it needs {run.duration:.3g} s of "
+            f"{run.kind.description} as wanted ({run.motion.sentence}) at {amperes} A; its motion "
+            f"reaches {500.0 * np.ptp(displacement):.3g} mm within {recording.duration:.3g} s at "
+            f"{np.median(recording.current):.3g} A{off}"
+        )
+    return _part(recording, best, count)
 
 
 def run_as_made(recording: Recording) -> PlannedRun:
@@ -360,75 +395,6 @@ def run_as_made(recording: Recording) -> PlannedRun:
         raise RunNotFoundError(f"{recording.name} is no steady sine at one current")
     cycles = math.floor(recording.duration * sine.frequency)
     return PlannedRun(sine.amplitude, sine.frequency, (current,), cycles / sine.frequency)
-
-
-def _steadiest(run: PlannedRun, recording: Recording) -> Recording:
-    period = recording.period
-    count, cycle = round(run.duration / period), round(1.0 / (run.frequency * period))
-    best, least = None, STEADY
-    for begin in range(0, recording.sample_count - count + 1, max(cycle // _PLACES, 1)):
-        first, last = (
-            sine_of_cycle(recording.displacement[place : place + cycle])
-            for place in (begin, begin + count - cycle)
-        )
-        current = float(np.median(recording.current[begin : begin + count]))
-        off = max(abs(one.size - run.amplitude) for one in (first, last)) / run.amplitude
-        change = abs(first.size - last.size) / run.amplitude
-        as_wanted = (
-            off <= _SETTINGS.amplitude_tolerance
-            and abs(current - run.currents[0]) <= _SETTINGS.current_tolerance
-        )
-        if as_wanted and change < least:
-            best, least = begin, change
-    if best is None:
-        raise RunNotFoundError(
-            f"{recording.name} does not hold the run: it needs {run.duration:.3g} s of "
-            f"{run.motion.sentence} at {run.currents[0]:g} A; its motion reaches "
-            f"{500.0 * np.ptp(recording.displacement):.3g} mm within {recording.duration:.3g} s at "
-            f"{np.median(recording.current):.3g} A"
-        )
-    return _part(recording, best, count)
-
-
-def _most_as_wanted(run: PlannedRun, recording: Recording) -> Recording:
-    match = RepeatedMatch(run.motion, recording.period)
-    count = max(round(run.duration / recording.period), match.count)
-    stride = max(round(1.0 / (_PLACES * run.highest_frequency * recording.period)), 1)
-    stride = max(stride, recording.sample_count // 2000)
-    best, least, seen = None, _SETTINGS.amplitude_tolerance, math.inf
-    for begin in range(0, recording.sample_count - count + 1, stride):
-        part = slice(begin, begin + count)
-        left = match.left_of(recording.displacement[part])
-        seen = min(seen, left)
-        off = abs(float(np.median(recording.current[part])) - run.currents[0])
-        if off <= _SETTINGS.current_tolerance and left < least:
-            best, least = begin, left
-    if best is None:
-        nearest = (
-            f"the nearest leaves {seen:.0%} of it" if math.isfinite(seen) else "it is too short"
-        )
-        raise RunNotFoundError(
-            f"{recording.name} does not hold the run: it needs {run.duration:.3g} s of "
-            f"{run.kind.description} as wanted at {run.currents[0]:g} A, and {nearest}, or the "
-            "current is another"
-        )
-    return _part(recording, best, count)
-
-
-def _from_step(run: PlannedRun, recording: Recording) -> Recording:
-    first, second = run.currents[:2]
-    beyond = (recording.current - 0.5 * (first + second)) * np.sign(second - first) > 0.0
-    steps = np.flatnonzero(np.diff(beyond.astype(np.int8)) > 0) + 1
-    stretch = round(run.stretch / recording.period)
-    count = round(run.duration / recording.period)
-    for step in steps.tolist():
-        begin = step - stretch
-        if begin >= 0 and begin + count <= recording.sample_count:
-            return _part(recording, begin, count)
-    raise RunNotFoundError(
-        f"{recording.name} does not hold the run: the current does not go from {first:g} to "
-        f"{second:g} A with {run.stretch:.3g} s before that"
-    )
 
 
 def _part(recording: Recording, begin: int, count: int) -> Recording:
