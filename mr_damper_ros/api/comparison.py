@@ -13,15 +13,14 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-from mr_damper_ros.api.findings import html_table
 from mr_damper_ros.api.inertia import without_inertia
 from mr_damper_ros.api.measured_runs import MeasuredRun, RunSource, measured_runs, remarks_on
 from mr_damper_ros.models.parameter_set import ParameterSet
 from mr_damper_ros.processes.blas_threads import one_thread
 from mr_damper_ros.processes.files import write_bytes
-from mr_damper_ros.report.document import figure_of, styled
+from mr_damper_ros.report.document import Cell, Grid, Shown, figure_of, styled
 from mr_damper_ros.signals.arrays import Array
 from mr_damper_ros.signals.error_sums import ErrorSums, pooled
 from mr_damper_ros.tracking.predictor import PredictorSettings
@@ -102,8 +101,17 @@ class ComparedRun:
         """RMSE, NRMSE and R² of the set on this run."""
         return self.comparison.error
 
+    @property
+    def row(self) -> tuple[Cell, ...]:
+        """Name and error of the run for :data:`RUN_COLUMNS`."""
+        error = self.error
+        return self.name, error.rmse, f"{error.nrmse:.2%}", f"{error.r2:.4f}", error.count
 
-class ComparedRuns:
+
+RUN_COLUMNS: tuple[str, ...] = ("run", "RMSE [N]", "NRMSE", "R2", "samples")
+
+
+class ComparedRuns(Shown):
     """Base class of results with ``runs``: overall error and figures."""
 
     runs: tuple[ComparedRun, ...]
@@ -155,7 +163,52 @@ def comparison_figure(comparison: Comparison, title: str = "") -> Figure:
     and provenance of the run.
     """
     with styled():
-        return _drawn(comparison, title)
+        figure = figure_of(7.2, 7.6)
+        # Space for the legend; the Matplotlib of Ubuntu 24.04 does not support loc="outside …".
+        figure.get_layout_engine().set(rect=(0.0, _LEGEND, 1.0, 1.0 - _LEGEND))
+        axes: dict[str, Any] = figure.subplot_mosaic(
+            [
+                ["velocity"] * 2 + ["displacement"] * 2,
+                ["force"] * 4,
+                ["residual"] * 3 + ["histogram"],
+            ],
+            height_ratios=[1.25, 1.0, 0.7],
+        )
+        c = comparison
+        gaps = np.flatnonzero(np.diff(c.time) > 1.5 * float(np.median(np.diff(c.time)))) + 1
+        # A NaN at each gap interrupts the line.
+        time, residual = (np.insert(each, gaps, np.nan) for each in (c.time, c.residual))
+        for name, x in (
+            ("velocity", c.velocity),
+            ("displacement", 1e3 * c.displacement),
+            ("force", c.time),
+        ):
+            axes[name].plot(x, c.measured, label="measured", rasterized=True, **_MEASURED)
+            broken = (np.insert(each, gaps, np.nan) for each in (x, c.predicted))
+            axes[name].plot(*broken, label="predicted", **_PREDICTED)
+        axes["residual"].plot(time, residual, color="0.25", linewidth=0.6)
+        axes["residual"].axhline(0.0, color="0.6", linewidth=0.6)
+        axes["histogram"].hist(c.residual, 40, orientation="horizontal", color="0.55")
+        axes["histogram"].sharey(axes["residual"])
+        axes["histogram"].tick_params(labelleft=False)
+        for name, below, beside in (
+            ("velocity", "Velocity [m/s]", "Force [N]"),
+            ("displacement", "Displacement [mm]", "Force [N]"),
+            ("force", "Time [s]", "Force [N]"),
+            ("residual", "Time [s]", "Residual [N]"),
+            ("histogram", "Samples", ""),
+        ):
+            axes[name].set_xlabel(below)
+            axes[name].set_ylabel(beside)
+            axes[name].grid(color="0.9", linewidth=0.6)
+            axes[name].set_axisbelow(True)
+        lines = [Path(c.name).name, *([title] if title else [])]
+        lines.append(f"NRMSE {c.error.nrmse:.2%}, RMSE {c.error.rmse:.3g} N")
+        lines += textwrap.wrap(c.provenance, 92)  # characters per line
+        figure.suptitle("\n".join(lines), fontsize="medium")
+        handles, names = axes["velocity"].get_legend_handles_labels()
+        figure.legend(handles, names, loc="lower center", ncols=2, markerscale=2.5)
+        return figure
 
 
 def save_figures(
@@ -182,61 +235,6 @@ def _file_name(name: str, taken: set[str]) -> str:
         number += 1
         free = f"{stem}_{number}"
     return free
-
-
-def _drawn(comparison: Comparison, title: str) -> Figure:
-    figure = figure_of(7.2, 7.6)
-    # Space for the legend; the Matplotlib of Ubuntu 24.04 does not support loc="outside …".
-    figure.get_layout_engine().set(rect=(0.0, _LEGEND, 1.0, 1.0 - _LEGEND))
-    axes: dict[str, Any] = figure.subplot_mosaic(
-        [["velocity"] * 2 + ["displacement"] * 2, ["force"] * 4, ["residual"] * 3 + ["histogram"]],
-        height_ratios=[1.25, 1.0, 0.7],
-    )
-    c = comparison
-    gaps = np.flatnonzero(np.diff(c.time) > 1.5 * float(np.median(np.diff(c.time)))) + 1
-    _pair(axes["velocity"], c.velocity, c, gaps)
-    _pair(axes["displacement"], 1e3 * c.displacement, c, gaps)
-    _pair(axes["force"], c.time, c, gaps)
-    axes["residual"].plot(*_broken(gaps, c.time, c.residual), color="0.25", linewidth=0.6)
-    axes["residual"].axhline(0.0, color="0.6", linewidth=0.6)
-    axes["histogram"].hist(c.residual, 40, orientation="horizontal", color="0.55")
-    axes["histogram"].sharey(axes["residual"])
-    axes["histogram"].tick_params(labelleft=False)
-    labels = {
-        "velocity": ("Velocity [m/s]", "Force [N]"),
-        "displacement": ("Displacement [mm]", "Force [N]"),
-        "force": ("Time [s]", "Force [N]"),
-        "residual": ("Time [s]", "Residual [N]"),
-        "histogram": ("Samples", ""),
-    }
-    for name, (below, beside) in labels.items():
-        axes[name].set_xlabel(below)
-        axes[name].set_ylabel(beside)
-        axes[name].grid(color="0.9", linewidth=0.6)
-        axes[name].set_axisbelow(True)
-    figure.suptitle(_title(comparison, title), fontsize="medium")
-    handles, names = axes["velocity"].get_legend_handles_labels()
-    figure.legend(handles, names, loc="lower center", ncols=2, markerscale=2.5)
-    return figure
-
-
-def _pair(axes: Any, x: Array, comparison: Comparison, gaps: NDArray[np.intp]) -> None:
-    axes.plot(x, comparison.measured, label="measured", rasterized=True, **_MEASURED)
-    axes.plot(*_broken(gaps, x, comparison.predicted), label="predicted", **_PREDICTED)
-
-
-def _broken(gaps: NDArray[np.intp], *arrays: Array) -> tuple[Array, ...]:
-    """The arrays with a NaN at each gap, which interrupts the line."""
-    return tuple(np.insert(array, gaps, np.nan) for array in arrays)
-
-
-def _title(comparison: Comparison, title: str) -> str:
-    error = comparison.error
-    lines = [Path(comparison.name).name, f"NRMSE {error.nrmse:.2%}, RMSE {error.rmse:.3g} N"]
-    if title:
-        lines.insert(1, title)
-    lines += textwrap.wrap(comparison.provenance, 92)  # characters per line
-    return "\n".join(lines)
 
 
 _MARGINS = PredictorSettings()
@@ -274,31 +272,12 @@ class Validation(ComparedRuns):
             "remarks": list(self.remarks),
         }
 
-    def __str__(self) -> str:
-        lines = []
-        for run in self.runs:
-            error = run.error
-            lines.append(
-                f"{run.name}: RMSE {error.rmse:.4g} N, NRMSE {error.nrmse:.2%}, "
-                f"R2 {error.r2:.4f} ({error.count} samples)"
-            )
-            if run.remark:
-                lines.append(f"  {run.remark}")
-        lines += [f"WARNING: {remark}" for remark in self.remarks]
-        return "\n".join(lines)
-
-    def _repr_html_(self) -> str:
-        rows = [
-            (
-                run.name,
-                f"{run.error.rmse:.4g}",
-                f"{run.error.nrmse:.2%}",
-                f"{run.error.r2:.4f}",
-                run.remark,
-            )
-            for run in self.runs
-        ]
-        return html_table(("run", "RMSE [N]", "NRMSE", "R2", ""), rows)
+    def _blocks(self) -> list[str | Grid]:
+        columns, rows = RUN_COLUMNS, [run.row for run in self.runs]
+        if any(run.remark for run in self.runs):
+            columns += ("remark",)
+            rows = [(*run.row, run.remark) for run in self.runs]
+        return [Grid(columns, rows), *(f"WARNING: {remark}" for remark in self.remarks)]
 
 
 @one_thread()
@@ -336,7 +315,8 @@ def validate(
     >>> force = 900 * np.tanh(velocity / 0.02) + 1500 * velocity
     >>> print(mr.validate(bingham, displacement=displacement, force=force,
     ...                   current=1.0, period=1e-3))
-    arrays: RMSE 202.1 N, NRMSE 21.53%, R2 0.9536 (2000 samples)
+    run     RMSE [N]   NRMSE      R2  samples
+    arrays     202.1  21.53%  0.9536     2000
     """
     if not isinstance(parameters, ParameterSet):
         parameters = read_parameter_file(Path(parameters))
@@ -355,18 +335,23 @@ def validate(
 
 def _remark(found: ParameterSet, run: MeasuredRun) -> str:
     """A sentence if a run lies outside the identified range plus the margins of the predictor."""
-    remarks = []
     speeds, currents = zip(*(window.operating_point for window in run.windows), strict=True)
     low, high = found.peak_velocity_range
-    margin = _MARGINS.velocity_margin
-    if not low * (1.0 - margin) <= min(speeds) <= max(speeds) <= high * (1.0 + margin):
-        remarks.append(
-            f"peak velocity {_span(speeds)} m/s, and the set is for {low:.3g} to {high:.3g} m/s"
+    more = current_allowance(found.current_range, _MARGINS.current_margin)
+    remarks = [
+        f"{name} {_span(values)} {unit}, and the set is for {known[0]:.3g} to {known[1]:.3g} {unit}"
+        for name, values, known, margins, unit in (
+            (
+                "peak velocity",
+                speeds,
+                (low, high),
+                (low * _MARGINS.velocity_margin, high * _MARGINS.velocity_margin),
+                "m/s",
+            ),
+            ("current", currents, found.current_range, (more, more), "A"),
         )
-    low, high = found.current_range
-    margin = current_allowance(found.current_range, _MARGINS.current_margin)
-    if not low - margin <= min(currents) <= max(currents) <= high + margin:
-        remarks.append(f"current {_span(currents)} A, and the set is for {low:.3g} to {high:.3g} A")
+        if not known[0] - margins[0] <= min(values) <= max(values) <= known[1] + margins[1]
+    ]
     return f"OUT OF RANGE: {'; '.join(remarks)}" if remarks else ""
 
 

@@ -2,17 +2,16 @@
 
 from __future__ import annotations
 
-import html
 import math
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from itertools import pairwise
 from typing import Any
 
 import numpy as np
 
 from mr_damper_ros.api.measured_runs import MeasuredRun
-from mr_damper_ros.estimation.experiment_design import ExtraRun, RigRange, extra_runs
+from mr_damper_ros.estimation.experiment_design import RigRange, extra_runs
 from mr_damper_ros.estimation.global_fit import GlobalFit
 from mr_damper_ros.estimation.multi_start import MultiStart
 from mr_damper_ros.estimation.observability import (
@@ -27,6 +26,7 @@ from mr_damper_ros.estimation.window_fit import fit_window
 from mr_damper_ros.kinematics.window import Window
 from mr_damper_ros.models.parameter_set import ParameterSet
 from mr_damper_ros.processes.files import json_ready
+from mr_damper_ros.report.document import Grid
 from mr_damper_ros.signals.arrays import Array
 from mr_damper_ros.tracking.force_scale import (
     TemperatureMap,
@@ -116,35 +116,13 @@ def negative_slopes(runs: Mapping[str, Estimates], found: ParameterSet) -> list[
     return remarks
 
 
-def text_table(heading: str, estimates: Estimates) -> str:
-    """A table for a terminal: name, value, standard error, discrepancy, unit and meaning."""
-    width = max(map(len, (heading, *estimates)))
-    lines = [f"{heading:>{width}} {'value':>12}  standard error  discrepancy  unit"]
-    lines += [
-        f"{name:>{width}} {entry.value:12.6g}  {_error(entry):>14}  {_discrepancy(entry):>11}  "
-        f"{entry.unit:<4}  "
-        f"{entry.meaning}".rstrip()
-        for name, entry in estimates.items()
-    ]
-    return "\n".join(lines)
-
-
-def html_table(heading: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
-    """A table for a notebook; all cells are text."""
-    head = "".join(f"<th>{html.escape(cell)}</th>" for cell in heading)
-    body = "".join(
-        "<tr>" + "".join(f"<td>{html.escape(cell)}</td>" for cell in row) + "</tr>" for row in rows
-    )
-    return f"<table><thead><tr>{head}</tr></thead><tbody>{body}</tbody></table>"
-
-
-def html_estimates(heading: str, estimates: Estimates) -> str:
-    """The table of :func:`text_table` for a notebook."""
+def estimates_table(heading: str, estimates: Estimates) -> Grid:
+    """The table of estimates; ``heading`` names the column of the names."""
     rows = [
         (name, f"{entry.value:.6g}", _error(entry), _discrepancy(entry), entry.unit, entry.meaning)
         for name, entry in estimates.items()
     ]
-    return html_table((heading, "value", "standard error", "discrepancy", "unit", ""), rows)
+    return Grid((heading, "value", "standard error", "discrepancy", "unit", ""), rows)
 
 
 def _error(entry: Estimate) -> str:
@@ -254,36 +232,15 @@ def determined(
     lines = [
         f"the data determine {result.rank} of {len(result.names)} combinations of the parameters",
         *(f"not determined: {combination.words}" for combination in result.open),
-        *_advice(found.observable, runs, rig),
+        *(run.sentence for run in runs),
     ]
-    entry = _determination_entry(result)
-    advice = [
-        {
-            "amplitude": run.amplitude,
-            "frequency": run.frequency,
-            "current": run.current,
-            "determines": list(run.determines),
-            "worst_error": run.worst_error,
-            "sentence": run.sentence,
-        }
-        for run in runs
-    ]
-    return Findings(lines, {"determination": entry, "advice": advice})
-
-
-def _advice(observable: np.ndarray, runs: Sequence[ExtraRun], rig: RigRange) -> list[str]:
-    if np.all(observable):
-        return []
-    if runs:
-        return [run.sentence for run in runs]
-    return [
-        f"no run up to {rig.peak_velocity:.3g} m/s and {rig.current:.3g} A would determine more: "
-        "give --top-velocity or --top-current if the rig allows more"
-    ]
-
-
-def _determination_entry(result: Determination) -> dict[str, Any]:
-    return {
+    if not (runs or np.all(found.observable)):
+        lines.append(
+            f"no run up to {rig.peak_velocity:.3g} m/s and {rig.current:.3g} A would determine "
+            "more: give top_velocity or top_current (--top-velocity, --top-current) if the rig "
+            "allows more"
+        )
+    entry = {
         "rank": result.rank,
         "condition": json_ready(result.condition),
         "singular_values": result.singular_values.tolist(),
@@ -296,46 +253,44 @@ def _determination_entry(result: Determination) -> dict[str, Any]:
             for combination in result.open
         ],
     }
+    advice = [asdict(run) | {"sentence": run.sentence} for run in runs]
+    return Findings(lines, json_ready({"determination": entry, "advice": advice}))
 
 
 def profiles(fit: GlobalFit, found: Sequence[Profile]) -> Findings:
     """The profile likelihoods of a fit as findings."""
     values = fit.parameter_set.as_dict()
-    lines = [
-        f"profile of {p.name}: least at {p.best:.6g}, 95 % interval "
-        f"{p.interval[0]:.6g} to {p.interval[1]:.6g}"
-        + (
-            ""
-            if p.contains(values[p.name])
-            else f", WHICH EXCLUDES THE IDENTIFIED VALUE, {values[p.name]:.6g}"
+    lines, document = [], {}
+    for p in found:
+        line = (
+            f"profile of {p.name}: least at {p.best:.6g}, 95 % interval {p.interval[0]:.6g} to "
+            f"{p.interval[1]:.6g}"
         )
-        for p in found
-    ]
-    document = {
-        p.name: {
+        if not p.contains(values[p.name]):
+            line += f", WHICH EXCLUDES THE IDENTIFIED VALUE, {values[p.name]:.6g}"
+        lines.append(line)
+        document[p.name] = {
             "values": p.values.tolist(),
             "ratio": p.ratio.tolist(),
             "best": p.best,
-            "interval": [json_ready(end) for end in p.interval],
+            "interval": p.interval,
         }
-        for p in found
-    }
-    return Findings(lines, {"profiles": document})
+    return Findings(lines, json_ready({"profiles": document}))
 
 
 def searches(found: MultiStart) -> Findings:
     """Costs of the searches and their candidates, and the agreement of the best searches."""
-    best = found.best
+    best, spread = found.best, found.spread
     names = best.parameter_set.law.parameter_names
     lines = []
     if best.candidates:
-        costs = "; ".join(f"{math.sqrt(c.cost):.3g} ({c.origin})" for c in best.candidates)
-        lines.append(f"local searches left, {_MEASURE}: {costs}")
+        left = "; ".join(f"{math.sqrt(c.cost):.3g} ({c.origin})" for c in best.candidates)
+        lines.append(f"local searches left, {_MEASURE}: {left}")
     if len(found.fits) > 1:
-        spread, places = found.spread, [fit.cost for fit in found.fits.values()]
+        costs = [fit.cost for fit in found.fits.values()]
         lines.append(
-            f"{len(found.fits)} searches left {math.sqrt(min(places)):.6g} to "
-            f"{math.sqrt(max(places)):.6g}, {_MEASURE}; {len(found.as_good)} of them are as good "
+            f"{len(costs)} searches left {math.sqrt(min(costs)):.6g} to "
+            f"{math.sqrt(max(costs)):.6g}, {_MEASURE}; {len(found.as_good)} of them are as good "
             "as the best"
         )
         if len(found.as_good) > 1:
@@ -361,8 +316,8 @@ def searches(found: MultiStart) -> Findings:
         }
         for seed, fit in found.fits.items()
     ]
-    of_each = {name: json_ready(x) for name, x in zip(names, found.spread.tolist(), strict=True)}
-    return Findings(lines, {"searches": entries, "spread": of_each})
+    of_each = dict(zip(names, spread.tolist(), strict=True))
+    return Findings(lines, {"searches": entries, "spread": json_ready(of_each)})
 
 
 def temperatures(maps: Sequence[TemperatureMap]) -> Findings:

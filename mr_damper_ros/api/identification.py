@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import html
 import json
 import math
 import os
@@ -11,12 +10,13 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from numpy.typing import ArrayLike
 
 from mr_damper_ros.api import findings
 from mr_damper_ros.api.comparison import (
+    RUN_COLUMNS,
     ComparedRun,
     ComparedRuns,
     Comparison,
@@ -26,12 +26,11 @@ from mr_damper_ros.api.comparison import (
 )
 from mr_damper_ros.api.findings import (
     Estimate,
+    Estimates,
     Findings,
-    html_estimates,
-    html_table,
+    estimates_table,
     parameter_estimates,
     temperature_maps,
-    text_table,
 )
 from mr_damper_ros.api.inertia import fitted_mass, without_inertia
 from mr_damper_ros.api.measured_runs import (
@@ -59,11 +58,9 @@ from mr_damper_ros.models.parameter_set import DEFAULT_MODEL, ParameterSet, know
 from mr_damper_ros.processes.blas_threads import one_thread
 from mr_damper_ros.processes.files import json_ready, write_text
 from mr_damper_ros.processes.process_pool import ProcessPool
+from mr_damper_ros.report.document import Cell, Grid
 from mr_damper_ros.signals.arrays import Array
 from mr_damper_ros.tracking.state_directory import read_parameter_file
-
-if TYPE_CHECKING:
-    pass
 
 MOST_LEFT = 0.3
 """Largest acceptable NRMSE of a run; above it, the set explains too little of the force."""
@@ -87,6 +84,39 @@ class FittedRun(ComparedRun):
     operating_point: tuple[float, float]
     coefficients: dict[str, Estimate]
     level: Level | None = None
+
+    @property
+    def level_row(self) -> tuple[Cell, ...]:
+        """NRMSE with gain and offset, and both with their standard errors."""
+        if self.level is None:
+            return "", "", ""
+        scale, zero = (
+            f"{value:.{digits}f} ± {error:.{digits}f}"
+            for value, error, digits in (
+                (self.level.scale, self.level.scale_error, 4),
+                (self.level.zero, self.level.zero_error, 1),
+            )
+        )
+        return f"{self.level.nrmse:.2%}", scale, zero
+
+    def document(self) -> dict[str, Any]:
+        """The fit as JSON-compatible values."""
+        speed, current = self.operating_point
+        return {
+            "bag": self.name,
+            "metrics": error_entry(self.error),
+            "operating_point": {"peak_velocity": speed, "current": current},
+            "coefficients": _each(self.coefficients, "value"),
+            "coefficient_standard_errors": _each(self.coefficients, "standard_error"),
+            "coefficient_discrepancies": _each(self.coefficients, "discrepancy"),
+            **({} if self.level is None else {"level": self.level._asdict()}),
+        }
+
+
+def _each(estimates: Estimates, name: str) -> dict[str, Any]:
+    """One attribute of all estimates, by their names."""
+    found: dict[str, Any] = json_ready({k: getattr(e, name) for k, e in estimates.items()})
+    return found
 
 
 @dataclass(frozen=True, eq=False)
@@ -229,11 +259,9 @@ class Identification(ComparedRuns):
         return {
             "model": self.parameter_set.model,
             "parameters": self.parameter_set.as_dict(),
-            "standard_errors": {
-                n: json_ready(e.standard_error) for n, e in self.parameters.items()
-            },
-            "discrepancies": json_ready({n: e.discrepancy for n, e in self.parameters.items()}),
-            "observable": {n: e.observable for n, e in self.parameters.items()},
+            "standard_errors": _each(self.parameters, "standard_error"),
+            "discrepancies": _each(self.parameters, "discrepancy"),
+            "observable": _each(self.parameters, "observable"),
             "metrics": error_entry(self.error),
             "evaluations": self.evaluations,
             "duration_s": self.duration,
@@ -242,66 +270,30 @@ class Identification(ComparedRuns):
             "message": self.message,
             **({} if self.mass is None else {"mass": json_ready(vars(self.mass))}),
             "remarks": list(self.remarks),
-            "bags": [_entry(run) for run in self.runs],
+            "bags": [run.document() for run in self.runs],
         }
 
-    def __str__(self) -> str:
-        parts = [] if self.choice is None else [f"{self.choice}\n"]
+    def _blocks(self) -> list[str | Grid]:
+        blocks: list[str | Grid] = [] if self.choice is None else [f"{self.choice}\n"]
         if len(self.runs) == 1 and self.coefficients:
-            parts += [self._at_point, text_table("coefficient", self.coefficients), ""]
-        parts += [text_table("parameter", self.parameters), ""]
-        parts += [_line(run) for run in self.runs]
+            speed, current = self.runs[0].operating_point
+            blocks += [
+                f"the loop at a peak velocity of {speed:.4g} m/s and {current:.4g} A:",
+                estimates_table("coefficient", self.coefficients),
+                "",
+            ]
+        columns, rows = RUN_COLUMNS, [run.row for run in self.runs]
+        if any(run.level for run in self.runs):
+            columns += ("NRMSE with level", "force gain", "force offset [N]")
+            rows = [run.row + run.level_row for run in self.runs]
+        blocks += [estimates_table("parameter", self.parameters), "", Grid(columns, rows)]
         if self.mass is not None:
-            parts.append(f"without the inertia of {self.mass} between load cell and damper")
-        parts.append(
+            blocks.append(f"without the inertia of {self.mass} between load cell and damper")
+        blocks.append(
             f"{self.method}: {self.evaluations} evaluations in {self.duration:.2f} s, "
             f"{self.message}"
         )
-        parts += [f"WARNING: {remark}" for remark in self.remarks]
-        return "\n".join(parts)
-
-    def _repr_html_(self) -> str:
-        parts = []
-        if len(self.runs) == 1 and self.coefficients:
-            parts += [f"<p>{self._at_point}</p>", html_estimates("coefficient", self.coefficients)]
-        parts.append(html_estimates("parameter", self.parameters))
-        rows = [(run.name, f"{run.error.rmse:.4g}", f"{run.error.nrmse:.2%}") for run in self.runs]
-        parts += [html_table(("run", "RMSE [N]", "NRMSE"), rows), f"<p>{self.message}</p>"]
-        parts += [f"<p>WARNING: {html.escape(remark)}</p>" for remark in self.remarks]
-        return "".join(parts)
-
-    @property
-    def _at_point(self) -> str:
-        speed, current = self.runs[0].operating_point
-        return f"the loop at a peak velocity of {speed:.4g} m/s and {current:.4g} A:"
-
-
-def _entry(run: FittedRun) -> dict[str, Any]:
-    speed, current = run.operating_point
-    return {
-        "bag": run.name,
-        "metrics": error_entry(run.error),
-        "operating_point": {"peak_velocity": speed, "current": current},
-        "coefficients": {name: entry.value for name, entry in run.coefficients.items()},
-        "coefficient_standard_errors": {
-            name: json_ready(entry.standard_error) for name, entry in run.coefficients.items()
-        },
-        "coefficient_discrepancies": {
-            name: json_ready(entry.discrepancy) for name, entry in run.coefficients.items()
-        },
-        **({} if run.level is None else {"level": run.level._asdict()}),
-    }
-
-
-def _line(run: FittedRun) -> str:
-    error, level = run.error, run.level
-    line = f"{run.name}: RMSE {error.rmse:.4g} N, NRMSE {error.nrmse:.2%} ({error.count} samples)"
-    if level is None:
-        return line
-    return (
-        f"{line}; with gain and offset {level.nrmse:.2%}: force gain {level.scale:.4f} ± "
-        f"{level.scale_error:.4f}, offset {level.zero:.1f} ± {level.zero_error:.1f} N"
-    )
+        return [*blocks, *(f"WARNING: {remark}" for remark in self.remarks)]
 
 
 _EVOLUTION = EvolutionSettings()
@@ -420,78 +412,75 @@ def identify(
             )
             model = choice.chosen.model
             start_values = start_values_of(start, model)
-        found = identify_measured(
-            measured,
-            model=model,
-            method=method,
-            start_values=start_values,
-            settings=settings,
-            starts=starts,
-            processes=processes,
-            resume=None if resume is None else Path(resume),
-            profile=profile,
-            level_per_record=level_per_record,
-            fit_mass=fit_mass,
-            report=report,
+        options = Search(
+            model,
+            method,
+            start_values,
+            settings,
+            starts,
+            None if resume is None else Path(resume),
+            profile,
+            level_per_record,
+            fit_mass,
         )
+        found = identify_measured(measured, options, processes, report)
     known = Estimate(mass, math.nan, "kg") if mass and not fit_mass else found.mass
     return replace(found, choice=choice, mass=known)
 
 
+@dataclass(frozen=True, eq=False)
+class Search:
+    """Options of an identification, as in :func:`identify`; ``start_values`` has shape (p,)."""
+
+    model: str
+    method: str
+    start_values: Array
+    settings: EvolutionSettings
+    starts: int = 1
+    resume: Path | None = None
+    profile: Sequence[str] = ()
+    level_per_record: float = 0.0
+    fit_mass: bool = False
+
+
 def identify_measured(
     measured: Sequence[MeasuredRun],
-    *,
-    model: str,
-    method: str,
-    start_values: Array,
-    settings: EvolutionSettings,
-    starts: int = 1,
+    options: Search,
     processes: ProcessPool,
-    resume: Path | None = None,
-    profile: Sequence[str] = (),
-    level_per_record: float = 0.0,
-    fit_mass: bool = False,
     report: Report | None = None,
 ) -> Identification:
-    """:func:`identify` for runs that are already loaded, with start values (p,)."""
+    """:func:`identify` for runs that are already loaded."""
     windows = all_windows(measured)
-    law = MODELS[model]
-    levels = _levels_of(measured, level_per_record) if level_per_record else None
-    record = SearchRecord(law, windows, start_values, settings, method, levels)
+    law, settings, resume = MODELS[options.model], options.settings, options.resume
+    levels = None
+    if options.level_per_record:
+        records = tuple(place for place, run in enumerate(measured) for _ in run.windows)
+        levels = LevelPrior(records, options.level_per_record)
+    record = SearchRecord(law, windows, options.start_values, settings, options.method, levels)
     if resume is not None and resume.exists():
         _take(record, resume)
     began = time.monotonic()
     searches = identify_from_seeds(
         law,
         windows,
-        start_values,
+        options.start_values,
         settings,
-        starts,
+        options.starts,
         report,
-        method=method,
+        method=options.method,
         levels=levels,
         processes=processes,
         record=record,
         keep=None if resume is None else partial(_keep, resume),
     )
     profiles = Findings([], {})
-    if profile and not searches.best.stopped:
-        fit, found = profiled(searches.best, windows, profile, settings, processes, report)
+    if options.profile and not searches.best.stopped:
+        fit, found = profiled(searches.best, windows, options.profile, settings, processes, report)
         searches, profiles = searches.replaced(fit), findings.profiles(fit, found)
-    if fit_mass and not searches.best.stopped:
+    if options.fit_mass and not searches.best.stopped:
         mass = fitted_mass(searches.best, windows)
-        again = identify_measured(
-            without_inertia(measured, mass.value),
-            model=model,
-            method=method,
-            start_values=start_values,
-            settings=settings,
-            starts=starts,
-            processes=processes,
-            profile=profile,
-            level_per_record=level_per_record,
-            report=report,
-        )
+        without = replace(options, fit_mass=False, resume=None)
+        again = identify_measured(without_inertia(measured, mass.value), without, processes, report)
         return replace(again, mass=mass, duration=time.monotonic() - began)
     duration = time.monotonic() - began
     fitted = _fitted(searches, measured)
@@ -500,7 +489,7 @@ def identify_measured(
         parameter_set=replace(searches.best.parameter_set, nrmse=nrmse),
         runs=fitted,
         searches=searches,
-        method=method,
+        method=options.method,
         duration=duration,
         remarks=(
             *remarks_on(measured),
@@ -519,11 +508,6 @@ def start_values_of(source: ParameterSet | str | os.PathLike[str] | None, model:
         return law.initial_values()[0]
     found = source if isinstance(source, ParameterSet) else read_parameter_file(Path(source))
     return found.start_of(model)
-
-
-def _levels_of(measured: Sequence[MeasuredRun], spread: float) -> LevelPrior:
-    records = [place for place, run in enumerate(measured) for _ in run.windows]
-    return LevelPrior(tuple(records), spread)
 
 
 def _take(record: SearchRecord, path: Path) -> None:

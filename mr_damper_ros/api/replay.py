@@ -6,15 +6,16 @@ import math
 import os
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
+from enum import Enum
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from mr_damper_ros.api.findings import html_table
 from mr_damper_ros.io.bag_reader import bag_stream
 from mr_damper_ros.models.parameter_set import ParameterSet
 from mr_damper_ros.processes.files import json_ready
+from mr_damper_ros.report.document import GREY, INK, Grid, Shown, panels, styled
 from mr_damper_ros.signals.arrays import Array
 from mr_damper_ros.signals.blocks import NANOSECONDS, SampleBlock
 from mr_damper_ros.signals.error_sums import ErrorSums
@@ -38,7 +39,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True, eq=False)
-class Replay:
+class Replay(Shown):
     """Results of the identifier and the model node for a recording, sample by sample.
 
     Arrays of shape (n,): ``time`` [s] since the first sample, by the stamps; ``displacement`` [m];
@@ -81,8 +82,6 @@ class Replay:
 
     def plot(self) -> Figure:
         """Figure: measured and predicted force, error of the valid force, force scale."""
-        from mr_damper_ros.report.document import GREY, INK, panels, styled
-
         with styled():
             figure, axes = panels(3, 1, 7.2, 6.0, sharex=True)
             force, error, scale = axes[:, 0]
@@ -145,52 +144,43 @@ class Replay:
         """Time [s] of the last sample of a report's window."""
         return (report.stamp_ns - self.start_ns) / NANOSECONDS
 
-    def _rows(self) -> list[tuple[str, ...]]:
-        return [
+    def _blocks(self) -> list[str | Grid]:
+        columns = ("t [s]", "verdict", "before", "after", "scale", "set in use", "reason")
+        rows = [
             (
                 f"{self.time_of(report):.2f}",
-                report.verdict.name.lower().replace("_", " "),
+                _words(report.verdict),
                 _percent(report.nrmse_before),
                 _percent(report.nrmse_after),
-                _number(report.scale.value),
+                f"{report.scale.value:.3f}" if math.isfinite(report.scale.value) else "-",
                 report.set_id,
                 report.reason,
             )
             for report in self.reports
         ]
+        return [Grid(columns, rows), *self._summary()]
 
     def _summary(self) -> list[str]:
         accepted = sum(report.verdict is Verdict.ACCEPTED for report in self.reports)
         error = self.error
-        lines = [
+        return [
             f"{self.name}: {self.time.size} samples, {len(self.reports)} reports, "
             f"{accepted} accepted",
             f"predicted force: valid for {np.mean(self.valid):.1%} of the samples"
             + (f", NRMSE {error.nrmse:.2%} there" if error.count else ""),
-        ]
-        return lines + [
-            f"  not valid for {share:.1%}: {kind.name.lower().replace('_', ' ')}"
-            for kind, share in self.invalid_share().items()
+            *(
+                f"  not valid for {share:.1%}: {_words(kind)}"
+                for kind, share in self.invalid_share().items()
+            ),
         ]
 
-    def __str__(self) -> str:
-        head = ("t [s]", "verdict", "before", "after", "scale", "set in use", "reason")
-        rows = [head, *self._rows()]
-        widths = [max(len(row[column]) for row in rows) for column in range(len(head) - 1)]
-        lines = ["  ".join([*map(str.ljust, row[:-1], widths), row[-1]]).rstrip() for row in rows]
-        return "\n".join([*lines, *self._summary()])
 
-    def _repr_html_(self) -> str:
-        head = ("t [s]", "verdict", "before", "after", "scale", "set in use", "reason")
-        return html_table(head, self._rows())
+def _words(member: Enum) -> str:
+    return member.name.lower().replace("_", " ")
 
 
 def _percent(value: float) -> str:
     return f"{value:.2%}" if math.isfinite(value) else "-"
-
-
-def _number(value: float) -> str:
-    return f"{value:.3f}" if math.isfinite(value) else "-"
 
 
 def replay(

@@ -13,7 +13,12 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any
 
-from mr_damper_ros.api.identification import Identification, identify_measured, start_values_of
+from mr_damper_ros.api.identification import (
+    Identification,
+    Search,
+    identify_measured,
+    start_values_of,
+)
 from mr_damper_ros.api.measured_runs import MeasuredRun, measured_run
 from mr_damper_ros.estimation.differential_evolution import EvolutionSettings
 from mr_damper_ros.io.recording_list import (
@@ -38,7 +43,6 @@ from mr_damper_ros.processes.process_pool import (
     fingerprint,
     finish,
 )
-from mr_damper_ros.signals.arrays import Array
 
 _LASTING = (FileNotFoundError, PermissionError, ValueError)
 """Errors of the file itself; other errors may be temporary."""
@@ -46,16 +50,12 @@ _LASTING = (FileNotFoundError, PermissionError, ValueError)
 
 @dataclass(frozen=True, eq=False)
 class GroupOptions:
-    """Options common to all dampers; the names are those of :func:`mr_damper_ros.identify`.
+    """Options common to all dampers.
 
-    ``start_values`` (p,) are the starting values of a search; ``record_format`` describes record
-    files, None if there are only bags.
+    ``record_format`` describes record files, None if there are only bags.
     """
 
-    model: str
-    method: str
-    start_values: Array
-    evolution: EvolutionSettings
+    search: Search
     accept_doubtful: bool = False
     record_format: RecordFormat | None = None
 
@@ -93,7 +93,9 @@ def identify_group(group: DamperGroup) -> dict[str, Any]:
     }
     if runs:
         try:
-            document |= _result(group, _identified(runs, group.options))
+            document |= _result(
+                group, identify_measured(runs, group.options.search, ProcessPool(1))
+            )
         except Exception as error:
             document["failure"] = _in_words(error)
             passing = passing or not isinstance(error, _LASTING)
@@ -111,17 +113,6 @@ def _read(listed: ListedRecording, options: GroupOptions) -> MeasuredRun:
         return measured_run(listed.path, options.accept_doubtful)
     recording = options.record_format.read(listed.path, listed.current)
     return measured_run(recording, options.accept_doubtful)
-
-
-def _identified(runs: list[MeasuredRun], options: GroupOptions) -> Identification:
-    return identify_measured(
-        runs,
-        model=options.model,
-        method=options.method,
-        start_values=options.start_values,
-        settings=options.evolution,
-        processes=ProcessPool(1),
-    )
 
 
 def _result(group: DamperGroup, result: Identification) -> dict[str, Any]:
@@ -276,14 +267,9 @@ def identify_many(
         If the folder cannot be written, or no worker can run.
     """
     record_format = None if columns is None else RecordFormat(columns, current, period, variable)
-    options = GroupOptions(
-        model=model,
-        method=method,
-        start_values=start_values_of(start, model),
-        evolution=EvolutionSettings(generations=generations, seed=seed),
-        accept_doubtful=accept_doubtful,
-        record_format=record_format,
-    )
+    settings = EvolutionSettings(generations=generations, seed=seed)
+    search = Search(model, method, start_values_of(start, model), settings)
+    options = GroupOptions(search, accept_doubtful, record_format)
     recordings, unnamed = find_recordings(
         sources, pattern=pattern, with_records=record_format is not None
     )
@@ -351,10 +337,10 @@ def _state(path: Path) -> list[tuple[str, int, int]] | None:
 def _check_options(folder: Path, options: GroupOptions) -> None:
     """Check that the results in a folder have the same options. Raises ValueError and OSError."""
     wanted = {
-        "model": options.model,
-        "method": options.method,
-        "start": options.start_values.tolist(),
-        **asdict(options.evolution),
+        "model": options.search.model,
+        "method": options.search.method,
+        "start": options.search.start_values.tolist(),
+        **asdict(options.search.settings),
         "accept_doubtful": options.accept_doubtful,
         "record_format": None if options.record_format is None else asdict(options.record_format),
     }

@@ -12,7 +12,7 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 from mr_damper_ros.processes.files import write_bytes, write_text
 
@@ -241,24 +241,69 @@ def _block(folder: Path, block: Block) -> str:
 
 
 def _table(table: Table) -> str:
-    numbers = [_numeric(column[0]) for column in zip(*table.rows, strict=True)]
-    head = "".join(
-        f"<th{_classes(number=number)}>{html.escape(column)}</th>"
-        for column, number in zip(table.columns, numbers, strict=True)
-    )
-    rows = []
-    for row in table.rows:
-        cells = "".join(
-            f"<td{_classes(number=number, short=len(text) < 27)}>{html.escape(text)}</td>"
-            for text, number in zip(map(shown, row), numbers, strict=True)
-        )
-        rows.append(f"<tr>{cells}</tr>")
     # In print, wide tables use a smaller font, and long tables may span pages.
     kind = _classes(table=True, wide=len(table.columns) > 12, long=len(table.rows) > 40)
     return (
         f'<div{kind}><p class="caption">{html.escape(table.caption)}</p>'
-        f"<table><thead><tr>{head}</tr></thead><tbody>{''.join(rows)}</tbody></table></div>"
+        f"{html_table(table.columns, table.rows)}</div>"
     )
+
+
+def html_table(columns: Sequence[str], rows: Sequence[Sequence[Cell]]) -> str:
+    """A table in HTML; a column whose first cell is a number is aligned to the right."""
+    numbers = [bool(rows) and _numeric(rows[0][place]) for place in range(len(columns))]
+    head = "".join(
+        f"<th{_classes(number=number)}>{html.escape(column)}</th>"
+        for column, number in zip(columns, numbers, strict=True)
+    )
+    body = []
+    for row in rows:
+        cells = "".join(
+            f"<td{_classes(number=number, short=len(text) < 27)}>{html.escape(text)}</td>"
+            for text, number in zip(map(shown, row), numbers, strict=True)
+        )
+        body.append(f"<tr>{cells}</tr>")
+    return f"<table><thead><tr>{head}</tr></thead><tbody>{''.join(body)}</tbody></table>"
+
+
+def text_table(columns: Sequence[str], rows: Sequence[Sequence[Cell]]) -> str:
+    """A table for a terminal, aligned like :func:`html_table`; the last column has no width."""
+    numbers = [bool(rows) and _numeric(rows[0][place]) for place in range(len(columns))]
+    lines = [list(columns), *([shown(cell) for cell in row] for row in rows)]
+    widths = [max(map(len, column)) for column in zip(*lines, strict=True)]
+    return "\n".join(
+        "  ".join(
+            text.rjust(width) if number else text.ljust(width)
+            for text, width, number in zip(line, widths, numbers, strict=True)
+        ).rstrip()
+        for line in lines
+    )
+
+
+class Grid(NamedTuple):
+    """A table of a :class:`Shown` result: its columns and rows."""
+
+    columns: Sequence[str]
+    rows: Sequence[Sequence[Cell]]
+
+
+class Shown:
+    """Base class of results, which are shown as text, and in a notebook as HTML."""
+
+    def _blocks(self) -> Sequence[str | Grid]:
+        """The lines and tables to show."""
+        raise NotImplementedError
+
+    def __str__(self) -> str:
+        return "\n".join(
+            block if isinstance(block, str) else text_table(*block) for block in self._blocks()
+        )
+
+    def _repr_html_(self) -> str:
+        return "".join(
+            f"<p>{html.escape(block)}</p>" if isinstance(block, str) else html_table(*block)
+            for block in self._blocks()
+        )
 
 
 def _numeric(value: Cell) -> bool:
@@ -267,7 +312,7 @@ def _numeric(value: Cell) -> bool:
     return isinstance(value, (int, float)) and not isinstance(value, bool)
 
 
-_NUMBER = re.compile(r"[<>+−]? ?\d[\d.]*( ± [\d.]+)?( %| \*)?$")
+_NUMBER = re.compile(r"[<>+−-]? ?\d[\d.]*(e[-+]\d+)?( ± [\d.]+)?( ?%| \*)?$")
 
 
 def _classes(**chosen: bool) -> str:

@@ -19,10 +19,11 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from mr_damper_ros.api.comparison import Comparison, save_figures, validate
-from mr_damper_ros.api.findings import parameter_estimates, text_table
+from mr_damper_ros.api.findings import estimates_table, parameter_estimates
 from mr_damper_ros.io.bag_reader import read_bag
 from mr_damper_ros.models.parameter_set import start_set
 from mr_damper_ros.processes.programs import Program, ProgramError, RosDomain, node_arguments
+from mr_damper_ros.report.document import text_table
 from mr_damper_ros.signals.recording import Recording
 from mr_damper_ros.tools.console import program
 
@@ -200,7 +201,7 @@ def _summary(heard: _Heard, recording: Recording, folder: Path) -> int:
     from mr_damper_ros.nodes.messages import parameter_set
 
     found = parameter_set(heard.sets[-1])
-    print(f"\n{text_table('parameter', parameter_estimates(found))}\n")
+    print(f"\n{text_table(*estimates_table('parameter', parameter_estimates(found)))}\n")
     for known, when in ((start_set(found.model), "before"), (found, "after")):
         nrmse = validate(known, recording).nrmse
         print(f"NRMSE with the set {known.set_id}, {when}: {nrmse:.2%}")

@@ -130,7 +130,7 @@ def test_the_result_tells_coefficients_and_parameters_with_their_errors(
     odd = dataclasses.replace(RUN, name="<b>run</b>")
     page = mr.validate(result.parameter_set, odd)._repr_html_()
     assert "&lt;b&gt;run" in page
-    assert "<td>f_t</td>" in result._repr_html_()
+    assert ">f_t</td>" in result._repr_html_()
     inside, outside = mr.validate(result.parameter_set, ONE_RUN, ANOTHER).runs
     assert inside.remark == ""
     assert outside.remark == "OUT OF RANGE: current 0.5 A, and the set is for 1.5 to 1.5 A"
@@ -143,7 +143,7 @@ def test_terminal_file_and_document_tell_one_nrmse(
     in_file = yaml.safe_load((tmp_path / "set.yaml").read_text())["nrmse"]
     assert in_file == pytest.approx(result.nrmse)
     assert result.document()["metrics"]["nrmse"] == pytest.approx(result.nrmse)
-    assert f"NRMSE {result.nrmse:.2%}" in str(result)
+    assert f" {result.nrmse:.2%} " in str(result)
     again = mr.validate(tmp_path / "set.yaml", ONE_RUN)
     assert again.nrmse == pytest.approx(result.nrmse)
     file = tmp_path / "folder" / "set.yaml"
