@@ -56,12 +56,9 @@ class RollingTable:
     def __len__(self) -> int:
         return self._size
 
-    def append(self, values: Sequence[float]) -> None:
-        """Add a row; raises ValueError if the number of values is wrong."""
-        self.extend(np.array([values], dtype=np.float64))
-
-    def extend(self, values: Array) -> None:
+    def extend(self, rows: Sequence[Sequence[float]] | Array) -> None:
         """Add rows (k, columns); raises ValueError if the number of columns is wrong."""
+        values = np.asarray(rows, dtype=np.float64)
         if values.ndim != 2 or values.shape[1] != len(self.columns) - 1:
             given = values.shape[-1]
             raise ValueError(f"{given} values do not fill {len(self.columns) - 1} columns")
@@ -70,9 +67,9 @@ class RollingTable:
             part = values[first : first + longest]
             while self._size + len(part) > len(self._rows):
                 self._make_room()
-            rows = self._rows[self._size : self._size + len(part)]
-            rows[:, 0] = self.next_index + np.arange(len(part))
-            rows[:, 1:] = part
+            place = self._rows[self._size : self._size + len(part)]
+            place[:, 0] = self.next_index + np.arange(len(part))
+            place[:, 1:] = part
             self._size += len(part)
             self.next_index += len(part)
 
@@ -139,6 +136,9 @@ HISTORY_KEPT = 36_000
 
 _RATE = 100.0
 """Rows of signals per second of data: as many as a screen shows of a motion of a few hertz."""
+
+_ROUNDED = 1e-3
+"""Part of a row by which a time may lie before it: seconds of the epoch are rounded to 0.24 µs."""
 
 _SLOPE = 4e-3
 """Half-width [s] of the line through the displacement whose slope is the velocity; see page.js."""
@@ -334,7 +334,7 @@ class LiveRecord:
             self._tables["samples"][1].extend(rows)
             if velocity is None:
                 rows, velocity = self._with_slope(rows, period)
-            ticks = np.floor(rows[:, 0] * _RATE + 1e-6)
+            ticks = np.floor(rows[:, 0] * _RATE + _ROUNDED)
             due = np.flatnonzero(np.diff(ticks, prepend=self._tick))
             self._tick = float(ticks[-1]) if ticks.size else self._tick
             chosen = np.column_stack([rows, velocity])[due]
@@ -357,23 +357,6 @@ class LiveRecord:
         slope = np.correlate(rows[:, 1], offsets / (period * np.sum(offsets**2)), "valid")
         return rows[half : len(rows) - half], slope
 
-    def add_signals(
-        self,
-        time_s: float,
-        displacement: float,
-        velocity: float,
-        current: float,
-        measured: float,
-        predicted: float,
-        *,
-        valid: bool,
-    ) -> None:
-        """Add the measured and predicted signals at one stamp [s]; SI units."""
-        with self._lock:
-            self._restart_before(time_s)
-            row = (time_s, displacement, velocity, current, measured, predicted)
-            self._add_row(row, valid=valid)
-
     def _restart_before(self, time_s: float) -> None:
         """Begin a new record if the stamps have gone back."""
         if time_s < self._last_time - _JUMP:
@@ -387,9 +370,9 @@ class LiveRecord:
             self._origin = self._last_time
         error = row[5] - row[4]
         wanted = (self._set_point(name) for name in ("current_command", "desired_force"))
-        self._tables["signals"][1].append((*row, error, *wanted, float(valid)))
+        self._tables["signals"][1].extend([(*row, error, *wanted, float(valid))])
         if self._tenth and self._last_time >= self._tenth[0][0] + _HISTORY_STEP:
-            self._tables["history"][1].append(_range_of(np.array(self._tenth)).tolist())
+            self._tables["history"][1].extend(_range_of(np.array(self._tenth))[np.newaxis])
             self._tenth = []
         self._tenth.append((*row, error if valid else math.nan, float(valid)))
         self._follow_current(self._last_time, row[3])
@@ -441,7 +424,7 @@ class LiveRecord:
         }
         with self._lock:
             self._fluid = (math.nan, math.nan)
-            self._tables["windows"][1].append([figures.get(name, math.nan) for name in WINDOWS])
+            self._tables["windows"][1].extend([[figures.get(name, math.nan) for name in WINDOWS]])
             self._windows_seen += 1
             self.last_window = window
             self._sentences.append(
@@ -484,7 +467,7 @@ class LiveRecord:
             table = RollingTable(columns, capacity, first_of_two)
             self._add_table(name, table)
         values, errors = zip(*pairs.values(), strict=True)
-        table.append((time_s, *values, *errors))
+        table.extend([(time_s, *values, *errors)])
 
     def add_concern(self, concern: Concern) -> None:
         """Add a diagnostic."""

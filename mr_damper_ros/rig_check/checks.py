@@ -8,8 +8,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from mr_damper_ros.kinematics.motion import SavitzkyGolay
-from mr_damper_ros.rig_check.record import ChannelLag, RigFinding, RigRecord, Trouble, channel_lag
+from mr_damper_ros.rig_check.record import (
+    ChannelLag,
+    RigFinding,
+    RigRecord,
+    Trouble,
+    channel_lag,
+    motion_frequency,
+)
 from mr_damper_ros.signals.arrays import Array, white_noise
 from mr_damper_ros.signals.blocks import NANOSECONDS
 
@@ -42,25 +48,26 @@ def channel_findings(
     name: str, unit: str, values: Array, period: float, frequency: float
 ) -> Iterator[RigFinding]:
     """Findings on the values (n,) of a channel; the motion has about this frequency [Hz]."""
-    spread = float(np.std(values))
+    spread, noise = float(np.std(values)), white_noise(values)
     step = coarse_step(values)
-    cut = "" if step else _cut_off(values)
-    if cut:
-        yield Trouble.CLIPPED.found(name, how=f" at {cut}")
     if step:
         yield Trouble.COARSE.found(name, step=step, unit=unit)
-    noise = white_noise(values)
-    part, least = _NOISY[name]
-    if noise > max(part * spread, least) and not step:
-        yield Trouble.NOISE.found(name, noise=noise, unit=unit, share=noise / spread)
-    wild = _wild_values(values, noise)
-    if wild:
-        yield Trouble.SPIKES.found(name, count=wild)
+    else:
+        clipped = [f"{limit:.4g}" for limit in (values.min(), values.max()) if _cut(values, limit)]
+        if clipped:
+            yield Trouble.CLIPPED.found(name, how=f" at {' and '.join(clipped)}")
+        part, least = _NOISY[name]
+        if noise > max(part * spread, least):
+            yield Trouble.NOISE.found(name, noise=noise, unit=unit, share=noise / spread)
+    middle = np.median(np.stack([values[:-2], values[1:-1], values[2:]]), axis=0)
+    wild = np.abs(values[1:-1] - middle) > max(_WILD * noise, 2.0 * _JUMP * _half_range(values))
+    if wild.any():
+        yield Trouble.SPIKES.found(name, count=np.count_nonzero(wild))
         return
+    reach = max(_BESIDE, _HARMONICS * frequency)
     for mains in _MAINS:
-        beside = max(_BESIDE, _HARMONICS * frequency)
-        amplitude = _hum(values, period, mains, beside, _HUMS[name] * spread)
-        if amplitude > 0.0:
+        amplitude, beside = _line_at(mains, reach, values, period)
+        if amplitude > max(_STANDS_OUT * beside, _HUMS[name] * spread):
             yield Trouble.HUM.found(name, size=amplitude, unit=unit, mains=mains)
 
 
@@ -72,36 +79,22 @@ def coarse_step(values: Array) -> float:
     return step if step > _COARSE * float(np.std(values)) else 0.0
 
 
-def _cut_off(values: Array) -> str:
-    """Where the values are clipped, in words; empty if they are not."""
-    places = []
-    for limit in (float(values.min()), float(values.max())):
-        there = values == limit
-        # The longest run of equal values.
-        ends = np.flatnonzero(np.diff(np.concatenate([[0], there.astype(int), [0]])))
-        longest = int(np.diff(ends)[::2].max())
-        if longest >= _ROW and np.count_nonzero(there) >= _CUT * values.size:
-            places.append(f"{limit:.4g}")
-    return " and ".join(places)
+def _cut(values: Array, limit: float) -> bool:
+    """Whether many values are exactly at this limit, and several in a row."""
+    there = values == limit
+    in_a_row = np.convolve(there, np.ones(_ROW), "valid").max() >= _ROW
+    return bool(in_a_row and there.mean() >= _CUT)
 
 
-def _wild_values(values: Array, noise: float) -> int:
-    middle = np.median(np.stack([values[:-2], values[1:-1], values[2:]]), axis=0)
-    off = np.abs(values[1:-1] - middle)
-    least = max(_WILD * noise, _JUMP * float(np.quantile(values, 0.99) - np.quantile(values, 0.01)))
-    return int(np.count_nonzero(off > least))
-
-
-def _hum(values: Array, period: float, mains: float, reach: float, least: float) -> float:
-    """Amplitude of a significant line at the mains frequency; 0 without one."""
+def _line_at(mains: float, reach: float, values: Array, period: float) -> tuple[float, float]:
+    """Amplitudes of the lines at the mains frequency, and beside it; 0 if they are not resolved."""
     if mains + reach > 0.5 / period or values.size * period < 2.0 / _NEAR:
-        return 0.0
+        return 0.0, 0.0
     weights = np.hanning(values.size)
     lines = np.abs(np.fft.rfft((values - values.mean()) * weights)) * 2.0 / weights.sum()
     away = np.abs(np.fft.rfftfreq(values.size, period) - mains)
-    here = float(lines[away <= _NEAR].max())
-    beside = float(lines[(away > 2.0 * _NEAR) & (away <= reach)].max())
-    return here if here > max(_STANDS_OUT * beside, least) else 0.0
+    beside = lines[(away > 2.0 * _NEAR) & (away <= reach)]
+    return float(lines[away <= _NEAR].max()), float(beside.max())
 
 
 _RATE = 0.003
@@ -126,71 +119,57 @@ _CURRENT_AHEAD = 0.5
 def stream_findings(record: RigRecord) -> Iterator[RigFinding]:
     """Findings on the blocks of a non-empty record."""
     yield from _count_findings(record)
-    yield from _stamp_findings(record)
+    numbers, times = record.stamps()
+    later = np.diff(numbers) > 0
+    steps, counts = np.diff(times)[later], np.diff(numbers)[later]
+    if counts.size >= 8 and numbers[-1] > numbers[0]:
+        period, stated = float(np.median(steps / counts)), record.period
+        if abs(period / stated - 1.0) > _RATE:
+            yield Trouble.RATE.found(measured=1e3 * period, rate=1.0 / period, stated=1e3 * stated)
+        # A line over the whole record would not follow a clock step.
+        off = steps - period * counts
+        jitter = float(np.std(off[np.abs(off) < 1.0])) / math.sqrt(2.0)
+        if jitter > _JITTER * period:
+            yield Trouble.JITTER.found(jitter=1e3 * jitter, share=jitter / period)
     arrivals = np.array([block.arrival_ns for block in record.blocks], dtype=np.float64)
     if (arrivals >= 0.0).all() and arrivals.size > 2:
         longest = max(block.force.size * block.period for block in record.blocks)
-        stamps = np.array([block.start_ns for block in record.blocks], dtype=np.int64)
-        # Without samples, nothing was held up.
-        expected = np.clip(np.diff(stamps) / NANOSECONDS, longest, None)
         pauses = np.diff(arrivals) / NANOSECONDS
-        held_up = pauses - expected > _BURST
-        if np.count_nonzero(held_up) > 1:
-            longest = pauses[held_up].max()
-            yield Trouble.BURSTS.found(count=np.count_nonzero(held_up), pause=longest)
+        # Without samples, nothing was held up.
+        held_up = pauses[pauses - np.clip(np.diff(times), longest, None) > _BURST]
+        if held_up.size > 1:
+            yield Trouble.BURSTS.found(count=held_up.size, pause=held_up.max())
 
 
 def _count_findings(record: RigRecord) -> Iterator[RigFinding]:
     lost = repeated = restarts = 0
-    newest, expected = -1, record.blocks[0].sequence
-    stamped = record.blocks[0].start_ns
+    expected, due_ns = record.blocks[0].sequence, record.blocks[0].start_ns
     for block in record.blocks:
-        missing = block.sequence - expected
-        later = (block.start_ns - stamped) / NANOSECONDS
-        if missing > 0:
-            lost += missing
-        elif missing < 0:
-            if later > -1.0 and block.sequence + block.force.size <= newest and later <= 0.0:
-                repeated += 1
-                continue
-            restarts += 1
-        elif abs(later) > 1.0:
-            restarts += 1
-        expected = newest = block.sequence + block.force.size
-        stamped = block.start_ns + round(block.force.size * block.period * NANOSECONDS)
+        missing, late = block.sequence - expected, (block.start_ns - due_ns) / NANOSECONDS
+        end = block.sequence + block.force.size
+        if missing < 0 and -1.0 < late <= 0.0 and end <= expected:
+            repeated += 1
+            continue
+        lost += max(missing, 0)
+        restarts += missing < 0 or (missing == 0 and abs(late) > 1.0)
+        expected, due_ns = (
+            end,
+            block.start_ns + round((end - block.sequence) * block.period * NANOSECONDS),
+        )
     if repeated:
         # A block that arrives after its successor counted as missing at that time.
         lost = max(lost - repeated * round(np.median([b.force.size for b in record.blocks])), 0)
         yield Trouble.REPEATED.found(count=repeated)
-    left_out = 0
-    for name in ("displacement", "force"):
-        count = record.left_out(name)
-        left_out += count
+    left_out = {name: record.left_out(name) for name in ("displacement", "force")}
+    for name, count in left_out.items():
         if count:
             yield Trouble.CLIPPED.found(name, how=f", its source left out {count} samples")
-    if left_out and (lost - left_out) * record.period < _TOLD_LATE:
-        lost = 0
-    if lost:
+    known = sum(left_out.values())
+    if lost and not (known and (lost - known) * record.period < _TOLD_LATE):
         whole = lost + record.sample_count
         yield Trouble.LOST.found(count=lost, whole=whole, share=lost / whole)
     if restarts:
         yield Trouble.RESTARTED.found(count=restarts)
-
-
-def _stamp_findings(record: RigRecord) -> Iterator[RigFinding]:
-    numbers, times = record.stamps()
-    rising = np.flatnonzero(np.diff(numbers) > 0)
-    if rising.size < 8 or numbers[-1] <= numbers[0]:
-        return
-    periods = np.diff(times)[rising] / np.diff(numbers)[rising]
-    period, stated = float(np.median(periods)), record.period
-    if abs(period / stated - 1.0) > _RATE:
-        yield Trouble.RATE.found(measured=1e3 * period, rate=1.0 / period, stated=1e3 * stated)
-    # A line over the whole record would not follow a clock step.
-    off = np.diff(times)[rising] - period * np.diff(numbers)[rising]
-    jitter = float(np.std(off[np.abs(off) < 1.0])) / math.sqrt(2.0) / period
-    if jitter > _JITTER:
-        yield Trouble.JITTER.found(jitter=1e3 * jitter * period, share=jitter)
 
 
 def current_findings(record: RigRecord) -> Iterator[RigFinding]:
@@ -221,13 +200,12 @@ def _command_findings(
         return
     told = np.array([stamp for stamp, _ in record.commanded], dtype=np.int64)
     wanted = np.array([value for _, value in record.commanded])
-    changed = np.concatenate([[True], np.diff(wanted) != 0.0])
+    changed = np.diff(wanted, prepend=np.nan) != 0.0
     since = told[np.maximum.accumulate(np.where(changed, np.arange(told.size), 0))]
     place = np.searchsorted(told, stamps, side="right") - 1
-    known = place >= 0
-    held = (stamps[known] - since[place[known]]) / NANOSECONDS
-    fresh = (stamps[known] - told[place[known]]) / NANOSECONDS < _SETTLING
-    off = (values[known] - wanted[place[known]])[(held > _SETTLING) & fresh]
+    # The last command is fresh, and it has been the same for long enough to be obeyed.
+    fresh = (place >= 0) & (stamps - told[place] < _SETTLING * NANOSECONDS)
+    off = (values - wanted[place])[fresh & (stamps - since[place] > _SETTLING * NANOSECONDS)]
     if off.size and float(np.median(np.abs(off))) > _CURRENT_OFF:
         yield Trouble.CURRENT.found("current", off=float(np.median(off)))
 
@@ -273,13 +251,11 @@ def check_rig(record: RigRecord) -> RigCheck:
         return RigCheck((*found, silent, *current_findings(record)), None, "")
     found += stream_findings(record)
     displacement, force = record.stretch()
+    channels = {"displacement": displacement, "force": force}
+    missing = {n: int(np.count_nonzero(~np.isfinite(values))) for n, values in channels.items()}
+    found += [Trouble.NOT_FINITE.found(n, count=count) for n, count in missing.items() if count]
     lag = None
-    if not (np.isfinite(displacement).all() and np.isfinite(force).all()):
-        for name, values in (("displacement", displacement), ("force", force)):
-            count = int(np.count_nonzero(~np.isfinite(values)))
-            if count:
-                found.append(Trouble.NOT_FINITE.found(name, count=count))
-    elif displacement.size >= _ENOUGH:
+    if not any(missing.values()) and displacement.size >= _ENOUGH:
         of_channels, lag = _channels(displacement, force, record.period)
         found += of_channels
     found += current_findings(record)
@@ -289,37 +265,29 @@ def check_rig(record: RigRecord) -> RigCheck:
 def _channels(
     displacement: Array, force: Array, period: float
 ) -> tuple[list[RigFinding], ChannelLag | None]:
-    still = [
-        Trouble.STUCK.found(name)
-        for name, values in (("displacement", displacement), ("force", force))
-        if np.ptp(values) == 0.0
-    ]
+    channels = (("displacement", "m", displacement), ("force", "N", force))
+    still = [Trouble.STUCK.found(name) for name, _, values in channels if np.ptp(values) == 0.0]
     if still:
         return still, None
     at_rest = _half_range(displacement) < _DISPLACEMENT[0]
     if not at_rest and _exchanged(displacement, force):
         return [Trouble.SWAPPED.found()], None
     found = list(_unit_findings(displacement, force))
-    if any(finding.trouble is Trouble.AT_REST for finding in found):
+    if at_rest:
         return found, None
-    frequency = _frequency(displacement, period)
-    for name, unit, values in (("displacement", "m", displacement), ("force", "N", force)):
+    frequency = motion_frequency(displacement, period)
+    for name, unit, values in channels:
         found += channel_findings(name, unit, values, period, frequency)
     sound = not any(finding.trouble is Trouble.CLIPPED for finding in found)
-    lag = channel_lag(displacement, force, period)
-    if _power(displacement, force, period) < 0.0:
+    work = np.diff(displacement) @ (force[1:] + force[:-1] - 2.0 * force.mean())
+    if work < 0.0:
         found.append(Trouble.INVERTED.found())
-        lag = channel_lag(displacement, -force, period)
+    lag = channel_lag(displacement, math.copysign(1.0, work) * force, period)
     if sound and lag.determined and abs(lag.skew) > max(_SKEW, _SURE * lag.standard_error):
         late, early = ("force", "displacement") if lag.skew > 0 else ("displacement", "force")
+        skew, error = 1e3 * abs(lag.skew), 1e3 * lag.standard_error
         found.append(
-            Trouble.SKEW.found(
-                late=late,
-                early=early,
-                skew=1e3 * abs(lag.skew),
-                error=1e3 * lag.standard_error,
-                lateness=lag.skew,
-            )
+            Trouble.SKEW.found(late=late, early=early, skew=skew, error=error, lateness=lag.skew)
         )
     return found, lag
 
@@ -359,26 +327,10 @@ def _exchanged(displacement: Array, force: Array) -> bool:
     return rougher and noises[0] > noises[1]
 
 
-def _frequency(displacement: Array, period: float) -> float:
-    """Approximate frequency of the motion [Hz]."""
-    half = max(round(5e-3 / period), 2)
-    if displacement.size < 2 * half + 1:
-        return 0.0
-    velocity = SavitzkyGolay(2 * half + 1, 2).derivative(displacement, 1, period)
-    return float(np.std(velocity) / np.std(displacement) / (2.0 * np.pi))
-
-
 def _roughness(values: Array) -> float:
     """Steps between samples without noise, relative to the standard deviation."""
     steps = float(np.mean(np.diff(values) ** 2)) - 2.0 * white_noise(values) ** 2
     return float(np.sqrt(max(steps, 0.0)) / np.std(values))
-
-
-def _power(displacement: Array, force: Array, period: float) -> float:
-    """Mean dissipated power [W]."""
-    half = max(round(2e-3 / period), 2)
-    velocity = SavitzkyGolay(2 * half + 1, 2).derivative(displacement, 1, period)
-    return float(np.mean(velocity * (force - force.mean())))
 
 
 def _advice(displacement: Array, force: Array, period: float) -> str:

@@ -209,9 +209,9 @@ _REMEMBERED, _EVEN = 4, 0.05
 class ChannelLag:
     """``skew`` [s], its standard error, and the total ``lag`` [s] at a typical reversal."""
 
-    skew: float
-    standard_error: float
-    lag: float
+    skew: float = math.nan
+    standard_error: float = math.inf
+    lag: float = math.nan
 
     @property
     def determined(self) -> bool:
@@ -219,35 +219,52 @@ class ChannelLag:
         return self.standard_error <= 5e-4
 
 
+def motion_frequency(displacement: Array, period: float) -> float:
+    """Approximate frequency [Hz] of a motion (n,), 0 if it cannot be estimated."""
+    coarse = max(round(5e-3 / period), 1)
+    means = displacement[: displacement.size // coarse * coarse].reshape(-1, coarse).mean(axis=1)
+    if means.size < 3 or np.std(means) == 0.0:
+        return 0.0
+    velocity = float(np.std(np.diff(means))) / (coarse * period)
+    return velocity / (2.0 * math.pi * float(np.std(means)))
+
+
 def channel_lag(displacement: Array, force: Array, period: float) -> ChannelLag:
     """The lag of the force from samples (n,) at ``period`` [s]; NaN if it cannot be estimated."""
-    nothing = ChannelLag(math.nan, math.inf, math.nan)
-    half = _half_window(displacement, period)
+    frequency = motion_frequency(displacement, period)
+    half = max(round(1.0 / (_SMOOTHED * frequency * period)), 3) if frequency else 3
     if displacement.size < 8 * half + 4:
-        return nothing
+        return ChannelLag()
     smooth = SavitzkyGolay(2 * half + 1, 3)
     velocity = smooth.derivative(displacement, 1, period)
-    turns = _turns(velocity)
+    turns, direction = _reversals(velocity, _SMALL * float(np.quantile(np.abs(velocity), 0.9)))
     if turns.size < 2 * _FEWEST:
-        return nothing
-    pulled = smooth.derivative(force - 0.5 * (np.quantile(force, 0.99) + np.quantile(force, 0.01)))
-    zeros = _crossings(pulled)
-    rows: list[tuple[float, float]] = []
-    for before, turn, after in zip(turns, turns[1:], turns[2:], strict=False):
-        cycle = float(after - before)
-        place = round(float(turn)) + half
-        direction = np.sign(velocity[min(place, velocity.size - 1)])
-        near = zeros[np.abs(zeros - turn) < _FURTHEST * cycle]
+        return ChannelLag()
+    middle = 0.5 * (np.quantile(force, 0.99) + np.quantile(force, 0.01))
+    zeros, rising = _reversals(smooth.derivative(force - middle), 0.0)
+    cycles = turns[2:] - turns[:-2]
+    lags = np.full(cycles.size, math.nan)
+    for k, (turn, cycle) in enumerate(zip(turns[1:-1], cycles, strict=True)):
+        # The force crosses zero in the direction of the motion.
+        near = zeros[(np.abs(zeros - turn) < _FURTHEST * cycle) & (rising == direction[k + 1])]
         if near.size:
-            # The force crosses zero in the direction of the motion.
-            steps = pulled[near.astype(int) + 1] - pulled[near.astype(int)]
-            near = near[np.sign(steps) == direction]
-        lag = float(np.median(near)) - float(turn) if near.size else math.nan
-        rows.append((lag * period, cycle * period))
+            lags[k] = np.median(near) - turn
     # An offset of the force shifts alternate reversals in opposite directions.
-    pairs = np.array(rows[: len(rows) // 2 * 2]).reshape(-1, 2, 2).mean(axis=1)
-    lags, cycles = pairs[np.isfinite(pairs[:, 0]) & _steady(pairs[:, 1])].T
-    return _line(lags, cycles) if lags.size >= _FEWEST else nothing
+    pairs = np.stack([lags, cycles], axis=1)[: lags.size // 2 * 2].reshape(-1, 2, 2).mean(axis=1)
+    lags, cycles = period * pairs[np.isfinite(pairs[:, 0]) & _steady(pairs[:, 1])].T
+    return _line(lags, cycles) if lags.size >= _FEWEST else ChannelLag()
+
+
+def _reversals(values: Array, least: float) -> tuple[Array, Array]:
+    """Interpolated zero crossings [samples] between values above ``least``, and their directions.
+
+    A direction is 1 if the values rise, and -1 if they fall.
+    """
+    large = np.flatnonzero(np.abs(values) > least)
+    change = np.flatnonzero(np.diff(np.sign(values[large])))
+    before, after = large[change], large[change + 1]
+    steps = values[after] - values[before]
+    return before - (after - before) * values[before] / steps, np.sign(steps)
 
 
 def _steady(cycles: Array) -> np.ndarray:
@@ -264,52 +281,19 @@ def _steady(cycles: Array) -> np.ndarray:
 
 def _line(lags: Array, cycles: Array) -> ChannelLag:
     """Regression of the lags (n,) on the cycle lengths (n,) [s]; errors grow with the length."""
-    usual = float(np.median(lags))
+    unknown = ChannelLag(lag=float(np.median(lags)))
     if np.quantile(cycles, 0.9) < _SPREAD * np.quantile(cycles, 0.1):
-        return ChannelLag(math.nan, math.inf, usual)
+        return unknown
     columns = np.stack([1.0 / cycles, np.ones(cycles.size)], axis=1)
     parts = lags / cycles
     kept = np.ones(parts.size, dtype=bool)
-    weights: Array = np.zeros(2)
     for _ in range(3):
-        weights = np.asarray(np.linalg.lstsq(columns[kept], parts[kept], rcond=None)[0])
+        weights = np.linalg.lstsq(columns[kept], parts[kept], rcond=None)[0]
         rest = parts - columns @ weights
         kept = np.abs(rest) <= _OUTLIER * max(1.4826 * float(np.median(np.abs(rest))), 1e-6)
         if np.count_nonzero(kept) < _FEWEST:
-            return ChannelLag(math.nan, math.inf, usual)
-    left = parts[kept] - columns[kept] @ weights
-    variance = float(left @ left) / (left.size - 2)
+            return unknown
+    variance = float(np.sum(rest[kept] ** 2)) / (np.count_nonzero(kept) - 2)
     covariance = variance * np.linalg.inv(columns[kept].T @ columns[kept])
-    return ChannelLag(float(weights[0]), math.sqrt(float(covariance[0, 0]) + _OF_THE_LAW**2), usual)
-
-
-def _half_window(displacement: Array, period: float) -> int:
-    """Half-width of the smoothing [samples]."""
-    coarse = max(round(5e-3 / period), 1)
-    means = displacement[: displacement.size // coarse * coarse].reshape(-1, coarse).mean(axis=1)
-    if means.size < 3 or np.std(means) == 0.0:
-        return 3
-    rate = float(np.std(np.diff(means))) / (coarse * period)
-    cycle = 2.0 * math.pi * float(np.std(means)) / rate
-    return max(round(cycle / _SMOOTHED / period), 3)
-
-
-def _turns(velocity: Array) -> Array:
-    """Reversals [samples]: zero crossings of the velocity with significant motion on both sides."""
-    fast = _SMALL * float(np.quantile(np.abs(velocity), 0.9))
-    sides = np.sign(velocity) * (np.abs(velocity) > fast)
-    moving = np.flatnonzero(sides)
-    changes = np.flatnonzero(np.diff(sides[moving]) != 0.0)
-    crossings = _crossings(velocity)
-    found = [
-        float(np.median(between))
-        for a, b in zip(moving[changes], moving[changes + 1], strict=True)
-        if (between := crossings[(crossings >= a) & (crossings <= b)]).size
-    ]
-    return np.array(found)
-
-
-def _crossings(values: Array) -> Array:
-    """Interpolated zero crossings [samples]."""
-    before = np.flatnonzero(np.sign(values[:-1]) * np.sign(values[1:]) < 0.0)
-    return np.asarray(before - values[before] / (values[before + 1] - values[before]))
+    error = math.sqrt(float(covariance[0, 0]) + _OF_THE_LAW**2)
+    return ChannelLag(float(weights[0]), error, unknown.lag)

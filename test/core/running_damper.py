@@ -17,17 +17,32 @@ COEFFICIENTS = {"f_t": 620.0, "alpha": 41.0, "k_c": 1.2, "k_e": 1.1, "v_h": -8e-
 RATE = 100
 
 
+def add_signals(
+    record: LiveRecord,
+    at: float,
+    displacement: float,
+    velocity: float,
+    current: float,
+    measured: float,
+    predicted: float,
+    *,
+    valid: bool,
+) -> None:
+    """One sample, with its current and velocity."""
+    record.add_current(at, current)
+    sample = (np.array([x]) for x in (displacement, measured, predicted, float(valid), velocity))
+    record.add_samples(at, 0.01, *sample)
+
+
 def show_signals(record: LiveRecord, begin: float, duration: float) -> None:
     """Signals at 100 Hz of a sine; the prediction is not valid in the first second."""
     omega, amplitude = 2.0 * math.pi * 1.5, 5e-3
-    noise = np.random.default_rng(7)
-    for at in np.arange(begin, begin + duration - 1e-9, 1.0 / RATE):
-        u, v = amplitude * math.sin(omega * at), amplitude * omega * math.cos(omega * at)
-        force = 620.0 * math.tanh(41.0 * (v - 0.15 * omega * u)) * (1.0 + 0.5 * abs(v))
-        measured = force + noise.normal(0.0, 12.0)
-        record.add_signals(
-            START + at, u, v, 0.5, measured, 0.97 * force + 8.0, valid=bool(at >= 1.0)
-        )
+    at = np.arange(begin, begin + duration - 1e-9, 1.0 / RATE)
+    u, v = amplitude * np.sin(omega * at), amplitude * omega * np.cos(omega * at)
+    force = 620.0 * np.tanh(41.0 * (v - 0.15 * omega * u)) * (1.0 + 0.5 * np.abs(v))
+    measured = force + np.random.default_rng(7).normal(0.0, 12.0, at.size)
+    record.add_current(START + begin, 0.5)
+    record.add_samples(START + begin, 1.0 / RATE, u, measured, 0.97 * force + 8.0, at >= 1.0, v)
 
 
 def show_samples(record: LiveRecord, duration: float) -> None:

@@ -178,7 +178,9 @@ def test_a_figure_says_the_values_under_the_pointer(page: Browser, chart: str, s
 
 def test_an_outlier_does_not_flatten_a_figure(browser: Browser) -> None:
     record = running_damper.running(3)
-    record.add_signals(running_damper.START + 3.0, 0.0, 0.0, 0.5, 1e6, 0.0, valid=True)
+    running_damper.add_signals(
+        record, running_damper.START + 3.0, 0.0, 0.0, 0.5, 1e6, 0.0, valid=True
+    )
     running_damper.show_signals(record, 3.01, 1.0)
     with opened(browser, record):
         output = "document.querySelector('[data-chart=force-time] output')"
@@ -292,7 +294,7 @@ def test_events_are_marked_and_lead_to_their_place(browser: Browser) -> None:
     for number in range(300):
         current = 0.5 if number < 150 else 1.2
         at = running_damper.START + 3.0 + 0.01 * number
-        record.add_signals(at, 0.0, 0.0, current, 0.0, 0.0, valid=True)
+        running_damper.add_signals(record, at, 0.0, 0.0, current, 0.0, 0.0, valid=True)
     record.add_concern(Concern("supply: supply", 2, "its watchdog has tripped", {}))
     running_damper.show_set(record, 5)
     with opened(browser, record):

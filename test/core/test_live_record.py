@@ -9,6 +9,7 @@ from typing import Any
 import known
 import numpy as np
 import pytest
+import running_damper
 
 from mr_damper_ros.live import live_record
 from mr_damper_ros.live.live_record import Concern, LiveRecord, WindowSeen
@@ -20,7 +21,7 @@ T0 = 1_700_000_000.0
 
 def signals(record: LiveRecord, *times: float) -> None:
     for stamp in times:
-        record.add_signals(stamp, 0.001, 0.02, 0.5, 400.0, 380.0, valid=True)
+        running_damper.add_signals(record, stamp, 0.001, 0.02, 0.5, 400.0, 380.0, valid=True)
 
 
 def window(time: float = T0, *, accepted: bool = True, **coefficients: float) -> WindowSeen:
@@ -189,7 +190,9 @@ def follow(record: LiveRecord, begin: float, duration: float, current: float) ->
     for number in range(round(100.0 * duration)):
         at = begin + 0.01 * number
         force = 400.0 if number % 10 else 900.0
-        record.add_signals(T0 + at, 0.001, 0.02, current, force, 380.0, valid=number % 2 == 0)
+        running_damper.add_signals(
+            record, T0 + at, 0.001, 0.02, current, force, 380.0, valid=number % 2 == 0
+        )
 
 
 def marks(record: LiveRecord) -> list[tuple[str, str]]:

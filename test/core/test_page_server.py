@@ -13,6 +13,7 @@ from urllib.parse import urlsplit
 
 import numpy as np
 import pytest
+import running_damper
 
 from mr_damper_ros.live import page_server
 from mr_damper_ros.live.live_record import LiveRecord
@@ -25,7 +26,9 @@ PATIENCE = 30.0
 def record() -> LiveRecord:
     made = LiveRecord()
     for number in range(100):
-        made.add_signals(0.01 * number, 1e-3, 0.1, 0.5, 300.0, 290.0, valid=number % 2 == 0)
+        running_damper.add_signals(
+            made, 0.01 * number, 1e-3, 0.1, 0.5, 300.0, 290.0, valid=number % 2 == 0
+        )
     return made
 
 
@@ -253,7 +256,7 @@ def test_a_viewer_that_reads_nothing_holds_up_nobody(
             stuck.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
             stuck.connect((parts.hostname, parts.port))
             stuck.sendall(100 * request)  # five megabytes, of which it takes none
-        record.add_signals(1.0, 0.0, 0.0, 0.0, 1.0, 1.0, valid=True)
+        running_damper.add_signals(record, 1.0, 0.0, 0.0, 0.0, 1.0, 1.0, valid=True)
         assert json.loads(ask(server, "/status")[1])["tables"]["signals"]["next"] == known + 1
 
 

@@ -13,7 +13,7 @@ from mr_damper_ros.live.live_record import RollingTable, first_of_two
 def filled(rows: int, capacity: int = 8, *, thins: bool = False) -> RollingTable:
     table = RollingTable(("value",), capacity, first_of_two if thins else None)
     for number in range(rows):
-        table.append((10.0 * number,))
+        table.extend([(10.0 * number,)])
     return table
 
 
@@ -29,7 +29,7 @@ def test_rows_that_are_given_out_do_not_change_later() -> None:
     table = filled(8)
     given_out = table.after(-1)
     for _ in range(8):
-        table.append((-1.0,))
+        table.extend([(-1.0,)])
     assert given_out[:, 1].tolist() == [10.0 * n for n in range(8)]
 
 
@@ -48,7 +48,7 @@ def test_numbers_rise_the_newest_is_there_and_the_memory_bounded(
 
 def test_a_row_must_fill_the_columns() -> None:
     with pytest.raises(ValueError, match="2 values do not fill 1 columns"):
-        filled(0).append((1.0, 2.0))
+        filled(0).extend([(1.0, 2.0)])
 
 
 def test_a_table_of_a_few_rows_is_refused() -> None:
