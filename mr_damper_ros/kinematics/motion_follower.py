@@ -471,8 +471,7 @@ class MotionFollower:
 
     def _observe(self, displacement: Array) -> Motion:
         u, v, a = self._differentiator.follow(displacement)
-        # An overshoot of the settling observer must not be stored as a peak velocity.
-        v_m = self._peak.follow(v, a) if self._differentiator.settled else np.abs(v)
+        v_m = self._peak.follow_settled(v, a, self._differentiator.settled_count)
         centred = u - self._centre.follow(displacement)
         return Motion(
             displacement=centred, velocity=v, acceleration=a, peak_velocity=v_m, sine=None

@@ -79,7 +79,12 @@ class CausalDifferentiator:
     @property
     def settled(self) -> bool:
         """Whether the transient of the start has died away."""
-        return self.seen >= self._settling
+        return self.settled_count > 0
+
+    @property
+    def settled_count(self) -> int:
+        """Number of samples since the transient of the start has died away."""
+        return max(self.seen - self._settling + 1, 0)
 
     def follow(self, displacement: Array) -> tuple[Array, Array, Array]:
         """Displacement [m], velocity [m/s] and acceleration [m/s²] at the samples, shape (n,)."""
@@ -266,6 +271,11 @@ class AdaptiveObserver:
     def settled(self) -> bool:
         """Whether the transient of the start has died away."""
         return self._observer.settled
+
+    @property
+    def settled_count(self) -> int:
+        """Number of samples since the transient of the start, or of a restart, has died away."""
+        return self._observer.settled_count
 
     def follow(self, displacement: Array) -> tuple[Array, Array, Array]:
         """Displacement [m], velocity [m/s] and acceleration [m/s²] at the samples, shape (n,)."""

@@ -133,6 +133,18 @@ class PeakVelocity:
             return np.hypot(velocity, acceleration * self._follow_one(velocity, acceleration))
         return np.hypot(velocity, acceleration * self.follow_time_scale(velocity, acceleration))
 
+    def follow_settled(self, velocity: Array, acceleration: Array, settled: int) -> Array:
+        """As :meth:`follow`; the observer had settled for the last ``settled`` of the samples.
+
+        An overshoot of the settling observer must not be stored, so the result is the speed there.
+        """
+        if settled >= velocity.size:
+            return self.follow(velocity, acceleration)
+        found = np.abs(velocity)
+        if settled > 0:
+            found[-settled:] = self.follow(velocity[-settled:], acceleration[-settled:])
+        return found
+
     def _follow_one(self, velocity: Array, acceleration: Array) -> float:
         """As :meth:`follow_time_scale`, for a single sample when whole half-cycles are known."""
         assert self._whole_time_scale is not None
@@ -237,11 +249,9 @@ class StreamPeakVelocity:
 
     def follow(self, displacement: Array) -> Array:
         """Peak velocity [m/s] at the next samples of the displacement [m], shape (n,)."""
-        _, velocity, acceleration = self._differentiator.follow(displacement)
-        if not self._differentiator.settled:
-            # An overshoot of the settling observer must not be stored.
-            return np.abs(velocity)
-        return self._peak.follow(velocity, acceleration)
+        observer = self._differentiator
+        _, velocity, acceleration = observer.follow(displacement)
+        return self._peak.follow_settled(velocity, acceleration, observer.settled_count)
 
 
 def peak_velocity_of_window(velocity: Array, acceleration: Array, period: float) -> Array:

@@ -224,12 +224,14 @@ def rival_wins(
     window: Window,
     *,
     fresh: int,
+    maximum_nrmse: float,
     elsewhere: Sequence[Window] = (),
 ) -> bool:
     """Whether a rival set predicts the last ``fresh`` samples of a window better.
 
     Neither set was fitted to these samples. A rival with a wider current range is accepted up to an
-    excess of :data:`HARDLY` in NRMSE. ``elsewhere`` is as in :func:`evidence_of`.
+    excess of :data:`HARDLY` in NRMSE. A window that the rival predicts with more than
+    ``maximum_nrmse`` does not confirm it. ``elsewhere`` is as in :func:`evidence_of`.
     """
     judges = np.arange(window.sample_count) >= window.sample_count - fresh
     found = evidence_of(running, rival, window, judges, fresh=fresh, elsewhere=elsewhere)
@@ -238,7 +240,7 @@ def rival_wins(
         allowed = found.nrmse_before + HARDLY
     else:
         allowed = WORTH_WHILE * found.nrmse_before
-    return found.nrmse_after <= allowed and not found.loses_elsewhere
+    return found.nrmse_after <= min(allowed, maximum_nrmse) and not found.loses_elsewhere
 
 
 def _mean_square(found: ParameterSet, windows: Sequence[Window]) -> float:

@@ -34,6 +34,7 @@ from mr_damper_ros.signals.arrays import Array
 from mr_damper_ros.signals.blocks import NANOSECONDS
 from mr_damper_ros.tracking.acceptance import (
     CHUNKS,
+    AcceptanceSettings,
     Evidence,
     Judgement,
     Lead,
@@ -250,6 +251,8 @@ def _errors(covariance: Array) -> Array:
     return np.sqrt(np.maximum(np.diag(covariance), 0.0))
 
 
+# A search tries parameters whose force overflows; they are judged by whether it is finite.
+@np.errstate(over="ignore", divide="ignore", invalid="ignore")
 def run(job: Job, control: Control | None = None) -> Outcome:
     """Run a job; faults of the data and failures are returned as a refusal.
 
@@ -293,7 +296,14 @@ def _fit(job: Job, control: Control | None) -> Outcome:
     window = window.part(slice(max(before_change, 0), None))
     rival, taken = job.rival, None
     if rival is not None:
-        taken = rival_wins(rival, job.running, window, fresh=job.fresh, elsewhere=job.windows)
+        taken = rival_wins(
+            rival,
+            job.running,
+            window,
+            fresh=job.fresh,
+            maximum_nrmse=job.options.acceptance.maximum_nrmse,
+            elsewhere=job.windows,
+        )
         if taken:
             # The states of the filter and of the change detection belong to the replaced set.
             job = replace(job, running=rival, state=None, watch=None)
@@ -379,6 +389,7 @@ class FitOptions(CheckedSettings):
         "milliseconds per window and has no noticeable effect without outliers.",
     )
     screening: Screening = group(Screening)
+    acceptance: AcceptanceSettings = group(AcceptanceSettings)
 
 
 def _fitted(job: Job, window: Window, should_stop: Callable[[], bool] | None) -> Outcome:

@@ -21,7 +21,6 @@ from mr_damper_ros.settings.option_table import group, option
 from mr_damper_ros.signals.blocks import NANOSECONDS
 from mr_damper_ros.tracking.acceptance import (
     STILL_GOOD,
-    AcceptanceSettings,
     Experience,
     Gatekeeper,
     Judgement,
@@ -81,7 +80,6 @@ class TrackerSettings(FitOptions):
         maximum=1_000_000,
     )
     evolution: EvolutionSettings = group(EvolutionSettings)
-    acceptance: AcceptanceSettings = group(AcceptanceSettings)
 
     @property
     def law(self) -> str:

@@ -15,7 +15,13 @@ from mr_damper_ros.estimation.covariance import NoiseModel
 from mr_damper_ros.kinematics.window import Window
 from mr_damper_ros.models.parameter_set import ParameterSet
 from mr_damper_ros.signals.arrays import Array
-from mr_damper_ros.tracking.acceptance import Lead, evidence_of, held_back_samples, turns_gradually
+from mr_damper_ros.tracking.acceptance import (
+    Lead,
+    evidence_of,
+    held_back_samples,
+    rival_wins,
+    turns_gradually,
+)
 
 N = 1000
 
@@ -100,3 +106,12 @@ def test_a_set_that_is_right_here_alone_loses_elsewhere() -> None:
     blunt = known.PLAUSIBLE.copy()
     blunt[known.index("a0")] *= 0.3
     assert loss_of(blunt) > 0.5
+
+
+@pytest.mark.parametrize(("strength", "confirmed"), [(1.9, False), (1.3, True)])
+def test_a_window_confirms_no_set_that_predicts_it_poorly(strength: float, confirmed: bool) -> None:
+    # The running set is worse in both cases.
+    run = known.run()
+    rival, running = (ParameterSet(scaled(known.PLAUSIBLE, each)) for each in (strength, 3.0))
+    wins = rival_wins(rival, running, run.window, fresh=run.force.size, maximum_nrmse=0.5)
+    assert wins is confirmed

@@ -10,7 +10,12 @@ from hypothesis import strategies as st
 from random_motion import BandLimitedRandom
 
 from mr_damper_ros.kinematics.motion_follower import MotionFollower
-from mr_damper_ros.kinematics.peak_velocity import HALF_CYCLES, MEMORY, PeakVelocity
+from mr_damper_ros.kinematics.peak_velocity import (
+    HALF_CYCLES,
+    MEMORY,
+    PeakVelocity,
+    StreamPeakVelocity,
+)
 from mr_damper_ros.signals.arrays import Array
 from mr_damper_ros.signals.blocks import NANOSECONDS, SampleBlock
 from mr_damper_ros.tracking.window_assembler import WindowAssembler
@@ -93,3 +98,17 @@ def test_windows_and_streams_have_the_same_peak_velocity(memory: float) -> None:
         first = round(window.start_ns / NANOSECONDS / PERIOD)
         assert window.peak_velocity is not None
         np.testing.assert_array_equal(window.peak_velocity, stream[first : first + 2000])
+
+
+@pytest.mark.parametrize("size", [1, 10, 1000])
+def test_the_start_of_a_stream_has_the_same_peak_velocity_in_blocks_of_any_size(size: int) -> None:
+    # The observer settles within the first blocks; 7 divides none of the sizes.
+    displacement = RANDOM.at(TIME).displacement[:1000]
+
+    def followed(size: int) -> Array:
+        peak = StreamPeakVelocity(PERIOD)
+        parts = [displacement[first : first + size] for first in range(0, 1000, size)]
+        return np.concatenate([peak.follow(part) for part in parts])
+
+    # Matrix products of other sizes round differently.
+    np.testing.assert_allclose(followed(size), followed(7), rtol=1e-9, atol=1e-12)
