@@ -213,8 +213,12 @@ class Identification(ComparedRuns):
     ) -> Findings:
         """The parameters that the runs determine, and further runs to determine the others.
 
-        ``top_velocity`` [m/s] and ``top_current`` [A] are the limits of the rig. Their defaults are
-        the largest values of the present runs.
+        Parameters
+        ----------
+        top_velocity
+            Largest peak velocity [m/s] of an advised run. Default: that of the present runs.
+        top_current
+            Largest current [A] of an advised run. Default: that of the present runs.
         """
         windows = self._windows
         done = RigRange.of_windows(windows)
@@ -332,37 +336,46 @@ def identify(
         A run as arrays of shape (n,): displacement [m], extension positive; force [N], tension
         positive; current [A], or one number if it is constant; and the sample period [s].
     model
-        Name of the force law, a key of ``MODELS``, or "auto" for the choice of
-        :func:`choose_law`.
+        Force law. For identify, "auto" is the simplest of those that predict best what was left out
+        of the runs (:func:`choose_law`).
+
+        The laws are the keys of ``MODELS``.
     method
-        "global": differential evolution on the coefficients of the operating points, then least
-        squares on the samples; "nelder_mead" or "least_squares": local search on the samples;
-        "differential_evolution": search over all free parameters at once.
+        global: differential evolution on the coefficients of the operating points, then least
+        squares on the samples; nelder_mead, least_squares: local search on the samples;
+        differential_evolution: search over all free parameters at once.
     start
         Parameter set with start values, or its file. Undetermined parameters keep these values.
         Default: the initial values of the model; for the sigmoid law, the set of the literature.
-    seed, strategy, generations
-        Options of differential evolution; ``generations`` is the largest number of generations.
+    seed
+        Seed of the random numbers.
+    strategy
+        Strategy of differential evolution.
+    generations
+        Largest number of generations of differential evolution.
     starts
         Number of searches with different seeds; the result is the best of them.
     workers
-        Number of processes; the result does not depend on it. A script with more than one process
-        needs the usual ``if __name__ == "__main__":``.
+        Number of processes; the result does not depend on it.
+
+        A script with more than one process needs the usual ``if __name__ == "__main__":``.
     accept_doubtful
         Accept runs that would be rejected as clipped, driven by the force, or in wrong units. A
         remark then describes the problem.
     resume
         File with the progress of the searches. A repeated call continues from it.
     profile
-        Names of parameters for which to compute the profile likelihood. If the minimum of a profile
-        lies far from the identified value, the search starts again from the minimum.
+        Parameters for which to compute the profile likelihood. If the minimum of a profile lies far
+        from the identified value, the search starts again from the minimum.
     level_per_record
         Standard deviation about 1, such as 0.1, of a gain for each run; each run then also has an
         offset. Temperature, filling and the zero of the load cell then do not distort the law.
+
         0: no gains and offsets.
-    mass, fit_mass
-        Moving mass [kg] between load cell and damper, whose inertia the measured force includes; or
-        whether to identify the mass, which needs more than a single sine.
+    mass
+        Moving mass [kg] between load cell and damper, whose inertia the measured force includes.
+    fit_mass
+        Identify this mass, too, which needs more than a single sine.
     report
         Called with the progress. If it returns False, the search stops with the best result so
         far.

@@ -41,27 +41,46 @@ def read_record(
 ) -> Recording:
     """Read a record file into a recording.
 
-    ``columns`` describes the quantity and the unit of each column; see
-    :func:`mr_damper_ros.io.columns.parse_columns`. The fields of a text file are separated by
-    spaces, tabs, semicolons or commas. Numbers may have decimal commas, unless commas separate the
-    fields. Any number of lines may precede the first row of numbers. ``variable`` selects the
-    matrix of a MAT file, the sheet of a spreadsheet (XLSX), or the group of channels of a TDMS
-    file. Alternatively, each column may name one variable of a MAT file.
-
-    ``current`` [A] is the current of the whole record, and ``period`` [s] is the sample period, if
-    no column holds them. ``start`` and ``stop`` [s after the first sample] select a part.
-
-    ``moving_average`` is the number of past samples over which the record was averaged. The average
-    is undone, exactly except for rounding, if the record begins at rest. With ``begins_in_motion``,
-    it is undone approximately: the part that the average has removed remains missing, which is
-    small in a record of many cycles. Other filters cannot be undone.
-
     A velocity column is checked against the displacement and then discarded. Without displacement,
     the velocity is integrated, and ``details["note"]`` says so.
 
-    Raises RecordError, ColumnError or RecordingError if the file or an option cannot be used, or
-    the file has more than ``maximum_samples``; the message says what to change. Raises OSError if
-    the file cannot be read.
+    Parameters
+    ----------
+    path
+        Text, CSV, MAT, XLSX or TDMS file. The fields of a text file are separated by spaces, tabs,
+        semicolons or commas. Numbers may have decimal commas, unless commas separate the fields.
+        Any number of lines may precede the first row of numbers.
+    columns
+        Quantity and unit of each column from the left.
+
+        See :func:`mr_damper_ros.io.columns.parse_columns`.
+    current
+        Current [A] of the whole record, if no column holds it.
+    period
+        Time between samples [s], if no column holds it.
+    start
+        Begin here [s], from the first sample.
+    stop
+        End here [s], from the first sample.
+    variable
+        Matrix of a MAT file, sheet of a spreadsheet, or group of channels of a TDMS file, if there
+        are several.
+    moving_average
+        Undo a moving average over so many past samples; exact if the record begins at rest.
+
+        Other filters cannot be undone.
+    begins_in_motion
+        The averaged record begins in motion: the part that the average has removed remains missing,
+        which is small in a record of many cycles.
+    maximum_samples
+        Refuse a file with more samples.
+
+    Raises
+    ------
+    RecordError, ColumnError, RecordingError
+        If the file or an option cannot be used; the message says what to change.
+    OSError
+        If the file cannot be read.
     """
     wanted = parse_columns(columns)
     if "current" not in wanted.quantities and current is None:

@@ -233,22 +233,31 @@ def identify_many(
         Folder of the results: ``dampers/`` holds the complete results, ``sets/`` the parameter
         sets.
     listed
-        CSV file with the columns ``path``, ``damper`` and optionally ``current`` [A].
+        CSV file with the columns path, damper and optionally current [A].
     pattern
-        Regular expression for paths: its group ``damper``, or its first group, is the name of the
-        damper; a group ``current`` is the current [A]. Without it, all recordings in one folder
-        belong to one damper.
-    columns, current, period, variable
-        Format of record files, as in :func:`read_record`; without ``columns`` only bags are used.
-    model, method, start, seed, generations, accept_doubtful
+        Regular expression for paths: its group damper, or its first group, is the name of the
+        damper; a group current is the current [A]. Without it, all recordings in one folder belong
+        to one damper.
+    columns
+        Columns of record files and their units, as in :func:`read_record`; without them only bags
+        are used.
+    current
+        Current [A] of record files, if neither a column nor the name holds it.
+    period
+        Time between samples [s] of record files, if no column holds it.
+    variable
+        Matrix, sheet or group of record files that have several.
+    model, method, start, seed, generations
         As in :func:`identify`.
+    accept_doubtful
+        Accept runs that would be rejected, as in :func:`identify`.
     workers
         Number of processes on this machine.
     executor
         Any executor of ``concurrent.futures`` instead of them; its workers must see the same paths.
     scheduler
-        Address of the scheduler of a running Dask cluster, such as
-        ``"tcp://host:8786"``. Its workers need this package and must see the same paths.
+        Address of the scheduler of a running Dask cluster, such as tcp://host:8786. Its workers
+        need this package and must see the same paths.
     report
         Called after each damper.
 

@@ -17,6 +17,7 @@ from types import FrameType, TracebackType
 from typing import Any, TypeVar
 
 from mr_damper_ros.api.comparison import FORMATS, Comparison, save_figures
+from mr_damper_ros.api.identification import identify
 from mr_damper_ros.estimation.differential_evolution import GlobalProgress
 from mr_damper_ros.processes.files import write_text
 
@@ -108,29 +109,51 @@ _UNIT = re.compile(r"\[([^\]]+)\]")
 _TYPES = {"int": int, "float": float}
 
 
+def parameter_texts(function: Callable[..., object]) -> dict[str, str]:
+    """The parameters of a function by name, with their descriptions in its docstring (numpydoc).
+
+    Of each description, the first paragraph is used: what follows concerns Python only. Names of
+    parameters become those of options.
+    """
+    section = (inspect.getdoc(function) or "").partition("Parameters\n----------\n")[2]
+    found = {}
+    for entry in re.split(r"\n(?=\S)", re.split(r"\n\n\S+\n-+\n", section)[0]):
+        names, _, text = entry.partition("\n")
+        text = " ".join(text.partition("\n\n")[0].split())
+        text = re.sub(r":\w+:`([^`]*)`", r"\1", text)
+        text = re.sub(r"``([a-z_]+)``", lambda match: _flag(match[1]), text)
+        found.update(dict.fromkeys(names.split(", "), text.replace("``", "")))
+    return found
+
+
+def _flag(name: str) -> str:
+    return f"--{name.replace('_', '-')}"
+
+
 def add_arguments(
     parser: argparse.ArgumentParser | argparse._ArgumentGroup,
     function: Callable[..., object],
-    helps: Mapping[str, str],
+    names: Iterable[str],
     choices: Mapping[str, Sequence[str]] | None = None,
     flags: Mapping[str, str] | None = None,
 ) -> None:
-    """Add an option for each parameter of a function that has a help text in ``helps``.
+    """Add an option for each named parameter of a function.
 
-    Type and default are those of the function. The unit in the help text, such as [A], becomes the
-    placeholder of the value. ``flags`` gives the option if its name differs from the parameter.
+    Type, default and help text are those of the function (:func:`parameter_texts`). The unit in the
+    help text, such as [A], becomes the placeholder of the value. ``flags`` gives the option if its
+    name differs from the parameter.
     """
-    parameters = inspect.signature(function).parameters
-    for name, text in helps.items():
+    parameters, texts = inspect.signature(function).parameters, parameter_texts(function)
+    for name in names:
         default = parameters[name].default
         kind = str(parameters[name].annotation).partition(" |")[0]
-        flag = (flags or {}).get(name, f"--{name.replace('_', '-')}")
-        text = text.replace("%", "%%")
+        flag = (flags or {}).get(name, _flag(name))
+        text = texts[name].replace("%", "%%")
         if kind == "bool":
             parser.add_argument(flag, dest=name, action="store_true", help=text)
             continue
         needed = default is inspect.Parameter.empty
-        told = "" if needed or default in (None, ()) else " (default %(default)s)"
+        told = "" if needed or default in (None, ()) else " Default: %(default)s."
         chosen = (choices or {}).get(name)
         unit = _UNIT.search(text)
         parser.add_argument(
@@ -159,12 +182,7 @@ def add_run_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "bags", nargs="+", type=Path, metavar="BAG", help="bag folder or .mcap file"
     )
-    parser.add_argument(
-        "--accept-doubtful",
-        action="store_true",
-        help="use runs that would be refused (clipped, not dissipative, wrong units), with a "
-        "warning",
-    )
+    add_arguments(parser, identify, ["accept_doubtful"])
 
 
 def add_json_option(parser: argparse.ArgumentParser, what: str) -> None:

@@ -20,6 +20,7 @@ from mr_damper_ros.tools.console import (
     add_plot_options,
     add_run_options,
     arguments_of,
+    parameter_texts,
     program,
     write_json,
     write_plots,
@@ -28,43 +29,15 @@ from mr_damper_ros.tools.console import (
 EXPLAINS_TOO_LITTLE = 3
 """Exit code if the fitted set leaves a larger error than a user would accept."""
 
-SEARCH_HELPS = {
-    "model": "force law; sigmoid_lag: with the lag of the force, a stiffness and an offset as well",
-    "method": "global: laws by differential evolution, then least squares on the samples; "
-    "nelder_mead, least_squares: local search on the samples; differential_evolution: over all "
-    "free parameters at once, as in the thesis",
-    "start": "parameter file whose values undetermined parameters keep (default: the model's own "
-    "initial values, for the sigmoid law those of the thesis' literature set); model sigmoid_lag "
-    "also starts from a set of model sigmoid",
-    "seed": "of the random numbers",
-    "generations": "of differential evolution, at most",
-}
-"""Help texts of the options for an identification."""
+SEARCH_OPTIONS = ("model", "method", "start", "seed", "generations")
+"""Options of every program that identifies."""
 
 SEARCH_CHOICES = {"model": tuple(MODELS), "method": GLOBAL_METHODS}
 
-_HELPS = {
-    **SEARCH_HELPS,
-    "model": SEARCH_HELPS["model"] + "; auto: the simplest of those that predict best what was "
-    "left out of the bags, with a table of all",
-    "strategy": "of differential evolution",
-    "starts": "search from so many seeds, that given and those that follow it; the best is the "
-    "result",
-    "workers": "processes that read the bags, search and make the profiles; they do not change the "
-    "result",
-    "resume": "keep in this file what each search has found, also when stopped, and go on from it: "
-    "finished searches are not done again, one that was stopped is, from what it had found",
-    "mass": "that moves between load cell and damper [kg], whose inertia the force includes",
-    "fit_mass": "identify that mass too; needs motion that is not one sine",
-    "profile": "profile likelihood of these parameters, with their 95 % intervals; where one has "
-    "its minimum elsewhere, the search starts again from there",
-}
-
-_ADVICE_HELPS = {
-    "top_velocity": "largest peak velocity [m/s] of a run that may be advised (default: that of "
-    "the bags)",
-    "top_current": "largest current [A] of a run that may be advised (default: that of the bags)",
-}
+_OPTIONS = (
+    *SEARCH_OPTIONS,
+    *("strategy", "starts", "workers", "resume", "mass", "fit_mass", "profile"),
+)
 
 
 def _parser() -> argparse.ArgumentParser:
@@ -78,7 +51,7 @@ def _parser() -> argparse.ArgumentParser:
     )
     add_run_options(parser)
     choices = {**SEARCH_CHOICES, "model": (*MODELS, AUTO), "strategy": STRATEGIES}
-    add_arguments(parser, identify, _HELPS, choices)
+    add_arguments(parser, identify, _OPTIONS, choices)
     parser.add_argument(
         "--level-per-record",
         nargs="?",
@@ -86,11 +59,9 @@ def _parser() -> argparse.ArgumentParser:
         const=USUAL_SPREAD,
         default=0.0,
         metavar="SPREAD",
-        help="give each bag a force scale, drawn to 1 with this standard deviation (default "
-        "%(const)s), and a force zero of its own, so that temperature, filling and an uncentred "
-        "load cell do not bend the law",
+        help=f"{parameter_texts(identify)['level_per_record']} Default: %(const)s.",
     )
-    add_arguments(parser, Identification.determination, _ADVICE_HELPS)
+    add_arguments(parser, Identification.determination, ["top_velocity", "top_current"])
     parser.add_argument("--output", type=Path, metavar="FILE", help="write the set as YAML")
     add_json_option(parser, "all results")
     add_plot_options(parser)

@@ -8,6 +8,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+from mr_damper_ros.api.identification import identify
 from mr_damper_ros.lots.many_dampers import ManyDampers, identify_many
 from mr_damper_ros.lots.report import (
     require_parquet,
@@ -23,7 +24,7 @@ from mr_damper_ros.tools.console import (
     arguments_of,
     program,
 )
-from mr_damper_ros.tools.identify import SEARCH_CHOICES, SEARCH_HELPS
+from mr_damper_ros.tools.identify import SEARCH_CHOICES, SEARCH_OPTIONS
 
 LEFT_OUT = 3
 """Exit code if a file was left out or a damper not identified; all other results are complete."""
@@ -31,24 +32,9 @@ LEFT_OUT = 3
 _MOST_NAMED = 10
 """Largest number of faults shown on the terminal; the report lists all."""
 
-_HELPS = {
-    "listed": "CSV file with columns path, damper and, where wanted, current in ampere",
-    "folder": "where the results are kept",
-    "pattern": "regular expression that tells from the path below the source which damper it is "
-    "of: its group 'damper', or the first one; a group 'current' tells the current in ampere "
-    "(default: all recordings in one folder are of one damper)",
-    "workers": "processes",
-    "scheduler": "give the work to the Dask cluster of this scheduler, such as tcp://host:8786; "
-    "its workers need this package and must see the same paths",
-    "accept_doubtful": "take runs that would be refused",
-}
+_OPTIONS = ("listed", "folder", "pattern", "workers", "scheduler", "accept_doubtful")
 _FLAGS = {"listed": "--list", "folder": "--output", "pattern": "--damper"}
-_RECORD_HELPS = {
-    "columns": "what the columns hold, as for import_record",
-    "current": "current [A] where neither a column nor the name tells it",
-    "period": "time between samples [s]",
-    "variable": "matrix, sheet or group",
-}
+_RECORD_OPTIONS = ("columns", "current", "period", "variable")
 
 _EPILOG = f"""\
 Called again with the same folder it does only what is missing or whose files have changed, however
@@ -79,11 +65,11 @@ def _parser() -> argparse.ArgumentParser:
         metavar="SOURCE",
         help="folder that is searched through, bag, or pattern such as 'lot*/**/*.mcap' in quotes",
     )
-    add_arguments(parser, identify_many, _HELPS, flags=_FLAGS)
+    add_arguments(parser, identify_many, _OPTIONS, flags=_FLAGS)
     records = parser.add_argument_group("record files (without --columns only bags are taken)")
-    add_arguments(records, identify_many, _RECORD_HELPS)
+    add_arguments(records, identify_many, _RECORD_OPTIONS)
     search = parser.add_argument_group("identification")
-    add_arguments(search, identify_many, SEARCH_HELPS, SEARCH_CHOICES)
+    add_arguments(search, identify, SEARCH_OPTIONS, SEARCH_CHOICES)
     parser.add_argument(
         "--parquet", action="store_true", help="write the table as dampers.parquet too"
     )

@@ -34,19 +34,10 @@ examples:
       --current 0.6 --output bags/quake
 """
 
-_HELPS = {
-    "columns": "columns and their units (see below)",
-    "current": "coil current [A], with --split of every run, if no column holds it",
-    "period": "time between samples [s], if no column holds it",
-    "start": "begin here [s], from the first sample",
-    "stop": "end here [s], from the first sample",
-    "moving_average": "undo a moving average over so many of the last samples; exact if the record "
-    "begins at rest",
-    "begins_in_motion": "with --undo-moving-average: the record begins in motion, so what the "
-    "average has removed is unknown and is left out",
-    "variable": "matrix in a MAT file, sheet of a spreadsheet, or group of a TDMS file, if several",
-    "maximum_samples": "refuse a file with more samples",
-}
+_OPTIONS = (
+    *("columns", "current", "period", "start", "stop", "moving_average", "begins_in_motion"),
+    *("variable", "maximum_samples"),
+)
 _FLAGS = {"start": "--from", "stop": "--to", "moving_average": "--undo-moving-average"}
 
 _LEFT_OUT = "-"
@@ -67,7 +58,7 @@ def _parser() -> argparse.ArgumentParser:
         metavar="BAG",
         help="bag to make; with --split a folder with a bag for each run",
     )
-    add_arguments(parser, read_record, _HELPS, flags=_FLAGS)
+    add_arguments(parser, read_record, _OPTIONS, flags=_FLAGS)
     parser.add_argument(
         "--split",
         action="store_true",

@@ -6,6 +6,7 @@ import argparse
 from pathlib import Path
 
 from mr_damper_ros.api.comparison import validate
+from mr_damper_ros.api.identification import identify
 from mr_damper_ros.tools.console import (
     add_arguments,
     add_json_option,
@@ -26,7 +27,7 @@ def _parser() -> argparse.ArgumentParser:
         "parameters", type=Path, metavar="PARAMETERS.yaml", help="as written by identify --output"
     )
     add_run_options(parser)
-    add_arguments(parser, validate, {"mass": "as for identify [kg]"})
+    add_arguments(parser, identify, ["mass"])
     add_json_option(parser, "the errors")
     add_plot_options(parser)
     return parser
