@@ -94,8 +94,8 @@ KEYS = {
 OPTIONAL = {"cma", "distributed", "nptdms", "numba", "openpyxl", "pyarrow", "pyvisa", "serial"}
 """What is used where it is installed."""
 
-BROUGHT_BY_ROSBAGS = {"lz4", "backports"}
-"""What rosbags itself needs to read a compressed bag, so that it is there where rosbags is."""
+BROUGHT_BY_ROSBAGS = {"lz4", "backports", "compression"}
+"""What rosbags needs to read a compressed bag; Python 3.14 holds compression itself."""
 
 
 def imported_modules() -> set[str]:

@@ -11,12 +11,13 @@ import contextlib
 import csv
 import errno
 import io
+import math
 import os
 import sys
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from concurrent.futures import BrokenExecutor
 from concurrent.futures import TimeoutError as LateError
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from datetime import date, time, timedelta
 from importlib import import_module
 from pathlib import Path
@@ -47,141 +48,122 @@ _SEPARATOR = "\t"
 
 
 @dataclass(frozen=True)
+class Group:
+    """Columns of numbers by name: a matrix of a MAT file, or a group of channels of a TDMS file.
+
+    ``label`` describes the group in a message. ``periods`` [s] of the columns are those of the
+    file, if it holds them.
+    """
+
+    name: str
+    label: str
+    columns: dict[str, Array]
+    periods: dict[str, float] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
 class Format:
     """A file format and its reader.
 
     ``what`` is the name of the format; ``module`` is the module that reads it; ``library`` says how
     to install the module; ``time_limit`` [s] limits the reading. ``read`` runs in the child process
-    and receives the open file, the name of the variable, and the largest number of samples.
+    and receives the open file, the name of the variable, and the largest number of samples. It
+    returns groups of columns, or lines of text. ``words`` are the words for a group, for several
+    and for a column.
     """
 
     what: str
     module: str
     library: str
     time_limit: float
-    read: Callable[[BinaryIO, str | None, int], Any]
+    read: Callable[[BinaryIO, str | None, int], list[Group] | str]
+    words: tuple[str, str, str] = ("sheet", "sheets", "column")
 
 
-def read_mat(path: Path, columns: Columns, variable: str | None, maximum_samples: int) -> RawTable:
-    """Read columns from one matrix, or from one variable per column.
-
-    ``variable`` selects the matrix if there are several. Raises RecordError.
-    """
-    if any(column.holds_dates for column in columns.wanted):
-        raise RecordError("a MAT file holds numbers: give the unit of its time, such as time:s")
-    variables: dict[str, Array] = _confined("mat", path, maximum_samples)
-    shapes = [f"{name} ({v.shape[0]} x {v.shape[1]})" for name, v in variables.items()]
-    listed = ", ".join(shapes) or "no matrix of numbers"
-    if columns.by_header:
-        if variable is not None:
-            raise RecordError(
-                "the columns name variables of the MAT file themselves: choose no variable"
-            )
-        vectors = {name: v.ravel() for name, v in variables.items() if min(v.shape) == 1}
-        chosen = _chosen(path.name, "variable", vectors, columns, listed)
-    else:
-        # Samples may be rows or columns of the matrix.
-        upright = {n: v.T if v.shape[0] < v.shape[1] else v for n, v in variables.items()}
-        needed = 1 + max(column.position for column in columns.wanted)
-        fitting = [n for n, v in upright.items() if v.shape[1] >= needed and v.shape[0] > 1]
-        if variable is None and len(fitting) != 1:
-            raise RecordError(
-                f"{path.name} holds {len(fitting)} matrices with {needed} columns or more: "
-                f"choose one as the variable; it holds {listed}"
-            )
-        variable = variable or fitting[0]
-        if variable not in upright:
-            raise RecordError(f"{path.name} has no variable '{variable}': it holds {listed}")
-        matrix = upright[variable]
-        fault = columns.fault_of_width(path.name, matrix.shape[1])
-        if fault:
-            raise RecordError(fault)
-        names = [f"{place}" for place in range(1, matrix.shape[1] + 1)]
-        vectors = dict(zip(names, matrix.T, strict=True))
-        chosen = _chosen(f"'{variable}' in {path.name}", "column", vectors, columns, listed)
-    table = RawTable(chosen, lambda row: f"row {row + 1}")
-    if table.row_count > maximum_samples:
-        raise too_long(path.name, maximum_samples)
-    return table
-
-
-def read_tdms(path: Path, columns: Columns, variable: str | None, maximum_samples: int) -> RawTable:
-    """Read the channels of a group as columns, in the order of the file. Raises RecordError.
-
-    ``variable`` selects the group if there are several. The names of the channels are the headers.
-    The sample period is that of the waveform, if the file holds it.
-    """
-    groups: dict[str, dict[str, Array]] = {}
-    periods: dict[tuple[str, str], float] = {}
-    for group, channel, period, values in _confined("tdms", path, maximum_samples):
-        groups.setdefault(group, {})[channel] = values
-        periods[group, channel] = period
-    if variable is None and len(groups) == 1:
-        variable = next(iter(groups))
-    if variable not in groups:
-        asked = f"no group '{variable}'" if variable else f"{len(groups)} groups of numbers"
-        raise RecordError(
-            f"{path.name} has {asked}: choose one as the variable, of {', '.join(groups) or 'none'}"
-        )
-    channels = groups[variable]
-    listed = ", ".join(channels)
-    fault = columns.fault_of_width(path.name, len(channels))
-    if fault:
-        raise RecordError(f"{fault} (its channels: {listed})")
-    chosen = _chosen(path.name, "channel", channels, columns, listed)
-    told = {
-        periods[variable, name]
-        for name, values in channels.items()
-        if any(values is one for one in chosen.values()) and periods[variable, name] > 0.0
-    }
-    period = told.pop() if len(told) == 1 else np.inf
-    return RawTable(
-        chosen, lambda row: f"sample {row + 1}", period if np.isfinite(period) else None
-    )
-
-
-def read_spreadsheet(
+def read_binary_table(
     path: Path, columns: Columns, variable: str | None, maximum_samples: int
 ) -> RawTable:
-    """Read columns of one sheet. Raises RecordError.
+    """Read columns of one group, which ``variable`` selects if several have these columns.
 
-    ``variable`` selects the sheet if there are several. Cells hold numbers or text; the value of a
-    formula is the value stored in the file.
+    In a MAT file each column may name one variable instead. The sample period is that of a TDMS
+    waveform, if the file holds it. Raises RecordError.
     """
-    text = _confined("spreadsheet", path, maximum_samples, variable)
-    lines = TextFile(lambda: io.StringIO(text), path.name, _SEPARATOR)
-    return lines.table(columns, maximum_samples)
-
-
-def _chosen(
-    name: str, kind: str, vectors: Mapping[str, Array], columns: Columns, listed: str
-) -> dict[str, Array]:
-    """The vectors by quantity; columns select them by header or by position."""
-    names = list(vectors)
+    form = FORMATS[path.suffix.lower()]
+    if form.read is _matrices and any(column.holds_dates for column in columns.wanted):
+        raise RecordError("a MAT file holds numbers: give the unit of its time, such as time:s")
+    content = _confined(form, path, maximum_samples, variable)
+    if isinstance(content, str):
+        lines = TextFile(lambda: io.StringIO(content), path.name, _SEPARATOR)
+        return lines.table(columns, maximum_samples)
+    group, listed = _group(path.name, form, content, columns, variable)
+    kind = form.words[2] if group.name else form.words[0]
+    if not columns.by_header:
+        columns.check_width(path.name, len(group.columns), f" ({kind}s: {listed})")
+    names = list(group.columns)
     found: dict[str, str] = {}
     for column in columns.wanted:
         there = column.position < len(names)
         wanted = column.header or (names[column.position] if there else f"{column.position + 1}")
-        if wanted not in vectors:
-            raise RecordError(f"{name} has no {kind} '{wanted}': it holds {listed}")
+        if wanted not in group.columns:
+            raise RecordError(f"{path.name} has no {kind} '{wanted}': it holds {listed}")
         found[column.quantity] = wanted
-    lengths = {wanted: vectors[wanted].size for wanted in found.values()}
+    lengths = {name: group.columns[name].size for name in found.values()}
     if len(set(lengths.values())) > 1:
-        sizes = ", ".join(f"{wanted} has {length}" for wanted, length in lengths.items())
+        sizes = ", ".join(f"{name} has {length}" for name, length in lengths.items())
         raise RecordError(
-            f"the {kind}s of {name} that are wanted differ in length: {sizes}; choose those of "
-            "one rate"
+            f"the {kind}s of {path.name} that are wanted differ in length: {sizes}; "
+            "choose those of one rate"
         )
-    return {quantity: vectors[wanted] for quantity, wanted in found.items()}
+    if max(lengths.values()) > maximum_samples:
+        raise too_long(path.name, maximum_samples)
+    periods = {group.periods.get(name, math.nan) for name in found.values()}
+    period = periods.pop() if len(periods) == 1 else math.nan
+    return RawTable(
+        {quantity: group.columns[name] for quantity, name in found.items()},
+        lambda row: f"row {row + 1}",
+        period if math.isfinite(period) and period > 0.0 else None,
+    )
 
 
-def _confined(kind: str, path: Path, maximum_samples: int, variable: str | None = None) -> Any:
+def _group(
+    name: str, form: Format, groups: list[Group], columns: Columns, variable: str | None
+) -> tuple[Group, str]:
+    """The group with the wanted columns, and a list of what the file or the group holds."""
+    listed = ", ".join(group.label for group in groups) or f"no {form.words[0]} of numbers"
+    if form.read is _matrices and columns.by_header:
+        if variable is not None:
+            raise RecordError(
+                "the columns name variables of the MAT file themselves: choose no variable"
+            )
+        vectors = {g.name: next(iter(g.columns.values())) for g in groups if len(g.columns) == 1}
+        return Group("", "", vectors), listed
+    least = max(column.position for column in columns.wanted) + 1
+    if variable is not None:
+        fitting = [group for group in groups if group.name == variable]
+        if not fitting:
+            raise RecordError(f"{name} has no {form.words[0]} '{variable}': it holds {listed}")
+    else:
+        headers = {column.header for column in columns.wanted} - {""}
+        fitting = [g for g in groups if len(g.columns) >= least and headers <= set(g.columns)]
+        if len(groups) == 1:
+            fitting = groups
+    if len(fitting) != 1:
+        raise RecordError(
+            f"{name} holds {len(fitting)} {form.words[1]} with {least} columns or more: choose one "
+            f"as the variable; it holds {listed}"
+        )
+    return fitting[0], ", ".join(fitting[0].columns)
+
+
+def _confined(
+    form: Format, path: Path, maximum_samples: int, variable: str | None
+) -> list[Group] | str:
     """Read a file in a child process. Raises RecordError, and OSError if there is no file."""
-    form = FORMATS[kind]
     child = LocalProcesses(1)
     try:
-        task = child.start().submit(_read, kind, str(path), variable, maximum_samples)
-        return task.result(form.time_limit)
+        task = child.start().submit(_read, path, variable, maximum_samples)
+        content: list[Group] | str = task.result(form.time_limit)
+        return content
     except LateError:
         raise RecordError(
             f"{path.name} could not be read within {form.time_limit:g} s: save a part of it, or "
@@ -199,12 +181,12 @@ def _unreadable(form: Format, path: Path) -> str:
     return f"{path.name} is not {form.what} that can be read: save it again, or export it as CSV"
 
 
-def _read(kind: str, place: str, variable: str | None, most_samples: int) -> Any:
+def _read(path: Path, variable: str | None, most_samples: int) -> list[Group] | str:
     """Read a file; runs in the child process.
 
     Raises RecordError, and MemoryError if the file needs more memory than ``most_samples``.
     """
-    form, path = FORMATS[kind], Path(place)
+    form = FORMATS[path.suffix.lower()]
     with path.open("rb") as file:
         try:
             import_module(form.module)
@@ -241,41 +223,34 @@ def _limit_memory(size: int) -> None:
         resource.setrlimit(resource.RLIMIT_DATA, (limit, limit))
 
 
-def _matrices(file: BinaryIO, variable: str | None, most_samples: int) -> dict[str, Array]:
-    """The real numeric matrices, by name."""
+def _matrices(file: BinaryIO, variable: str | None, most_samples: int) -> list[Group]:
+    """The real numeric matrices; their samples may be rows or columns."""
     from scipy.io import loadmat  # here: see mr_damper_ros.entry_points
 
-    return {
-        name: value
-        for name, value in loadmat(file).items()
-        if isinstance(value, np.ndarray) and value.ndim == 2 and value.dtype.kind in "fiu"
-    }
+    groups = []
+    for name, value in loadmat(file).items():
+        if isinstance(value, np.ndarray) and value.ndim == 2 and value.dtype.kind in "fiu":
+            rows = value if value.shape[0] < value.shape[1] else value.T
+            columns = {f"{place}": row for place, row in enumerate(rows, start=1)}
+            label = f"{name} ({value.shape[0]} x {value.shape[1]})"
+            groups.append(Group(name, label, columns))
+    return groups
 
 
-def _channels(
-    file: BinaryIO, variable: str | None, most_samples: int
-) -> list[tuple[str, str, float, Array]]:
-    """Group, name, period [s] and values of all channels with numbers or times."""
+def _channels(file: BinaryIO, variable: str | None, most_samples: int) -> list[Group]:
+    """All channels with numbers or times, by group."""
     from nptdms import TdmsFile
 
     with TdmsFile.open(file) as tdms:
-        channels = [
-            channel
-            for group in tdms.groups()
-            for channel in group.channels()
-            if channel.dtype.kind in "fiuM" and len(channel) > 0
-        ]
-        if any(len(channel) > most_samples for channel in channels):
-            raise MemoryError
-        return [
-            (
-                channel.group_name,
-                channel.name,
-                float(channel.properties.get("wf_increment", np.nan)),
-                _numbers(channel[:]),
-            )
-            for channel in channels
-        ]
+        groups = []
+        for each in tdms.groups():
+            channels = [c for c in each.channels() if c.dtype.kind in "fiuM" and len(c) > 0]
+            if any(len(channel) > most_samples for channel in channels):
+                raise MemoryError
+            periods = {c.name: float(c.properties.get("wf_increment", math.nan)) for c in channels}
+            columns = {channel.name: _numbers(channel[:]) for channel in channels}
+            groups += [Group(each.name, each.name, columns, periods)] if channels else []
+        return groups
 
 
 def _numbers(values: Any) -> Array:
@@ -317,20 +292,32 @@ def _text(cell: object) -> str:
     return " ".join(str(cell).split())
 
 
+_XLSX = Format(
+    "a spreadsheet",
+    "openpyxl",
+    "openpyxl: install it (pip install openpyxl==3.1.5, or python3-openpyxl of Ubuntu)",
+    300.0,  # a full sheet has a million rows
+    _sheet,
+)
+
 FORMATS = {
-    "mat": Format("a MAT file", "scipy.io", "SciPy: install it", 60.0, _matrices),
-    "tdms": Format(
+    ".mat": Format(
+        "a MAT file",
+        "scipy.io",
+        "SciPy: install it",
+        60.0,
+        _matrices,
+        ("variable", "matrices", "column"),
+    ),
+    ".tdms": Format(
         "a TDMS file",
         "nptdms",
         "npTDMS: install it (pip install npTDMS==1.13.0)",
         60.0,
         _channels,
+        ("group", "groups of numbers", "channel"),
     ),
-    "spreadsheet": Format(
-        "a spreadsheet",
-        "openpyxl",
-        "openpyxl: install it (pip install openpyxl==3.1.5, or python3-openpyxl of Ubuntu)",
-        300.0,  # a full sheet has a million rows
-        _sheet,
-    ),
+    ".xlsm": _XLSX,
+    ".xlsx": _XLSX,
 }
+"""The format of each ending; all other files are text."""

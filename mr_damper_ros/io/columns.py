@@ -68,19 +68,20 @@ class Columns:
         """Whether headers select the columns."""
         return bool(self.wanted[0].header)
 
-    def fault_of_width(self, name: str, count: int) -> str:
-        """A sentence if a table has undescribed columns of numbers, otherwise empty.
+    def check_width(self, name: str, count: int, listed: str = "") -> None:
+        """Raise RecordError if a table has undescribed columns of numbers.
 
-        ``name`` is the name of the file, ``count`` its number of columns of numbers.
+        ``name`` is the name of the file, ``count`` its number of columns of numbers, and ``listed``
+        names them.
         """
         if self.width is None or count <= self.width:
-            return ""
+            return
         surplus = [str(place + 1) for place in range(self.width, count)]
-        named = "s" if len(surplus) > 1 else ""
-        return (
+        column = "columns" if len(surplus) > 1 else "column"
+        raise RecordError(
             f"{name} holds {count} columns of numbers and {self.width} are described: say what "
-            f"column{named} {', '.join(surplus)} {'hold' if named else 'holds'}, or write "
-            f"{SKIPPED} for each column to skip, {REST} for all that follow"
+            f"{column} {', '.join(surplus)} {'hold' if len(surplus) > 1 else 'holds'}, or write "
+            f"{SKIPPED} for each column to skip, {REST} for all that follow{listed}"
         )
 
 
@@ -146,12 +147,12 @@ def _parse_column(entry: str, position: int) -> Column:
         raise ColumnError(f"the factor in '{entry}' is negative: time must rise")
     if unit == DATE_AND_TIME and form["factor"] is not None:
         raise ColumnError(f"'{entry}': a date and time takes no factor")
-    scale, offset = UNITS[quantity][unit]
+    scale, offset = UNITS[quantity][unit], _ZEROS.get(unit, 0.0)
     if form["offset"] is not None:
         if form["offset_unit"] not in UNITS[quantity]:
             raise _unknown_unit(form["offset_unit"], quantity)
         number = _number(form["offset"].replace(" ", ""), "offset", entry)
-        offset += number * UNITS[quantity][form["offset_unit"]][0]
+        offset += number * UNITS[quantity][form["offset_unit"]]
     return Column(quantity, factor * scale, offset, position, header, unit == DATE_AND_TIME)
 
 
@@ -180,42 +181,18 @@ _G = 9.80665
 _INCH = 0.0254
 _POUND_FORCE = 0.45359237 * _G
 
-# SI value (temperature in °C) = factor * value + offset.
-UNITS: dict[str, dict[str, tuple[float, float]]] = {
-    "time": {
-        "s": (1.0, 0.0),
-        "ms": (1e-3, 0.0),
-        "us": (1e-6, 0.0),
-        "min": (60.0, 0.0),
-        DATE_AND_TIME: (1.0, 0.0),
-    },
-    "displacement": {
-        "m": (1.0, 0.0),
-        "cm": (1e-2, 0.0),
-        "mm": (1e-3, 0.0),
-        "um": (1e-6, 0.0),
-        "in": (_INCH, 0.0),
-    },
-    "velocity": {
-        "m/s": (1.0, 0.0),
-        "cm/s": (1e-2, 0.0),
-        "mm/s": (1e-3, 0.0),
-        "in/s": (_INCH, 0.0),
-    },
-    "force": {
-        "N": (1.0, 0.0),
-        "kN": (1e3, 0.0),
-        "kgf": (_G, 0.0),
-        "lbf": (_POUND_FORCE, 0.0),
-    },
-    "current": {"A": (1.0, 0.0), "mA": (1e-3, 0.0)},
-    "temperature": {
-        "degC": (1.0, 0.0),
-        "K": (1.0, -273.15),
-        "degF": (5.0 / 9.0, -160.0 / 9.0),
-    },
+UNITS: dict[str, dict[str, float]] = {
+    "time": {"s": 1.0, "ms": 1e-3, "us": 1e-6, "min": 60.0, DATE_AND_TIME: 1.0},
+    "displacement": {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "um": 1e-6, "in": _INCH},
+    "velocity": {"m/s": 1.0, "cm/s": 1e-2, "mm/s": 1e-3, "in/s": _INCH},
+    "force": {"N": 1.0, "kN": 1e3, "kgf": _G, "lbf": _POUND_FORCE},
+    "current": {"A": 1.0, "mA": 1e-3},
+    "temperature": {"degC": 1.0, "K": 1.0, "degF": 5.0 / 9.0},
 }
-"""Factor and offset of each unit, by quantity."""
+"""SI value of each unit, by quantity."""
+
+_ZEROS = {"K": -273.15, "degF": -160.0 / 9.0}
+"""Temperatures [°C] at zero of the units that do not begin at 0 °C."""
 
 
 MAXIMUM_SAMPLES = 10_000_000

@@ -9,10 +9,18 @@ only those of the chunks.
 from __future__ import annotations
 
 import struct
+import sys
 from collections.abc import Iterator
 from pathlib import Path
-from typing import BinaryIO, NamedTuple
+from typing import Any, BinaryIO, NamedTuple
 from zlib import crc32
+
+from lz4.frame import LZ4FrameDecompressor  # type: ignore[import-untyped]
+
+if sys.version_info >= (3, 14):
+    from compression.zstd import ZstdDecompressor
+else:
+    from backports.zstd import ZstdDecompressor
 
 _MAGIC = b"\x89MCAP0\r\n"
 _CHUNK, _DATA_END, _FOOTER = 0x06, 0x0F, 0x02
@@ -55,20 +63,45 @@ def add_checksums(path: Path) -> None:
 
 
 def check_mcap(path: Path, maximum_bytes: int | None = None) -> None:
-    """Check the stated unpacked size of a file and its checksums.
+    """Check the unpacked size of a file, of which compressed chunks may lie, and its checksums.
 
-    The library checks compressed chunks. Raises OversizedError if the unpacked size exceeds
-    ``maximum_bytes``, ChecksumError if a checksum is wrong, and other exceptions for other damage.
+    The library checks the checksums of compressed chunks. Raises OversizedError if the unpacked
+    size exceeds ``maximum_bytes``, ChecksumError if a checksum or a size is wrong, and other
+    exceptions for other damage.
     """
     with path.open("rb") as file:
         records = list(_records(file))
-        unpacked = sum(_number(file, r.start + 16, 8) for r in records if r.operation == _CHUNK)
+        chunks = [record for record in records if record.operation == _CHUNK]
+        unpacked = sum(_number(file, chunk.start + 16, 8) for chunk in chunks)
         if maximum_bytes is not None and unpacked > maximum_bytes:
             raise OversizedError(f"it unpacks to more than {maximum_bytes // 1_000_000} MB")
         for guarded in _guarded(file, records):
             expected = _number(file, guarded.place, 4)
             if expected and expected != _crc(file, guarded):
                 raise ChecksumError(f"the checksum of {guarded.what} is wrong")
+        for chunk in chunks:
+            _check_size(file, chunk)
+
+
+def _check_size(file: BinaryIO, chunk: _Record) -> None:
+    """Raise ChecksumError if a compressed chunk does not unpack to its stated size."""
+    name_size = _number(file, chunk.start + 28, 4)
+    if name_size == 0:
+        return
+    left = _number(file, chunk.start + 16, 8)
+    file.seek(chunk.start + 32)
+    unpackers = {b"lz4": LZ4FrameDecompressor, b"zstd": ZstdDecompressor}
+    unpacker: Any = unpackers[file.read(name_size)]()
+    packed = file.read(int.from_bytes(file.read(8), "little"))
+    # Unpacked in pieces, a chunk needs no memory, whatever its size.
+    while not unpacker.eof and left >= 0:
+        piece = unpacker.decompress(packed, max_length=_PIECE)
+        if not piece and not packed:
+            break
+        left -= len(piece)
+        packed = b""
+    if left != 0 or not unpacker.eof or unpacker.unused_data:
+        raise ChecksumError("a chunk does not unpack to its stated size")
 
 
 def _guarded(file: BinaryIO, records: list[_Record]) -> Iterator[_Guarded]:

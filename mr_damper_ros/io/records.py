@@ -6,24 +6,13 @@ import math
 from collections.abc import Sequence
 from pathlib import Path
 
-from mr_damper_ros.io.binary_tables import read_mat, read_spreadsheet, read_tdms
+from mr_damper_ros.io.binary_tables import FORMATS, read_binary_table
 from mr_damper_ros.io.columns import MAXIMUM_SAMPLES, Columns, RecordError, parse_columns
 from mr_damper_ros.io.run_cuts import find_runs, run_summary
 from mr_damper_ros.io.sampled_record import SampledRecord
 from mr_damper_ros.io.text_table import read_text_table
 from mr_damper_ros.processes.files import irregularity
 from mr_damper_ros.signals.recording import Recording
-
-FORMATS = {
-    ".mat": read_mat,
-    ".tdms": read_tdms,
-    ".xlsm": read_spreadsheet,
-    ".xlsx": read_spreadsheet,
-}
-"""The reader for each ending; all other files are text."""
-
-_TELL_PERIOD = (read_tdms,)
-"""Readers of formats that can contain the sample period."""
 
 
 def read_record(
@@ -131,7 +120,7 @@ class RunsOfFile:
         variable: str | None = None,
         maximum_samples: int = MAXIMUM_SAMPLES,
     ) -> None:
-        wanted = parse_columns(columns)
+        self._wanted = wanted = parse_columns(columns)
         self._record = read_samples(path, wanted, period, variable, maximum_samples)
         self._rows = find_runs(self._record)
         self._name = Path(path).name
@@ -155,8 +144,7 @@ class RunsOfFile:
             current = None if currents is None else currents[number - 1]
             if self.asks and current is None:
                 continue
-            if current is not None:
-                _check_finite(current)
+            _check_current(self._wanted, current)
             run = self._record.part(rows)
             recordings.append(run.recording(current, f"{Path(self._name).stem}_{number}"))
         return recordings
@@ -180,32 +168,22 @@ def read_samples(
         raise RecordError(f"{path} is {kind}: give a text, CSV, MAT, XLSX or TDMS file")
     if path.stat().st_size == 0:
         raise RecordError(f"{path.name} is empty: give a file with at least two rows of numbers")
-    read = FORMATS.get(path.suffix.lower(), read_text_table)
-    knows_time = "time" in wanted.quantities or period is not None
-    if read not in _TELL_PERIOD and not knows_time:
-        raise _no_time()
+    read = read_binary_table if path.suffix.lower() in FORMATS else read_text_table
     table = read(path, wanted, variable, maximum_samples)
-    if not knows_time:
+    if "time" not in wanted.quantities and period is None:
         period = table.period
         if period is None:
-            raise _no_time()
+            raise RecordError(
+                "the time between samples is not known: name the column of the time (time:s) or "
+                "give the period"
+            )
     return SampledRecord.of(path, table, wanted, period)
 
 
-def _no_time() -> RecordError:
-    return RecordError(
-        "the time between samples is not known: name the column of the time (time:s) "
-        "or give the period"
-    )
-
-
 def _check_current(wanted: Columns, current: float | None) -> None:
-    if "current" in wanted.quantities and current is not None:
+    if current is None:
+        return
+    if "current" in wanted.quantities:
         raise RecordError("the current is given twice: by a column and as a constant")
-    if current is not None:
-        _check_finite(current)
-
-
-def _check_finite(current: float) -> None:
     if not math.isfinite(current):
         raise RecordError(f"the current is {current} A: give a finite number")

@@ -11,7 +11,6 @@ import re
 from array import array
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import dataclass
 from datetime import datetime, timezone
 from functools import lru_cache
 from itertools import islice
@@ -20,7 +19,7 @@ from typing import TextIO
 
 import numpy as np
 
-from mr_damper_ros.io.columns import Column, Columns, RawTable, RecordError, too_long
+from mr_damper_ros.io.columns import Columns, RawTable, RecordError, too_long
 from mr_damper_ros.signals.arrays import Array
 
 _MOMENT = re.compile(
@@ -92,6 +91,9 @@ _DECIMAL_COMMA = re.compile(r"[+-]?\d*,\d+([eE][+-]?\d+)?$|[+-]?\d+$")
 Row = tuple[int, list[str]]
 """Number of a line (from 1) and its fields."""
 
+Cell = tuple[int, Callable[[str], float | None]]
+"""Position of a field in a row, and the function that reads its number."""
+
 
 def read_text_table(
     path: Path, columns: Columns, variable: str | None, maximum_samples: int
@@ -135,68 +137,58 @@ class TextFile:
         if columns.by_header:
             skipped, positions = self._find_header([c.header for c in columns.wanted], rows)
         cells = [
-            _Cell(position, self._separator, column)
+            (position, seconds_since_1970 if column.holds_dates else self._number)
             for position, column in zip(positions, columns.wanted, strict=True)
         ]
-        first = self._first_row(rows, cells, skipped)
-        fault = columns.fault_of_width(self._name, self._width())
-        if fault:
-            raise RecordError(fault)
+        numbers = (_numbers(fields, cells) for _, fields in rows)
+        first = next((k for k, row in enumerate(numbers, start=skipped) if row), None)
+        if first is None:
+            listed = ", ".join(str(position + 1) for position in positions)
+            raise RecordError(
+                f"{self._name} holds no row with numbers in columns {listed}: "
+                f"{self._middle_row(skipped)}"
+            )
+        columns.check_width(self._name, self._width())
         if self._row_count - first > maximum_samples:
             raise too_long(self._name, maximum_samples)
-        numbers = self._numbers(first, cells)
+        table = self._table(first, cells)
         return RawTable(
-            {column.quantity: numbers[:, k] for k, column in enumerate(columns.wanted)},
+            {column.quantity: table[:, k] for k, column in enumerate(columns.wanted)},
             lambda row: f"line {self._line_of(first + row)}",
         )
 
     def _width(self) -> int:
         """Number of columns up to the last one with numbers in all of the last rows."""
         numbers = [
-            {place for place, field in enumerate(fields) if self._is_number(field)}
+            {place for place, field in enumerate(fields) if self._number(field) is not None}
             for _, fields in self._split(enumerate(self._last))
         ]
         return max(set.intersection(*numbers), default=-1) + 1
 
-    def _is_number(self, field: str) -> bool:
-        return _number(field, self._separator) is not None
+    def _number(self, field: str) -> float | None:
+        try:
+            return float(field if self._separator == "," else field.replace(",", "."))
+        except ValueError:
+            return None
 
-    def _first_row(self, rows: Iterator[Row], cells: Sequence[_Cell], skipped: int) -> int:
-        """Index of the first row with numbers; ``skipped`` rows have already been read."""
-        for index, (_, fields) in enumerate(rows, start=skipped):
-            if _numbers(fields, cells):
-                return index
-        raise RecordError(
-            f"{self._name} holds no row with numbers in columns "
-            f"{', '.join(str(cell.position + 1) for cell in cells)}: {self._middle_row(skipped)}"
-        )
-
-    def _numbers(self, first: int, cells: Sequence[_Cell]) -> Array:
+    def _table(self, first: int, cells: Sequence[Cell]) -> Array:
         """Numbers (n, columns) of the rows from the index ``first`` on."""
-        lines = (line for _, line in islice(self._filled_lines(), first, None))
-        positions = [cell.position for cell in cells]
-        dates: dict[int | str, Callable[[str], float]] = {
-            cell.position: cell.date for cell in cells if cell.column.holds_dates
-        }
         try:
             numbers = np.loadtxt(
-                lines,
+                (line for _, line in islice(self._filled_lines(), first, None)),
                 delimiter=self._separator or None,
                 quotechar='"' if self._separator else None,
                 comments=None,
-                usecols=positions,
-                converters=dates or None,
+                usecols=[position for position, _ in cells],
+                converters={p: read for p, read in cells if read is seconds_since_1970} or None,
                 encoding=None,
                 ndmin=2,
             )
-        except ValueError:
-            numbers = np.empty((0, len(positions)))
+        except (ValueError, TypeError):
+            numbers = np.empty((0, len(cells)))
+        if len(numbers) == self._row_count - first:
+            return numbers
         # loadtxt cannot read decimal commas, and does not report the line of an error.
-        if len(numbers) != self._row_count - first:
-            return self._numbers_row_by_row(first, cells)
-        return numbers
-
-    def _numbers_row_by_row(self, first: int, cells: Sequence[_Cell]) -> Array:
         values = array("d")
         for line, fields in islice(self._rows(), first, None):
             row = _numbers(fields, cells)
@@ -302,53 +294,27 @@ def _separator(sample: Sequence[str]) -> str:
     return "" if decimal else ","
 
 
-def _number(field: str, separator: str) -> float | None:
-    if separator != ",":
-        field = field.replace(",", ".")
-    try:
-        return float(field)
-    except ValueError:
-        return None
+def _numbers(fields: list[str], cells: Sequence[Cell]) -> list[float] | None:
+    """The numbers in the cells of a row; None if one is missing."""
+    numbers: list[float] = []
+    for position, read in cells:
+        number = read(fields[position]) if position < len(fields) else None
+        if number is None:
+            return None
+        numbers.append(number)
+    return numbers
 
 
-@dataclass(frozen=True)
-class _Cell:
-    """Converts the field at ``position`` of a row to the number of a column."""
-
-    position: int
-    separator: str
-    column: Column
-
-    def number(self, field: str) -> float | None:
-        if self.column.holds_dates:
-            return seconds_since_1970(field)
-        return _number(field, self.separator)
-
-    def date(self, field: str) -> float:
-        """Seconds since 1970, for loadtxt; raises ValueError."""
-        seconds = seconds_since_1970(field)
-        if seconds is None:
-            raise ValueError
-        return seconds
-
-
-def _numbers(fields: list[str], cells: Sequence[_Cell]) -> list[float] | None:
-    if len(fields) <= max(cell.position for cell in cells):
-        return None
-    numbers = [cell.number(fields[cell.position]) for cell in cells]
-    return None if None in numbers else numbers  # type: ignore[return-value]
-
-
-def _unreadable(name: str, line: int, fields: list[str], cells: Sequence[_Cell]) -> str:
-    last = max(cell.position for cell in cells)
+def _unreadable(name: str, line: int, fields: list[str], cells: Sequence[Cell]) -> str:
+    last = max(position for position, _ in cells)
     if len(fields) <= last:
         return (
             f"line {line} of {name} has {len(fields)} columns, but column "
             f"{last + 1} is wanted: mend the line or cut the file before it"
         )
-    wrong = next(cell for cell in cells if cell.number(fields[cell.position]) is None)
-    kind = "date with the time of day" if wrong.column.holds_dates else "number"
+    wrong, read = next((p, read) for p, read in cells if read(fields[p]) is None)
+    kind = "date with the time of day" if read is seconds_since_1970 else "number"
     return (
-        f"column {wrong.position + 1} in line {line} of {name} is '{fields[wrong.position]}', not "
-        f"a {kind}: mend the line or cut the file before it"
+        f"column {wrong + 1} in line {line} of {name} is '{fields[wrong]}', not a {kind}: mend the "
+        "line or cut the file before it"
     )

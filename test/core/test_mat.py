@@ -21,7 +21,7 @@ COLUMNS = parse_columns("time:s,displacement:m,force:N")
 
 
 def matrix(path: Path, maximum_samples: int = MAXIMUM_SAMPLES) -> Array:
-    values = binary_tables.read_mat(path, COLUMNS, None, maximum_samples).values
+    values = binary_tables.read_binary_table(path, COLUMNS, None, maximum_samples).values
     return np.column_stack([values[name] for name in ("time", "displacement", "force")])
 
 
@@ -50,8 +50,8 @@ def test_reading_is_cut_after_a_time_that_is_named(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     # Loading SciPy alone takes longer.
-    hasty = replace(binary_tables.FORMATS["mat"], time_limit=0.001)
-    monkeypatch.setitem(binary_tables.FORMATS, "mat", hasty)
+    hasty = replace(binary_tables.FORMATS[".mat"], time_limit=0.001)
+    monkeypatch.setitem(binary_tables.FORMATS, ".mat", hasty)
     with pytest.raises(RecordError, match=r"could not be read within 0\.001 s"):
         matrix(written(tmp_path / "run.mat", {"data": MATRIX}))
 

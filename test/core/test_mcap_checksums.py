@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import struct
+import tracemalloc
 from pathlib import Path
 
 import numpy as np
@@ -13,7 +14,7 @@ from benchmarks.hostile import checksum_places
 from mr_damper_ros.io.bag_files import BagError, check_bag_files
 from mr_damper_ros.io.bag_reader import read_bag
 from mr_damper_ros.io.bag_writer import write_bag
-from mr_damper_ros.io.mcap_checksums import OversizedError, add_checksums, check_mcap
+from mr_damper_ros.io.mcap_checksums import ChecksumError, OversizedError, add_checksums, check_mcap
 from mr_damper_ros.signals.recording import Recording
 
 CHUNK = 0x06
@@ -90,6 +91,25 @@ def test_what_unpacks_to_too_much_is_refused_before_it_does(bag: Path) -> None:
         check_mcap(bag / "bag.mcap", 2_000_000)
     with pytest.raises(BagError, match="the bag 'bag' is too large: it unpacks to more than 2 MB"):
         check_bag_files(bag, 20_000)
+
+
+def test_a_chunk_that_unpacks_to_more_than_it_says_is_refused(bag: Path) -> None:
+    packed(bag / "bag.mcap", bytes(300_000_000), 1000)
+    tracemalloc.start()
+    with pytest.raises(BagError, match="a chunk does not unpack to its stated size"):
+        check_bag_files(bag, 20_000)
+    # The check itself unpacks no more than a piece.
+    assert tracemalloc.get_traced_memory()[1] < 30_000_000
+    tracemalloc.stop()
+
+
+@pytest.mark.parametrize("size", [3_000_001, 2_999_999])
+def test_the_size_of_a_chunk_is_the_one_it_says(bag: Path, size: int) -> None:
+    packed(bag / "bag.mcap", bytes(3_000_000), 3_000_000)
+    check_mcap(bag / "bag.mcap")
+    packed(bag / "bag.mcap", bytes(3_000_000), size)
+    with pytest.raises(ChecksumError, match="a chunk does not unpack to its stated size"):
+        check_mcap(bag / "bag.mcap")
 
 
 def test_a_bag_with_more_samples_than_allowed_is_refused(bag: Path) -> None:

@@ -135,9 +135,13 @@ def test_a_waveform_tells_the_time_between_samples(tmp_path: Path) -> None:
 
 @with_nptdms
 def test_a_group_is_chosen_by_its_name(tmp_path: Path) -> None:
-    path = channels(tmp_path / "run.tdms", {"Other": TIME}, GROUP)
+    path = channels(tmp_path / "run.tdms", GROUP, GROUP)
     assert_is_the_run(path, variable="Run 2")
-    assert "2 groups of numbers: choose one as the variable, of Run 1, Run 2" in refused(path)
+    sentence = refused(path)
+    assert "holds 2 groups of numbers with 3 columns or more: choose one" in sentence
+    assert "it holds Run 1, Run 2" in sentence
+    # A group without these columns cannot be meant.
+    assert_is_the_run(channels(tmp_path / "one.tdms", {"Other": TIME}, GROUP))
 
 
 @with_nptdms

@@ -189,7 +189,7 @@ def test_units_and_factors_multiply(
         for c in parse_columns(",".join([*others, f"{quantity}:{factor!r}*{unit}"])).wanted
         if c.quantity == quantity
     )
-    scale = UNITS[quantity][unit][0]
+    scale = UNITS[quantity][unit]
     # Relative: a unit and a factor are one or two products.
     assert column.to_si(np.array([3.0]))[0] == pytest.approx(
         3.0 * factor * scale, rel=1e-13, abs=0.0
