@@ -88,7 +88,7 @@ def aligned(blocks: Iterable[RigBlock], lateness: float) -> Iterator[RigBlock]:
     if lateness == 0.0:
         yield from blocks
         return
-    ahead = "displacement" if lateness > 0.0 else "force"
+    ahead, behind = ("displacement", "force") if lateness > 0.0 else ("force", "displacement")
     past: Array = np.empty(0)
     expected = None
     for block in blocks:
@@ -106,14 +106,14 @@ def aligned(blocks: Iterable[RigBlock], lateness: float) -> Iterator[RigBlock]:
         skipped = block.sample_count - min(delayed.size, block.sample_count)
         if skipped == block.sample_count:
             continue
-        moved = _without_first(block, skipped)
-        values = delayed[-moved.sample_count :]
-        pair = {"displacement": moved.displacement, "force": moved.force, ahead: values}
+        other = getattr(block, behind)[skipped:]
         yield replace(
-            moved,
-            start_ns=moved.start_ns - round(abs(lateness) * NANOSECONDS),
-            displacement=pair["displacement"],
-            force=pair["force"],
+            block,
+            start_ns=block.stamp_ns(skipped) - round(abs(lateness) * NANOSECONDS),
+            sequence=block.sequence + skipped,
+            current=block.current[skipped:],
+            temperature=block.temperature[skipped:],
+            **{ahead: delayed[-other.size :], behind: other},
         )
 
 
@@ -121,28 +121,9 @@ def _weights(delay: float) -> tuple[int, Array]:
     """Whole samples of delay, and weights of the four samples before, the newest first."""
     back = max(math.floor(delay) - 1, 0)
     place = delay - back  # counted from the newest of the four
-    nodes = np.arange(_NODES)
-    weights = np.array(
-        [
-            np.prod([(place - other) / (own - other) for other in nodes if other != own])
-            for own in nodes
-        ]
-    )
-    return back, weights
-
-
-def _without_first(block: RigBlock, count: int) -> RigBlock:
-    if count == 0:
-        return block
-    return replace(
-        block,
-        start_ns=block.stamp_ns(count),
-        sequence=block.sequence + count,
-        displacement=block.displacement[count:],
-        force=block.force[count:],
-        current=block.current[count:],
-        temperature=block.temperature[count:],
-    )
+    others = [[other for other in range(_NODES) if other != own] for own in range(_NODES)]
+    weights = [math.prod((place - n) / (own - n) for n in others[own]) for own in range(_NODES)]
+    return back, np.array(weights)
 
 
 class Decimator:

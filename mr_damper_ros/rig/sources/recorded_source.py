@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from mr_damper_ros.rig.sources.source import Source, StreamSettings
+from mr_damper_ros.rig.sources.source import Source
 from mr_damper_ros.settings.option_table import ParameterTable, option
 from mr_damper_ros.signals.blocks import NANOSECONDS, RigBlock
 from mr_damper_ros.signals.recording import Recording
@@ -18,48 +18,6 @@ from mr_damper_ros.signals.recording import Recording
 _PAUSE_NS = NANOSECONDS
 """Gap in the stamps between two recordings, and before a recording repeats: no window may span two
 motions."""
-
-
-def recorded_blocks(
-    recordings: Sequence[Recording], stream: StreamSettings, start_ns: int
-) -> Iterator[RigBlock]:
-    """Blocks of successive recordings, with stamps from ``start_ns`` on and continuous numbering.
-
-    In a loop, stamps and numbering continue. Unknown temperatures are NaN.
-    """
-    sequence = 0
-    for _ in itertools.count() if stream.loop else range(1):
-        for recording in recordings:
-            count = recording.sample_count
-            temperature = (
-                np.full(count, math.nan) if recording.temperature is None else recording.temperature
-            )
-            for first in range(0, count, stream.block_size):
-                part = slice(first, first + stream.block_size)
-                yield RigBlock(
-                    start_ns=start_ns + round(first * recording.period * NANOSECONDS),
-                    sequence=sequence + first,
-                    period=recording.period,
-                    displacement=recording.displacement[part],
-                    force=recording.force[part],
-                    current=recording.current[part],
-                    temperature=temperature[part],
-                )
-            sequence += count
-            start_ns += round(count * recording.period * NANOSECONDS) + _PAUSE_NS
-
-
-def checked(recordings: Sequence[Recording]) -> list[str]:
-    """Describe the recordings in sentences; raises RecordingError if one is not plausible."""
-    found = []
-    for recording in recordings:
-        recording.check_plausible()
-        details = "".join(f"; {key}: {value}" for key, value in recording.details.items())
-        found.append(
-            f"{recording.name}: {recording.sample_count} samples, {recording.duration:.3g} s"
-            + details
-        )
-    return found
 
 
 @dataclass(frozen=True)
@@ -87,13 +45,40 @@ class RecordedSource(Source):
         """Read the recordings of the file; raises ValueError or OSError."""
 
     def open(self) -> list[str]:
-        """Read the file."""
+        """Read the file; raises RecordingError if a recording is not plausible."""
         self._recordings = self._read()
-        return checked(self._recordings)
+        found = []
+        for recording in self._recordings:
+            recording.check_plausible()
+            details = "".join(f"; {key}: {value}" for key, value in recording.details.items())
+            size = f"{recording.sample_count} samples, {recording.duration:.3g} s"
+            found.append(f"{recording.name}: {size}{details}")
+        return found
 
     def blocks(self, start_ns: int) -> Iterator[RigBlock]:
-        """Yield the samples of all recordings."""
-        return recorded_blocks(self._recordings, self.stream, start_ns)
+        """Yield the samples of all recordings; in a loop, stamps and numbering continue."""
+        size, sequence = self.stream.block_size, 0
+        rounds = itertools.count() if self.stream.loop else range(1)
+        for recording in (each for _ in rounds for each in self._recordings):
+            count, temperature = recording.sample_count, recording.temperature
+            for first in range(0, count, size):
+                part = slice(first, first + size)
+                current = recording.current[part]
+                yield RigBlock(
+                    start_ns=start_ns + round(first * recording.period * NANOSECONDS),
+                    sequence=sequence + first,
+                    period=recording.period,
+                    displacement=recording.displacement[part],
+                    force=recording.force[part],
+                    current=current,
+                    temperature=(
+                        np.full(current.size, math.nan)
+                        if temperature is None
+                        else temperature[part]
+                    ),
+                )
+            sequence += count
+            start_ns += round(count * recording.period * NANOSECONDS) + _PAUSE_NS
 
     def close(self) -> None:
         """Discard the recordings."""

@@ -7,7 +7,6 @@ import math
 import re
 import struct
 import time
-from abc import ABC, abstractmethod
 from collections.abc import Callable, Generator, Sequence
 from dataclasses import dataclass
 from functools import reduce
@@ -69,8 +68,7 @@ class RowFormat:
     @property
     def least(self) -> int:
         """Smallest number of cells."""
-        places = [column.position for column in self.columns]
-        return max([*places, -1 if self.count is None else self.count]) + 1
+        return max([column.position for column in self.columns] + [self.count or 0]) + 1
 
 
 def parse_row_format(text: str) -> RowFormat:
@@ -128,46 +126,30 @@ _SURE = 3
 """Number of records in a row that must match before the decoder is in step again."""
 
 
-class RowDecoder(ABC):
-    """Decodes bytes into rows; ``example`` is the last unreadable data, for messages."""
+class LineDecoder:
+    """Decodes lines of numbers, separated by commas, semicolons, tabs or blanks.
+
+    A line with # is a comment. ``example`` is the last unreadable line, for messages.
+    """
 
     def __init__(self, form: RowFormat) -> None:
         self._form = form
         self.example = ""
-
-    @abstractmethod
-    def begin(self, *, whole: bool) -> None:
-        """Discard incomplete data. ``whole``: the next data begins with a row."""
-
-    @abstractmethod
-    def feed(self, data: bytes) -> list[Row | None]:
-        """Add data; returns the complete rows, None for each unreadable one."""
-
-    def _unreadable(self, data: bytes) -> None:
-        shown = data[:40].decode("ascii", "replace")
-        self.example = "".join(c if c.isprintable() else "\N{REPLACEMENT CHARACTER}" for c in shown)
-
-
-class LineDecoder(RowDecoder):
-    """Numbers in lines, separated by commas, semicolons, tabs or blanks; # marks a comment line."""
-
-    def __init__(self, form: RowFormat) -> None:
-        super().__init__(form)
         self._rest = b""
         self._skips = True
 
     def begin(self, *, whole: bool) -> None:
-        """Discard incomplete data; the next data may begin in the middle of a line."""
+        """Discard incomplete data. ``whole``: the next data begins with a line."""
         self._rest, self._skips = b"", not whole
 
     def feed(self, data: bytes) -> list[Row | None]:
-        """Add data; returns the rows of the complete lines."""
+        """Add data; returns the rows of the complete lines, None for each unreadable one."""
         *lines, rest = (self._rest + data).split(b"\n")
         rows = [row for line in lines for row in self._rows_of(line)]
         if len(rest) > _LONGEST_LINE:
             # The end of an overlong line is not a line either.
             if not self._skips:
-                self._unreadable(rest)
+                self.example = _shown(rest)
                 rows.append(None)
             rest, self._skips = b"", True
         self._rest = rest
@@ -183,8 +165,14 @@ class LineDecoder(RowDecoder):
             return []
         row = self._form.row(line.split(_separator(line))) if len(line) <= _LONGEST_LINE else None
         if row is None:
-            self._unreadable(line)
+            self.example = _shown(line)
         return [row]
+
+
+def _shown(data: bytes) -> str:
+    """The begin of unreadable data."""
+    text = data[:40].decode("ascii", "replace")
+    return "".join(c if c.isprintable() else "\N{REPLACEMENT CHARACTER}" for c in text)
 
 
 def _separator(line: bytes) -> bytes | None:
@@ -192,15 +180,17 @@ def _separator(line: bytes) -> bytes | None:
     return next((mark for mark in (b";", b",", b"\t") if mark in line), None)
 
 
-class RecordDecoder(RowDecoder):
-    """Records of a fixed ``layout`` (as in :mod:`struct`), each after the bytes ``mark``.
+class RecordDecoder:
+    """Decodes records of a fixed ``layout`` (as in :mod:`struct`), each after the bytes ``mark``.
 
     ``check`` is the checksum at the end of a record. Mark and checksum show lost or additional
-    bytes. After an error, the decoder skips data until several records in a row match.
+    bytes. After an error, the decoder skips data until several records in a row match. ``example``
+    is the last unreadable record, for messages.
     """
 
     def __init__(self, form: RowFormat, layout: str, mark: bytes, check: str) -> None:
-        super().__init__(form)
+        self._form = form
+        self.example = ""
         self._struct = struct.Struct(layout)
         self._mark = mark
         self._size, self._check = CHECKS[check]
@@ -209,11 +199,11 @@ class RecordDecoder(RowDecoder):
         self._in_step = True
 
     def begin(self, *, whole: bool) -> None:
-        """Discard incomplete data."""
+        """Discard incomplete data. ``whole``: the next data begins with a record."""
         self._rest, self._in_step = b"", whole or not (self._mark or self._size)
 
     def feed(self, data: bytes) -> list[Row | None]:
-        """Add data; returns the rows of the complete records."""
+        """Add data; returns the rows of the complete records, None for each unreadable one."""
         data, at, skipped = self._rest + data, 0, 0
         rows: list[Row | None] = []
         while len(data) - at >= self._whole:
@@ -228,11 +218,11 @@ class RecordDecoder(RowDecoder):
                 self._in_step = True
             if not self._fits(data, at):
                 self._in_step = False
-                self._unreadable(data[at : at + self._whole].hex(" ").encode())
+                self.example = data[at : at + self._whole].hex(" ")[:40]
                 continue
             row = self._form.row(self._struct.unpack_from(data, at + len(self._mark)))
             if row is None:
-                self._unreadable(data[at : at + self._whole].hex(" ").encode())
+                self.example = data[at : at + self._whole].hex(" ")[:40]
             rows += [None] * round(skipped / self._whole)
             rows.append(row)
             at, skipped = at + self._whole, 0
@@ -247,26 +237,15 @@ class RecordDecoder(RowDecoder):
         return self._size == 0 or self._check(data[at:end]) == data[end : end + self._size]
 
 
-def _sum8(data: bytes) -> bytes:
-    return bytes([sum(data) & 0xFF])
-
-
-def _xor8(data: bytes) -> bytes:
-    return bytes([reduce(xor, data, 0)])
-
-
-def _crc16(data: bytes) -> bytes:
-    """CRC-16/XMODEM, the high byte first."""
-    return binascii.crc_hqx(data, 0).to_bytes(2, "big")
-
+RowDecoder = LineDecoder | RecordDecoder
 
 CHECKS: dict[str, tuple[int, Callable[[bytes], bytes]]] = {
     "none": (0, bytes),
-    "sum8": (1, _sum8),
-    "xor8": (1, _xor8),
-    "crc16": (2, _crc16),
+    "sum8": (1, lambda data: bytes([sum(data) & 0xFF])),
+    "xor8": (1, lambda data: bytes([reduce(xor, data, 0)])),
+    "crc16": (2, lambda data: binascii.crc_hqx(data, 0).to_bytes(2, "big")),
 }
-"""Length in bytes of each check, and its function of mark and record."""
+"""Length in bytes of each check, and its function of mark and record. The CRC is CRC-16/XMODEM."""
 
 
 def check_layout(layout: str, form: RowFormat) -> None:
@@ -326,12 +305,11 @@ class SimulatedSender:
         return data + check(data)[:size]
 
     def _cells(self, k: int) -> list[float]:
-        form = self._form
-        phase = 2.0 * math.pi * k / self._rate
+        form, time = self._form, k / self._rate
         measured = {
-            "time": k / self._rate,
-            "displacement": 0.005 * math.sin(phase),
-            "force": 1000.0 * math.tanh(3.0 * math.cos(phase)),
+            "time": time,
+            "displacement": 0.005 * math.sin(2.0 * math.pi * time),
+            "force": 1000.0 * math.tanh(3.0 * math.cos(2.0 * math.pi * time)),
             "current": 1.5,
             "temperature": 25.0,
         }
