@@ -308,7 +308,8 @@ def page_figures(
         with watched(nodes) as live:
             nodes.start("bridge", block_size=10, wait_for_subscribers=2, wait_timeout=PATIENCE)
             time.sleep(warm)
-            began, before, memory = (
+            began, before = time.monotonic(), cpu_seconds(live.pid)
+            memory = resident_bytes(live.pid)
                 time.monotonic(),
                 cpu_seconds(live.pid),
                 resident_bytes(live.pid),
