@@ -9,7 +9,7 @@ from __future__ import annotations
 import hashlib
 import math
 import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -27,7 +27,6 @@ from rcl_interfaces.srv import (
     SetParameters,
     SetParametersAtomically,
 )
-from rclpy.client import Client
 from rclpy.parameter import Parameter
 from sensor_msgs.msg import Temperature
 from std_msgs.msg import Header
@@ -35,10 +34,10 @@ from std_msgs.msg import Header
 from benchmarks.figure import Measured
 from benchmarks.kills import ThreeNodes, three_nodes
 from benchmarks.nodes import resident_bytes
+from mr_damper_ros.models.parameter_set import ParameterSet
 from mr_damper_ros.models.published import THESIS_28_CELSIUS
-from mr_damper_ros.models.sigmoid.law import PARAMETER_NAMES
 from mr_damper_ros.nodes import quality
-from mr_damper_ros.nodes.messages import to_field
+from mr_damper_ros.nodes.messages import parameters_message, to_field
 from mr_damper_ros.processes.programs import PATIENCE
 from mr_damper_ros.signals.arrays import Array
 from mr_damper_ros.signals.blocks import MOST_SAMPLES
@@ -50,12 +49,9 @@ _SIZE = 1_000_000
 _PARAMETER = 70
 """Size of a parameter in a request [B]: its name, and a field for each type of value."""
 
-_WATCHED = 0.5
-"""Time [s] for which a node is observed after a message, and at least after it last responded
-late."""
-
-_SLOW = 0.1
-"""Response time [s] above which a node counts as unresponsive."""
+_WATCHED, _SLOW = 0.5, 0.1
+"""Time [s] for which a node is observed after a message, and after an answer that took longer than
+the second time [s]."""
 
 _NODES = ("identifier", "model")
 
@@ -63,22 +59,16 @@ _OPTIONS: dict[str, dict[str, object]] = {
     # Only a few messages count: a computer that is busy with other work answers late as well.
     "bridge": {"block_size": 100},
     "identifier": {},
-    "model": {},
 }
 
 
 @dataclass(frozen=True)
 class HostileMessage:
-    """A named message: either ``publish`` on a topic, or a request to a service.
-
-    ``node`` is the node that offers the service.
-    """
+    """A named message to a topic, or a request to a service of a ``kind``."""
 
     name: str
     message: Any
-    topic: str = ""
-    node: str = ""
-    service: str = ""
+    target: str
     kind: type | None = None
 
 
@@ -121,9 +111,7 @@ class _Sender:
 
     def __init__(self, rig: ThreeNodes) -> None:
         self._rig = rig
-        self._node = rig.observer.node
-        self._publishers: dict[str, Any] = {}
-        self._clients: dict[str, Client] = {}
+        self._targets: dict[str, Any] = {}
         self._pings = {
             name: self._client(GetParameters, f"/{name}/get_parameters") for name in _NODES
         }
@@ -131,42 +119,37 @@ class _Sender:
     def harm(self, case: HostileMessage) -> list[Harm]:
         """Send a message and measure its effect on both nodes."""
         # The time to send the message does not count for the node.
-        send = self._ready(case)
+        if case.kind is None:
+            send = self._publisher(type(case.message), case.target).publish
+        else:
+            send = self._client(case.kind, case.target).call_async
         before = {name: self._memory(name) for name in _NODES}
-        send()
+        send(case.message)
         deaf = self._listen()
         result = []
         for name in _NODES:
-            if not self._rig.programs[name].running:
-                raise RuntimeError(
-                    f"the {name} has ended after {case.name}: {self._rig.programs[name].last_words}"
-                )
-            peak = sum(_peak_bytes(pid) for pid in self._processes(name))
+            node = self._rig.programs[name]
+            if not node.running:
+                raise RuntimeError(f"the {name} has ended after {case.name}: {node.last_words}")
+            peak = sum(_peak_bytes(pid) for pid in (node.pid, *node.children))
             result.append(Harm(case.name, name, deaf[name], (peak - before[name]) / _MB))
         return result
 
-    def _ready(self, case: HostileMessage) -> Callable[[], object]:
-        if case.topic:
-            return lambda: self._publisher(type(case.message), case.topic).publish(case.message)
-        assert case.kind is not None
-        client = self._client(case.kind, f"/{case.node}/{case.service}")
-        return lambda: client.call_async(case.message)
-
     def _publisher(self, kind: type, topic: str) -> Any:
-        if topic not in self._publishers:
+        if topic not in self._targets:
             profile = quality.latched() if kind is DamperParameters else quality.stream(10)
-            publisher = self._node.create_publisher(kind, topic, profile)
-            self._publishers[topic] = publisher
+            publisher = self._rig.observer.node.create_publisher(kind, topic, profile)
+            self._targets[topic] = publisher
             self._rig.observer.until(publisher.get_subscription_count, f"a subscriber of {topic}")
             # The other side may connect later than this one.
             self._rig.observer.spin_for(0.5)
-        return self._publishers[topic]
+        return self._targets[topic]
 
-    def _client(self, kind: type, name: str) -> Client:
-        if name not in self._clients:
-            self._clients[name] = self._node.create_client(kind, name)
-            self._rig.observer.until(self._clients[name].service_is_ready, name)
-        return self._clients[name]
+    def _client(self, kind: type, name: str) -> Any:
+        if name not in self._targets:
+            self._targets[name] = self._rig.observer.node.create_client(kind, name)
+            self._rig.observer.until(self._targets[name].service_is_ready, name)
+        return self._targets[name]
 
     def _listen(self) -> dict[str, float]:
         """Longest time [s] that each node left a call unanswered."""
@@ -192,15 +175,13 @@ class _Sender:
             self._rig.observer.spin_once(0.002)
         return deaf
 
-    def _processes(self, name: str) -> list[int]:
-        node = self._rig.programs[name]
-        return [node.pid, *node.children]
-
     def _memory(self, name: str) -> int:
         """Memory in use [B]; its peak is measured from this point on."""
-        for pid in self._processes(name):
+        node = self._rig.programs[name]
+        processes = (node.pid, *node.children)
+        for pid in processes:
             Path(f"/proc/{pid}/clear_refs").write_text("5")
-        return sum(resident_bytes(pid) for pid in self._processes(name))
+        return sum(map(resident_bytes, processes))
 
 
 def _peak_bytes(pid: int) -> int:
@@ -215,29 +196,45 @@ def _peak_bytes(pid: int) -> int:
 def cases() -> Iterator[HostileMessage]:
     """All of them."""
     yield from _samples()
-    for kind, topic in _TOPICS.items():
-        for what, message in _spoilt(kind, _usual(kind)):
+    small = to_field(1e-3 * np.ones(10))
+    known = ParameterSet(
+        THESIS_28_CELSIUS,
+        set_id="hostile",
+        peak_velocity_range=(0.0, 1.0),
+        current_range=(0.0, 2.0),
+    )
+    valid: dict[str, Callable[[], Any]] = {
+        "mts/samples": lambda: MtsSamples(period=1e-3, displacement=small, force=small),
+        "supply/current": SupplyCurrent,
+        "temperature": Temperature,
+        "damper/parameters": lambda: parameters_message(known, "damper", ""),
+        "damper/fit_report": lambda: FitReport(confirms=True),
+    }
+    for topic, make in valid.items():
+        for what, message in _spoilt(make):
             yield HostileMessage(f"{topic} with {what}", message, topic)
     for kind, service in ((SaveParameters, "save_parameters"), (LoadParameters, "load_parameters")):
-        for what, request in _spoilt(kind.Request, {}):
-            yield HostileMessage(f"{service} with {what}", request, "", "identifier", service, kind)
-    for what, goal in _spoilt(IdentifyGlobal.Goal, {}):
-        kind = IdentifyGlobal.Impl.SendGoalService
-        request = kind.Request(goal=goal)
+        for what, request in _spoilt(kind.Request):
+            yield HostileMessage(f"{service} with {what}", request, f"/identifier/{service}", kind)
+    send_goal = IdentifyGlobal.Impl.SendGoalService
+    for what, goal in _spoilt(IdentifyGlobal.Goal):
+        request = send_goal.Request(goal=goal)
         request.goal_id.uuid = np.frombuffer(hashlib.md5(what.encode()).digest(), dtype=np.uint8)
-        service = "identify_global/_action/send_goal"
-        yield HostileMessage(f"a goal with {what}", request, "", "identifier", service, kind)
-    yield from _parameter_services()
+        service = "/identifier/identify_global/_action/send_goal"
+        yield HostileMessage(f"a goal with {what}", request, service, send_goal)
+    for node in _NODES:
+        for kind, field, values in _PARAMETER_REQUESTS:
+            for what, value in values.items():
+                request, service = kind.Request(**{field: value}), _SERVICES[kind]
+                yield HostileMessage(f"{service} with {what}", request, f"/{node}/{service}", kind)
 
 
 def _samples() -> Iterator[HostileMessage]:
-    chance = np.random.default_rng(0)
     most = _SIZE // 16
     alternating = np.tile([1e-3, -1e-3], most // 2)
-    noise = 1e-3 * chance.normal(size=most)
     signals = {
         "of a sine": 5e-3 * np.sin(2e-3 * math.pi * np.arange(most)),
-        "of noise": noise,
+        "of noise": 1e-3 * np.random.default_rng(0).normal(size=most),
         "that alternate": alternating,
         "of zeros": np.zeros(most),
         "of spikes": 1e12 * np.sign(alternating),
@@ -251,7 +248,7 @@ def _samples() -> Iterator[HostileMessage]:
             name = f"{count} samples {what}, {period:g} s apart"
             yield HostileMessage(name, block, "mts/samples")
     for count in (0, 1, 10):
-        odd = _block(noise, np.zeros(count), 1e-3)
+        odd = _block(alternating, np.zeros(count), 1e-3)
         yield HostileMessage(f"{most} displacements and {count} forces", odd, "mts/samples")
 
 
@@ -262,39 +259,6 @@ def _block(displacement: Array, force: Array, period: float) -> MtsSamples:
         displacement=to_field(displacement),
         force=to_field(force),
     )
-
-
-_TOPICS = {
-    MtsSamples: "mts/samples",
-    SupplyCurrent: "supply/current",
-    Temperature: "temperature",
-    DamperParameters: "damper/parameters",
-    FitReport: "damper/fit_report",
-}
-
-
-def _usual(kind: type) -> dict[str, Any]:
-    """Fields of a valid message that must differ from the defaults."""
-    if kind is MtsSamples:
-        small = to_field(1e-3 * np.ones(10))
-        return {"period": 1e-3, "displacement": small, "force": small}
-    if kind is FitReport:
-        return {"confirms": True}
-    if kind is DamperParameters:
-        count = len(PARAMETER_NAMES)
-        return {
-            "id": "hostile",
-            "model": "sigmoid",
-            "names": list(PARAMETER_NAMES),
-            "units": ["1"] * count,
-            "values": to_field(THESIS_28_CELSIUS),
-            "standard_errors": to_field(np.full(count, math.nan)),
-            "observable": [True] * count,
-            "source": "file",
-            "peak_velocity_max": 1.0,
-            "current_max": 2.0,
-        }
-    return {}
 
 
 _VALUES: dict[str, dict[str, Any]] = {
@@ -316,45 +280,47 @@ _VALUES: dict[str, dict[str, Any]] = {
 """Hostile values by type of field."""
 
 
-def _spoilt(kind: Any, usual: Mapping[str, Any]) -> Iterator[tuple[str, Any]]:
-    """Messages of one type, each with one hostile field."""
-    for field, type_ in kind.get_fields_and_field_types().items():
+def _spoilt(make: Callable[[], Any]) -> Iterator[tuple[str, Any]]:
+    """Valid messages of one type, each with one hostile field."""
+    for field, type_ in make().get_fields_and_field_types().items():
         for what, value in _VALUES.get(type_, {}).items():
-            yield f"{what} as {field}", kind(**{**usual, field: value})
+            message = make()
+            setattr(message, field, value)
+            yield f"{what} as {field}", message
 
 
-def _parameter_services() -> Iterator[HostileMessage]:
-    """Services that rclpy adds to every node."""
-    names = {
-        "names of one letter": ["x"] * (_SIZE // 8),
-        "a name of 1 MB": ["x" * _SIZE],
-        "a known name over and over": ["frame_id"] * (_SIZE // 16),
-        "a prefix over and over": ["qos_overrides"] * (_SIZE // 20),
-    }
-    values = {
-        "one parameter over and over": [
-            Parameter("frame_id", value=f"{number}") for number in range(_SIZE // _PARAMETER)
-        ],
-        "a text of 1 MB": [Parameter("frame_id", value="x" * _SIZE)],
-        "a name of 1 MB": [Parameter("x" * _SIZE, value=1.0)],
-        "many parameters": [Parameter(f"x{n}", value=1.0) for n in range(_SIZE // _PARAMETER)],
-        "1 MB of numbers": [Parameter("frame_id", value=[1.0] * (_SIZE // 8))],
-    }
-    for node in _NODES:
-        for kind, service in (
-            (GetParameters, "get_parameters"),
-            (GetParameterTypes, "get_parameter_types"),
-            (DescribeParameters, "describe_parameters"),
-            (ListParameters, "list_parameters"),
-        ):
-            field = "prefixes" if kind is ListParameters else "names"
-            for what, entries in names.items():
-                request = kind.Request(**{field: entries})
-                yield HostileMessage(f"{service} with {what}", request, "", node, service, kind)
-        for kind, service in (
-            (SetParameters, "set_parameters"),
-            (SetParametersAtomically, "set_parameters_atomically"),
-        ):
-            for what, parameters in values.items():
-                request = kind.Request(parameters=[p.to_parameter_msg() for p in parameters])
-                yield HostileMessage(f"{service} with {what}", request, "", node, service, kind)
+_NAMES = {
+    "names of one letter": ["x"] * (_SIZE // 8),
+    "a name of 1 MB": ["x" * _SIZE],
+    "a known name over and over": ["frame_id"] * (_SIZE // 16),
+    "a prefix over and over": ["qos_overrides"] * (_SIZE // 20),
+}
+
+_ASSIGNMENTS: dict[str, list[tuple[str, Any]]] = {
+    "one parameter over and over": [("frame_id", f"{n}") for n in range(_SIZE // _PARAMETER)],
+    "a text of 1 MB": [("frame_id", "x" * _SIZE)],
+    "a name of 1 MB": [("x" * _SIZE, 1.0)],
+    "many parameters": [(f"x{n}", 1.0) for n in range(_SIZE // _PARAMETER)],
+    "1 MB of numbers": [("frame_id", [1.0] * (_SIZE // 8))],
+}
+
+_NEW_VALUES = {
+    what: [Parameter(name, value=value).to_parameter_msg() for name, value in parameters]
+    for what, parameters in _ASSIGNMENTS.items()
+}
+
+_SERVICES: dict[Any, str] = {
+    GetParameters: "get_parameters",
+    GetParameterTypes: "get_parameter_types",
+    DescribeParameters: "describe_parameters",
+    ListParameters: "list_parameters",
+    SetParameters: "set_parameters",
+    SetParametersAtomically: "set_parameters_atomically",
+}
+"""Services that rclpy adds to every node."""
+
+_PARAMETER_REQUESTS: list[tuple[Any, str, dict[str, Any]]] = [
+    *((kind, "names", _NAMES) for kind in (GetParameters, GetParameterTypes, DescribeParameters)),
+    (ListParameters, "prefixes", _NAMES),
+    *((kind, "parameters", _NEW_VALUES) for kind in (SetParameters, SetParametersAtomically)),
+]

@@ -310,10 +310,6 @@ def page_figures(
             time.sleep(warm)
             began, before = time.monotonic(), cpu_seconds(live.pid)
             memory = resident_bytes(live.pid)
-                time.monotonic(),
-                cpu_seconds(live.pid),
-                resident_bytes(live.pid),
-            )
             time.sleep(duration)
             used = (cpu_seconds(live.pid) - before) / (time.monotonic() - began)
             growth = resident_bytes(live.pid) - memory
