@@ -61,21 +61,18 @@ class RecordedSource(Source):
         rounds = itertools.count() if self.stream.loop else range(1)
         for recording in (each for _ in rounds for each in self._recordings):
             count, temperature = recording.sample_count, recording.temperature
+            if temperature is None:
+                temperature = np.full(count, math.nan)
             for first in range(0, count, size):
                 part = slice(first, first + size)
-                current = recording.current[part]
                 yield RigBlock(
                     start_ns=start_ns + round(first * recording.period * NANOSECONDS),
                     sequence=sequence + first,
                     period=recording.period,
                     displacement=recording.displacement[part],
                     force=recording.force[part],
-                    current=current,
-                    temperature=(
-                        np.full(current.size, math.nan)
-                        if temperature is None
-                        else temperature[part]
-                    ),
+                    current=recording.current[part],
+                    temperature=temperature[part],
                 )
             sequence += count
             start_ns += round(count * recording.period * NANOSECONDS) + _PAUSE_NS
