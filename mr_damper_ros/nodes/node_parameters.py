@@ -56,37 +56,28 @@ class NodeParameters(Generic[T]):
         self._options = {item.name: item for item in options(table)}
         self._changed = changed
         self._configured = configured
-        given = self._given(node)
-        objections = [self._options[name].objection(value) for name, value in given.items()]
-        defaults = {name: item.default for name, item in self._options.items()}
-        self._raise_first(objections)
+        values = {name: item.default for name, item in self._options.items()} | self._given(node)
         try:
-            self.values = build(table, defaults | given)
+            self.values = build(table, values)
         except ValueError as error:
             raise ConfigurationError(str(error)) from error
-        self._raise_first([self.values.objection()])
+        _refuse(self.values.objection())
         for name, item in self._options.items():
             descriptor = _descriptor(item)
             descriptor.read_only = item.start_only if configured else item.read_only
-            node.declare_parameter(name, (defaults | given)[name], descriptor, ignore_override=True)
+            node.declare_parameter(name, values[name], descriptor, ignore_override=True)
         self._node = node
         node.add_on_set_parameters_callback(self._judge)
         node.add_post_set_parameters_callback(self._apply)
 
-    @staticmethod
-    def _raise_first(objections: list[str]) -> None:
-        for objection in objections:
-            if objection:
-                raise ConfigurationError(objection)
-
     def _given(self, node: Node) -> dict[str, Any]:
-        """Values from the command line and from parameter files, by name."""
+        """Valid values from the command line and from parameter files, by name."""
         # rclpy silently ignores values for undeclared parameters: after a misspelt name the default
         # would remain in force.
         given: dict[str, Any] = {}
         for name, value in rclpy_internals.given_parameters(node).items():
             if name.startswith(quality.OVERRIDES):
-                self._raise_first([quality.objection(name, value)])
+                _refuse(quality.objection(name, value))
                 continue  # rclpy declares it with its publisher or subscription
             if name.startswith(_NOT_OURS):
                 continue
@@ -95,6 +86,7 @@ class NodeParameters(Generic[T]):
                 hint = f"did you mean {close[0]}?" if close else "--help lists all there are"
                 raise ConfigurationError(f"there is no parameter {name}: {hint}")
             given[name] = self._options[name].normalised(value)
+            _refuse(self._options[name].objection(given[name]))
         return given
 
     def _merged(self, parameters: list[Parameter]) -> T:
@@ -127,6 +119,11 @@ class NodeParameters(Generic[T]):
         self.values = self._merged(parameters)
         if self._changed is not None:
             self._changed(self.values, names)
+
+
+def _refuse(objection: str) -> None:
+    if objection:
+        raise ConfigurationError(objection)
 
 
 def _descriptor(item: Option) -> ParameterDescriptor:

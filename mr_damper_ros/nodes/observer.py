@@ -4,18 +4,14 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
-from contextlib import nullcontext
-from types import TracebackType
-from typing import Any, TypeVar
+from contextlib import AbstractContextManager, nullcontext
+from typing import Any
 
 import rclpy
 from diagnostic_msgs.msg import DiagnosticArray
 from mr_damper_msgs.msg import (
     CurrentCommand,
-    DamperParameters,
-    FitReport,
     MtsSamples,
-    PredictedForce,
     SupplyCurrent,
 )
 from rclpy.executors import SingleThreadedExecutor
@@ -31,10 +27,8 @@ from mr_damper_ros.processes.programs import PATIENCE, RosDomain
 from mr_damper_ros.rig.sources.daq_source import SATURATED
 from mr_damper_ros.rig_check.record import HeardBlock, RigRecord
 
-Self = TypeVar("Self", bound="Observer")
 
-
-class Observer:
+class Observer(AbstractContextManager):
     """A node in a context of its own, which stores messages or passes them to a callback.
 
     Without a ``domain`` it joins the domain of this process.
@@ -53,15 +47,7 @@ class Observer:
         self._executor = SingleThreadedExecutor(context=self._context)
         self._executor.add_node(self.node)
 
-    def __enter__(self: Self) -> Self:
-        return self
-
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self.close()
 
     def close(self) -> None:
@@ -117,18 +103,6 @@ class Observer:
         )
 
 
-def hear_identification(
-    observer: Observer, hear: Callable[[Any], None]
-) -> tuple[list[Any], list[Any], list[Any]]:
-    """Lists of samples, predicted forces and sets as they arrive; ``hear`` receives each report."""
-    observer.listen(FitReport, "damper/fit_report", hear=hear)
-    return (
-        observer.listen(MtsSamples, SAMPLES_TOPIC),
-        observer.listen(PredictedForce, "damper/predicted_force"),
-        observer.listen(DamperParameters, "damper/parameters", quality.latched()),
-    )
-
-
 def record_rig(node: Node, record: RigRecord) -> None:
     """Subscribe a node to the topics of a rig, and store their messages while the node spins."""
     namespace = node.get_namespace().strip("/")
@@ -139,19 +113,11 @@ def record_rig(node: Node, record: RigRecord) -> None:
         if not 0 < displacement.size == force.size or not message.period > 0.0:
             record.unusable += 1
             return
+        stamp_ns, arrival_ns = to_nanoseconds(message.header.stamp), time.monotonic_ns()
+        sequence, period = int(message.seq), float(message.period)
         record.blocks.append(
-            HeardBlock(
-                to_nanoseconds(message.header.stamp),
-                int(message.seq),
-                float(message.period),
-                displacement,
-                force,
-                time.monotonic_ns(),
-            )
+            HeardBlock(stamp_ns, sequence, period, displacement, force, arrival_ns)
         )
-
-    def take_current(message: SupplyCurrent) -> None:
-        record.measured.append((to_nanoseconds(message.header.stamp), message.current))
 
     def take_diagnostics(message: DiagnosticArray) -> None:
         for status in message.status:
@@ -162,13 +128,15 @@ def record_rig(node: Node, record: RigRecord) -> None:
                         first, _ = record.saturated.get(channel, (int(item.value), 0))
                         record.saturated[channel] = (first, int(item.value))
 
-    def take_command(message: CurrentCommand) -> None:
-        record.commanded.append((to_nanoseconds(message.header.stamp), message.current))
+    def keep_in(currents: list[tuple[int, float]]) -> Callable[[Any], None]:
+        return lambda message: currents.append(
+            (to_nanoseconds(message.header.stamp), message.current)
+        )
 
     for kind, topic, take in (
         (MtsSamples, SAMPLES_TOPIC, take_samples),
-        (SupplyCurrent, CURRENT_TOPIC, take_current),
-        (CurrentCommand, COMMAND_TOPIC, take_command),
+        (SupplyCurrent, CURRENT_TOPIC, keep_in(record.measured)),
+        (CurrentCommand, COMMAND_TOPIC, keep_in(record.commanded)),
         (DiagnosticArray, "/diagnostics", take_diagnostics),
     ):
         node.create_subscription(kind, topic, take, quality.lossless())

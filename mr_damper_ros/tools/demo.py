@@ -160,12 +160,17 @@ class _Heard:
     """Messages of the nodes: samples, forces, sets, and reports, which are also printed."""
 
     def __init__(self, observer: Observer) -> None:
-        from mr_damper_ros.nodes.observer import hear_identification
+        from mr_damper_msgs.msg import DamperParameters, FitReport, MtsSamples, PredictedForce
+
+        from mr_damper_ros.nodes import quality
 
         self._observer = observer
         self._last = time.monotonic()
         self.reports: list[Any] = []
-        self.samples, self.forces, self.sets = hear_identification(observer, self._tell)
+        observer.listen(FitReport, "damper/fit_report", hear=self._tell)
+        self.samples = observer.listen(MtsSamples, "mts/samples")
+        self.forces = observer.listen(PredictedForce, "damper/predicted_force")
+        self.sets = observer.listen(DamperParameters, "damper/parameters", quality.latched())
 
     def _tell(self, report: Any) -> None:
         self.reports.append(report)
