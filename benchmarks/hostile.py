@@ -53,7 +53,7 @@ from mr_damper_ros.signals.blocks import NANOSECONDS, BlockError, SampleBlock
 from mr_damper_ros.signals.recording import Recording, RecordingError
 from mr_damper_ros.tracking.predictor import ForcePredictor, PredictorSettings
 from mr_damper_ros.tracking.state_directory import StateDirectory, StateError
-from mr_damper_ros.tracking.window_assembler import WindowAssembler
+from mr_damper_ros.tracking.window_assembler import WindowAssembler, WindowSettings
 
 PERIOD = 1e-3
 AMPLITUDE, FREQUENCY, CURRENT = 5e-3, 2.0, 1.5
@@ -133,7 +133,7 @@ class HostileStream:
         )
         self._predictor = ForcePredictor(PredictorSettings())
         self._predictor.set_parameters(known)
-        self._assembler = WindowAssembler(0.5, 0.25, 1)
+        self._assembler = WindowAssembler(WindowSettings(0.5, 0.25, looks=1))
         self._sample = self._good = 0
 
     def try_block(self) -> str:

@@ -32,7 +32,7 @@ from mr_damper_ros.tracking.reports import Report
 from mr_damper_ros.tracking.state_directory import read_parameter_file
 from mr_damper_ros.tracking.tracker import WindowTracker
 from mr_damper_ros.tracking.validity import DoubtKind
-from mr_damper_ros.tracking.window_assembler import WindowAssembler
+from mr_damper_ros.tracking.window_assembler import WindowAssembler, WindowSettings
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -284,7 +284,7 @@ def follow(
     >>> [round(scale, 2) for scale in scales]
     [nan, 1.0, 1.0, 0.9, 0.9, 0.9]
     """
-    assembler = WindowAssembler(window, hop)
+    assembler = WindowAssembler(WindowSettings(window, hop, looks=0))
     for item in stream_of(recording):
         if isinstance(item, CurrentReading):
             ready = assembler.add_current(*item)

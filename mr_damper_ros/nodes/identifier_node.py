@@ -359,7 +359,7 @@ def _answer(act: Callable[[Any], str], request: Any, response: Any) -> Any:
 
 
 def _identifier(options: IdentifierParameters, own_name: str, worker: Worker) -> Identifier:
-    windows, tracking = options.windows, options.tracking
+    tracking = options.tracking
     initial = options.initial_parameters
     try:
         tracker = WindowTracker(
@@ -375,14 +375,7 @@ def _identifier(options: IdentifierParameters, own_name: str, worker: Worker) ->
     except StateError as error:
         raise ConfigurationError(str(error)) from error
     return Identifier(
-        WindowAssembler(
-            windows.window,
-            windows.hop,
-            windows.looks,
-            windows.longest_window,
-            options.grid,
-            windows.centre_memory,
-        ),
+        WindowAssembler(options.windows, options.grid),
         tracker,
         worker,
         options.work,

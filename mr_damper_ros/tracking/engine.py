@@ -77,13 +77,7 @@ class Engine:
         tracker = WindowTracker(given.tracking, begin)
         self.worker = InlineWorker(self._seconds_until_outcome)
         self.identifier = Identifier(
-            WindowAssembler(
-                given.windows.window,
-                given.windows.hop,
-                given.windows.looks,
-                given.windows.longest_window,
-                given.grid,
-            ),
+            WindowAssembler(given.windows, given.grid),
             tracker,
             self.worker,
             given.work,

@@ -31,28 +31,17 @@ from mr_damper_ros.signals.arrays import Array, RollingRows
 from mr_damper_ros.signals.blocks import NANOSECONDS
 from mr_damper_ros.tracking.operating_point import SAME_CURRENT, SAME_SPEED
 
-_SAME_TIME = 1.5
-"""A set replaces another with the same range of peak velocities if the half-cycles of their motions
-are within this factor."""
-
 _MOST = 8
-"""Largest number of sets in the bank; a search tries each of them."""
-
-_MOST_CURRENTS = 16
-"""Largest number of currents in the schedule."""
+"""Largest number of sets in the bank, each of which a search tries; the schedule has twice as many
+currents."""
 
 _RECENT_NS = 60 * NANOSECONDS
 """Largest age of a set in the schedule. A heating damper may change by a quarter in ten minutes,
 and so by a fortieth in this time."""
 
-_SETTLES = 0.2
-"""Seconds of motion in which the force of a set settles before it is judged."""
-
 _JUDGED = 0.1
-"""Seconds over which a set is judged, or the same fraction of a half-cycle if that is longer."""
-
-_EVERY = 0.05
-"""Seconds between two searches; each costs as much time as several blocks of prediction."""
+"""Seconds over which a set is judged, or the same fraction of a half-cycle if that is longer. The
+force of a set settles for twice this time before, and two searches are half of it apart."""
 
 _TURNING_EVERY = 5.0
 """Seconds between two comparisons of the branch rules."""
@@ -65,8 +54,8 @@ _MOST_SHOWN, _KEPT = 1.0, 0.5
 two errors, is limited to the first value. Earlier evidence is multiplied by the second value at
 each further comparison."""
 
-_MOST_SAMPLES, _MOST_TRIED = 40_000, 2000
-"""Largest numbers of samples that are kept, and that a set is tried on."""
+_MOST_TRIED = 2000
+"""Largest number of samples that a set is tried on; twenty times as many are kept."""
 
 Span = tuple[float, float]
 """The lowest and the highest current [A] of one window, or of several."""
@@ -76,28 +65,23 @@ Span = tuple[float, float]
 class KnownSet:
     """A set, and the stamp up to which it fits the samples (None: the set does not age).
 
-    ``half_cycle`` [s] is that of the motion when the set arrived, NaN if unknown. ``currents`` is
-    the current range of the windows that the set fits. None means that the range is unknown, and
-    the set then counts for all currents. ``whole`` marks a set for all operating points, as opposed
-    to a window set.
+    ``currents`` is the current range of the windows that the set fits; a set of unknown range
+    (None) counts for all currents. ``whole`` marks a set for all operating points, as opposed to a
+    window set.
     """
 
     parameters: ParameterSet
     confirmed_ns: int | None
-    half_cycle: float = math.nan
     currents: Span | None = None
     whole: bool = False
 
     def replaces(self, other: KnownSet) -> bool:
         """Whether the set is for the same motions and currents as another."""
-        times = self.half_cycle, other.half_cycle
         mine, its = self.parameters, other.parameters
         speeds = zip(mine.peak_velocity_range, its.peak_velocity_range, strict=True)
         currents = zip(mine.current_range, its.current_range, strict=True)
-        return (
-            not max(times) > _SAME_TIME * min(times)
-            and all(max(pair) <= SAME_SPEED * min(pair) for pair in speeds)
-            and all(a == b or abs(a - b) <= SAME_CURRENT for a, b in currents)
+        return all(max(pair) <= SAME_SPEED * min(pair) for pair in speeds) and all(
+            a == b or abs(a - b) <= SAME_CURRENT for a, b in currents
         )
 
     def covers(self, other: KnownSet) -> bool:
@@ -196,55 +180,15 @@ class JudgedSamples(NamedTuple):
     measured: Array
     period: float
 
+    def force_of(self, known: KnownSet, gradual: bool) -> Array:
+        """Force (n,) [N] of a set, from a new state of its law."""
+        along = self.motion, self.current, self.period
+        return known.parameters.follow(*along, gradual=gradual)[0]
+
     def left_by(self, force: Array, part: slice = slice(None)) -> Array:
         """Residual [N] of a ``force`` (n,) [N], at the measured samples of a part."""
         measured = self.measured[part]
         return np.asarray((force[part] - measured)[~np.isnan(measured)])
-
-
-class RecentSamples:
-    """Keeps the newest samples of a stream."""
-
-    def __init__(self) -> None:
-        # Four rows of the motion; current, predicted and measured force.
-        self._rows = RollingRows(7)
-
-    @property
-    def count(self) -> int:
-        """Number of samples kept."""
-        return self._rows.count
-
-    def clear(self) -> None:
-        """Discard the samples; the next samples do not continue from them."""
-        self._rows.keep(0)
-
-    def add(
-        self,
-        motion: Motion,
-        current: Array | float,
-        forces: tuple[Array, Array],
-        bridged: int,
-        most: float,
-    ) -> None:
-        """Add samples with predicted and measured ``forces`` [N]; keep at most ``most`` in all.
-
-        The force of the first ``bridged`` samples was not measured.
-        """
-        count, (predicted, measured) = motion.velocity.size, forces
-        if bridged:
-            measured = np.concatenate([np.full(bridged, math.nan), measured[bridged:]])
-        along = motion.displacement, motion.velocity, motion.acceleration, motion.peak_velocity
-        self._rows.add((*along, current, predicted, measured), count)
-        self._rows.keep(max(int(min(most, _MOST_SAMPLES)), count))
-
-    def last(self, period: float, count: float = math.inf) -> JudgedSamples:
-        """The last ``count`` samples, ``period`` [s] apart, subsampled if there are too many."""
-        whole = int(min(count, self.count))
-        stride = whole // _MOST_TRIED + 1
-        rows = self._rows.newest[:, self.count - whole :: stride]
-        u, v, a, v_m, current, predicted, measured = rows
-        motion = Motion(u, v, a, v_m, sine=None)
-        return JudgedSamples(motion, current, predicted, measured, stride * period)
 
 
 class Choice(NamedTuple):
@@ -270,7 +214,8 @@ class ModelBank:
         self._sets: list[KnownSet] = []
         self._given: KnownSet | None = None
         self._newest_ns: int | None = None
-        self._samples = RecentSamples()
+        # The newest samples: four rows of the motion; current, predicted and measured force.
+        self._rows = RollingRows(7)
         self._period = math.nan
         self._half_cycle = 0.0
         self._since_search = math.inf
@@ -313,14 +258,14 @@ class ModelBank:
         self._take(found)
         return True
 
-    def add(self, parameters: ParameterSet, stamp_ns: int | None, half_cycle: float) -> None:
+    def add(self, parameters: ParameterSet, stamp_ns: int | None) -> None:
         """Add a set and use it, unless the schedule has a better set for the present current.
 
-        The stamp and ``half_cycle`` are those of :class:`KnownSet`; a set without a stamp was
-        loaded by a user. A loaded set clears the bank, as does a set that is not newer than those
-        in the bank or belongs to another law; the loaded set itself stays. A set that was never
-        identified does not replace a loaded set. A set for fewer currents replaces the loaded set
-        only if the force of the loaded set is wrong.
+        The stamp is that of :class:`KnownSet`; a set without a stamp was loaded by a user. A loaded
+        set clears the bank, as does a set that is not newer than those in the bank or belongs to
+        another law; the loaded set itself stays. A set that was never identified does not replace a
+        loaded set. A set for fewer currents replaces the loaded set only if the force of the loaded
+        set is wrong.
         """
         given = self._given
         if given is not None and not parameters.has_evidence:
@@ -344,7 +289,7 @@ class ModelBank:
             currents = None if math.isnan(self._current) else (self._current, self._current)
         elif reported_id != parameters.set_id:
             currents = None
-        found = KnownSet(parameters, stamp_ns, half_cycle, currents, whole)
+        found = KnownSet(parameters, stamp_ns, currents, whole)
         if stamp_ns is None:
             self._given = found if parameters.has_evidence else None
         elif self._is_given(self.present) and not found.covers(self._sets[0]):
@@ -352,14 +297,13 @@ class ModelBank:
             self._sets = [self._sets[0], found, *others][:_MOST]
             return
         self._found = found
-        if found.whole:
+        if whole:
             self._whole = found
-        else:
-            if parameters.source == EARLY_SOURCE:
-                # After a sudden change the force is known at the present current only.
-                self._at_currents = []
-            if currents is not None:
-                self._confirm_at(found, currents)
+        elif parameters.source == EARLY_SOURCE:
+            # After a sudden change the force is known at the present current only.
+            self._at_currents = []
+        if not whole and currents is not None:
+            self._confirm_at(found, currents)
         if self._sets and self._scheduled and not self._takes_over(found):
             self._sets.insert(1, found)
             del self._sets[_MOST:]
@@ -407,28 +351,26 @@ class ModelBank:
         low, high = currents
         if high - low <= 2.0 * SAME_CURRENT:
             others = [each for each in self._at_currents if not each.fits_at(0.5 * (low + high))]
-            self._at_currents = [replace(known, currents=currents), *others][:_MOST_CURRENTS]
-
-    def _at_current(self, now_ns: int) -> KnownSet | None:
-        """The scheduled set for the present current, or None if there is no recent one."""
-        for each in self._at_currents:
-            age = math.inf if each.confirmed_ns is None else abs(now_ns - each.confirmed_ns)
-            if each.fits_at(self._current) and age <= _RECENT_NS:
-                return each
-        return None
+            self._at_currents = [replace(known, currents=currents), *others][: 2 * _MOST]
 
     def follow_current(self, current: float, now_ns: int) -> None:
         """Apply the current schedule to a current [A] at the samples up to a stamp."""
         before, self._current = self._current, current
         if not self._sets or self._sets[0].fits_at(current):
             return
-        present = self._sets[0]
-        chosen = self._at_current(now_ns)
+        recent = (
+            each
+            for each in self._at_currents
+            if each.fits_at(current)
+            and each.confirmed_ns is not None
+            and abs(now_ns - each.confirmed_ns) <= _RECENT_NS
+        )
+        chosen = next(recent, None)
         if chosen is None or not self._holds_after(chosen, before, current):
             chosen = self._whole_now(current)
         if chosen is None:
             # No other set is known, so the law of the present set gives the force.
-            self.use(present)
+            self.use(self._sets[0])
             return
         self._take(chosen)
         self._scheduled = True
@@ -439,8 +381,8 @@ class ModelBank:
         A law with memory must also hold at the current ``before`` the change.
         """
         speed = math.nan
-        if self._samples.count:
-            speed = _root_mean_square(self._samples.last(self._period).motion.peak_velocity)
+        if self._rows.count:
+            speed = _root_mean_square(self._newest().motion.peak_velocity)
         return chosen.is_for(speed, current, self._margin) and (
             not chosen.parameters.law.remembers or within(before, chosen.parameters.current_range)
         )
@@ -453,11 +395,11 @@ class ModelBank:
         parameters = whole.parameters
         if present.whole:
             parameters = present.parameters  # already scaled when it took over
-        elif self._samples.count:
-            newest = self._samples.last(self._period)
+        elif self._rows.count:
+            newest = self._newest()
             low, high = parameters.current_range
             known = (newest.current >= low - SAME_CURRENT) & (newest.current <= high + SAME_CURRENT)
-            forces = (self._force(each, newest, self.gradual)[known] for each in (present, whole))
+            forces = (newest.force_of(each, self.gradual)[known] for each in (present, whole))
             parameters = _times_force(parameters, force_ratio(*forces), present.parameters)
         return replace(present, parameters=parameters, currents=(current, current), whole=True)
 
@@ -470,14 +412,17 @@ class ModelBank:
             return True
         if not found.fits_at(self._current):
             return False
-        if not self._measured or not self._samples.count:
+        if not self._measured or not self._rows.count:
             return True
-        newest = self._samples.last(self._period)
+        newest = self._newest()
         elsewhere = np.flatnonzero(np.abs(newest.current - self._current) > SAME_CURRENT)
         judged = slice(int(elsewhere[-1]) + 1 if elsewhere.size else 0, None)
         if newest.current[judged].size * newest.period < _JUDGED:
             return False
-        new, used = (self._error(each, newest, judged) for each in (found, self._sets[0]))
+        new, used = (
+            _root_mean_square(newest.left_by(newest.force_of(each, self.gradual), judged))
+            for each in (found, self._sets[0])
+        )
         if new < used:
             return True
         self._sets[0] = replace(self._sets[0], confirmed_ns=found.confirmed_ns)
@@ -487,7 +432,7 @@ class ModelBank:
 
     def forget_samples(self) -> None:
         """Discard the samples; the next samples do not continue from them."""
-        self._samples.clear()
+        self._rows.keep(0)
 
     def follow(
         self,
@@ -503,18 +448,31 @@ class ModelBank:
         Arrays have shape (n,). The samples are ``period`` [s] apart. ``half_cycle`` [s] is that of
         the motion, NaN if unknown. The force of the first ``bridged`` samples was not measured.
         """
-        time = forces[1].size * period
-        self._since_search += time
-        self._since_turning += time
+        count, (predicted, measured) = motion.velocity.size, forces
+        self._since_search += count * period
+        self._since_turning += count * period
         self._period = period
         self._half_cycle = 0.0 if math.isnan(half_cycle) else half_cycle
-        span = max(2.0 * self._half_cycle, self._judged + _SETTLES)
-        self._samples.add(motion, current, forces, bridged, span / period)
+        if bridged:
+            measured = np.concatenate([np.full(bridged, math.nan), measured[bridged:]])
+        along = motion.displacement, motion.velocity, motion.acceleration, motion.peak_velocity
+        self._rows.add((*along, current, predicted, measured), count)
+        span = max(2.0 * self._half_cycle, self._judged + 2.0 * _JUDGED) / period
+        self._rows.keep(max(int(min(span, 20 * _MOST_TRIED)), count))
+
+    def _newest(self, time: float = math.inf) -> JudgedSamples:
+        """The samples of the last ``time`` [s], subsampled if there are too many."""
+        whole = int(min(time / self._period, self._rows.count))
+        stride = whole // _MOST_TRIED + 1
+        rows = self._rows.newest[:, self._rows.count - whole :: stride]
+        u, v, a, v_m, current, predicted, measured = rows
+        motion = Motion(u, v, a, v_m, sine=None)
+        return JudgedSamples(motion, current, predicted, measured, stride * self._period)
 
     def search_is_due(self) -> bool:
         """Whether to search for another set now; searches are limited in rate."""
-        enough = self._samples.count * self._period >= _JUDGED
-        if not enough or self._since_search < _EVERY:
+        enough = self._rows.count * self._period >= _JUDGED
+        if not enough or self._since_search < 0.5 * _JUDGED:
             return False
         self._since_search = 0.0
         return True
@@ -534,8 +492,7 @@ class ModelBank:
         ``allowed`` is infinite if no force is measured; the result is then the set last used for
         this motion.
         """
-        present = self._sets[0]
-        newest = self._samples.last(self._period, (self._judged + _SETTLES) / self._period)
+        newest = self._newest(self._judged + 2.0 * _JUDGED)
         judged = slice(-max(round(self._judged / newest.period), 1), None)
         speed = float(np.median(newest.motion.peak_velocity[judged]))
         current = float(newest.current[-1])
@@ -545,8 +502,8 @@ class ModelBank:
         limit = _root_mean_square(newest.left_by(newest.predicted, judged))
         limit *= _BETTER if wrong else 1.0
         best = None
-        for each in (present, *candidates) if wrong else candidates:
-            left = newest.left_by(self._force(each, newest, self.gradual), judged)
+        for each in (self._sets[0], *candidates) if wrong else candidates:
+            left = newest.left_by(newest.force_of(each, self.gradual), judged)
             error = _root_mean_square(left)
             if error < limit and float(np.max(np.abs(left))) <= allowed:
                 best, limit = Choice(each, error), error
@@ -560,11 +517,11 @@ class ModelBank:
         """
         present = self._sets[0]
         law = present.parameters.law
-        if law.continuous is law or self._samples.count * self._period < self._half_cycle:
+        if law.continuous is law or self._rows.count * self._period < self._half_cycle:
             return None
-        newest = self._samples.last(self._period)
+        newest = self._newest()
         errors = [
-            max(_root_mean_square(newest.left_by(self._force(present, newest, gradual))), 1e-9)
+            max(_root_mean_square(newest.left_by(newest.force_of(present, gradual))), 1e-9)
             for gradual in (False, True)
         ]
         shown = min(max(math.log(errors[0] / errors[1]), -_MOST_SHOWN), _MOST_SHOWN)
@@ -578,13 +535,6 @@ class ModelBank:
     def _judged(self) -> float:
         """Time [s] over which a set is judged."""
         return max(_JUDGED, _JUDGED * self._half_cycle)
-
-    def _force(self, known: KnownSet, newest: JudgedSamples, gradual: bool) -> Array:
-        along = newest.motion, newest.current, newest.period
-        return known.parameters.follow(*along, gradual=gradual)[0]
-
-    def _error(self, known: KnownSet, newest: JudgedSamples, judged: slice) -> float:
-        return _root_mean_square(newest.left_by(self._force(known, newest, self.gradual), judged))
 
 
 def _root_mean_square(values: Array) -> float:

@@ -1,14 +1,12 @@
 """Cuts a stream of blocks into windows for identification, by the data's stamps alone.
 
-:class:`SampleStore` keeps the newest samples in one array. The cost of adding a block or cutting a
-window is proportional to its number of samples.
+The cost of adding a block or cutting a window is proportional to its number of samples.
 """
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
-from typing import NamedTuple
 
 import numpy as np
 
@@ -19,83 +17,6 @@ from mr_damper_ros.signals.arrays import Array, RollingRows
 from mr_damper_ros.signals.blocks import KEEP_CURRENT, NANOSECONDS, SampleBlock, ZeroOrderHold
 from mr_damper_ros.signals.uniform_grid import GridSettings, Placed, UniformGrid
 from mr_damper_ros.tracking.screening import part_at_rest, rests_too_long
-
-
-class Samples(NamedTuple):
-    """Displacement [m], force [N] and peak velocity [m/s] of samples, each of shape (n,).
-
-    ``force_after`` [sample periods] is the delay from a sample to the measurement of its force.
-    """
-
-    displacement: Array
-    force: Array
-    peak_velocity: Array
-    force_after: Array
-
-
-class SampleStore:
-    """Keeps samples until they are discarded; a sample's count is its number since the first."""
-
-    def __init__(self) -> None:
-        # The rows of Samples, and the stamp [ns] relative to that of the first sample.
-        self._rows = RollingRows(len(Samples._fields) + 1)
-        self._begin_ns: int | None = None
-        self.first = 0
-        """Count of the first sample kept."""
-
-    @property
-    def end(self) -> int:
-        """Count of the next sample to arrive."""
-        return self.first + self._rows.count
-
-    def add(
-        self,
-        block: SampleBlock,
-        peak_velocity: Array,
-        measured: tuple[Array, Array] | None = None,
-    ) -> None:
-        """Add the samples of a block and the peak velocity [m/s] (n,) at them.
-
-        ``measured`` holds forces [N] that replace the block's, and their delays after the samples
-        [sample periods].
-        """
-        count = block.sample_count
-        force, after = measured or (block.force, 0.0)
-        if self._begin_ns is None:
-            self._begin_ns = block.start_ns
-        # Stamps start from that of each block, because the real sample rate differs from the
-        # nominal one and the error must not accumulate.
-        stamps = np.rint(np.arange(count) * (block.period * NANOSECONDS))
-        stamps += block.start_ns - self._begin_ns
-        self._rows.add((block.displacement, force, peak_velocity, after, stamps), count)
-
-    def samples(self, start: int, stop: int) -> Samples:
-        """Copy the samples with these counts."""
-        return Samples(*self._part(start, stop)[:-1].copy())
-
-    def displacement(self, start: int, stop: int) -> Array:
-        """Displacement [m] of the samples with these counts, shape (n,).
-
-        This is a view, valid until the next change of the store.
-        """
-        return np.asarray(self._part(start, stop)[0])
-
-    def stamp_ns(self, count: int) -> int:
-        """Stamp of the sample with this count."""
-        assert self._begin_ns is not None
-        return self._begin_ns + int(self._part(count, count + 1)[-1, 0])
-
-    def forget(self, before: int) -> None:
-        """Discard the samples before the one with this count."""
-        held = self._rows.count
-        self._rows.keep(max(self.end - before, 0))
-        self.first += held - self._rows.count
-
-    def _part(self, start: int, stop: int) -> Array:
-        return self._rows.newest[:, start - self.first : stop - self.first]
-
-
-_USUAL_WAIT_NS = 1_000_000_000
 
 _HOLD_BACK = 0.05
 """Seconds for which blocks out of order wait for the missing ones; windows are not urgent."""
@@ -194,34 +115,28 @@ class WindowAssembler:
     """Collects blocks into windows of ``window`` seconds, one every ``hop`` seconds of data.
 
     If these seconds do not contain a cycle of the motion, the window is extended into the past
-    until it does, up to ``longest`` seconds. An extended window uses every third, fifth, ... force,
-    so that it has at most three times the usual number of samples. Its displacement is averaged
-    around each of these samples. The next extended window follows when the same fraction of it is
-    new as of a usual window. Windows in between, and windows without a cycle at any length, are
-    returned with the usual length, and are rejected later.
+    until it does, up to ``longest_window`` seconds. An extended window uses every third, fifth, ...
+    force, so that it has at most three times the usual number of samples. Its displacement is
+    averaged around each of these samples. The next extended window follows when the same fraction
+    of it is new as of a usual window. Windows in between, and windows without a cycle at any
+    length, are returned with the usual length, and are rejected later.
 
     A window is returned once the current is known for all of it, that is, once a value stamped at
     or after its last sample has arrived. Its content therefore does not depend on the order in
     which the messages of different topics arrive. If ``window`` seconds contain a cycle, ``looks``
     change checks are cut in each hop, see :class:`RawWindow`. A window whose current is unknown at
     its start is omitted; the next change check, which has the same length, replaces it.
+
+    ``sequence`` is the uniform grid, which tracks gaps and repeats of the blocks.
     """
 
     def __init__(
-        self,
-        window: float,
-        hop: float,
-        looks: int = 0,
-        longest: float | None = None,
-        grid: GridSettings | None = None,
-        centre_memory: float = MEMORY,
+        self, settings: WindowSettings | None = None, grid: GridSettings | None = None
     ) -> None:
-        """Raise ValueError as :class:`WindowSettings` does; ``longest`` None takes the default."""
-        longest = WindowSettings.longest_window if longest is None else longest
-        self._settings = WindowSettings(window, hop, longest, centre_memory, looks)
-        self._sequence = UniformGrid(grid, _HOLD_BACK)
+        self._settings = settings = settings or WindowSettings()
+        self.sequence = UniformGrid(grid, _HOLD_BACK)
         self._peak: StreamPeakVelocity | None = None
-        self._longest = max(window, self._settings.longest_window)
+        self._longest = max(settings.window, settings.longest_window)
         self._current = ZeroOrderHold(keep=max(KEEP_CURRENT, 2.0 * self._longest))
         self._temperature = math.nan
         self._events: list[str] = []
@@ -230,7 +145,12 @@ class WindowAssembler:
         self._empty()
 
     def _empty(self) -> None:
-        self._store = SampleStore()
+        # The newest samples: displacement, force, peak velocity, delay of the force [samples], and
+        # the stamp [ns] relative to that of the first sample. A sample's count is its number since
+        # the first.
+        self._rows = RollingRows(5)
+        self._begin_ns: int | None = None
+        self._end = 0
         # Count of the first sample of the present window.
         self._start = 0
         # Count of the end of the newest window with a cycle.
@@ -239,18 +159,12 @@ class WindowAssembler:
         self._part = 0
 
     @property
-    def sequence(self) -> UniformGrid:
-        """The uniform grid, which tracks gaps and repeats of the blocks."""
-        return self._sequence
-
-    @property
     def fill(self) -> float:
         """Filled fraction of the present window, 0 to 1."""
-        last = self._sequence.last
+        last = self.sequence.last
         if last is None:
             return 0.0
-        count = self._store.end - self._start
-        return min(count * last.period / self._settings.window, 1.0)
+        return min((self._end - self._start) * last.period / self._settings.window, 1.0)
 
     @property
     def waits_for_current(self) -> bool:
@@ -258,11 +172,11 @@ class WindowAssembler:
 
         With a supply that is read ten times a second, every window waits for a short time.
         """
-        last = self._sequence.last
+        last = self.sequence.last
         if not self._waiting or last is None:
             return False
         newest_ns = last.start_ns + round((last.sample_count - 1) * last.period * NANOSECONDS)
-        return newest_ns - self._waiting[0].end_ns >= _USUAL_WAIT_NS
+        return newest_ns - self._waiting[0].end_ns >= NANOSECONDS
 
     def take_events(self) -> list[str]:
         """Return the messages since the last call."""
@@ -276,7 +190,7 @@ class WindowAssembler:
 
     def add_block(self, block: SampleBlock) -> list[RawWindow]:
         """Add a block; returns the completed windows, oldest first."""
-        for placed in self._sequence.follow(block):
+        for placed in self.sequence.follow(block):
             self._add(placed)
         return self._ready()
 
@@ -294,7 +208,16 @@ class WindowAssembler:
             # The waiting windows belong to the time before the jump.
             self._waiting.clear()
             self._current.follow_jump()
-        self._store.add(block, self._peak.follow(block.displacement), placed.measured)
+        force, after = placed.measured or (block.force, 0.0)
+        if self._begin_ns is None:
+            self._begin_ns = block.start_ns
+        # Stamps start from that of each block, because the real sample rate differs from the
+        # nominal one and the error must not accumulate.
+        stamps = np.rint(np.arange(block.sample_count) * (block.period * NANOSECONDS))
+        stamps += block.start_ns - self._begin_ns
+        peak = self._peak.follow(block.displacement)
+        self._rows.add((block.displacement, force, peak, after, stamps), block.sample_count)
+        self._end += block.sample_count
         self._cut(block.period)
 
     def add_current(self, stamp_ns: int, current: float) -> list[RawWindow]:
@@ -311,13 +234,14 @@ class WindowAssembler:
 
     def _cut(self, period: float) -> None:
         length = max(round(self._settings.window / period), 1)
+        longest = max(round(self._longest / period), length)
         step = max(round(self._settings.hop / period), 1)
         parts = min(self._settings.looks + 1, step)
-        while self._store.end - self._start >= length:
+        while self._end - self._start >= length:
             to_this, to_next = (step * part // parts for part in (self._part, self._part + 1))
             look = to_this - step * (self._part - 1) // parts if self._part else 0
             end = self._start + length
-            reach = self._reach(end, length, period)
+            reach = self._reach(end, length, longest)
             if look:
                 # In less than a cycle, model error cannot be distinguished from a change of force.
                 if reach == length:
@@ -330,17 +254,20 @@ class WindowAssembler:
             self._start += to_next - to_this
             self._part = (self._part + 1) % parts
             # The next window ends later, so samples beyond its reach are discarded.
-            longest = max(round(self._longest / period), length)
-            self._store.forget(self._start + length - longest)
+            self._rows.keep(max(self._end - (self._start + length - longest), 0))
 
-    def _reach(self, end: int, length: int, period: float) -> int:
+    def _samples(self, start: int, stop: int) -> Array:
+        """The rows of the samples with these counts: a view, valid until samples are added."""
+        first = self._end - self._rows.count
+        return self._rows.newest[:, start - first : stop - first]
+
+    def _reach(self, end: int, length: int, longest: int) -> int:
         """Number of samples before ``end`` that contain a cycle, at least ``length``, or 0."""
-        store = self._store
-        if holds_cycle(store.displacement(end - length, end)):
+        if holds_cycle(self._samples(end - length, end)[0]):
             return length
-        most = min(end - store.first, max(round(self._longest / period), length))
+        most = min(end - (self._end - self._rows.count), longest)
         size = max(length // _POINTS, 1)
-        points = averages(store.displacement(end - most // size * size, end), most // size)
+        points = averages(self._samples(end - most // size * size, end)[0], most // size)
         speed = np.diff(points)
         reach = float(length)
         while reach < most:
@@ -357,20 +284,20 @@ class WindowAssembler:
         # With an odd stride, each average is centred on a sample.
         stride = max((reach // length - 1) // 2 * 2 + 1, 1)
         count = reach // stride
-        start = end - count * stride
-        samples = self._store.samples(start, end)
-        middle = stride // 2
-        displacement = samples.displacement.reshape(count, stride)
-        after = samples.force_after[middle::stride]
+        samples = self._samples(end - count * stride, end).copy()
+        displacement, force, peak, after, stamps = samples[:, stride // 2 :: stride]
+        if stride > 1:
+            displacement = samples[0].reshape(count, stride).mean(axis=1)
+        assert self._begin_ns is not None
         return RawWindow(
-            start_ns=self._store.stamp_ns(start + middle),
+            start_ns=self._begin_ns + int(stamps[0]),
             period=stride * period,
-            displacement=displacement.mean(axis=1) if stride > 1 else samples.displacement,
-            force=samples.force[middle::stride],
+            displacement=displacement,
+            force=force,
             current=np.full(count, math.nan),
             temperature=self._temperature,
             look=look,
-            peak_velocity=samples.peak_velocity[middle::stride],
+            peak_velocity=peak,
             force_after=after / stride if after.any() else None,
         )
 

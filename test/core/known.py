@@ -30,7 +30,7 @@ from mr_damper_ros.signals.blocks import NANOSECONDS, SampleBlock
 from mr_damper_ros.tracking.acceptance import Verdict
 from mr_damper_ros.tracking.reports import Report, WindowVerdict
 from mr_damper_ros.tracking.tracker import TrackerSettings, WindowTracker
-from mr_damper_ros.tracking.window_assembler import RawWindow, WindowAssembler
+from mr_damper_ros.tracking.window_assembler import RawWindow, WindowAssembler, WindowSettings
 
 NOISE = 5.53
 """Standard deviation of the force noise of the thesis [N]."""
@@ -258,7 +258,7 @@ def followed(
     tracker: WindowTracker, displacement: Array, force: Array, current: float
 ) -> list[Report]:
     """Reports of a tracker fed with a stream: windows of 2 s, one a second, with three looks."""
-    assembler = WindowAssembler(2.0, 1.0, 3)
+    assembler = WindowAssembler(WindowSettings(2.0, 1.0, looks=3))
     ready = assembler.add_current(T0, current)
     for block in blocks(displacement, force, [100]):
         ready += assembler.add_block(block)

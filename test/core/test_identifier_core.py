@@ -12,7 +12,7 @@ from step_worker import StepWorker
 from mr_damper_ros.models.parameter_set import ParameterSet
 from mr_damper_ros.tracking.identifier import Identifier, PipelineSettings, Publication
 from mr_damper_ros.tracking.tracker import TrackerSettings, WindowTracker
-from mr_damper_ros.tracking.window_assembler import WindowAssembler
+from mr_damper_ros.tracking.window_assembler import WindowAssembler, WindowSettings
 
 START = ParameterSet(known.weaker(0.8), set_id="start")
 RUN = known.run(samples=3000)
@@ -45,7 +45,13 @@ class StateByHand:
 def identifier(disk: Any) -> Identifier:
     tracker = WindowTracker(TrackerSettings(method="least_squares", global_period=0), START)
     worker: Any = StepWorker()
-    return Identifier(WindowAssembler(1.0, 1.0), tracker, worker, PipelineSettings(), disk)
+    return Identifier(
+        WindowAssembler(WindowSettings(1.0, 1.0, looks=0)),
+        tracker,
+        worker,
+        PipelineSettings(),
+        disk,
+    )
 
 
 def feed(made: Identifier, samples: int = 3000) -> None:

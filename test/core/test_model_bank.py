@@ -30,7 +30,7 @@ def sets_of(*added: tuple[ParameterSet, int | None]) -> ModelBank:
     """The known sets after these came, each with its stamp."""
     sets = ModelBank(0.25, gradual=True)
     for parameters, stamp_ns in added:
-        sets.add(parameters, stamp_ns, 0.25)
+        sets.add(parameters, stamp_ns)
     return sets
 
 

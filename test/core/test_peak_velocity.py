@@ -18,7 +18,7 @@ from mr_damper_ros.kinematics.peak_velocity import (
 )
 from mr_damper_ros.signals.arrays import Array
 from mr_damper_ros.signals.blocks import NANOSECONDS, SampleBlock
-from mr_damper_ros.tracking.window_assembler import WindowAssembler
+from mr_damper_ros.tracking.window_assembler import WindowAssembler, WindowSettings
 
 PERIOD = 1e-3
 TIME = np.arange(6000) * PERIOD
@@ -83,7 +83,7 @@ def test_noise_of_the_velocity_does_not_count_as_half_cycles() -> None:
 def test_windows_and_streams_have_the_same_peak_velocity(memory: float) -> None:
     displacement = RANDOM.at(TIME).displacement
     follower = MotionFollower(PERIOD, 0.0, memory)
-    assembler = WindowAssembler(2.0, 1.0, centre_memory=memory)
+    assembler = WindowAssembler(WindowSettings(2.0, 1.0, centre_memory=memory, looks=0))
     assembler.add_current(0, 1.0)
     followed, windows = [], []
     for first in range(0, TIME.size, 50):

@@ -26,7 +26,7 @@ from mr_damper_ros.tracking.reports import Report
 from mr_damper_ros.tracking.state_directory import StateDirectory
 from mr_damper_ros.tracking.tracker import TrackerSettings, WindowTracker
 from mr_damper_ros.tracking.tracker_state import TrackerState
-from mr_damper_ros.tracking.window_assembler import RawWindow, WindowAssembler
+from mr_damper_ros.tracking.window_assembler import RawWindow, WindowAssembler, WindowSettings
 
 PERIOD = 1.0 / 512.0
 COUNT = 1024
@@ -72,7 +72,7 @@ def bench(*, waiting_windows: int = 1000, global_period: int = 0) -> Bench:
     settings = TrackerSettings(global_period=global_period, evolution=QUICK_SEARCH)
     tracker = WindowTracker(settings, INITIAL)
     identifier = Identifier(
-        WindowAssembler(2.0, 1.0),
+        WindowAssembler(WindowSettings(2.0, 1.0, looks=0)),
         tracker,
         worker,  # type: ignore[arg-type]
         PipelineSettings(waiting_windows=waiting_windows),

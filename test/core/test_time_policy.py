@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 from mr_damper_ros.models.parameter_set import ParameterSet
 from mr_damper_ros.signals.blocks import NANOSECONDS, SampleBlock
 from mr_damper_ros.tracking.predictor import ForcePredictor, Prediction, PredictorSettings
-from mr_damper_ros.tracking.window_assembler import RawWindow, WindowAssembler
+from mr_damper_ros.tracking.window_assembler import RawWindow, WindowAssembler, WindowSettings
 
 SIZE = 10
 BLOCK_NS = round(SIZE * known.PERIOD * NANOSECONDS)
@@ -47,7 +47,7 @@ def predicted(blocks: list[SampleBlock], made: ForcePredictor | None = None) -> 
 
 
 def windows(blocks: list[SampleBlock]) -> list[RawWindow]:
-    made = WindowAssembler(1.0, 0.5)
+    made = WindowAssembler(WindowSettings(1.0, 0.5, looks=0))
     result = []
     for block in blocks:
         result += made.add_current(block.start_ns, 1.0)
@@ -148,7 +148,7 @@ def test_predictor_and_windows_judge_a_stream_alike(names: list[str]) -> None:
         blocks = FAULTS[name](blocks[: len(blocks) // 2], blocks[len(blocks) // 2 :])
     predictor = ForcePredictor(PredictorSettings())
     predicted(blocks, predictor)
-    assembler = WindowAssembler(1.0, 0.5)
+    assembler = WindowAssembler(WindowSettings(1.0, 0.5, looks=0))
     for block in blocks:
         assembler.add_block(block)
     for counted in ("lost_samples", "repeated_samples", "interruptions", "last_interruption"):

@@ -38,7 +38,7 @@ INDISTINCT = JUMPING + SMEARED * (GRADUAL - JUMPING)
 def looked_at(*cycles: Array) -> list[bool]:
     """Whether the force is taken to be gradual after each of these cycles of it [N]."""
     sets = ModelBank(0.25, gradual=True)
-    sets.add(SET, None, 0.5)
+    sets.add(SET, None)
     found = []
     for measured in cycles:
         sets.follow(MOTION, CURRENT, (measured, measured), RUN.period, 0.5)

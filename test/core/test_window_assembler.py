@@ -11,7 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from mr_damper_ros.signals.blocks import NANOSECONDS, SampleBlock, ZeroOrderHold
-from mr_damper_ros.tracking.window_assembler import RawWindow, WindowAssembler
+from mr_damper_ros.tracking.window_assembler import RawWindow, WindowAssembler, WindowSettings
 
 PERIOD = 1e-3
 T0 = known.T0
@@ -37,7 +37,7 @@ def stream(*sizes: int, first: int = 0, last: int = COUNT) -> list[SampleBlock]:
 
 def assembler(window: float = 1.0, hop: float = 0.5, current: float = 1.0) -> WindowAssembler:
     """An assembler whose current is known for the whole stream and beyond."""
-    made = WindowAssembler(window, hop)
+    made = WindowAssembler(WindowSettings(window, hop, looks=0))
     made.add_current(at(0.0), current)
     made.add_current(at(100.0), current)
     return made
@@ -119,7 +119,7 @@ def test_windows_keep_their_stamps_where_the_rate_is_not_the_nominal_one() -> No
 )
 def test_lengths_that_make_no_windows_are_refused(window: float, hop: float, sentence: str) -> None:
     with pytest.raises(ValueError) as caught:
-        WindowAssembler(window, hop)
+        WindowAssembler(WindowSettings(window, hop, looks=0))
     assert sentence in str(caught.value)
 
 
@@ -130,7 +130,7 @@ def test_lengths_that_make_no_windows_are_refused(window: float, hop: float, sen
 
 
 def test_a_window_waits_until_its_current_is_known() -> None:
-    made = WindowAssembler(1.0, 1.0)
+    made = WindowAssembler(WindowSettings(1.0, 1.0, looks=0))
     made.add_current(at(0.0), 0.5)
     assert cut(stream(100, last=1000), made) == []
     assert made.add_current(at(0.998), 0.5) == [], "the last sample has no current yet"
@@ -140,7 +140,7 @@ def test_a_window_waits_until_its_current_is_known() -> None:
 
 
 def test_a_window_that_waits_for_a_moment_is_nothing_to_tell() -> None:
-    made = WindowAssembler(1.0, 1.0)
+    made = WindowAssembler(WindowSettings(1.0, 1.0, looks=0))
     made.add_current(at(0.0), 0.5)
     cut(stream(100, last=1900), made)
     assert not made.waits_for_current
@@ -151,14 +151,14 @@ def test_a_window_that_waits_for_a_moment_is_nothing_to_tell() -> None:
 
 
 def test_a_window_that_began_before_the_current_was_known_is_dropped() -> None:
-    made = WindowAssembler(1.0, 0.5)
+    made = WindowAssembler(WindowSettings(1.0, 0.5, looks=0))
     made.add_current(at(0.2), 0.5)
     made.add_current(at(5.0), 0.5)
     assert starts(cut(stream(100), made)) == [0.5, 1.0, 1.5, 2.0]
 
 
 def test_the_next_look_replaces_a_window_that_is_dropped_for_its_current() -> None:
-    made = WindowAssembler(1.0, 0.4, looks=3)
+    made = WindowAssembler(WindowSettings(1.0, 0.4, looks=3))
     made.add_current(at(0.15), 0.5)
     made.add_current(at(5.0), 0.5)
     windows = cut(stream(100), made)
@@ -171,11 +171,11 @@ def test_the_next_look_replaces_a_window_that_is_dropped_for_its_current() -> No
 def test_windows_do_not_depend_on_when_the_current_arrives(turns: list[int], behind: int) -> None:
     values = [(at(0.1 * k), float(k % 7)) for k in range(50)]
     blocks = stream(100)
-    expected = WindowAssembler(1.0, 0.5)
+    expected = WindowAssembler(WindowSettings(1.0, 0.5, looks=0))
     for stamp, value in values:
         expected.add_current(stamp, value)
     reference = cut(blocks, expected)
-    made, found, waiting = WindowAssembler(1.0, 0.5), [], list(values)
+    made, found, waiting = WindowAssembler(WindowSettings(1.0, 0.5, looks=0)), [], list(values)
     for number, block in enumerate(blocks):
         # Currents come in bursts, up to ``behind`` values later than the samples.
         for _ in range(turns[number % len(turns)] if number >= behind // 2 else 0):
@@ -191,7 +191,7 @@ def test_windows_do_not_depend_on_when_the_current_arrives(turns: list[int], beh
 
 def test_after_a_jump_back_no_current_of_the_time_before_is_used() -> None:
     # The clock was set back: the current of the second pass is 2 A, but comes late.
-    made = WindowAssembler(1.0, 1.0)
+    made = WindowAssembler(WindowSettings(1.0, 1.0, looks=0))
     made.add_current(at(0.0), 1.0)
     made.add_current(at(3.0), 1.0)
     cut(stream(100, last=2500), made)
