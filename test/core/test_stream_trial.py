@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from functools import cache
 
-import numpy as np
 import pytest
 
 from benchmarks import faults
@@ -27,16 +26,6 @@ def healthy_trial() -> StreamTrial:
     base = trial()
     base.advance(6.0)
     return base
-
-
-def test_a_healthy_damper_is_identified_and_predicted() -> None:
-    result = healthy_trial().result()
-    assert result.error[result.time > 5.0].max() < 0.1
-
-
-def test_a_branch_without_faults_goes_on_as_the_trial() -> None:
-    branch = healthy_trial().branch()
-    np.testing.assert_array_equal(branch.run(1.0).predicted, trial().run(7.0).predicted)
 
 
 @cache

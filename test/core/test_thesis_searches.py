@@ -1,4 +1,4 @@
-"""Repeated evolution, optimisers, observability, the report, and what keeps a campaign going."""
+"""Optimisers, one set for a run, the cells of a report, and the report."""
 
 from __future__ import annotations
 
@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 
 from mr_damper_ros.emulation.emulator import THESIS_FORCE_NOISE
-from mr_damper_ros.models.sigmoid.law import PARAMETER_NAMES
 from mr_damper_ros.report.document import (
     Chapter,
     Table,
@@ -18,49 +17,9 @@ from mr_damper_ros.report.document import (
     with_error,
     write_report,
 )
-from studies.thesis import facts, identifiability, one_set, optimisers, repeated, sensitivity
+from studies.thesis import facts, identifiability, one_set, optimisers, sensitivity
 from studies.thesis.campaign import Campaign, Settings
 from studies.thesis.optimiser_methods import available
-
-VARIANCE_FACTOR = 3.0
-"""Of the variance of one parameter, which six runs tell to 60 %."""
-
-MEANS = 3.0
-"""Standard errors of a difference of means: the largest of sixteen is expected at 2."""
-
-
-@pytest.fixture(scope="module")
-def repeats(tmp_path_factory):
-    return repeated.compute(Campaign(Settings(tmp_path_factory.mktemp("thesis"), runs=6)))
-
-
-def variances(repeats):
-    """Variances at full current, by parameter."""
-    found = repeats[repeated.AS_FOUND]["statistics"]["variance"]
-    return dict(zip(PARAMETER_NAMES, found, strict=True))
-
-
-def test_repeated_evolution_scatters_as_in_tables_10_and_11_at_full_current(repeats):
-    # Factor: six runs tell a variance to 60 %, and the median of sixteen better.
-    assert repeats[repeated.AS_FOUND]["variance_distance"] < 2.5
-
-
-@pytest.mark.parametrize("name", ["a0", "k2", "f0", "a4"])
-def test_a_parameter_scatters_as_in_tables_10_and_11(repeats, name):
-    theirs = facts.REPEATED["variance"][PARAMETER_NAMES.index(name)]
-    assert theirs / VARIANCE_FACTOR < variances(repeats)[name] < theirs * VARIANCE_FACTOR
-
-
-def mean_distance(repeats, name):
-    """Largest difference of a mean from that of the thesis, in standard errors."""
-    # Means of so many runs and of the thesis' hundred scatter by this; sixteen are compared.
-    scatter = np.sqrt(facts.REPEATED["variance"] * (1.0 / repeats["runs"] + 1.0 / 100.0))
-    ours = np.array(repeats[name]["statistics"]["mean"])
-    return np.max(np.abs(ours - facts.REPEATED["mean"]) / scatter)
-
-
-def test_repeated_evolution_has_the_means_of_tables_10_and_11_at_full_current(repeats):
-    assert mean_distance(repeats, repeated.AS_FOUND) < MEANS
 
 
 @pytest.mark.parametrize("method", available())
