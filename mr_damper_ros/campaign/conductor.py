@@ -12,12 +12,11 @@ from enum import IntEnum
 
 from mr_damper_ros.campaign.course import (
     CampaignCourse,
-    MadeRun,
     find_step,
     judge_run,
     report_campaign,
 )
-from mr_damper_ros.campaign.folder import CampaignFolder, CampaignStep
+from mr_damper_ros.campaign.folder import CampaignFolder, CampaignStep, MadeRun
 from mr_damper_ros.campaign.runs import REST, DriveSettings, DriveStage, MachineCommand, RunDriver
 from mr_damper_ros.estimation.experiment_design import PlanState
 from mr_damper_ros.processes.worker import Done, Failed, Outcome, TaskRunner

@@ -16,6 +16,7 @@ from mr_damper_ros.campaign.folder import (
     CampaignFolder,
     CampaignStep,
     CampaignTask,
+    MadeRun,
     keep_run,
     read_campaign_runs,
     read_steps,
@@ -99,10 +100,6 @@ _ENDS = {
 def planner_of(task: CampaignTask) -> RunPlanner:
     """Data for planning the runs of a campaign."""
     return RunPlanner(known_model(task.model), task.goal, task.limits)
-
-
-MadeRun = tuple[PlannedRun, Recording]
-"""A run and its recording."""
 
 
 def judge_run(

@@ -25,6 +25,9 @@ from mr_damper_ros.signals.recording import Recording
 _RUN = "planned_run"
 """Metadata key of a bag for the planned run."""
 
+MadeRun = tuple[PlannedRun, Recording]
+"""A run and its recording."""
+
 _BAG = re.compile(r"run_(\d{3,})")
 
 
@@ -135,7 +138,7 @@ def read_task(folder: Path) -> CampaignTask:
         raise ValueError(f"{path} is damaged: choose another folder ({error})") from error
 
 
-def read_campaign_runs(folder: Path) -> list[tuple[PlannedRun, Recording]]:
+def read_campaign_runs(folder: Path) -> list[MadeRun]:
     """The runs of a campaign in order. Raises ValueError if one is damaged."""
     numbers = sorted(
         int(found[1])
@@ -147,7 +150,7 @@ def read_campaign_runs(folder: Path) -> list[tuple[PlannedRun, Recording]]:
     return [_read_run(folder / "runs" / f"run_{number:03d}") for number in numbers]
 
 
-def _read_run(path: Path) -> tuple[PlannedRun, Recording]:
+def _read_run(path: Path) -> MadeRun:
     recordings = read_bag(path)
     run = planned_run_of(recordings[0])
     if len(recordings) != 1 or run is None:

@@ -9,7 +9,7 @@ from collections import defaultdict
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from concurrent.futures import Executor
 from dataclasses import asdict, dataclass, replace
-from functools import cached_property
+from functools import cached_property, partial
 from pathlib import Path
 from typing import Any
 
@@ -19,7 +19,7 @@ from mr_damper_ros.api.identification import (
     identify_measured,
     start_values_of,
 )
-from mr_damper_ros.api.measured_runs import MeasuredRun, measured_run
+from mr_damper_ros.api.measured_runs import measured_run
 from mr_damper_ros.estimation.differential_evolution import EvolutionSettings
 from mr_damper_ros.io.recording_list import (
     RECORD_ENDINGS,
@@ -43,30 +43,24 @@ from mr_damper_ros.processes.process_pool import (
     fingerprint,
     finish,
 )
+from mr_damper_ros.signals.recording import Recording
 
 _LASTING = (FileNotFoundError, PermissionError, ValueError)
 """Errors of the file itself; other errors may be temporary."""
 
 
 @dataclass(frozen=True, eq=False)
-class GroupOptions:
-    """Options common to all dampers.
+class DamperGroup:
+    """All recordings of one damper, and how to identify it.
 
     ``record_format`` describes record files, None if there are only bags.
     """
 
-    search: Search
-    accept_doubtful: bool = False
-    record_format: RecordFormat | None = None
-
-
-@dataclass(frozen=True, eq=False)
-class DamperGroup:
-    """All recordings of one damper."""
-
     damper: str
     recordings: tuple[ListedRecording, ...]
-    options: GroupOptions
+    search: Search
+    accept_doubtful: bool
+    record_format: RecordFormat | None
 
 
 def identify_group(group: DamperGroup) -> dict[str, Any]:
@@ -77,29 +71,33 @@ def identify_group(group: DamperGroup) -> dict[str, Any]:
     files.
     """
     began = time.perf_counter()
-    runs, left_out, passing = [], [], False
+    document: dict[str, Any] = {"damper": group.damper, "left_out": [], "passing": False}
+    runs = []
+
+    def reason_of(error: Exception) -> str:
+        document["passing"] |= not isinstance(error, _LASTING)
+        if isinstance(error, OSError):
+            return error.strerror or str(error)
+        return str(error) if isinstance(error, ValueError) else f"{type(error).__name__}: {error}"
+
     for listed in group.recordings:
         try:
-            runs.append(_read(listed, group.options))
+            source: Path | Recording = listed.path
+            record = listed.path.suffix.lower() in RECORD_ENDINGS and listed.path.is_file()
+            if record and group.record_format is not None:
+                source = group.record_format.read(listed.path, listed.current)
+            runs.append(measured_run(source, group.accept_doubtful))
         # An error in one file must not affect the others.
         except Exception as error:
-            left_out.append({"path": str(listed.path), "reason": _in_words(error)})
-            passing = passing or not isinstance(error, _LASTING)
-    document: dict[str, Any] = {
-        "damper": group.damper,
-        "failure": "" if runs else "none of its recordings could be used",
-        "recordings": [run.name for run in runs],
-        "left_out": left_out,
-    }
+            document["left_out"].append({"path": str(listed.path), "reason": reason_of(error)})
+    document["failure"] = "" if runs else "none of its recordings could be used"
+    document["recordings"] = [run.name for run in runs]
     if runs:
         try:
-            document |= _result(
-                group, identify_measured(runs, group.options.search, ProcessPool(1))
-            )
+            document |= _result(group, identify_measured(runs, group.search, ProcessPool(1)))
         except Exception as error:
-            document["failure"] = _in_words(error)
-            passing = passing or not isinstance(error, _LASTING)
-    return document | {"passing": passing, "duration_s": time.perf_counter() - began}
+            document["failure"] = reason_of(error)
+    return document | {"duration_s": time.perf_counter() - began}
 
 
 def is_final(document: dict[str, Any]) -> bool:
@@ -107,19 +105,10 @@ def is_final(document: dict[str, Any]) -> bool:
     return not document["passing"]
 
 
-def _read(listed: ListedRecording, options: GroupOptions) -> MeasuredRun:
-    record = listed.path.suffix.lower() in RECORD_ENDINGS and listed.path.is_file()
-    if not record or options.record_format is None:
-        return measured_run(listed.path, options.accept_doubtful)
-    recording = options.record_format.read(listed.path, listed.current)
-    return measured_run(recording, options.accept_doubtful)
-
-
 def _result(group: DamperGroup, result: Identification) -> dict[str, Any]:
     name = "".join(sign for sign in group.damper if sign.isprintable())[:200]
-    found = replace(result.parameter_set, set_id=name)
     return {
-        "set": found.to_yaml(),
+        "set": replace(result.parameter_set, set_id=name).to_yaml(),
         "covariance": result.covariance.tolist(),
         "nrmse": result.nrmse,
         "rmse": result.rmse,
@@ -128,14 +117,6 @@ def _result(group: DamperGroup, result: Identification) -> dict[str, Any]:
         "message": result.message,
         "remarks": list(result.remarks),
     }
-
-
-def _in_words(error: Exception) -> str:
-    if isinstance(error, OSError):
-        return error.strerror or str(error)
-    if isinstance(error, ValueError):
-        return str(error)
-    return f"{type(error).__name__}: {error}"
 
 
 _EVOLUTION = EvolutionSettings()
@@ -278,7 +259,6 @@ def identify_many(
     record_format = None if columns is None else RecordFormat(columns, current, period, variable)
     settings = EvolutionSettings(generations=generations, seed=seed)
     search = Search(model, method, start_values_of(start, model), settings)
-    options = GroupOptions(search, accept_doubtful, record_format)
     recordings, unnamed = find_recordings(
         sources, pattern=pattern, with_records=record_format is not None
     )
@@ -298,20 +278,32 @@ def identify_many(
             "or wait for it"
         ) from error
     try:
-        _check_options(place, options)
-        tasks = [_task(name, group, options) for name, group in _groups(recordings).items()]
-        documents, kept = _all_done(
-            tasks, lambda: _workforce(workers, executor, scheduler), place, report
+        _check_options(
+            place,
+            {
+                "model": model,
+                "method": method,
+                "start": search.start_values.tolist(),
+                **asdict(settings),
+                "accept_doubtful": accept_doubtful,
+                "record_format": None if record_format is None else asdict(record_format),
+            },
         )
+        tasks = []
+        for name, group in _groups(recordings).items():
+            files = [(str(r.path.absolute()), r.current, _state(r.path)) for r in group]
+            content = {"damper": name, "recordings": files}
+            argument = DamperGroup(name, tuple(group), search, accept_doubtful, record_format)
+            tasks.append(KeptTask(name, fingerprint(content), argument))
+        workforce: Callable[[], Workforce] = partial(LocalProcesses, workers)
+        if scheduler is not None:
+            workforce = partial(DaskCluster, scheduler)
+        elif executor is not None:
+            workforce = partial(Workforce, executor)
+        documents, kept = _all_done(tasks, workforce, place, report)
     finally:
         lock.release()
     return ManyDampers(tuple(documents[task.name] for task in tasks), tuple(unnamed), kept)
-
-
-def _workforce(workers: int, executor: Executor | None, scheduler: str | None) -> Workforce:
-    if scheduler is not None:
-        return DaskCluster(scheduler)
-    return LocalProcesses(workers) if executor is None else Workforce(executor)
 
 
 def _groups(recordings: Iterable[ListedRecording]) -> dict[str, list[ListedRecording]]:
@@ -320,18 +312,6 @@ def _groups(recordings: Iterable[ListedRecording]) -> dict[str, list[ListedRecor
     for recording in recordings:
         groups[recording.damper].setdefault(recording.path.absolute(), recording)
     return {name: list(groups[name].values()) for name in sorted(groups)}
-
-
-def _task(damper: str, group: Sequence[ListedRecording], options: GroupOptions) -> KeptTask:
-    content = {
-        "damper": damper,
-        "recordings": [(str(r.path.absolute()), r.current, _state(r.path)) for r in group],
-    }
-    return KeptTask(
-        damper,
-        fingerprint(content),
-        DamperGroup(damper, tuple(group), options),
-    )
 
 
 def _state(path: Path) -> list[tuple[str, int, int]] | None:
@@ -343,16 +323,8 @@ def _state(path: Path) -> list[tuple[str, int, int]] | None:
         return None
 
 
-def _check_options(folder: Path, options: GroupOptions) -> None:
+def _check_options(folder: Path, wanted: dict[str, Any]) -> None:
     """Check that the results in a folder have the same options. Raises ValueError and OSError."""
-    wanted = {
-        "model": options.search.model,
-        "method": options.search.method,
-        "start": options.search.start_values.tolist(),
-        **asdict(options.search.settings),
-        "accept_doubtful": options.accept_doubtful,
-        "record_format": None if options.record_format is None else asdict(options.record_format),
-    }
     path = folder / "options.json"
     if not path.exists():
         write_text(path, json.dumps(wanted, indent=2) + "\n")
@@ -377,16 +349,11 @@ def _all_done(
 ) -> tuple[dict[str, dict[str, Any]], int]:
     """The documents of all tasks by name, and how many were reused."""
     results = ResultFolder(folder / "dampers")
-    documents: dict[str, dict[str, Any]] = {}
-    open_tasks = []
-    for task in tasks:
-        document = results.kept(task)
-        if document is None:
-            open_tasks.append(task)
-        else:
-            documents[task.name] = document
-            _save_set(folder, document)
+    found = {task.name: results.kept(task) for task in tasks}
+    documents = {name: document for name, document in found.items() if document is not None}
     kept = len(documents)
+    for document in documents.values():
+        _save_set(folder, document)
 
     def finished(task: KeptTask, document: dict[str, Any]) -> None:
         documents[task.name] = document
@@ -398,9 +365,10 @@ def _all_done(
         nothing = {"recordings": [], "left_out": [], "passing": True, "duration_s": 0.0}
         finished(task, {"damper": task.name, "failure": _LOST, **nothing})
 
-    if open_tasks:
+    remaining = [task for task in tasks if task.name not in documents]
+    if remaining:
         finish(
-            open_tasks,
+            remaining,
             identify_group,
             workforce(),
             results,

@@ -7,8 +7,8 @@ parameters scatter without meaning.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
 from statistics import NormalDist
 from typing import Any
@@ -206,48 +206,36 @@ class Population:
     @cached_property
     def outliers(self) -> list[Outlier]:
         """Outliers in force, each at its largest deviation, followed by those in misfit."""
+        in_force = [outlier for spread in self.forces for outlier in self._beyond(spread)]
         worst: dict[str, Outlier] = {}
-        for spread in self.forces:
-            for outlier in self._beyond(spread):
-                before = worst.get(outlier.damper)
-                if before is None or abs(outlier.score) > abs(before.score):
-                    worst[outlier.damper] = outlier
-        return [*sorted(worst.values(), key=lambda one: -abs(one.score)), *self._poor_fits()]
-
-    def _beyond(self, spread: Spread) -> Iterator[Outlier]:
-        if spread.known.size < LEAST_DAMPERS:
-            return
-        for damper, value, error, score in zip(
-            self.dampers, spread.values, spread.errors, spread.scores, strict=True
-        ):
-            own = _OWN_ERRORS * error
-            if abs(score) > self.limit and abs(value - spread.median) > own:
-                yield Outlier(
-                    damper.name,
-                    spread.label,
-                    spread.unit,
-                    float(value),
-                    spread.median,
-                    float(score),
-                )
-
-    def _poor_fits(self) -> list[Outlier]:
-        """Dampers whose residual is far larger than that of the others."""
+        for outlier in sorted(in_force, key=lambda one: -abs(one.score)):
+            worst.setdefault(outlier.damper, outlier)
+        # The residual of a poor fit is far larger than that of the others.
         logarithms = np.array([math.log(max(damper.nrmse, 1e-9)) for damper in self.dampers])
-        spread = Spread("NRMSE", "", logarithms, np.zeros(logarithms.size))
-        found = [
-            Outlier(
-                outlier.damper,
-                "NRMSE",
-                "",
-                math.exp(outlier.value),
-                math.exp(outlier.median),
-                outlier.score,
-            )
-            for outlier in self._beyond(spread)
-            if outlier.value - outlier.median > math.log(_POOR)
+        fits = Spread("NRMSE", "", logarithms, np.zeros(logarithms.size))
+        poor = [
+            replace(one, value=math.exp(one.value), median=math.exp(one.median))
+            for one in self._beyond(fits)
+            if one.value - one.median > math.log(_POOR)
         ]
-        return sorted(found, key=lambda one: -one.score)
+        return [*worst.values(), *sorted(poor, key=lambda one: -one.score)]
+
+    def _beyond(self, spread: Spread) -> list[Outlier]:
+        if spread.known.size < LEAST_DAMPERS:
+            return []
+        scores = spread.scores
+        own = np.abs(spread.values - spread.median) > _OWN_ERRORS * spread.errors
+        return [
+            Outlier(
+                self.dampers[k].name,
+                spread.label,
+                spread.unit,
+                float(spread.values[k]),
+                spread.median,
+                float(scores[k]),
+            )
+            for k in np.flatnonzero((np.abs(scores) > self.limit) & own)
+        ]
 
 
 def _round(value: float) -> float:

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from mr_damper_ros.lots.many_dampers import ManyDampers
-from mr_damper_ros.lots.population import LEAST_DAMPERS, Population
+from mr_damper_ros.lots.population import LEAST_DAMPERS, Population, Spread
 from mr_damper_ros.processes.files import write_text
 from mr_damper_ros.report.document import (
     GREY,
@@ -68,39 +68,43 @@ def write_population_report(found: ManyDampers, folder: Path) -> Path:
     """Write ``population.html`` with its figures and tables; returns the path of the page."""
     population = found.population
     with styled():
-        chapters = [
-            Chapter("forces", "The force over the lot", _forces(population)),
-            Chapter("outliers", "Dampers that stand out", _outliers(population)),
-            Chapter("fits", "How well the law fits", _fits(population)),
-            Chapter("parameters", "The parameters that were determined", _parameters(population)),
-            Chapter("missing", "Unusable files and dampers", _missing(found)),
-        ]
-        headlines = [
-            _force_headline(population),
-            _outlier_headline(population),
-            _fit_headline(population),
-            "undetermined parameters are not shown, because they say nothing about a damper",
-            _missing_headline(found),
-        ]
-        count = len(found.documents)
+        parts = {
+            "forces": ("The force over the lot", *_forces(population)),
+            "outliers": ("Dampers that stand out", *_outliers(population)),
+            "fits": ("How well the law fits", *_fits(population)),
+            "parameters": ("The parameters that were determined", *_parameters(population)),
+            "missing": ("Unusable files and dampers", *_missing(found)),
+        }
         notice = (
-            f"{len(population.dampers)} of {count} dampers were identified, each from all "
-            "recordings of its own. Forces are compared, not parameters. Spreads are those of most "
-            "dampers: standard deviations from the median absolute deviation."
+            f"{len(population.dampers)} of {len(found.documents)} dampers were identified, each "
+            "from all recordings of its own. Forces are compared, not parameters. Spreads are "
+            "standard deviations from the median absolute deviation, those of most dampers."
         )
         return write_report(
-            folder, "A lot of dampers", notice, headlines, chapters, page="population.html"
+            folder,
+            "A lot of dampers",
+            notice,
+            [headline for _, headline, _ in parts.values()],
+            [Chapter(name, title, blocks) for name, (title, _, blocks) in parts.items()],
+            page="population.html",
         )
 
 
-def _forces(population: Population) -> list[Block]:
-    rows = []
-    for spread in population.forces:
-        if not spread.known.size:
-            continue
-        names = [damper.name for damper in population.dampers]
+_Part = tuple[str, list[Block]]
+"""Headline and content of a chapter."""
+
+_NO_DAMPER = "no damper was identified"
+
+
+def _forces(population: Population) -> _Part:
+    spreads = [spread for spread in population.forces if spread.known.size]
+    if not spreads:
+        return "there are not enough dampers to tell a spread", [
+            Text("There is no damper whose force is known.")
+        ]
+    names, rows = [damper.name for damper in population.dampers], []
+    for spread in spreads:
         least, most = np.nanargmin(spread.values), np.nanargmax(spread.values)
-        typical = float(np.nanmedian(spread.errors))
         rows.append(
             (
                 spread.label.removeprefix("force at "),
@@ -108,13 +112,11 @@ def _forces(population: Population) -> list[Block]:
                 spread.median,
                 spread.deviation,
                 f"{spread.deviation / spread.median:.1%}" if spread.median else "–",
-                typical,
+                float(np.nanmedian(spread.errors)),
                 f"{spread.values[least]:.4g} ({names[least]})",
                 f"{spread.values[most]:.4g} ({names[most]})",
             )
         )
-    if not rows:
-        return [Text("There is no damper whose force is known.")]
     table = Table(
         "forces",
         "Largest force of a cycle in extension [N], of the dampers that were identified at this "
@@ -122,11 +124,14 @@ def _forces(population: Population) -> list[Block]:
         ("at", "dampers", "median", "spread", "relative", "own error", "least", "most"),
         rows,
     )
-    return [_spread_figure(population), table]
+    shares = [s.deviation / s.median for s in spreads if s.known.size > 1 and s.median]
+    headline = "there are not enough dampers to tell a spread"
+    if shares:
+        headline = f"it differs from damper to damper by {min(shares):.1%} to {max(shares):.1%}"
+    return headline, [_spread_figure(population, spreads), table]
 
 
-def _spread_figure(population: Population) -> Picture:
-    spreads = [spread for spread in population.forces if spread.known.size]
+def _spread_figure(population: Population, spreads: Sequence[Spread]) -> Picture:
     figure, axes = panels(1, 1, WIDTH, 0.9 + 0.42 * len(spreads))
     axis = axes[0, 0]
     rng = np.random.default_rng(0)
@@ -150,42 +155,29 @@ def _spread_figure(population: Population) -> Picture:
     )
 
 
-def _force_headline(population: Population) -> str:
-    parts = [s.deviation / s.median for s in population.forces if s.known.size > 1 and s.median]
-    if not parts:
-        return "there are not enough dampers to tell a spread"
-    return f"it differs from damper to damper by {min(parts):.1%} to {max(parts):.1%}"
-
-
-def _outliers(population: Population) -> list[Block]:
+def _outliers(population: Population) -> _Part:
+    found = population.outliers
+    shown = ", ".join(outlier.damper for outlier in found[:5])
+    headline = shown + (f" and {len(found) - 5} more" if len(found) > 5 else "") or "none"
     if len(population.dampers) < LEAST_DAMPERS:
-        return [Text(f"In lots of fewer than {LEAST_DAMPERS} dampers, no outliers are flagged.")]
+        few = Text(f"In lots of fewer than {LEAST_DAMPERS} dampers, no outliers are flagged.")
+        return headline, [few]
     rule = Text(
         f"A damper stands out that is more than {population.limit:.1f} standard deviations of the "
         "lot from its median, and more than three of its own standard errors. In a lot without "
         "outliers, chance alone would name one in two lots."
     )
-    rows = [
-        (o.damper, o.quantity, o.value, o.median, f"{o.score:+.1f}")
-        for o in population.outliers[:_MOST_SHOWN]
-    ]
-    if not rows:
-        return [rule, Text("None does.")]
+    if not found:
+        return headline, [rule, Text("None does.")]
+    rows = [(o.damper, o.quantity, o.value, o.median, f"{o.score:+.1f}") for o in found]
     columns = ("damper", "in", "its value", "median of the lot", "standard deviations off")
-    return [rule, Table("outliers", "Each with its largest deviation.", columns, rows)]
+    caption = "Each with its largest deviation."
+    return headline, [rule, Table("outliers", caption, columns, rows[:_MOST_SHOWN])]
 
 
-def _outlier_headline(population: Population) -> str:
-    names = [outlier.damper for outlier in population.outliers]
-    if not names:
-        return "none"
-    shown = ", ".join(names[:5])
-    return shown if len(names) <= 5 else f"{shown} and {len(names) - 5} more"
-
-
-def _fits(population: Population) -> list[Block]:
+def _fits(population: Population) -> _Part:
     if not population.dampers:
-        return [Text("No damper was identified.")]
+        return _NO_DAMPER, [Text(f"{_NO_DAMPER.capitalize()}.")]
     nrmse = 100.0 * np.array([damper.nrmse for damper in population.dampers])
     figure, axes = panels(1, 1, WIDTH, 2.4)
     axes[0, 0].hist(nrmse, bins=min(40, max(5, nrmse.size // 5)), color=GREY)
@@ -193,62 +185,44 @@ def _fits(population: Population) -> list[Block]:
     axes[0, 0].set_ylabel("dampers")
     order = np.argsort(-nrmse)[:10]
     rows = [(population.dampers[k].name, float(nrmse[k])) for k in order]
-    return [
+    return f"median NRMSE {np.median(nrmse):.1f}%, the poorest {nrmse.max():.1f}%", [
         Picture("nrmse", "NRMSE of the sets.", figure),
         Table("worst-fits", "The ten poorest fits.", ("damper", "NRMSE [%]"), rows),
     ]
 
 
-def _fit_headline(population: Population) -> str:
+def _parameters(population: Population) -> _Part:
+    headline = "undetermined parameters are not shown, because they say nothing about a damper"
     if not population.dampers:
-        return "no damper was identified"
-    nrmse = [damper.nrmse for damper in population.dampers]
-    return f"median NRMSE {np.median(nrmse):.1%}, the poorest {max(nrmse):.1%}"
-
-
-def _parameters(population: Population) -> list[Block]:
-    if not population.dampers:
-        return [Text("No damper was identified.")]
-    law = population.dampers[0].parameter_set.law
+        return headline, [Text(f"{_NO_DAMPER.capitalize()}.")]
     rows = []
-    for place, parameter in enumerate(law.parameters):
-        sets = [damper.parameter_set for damper in population.dampers]
+    sets = [damper.parameter_set for damper in population.dampers]
+    for place, parameter in enumerate(sets[0].law.parameters):
         seen = [s for s in sets if s.observable[place]]
         if not seen:
             continue
         values = np.array([s.values[place] for s in seen])
-        errors = np.array([s.standard_errors[place] for s in seen])
-        middle, error = float(np.median(values)), float(np.nanmedian(errors))
-        low, high = np.quantile(values, (0.05, 0.95))
-        rows.append(
-            (
-                parameter.name,
-                parameter.unit,
-                len(seen),
-                with_error(middle, error) if error > 0.0 else middle,
-                float(low),
-                float(high),
-            )
-        )
+        middle = float(np.median(values))
+        error = float(np.nanmedian([s.standard_errors[place] for s in seen]))
+        low, high = np.quantile(values, (0.05, 0.95)).tolist()
+        told = with_error(middle, error) if error > 0.0 else middle
+        rows.append((parameter.name, parameter.unit, len(seen), told, low, high))
     columns = ("parameter", "unit", "dampers", "median ± own error", "5 %", "95 %")
-    return [Table("parameters", "Over the dampers whose data determined it.", columns, rows)]
+    caption = "Over the dampers whose data determined it."
+    return headline, [Table("parameters", caption, columns, rows)]
 
 
-def _missing(found: ManyDampers) -> list[Block]:
-    blocks: list[Block] = []
-    failures = list(found.failures.items())[:_MOST_SHOWN]
-    files = [(str(entry.path), entry.reason) for entry in found.left_out][:_MOST_SHOWN]
-    if failures:
-        blocks.append(
-            Table("failures", "Dampers that were not identified.", ("damper", "why"), failures)
-        )
-    if files:
-        blocks.append(Table("left-out", "Files that were left out.", ("file", "why"), files))
-    return blocks or [Text("Everything was used.")]
-
-
-def _missing_headline(found: ManyDampers) -> str:
-    files, failures = len(found.left_out), len(found.failures)
+def _missing(found: ManyDampers) -> _Part:
+    failures = list(found.failures.items())
+    files = [(str(entry.path), entry.reason) for entry in found.left_out]
     if not files and not failures:
-        return "everything was used"
-    return f"{files} files were left out, and {failures} dampers were not identified"
+        return "everything was used", [Text("Everything was used.")]
+    tables = (
+        ("failures", "Dampers that were not identified.", ("damper", "why"), failures),
+        ("left-out", "Files that were left out.", ("file", "why"), files),
+    )
+    return f"{len(files)} files were left out, and {len(failures)} dampers were not identified", [
+        Table(name, caption, columns, rows[:_MOST_SHOWN])
+        for name, caption, columns, rows in tables
+        if rows
+    ]
