@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import ctypes
 import shutil
+import subprocess
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -93,6 +95,18 @@ def assert_same(got: Array, expected: Array) -> None:
 
 
 # -- C ---------------------------------------------------------------------------------------------
+
+
+def test_the_header_compiles_as_cpp_without_a_warning(law: ExportedLaw, tmp_path: Path) -> None:
+    if (found := shutil.which("c++")) is None:
+        pytest.skip("there is no C++ compiler")
+    (tmp_path / "mr_damper.h").write_text(header(law, "mr_damper"))
+    (tmp_path / "used.cpp").write_text('#include "mr_damper.h"\n')
+    flags = ("-std=c++11", "-fsyntax-only", "-Wall", "-Wextra", "-Wpedantic", "-Werror")
+    done = subprocess.run(
+        [found, *flags, str(tmp_path / "used.cpp")], capture_output=True, text=True, check=False
+    )
+    assert done.returncode == 0, done.stderr
 
 
 def test_the_c_code_is_that_of_the_package(law: ExportedLaw, compiled: Compiled) -> None:
@@ -258,6 +272,15 @@ def test_the_program_writes_code_and_test_vectors(kind: str, tmp_path: Path) -> 
     assert export.main(arguments) == 0
     assert len((out / "vectors.csv").read_text().splitlines()) == 1001
     assert (out / ("mr_damper.h" if kind == "c" else "damper_force.m")).is_file()
+
+
+def test_a_set_of_one_current_is_exported_with_a_warning(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    replace(SETS["sigmoid"], current_range=(0.5, 0.5)).save(tmp_path / "set.yaml")
+    arguments = [str(tmp_path / "set.yaml"), "--format", "c", "--output", str(tmp_path)]
+    assert export.main(arguments) == 0
+    assert "identified at 0.5 A only" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(

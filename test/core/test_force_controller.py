@@ -78,6 +78,7 @@ class ControlLoop:
         *,
         coil: float = 0.0,
         noise: float = 5.53,
+        displacement_noise: float = 0.0,
         excitation: object | None = None,
     ) -> None:
         self.controller = controller
@@ -86,7 +87,9 @@ class ControlLoop:
             damper,
             excitation or BandLimitedRandom(0.004, 0.5, 3.0, seed=4),  # type: ignore[arg-type]
             CurrentSchedule(self._times, self._currents),
-            settings=RigSettings(force_noise=noise, start_ns=T0),
+            settings=RigSettings(
+                force_noise=noise, displacement_noise=displacement_noise, start_ns=T0
+            ),
             coil_time_constant=coil,
         )
         self._rig.live = True
@@ -224,6 +227,43 @@ def test_without_a_desired_force_the_current_is_safe() -> None:
     assert command.current == 0.0
 
 
+def test_an_endless_desired_force_is_followed_as_far_as_the_damper_can() -> None:
+    """The highest current where the force resists the motion, the lowest where it would not."""
+    controller = controlled(WHOLE)
+    loop = ControlLoop(controller, EmulatedDamper(WHOLE), excitation=SineMotion(5e-3, 1.0))
+    currents: dict[bool, list[float]] = {True: [], False: []}
+    for block in loop.blocks(5.0):
+        controller.want(block.end_ns, 1e20)
+        command = controller.command(block)
+        loop.command(command.current)
+        angle = 2.0 * math.pi * (block.end_ns - T0) / NANOSECONDS
+        if block.end_ns - T0 > SETTLED * NANOSECONDS and abs(math.cos(angle)) > 0.5:
+            currents[math.cos(angle) > 0.0].append(command.current)
+    assert min(currents[True]) > 1.5
+    assert max(currents[False]) < 0.1
+
+
+def test_noise_of_a_small_motion_turns_the_current_no_more_often() -> None:
+    turned = []
+    for noise in (0.0, 20e-6):
+        controller = controlled(WHOLE)
+        loop = ControlLoop(
+            controller,
+            EmulatedDamper(WHOLE),
+            excitation=SineMotion(0.3e-3, 1.0),
+            displacement_noise=noise,
+        )
+        currents = []
+        for block in loop.blocks(6.0):
+            angle = 2.0 * math.pi * (block.end_ns - T0) / NANOSECONDS
+            controller.want(block.end_ns, 600.0 * math.cos(angle))
+            currents.append(controller.command(block).current)
+            loop.command(currents[-1])
+        steps = np.diff(currents[round(SETTLED / PERIOD / BLOCK) :])
+        turned.append(np.count_nonzero(np.diff(np.sign(steps[np.abs(steps) > 1e-3]))))
+    assert 0 < turned[1] <= 1.3 * turned[0]
+
+
 def test_an_old_desired_force_counts_no_more() -> None:
     controller = controlled(WHOLE)
     controller.want(T0, 500.0)
@@ -249,10 +289,10 @@ def test_no_current_beyond_the_identified_ones_is_commanded() -> None:
     assert max(currents) <= 0.8
 
 
-def reached(damper: Damper, **changes: float) -> tuple[float, bool]:
+def reached(damper: Damper, duration: float = 12.0, **changes: float) -> tuple[float, bool]:
     """The highest current of a run of a damper known up to 0.4 A; whether more was asked for."""
     known = replace(WHOLE, current_range=(0.0, 0.4))
-    trial = tracked(ControlLoop(controlled(known, **changes), damper), 40e3, 12.0)
+    trial = tracked(ControlLoop(controlled(known, **changes), damper), 40e3, duration)
     commands = trial.commands
     return max(each.current for each in commands), any(each.unknown for each in commands)
 
@@ -260,6 +300,12 @@ def reached(damper: Damper, **changes: float) -> tuple[float, bool]:
 def test_it_probes_higher_currents_step_by_step_while_the_force_is_right() -> None:
     highest, _ = reached(EmulatedDamper(WHOLE), probe_step=0.2)
     assert 0.8 <= highest <= 2.0
+
+
+def test_without_probing_it_says_that_unknown_currents_are_needed() -> None:
+    highest, unknown = reached(EmulatedDamper(WHOLE), 4.0)
+    assert unknown
+    assert highest <= 0.4
 
 
 def test_it_does_not_probe_on_once_the_force_is_wrong() -> None:

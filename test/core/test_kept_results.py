@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import multiprocessing
+import os
 import signal
 import subprocess
 import sys
@@ -97,6 +99,17 @@ def test_who_kills_every_process_is_given_up_alone(tmp_path: Path) -> None:
     some.do(LocalProcesses(2), pool_tasks.deadly)
     assert some.lost == ["deadly1"]
     assert some.kept == {"task0", "task2"}
+
+
+def test_ending_the_own_processes_leaves_others_alone() -> None:
+    other = multiprocessing.get_context("spawn").Process(target=time.sleep, args=(PATIENCE,))
+    other.start()
+    own = LocalProcesses(1)
+    assert own.start().submit(os.getpid).result(PATIENCE) != other.pid
+    own.end()
+    assert other.is_alive()
+    other.kill()
+    other.join()
 
 
 def test_workers_that_can_do_nothing_are_an_error(tmp_path: Path) -> None:

@@ -37,6 +37,19 @@ def test_much_noise_alone_is_no_wrong_force() -> None:
     assert not any(watch.judge(force, force + beyond))
 
 
+def test_after_a_wrong_stretch_the_force_is_valid_only_once_the_error_has_stayed_small() -> None:
+    watch, _ = watch_of(0.0)
+    force = PEAK * np.sin(2.0 * np.pi * PERIOD * np.arange(400))
+    off = np.where(np.arange(400) < 40, 0.5 * PEAK, 0.0)
+    off[60:100:10] = 0.19 * PEAK  # below the limit, but not yet far enough
+    wrong = np.array(
+        [any(watch.judge(force[k : k + 1] + off[k], force[k : k + 1])) for k in range(400)]
+    )
+    assert wrong[:45].all()
+    assert not wrong[150:].any()
+    assert np.count_nonzero(np.diff(wrong.astype(int))) == 1, "once valid, it stays valid"
+
+
 # -- the peak that errors are held against ---------------------------------------------------------
 
 
