@@ -67,7 +67,7 @@ class InstrumentServer:
             return
         text = line.decode("ascii").strip()
         self.lines.append(text)
-        answer = self.instrument.hear(text)
+        answer = self.instrument.process(text)
         if answer is not None and not self.silent:
             try:
                 while self.dribble:

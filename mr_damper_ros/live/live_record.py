@@ -557,13 +557,13 @@ class LiveRecord:
         with self._lock:
             self._judge_silences()
             now = self._clock()
-            told = {
+            status = {
                 "tables": {
                     name: {"generation": generation, "next": table.next_index}
                     for name, (generation, table) in self._tables.items()
                 },
                 "units": _units(self.parameters),
-                "set": None if self.parameters is None else _set_told(self.parameters),
+                "set": None if self.parameters is None else _set_summary(self.parameters),
                 "concerns": [{**vars(each), "silence": silence} for each, silence in concerns],
                 "faults": [{**vars(f), "since": now - f.since} for f in self._faults.values()],
                 "events": list(self._events),
@@ -575,7 +575,7 @@ class LiveRecord:
                 "origin": self._origin,
                 "windows": [w for w in self._sentences if w["number"] > windows_after],
             }
-        found: dict[str, Any] = json_ready(told)
+        found: dict[str, Any] = json_ready(status)
         return found
 
 
@@ -603,7 +603,7 @@ def _units(seen: ParameterSet | None) -> dict[str, str]:
     return {**UNITS, **coefficients, **seen.law.units}
 
 
-def _set_told(seen: ParameterSet) -> dict[str, object]:
+def _set_summary(seen: ParameterSet) -> dict[str, object]:
     return {
         "set_id": seen.set_id,
         "model": seen.model,

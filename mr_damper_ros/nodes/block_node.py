@@ -42,7 +42,7 @@ class BlockNode(Node, Generic[Options, Answer]):
     def __init__(self, name: str, table: type[Options], cli_args: list[str] | None = None) -> None:
         super().__init__(name, cli_args=cli_args)
         self._options: Options = NodeParameters(self, table).values
-        self._rest = PostponedWork()
+        self._postponed = PostponedWork()
         self._late = math.inf
         self._slowest, self._oldest, self._skipped = 0.0, math.nan, 0
 
@@ -87,7 +87,7 @@ class BlockNode(Node, Generic[Options, Answer]):
 
     def _take_block(self, block: SampleBlock) -> None:
         began = time.perf_counter()
-        self._rest.finish()
+        self._postponed.finish()
         now_ns = self.get_clock().now().nanoseconds
         freshness = self._predictor.freshness
         if freshness.are_older(block.end_ns, now_ns, self._late):
@@ -95,13 +95,13 @@ class BlockNode(Node, Generic[Options, Answer]):
             self._skipped += skipped
             now_ns = self.get_clock().now().nanoseconds
         answer = self._publish_answer(block, now_ns)
-        self._rest.postpone(partial(self._finish, answer, block))
+        self._postponed.postpone(partial(self._finish, answer, block))
         self._slowest = max(self._slowest, time.perf_counter() - began)
         self._oldest = float(np.fmax(self._oldest, freshness.age))
 
     def finish_in_time(self) -> float:
         """Complete the remaining work on the last block; see :class:`PostponedWork`."""
-        return self._rest.finish_in_time()
+        return self._postponed.finish_in_time()
 
     def _latency_finding(self) -> Finding:
         slowest, oldest, skipped = self._slowest, self._oldest, self._skipped

@@ -325,8 +325,8 @@ class BridgeNode(ManagedNode):
                 sender.publish(SUSPENSION_TOPIC, suspension_message(block.suspension, stamp))
             sender.publish("mts/samples", samples_message(block, frame_id))
             if _MIRROR in sender.publishers:
-                heard = quality.heard(sender.publishers[_MIRROR])
-                for message in mirror.messages(block, heard=heard):
+                subscribed = quality.has_subscribers(sender.publishers[_MIRROR])
+                for message in mirror.messages(block, subscribed=subscribed):
                     sender.publish(_MIRROR, message)
             self._sent += block.sample_count
         if sender.stopped:

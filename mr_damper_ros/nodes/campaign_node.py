@@ -189,7 +189,7 @@ class CampaignParameters(ParameterTable):
         return ""
 
 
-_ATTENTION_PERIOD = 0.05
+_POLL_PERIOD = 0.05
 """Seconds between two polls of the worker, and between two commands: a machine that receives no
 command for half a second stops."""
 
@@ -204,8 +204,8 @@ class CampaignNode(Node):
         super().__init__("campaign")
         self._options = NodeParameters(self, CampaignParameters).values
         self._conductor = CampaignConductor(worker, self._options.conduct)
-        self._heard = -math.inf
-        self._looks = 0
+        self._last_block = -math.inf
+        self._polls = 0
         self._moving: MachineCommand | None = None
         self._last = ""
         self._failed = False
@@ -255,7 +255,7 @@ class CampaignNode(Node):
                 f"waiting for a goal on {self.get_fully_qualified_name()}/run_campaign"
             )
         steady = Clock(clock_type=ClockType.STEADY_TIME)
-        self.create_timer(_ATTENTION_PERIOD, self._attend, clock=steady)
+        self.create_timer(_POLL_PERIOD, self._poll, clock=steady)
 
     def destroy_node(self) -> None:
         """Stop the machine; completed runs are on disk."""
@@ -330,7 +330,7 @@ class CampaignNode(Node):
     # --- samples and commands -------------------------------------------------------------------
 
     def _take_block(self, block: SampleBlock) -> None:
-        self._heard = time.monotonic()
+        self._last_block = time.monotonic()
         before = self._conductor.command
         self._conductor.add_block(block)
         if self._conductor.command != before:
@@ -349,8 +349,8 @@ class CampaignNode(Node):
         self._motion_publisher.publish(command_message(stamp, command.motion))
         self._current_publisher.publish(CurrentCommand(header=stamp, current=command.current))
 
-    def _attend(self) -> None:
-        if time.monotonic() - self._heard > self._options.samples_timeout:
+    def _poll(self) -> None:
+        if time.monotonic() - self._last_block > self._options.samples_timeout:
             self._conductor.lose_contact()
         self._command()
         end = self._conductor.poll()
@@ -358,13 +358,13 @@ class CampaignNode(Node):
             self.get_logger().info(notice)
         if end is not None:
             self._end(end)
-        self._looks += 1
+        self._polls += 1
         status = self._conductor.status()
-        if status is not None and self._looks % _FEEDBACK == 0:
-            self._feed_back(status)
-            self._say(status)
+        if status is not None and self._polls % _FEEDBACK == 0:
+            self._publish_feedback(status)
+            self._log_next_run(status)
 
-    def _feed_back(self, status: CampaignStatus) -> None:
+    def _publish_feedback(self, status: CampaignStatus) -> None:
         """Send the status of the campaign to the client of the goal."""
         if self._goal is not None:
             self._goal.publish_feedback(
@@ -377,7 +377,7 @@ class CampaignNode(Node):
                 )
             )
 
-    def _say(self, status: CampaignStatus) -> None:
+    def _log_next_run(self, status: CampaignStatus) -> None:
         """Log the settings of the next run once, for the operator of a manual press."""
         if self._options.conduct.manual and status.sentence and status.sentence != self._last:
             self._last = status.sentence

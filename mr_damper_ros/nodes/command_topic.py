@@ -34,7 +34,7 @@ class CommandTopic(ABC):
         self._node = node
         self._counted = commander
         self._refusal = ""
-        self._told = 0
+        self._reported = 0
         self._subscription = quality.subscription(
             node, self.kind, self.topic, self._take, quality.stream(_DEPTH)
         )
@@ -44,7 +44,7 @@ class CommandTopic(ABC):
         self._node.destroy_subscription(self._subscription)
 
     @abstractmethod
-    def _obey(self, message: Any, stamp_ns: int, age: float, now: float) -> str:
+    def _command(self, message: Any, stamp_ns: int, age: float, now: float) -> str:
         """Pass on a command decided ``age`` [s] ago; returns the reason if it is refused, or ""."""
 
     @abstractmethod
@@ -54,7 +54,7 @@ class CommandTopic(ABC):
     def _take(self, message: Any) -> None:
         stamp_ns = to_nanoseconds(message.header.stamp)
         age = (self._node.get_clock().now().nanoseconds - stamp_ns) / NANOSECONDS
-        refusal = self._obey(message, stamp_ns, age, time.monotonic())
+        refusal = self._command(message, stamp_ns, age, time.monotonic())
         if refusal:
             self._refusal = refusal
             self._node.get_logger().warning(
@@ -64,7 +64,7 @@ class CommandTopic(ABC):
     def finding(self) -> Finding:
         """The present command, and all faults of the commands."""
         state = self._state(time.monotonic())
-        refused, self._told = self._counted.refused - self._told, self._counted.refused
+        refused, self._reported = self._counted.refused - self._reported, self._counted.refused
         values = {"refused": self._counted.refused, **state.values}
         wrong = []
         publishers = quality.publishing_nodes(self._node, self.topic)
@@ -83,21 +83,21 @@ DEMAND_TOPIC = "damper/desired_force"
 
 
 class CurrentCommands(CommandTopic):
-    """Passes on commands of the current; ``heard`` is called after each accepted command."""
+    """Passes on commands of the current; ``accepted`` is called after each accepted command."""
 
     kind, topic, what = CurrentCommand, COMMAND_TOPIC, "the current"
 
     def __init__(
-        self, node: Node, commander: CurrentCommander, heard: Callable[[], None] = lambda: None
+        self, node: Node, commander: CurrentCommander, accepted: Callable[[], None] = lambda: None
     ) -> None:
         self._commander = commander
-        self._heard = heard
+        self._accepted = accepted
         super().__init__(node, commander)
 
-    def _obey(self, message: CurrentCommand, stamp_ns: int, age: float, now: float) -> str:
+    def _command(self, message: CurrentCommand, stamp_ns: int, age: float, now: float) -> str:
         refusal = self._commander.command(message.current, stamp_ns, age, now)
         if not refusal:
-            self._heard()
+            self._accepted()
         return refusal
 
     def _state(self, now: float) -> Finding:
@@ -122,7 +122,7 @@ class MotionCommands(CommandTopic):
         self._commander = commander
         super().__init__(node, commander)
 
-    def _obey(self, message: ExcitationCommand, stamp_ns: int, age: float, now: float) -> str:
+    def _command(self, message: ExcitationCommand, stamp_ns: int, age: float, now: float) -> str:
         try:
             motion = motion_of(message)
         except ValueError as error:
@@ -133,7 +133,7 @@ class MotionCommands(CommandTopic):
         if not self._commander.commanded:
             sentence = "the machine moves by itself until a command comes"
             return Finding(OK, sentence, {"excitation": "its own"})
-        motion = self._commander.wanted(now)
+        motion = self._commander.motion(now)
         if motion is None:
             return Finding(OK, "the machine rests", {"excitation": "at rest"})
         return Finding(OK, f"{motion.sentence} commanded", {"excitation": motion.sentence})

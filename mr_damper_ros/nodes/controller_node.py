@@ -35,10 +35,10 @@ _LATE = 0.05
 """Age [s] from which on a block is skipped if a newer one waits: a command is for the present. A
 computer with a free core stays below this age."""
 
-_LAST_WORD = 1.0
+_LAST_COMMAND = 1.0
 """Time limit [s] for the supply to receive the last command."""
 
-_DEMANDS = 1
+_NEWEST = 1
 """Queue length: only the newest desired force matters."""
 
 
@@ -102,13 +102,13 @@ class ControllerNode(BlockNode[ControllerParameters, Command]):
         self._tracking = RunningError(options.error_memory)
         self._last: Command | None = None
         self._commands = self._met = self._unknown = 0
-        self._heard = -math.inf
+        self._last_block = -math.inf
         # One message for all commands: publishing copies it.
         self._message = CurrentCommand(header=Header(frame_id=options.frame_id))
-        self._refused_demand = ""
+        self._refused_force = ""
         self._command = quality.publisher(self, CurrentCommand, COMMAND_TOPIC)
         quality.subscription(
-            self, DesiredForce, DEMAND_TOPIC, self._take_demand, quality.stream(_DEMANDS)
+            self, DesiredForce, DEMAND_TOPIC, self._take_desired_force, quality.stream(_NEWEST)
         )
         self._listen(
             self._controller.predictor,
@@ -127,13 +127,13 @@ class ControllerNode(BlockNode[ControllerParameters, Command]):
             f"{options.control.fallback.safe_current:g} A, is commanded"
         )
 
-    def _take_demand(self, message: DesiredForce) -> None:
-        self._refused_demand = self._controller.want(
+    def _take_desired_force(self, message: DesiredForce) -> None:
+        self._refused_force = self._controller.want(
             to_nanoseconds(message.header.stamp), message.force
         )
 
     def _publish_answer(self, block: SampleBlock, now_ns: int) -> Command:
-        self._heard = time.monotonic()
+        self._last_block = time.monotonic()
         command = self._controller.command(block, now_ns)
         self._publish(command.current, now_ns)
         return command
@@ -149,7 +149,7 @@ class ControllerNode(BlockNode[ControllerParameters, Command]):
 
     def _watch(self) -> None:
         """Command the safe current if no samples arrive."""
-        if time.monotonic() - self._heard > self._options.samples_timeout:
+        if time.monotonic() - self._last_block > self._options.samples_timeout:
             self._give_up()
 
     def _finish(self, command: Command, block: SampleBlock) -> None:
@@ -172,7 +172,7 @@ class ControllerNode(BlockNode[ControllerParameters, Command]):
         if self.context.ok():
             self._give_up()
             # Destroying the publisher drops messages that have not been received.
-            self._command.wait_for_all_acked(Duration(seconds=_LAST_WORD))
+            self._command.wait_for_all_acked(Duration(seconds=_LAST_COMMAND))
         super().destroy_node()
 
     def _command_finding(self) -> Finding:
@@ -190,8 +190,8 @@ class ControllerNode(BlockNode[ControllerParameters, Command]):
             "feedback factor": f"{self._controller.feedback_factor:.4f}",
             "doubt": last.doubt.kind.name,
         }
-        if self._refused_demand:
-            return Finding(WARN, f"{self._refused_demand}; the last one holds", values)
+        if self._refused_force:
+            return Finding(WARN, f"{self._refused_force}; the last one holds", values)
         if last.doubt:
             level = ERROR if last.doubt.kind.grave else WARN
             doing = safe if last.falls_back else f"the current stays at most {last.current:.3f} A"

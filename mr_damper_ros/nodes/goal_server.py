@@ -118,7 +118,7 @@ class SearchGoals:
             succeeded=lambda result: bool(result.success),
         )
 
-    def tell(self, event: SearchProgress) -> None:
+    def publish_progress(self, event: SearchProgress) -> None:
         """Send the progress of a search to the client of its goal."""
         if event.search in self._goals:
             progress = event.progress
@@ -132,7 +132,7 @@ class SearchGoals:
                 )
             )
 
-    def end(self, event: SearchEnded) -> None:
+    def finish(self, event: SearchEnded) -> None:
         """Deliver the result of a search to the client of its goal."""
         if event.search in self._goals:
             self._server.finish(self._goals.pop(event.search), self._result(event))

@@ -86,7 +86,7 @@ class IdentifierParameters(ParameterTable):
     frame_id: str = option("damper", "Frame of the published messages, x along the damper's rod.")
 
 
-_ATTENTION_PERIOD = 0.02
+_POLL_PERIOD = 0.02
 """Seconds between two polls of the worker.
 
 The events executor does not support guard conditions, which would make polling unnecessary. A timer
@@ -114,7 +114,7 @@ class IdentifierNode(Node):
         )
         self._numbers_publisher = quality.publisher(self, DiagnosticArray, "damper/identified")
         self._publish_parameters(self._identifier.tracker.parameters)
-        self._next_look = 0.0
+        self._next_poll = 0.0
         self._inputs = Inputs(
             self, quality.lossless, self._take_block, self._identifier.add_current
         )
@@ -184,23 +184,23 @@ class IdentifierNode(Node):
         for event in self._identifier.add_block(block):
             self.get_logger().warning(event, throttle_duration_sec=1.0)
 
-    def attend_in_time(self) -> float:
+    def poll_in_time(self) -> float:
         """Poll the worker if it is due; returns the seconds until the next poll."""
-        left = self._next_look - time.monotonic()
+        left = self._next_poll - time.monotonic()
         if left > 0.0:
             return left
-        self._attend()
-        self._next_look = time.monotonic() + _ATTENTION_PERIOD
-        return _ATTENTION_PERIOD
+        self._poll_worker()
+        self._next_poll = time.monotonic() + _POLL_PERIOD
+        return _POLL_PERIOD
 
-    def _attend(self) -> None:
+    def _poll_worker(self) -> None:
         for event in self._identifier.poll():
             if isinstance(event, Publication):
                 self._publish([event])
             elif isinstance(event, SearchProgress):
-                self._goals.tell(event)
+                self._goals.publish_progress(event)
             else:
-                self._goals.end(event)
+                self._goals.finish(event)
         for notice in self._identifier.take_notices():
             self.get_logger().warning(notice)
 
@@ -392,7 +392,7 @@ def main(pool: WorkerPool) -> int:
     return run(
         node,
         IdentifierParameters,
-        between=IdentifierNode.attend_in_time,
+        between=IdentifierNode.poll_in_time,
         hosted=True,
         shared_workers=True,
     )

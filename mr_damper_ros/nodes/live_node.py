@@ -161,7 +161,7 @@ _RECORD, _STOP = "record", "stop_recording"
 
 _WAITING_COMMANDS = 4
 
-_LOOK = 0.1
+_COMMAND_PERIOD = 0.1
 """Seconds between two checks for commands from the page."""
 
 
@@ -219,7 +219,7 @@ class LiveNode(Node):
         self._recorder: BagRecorder | None = None
         self._waiting: queue.Queue[tuple[str, Mapping[str, str]]] = queue.Queue(_WAITING_COMMANDS)
         commands = _COMMANDS if options.allow_commands else {}
-        self._of_the_identifier = {
+        self._identifier_clients = {
             name: self.create_client(kind, f"{options.identifier}/{name}")
             for name, kind in commands.items()
         }
@@ -256,7 +256,7 @@ class LiveNode(Node):
         self._stop_recording()
         super().destroy_node()
 
-    def attend(self) -> float:
+    def do_commands(self) -> float:
         """Carry out the commands from the page; returns the seconds until the next check."""
         while not self._waiting.empty():
             name, arguments = self._waiting.get_nowait()
@@ -268,7 +268,7 @@ class LiveNode(Node):
                 self._call(name)
         if self._recorder is not None and self._recorder.failure:
             self._stop_recording()
-        return _LOOK
+        return _COMMAND_PERIOD
 
     def _take_command(self, name: str, arguments: Mapping[str, str]) -> bool:
         """Queue a command from a thread of the server; returns False if the queue is full."""
@@ -281,10 +281,13 @@ class LiveNode(Node):
     def _begin_recording(self, arguments: Mapping[str, str]) -> None:
         if self._recorder is not None:
             return
-        told = {key: arguments.get(key, "").strip() for key in ("name", "operator", "note")}
-        told["name"] = told["name"] or "run"
-        by = f" by {told['operator']}" if told["operator"] else ""
-        details = {**told, "provenance": f"recorded from the page{by}: {told['note']}".rstrip(": ")}
+        entries = {key: arguments.get(key, "").strip() for key in ("name", "operator", "note")}
+        entries["name"] = entries["name"] or "run"
+        by = f" by {entries['operator']}" if entries["operator"] else ""
+        details = {
+            **entries,
+            "provenance": f"recorded from the page{by}: {entries['note']}".rstrip(": "),
+        }
         if self._input.newest_set is not None:
             details["start_set"] = self._input.newest_set.to_yaml()
         try:
@@ -294,7 +297,7 @@ class LiveNode(Node):
             self._record.add_event(f"nothing is recorded: {error}")
             return
         began = f"{time.time():.3f}"
-        self._record.set_recording({**told, "path": str(self._recorder.path), "began": began})
+        self._record.set_recording({**entries, "path": str(self._recorder.path), "began": began})
         self.get_logger().info(f"recording to {self._recorder.path}")
 
     def _stop_recording(self) -> None:
@@ -312,16 +315,16 @@ class LiveNode(Node):
         )
 
     def _call(self, name: str) -> None:
-        client = self._of_the_identifier[name]
+        client = self._identifier_clients[name]
         if not client.service_is_ready():
-            self._record.add_event(f"{name}: nobody offers {client.srv_name}")
+            self._record.add_event(f"{name}: nothing offers {client.srv_name}")
             return
         self.get_logger().info(f"{name} was requested on the page")
         client.call_async(client.srv_type.Request()).add_done_callback(
-            lambda future: self._tell(name, future)
+            lambda future: self._report_answer(name, future)
         )
 
-    def _tell(self, name: str, future: Future) -> None:
+    def _report_answer(self, name: str, future: Future) -> None:
         answer: Any = future.result()
         outcome = "done" if answer.success else "refused"
         self._record.add_event(f"{name}: {outcome}: {answer.message}")
@@ -329,4 +332,4 @@ class LiveNode(Node):
 
 def main() -> int:
     """Run the node."""
-    return run(LiveNode, LiveParameters, between=LiveNode.attend)
+    return run(LiveNode, LiveParameters, between=LiveNode.do_commands)

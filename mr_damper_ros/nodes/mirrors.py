@@ -38,7 +38,7 @@ class SignalMirror:
 
     def publish(self, prediction: Prediction, block: SampleBlock) -> None:
         """Publish the samples of a block that are due; only samples with a prediction are used."""
-        if not quality.heard(self._publisher):
+        if not quality.has_subscribers(self._publisher):
             return
         message = self._message
         displacement, measured = map(prediction.at_its_samples, (block.displacement, block.force))
@@ -79,7 +79,7 @@ class JoinedMirror:
 
     def publish(self, prediction: Prediction, block: SampleBlock) -> None:
         """Add a block; publish if the joined block is complete, or before a numbering gap."""
-        if not quality.heard(self._samples):
+        if not quality.has_subscribers(self._samples):
             self._first, self._parts = None, []
             return
         count = sum(part[0].size for part in self._parts)
@@ -127,7 +127,7 @@ class WrenchMirror:
 
     def publish(self, prediction: Prediction) -> None:
         """Publish the last sample of a block, if it is due and there are subscribers."""
-        if not quality.heard(self._publisher):
+        if not quality.has_subscribers(self._publisher):
             return
         period = prediction.period
         last_ns = prediction.start_ns + round((prediction.force.size - 1) * period * NANOSECONDS)
@@ -148,11 +148,11 @@ class JointMirror:
         self._joint = joint
         self._last: tuple[int, float] | None = None
 
-    def messages(self, block: RigBlock, *, heard: bool) -> Iterator[JointState]:
-        """Yield the messages of a block; none without subscribers (``heard`` is false)."""
+    def messages(self, block: RigBlock, *, subscribed: bool) -> Iterator[JointState]:
+        """Yield the messages of a block; none without subscribers (``subscribed`` is false)."""
         for k, stamp_ns in self._decimator.due(block.start_ns, block.period, block.sample_count):
             position = float(block.displacement[k])
-            if heard and self._last is not None and stamp_ns > self._last[0]:
+            if subscribed and self._last is not None and stamp_ns > self._last[0]:
                 elapsed = (stamp_ns - self._last[0]) / NANOSECONDS
                 yield JointState(
                     header=header(stamp_ns, self._joint),

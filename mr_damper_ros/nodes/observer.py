@@ -25,7 +25,7 @@ from mr_damper_ros.nodes.messages import from_field, to_nanoseconds
 from mr_damper_ros.nodes.quality import STREAM_DEPTH
 from mr_damper_ros.processes.programs import PATIENCE, RosDomain
 from mr_damper_ros.rig.sources.daq_source import SATURATED
-from mr_damper_ros.rig_check.record import HeardBlock, RigRecord
+from mr_damper_ros.rig_check.record import ReceivedBlock, RigRecord
 
 
 class Observer(AbstractContextManager):
@@ -61,14 +61,16 @@ class Observer(AbstractContextManager):
         message_type: type,
         topic: str,
         quality: QoSProfile | int = STREAM_DEPTH,
-        hear: Callable[[Any], None] | None = None,
+        take: Callable[[Any], None] | None = None,
         *,
         raw: bool = False,
     ) -> list[Any]:
-        """Subscribe: each message goes to ``hear``, or into the returned list."""
-        heard: list[Any] = []
-        self.node.create_subscription(message_type, topic, hear or heard.append, quality, raw=raw)
-        return heard
+        """Subscribe: each message goes to ``take``, or into the returned list."""
+        received: list[Any] = []
+        self.node.create_subscription(
+            message_type, topic, take or received.append, quality, raw=raw
+        )
+        return received
 
     def spin_once(self, timeout: float = 0.1) -> None:
         """Process the next message, if one arrives within ``timeout`` [s]."""
@@ -116,7 +118,7 @@ def record_rig(node: Node, record: RigRecord) -> None:
         stamp_ns, arrival_ns = to_nanoseconds(message.header.stamp), time.monotonic_ns()
         sequence, period = int(message.seq), float(message.period)
         record.blocks.append(
-            HeardBlock(stamp_ns, sequence, period, displacement, force, arrival_ns)
+            ReceivedBlock(stamp_ns, sequence, period, displacement, force, arrival_ns)
         )
 
     def take_diagnostics(message: DiagnosticArray) -> None:

@@ -57,7 +57,7 @@ def latched() -> QoSProfile:
     )
 
 
-def heard(publisher: Publisher) -> bool:
+def has_subscribers(publisher: Publisher) -> bool:
     """Whether a publisher has subscribers; publishing without any costs the same time."""
     return publisher.get_subscription_count() > 0
 

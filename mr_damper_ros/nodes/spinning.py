@@ -42,7 +42,7 @@ _LOG_ADVICE = "set ROS_LOG_DIR to a folder that the log can be written to"
 _WAKE_UP = 0.1
 """Largest time [s] between two checks whether a spinning node is to stop or has finished."""
 
-_LAST_CHANCE = 10.0
+_DESTROY_LIMIT = 10.0
 """Time limit [s] for the middleware to destroy a node."""
 
 N = TypeVar("N", bound=Node)
@@ -194,7 +194,7 @@ def _end_in_any_case() -> None:
     before its publishers are destroyed.
     """
     nowhere = os.open(os.devnull, os.O_WRONLY)
-    faulthandler.dump_traceback_later(_LAST_CHANCE, exit=True, file=nowhere)
+    faulthandler.dump_traceback_later(_DESTROY_LIMIT, exit=True, file=nowhere)
 
 
 _CONFIGURATION_ERRORS = (

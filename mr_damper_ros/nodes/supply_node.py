@@ -170,7 +170,7 @@ class SupplyNode(ManagedNode):
             self._by_hand = values.current
         elif self._drive is not None:
             self._commander.set_by_hand(values.current)
-            self._drive.hurry()
+            self._drive.wake()
 
     # --- life cycle: rclpy calls these methods and swallows their exceptions --------------------
 
@@ -215,7 +215,7 @@ class SupplyNode(ManagedNode):
             return self._fail("the supply cannot be switched on", error)
         self._problem, self._by_hand = "", 0.0
         self._drive = self._thread(driver)
-        self._commands = CurrentCommands(self, self._commander, self._drive.hurry)
+        self._commands = CurrentCommands(self, self._commander, self._drive.wake)
         return TransitionCallbackReturn.SUCCESS
 
     def _thread(self, driver: SupplyDriver, failure: str = "") -> SupplyThread:
@@ -224,7 +224,7 @@ class SupplyNode(ManagedNode):
             period=1.0 / self.parameters.values.rate,
             clock_ns=lambda: int(self.get_clock().now().nanoseconds),
             publish=self._publish_current,
-            say=self.get_logger().error,
+            log_error=self.get_logger().error,
             failure=failure,
         )
 
@@ -238,13 +238,15 @@ class SupplyNode(ManagedNode):
         if drive.stop():
             self._drive = None
         else:
-            self._tell(f"{drive.failure}; {_NOT_OFF}")
+            self._report_problem(f"{drive.failure}; {_NOT_OFF}")
 
     def _close(self) -> None:
         drive, self._drive = self._drive, None
         if drive is not None and not drive.stop():
             drive.end()
-            self._tell(f"{drive.failure}; the output may still be on: the node has stopped trying")
+            self._report_problem(
+                f"{drive.failure}; the output may still be on: the node has stopped trying"
+            )
         supply, self._supply = self._supply, None
         if supply is None:
             return
@@ -254,7 +256,7 @@ class SupplyNode(ManagedNode):
             self.get_logger().warning(f"the link was not closed in order: {error}")
         self.destroy_publisher(self._publisher)
 
-    def _tell(self, problem: str) -> None:
+    def _report_problem(self, problem: str) -> None:
         self._problem = problem
         self.get_logger().error(problem)
 
@@ -269,7 +271,7 @@ class SupplyNode(ManagedNode):
                 self.trigger_deactivate()
             if drive.finished:
                 self._drive = None
-                self._tell(
+                self._report_problem(
                     f"{drive.failure}; the output has been switched off since: activate the node "
                     "again to go on"
                 )

@@ -46,7 +46,7 @@ _BEAT = 0.25
 _SILENCE_LIMIT = 1.5
 """Seconds without a sign of life after which a worker counts as hanging."""
 
-_LONGEST_LOOK = 0.1
+_LONGEST_PAUSE = 0.1
 """Largest time [s] between two polls that counts as silence: a node that was itself held up,
 perhaps with the whole computer, has not read the signs of life."""
 
@@ -115,7 +115,7 @@ class _Place:
     def __init__(self, module: str) -> None:
         self._module = module
         self.process_number = self.replaced = 0
-        self._looked = time.monotonic()
+        self._checked_at = time.monotonic()
         self._start()
 
     def _start(self) -> None:
@@ -154,14 +154,14 @@ class _Place:
 
         threading.Thread(target=work, daemon=True).start()
 
-    def look(self) -> list[Any]:
+    def take_messages(self) -> list[Any]:
         """The messages of the process since the last call.
 
         ("lost", reason) is the last message of a process that had to be replaced.
         """
         now = time.monotonic()
-        self._silence += min(now - self._looked, _LONGEST_LOOK)
-        self._looked = now
+        self._silence += min(now - self._checked_at, _LONGEST_PAUSE)
+        self._checked_at = now
         if self._child is None:
             if now >= self._started + _RESTART_PAUSE:
                 self._start()
@@ -185,7 +185,7 @@ class _Place:
         return messages
 
     def kill(self) -> None:
-        """Kill the process; :meth:`look` starts the next one."""
+        """Kill the process; :meth:`take_messages` starts the next one."""
         child, self._child, self.ready = self._child, None, False
         if child is not None:
             self.replaced += 1
@@ -258,17 +258,17 @@ class WorkerPool:
     def queue(self, worker: Worker) -> None:
         """Give the worker a process when its turn comes."""
         self._waiting.append(worker)
-        self.look_after()
+        self.supervise()
 
     def release(self, place: _Place) -> None:
         """Take back the process of a task that has ended."""
         self._free.append(place)
-        self.look_after()
+        self.supervise()
 
-    def look_after(self) -> None:
+    def supervise(self) -> None:
         """Replace free processes that have died, and assign free ones to waiting workers."""
         for place in self._free:
-            lost = [message[1] for message in place.look() if message[0] == "lost"]
+            lost = [message[1] for message in place.take_messages() if message[0] == "lost"]
             self._notices += [f"{why}: the worker is replaced" for why in lost]
         while self._waiting and self._free:
             place = self._next()
@@ -370,13 +370,13 @@ class Worker:
 
     def poll(self) -> list[Outcome]:
         """Return the outcomes since the last call, and end overdue tasks. Never blocks."""
-        self._pool.look_after()
+        self._pool.supervise()
         self._notices += self._pool.take_notices()
         place = self._place
         if place is None:
             return []
         outcomes: list[Outcome] = []
-        for kind, *content in place.look():
+        for kind, *content in place.take_messages():
             if kind == "lost":
                 outcomes += self._lost(content[0])
             elif kind == "ready":

@@ -26,7 +26,7 @@ class Commander(Generic[T]):
 
     def __init__(self, first: T, timeout: float, tolerance: float = STAMP_TOLERANCE) -> None:
         self.refused = 0
-        self._wanted = first
+        self._target = first
         self._timeout = timeout
         self._tolerance = tolerance
         self._until = -math.inf
@@ -37,30 +37,30 @@ class Commander(Generic[T]):
         self.refused += 1
         return reason
 
-    def command(self, wanted: T, stamp_ns: int, age: float, now: float) -> str:
+    def command(self, target: T, stamp_ns: int, age: float, now: float) -> str:
         """Accept a command decided ``age`` [s] ago; returns the reason if it is refused, or "".
 
         ``stamp_ns`` is the time of the decision: a command older than the one in force is refused.
         """
-        objection = self._beyond(wanted) or self._untimely(stamp_ns, age, now)
+        objection = self._limit_objection(target) or self._time_objection(stamp_ns, age, now)
         if objection:
             return self.refuse(objection)
         # Another thread may read in between: the value must be set before it comes into force.
-        self._wanted = self._within(wanted)
+        self._target = self._within(target)
         self._until = now + self._timeout - max(age, 0.0)
         # A command stamped ahead must not exclude later commands with correct stamps.
         self._stamp_ns = stamp_ns + round(1e9 * min(age, 0.0))
         return ""
 
-    def _beyond(self, wanted: T) -> str:
+    def _limit_objection(self, target: T) -> str:
         """Reason why a command is refused at any time, in words; empty if it is valid."""
         return ""
 
-    def _within(self, wanted: T) -> T:
+    def _within(self, target: T) -> T:
         """Limit a command to the allowed range."""
-        return wanted
+        return target
 
-    def _untimely(self, stamp_ns: int, age: float, now: float) -> str:
+    def _time_objection(self, stamp_ns: int, age: float, now: float) -> str:
         if age < -self._tolerance:
             return (
                 f"the command is stamped {-age:.3g} s ahead, where {self._tolerance:g} s are "
@@ -92,11 +92,11 @@ class MotionCommander(Commander[PeriodicMotion | None]):
         """Whether there has been a command; before the first one, the machine moves by itself."""
         return self._stamp_ns is not None
 
-    def wanted(self, now: float) -> PeriodicMotion | None:
+    def motion(self, now: float) -> PeriodicMotion | None:
         """The present motion; None for rest."""
-        return self._wanted if now < self._until else None
+        return self._target if now < self._until else None
 
-    def _beyond(self, motion: PeriodicMotion | None) -> str:
+    def _limit_objection(self, motion: PeriodicMotion | None) -> str:
         if motion is None:
             return ""
         if motion.amplitude > self._amplitude:
@@ -176,7 +176,7 @@ class CurrentCommander(Commander[float]):
 
     def set_by_hand(self, current: float) -> None:
         """Set this current until a command arrives."""
-        self._wanted, self._stamp_ns = self._limited(current), None
+        self._target, self._stamp_ns = self._limited(current), None
         self._until = math.inf
 
     def origin(self, now: float) -> Origin:
@@ -193,7 +193,7 @@ class CurrentCommander(Commander[float]):
         else:
             rate = self.settings.slew_rate
             most = rate * elapsed if rate > 0.0 else math.inf
-            self._given += min(max(self._wanted - self._given, -most), most)
+            self._given += min(max(self._target - self._given, -most), most)
         return self._given
 
     def wait(self, now: float) -> float:
@@ -201,13 +201,13 @@ class CurrentCommander(Commander[float]):
         origin = self.origin(now)
         if origin is Origin.TIMED_OUT:
             return math.inf
-        return _RAMP_STEP if self._given != self._wanted else max(self._until - now, 0.0)
+        return _RAMP_STEP if self._given != self._target else max(self._until - now, 0.0)
 
     def start(self, now: float) -> None:
         """Start at zero current: the output has just been switched on."""
         self._given, self._at = 0.0, now
 
-    def _beyond(self, current: float) -> str:
+    def _limit_objection(self, current: float) -> str:
         return "" if math.isfinite(current) else "the commanded current is not finite"
 
     def _within(self, current: float) -> float:

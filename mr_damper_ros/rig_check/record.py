@@ -25,7 +25,7 @@ _BRIDGED = 0.1
 
 
 @dataclass(frozen=True, eq=False)
-class HeardBlock:
+class ReceivedBlock:
     """A block as received; ``arrival_ns`` is from a steady clock, -1 if unknown."""
 
     start_ns: int
@@ -40,7 +40,7 @@ class HeardBlock:
 class RigRecord:
     """Blocks in the order of arrival, and stamped currents [A]: measured and commanded."""
 
-    blocks: list[HeardBlock] = field(default_factory=list)
+    blocks: list[ReceivedBlock] = field(default_factory=list)
     measured: list[tuple[int, float]] = field(default_factory=list)
     commanded: list[tuple[int, float]] = field(default_factory=list)
     unusable: int = 0

@@ -167,7 +167,7 @@ class _Heard:
         self._observer = observer
         self._last = time.monotonic()
         self.reports: list[Any] = []
-        observer.listen(FitReport, "damper/fit_report", hear=self._tell)
+        observer.listen(FitReport, "damper/fit_report", take=self._tell)
         self.samples = observer.listen(MtsSamples, "mts/samples")
         self.forces = observer.listen(PredictedForce, "damper/predicted_force")
         self.sets = observer.listen(DamperParameters, "damper/parameters", quality.latched())

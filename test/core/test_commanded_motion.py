@@ -76,8 +76,8 @@ def test_no_sample_leaves_the_limits_or_jumps_whatever_is_commanded(told: Told) 
 def test_the_machine_rests_when_the_commands_stop() -> None:
     commander = MotionCommander(*LIMITS)
     assert commander.command(sine(0.01, 1.0), 100, 0.0, 10.0) == ""
-    assert commander.wanted(10.4) == sine(0.01, 1.0)
-    assert commander.wanted(10.6) is None
+    assert commander.motion(10.4) == sine(0.01, 1.0)
+    assert commander.motion(10.6) is None
 
 
 @pytest.mark.parametrize(
@@ -95,11 +95,11 @@ def test_what_cannot_be_made_is_refused(wanted: PeriodicMotion, age: float, sent
     commander = MotionCommander(*LIMITS)
     assert sentence in commander.command(wanted, 100, age, 10.0)
     assert not commander.commanded
-    assert commander.wanted(10.0) is None
+    assert commander.motion(10.0) is None
 
 
 def test_a_command_that_was_overtaken_is_refused() -> None:
     commander = MotionCommander(*LIMITS)
     commander.command(sine(0.01, 1.0), 200, 0.0, 10.0)
     assert "after a newer one" in commander.command(sine(0.005, 1.0), 100, 0.0, 10.1)
-    assert commander.wanted(10.1) == sine(0.01, 1.0)
+    assert commander.motion(10.1) == sine(0.01, 1.0)

@@ -19,7 +19,7 @@ from mr_damper_ros.emulation.motions import (
 )
 from mr_damper_ros.models.published import THESIS_28_CELSIUS
 from mr_damper_ros.rig_check.checks import check_rig
-from mr_damper_ros.rig_check.record import HeardBlock, RigRecord, Trouble, channel_lag
+from mr_damper_ros.rig_check.record import ReceivedBlock, RigRecord, Trouble, channel_lag
 
 SECONDS = 30.0
 RATE = 1000.0
@@ -53,7 +53,7 @@ def record(
         made = rig.next_block(BLOCK)
         for block, _ in instruments.read(made):
             heard.blocks.append(
-                HeardBlock(
+                ReceivedBlock(
                     block.start_ns,
                     block.sequence,
                     block.period,

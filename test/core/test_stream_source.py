@@ -297,11 +297,11 @@ def test_the_clock_of_this_computer_may_be_set_and_stamps_follow_it() -> None:
     clock = HostClock(START, lambda: now["steady"], lambda: now["wall"])
     assert 100 + clock.ahead_ns == START
     now = {"steady": 10**9 + 100, "wall": 10**18 + 10**9 + 500_000}
-    assert not clock.look(), "half a millisecond is no step"
+    assert not clock.was_set(), "half a millisecond is no step"
     now["wall"] += 3600 * 10**9
-    assert clock.look()
+    assert clock.was_set()
     assert 10**9 + 100 + clock.ahead_ns == pytest.approx(START + 3601 * 10**9, abs=10**6)
-    assert not clock.look()
+    assert not clock.was_set()
 
 
 # -- formats -----------------------------------------------------------------------------------

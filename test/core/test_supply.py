@@ -154,12 +154,12 @@ def instrument(clock: SetClock) -> EmulatedInstrument:
 
 
 def test_it_complains_in_a_queue_that_overflows(instrument: EmulatedInstrument) -> None:
-    instrument.hear("CURR 99")
-    instrument.hear("CURR a lot")
+    instrument.process("CURR 99")
+    instrument.process("CURR a lot")
     for _ in range(20):
-        instrument.hear("NONSENSE 1")
+        instrument.process("NONSENSE 1")
     errors = []
-    while not (error := instrument.hear("SYST:ERR?") or "").startswith("+0"):
+    while not (error := instrument.process("SYST:ERR?") or "").startswith("+0"):
         errors.append(error[:4])
     assert errors == ["-222", "-104", *["-113"] * 7, "-350"]
 
@@ -233,8 +233,8 @@ def supply(server: InstrumentServer) -> Iterator[ScpiSupply]:
 def test_it_is_off_and_without_current_until_it_is_switched_on(
     supply: ScpiSupply, server: InstrumentServer
 ) -> None:
-    server.instrument.hear("CURR 1.0")
-    server.instrument.hear("OUTP ON")
+    server.instrument.process("CURR 1.0")
+    server.instrument.process("OUTP ON")
     assert "emulated" in supply.open()
     assert server.instrument.is_off
     supply.switch_on()
@@ -343,7 +343,7 @@ class SerialInstrument:
             heard += os.read(self._here, 1000)
             *lines, heard = heard.split(b"\n")
             for line in lines:
-                answer = self._instrument.hear(line.decode("ascii"))
+                answer = self._instrument.process(line.decode("ascii"))
                 while self.dribble and not self._ended.wait(0.2 * TIMEOUT):
                     os.write(self._here, b"1")
                 if answer is not None:
@@ -408,7 +408,7 @@ def in_thread(server: InstrumentServer, said: list[str], current: float = 1.0) -
     driver = SupplyDriver(supply, CurrentCommander(CommandSettings(), current), tolerance=0.05)
     driver.start(time.monotonic())
     return SupplyThread(
-        driver, period=0.02, clock_ns=time.time_ns, publish=lambda *_: None, say=said.append
+        driver, period=0.02, clock_ns=time.time_ns, publish=lambda *_: None, log_error=said.append
     )
 
 

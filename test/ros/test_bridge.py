@@ -71,7 +71,7 @@ def test_stamps_are_those_of_now(start: Any, listener: Listener) -> None:
         now = listener.node.get_clock().now().nanoseconds
         ages.append(now - last)
 
-    listener.listen(MtsSamples, "mts/samples", hear=take)
+    listener.listen(MtsSamples, "mts/samples", take=take)
     start("bridge", block_size=100, wait_for_subscribers=1)
     listener.until(lambda: len(ages) >= 30, "three seconds of data")
     youngest = min(ages)

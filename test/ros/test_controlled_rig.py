@@ -49,7 +49,7 @@ def test_the_emulated_rig_gives_the_desired_force(
         if abs(velocity) > 2e-4 and commands and commands[-1].current > 0.0:
             errors.append(abs(float(from_field(message.force)[-1]) - force))
 
-    listener.listen(MtsSamples, "mts/samples", hear=want)
+    listener.listen(MtsSamples, "mts/samples", take=want)
     start("controller", parameter_file=path, demand_timeout=1.0, maximum_error=0.0, max_age=2.0)
     listener.wait_for_publishers("supply/current_command")
     start(

@@ -116,7 +116,7 @@ class DaqSource(DeviceSource[Readings]):
         super().__init__(settings, stream)
         # Number of saturated samples by channel: in total, and at the last report.
         self._saturated: dict[str, int] = {}
-        self._told: dict[str, int] = {}
+        self._reported: dict[str, int] = {}
         self._missing = 0
 
     @property
@@ -151,7 +151,7 @@ class DaqSource(DeviceSource[Readings]):
     def blocks(self, start_ns: int) -> Iterator[RigBlock]:
         """Yield the samples as the device takes them."""
         self._saturated = dict.fromkeys(self._wanted, 0)
-        self._told = dict(self._saturated)
+        self._reported = dict(self._saturated)
         self._missing = 0
         self._times = None
         return self._read(self._connect, self._name, start_ns)
@@ -205,13 +205,13 @@ class DaqSource(DeviceSource[Readings]):
 
     def _fault(self, of_device: str) -> str:
         """The present fault, as a sentence; empty if there is none."""
-        told, self._told = self._told, dict(self._saturated)
+        reported, self._reported = self._reported, dict(self._saturated)
         if of_device:
             return of_device
         if self._silent:
             return f"nothing comes from {self.settings.driver} {self.settings.device}"
-        for name, count in self._told.items():
-            new = count - told[name]
+        for name, count in self._reported.items():
+            new = count - reported[name]
             if new:
                 limit = getattr(self.settings, f"{name}_range")
                 return (

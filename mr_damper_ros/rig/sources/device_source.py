@@ -83,7 +83,7 @@ class DeviceReader(Generic[T]):
                     self.fault = ""
                     self._read(portions)
             except Exception as error:  # drivers are foreign code: this thread must survive them
-                self.fault = f"{failed}: {_why(error)}"
+                self.fault = f"{failed}: {_reason(error)}"
             self._ended.wait(5.0 * POLL)  # pause before the next attempt to connect
 
     def _read(self, portions: Portions[T]) -> None:
@@ -105,7 +105,7 @@ class DeviceReader(Generic[T]):
         return True
 
 
-def _why(error: Exception) -> str:
+def _reason(error: Exception) -> str:
     """The message of a library in one line, without the paragraph of codes that may follow."""
     told = getattr(error, "error_message", None) or getattr(error, "strerror", None) or str(error)
     text = " ".join(str(told).split("\n\n")[0].split())
@@ -133,7 +133,7 @@ class HostClock:
         self.ahead_ns = start_ns - steady()
         """Offset to add to a time of the steady clock to get its stamp."""
 
-    def look(self) -> bool:
+    def was_set(self) -> bool:
         """Whether the computer's clock was set since the last call; updates the offset."""
         moved_ns = self._wall() - self._steady() - self._apart_ns
         if abs(moved_ns) > _SET_NS:
@@ -199,7 +199,7 @@ class DeviceSource(Source, Generic[T]):
                     # Yield within the loop, so that a long queue does not delay the end of the
                     # bridge.
                     yield from maker.take()
-                if clock.look():
+                if clock.was_set():
                     maker.cut()
                 yield from maker.take()
         finally:

@@ -297,7 +297,7 @@ class EmulatedSource(_EmulatedSupply):
                 if motion is None:
                     motion = CommandedMotion(self._excitation, begin)
                     rig.move(motion)
-                motion.command(mover.wanted(now), begin)
+                motion.command(mover.motion(now), begin)
             made = rig.next_block(self.stream.block_size)
             deliveries = instruments.read(made)
             yield from (delivery.block for delivery in deliveries)

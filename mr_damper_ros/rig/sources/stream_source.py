@@ -220,7 +220,7 @@ class StreamSource(DeviceSource[bytes]):
         self._decoder: RowDecoder | None = None
         # Number of readable and unreadable rows: in total, and at the last report.
         self._readable, self._unreadable = 0, 0
-        self._told = (0, 0)
+        self._reported = (0, 0)
 
     def open(self) -> list[str]:
         """Check the options; the connection is made when the streaming starts."""
@@ -239,7 +239,7 @@ class StreamSource(DeviceSource[bytes]):
     def blocks(self, start_ns: int) -> Iterator[RigBlock]:
         """Yield the samples as they arrive."""
         self._decoder, self._times = self._new_decoder(), self._new_times()
-        self._readable, self._unreadable, self._told = 0, 0, (0, 0)
+        self._readable, self._unreadable, self._reported = 0, 0, (0, 0)
         return self._read(self._connect, str(self._address), start_ns)
 
     def state(self) -> SourceState:
@@ -281,8 +281,8 @@ class StreamSource(DeviceSource[bytes]):
 
     def _fault(self, of_link: str, times: RowTimes) -> str:
         """The present fault, as a sentence; empty if there is none."""
-        told, self._told = self._told, (self._readable, self._unreadable)
-        read, unread = self._readable - told[0], self._unreadable - told[1]
+        reported, self._reported = self._reported, (self._readable, self._unreadable)
+        read, unread = self._readable - reported[0], self._unreadable - reported[1]
         if of_link:
             return of_link
         if self._silent:

@@ -207,7 +207,7 @@ class EmulatedInstrument:
         self._tripped = False
         self._watched, self._delay = False, 60.0
         self._coil = 0.0
-        self._at = self._heard = clock()
+        self._at = self._received_at = clock()
 
     def current(self) -> float:
         """The present current in the coil [A]."""
@@ -222,12 +222,12 @@ class EmulatedInstrument:
             self._advance(self._clock())
             return not self._on or self._tripped
 
-    def hear(self, line: str) -> str | None:
+    def process(self, line: str) -> str | None:
         """Process a line; returns the answer, None if there is none."""
         with self._lock:
             now = self._clock()
             self._advance(now)
-            self._heard = now
+            self._received_at = now
             return self._obey(line.strip().upper())
 
     def _obey(self, line: str) -> str | None:
@@ -287,7 +287,7 @@ class EmulatedInstrument:
 
     def _advance(self, now: float) -> None:
         """Advance the coil current to ``now``, and trip the watchdog at its due time."""
-        due = self._heard + self._delay
+        due = self._received_at + self._delay
         if self._on and self._watched and not self._tripped and now > due:
             self._follow(due)
             self._tripped = True
@@ -307,11 +307,11 @@ class EmulatedLink:
 
     def write(self, line: str) -> None:
         """Send a line without an answer."""
-        self._instrument.hear(line)
+        self._instrument.process(line)
 
     def query(self, line: str) -> str:
         """Send a line and return its answer."""
-        answer = self._instrument.hear(line)
+        answer = self._instrument.process(line)
         if answer is None:
             raise LinkLostError(f"the emulated instrument does not answer {line}")
         return answer

@@ -343,7 +343,7 @@ class SupplyThread:
     until the instrument confirms it or :meth:`end` is called. ``failure`` is the reason, as a
     sentence, why the supply is no longer driven. If it is given at the start, the supply is only
     switched off. ``publish`` receives each measured current [A] after its time [ns] on the clock
-    ``clock_ns``; ``say`` receives error messages.
+    ``clock_ns``; ``log_error`` receives error messages.
     """
 
     def __init__(
@@ -353,7 +353,7 @@ class SupplyThread:
         period: float,
         clock_ns: Callable[[], int],
         publish: Callable[[int, float], None],
-        say: Callable[[str], object],
+        log_error: Callable[[str], object],
         failure: str = "",
     ) -> None:
         self.driver = driver
@@ -362,10 +362,10 @@ class SupplyThread:
         self._period = period
         self._clock_ns = clock_ns
         self._publish = publish
-        self._say = say
+        self._log_error = log_error
         self._stopping = False
         self._deadline = math.inf
-        self._wake = threading.Event()
+        self._woken = threading.Event()
         self._ended = threading.Event()
         self._thread = threading.Thread(target=self._run, name="supply", daemon=True)
         self._thread.start()
@@ -375,9 +375,9 @@ class SupplyThread:
         """Whether the thread has ended: the output is off, or :meth:`end` was called."""
         return not self._thread.is_alive()
 
-    def hurry(self) -> None:
+    def wake(self) -> None:
         """Wake the thread: there is a new command."""
-        self._wake.set()
+        self._woken.set()
 
     def stop(self) -> bool:
         """Switch off; returns whether the instrument confirms it within some seconds.
@@ -389,7 +389,7 @@ class SupplyThread:
             self._supply.patience.end = now + _LAST_ANSWER
             self._deadline = now + _STOP
             self._stopping = True
-            self._wake.set()
+            self._woken.set()
         self._thread.join(max(self._deadline - now, 0.0))
         if not self.finished and not self.failure:
             self.failure = "the supply does not answer"
@@ -411,7 +411,7 @@ class SupplyThread:
                 if isinstance(error, (LinkLostError, SupplyError))
                 else f"driving the supply failed: {error}"
             )
-            self._say(f"{self.failure}: trying to switch the output off")
+            self._log_error(f"{self.failure}: trying to switch the output off")
         while self._supply.switched_on and not self._ended.is_set():
             try:
                 self._supply.rescue()
@@ -421,7 +421,7 @@ class SupplyThread:
     def _follow(self) -> None:
         due = time.monotonic()
         while not self._stopping:
-            self._wake.clear()
+            self._woken.clear()
             now = time.monotonic()
             self.driver.obey(now)
             if now >= due:
@@ -433,6 +433,6 @@ class SupplyThread:
                 self.driver.check(now)
                 due = max(due + self._period, time.monotonic())
             now = time.monotonic()
-            self._wake.wait(max(min(due - now, self.driver.wait(now)), 0.0))
+            self._woken.wait(max(min(due - now, self.driver.wait(now)), 0.0))
         self.driver.given = 0.0
         self._supply.switch_off()
