@@ -7,10 +7,12 @@ folder.
 from __future__ import annotations
 
 import argparse
-import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from pathlib import Path
+from typing import Any
+
+import numpy as np
 
 from mr_damper_ros.campaign.course import (
     CampaignCourse,
@@ -20,15 +22,17 @@ from mr_damper_ros.campaign.course import (
     find_step,
 )
 from mr_damper_ros.campaign.folder import CampaignFolder, CampaignTask, read_task
+from mr_damper_ros.campaign.goal_options import GoalOptions, MachineOptions
 from mr_damper_ros.campaign.report import write_campaign_report
 from mr_damper_ros.campaign.runs import RunNotFoundError, cut_run, run_as_made, write_signal
 from mr_damper_ros.estimation.experiment_design import Plan, PlanState
-from mr_damper_ros.estimation.planned_run import ForceGoal, MachineLimits, first_run, motions_of
+from mr_damper_ros.estimation.planned_run import ForceGoal, MachineLimits, PlannedRun, first_run
 from mr_damper_ros.io.bag_reader import read_bag
 from mr_damper_ros.io.recording_list import find_recordings
 from mr_damper_ros.kinematics.periodic_motion import MotionKind
 from mr_damper_ros.models import MODELS
 from mr_damper_ros.models.parameter_set import DEFAULT_MODEL
+from mr_damper_ros.settings.option_table import options as table_options
 from mr_damper_ros.signals.recording import Recording
 from mr_damper_ros.tools.console import FAILED, add_json_option, program, write_json
 
@@ -36,6 +40,20 @@ OUT_OF_REACH = 3
 """Exit code if the goal cannot be reached within the limits of the machine."""
 
 _NEEDED = ("velocity", "current", "amplitude", "force")
+
+_GOAL = {
+    "error": ("error",),
+    "velocity": ("lowest_peak_velocity", "highest_peak_velocity"),
+    "current": ("lowest_current", "highest_current"),
+}
+_MACHINE = {
+    **{name: (name,) for name in ("amplitude", "force", "duration", "heat")},
+    "top_velocity": ("peak_velocity",),
+    "top_current": ("current",),
+    "frequency": ("lowest_frequency", "highest_frequency"),
+    "rate": ("sample_rate",),
+}
+"""Options of the tables by the argument that gives them; two of them are a range."""
 
 _EPILOG = f"""\
 A campaign is kept with --keep. The first call names the goal and the limits of the machine, and
@@ -84,44 +102,9 @@ def _parser() -> argparse.ArgumentParser:
         metavar="N",
         help="of a campaign at most (default %(default)s)",
     )
-    goal = parser.add_argument_group("goal")
-    goal.add_argument(
-        "--error",
-        type=float,
-        default=0.01,
-        help="worst error, relative to the largest force of a cycle (default %(default)s)",
-    )
-    for name, text in (("velocity", "peak velocities [m/s]"), ("current", "currents [A]")):
-        goal.add_argument(f"--{name}", nargs=2, type=float, metavar=("LOW", "HIGH"), help=text)
+    _add_options(parser.add_argument_group("goal"), GoalOptions, _GOAL)
     machine = parser.add_argument_group("machine")
-    for name, unit, text in (
-        ("amplitude", "M", "largest amplitude [m] about the centre"),
-        ("force", "N", "largest force [N]"),
-    ):
-        machine.add_argument(f"--{name}", type=float, metavar=unit, help=text)
-    machine.add_argument(
-        "--top-velocity", type=float, metavar="M/S", help="largest (default: that of the goal)"
-    )
-    machine.add_argument(
-        "--top-current", type=float, metavar="A", help="largest (default: that of the goal)"
-    )
-    machine.add_argument(
-        "--duration", type=float, default=4.0, metavar="S", help="of a run (default %(default)s)"
-    )
-    machine.add_argument(
-        "--heat", type=float, default=math.inf, metavar="J", help="dissipated by a run"
-    )
-    machine.add_argument(
-        "--frequency",
-        nargs=2,
-        type=float,
-        default=(0.1, 20.0),
-        metavar=("LOW", "HIGH"),
-        help="[Hz] (default 0.1 20)",
-    )
-    machine.add_argument(
-        "--rate", type=float, default=1000.0, metavar="HZ", help="samples (default %(default)s)"
-    )
+    _add_options(machine, MachineOptions, _MACHINE)
     machine.add_argument(
         "--motions",
         nargs="+",
@@ -138,6 +121,55 @@ def _parser() -> argparse.ArgumentParser:
     return parser
 
 
+def _add_options(
+    group: argparse._ArgumentGroup, table: type, names: Mapping[str, Sequence[str]]
+) -> None:
+    """Add an argument for each option of a table, or for two of them."""
+    known = {item.name: item for item in table_options(table)}
+    for name, keys in names.items():
+        items = [known[key] for key in keys]
+        text = items[0].description.rstrip(".")
+        default: Any = [item.default for item in items]
+        if len(items) == 1:
+            (default,) = default
+        else:
+            text = text.replace("Lowest", "Lowest and highest")
+        if name in _NEEDED:
+            default = None
+        elif name.startswith("top_"):
+            default, text = None, f"{text} (default: that of the goal)"
+        else:
+            text += " (default %(default)s)"
+        group.add_argument(
+            f"--{name.replace('_', '-')}",
+            nargs=len(items) if len(items) > 1 else None,
+            type=float,
+            default=default,
+            metavar=("LOW", "HIGH") if len(items) > 1 else name.rpartition("_")[2].upper(),
+            help=text,
+        )
+
+
+def _given(options: argparse.Namespace, names: Mapping[str, Sequence[str]]) -> dict[str, float]:
+    """The options of a table that are given, by their names in it."""
+    values = {name: getattr(options, name) for name in names}
+    return {
+        key: value
+        for name, keys in names.items()
+        if values[name] is not None
+        for key, value in zip(keys, np.atleast_1d(values[name]).tolist(), strict=True)
+    }
+
+
+def _goal_and_limits(options: argparse.Namespace) -> tuple[ForceGoal, MachineLimits]:
+    """The goal and the limits of the machine given by the options. Raises ValueError."""
+    goal = GoalOptions(**_given(options, _GOAL)).goal()
+    machine = {"peak_velocity": goal.peak_velocity[1], "current": goal.current[1]}
+    motions = " ".join(options.motions)
+    limits = MachineOptions(**machine | _given(options, _MACHINE), motions=motions)
+    return goal, limits.limits(manual=options.manual)
+
+
 def _plan(options: argparse.Namespace) -> int:
     missing = [f"--{name}" for name in _NEEDED if getattr(options, name) is None]
     if options.keep is not None:
@@ -146,12 +178,16 @@ def _plan(options: argparse.Namespace) -> int:
         return _go_on_with_campaign(options, missing)
     if missing:
         raise ValueError(f"a plan needs {', '.join(missing)} too")
-    goal, limits = _goal_of(options), _limits_of(options)
+    goal, limits = _goal_and_limits(options)
     plan = advise_run(options.bags, goal, limits, options.model) if options.bags else None
     run = first_run(goal, limits) if plan is None else plan.run
     document: dict[str, object] = {"state": "run" if plan is None else plan.state.value}
     if plan is not None:
-        _tell(plan, goal)
+        _tell_knowledge(plan, goal)
+        if plan.reason:
+            print(plan.reason)
+        elif plan.runs_left is not None:
+            print(f"about {plan.runs_left} more runs are needed")
         document |= {"worst_error": plan.now.worst, "worst_point": plan.now.worst_point}
     if run is not None:
         print(f"run {run.sentence}")
@@ -171,17 +207,17 @@ def _tell_knowledge(plan: Plan, goal: ForceGoal) -> None:
     )
 
 
-def _tell(plan: Plan, goal: ForceGoal) -> None:
-    _tell_knowledge(plan, goal)
-    if plan.reason:
-        print(plan.reason)
-    elif plan.runs_left is not None:
-        print(f"about {plan.runs_left} more runs are needed")
-
-
 def _go_on_with_campaign(options: argparse.Namespace, missing: Sequence[str]) -> int:
-    task = _task(options, missing)
-    waiting = _recordings(options.bags)
+    if len(missing) == len(_NEEDED) and (options.keep / "campaign.json").exists():
+        task = read_task(options.keep)
+    elif missing:
+        raise ValueError(f"a new campaign needs {', '.join(missing)} too")
+    else:
+        task = CampaignTask(*_goal_and_limits(options), options.model)
+    # All recordings of the bags, the oldest first.
+    listed = find_recordings(options.bags)[0] if options.bags else []
+    waiting = [recording for entry in listed for recording in read_bag(entry.path)]
+    waiting.sort(key=lambda recording: recording.start_ns)
     folder = CampaignFolder(options.keep, task)
     try:
         course = CampaignCourse(task, folder=folder, most_runs=options.runs)
@@ -193,6 +229,8 @@ def _go_on_with_campaign(options: argparse.Namespace, missing: Sequence[str]) ->
         print(f"report: {write_campaign_report(options.keep, course.reason)}")
     run = course.next_run
     if run is not None:
+        if course.steps and course.steps[-1].plan.reason:
+            print(course.steps[-1].plan.reason)
         print(f"run {course.number}: {run.sentence}")
         signal = options.keep / "signals" / f"run_{course.number:03d}.csv"
         write_signal(run, signal, task.limits.sample_rate)
@@ -204,40 +242,27 @@ def _go_on_with_campaign(options: argparse.Namespace, missing: Sequence[str]) ->
     return OUT_OF_REACH if course.outcome is CampaignOutcome.OUT_OF_REACH else 0
 
 
-def _task(options: argparse.Namespace, missing: Sequence[str]) -> CampaignTask:
-    if len(missing) < len(_NEEDED) or not (options.keep / "campaign.json").exists():
-        if missing:
-            raise ValueError(f"a new campaign needs {', '.join(missing)} too")
-        return CampaignTask(_goal_of(options), _limits_of(options), options.model)
-    return read_task(options.keep)
-
-
-def _recordings(sources: Sequence[Path]) -> list[Recording]:
-    """All recordings of the bags, the oldest first."""
-    if not sources:
-        return []
-    listed, _ = find_recordings(sources)
-    found = [recording for entry in listed for recording in read_bag(entry.path)]
-    return sorted(found, key=lambda recording: recording.start_ns)
-
-
 def _go_on(course: CampaignCourse, waiting: Sequence[Recording]) -> None:
     """Identify from the runs so far, and add waiting recordings; those added before are skipped."""
-    waiting = [one for one in waiting if not _taken(course, one)]
+    remaining = [
+        one
+        for one in waiting
+        if not any(one.start_ns <= kept.start_ns < _end_ns(one) for _, kept in course.runs)
+    ]
     while course.outcome is None:
         if course.work is not None:
             course.conclude(find_step(*course.work))
-        elif course.next_run is None or not waiting:
+        elif course.next_run is None or not remaining:
             return
         else:
-            recording, waiting = waiting[0], waiting[1:]
-            _take(course, recording)
+            _take(course, course.next_run, remaining.pop(0))
 
 
-def _take(course: CampaignCourse, recording: Recording) -> None:
-    run = course.next_run
-    assert run is not None
-    refusal = ""
+def _end_ns(recording: Recording) -> int:
+    return recording.stamp_ns(recording.sample_count)
+
+
+def _take(course: CampaignCourse, run: PlannedRun, recording: Recording) -> None:
     try:
         refusal = course.take(cut_run(run, recording))
     except RunNotFoundError as missing:
@@ -250,33 +275,6 @@ def _take(course: CampaignCourse, recording: Recording) -> None:
             refusal = fault_of_run(made, recording) or course.take(recording, made)
     if refusal:
         print(f"run {course.number} is refused: {refusal}")
-
-
-def _taken(course: CampaignCourse, recording: Recording) -> bool:
-    """Whether a run was cut out of this recording before."""
-    end_ns = recording.stamp_ns(recording.sample_count)
-    return any(recording.start_ns <= kept.start_ns < end_ns for _, kept in course.runs)
-
-
-def _goal_of(options: argparse.Namespace) -> ForceGoal:
-    """The goal given by the options. Raises ValueError."""
-    return ForceGoal(options.error, tuple(options.velocity), tuple(options.current))
-
-
-def _limits_of(options: argparse.Namespace) -> MachineLimits:
-    """The limits of the machine. Raises ValueError."""
-    return MachineLimits(
-        amplitude=options.amplitude,
-        peak_velocity=options.top_velocity or options.velocity[1],
-        force=options.force,
-        current=options.current[1] if options.top_current is None else options.top_current,
-        duration=options.duration,
-        heat=options.heat,
-        frequency=tuple(options.frequency),
-        sample_rate=options.rate,
-        steps=not options.manual,
-        motions=motions_of(["sine"] if options.manual else options.motions),
-    )
 
 
 main = program(_parser, _plan)
