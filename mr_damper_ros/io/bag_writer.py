@@ -2,21 +2,19 @@
 
 A bag holds the same streams as a live rig publishes. Each block of samples has the recording time
 of its last sample, at which the block becomes available. The current has stamps on the clock of the
-samples. It is written at the start, at every change, at a fixed period in between, and at the end,
-so that it is known for the whole recording.
+samples. It is written at the start, at every change, and with every block, so that it is known for
+the whole recording.
 """
 
 from __future__ import annotations
 
-import heapq
 import os
 import tempfile
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Mapping
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 from rosbags.interfaces import (
     Qos,
     QosDurability,
@@ -38,16 +36,11 @@ from mr_damper_ros.io.bag_files import (
     BagError,
 )
 from mr_damper_ros.io.mcap_checksums import add_checksums
-from mr_damper_ros.signals.blocks import NANOSECONDS, STAMP_LIMIT
-from mr_damper_ros.signals.recording import Recording
+from mr_damper_ros.signals.blocks import NANOSECONDS, STAMP_LIMIT, SampleBlock
+from mr_damper_ros.signals.recording import CurrentReading, Recording, StreamItem, stream_of
 
 _FRAME = "damper"
 """Frame in the headers of all messages."""
-
-_CURRENT_PERIOD = 0.1
-"""Period [s] at which a constant current is written again."""
-
-_TEMPERATURE_PERIOD = 1.0
 
 _INFINITE = QosTime(9223372036, 854775807)
 
@@ -63,10 +56,6 @@ _STREAM_QUALITY = Qos(
     liveliness_lease_duration=_INFINITE,
     avoid_ros_namespace_conventions=False,
 )
-
-
-_Message = tuple[int, str, bytes]
-"""Time [ns], topic, and serialised message (CDR with its header)."""
 
 
 def _message_folder() -> Path:
@@ -166,19 +155,12 @@ def write_bag(
     topics = {MTS_TOPIC: SAMPLES_TYPE, CURRENT_TOPIC: CURRENT_TYPE}
     if recording.temperature is not None:
         topics[TEMPERATURE_TOPIC] = TEMPERATURE_TYPE
-    # At equal times, the current comes first, because it applies to the block.
-    messages = heapq.merge(
-        _current_messages(recording),
-        _temperature_messages(recording),
-        _sample_messages(recording, block_size),
-        key=lambda message: message[0],
-    )
     path.parent.mkdir(parents=True, exist_ok=True)
     with tempfile.TemporaryDirectory(prefix=f".{path.name}.", dir=path.parent) as folder:
         fresh = Path(folder) / path.name
         bag = BagStream(fresh, topics, {"name": recording.name, **recording.details})
-        for time_ns, topic, data in messages:
-            bag.write(topic, time_ns, data)
+        for item in stream_of(recording, block_size):
+            bag.write(*_message(item))
         bag.close()
         if path.exists():
             path.rename(Path(folder) / "replaced")
@@ -194,55 +176,26 @@ def _check_free(path: Path, overwrite: bool) -> None:
         raise BagError(f"{path} exists already: choose another name or ask to overwrite it")
 
 
-def _message(
-    topic: str, message_type: str, time_ns: int, stamp_ns: int, **fields: object
-) -> _Message:
+def _message(item: StreamItem) -> tuple[str, int, bytes]:
+    """Topic, recording time [ns] and serialised message of a block or a reading."""
+    if isinstance(item, SampleBlock):
+        topic, kind, stamp_ns = MTS_TOPIC, SAMPLES_TYPE, item.start_ns
+        time_ns = stamp_ns + round((item.sample_count - 1) * item.period * NANOSECONDS)
+        fields: dict[str, object] = {
+            "seq": item.sequence,
+            "period": item.period,
+            "displacement": item.displacement,
+            "force": item.force,
+        }
+    elif isinstance(item, CurrentReading):
+        topic, kind, stamp_ns = CURRENT_TOPIC, CURRENT_TYPE, item.stamp_ns
+        time_ns, fields = stamp_ns, {"current": item.current}
+    else:
+        topic, kind, stamp_ns = TEMPERATURE_TOPIC, TEMPERATURE_TYPE, item.stamp_ns
+        time_ns, fields = stamp_ns, {"temperature": item.celsius, "variance": 0.0}
     store = _typestore()
     seconds, nanoseconds = divmod(stamp_ns, NANOSECONDS)
-    header = store.types["std_msgs/msg/Header"](
-        stamp=store.types["builtin_interfaces/msg/Time"](sec=seconds, nanosec=nanoseconds),
-        frame_id=_FRAME,
-    )
-    message = store.types[message_type](header=header, **fields)
-    return time_ns, topic, bytes(store.serialize_cdr(message, message_type))
-
-
-def _sample_messages(recording: Recording, block_size: int) -> Iterator[_Message]:
-    for first in range(0, recording.sample_count, block_size):
-        displacement = recording.displacement[first : first + block_size]
-        yield _message(
-            MTS_TOPIC,
-            SAMPLES_TYPE,
-            recording.stamp_ns(first + displacement.size - 1),
-            recording.stamp_ns(first),
-            seq=first,
-            period=recording.period,
-            displacement=displacement,
-            force=recording.force[first : first + block_size],
-        )
-
-
-def _indices(recording: Recording, period: float, always: Iterable[int] = ()) -> list[int]:
-    """Indices of samples every ``period`` [s], of the last sample, and those of ``always``."""
-    step = max(round(period / recording.period), 1)
-    regular = range(0, recording.sample_count, step)
-    return sorted({*regular, *always, recording.sample_count - 1})
-
-
-def _current_messages(recording: Recording) -> Iterator[_Message]:
-    changes = (np.flatnonzero(np.diff(recording.current)) + 1).tolist()
-    for index in _indices(recording, _CURRENT_PERIOD, changes):
-        stamp = recording.stamp_ns(index)
-        current = float(recording.current[index])
-        yield _message(CURRENT_TOPIC, CURRENT_TYPE, stamp, stamp, current=current)
-
-
-def _temperature_messages(recording: Recording) -> Iterator[_Message]:
-    if recording.temperature is None:
-        return
-    for index in _indices(recording, _TEMPERATURE_PERIOD):
-        stamp = recording.stamp_ns(index)
-        celsius = float(recording.temperature[index])
-        yield _message(
-            TEMPERATURE_TOPIC, TEMPERATURE_TYPE, stamp, stamp, temperature=celsius, variance=0.0
-        )
+    stamp = store.types["builtin_interfaces/msg/Time"](sec=seconds, nanosec=nanoseconds)
+    header = store.types["std_msgs/msg/Header"](stamp=stamp, frame_id=_FRAME)
+    message = store.types[kind](header=header, **fields)
+    return topic, time_ns, bytes(store.serialize_cdr(message, kind))

@@ -125,7 +125,7 @@ class RunsOfFile:
         self._rows = find_runs(self._record)
         self._name = Path(path).name
         self.asks = "current" not in wanted.quantities
-        self.summaries = [str(run_summary(self._record, rows)) for rows in self._rows]
+        self.summaries = [run_summary(self._record, rows) for rows in self._rows]
         if not self._rows:
             raise RecordError(f"nothing moves in {self._name}: there is no run in it")
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
@@ -47,28 +46,6 @@ _STEADY = 0.7
 """Smallest fraction of a motion that its phases cover; otherwise the motion is one run."""
 
 
-@dataclass(frozen=True)
-class RunSummary:
-    """Description of a run: its start in the file, in words, and its loop.
-
-    ``duration`` [s]; ``amplitude`` [m] is half the span of the displacement; ``force`` [N] is half
-    the span of the central 99 % of the force; ``frequency`` [Hz] is half the number of strokes per
-    second.
-    """
-
-    begins: str
-    duration: float
-    amplitude: float
-    frequency: float
-    force: float
-
-    def __str__(self) -> str:
-        return (
-            f"{self.duration:.3g} s from {self.begins}, {1e3 * self.amplitude:.3g} mm, "
-            f"{self.frequency:.2g} Hz, ±{self.force:.3g} N"
-        )
-
-
 def find_runs(record: SampledRecord) -> list[slice]:
     """Rows of each run of a record, in order.
 
@@ -76,11 +53,14 @@ def find_runs(record: SampledRecord) -> list[slice]:
     rests for at least one second, and where a steady cycle changes its amplitude, frequency or
     force. Parts without motion are not runs.
     """
+    steps, usual = np.diff(record.time), _usual_step(record.time)
+    jumps = np.flatnonzero((steps <= 0.0) | (steps > GAP * usual)) + 1
+    length = max(round(_BLOCK / usual), 1)
     motions = [
         motion
-        for stretch in _stretches(record)
-        for level in _levels(record, stretch)
-        for motion in _motions(record, level)
+        for stretch in _between(jumps.tolist(), slice(0, record.time.size))
+        for level in _levels(record, stretch, length)
+        for motion in _motions(record, level, length)
     ]
     spans = [float(np.ptp(_position(record, motion))) for motion in motions]
     return [
@@ -91,19 +71,21 @@ def find_runs(record: SampledRecord) -> list[slice]:
     ]
 
 
-def run_summary(record: SampledRecord, rows: slice) -> RunSummary:
-    """Description of a run."""
+def run_summary(record: SampledRecord, rows: slice) -> str:
+    """Description of a run: its duration, its start in the file, and its loop.
+
+    The frequency is half the number of strokes per second, and the force is half the span of its
+    central 99 %.
+    """
     low, high = np.percentile(record.values["force"][rows], (0.5, 99.5))
     position = _position(record, rows)
     turns = _turns(position)
     period = _usual_step(record.time)
     strokes = (turns[-1] - turns[0]) * period / (len(turns) - 1) if len(turns) > 1 else np.inf
-    return RunSummary(
-        begins=record.place(rows.start),
-        duration=position.size * period,
-        amplitude=0.5 * float(np.ptp(position)),
-        frequency=0.5 / strokes,
-        force=0.5 * float(high - low),
+    return (
+        f"{position.size * period:.3g} s from {record.place(rows.start)}, "
+        f"{500.0 * float(np.ptp(position)):.3g} mm, {0.5 / strokes:.2g} Hz, "
+        f"±{0.5 * float(high - low):.3g} N"
     )
 
 
@@ -119,42 +101,28 @@ def _position(record: SampledRecord, rows: slice) -> Array:
     return integrated(record.values["velocity"][rows], _usual_step(record.time))
 
 
-def _stretches(record: SampledRecord) -> Iterator[slice]:
-    """Rows between jumps of the time."""
-    steps = np.diff(record.time)
-    jumps = np.flatnonzero((steps <= 0.0) | (steps > GAP * _usual_step(record.time))) + 1
-    yield from _between(jumps.tolist(), slice(0, record.time.size))
-
-
 def _between(cuts: list[int], rows: slice) -> Iterator[slice]:
     for first, last in pairwise([rows.start, *cuts, rows.stop]):
         if last - first > 1:
             yield slice(first, last)
 
 
-def _levels(record: SampledRecord, rows: slice) -> Iterator[slice]:
+def _levels(record: SampledRecord, rows: slice, length: int) -> Iterator[slice]:
     """Rows at one current; all rows without a measured current."""
     current = record.values.get("current")
-    if current is None:
-        yield rows
-        return
-    length = _block_length(record)
-    cuts, level = [], float(np.median(current[rows][:length]))
-    for first in range(rows.start, rows.stop, length):
-        block = float(np.median(current[first : min(first + length, rows.stop)]))
-        if abs(block - level) > _CURRENT_STEP:
-            cuts.append(first)
-            level = block
+    cuts: list[int] = []
+    if current is not None:
+        level = float(np.median(current[rows][:length]))
+        for first in range(rows.start, rows.stop, length):
+            block = float(np.median(current[first : min(first + length, rows.stop)]))
+            if abs(block - level) > _CURRENT_STEP:
+                cuts.append(first)
+                level = block
     yield from _between(cuts, rows)
 
 
-def _block_length(record: SampledRecord) -> int:
-    return max(round(_BLOCK / _usual_step(record.time)), 1)
-
-
-def _motions(record: SampledRecord, rows: slice) -> Iterator[slice]:
+def _motions(record: SampledRecord, rows: slice, length: int) -> Iterator[slice]:
     """Rows between rests of the rod."""
-    length = _block_length(record)
     position = _position(record, rows)
     count = position.size // length
     window = round(_REST / _BLOCK)
@@ -164,11 +132,10 @@ def _motions(record: SampledRecord, rows: slice) -> Iterator[slice]:
             yield rows
         return
     blocks = position[: count * length].reshape(count, length)
-    noise = white_noise(position)
-    still = max(_STILL * span, NOISE_SPAN * noise)
-    high = np.lib.stride_tricks.sliding_window_view(blocks.max(axis=1), window).max(axis=1)
-    low = np.lib.stride_tricks.sliding_window_view(blocks.min(axis=1), window).min(axis=1)
-    resting = np.convolve(high - low < still, np.ones(window)) > 0.0
+    still = max(_STILL * span, NOISE_SPAN * white_noise(position))
+    views = np.lib.stride_tricks.sliding_window_view(blocks, window, axis=0)
+    spans = views.max(axis=(1, 2)) - views.min(axis=(1, 2))
+    resting = np.convolve(spans < still, np.ones(window)) > 0.0
     strokes = max(len(_turns(position)) - 1, 1)
     least = _REST_OF_STROKE * (count - np.count_nonzero(resting)) / strokes
     for first, last, rests in _equal(resting):
