@@ -172,24 +172,7 @@ def _result(search: GlobalSearch, method: str, ending: Ending) -> GlobalFit:
         block = np.ix_(places, places)
         covariance[block], discrepancy[block] = _errors(search, misfit, places)
         errors[places] = np.sqrt(np.diag(covariance[block]))
-    speeds = np.concatenate([window.motion.peak_velocity for window in search.windows])
-    observable = np.isfinite(errors)
-    # Between the measured currents the law is arbitrary unless the data determine its current
-    # dependence.
-    known = search.windows if model.knows_currents(observable) else search.windows[-1:]
-    currents = np.concatenate([window.current for window in known])
-    parameter_set = ParameterSet(
-        values=best,
-        standard_errors=errors,
-        discrepancies=np.where(observable, np.sqrt(np.diag(discrepancy)), math.nan),
-        observable=observable,
-        set_id=method,
-        source=method,
-        peak_velocity_range=(float(np.quantile(speeds, 0.05)), float(np.quantile(speeds, 0.95))),
-        current_range=(float(currents.min()), float(currents.max())),
-        model=model.name,
-        largest_force=max(window.largest_force for window in search.windows),
-    )
+    parameter_set = set_of(search, errors, np.sqrt(np.diag(discrepancy)), method)
     errors_of_set = [error_of_set(parameter_set, [window]) for window in search.windows]
     return GlobalFit(
         parameter_set=replace(parameter_set, nrmse=pooled(errors_of_set).nrmse),
@@ -203,6 +186,28 @@ def _result(search: GlobalSearch, method: str, ending: Ending) -> GlobalFit:
         cost=misfit.mean_square(best),
         candidates=tuple(search.candidates),
         stopped=ending is Ending.STOPPED,
+    )
+
+
+def set_of(search: GlobalSearch, errors: Array, discrepancies: Array, name: str) -> ParameterSet:
+    """The best set of a search; ``errors`` and ``discrepancies`` (p,), NaN for held parameters."""
+    windows, observable = search.windows, np.isfinite(errors)
+    speeds = np.concatenate([window.motion.peak_velocity for window in windows])
+    # Between the measured currents the law is arbitrary unless the data determine its current
+    # dependence.
+    known = windows if search.model.knows_currents(observable) else windows[-1:]
+    currents = np.concatenate([window.current for window in known])
+    return ParameterSet(
+        values=search.best,
+        standard_errors=errors,
+        discrepancies=np.where(observable, discrepancies, math.nan),
+        observable=observable,
+        set_id=name,
+        source=name,
+        peak_velocity_range=(float(np.quantile(speeds, 0.05)), float(np.quantile(speeds, 0.95))),
+        current_range=(float(currents.min()), float(currents.max())),
+        model=search.model.name,
+        largest_force=max(window.largest_force for window in windows),
     )
 
 

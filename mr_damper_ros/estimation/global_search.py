@@ -159,7 +159,7 @@ _PIECE = 600
 """Total number of steps for a law with memory, and the length of a piece. A piece holds about three
 cycles, and the effect of the unknown past ends within the first."""
 
-_SEPARATE = 1e-4
+_SEPARATE = 1e-3
 """Relative decrease of the sum of squares below which the separate fit of a window ends."""
 
 _STAGE = "each run by itself"
@@ -272,6 +272,12 @@ class SeparateFits:
         self.noise = noise
         self.pooled = self._excerpts.misfit(noise, self._levels)
 
+    def share(self, other: SeparateFits, owners: Sequence[int]) -> None:
+        """Take over the fits and the noise of other windows, the ``owners`` of these by index."""
+        pairs = zip(other.fits, other._excerpts.owners, strict=True)
+        self.fits = [fit for fit, owner in pairs if owner in owners]
+        self.weigh(other.noise[list(owners)])
+
     def _fit(self, window: Window, start: Array) -> WindowFit:
         fit = fit_window(
             self._model,
@@ -344,7 +350,10 @@ def _table(fits: Sequence[WindowFit]) -> CoefficientTable:
         peak_velocity=np.array(speeds),
         current=np.array(currents),
         coefficients=np.array([fit.coefficients for fit in fits]),
-        errors=np.array([np.sqrt(np.diag(fit.coefficient_covariance)) for fit in fits]),
+        # Rounding makes the variance of a hardly determined coefficient negative.
+        errors=np.sqrt(
+            np.array([np.diag(fit.coefficient_covariance).clip(min=0.0) for fit in fits])
+        ),
     )
 
 
@@ -447,6 +456,7 @@ class GlobalSearch:
         # effect of a current that varies within a run are known only after a first search.
         self._again = bool(model.common_names) or any(map(current_varies, windows))
         self._evaluations = 0
+        self._tolerance = 0.0
         self.best = start
         self.exhausted = False
         self.shortcoming = ""
@@ -489,6 +499,24 @@ class GlobalSearch:
         others = [self._start, *self._separate.without_search(self._neutral)]
         self.best = min((self.best, *others), key=self.pooled.mean_square)
         self.free = self._told(self.pooled)
+
+    def refit(self, whole: GlobalSearch, owners: Sequence[int]) -> None:
+        """Fit the windows from the result of a finished search, without searching for starts.
+
+        Each window is a window of ``whole`` or a part of one, whose index is in ``owners``. Its
+        noise and its separate fits are reused. Raises StopRequestedError when the report stops the
+        search.
+        """
+        self._tolerance = _SEPARATE
+        self._separate.share(whole._separate, owners)
+        free = np.isin(self.model.parameter_names, list(self.free))
+        self.best = np.where(free, whole.best, self._prior().centre)
+        try:
+            self.best = self._rough(self.best, self.free)
+            self._finish()
+        except StopRequestedError:
+            self._stop()
+            raise
 
     def search(self, method: str) -> None:
         """Find the best set on the thinned windows."""
@@ -592,7 +620,6 @@ class GlobalSearch:
         if method == "differential_evolution":
             by_laws = self.pooled.mean_square(self.best)
             starts = {"all free parameters": self._evolve_samples()}
-        rough = self.model.effort
         found: list[Candidate] = []
         for origin, start in sorted(
             starts.items(), key=lambda item: self.pooled.mean_square(item[1])
@@ -600,13 +627,7 @@ class GlobalSearch:
             least = min((each.cost for each in found), default=math.inf)
             if not self.pooled.mean_square(start) < _HOPELESS * least:
                 continue
-            ended = self._least_squares(
-                self.pooled,
-                start,
-                self.free,
-                tolerance=rough.rough_tolerance,
-                most_steps=rough.rough_steps,
-            )
+            ended = self._rough(start, self.free)
             found.append(Candidate(origin, ended, self.pooled.mean_square(ended)))
         least = min(candidate.cost for candidate in found)
         cycles = any(holds_cycle(window.motion.displacement) for window in self.windows)
@@ -658,11 +679,12 @@ class GlobalSearch:
                     trial[places] = target[places]
                     linear = others.intersection(self.model.linear)
                     trial = adapted(self.model, self.windows, self.best, trial, linear)
-                    trial = self._most_probable(self.pooled, trial, others)
+                    # A few rough steps show whether the windows agree.
+                    trial = self._rough(trial, others)
                     left = self.pooled.mean_square(trial)
                     if not left <= _AS_GOOD * self.pooled.mean_square(self.best):
                         continue
-                    self.best = trial
+                    self.best = self._most_probable(self.pooled, trial, others)
                 held |= asked
         return held
 
@@ -722,6 +744,17 @@ class GlobalSearch:
         moved = self._least_squares(pooled, moved, inside, noise=noise)
         return min((moved, found), key=pooled.mean_square)
 
+    def _rough(self, start: Array, names: frozenset[str]) -> Array:
+        """The result (p,) of a few steps of least squares on the thinned windows."""
+        effort = self.model.effort
+        return self._least_squares(
+            self.pooled,
+            start,
+            names,
+            tolerance=effort.rough_tolerance,
+            most_steps=effort.rough_steps,
+        )
+
     def _least_squares(
         self,
         pooled: Misfit,
@@ -753,7 +786,8 @@ class GlobalSearch:
             else:
                 independent = residual.size / max(correlation_length(residual), 1)
                 search.least_squares(
-                    tolerance=tolerance or _MEANINGLESS / independent, most_steps=most_steps
+                    tolerance=tolerance or self._tolerance or _MEANINGLESS / independent,
+                    most_steps=most_steps,
                 )
         except StopRequestedError:
             ended = problem.parameters(search.best)

@@ -20,12 +20,15 @@ import numpy as np
 from mr_damper_ros.estimation.differential_evolution import (
     EvolutionSettings,
     GlobalProgress,
+    ProgressClock,
     Report,
 )
-from mr_damper_ros.estimation.global_fit import identify_global
+from mr_damper_ros.estimation.global_fit import set_of
+from mr_damper_ros.estimation.global_search import GlobalSearch
+from mr_damper_ros.estimation.local_search import StopRequestedError
 from mr_damper_ros.kinematics.window import Window
 from mr_damper_ros.models import MODELS
-from mr_damper_ros.models.parameter_set import known_model
+from mr_damper_ros.models.parameter_set import GLOBAL_SOURCE, known_model
 from mr_damper_ros.processes.process_pool import ProcessPool, Tell
 from mr_damper_ros.signals.arrays import Array
 
@@ -48,9 +51,13 @@ _SHORTEST_SEGMENT = 200
 
 @dataclass(frozen=True, eq=False)
 class Fold:
-    """Training windows, and the validation samples as slices of windows."""
+    """Training windows, and the validation samples as slices of windows.
+
+    ``owners``: index of the window that each training window is or is a part of.
+    """
 
     training: tuple[Window, ...]
+    owners: tuple[int, ...]
     judged: tuple[tuple[Window, slice], ...]
 
 
@@ -161,19 +168,16 @@ def cross_validate(
     comparison was stopped before any law was finished.
     """
     left_out, parts = folds(runs)
-    tasks = [
-        _Trial(known_model(name).name, fold, settings or EvolutionSettings())
-        for name in models
-        for fold in parts
-    ]
+    windows = tuple(window for run in runs for window in run)
+    asked = settings or EvolutionSettings()
+    tasks = [_Trial(known_model(name).name, windows, parts, asked) for name in models]
     follow = _told_to(report, len(tasks)) if report is not None else None
-    found = (processes or ProcessPool()).map(_left_out_error, tasks, follow)
-    trials = []
-    for place, name in enumerate(models):
-        errors = found[place * len(parts) : (place + 1) * len(parts)]
-        finished = [error for error in errors if error is not None and not math.isnan(error)]
-        if len(finished) == len(parts):
-            trials.append(LawTrial(name, np.array(finished)))
+    found = (processes or ProcessPool()).map(_left_out_errors, tasks, follow)
+    trials = [
+        LawTrial(name, errors)
+        for name, errors in zip(models, found, strict=True)
+        if errors is not None and not np.any(np.isnan(errors))
+    ]
     if not any(math.isfinite(trial.nrmse) for trial in trials):
         raise ValueError(
             "no law was compared: the comparison was stopped before the first was finished, or "
@@ -189,12 +193,13 @@ def folds(runs: Sequence[Sequence[Window]]) -> tuple[str, list[Fold]]:
 
     Raises ValueError if the runs are too few and too short.
     """
+    windows = [window for run in runs for window in run]
     motions = _motions(runs)
     if len(motions) >= FEWEST_FOLDS:
-        return "motions", _folds_of_groups(motions)
+        return "motions", _folds_of_groups(windows, motions)
     if len(runs) >= _FEWEST_RUNS:
-        return "runs", _folds_of_groups([[run] for run in runs])
-    return "segments", _folds_of_segments([window for run in runs for window in run])
+        return "runs", _folds_of_groups(windows, [[run] for run in runs])
+    return "segments", _folds_of_segments(windows)
 
 
 def _motions(runs: Sequence[Sequence[Window]]) -> list[list[Sequence[Window]]]:
@@ -213,19 +218,17 @@ def _speed(run: Sequence[Window]) -> float:
     return max(window.operating_point[0] for window in run)
 
 
-def _folds_of_groups(groups: Sequence[Sequence[Sequence[Window]]]) -> list[Fold]:
+def _folds_of_groups(
+    windows: Sequence[Window], groups: Sequence[Sequence[Sequence[Window]]]
+) -> list[Fold]:
     count = min(len(groups), MOST_FOLDS)
-    dealt = [
-        [window for group in groups[place::count] for run in group for window in run]
-        for place in range(count)
-    ]
-    return [
-        Fold(
-            training=tuple(w for other in dealt if other is not part for w in other),
-            judged=tuple((window, slice(None)) for window in part),
-        )
-        for part in dealt
-    ]
+    result = []
+    for place in range(count):
+        left_out = [window for group in groups[place::count] for run in group for window in run]
+        owners = tuple(k for k, w in enumerate(windows) if all(w is not out for out in left_out))
+        judged = tuple((window, slice(None)) for window in left_out)
+        result.append(Fold(tuple(windows[owner] for owner in owners), owners, judged))
+    return result
 
 
 def _folds_of_segments(windows: Sequence[Window]) -> list[Fold]:
@@ -241,41 +244,64 @@ def _folds_of_segments(windows: Sequence[Window]) -> list[Fold]:
     result = []
     for place in range(count):
         training: list[Window] = []
-        judged = []
-        for window in windows:
+        owners, judged = [], []
+        for owner, window in enumerate(windows):
             edges = np.linspace(0, window.sample_count, count + 1).astype(int).tolist()
             begin, end = edges[place], edges[place + 1]
-            if begin > 0:
-                training.append(window.part(slice(0, begin)))
-            if end < window.sample_count:
-                training.append(window.part(slice(end, None)))
+            sides = [slice(0, begin), slice(end, window.sample_count)]
+            parts = [window.part(side) for side in sides if side.stop > side.start]
+            training += parts
+            owners += [owner] * len(parts)
             judged.append((window, slice(begin, end)))
-        result.append(Fold(tuple(training), tuple(judged)))
+        result.append(Fold(tuple(training), tuple(owners), tuple(judged)))
     return result
 
 
 @dataclass(frozen=True, eq=False)
 class _Trial:
     model: str
-    fold: Fold
+    windows: tuple[Window, ...]
+    folds: Sequence[Fold]
     settings: EvolutionSettings
 
 
-def _left_out_error(trial: _Trial, tell: Tell) -> float:
-    """Validation NRMSE [1]; infinite if there is no fit, NaN if the fit was stopped."""
-    law, fold = MODELS[trial.model], trial.fold
+def _left_out_errors(trial: _Trial, tell: Tell) -> Array:
+    """Validation NRMSE [1] of each fold; infinite if there is no fit, NaN after a stop.
+
+    One search over all windows gives the start of each fold. The global minima of the folds are
+    close to it, so a fold only needs the local search.
+    """
+    law = MODELS[trial.model]
+    start = law.initial_values()[0]
+    done = 0
 
     def report(progress: GlobalProgress) -> bool:
-        return tell((trial.model, progress.generation / max(progress.generations, 1)))
+        part = progress.generation / max(progress.generations, 1)
+        return tell((trial.model, (done + part) / (1 + len(trial.folds))))
 
+    def search_of(windows: Sequence[Window]) -> GlobalSearch:
+        return GlobalSearch(law, windows, start, trial.settings, ProgressClock(1, report))
+
+    errors = []
     try:
-        start = law.initial_values()[0]
-        fit = identify_global(law, fold.training, start, trial.settings, report)
+        whole = search_of(trial.windows)
+        whole.search(GLOBAL_SOURCE)
+        for fold in trial.folds:
+            done += 1
+            search = search_of(fold.training)
+            search.refit(whole, fold.owners)
+            errors.append(_error_left_out(search, fold))
+    except StopRequestedError:
+        return np.full(len(trial.folds), math.nan)
     except ValueError:
-        return math.inf
-    if fit.stopped:
-        return math.nan
-    found = fit.parameter_set
+        return np.full(len(trial.folds), math.inf)
+    return np.array(errors)
+
+
+def _error_left_out(search: GlobalSearch, fold: Fold) -> float:
+    determined = np.isin(search.model.parameter_names, list(search.free))
+    errors = np.where(determined, 0.0, math.nan)
+    found = set_of(search, errors, errors, GLOBAL_SOURCE)
     squares = []
     for window, places in fold.judged:
         residual = (found.window_force(window) - window.force)[places]
