@@ -32,7 +32,7 @@ from multiprocessing.connection import Connection
 from typing import Any
 
 from mr_damper_ros.processes import child_process
-from mr_damper_ros.processes.blas_threads import keep_one_thread
+from mr_damper_ros.processes.blas_threads import keep_one_thread, one_thread
 
 _GRACE = 1.0
 """Seconds for a task to stop after it was asked to."""
@@ -513,7 +513,7 @@ class InlineWorker:
         return self._outcome is not None
 
     def submit(self, function: Callable[..., Any], *args: Any, budget: float = math.inf) -> int:
-        """Run ``function(*args, control)`` and return the task's number.
+        """Run ``function(*args, control)`` with one BLAS thread; returns the task's number.
 
         ``budget`` limits the wall-clock time in a worker process and has no effect here. An
         exception becomes a :class:`Failed`, as in a worker process. Raises RuntimeError while
@@ -525,7 +525,8 @@ class InlineWorker:
         control = Control(self._number, lambda message: None, set())
         began = time.process_time()
         try:
-            self._outcome = Done(self._number, function(*args, control))
+            with one_thread():
+                self._outcome = Done(self._number, function(*args, control))
         except Exception as error:
             self._outcome = Failed(self._number, f"{type(error).__name__}: {error}")
         self.processor_time += time.process_time() - began

@@ -12,6 +12,7 @@ from threadpoolctl import ThreadpoolController
 
 from mr_damper_ros.processes.blas_threads import one_thread
 from mr_damper_ros.processes.process_pool import LocalProcesses, ProcessPool
+from mr_damper_ros.processes.worker import Done, InlineWorker
 
 PATIENCE = 60.0
 """Seconds after which what is waited for will not come."""
@@ -55,6 +56,13 @@ def test_of_several_that_compute_the_last_gives_the_threads_back() -> None:
     assert pool_tasks.threads() == 1
     may_end.set()
     thread.join()
+    assert pool_tasks.threads() == 2
+
+
+def test_the_jobs_of_an_engine_have_one_thread() -> None:
+    worker = InlineWorker(lambda _: 0.0)
+    number = worker.submit(pool_tasks.threads, None)
+    assert worker.poll() == [Done(number, 1)]
     assert pool_tasks.threads() == 2
 
 
