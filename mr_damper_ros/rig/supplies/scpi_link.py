@@ -182,7 +182,9 @@ def connect(address: str, patience: Patience) -> ScpiLink:
     return SocketLink(match["host"], int(match["port"] or _PORT), patience)
 
 
-_YES = {"ON": True, "1": True, "OFF": False, "0": False}
+_SWITCH = {"ON": "1", "OFF": "0"}
+
+_DELAY, _WATCHDOG = "OUTP:PROT:WDOG:DEL", "OUTP:PROT:WDOG"
 
 
 class EmulatedInstrument:
@@ -198,14 +200,13 @@ class EmulatedInstrument:
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
         self._time_constant = time_constant
-        self._largest = largest_current
         self._clock = clock
         self._lock = threading.Lock()
         self._errors: deque[str] = deque()
-        self._set = 0.0
-        self._on = False
+        self._values = {"CURR": 0.0, "VOLT": 0.0, "VOLT:LIM": 0.0, _DELAY: 60.0}
+        self._values |= {"OUTP": 0.0, _WATCHDOG: 0.0}
+        self._ranges = {"CURR": (0.0, largest_current), _DELAY: (1e-3, 3600.0)}
         self._tripped = False
-        self._watched, self._delay = False, 60.0
         self._coil = 0.0
         self._at = self._received_at = clock()
 
@@ -220,7 +221,7 @@ class EmulatedInstrument:
         """Whether the output is off, by a command or by the watchdog."""
         with self._lock:
             self._advance(self._clock())
-            return not self._on or self._tripped
+            return self._tripped or not self._values["OUTP"]
 
     def process(self, line: str) -> str | None:
         """Process a line; returns the answer, None if there is none."""
@@ -228,56 +229,43 @@ class EmulatedInstrument:
             now = self._clock()
             self._advance(now)
             self._received_at = now
-            return self._obey(line.strip().upper())
-
-    def _obey(self, line: str) -> str | None:
-        command, _, argument = line.partition(" ")
-        if command.endswith("?"):
-            return self._answer(command)
-        if command in ("CURR", "VOLT", "VOLT:LIM", "OUTP:PROT:WDOG:DEL"):
-            self._set_number(command, argument)
-        elif command in ("OUTP", "OUTP:PROT:WDOG") and argument in _YES:
-            if command == "OUTP":
-                self._on = _YES[argument]
-            else:
-                self._watched = _YES[argument]
-        elif command == "OUTP:PROT:CLE":
-            self._tripped = False
-        elif command == "*CLS":
-            self._errors.clear()
-        elif (command, argument) != ("FUNC", "CURR"):
-            self._complain('-113,"Undefined header"')
-        return None
+            command, _, argument = line.strip().upper().partition(" ")
+            if command.endswith("?"):
+                return self._answer(command)
+            if command == "OUTP:PROT:CLE":
+                self._tripped = False
+            elif command == "*CLS":
+                self._errors.clear()
+            elif command in self._values:
+                self._set(command, _SWITCH.get(argument, argument))
+            elif (command, argument) != ("FUNC", "CURR"):
+                self._complain('-113,"Undefined header"')
+            return None
 
     def _answer(self, command: str) -> str | None:
         if command == "SYST:ERR?":
             return self._errors.popleft() if self._errors else '+0,"No error"'
         answers = {
             "*IDN?": "mr_damper_ros,emulated instrument,0,0",
-            "CURR?": f"{self._set:.4f}",
-            "OUTP?": str(int(self._on)),
+            "CURR?": f"{self._values['CURR']:.4f}",
+            "OUTP?": f"{self._values['OUTP']:.0f}",
             "MEAS:CURR?": f"{self._coil:.4E}",
         }
         if command not in answers:
             self._complain('-113,"Undefined header"')
         return answers.get(command)
 
-    def _set_number(self, command: str, argument: str) -> None:
+    def _set(self, command: str, argument: str) -> None:
+        low, high = self._ranges.get(command, (-math.inf, math.inf))
         try:
             value = float(argument)
         except ValueError:
             self._complain('-104,"Data type error"')
             return
-        if command == "CURR":
-            if not 0.0 <= value <= self._largest:
-                self._complain('-222,"Data out of range"')
-                return
-            self._set = value
-        elif command == "OUTP:PROT:WDOG:DEL":
-            if not 0.0 < value <= 3600.0:
-                self._complain('-222,"Data out of range"')
-                return
-            self._delay = value
+        if low <= value <= high:
+            self._values[command] = value
+        else:
+            self._complain('-222,"Data out of range"')
 
     def _complain(self, error: str) -> None:
         if len(self._errors) >= 10:  # the last entry of a full queue says that errors were lost
@@ -287,16 +275,16 @@ class EmulatedInstrument:
 
     def _advance(self, now: float) -> None:
         """Advance the coil current to ``now``, and trip the watchdog at its due time."""
-        due = self._received_at + self._delay
-        if self._on and self._watched and not self._tripped and now > due:
+        due = self._received_at + self._values[_DELAY]
+        if self._values["OUTP"] and self._values[_WATCHDOG] and not self._tripped and now > due:
             self._follow(due)
             self._tripped = True
         self._follow(now)
 
     def _follow(self, now: float) -> None:
-        wanted = self._set if self._on and not self._tripped else 0.0
+        target = 0.0 if self._tripped or not self._values["OUTP"] else self._values["CURR"]
         elapsed, self._at = max(now - self._at, 0.0), max(now, self._at)
-        self._coil = wanted + (self._coil - wanted) * math.exp(-elapsed / self._time_constant)
+        self._coil = target + (self._coil - target) * math.exp(-elapsed / self._time_constant)
 
 
 class EmulatedLink:

@@ -93,16 +93,16 @@ def read_profile(name: str) -> SupplyProfile:
 def _profile(content: Any, name: str) -> SupplyProfile:
     if not isinstance(content, dict):
         raise ProfileError(f"the profile '{name}' is not a table of names and lines")
-    kinds = {field.name: str(field.type) for field in fields(SupplyProfile)}
+    defaults = {field.name: field.default for field in fields(SupplyProfile)}
     values: dict[str, Any] = {}
     for key, value in content.items():
-        if key not in kinds:
+        if key not in defaults:
             raise ProfileError(
-                f"the profile '{name}' has '{key}', which is none of {', '.join(kinds)}"
+                f"the profile '{name}' has '{key}', which is none of {', '.join(defaults)}"
             )
-        if kinds[key].startswith("tuple"):
+        if isinstance(defaults[key], tuple):
             values[key] = tuple(map(str, value if isinstance(value, list) else [value]))
-        elif kinds[key] == "str":
+        elif not isinstance(defaults[key], float):
             values[key] = str(value)
         elif isinstance(value, bool) or not isinstance(value, (int, float)):
             raise ProfileError(f"'{key}' of the profile '{name}' must be a number [s]")
