@@ -132,14 +132,13 @@ class PageServer:
         command: Command = lambda *_: False,
         allowed_hosts: Collection[str] = (),
     ) -> None:
-        files = {path: ((PAGE / name).read_bytes(), kind) for path, (name, kind) in FILES.items()}
-        hosts = _own_names() | {_spelling(host)} | {host_of(name) for name in allowed_hosts}
-        page = _Page(record, title, tuple(commands), command, hosts, files)
-
-        class Handler(_Handler):
-            served = page
-
-        self._server = _Server((host, port), Handler)
+        self.record, self.title = record, title
+        self.commands, self.command = tuple(commands), command
+        self.hosts = _own_names() | {_spelling(host)} | {host_of(name) for name in allowed_hosts}
+        self.files = {
+            path: ((PAGE / name).read_bytes(), kind) for path, (name, kind) in FILES.items()
+        }
+        self._server = _Server((host, port), self)
         shown = socket.gethostname() if host in _ANY else f"[{host}]" if ":" in host else host
         self.address = f"http://{shown}:{self._server.server_address[1]}/"
         self._thread = threading.Thread(
@@ -155,18 +154,6 @@ class PageServer:
         self._thread.join()
 
 
-@dataclass(frozen=True)
-class _Page:
-    """Data that all connections share."""
-
-    record: LiveRecord
-    title: str
-    commands: tuple[str, ...]
-    command: Command
-    hosts: frozenset[str]
-    files: dict[str, tuple[bytes, str]]
-
-
 @dataclass
 class _Connection:
     """Address of a client, and the deadline [s] of its present action."""
@@ -180,10 +167,11 @@ class _Server(ThreadingHTTPServer):
     block_on_close = False
     request_queue_size = 32
 
-    def __init__(self, address: tuple[str, int], handler: type[BaseHTTPRequestHandler]) -> None:
+    def __init__(self, address: tuple[str, int], page: PageServer) -> None:
         self.address_family = socket.AF_INET6 if ":" in address[0] else socket.AF_INET
+        self.page = page
         self._open: dict[socket.socket, _Connection] = {}
-        super().__init__(address, handler)
+        super().__init__(address, _Handler)
 
     def server_bind(self) -> None:
         # The method of the base class looks up the host name, which is slow without a network.
@@ -240,7 +228,6 @@ class _Handler(BaseHTTPRequestHandler):
     protocol_version = default_request_version = "HTTP/1.1"
     disable_nagle_algorithm = True
     wbufsize = 1 << 16  # headers and body are sent together
-    served: _Page
     server: _Server
 
     def handle_one_request(self) -> None:
@@ -269,23 +256,24 @@ class _Handler(BaseHTTPRequestHandler):
             self._refuse(error.status, str(error))
 
     def _read(self, _: bytes) -> None:
-        path, query = self._target()
-        record = self.served.record
-        if path in self.served.files:
-            content, kind = self.served.files[path]
+        (path, query), page = self._target(), self.server.page
+        if path in page.files:
+            content, kind = page.files[path]
             self._answer(HTTPStatus.OK, content, kind)
         elif path == "/status":
             status = {
-                "title": self.served.title,
-                "commands": self.served.commands,
+                "title": page.title,
+                "commands": page.commands,
                 "verdicts": _VERDICTS,
-                **record.status(_number(query, "windows", 0), _number(query, "marks", 0)),
+                **page.record.status(_number(query, "windows", 0), _number(query, "marks", 0)),
             }
             content = json.dumps(status, separators=(",", ":"), allow_nan=False).encode()
             self._answer(HTTPStatus.OK, content, "application/json")
         elif path.startswith("/tables/"):
             name = path.removeprefix("/tables/")
-            rows = record.rows(name, _number(query, "after", -1), _number(query, "generation", -1))
+            rows = page.record.rows(
+                name, _number(query, "after", -1), _number(query, "generation", -1)
+            )
             if rows is None:
                 self._answer(HTTPStatus.NO_CONTENT)
                 return
@@ -300,19 +288,19 @@ class _Handler(BaseHTTPRequestHandler):
 
     def _take_command(self, body: bytes) -> None:
         self._check_origin()
-        (path, query), commands = self._target(), self.served.commands
+        (path, query), page = self._target(), self.server.page
         if path == "/seen":
-            self.served.record.acknowledge(_number({"fault": [body.decode("latin-1")]}, "fault", 0))
+            page.record.acknowledge(_number({"fault": [body.decode("latin-1")]}, "fault", 0))
             self._answer(HTTPStatus.NO_CONTENT)
             return
-        if path != "/command" or not commands:
+        if path != "/command" or not page.commands:
             raise _RequestError(
                 HTTPStatus.FORBIDDEN, "the page is read-only: allow_commands is not set"
             )
         name = body.decode("utf-8", "replace")
-        if name not in commands:
-            raise _bad(f"the commands are {', '.join(commands)}")
-        if not self.served.command(name, {key: values[0] for key, values in query.items()}):
+        if name not in page.commands:
+            raise _bad(f"the commands are {', '.join(page.commands)}")
+        if not page.command(name, {key: values[0] for key, values in query.items()}):
             raise _RequestError(HTTPStatus.SERVICE_UNAVAILABLE, "too many commands wait already")
         self._answer(HTTPStatus.ACCEPTED)
 
@@ -348,7 +336,9 @@ class _Handler(BaseHTTPRequestHandler):
         if len(hosts) != 1:
             raise _bad(f"a request has one Host, not {len(hosts)}")
         host = _host_in("Host", hosts[0])
-        if host not in self.served.hosts and host != _spelling(self.connection.getsockname()[0]):
+        if host not in self.server.page.hosts and host != _spelling(
+            self.connection.getsockname()[0]
+        ):
             raise _RequestError(
                 HTTPStatus.FORBIDDEN,
                 f"the page is not served as {host}: use localhost, or the name or address of "
