@@ -12,7 +12,6 @@ from __future__ import annotations
 import math
 from collections import deque
 from collections.abc import Iterable
-from itertools import islice
 from typing import NamedTuple
 
 import numpy as np
@@ -27,7 +26,7 @@ FADES = 0.05
 """Seconds until the difference has faded to zero. The force of a damper does not change faster, and
 half-cycles in use are not shorter."""
 
-_KEPT = 0.5
+_KEPT = 10.0 * FADES
 """Seconds of motion over which a state is recomputed: 280 time constants of the lags identified so
 far. The memory of a hysteresis fades with the distance travelled, so its law may need more."""
 
@@ -48,14 +47,6 @@ class _Block(NamedTuple):
     way: float
 
 
-class _Left(NamedTuple):
-    """The previous set, its branch rule, and the state of its law."""
-
-    parameters: ParameterSet
-    gradual: bool
-    state: State | None
-
-
 class ForceInUse:
     """Force of the set in use, for samples ``period`` [s] apart; :meth:`use` changes the set.
 
@@ -64,35 +55,30 @@ class ForceInUse:
 
     def __init__(self, period: float) -> None:
         self._period = period
-        self._parameters: ParameterSet | None = None
+        self.parameters: ParameterSet | None = None
+        """The set in use; None before the first."""
         self._gradual = False
         self.state: State | None = None
         # The recent blocks, their number of samples and distance travelled [m], and the number of
         # blocks since the force was last unknown.
         self._past: deque[_Block] = deque()
-        self._count, self._way = 0, 0.0
-        self._known = 0
+        self._count, self._way, self._known = 0, 0.0, 0
         # The distance [m] to keep, and the range of currents [A] for which it was computed.
-        self._way_kept = 0.0
-        self._way_of = (math.inf, -math.inf)
-        # The previous set, from whose force the next samples start.
-        self._left: _Left | None = None
+        self._way_kept, self._way_of = 0.0, (math.inf, -math.inf)
+        # The previous set, its branch rule and the state of its law: its force is where the next
+        # samples start.
+        self._left: tuple[ParameterSet, bool, State] | None = None
         # The initial difference [N], the samples until it is zero, and its contribution [N] to the
         # last samples.
         self._difference, self._fading = 0.0, 0
         self._part: Array = np.zeros(0)
 
     @property
-    def parameters(self) -> ParameterSet | None:
-        """The set in use; None before the first."""
-        return self._parameters
-
-    @property
     def remembers(self) -> bool:
         """Whether the force depends on samples before the last reversal of the motion."""
-        if self._parameters is None:
+        if self.parameters is None:
             return False
-        law = self._parameters.law_turning(gradual=self._gradual)
+        law = self.parameters.law_turning(gradual=self._gradual)
         return law.remembers or len(self.state or ()) > law.turning
 
     def use(
@@ -104,16 +90,15 @@ class ForceInUse:
         ``restart`` the state of the law is discarded and recomputed from the samples whose force
         was known.
         """
-        before = self._parameters
+        before = self.parameters
         if not fade:
             self._left, self._fading = None, 0
         elif self._left is None and before is not None and self.state is not None:
-            self._left = _Left(before, self._gradual, self.state)
-        self._parameters, self._gradual = parameters, gradual
+            self._left = before, self._gradual, self.state
+        self.parameters, self._gradual = parameters, gradual
         self._way_kept, self._way_of = 0.0, (math.inf, -math.inf)
         if restart:
-            spare = len(self._past) - self._known
-            self._recompute(None, islice(self._past, spare, None))
+            self._recompute(None, [*self._past][len(self._past) - self._known :])
         elif before is None or before.model != parameters.model:
             self._recompute(None, ())
         elif self._past and parameters.law.remembers:
@@ -135,10 +120,8 @@ class ForceInUse:
         self.state = state
         while blocks:
             several = [blocks.popleft()]
-            count = several[0].current.size
-            while blocks and count < _TOGETHER:
+            while blocks and sum(block.current.size for block in several) < _TOGETHER:
                 several.append(blocks.popleft())
-                count += several[-1].current.size
             motion = Motion.joined([block.motion for block in several])
             self._of_set(motion, np.concatenate([block.current for block in several]))
 
@@ -152,7 +135,9 @@ class ForceInUse:
         force = self._of_set(motion, current)
         left, self._left = self._left, None
         if left is not None:
-            went_on = self._first_force(left, motion, current)
+            before, gradual, state = left
+            first = motion.part(slice(0, 1)), current[:1], self._period
+            went_on = float(before.follow(*first, state, gradual=gradual)[0][0])
             still = self._difference * self._fading * self._period / FADES
             self._difference = went_on + still - float(force[0])
             usable = math.isfinite(went_on) and not abs(went_on) > largest
@@ -186,24 +171,13 @@ class ForceInUse:
             wrong,
         )
 
-    def _first_force(self, left: _Left, motion: Motion, current: Array) -> float:
-        """Force [N] of the previous set at the first of the samples."""
-        force, _ = left.parameters.follow(
-            motion.part(slice(0, 1)), current[:1], self._period, left.state, gradual=left.gradual
-        )
-        return float(force[0])
-
     def _of_set(self, motion: Motion, current: Array) -> Array:
-        assert self._parameters is not None
-        force, state = self._parameters.follow(
-            motion, current, self._period, self.state, gradual=self._gradual
+        """Force of the set at the next samples, which are kept as far as they are needed."""
+        parameters, before, way = self.parameters, self.state, 0.0
+        assert parameters is not None
+        force, self.state = parameters.follow(
+            motion, current, self._period, before, gradual=self._gradual
         )
-        self._keep(self._parameters, motion, current)
-        self.state = state
-        return force
-
-    def _keep(self, parameters: ParameterSet, motion: Motion, current: Array) -> None:
-        way = 0.0
         if parameters.law.remembers:
             way = float(np.abs(motion.velocity).sum()) * self._period
             # The longest memory at all currents so far, because they may return.
@@ -214,15 +188,15 @@ class ForceInUse:
                     length = parameters.law.memory_length(parameters.values, amperes)
                     self._way_kept = max(self._way_kept, length)
             self._way_of = min(low, lowest), max(high, highest)
-        self._past.append(_Block(self.state, motion, current, way))
+        self._past.append(_Block(before, motion, current, way))
         self._count += current.size
         self._way += way
-        self._known += 1
         while self._is_spare(self._past[0]):
             oldest = self._past.popleft()
             self._count -= oldest.current.size
             self._way -= oldest.way
-        self._known = min(self._known, len(self._past))
+        self._known = min(self._known + 1, len(self._past))
+        return force
 
     def _is_spare(self, oldest: _Block) -> bool:
         """Whether the blocks after the oldest suffice to recompute the state."""

@@ -13,6 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from mr_damper_ros.signals.arrays import Array
+from mr_damper_ros.tracking.acceptance import CHUNKS
 
 SLACK = 0.5
 """Smallest slack: half the smallest shift to detect, in standard deviations of a typical block."""
@@ -28,8 +29,6 @@ false alarms are rarer.
 
 _EXCURSION = 2.0
 """The threshold is at least this multiple of the largest sum in the fitted window itself."""
-
-_BLOCKS_PER_WINDOW = 40
 
 
 @dataclass(frozen=True)
@@ -73,7 +72,7 @@ class ChangeWatch:
         residual = measured - predicted
         noise = math.sqrt(float(np.mean(residual**2)))
         level = math.sqrt(float(np.mean(predicted**2)))
-        block = max(predicted.size // _BLOCKS_PER_WINDOW, 1)
+        block = max(predicted.size // CHUNKS, 1)
         fresh = cls(
             # A simulated force has no noise, and the noise must not be zero.
             noise=max(noise, 1e-6 * level, 1e-100),

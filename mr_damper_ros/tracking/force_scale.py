@@ -35,9 +35,6 @@ from mr_damper_ros.tracking.operating_point import (
     nearest_same,
 )
 
-_MOST_POWER = 1e100
-"""Sum of squared forces [N²] that no damper reaches, and whose square does not overflow."""
-
 _ALIKE = 0.5
 """Smallest correlation with the baseline's force at which a force scale is computed."""
 
@@ -204,11 +201,10 @@ def scale_between(
 
 def _alike(one: Array, other: Array) -> bool:
     """Whether two forces (n,) [N] are roughly proportional; another damper's force is not."""
-    power = float(one @ one)
-    product = float(one @ other)
-    if not (0.0 < power < _MOST_POWER and product > 0.0):
-        return False
-    return product**2 > _ALIKE**2 * power * float(other @ other)
+    with np.errstate(over="ignore", invalid="ignore"):
+        sizes = np.linalg.norm(one) * np.linalg.norm(other)
+        usable = bool(sizes > 0.0 and np.square(one @ one) < math.inf)
+        return usable and bool(one @ other > _ALIKE * sizes)
 
 
 _FEWEST_WINDOWS = 8

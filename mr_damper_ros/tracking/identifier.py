@@ -89,17 +89,6 @@ class Publication:
 Event = Publication | SearchProgress | SearchEnded
 
 
-@dataclass(eq=False)
-class _Running:
-    """The job in the worker, its task number there, and its search (None for a window)."""
-
-    number: int
-    job: Job
-    search: Search | None
-    overtaken: bool = False
-    """Whether the set from which the job started is no longer in use."""
-
-
 class Identifier:
     """Identifies from samples, supply current and temperature; returns reports and sets."""
 
@@ -120,8 +109,13 @@ class Identifier:
         self._settings = settings
         self._windows: deque[RawWindow] = deque()
         self._searches: deque[Search] = deque()
-        self._running: _Running | None = None
+        # The job in the worker, its task number there, and its search (None for a window).
+        self._job: Job | None = None
+        self._number = 0
+        self._search: Search | None = None
         self._given_up: list[Event] = []
+        # Whether the set from which the job started is no longer in use.
+        self._overtaken = False
         self._outbox: Outbox[Publication] = Outbox(DISK_PATIENCE)
         self._late = 0
 
@@ -133,9 +127,9 @@ class Identifier:
     @property
     def running(self) -> str:
         """The kind of the running job: "fit", "search", or "" for none."""
-        if self._running is None:
+        if self._job is None:
             return ""
-        return "fit" if self._running.search is None else "search"
+        return "fit" if self._search is None else "search"
 
     def add_block(self, block: SampleBlock) -> list[str]:
         """Add samples; returns messages on gaps, repeats and other faults of the sequence."""
@@ -173,7 +167,7 @@ class Identifier:
 
     def cancel_search(self, search: Search) -> None:
         """End a search early, with the best result so far; its end is reported as an event."""
-        if self._running is not None and self._running.search is search:
+        if self._job is not None and self._search is search:
             self.worker.cancel()
         elif search in self._searches:
             self._searches.remove(search)
@@ -183,53 +177,51 @@ class Identifier:
         """Return the events since the last call. Never blocks."""
         events, self._given_up = self._given_up, []
         for told in self.worker.poll():
-            running = self._running
-            if running is None or running.number != told.task:
+            if self._job is None or self._number != told.task:
                 continue
-            if isinstance(told, Progress):
-                if running.search is not None:
-                    events.append(SearchProgress(running.search, told.value))
-                continue
-            self._running = None
-            outcome = (
-                Outcome(Judgement(Verdict.FAILED, told.reason))
-                if isinstance(told, Failed)
-                else told.result
-            )
-            events += self._end(running, outcome)
+            if not isinstance(told, Progress):
+                events += self._end(
+                    Outcome(Judgement(Verdict.FAILED, told.reason))
+                    if isinstance(told, Failed)
+                    else told.result
+                )
+            elif self._search is not None:
+                events.append(SearchProgress(self._search, told.value))
         self._next()
-        return [*self._outbox.take(self.state.written), *events]
+        return [*self._outbox.take(self.state.progress[1]), *events]
 
-    def _end(self, ended: _Running, outcome: Outcome) -> list[Event]:
+    def _end(self, outcome: Outcome) -> list[Event]:
         """Let the tracker judge an outcome, unless the job was superseded by another set."""
-        search = ended.search
-        if ended.overtaken:
+        job, search, before = self._job, self._search, self.tracker.parameters
+        assert job is not None
+        self._job = self._search = None
+        if self._overtaken:
             return [] if search is None else [SearchEnded(search)]
-        before = self.tracker.parameters
-        report = self.tracker.complete(ended.job, outcome)
+        report = self.tracker.complete(job, outcome)
         if report is not None:
-            if report.global_due and not ended.job.samples.look:
+            if report.global_due and not job.samples.look:
                 self._searches.append(Search())
             self.last_report = report
             found = None if self.tracker.parameters is before else self.tracker.parameters
             if found is not None:
                 self.state.keep()
-            self._outbox.add(Publication(report, outcome.duration, found), self.state.given)
+            self._outbox.add(Publication(report, outcome.duration, found), self.state.progress[0])
         return [] if search is None else [SearchEnded(search, outcome, report)]
 
     def _next(self) -> None:
-        if self._running is not None:
+        if self._job is not None:
             return
-        budgets, search = self._settings, None
         if self._searches:
-            search = self._searches.popleft()
-            job = self.tracker.search(search.settings, asked=search.settings is not None)
-            budget = budgets.search_time_budget
+            self._search = search = self._searches.popleft()
+            self._job = self.tracker.search(search.settings, asked=search.settings is not None)
+            budget = self._settings.search_time_budget
         elif self._windows:
-            job, budget = self.tracker.job_of(self._windows.popleft()), budgets.fit_time_budget
+            self._job = self.tracker.job_of(self._windows.popleft())
+            budget = self._settings.fit_time_budget
         else:
             return
-        self._running = _Running(self.worker.submit(run, job, budget=budget), job, search)
+        self._overtaken = False
+        self._number = self.worker.submit(run, self._job, budget=budget)
 
     def take_notices(self) -> list[str]:
         """Return messages on faults of worker and disk since the last call."""
@@ -263,15 +255,15 @@ class Identifier:
 
         The window in the worker is fitted again, starting from this set.
         """
-        if self._running is not None and self._running.search is None:
-            self._windows.appendleft(self._running.job.samples)
+        if self._job is not None and self._job.raw is not None:
+            self._windows.appendleft(self._job.raw)
         self._overtake()
         self.tracker.replace(parameters)
         return self.state.keep_now()
 
     def _overtake(self) -> None:
-        if self._running is not None:
-            self._running.overtaken = True
+        if self._job is not None:
+            self._overtaken = True
             self.worker.cancel()
 
     def close(self) -> None:

@@ -47,7 +47,13 @@ from mr_damper_ros.tracking.acceptance import (
 )
 from mr_damper_ros.tracking.cusum import ChangeWatch, change_point, fit_scale
 from mr_damper_ros.tracking.force_scale import baseline_at, force_scale, with_strength
-from mr_damper_ros.tracking.operating_point import Kept, KnownForce, nearest_same, thinned_to_keep
+from mr_damper_ros.tracking.operating_point import (
+    MOST_SAMPLES,
+    Kept,
+    KnownForce,
+    nearest_same,
+    thinned_to_keep,
+)
 from mr_damper_ros.tracking.recursive_tracker import METHOD, FilterState, RecursiveFilter
 from mr_damper_ros.tracking.reports import Report
 from mr_damper_ros.tracking.running_set import (
@@ -82,9 +88,6 @@ _FEWEST_SAMPLES = 64
 _LEAST_SPEED = 0.2
 """A part counts as an operating point if it has at least this many samples, and an RMS speed of at
 least this fraction of the window's."""
-
-_MOST_SAMPLES = 250
-"""Largest number of samples of a part that its own fit uses."""
 
 _AS_WELL = 1.25
 _BESIDES = 0.01
@@ -534,7 +537,7 @@ def _edges(current: Array, tolerance: float) -> Array:
 
 def judge_parts(window: Window, parts: Sequence[Window], found: ParameterSet) -> PartsByCurrent:
     """Compare the errors of one set in the parts of a window with those of separate fits."""
-    few = [found.held(part.thinned(_MOST_SAMPLES)) for part in parts]
+    few = [found.held(part.thinned(MOST_SAMPLES // 2)) for part in parts]
     own = [fit_window(found.law, part, found.values, method="least_squares") for part in few]
     alone = _pooled([fit.rmse for fit in own], parts)
     together = _pooled([error_of_set(found, [part]).rmse for part in few], parts)

@@ -34,8 +34,7 @@ _COMPARABLE = (4.0, 2.0)
 half, and 0.1 A. In random motion the peak velocity varies by as much from window to window; with a
 tighter tolerance every window would be a new point."""
 
-_MOST_SAMPLES = 500
-_FEWEST_SAMPLES = 125
+MOST_SAMPLES = 500
 MOST_WINDOWS = 100
 """At most this many windows are kept, one per operating point, thinned to this many samples."""
 
@@ -88,10 +87,11 @@ class Kept(NamedTuple):
 def thinned_to_keep(window: Window, *, with_past: bool, parts: int = 1) -> Kept:
     """A window thinned to a few hundred samples, to be kept.
 
-    If the window is one of several ``parts``, fewer samples are kept. The motion between the
-    samples is kept only with ``with_past``; a law without memory does not need it.
+    If the window is one of several ``parts``, fewer samples are kept, at least a quarter. The
+    motion between the samples is kept only with ``with_past``; a law without memory does not need
+    it.
     """
-    few = window.thinned(max(_MOST_SAMPLES // parts, _FEWEST_SAMPLES))
+    few = window.thinned(MOST_SAMPLES // min(parts, 4))
     kept = few if with_past else Window(few.motion, few.force, few.current)
     return Kept(kept, window.operating_point)
 

@@ -19,11 +19,10 @@ LARGEST_FORCE = 1e7
 LARGEST_CURRENT = 50.0
 """Largest plausible coil current [A]; larger values are probably in milliamperes."""
 
-_CLIPPED_PART = 0.02
-_CLIPPED_RUN = 8
+_CLIPPED = 0.02
+"""Fraction of the samples that a clipped signal has at its extreme, in stays of several samples."""
 
 _STUCK_PART = 0.05
-_STUCK_WAY = 0.05
 """A force is stuck if it is constant to the last bit for this fraction of a window without a break,
 while the motion reverses and returns by this fraction of its span."""
 
@@ -43,9 +42,8 @@ _MOVING_FORCE = 0.3
 """A force that spans more than this fraction of the largest known force belongs to a motion."""
 
 _APPROACH = 8
-_SHORTEST_APPROACH = 2
 """The approach to an extreme is measured over a quarter of the stay there, in two halves. A half is
-this fraction (1/8) of the stay, and at least this number of samples."""
+one in this many samples of the stay, at least two. A shorter stay is none."""
 
 _EVEN_SPEED = 0.37
 """The signal arrives at speed if more than this fraction of the approach lies in the second half.
@@ -222,7 +220,7 @@ def _is_stuck(displacement: Array, force: Array) -> bool:
         float(np.min(np.abs(stretch[[0, -1]] - extreme)))
         for extreme in (stretch.max(), stretch.min())
     )
-    return way_back > _STUCK_WAY * float(np.ptp(displacement))
+    return way_back > _STUCK_PART * float(np.ptp(displacement))
 
 
 def _mean_frequency(values: Array) -> float:
@@ -245,9 +243,9 @@ def _is_clipped(array: Array) -> bool:
     finest = float(np.min(steps[steps > 0.0], initial=np.inf))
     for extreme in (array.max(), array.min()):
         at_extreme = array == extreme
-        if at_extreme.mean() < _CLIPPED_PART:
+        if at_extreme.mean() < _CLIPPED:
             continue
-        stays = [run for run in _runs(at_extreme) if run.stop - run.start >= _CLIPPED_RUN]
+        stays = [run for run in _runs(at_extreme) if run.stop - run.start >= _APPROACH]
         if stays and _arrives_at_speed(np.abs(array - extreme), stays, finest):
             return True
     return False
@@ -260,7 +258,7 @@ def _arrives_at_speed(below: Array, stays: list[slice], finest: float) -> bool:
     """
     near, far, count = 0.0, 0.0, 0
     for stay in stays:
-        reach = max((stay.stop - stay.start) // _APPROACH, _SHORTEST_APPROACH)
+        reach = max((stay.stop - stay.start) // _APPROACH, 2)
         for edge, way in ((stay.start - 1, -1), (stay.stop, 1)):
             if 0 <= edge + way * 2 * reach < below.size:
                 near += float(below[edge + way * reach])

@@ -35,9 +35,6 @@ T = TypeVar("T")
 _DATA = "float64"
 """Key of an array's doubles (little endian, base64); the shape has a key of its own."""
 
-_STAMP_LIMIT = 2**63
-"""Stamps [ns] have 64 bits."""
-
 
 def to_text(memory: TrackerMemory) -> str:
     """The memory as one line of text; :func:`from_text` reads it back exactly."""
@@ -180,69 +177,68 @@ def check(memory: TrackerMemory, model: Model) -> TrackerMemory:
 
 
 def _soundness(memory: TrackerMemory, parameter_count: int) -> Iterator[tuple[bool, str]]:
-    watch, state = memory.watch, memory.state
+    watch, state, records = memory.watch, memory.state, memory.points.records
     counts = (
         *(memory.windows, memory.accepted, memory.accepted_since_global),
         *(memory.searched_points, memory.motion.windows, memory.global_patience - 1),
         *(memory.unexplained_windows, memory.unexplained_patience, memory.refused_for_residual),
     )
     yield min(counts) >= 0, "a negative count"
-    yield abs(memory.changed_ns) < _STAMP_LIMIT, "such a stamp"
+    stamps = [memory.changed_ns, *(scale.start_ns for scale in memory.scales)]
+    stamps += [scale.end_ns for scale in memory.scales]
+    stamps += [number for record in records for number in (record.stamp_ns, record.number)]
+    stamps += [] if state is None else [state.stamp_ns]
+    yield max(map(abs, stamps)) <= np.iinfo(np.int64).max, "such a stamp"
     for residual in memory.residuals:
-        sound = len(residual) in (2, 4) and all(map(math.isfinite, residual))
+        sound = len(residual) in (2, 4) and _finite(*residual)
         yield sound and min(residual[:3]) >= 0.0, "such a residual"
     yield 0.0 <= memory.level < math.inf, "such a level of the force"
-    points = []
-    for record in memory.points.records:
-        points.append(record.point)
-        yield from _record_soundness(record, parameter_count)
     for scale in memory.scales:
-        yield max(abs(scale.start_ns), abs(scale.end_ns)) < _STAMP_LIMIT, "such a stamp"
-        numbers = [scale.value, scale.standard_error]
-        yield all(map(math.isfinite, numbers)) and scale.standard_error > 0.0, "such a force scale"
+        sound = _finite(scale.value, scale.standard_error) and scale.standard_error > 0.0
+        yield sound, "such a force scale"
+    points = [record.point for record in records]
     if state is not None:
         yield _square(state.scales, state.covariance), "such a covariance"
-        yield bool(np.all(np.isfinite(state.scales))), "a value that is not finite"
-        yield abs(state.stamp_ns) < _STAMP_LIMIT, "such a stamp"
+        yield _finite(*state.scales), "a value that is not finite"
         points.append(state.operating_point)
     if watch is not None:
         points.append(watch.operating_point)
         sizes = (watch.noise, watch.block_norm, watch.smallest_change, watch.threshold)
-        yield min(sizes) > 0.0 and watch.block > 0, "such a watch for changes"
         sums = (watch.rising, watch.falling, watch.top, watch.rising_samples, watch.falling_samples)
-        yield min(sums) >= 0 and all(map(math.isfinite, (*sizes, *sums))), "such a sum"
-    yield all(map(math.isfinite, [x for point in points for x in point])), "such a point"
+        yield min(*sizes, watch.block) > 0.0 and _finite(*sizes), "such a watch for changes"
+        yield min(sums) >= 0 and _finite(*sums), "such a sum"
+    yield _finite(*(number for point in points for number in point)), "such a point"
+    for record in records:
+        yield from _record_soundness(record, parameter_count)
 
 
 def _record_soundness(record: PointRecord, parameter_count: int) -> Iterator[tuple[bool, str]]:
-    yield max(abs(record.stamp_ns), abs(record.number)) < _STAMP_LIMIT, "such a stamp"
     seen, force, fit = record.temperatures, record.force, record.baseline
-    yield seen.ndim == 2 and seen.shape[1] == 3, "such a temperature history"
-    yield can_be_seen(seen), "such a temperature or force scale"
+    sound = seen.ndim == 2 and seen.shape[1] == 3 and can_be_seen(seen)
+    yield sound, "such a temperature or force scale"
     if force is not None:
         sizes = (force.peak_velocity, force.size, force.largest)
-        sound = min(sizes) > 0.0 and all(map(math.isfinite, (*sizes, force.current)))
-        yield sound, "such a known force"
+        yield min(sizes) > 0.0 and _finite(*sizes, force.current), "such a known force"
     if fit is not None:
         yield fit.parameters.shape == (parameter_count,), "another number of parameters"
-        yield _square(fit.scales, fit.covariance), "such a covariance"
-        yield _square(fit.coefficients, fit.coefficient_covariance), "such a covariance"
         for vector, matrix in (
+            (fit.scales, fit.covariance),
             (fit.scales, fit.discrepancy),
+            (fit.coefficients, fit.coefficient_covariance),
             (fit.coefficients, fit.coefficient_discrepancy),
         ):
-            yield matrix is None or _square(vector, matrix), "such a discrepancy"
-        for array in (fit.parameters, fit.scales, fit.coefficients, np.array(fit.operating_point)):
+            yield matrix is None or _square(vector, matrix), "such a covariance"
+        for array in (fit.parameters, fit.scales, fit.coefficients, fit.operating_point):
             yield bool(np.all(np.isfinite(array))), "a value that is not finite"
     if record.window is not None:
         yield from _window_soundness(record.window)
 
 
 def _window_soundness(window: Window) -> Iterator[tuple[bool, str]]:
-    motion = window.motion
-    yield window.force.ndim == 1 and window.force.size > 0, "a window without samples"
+    motion, shape = window.motion, window.force.shape
+    yield len(shape) == 1 and window.force.size > 0, "a window without samples"
     for array in (motion.displacement, motion.velocity, motion.acceleration, motion.peak_velocity):
-        yield array.shape == window.force.shape, "a window of unequal lengths"
+        yield array.shape == shape, "a window of unequal lengths"
         yield bool(np.all(np.isfinite(array))), "a motion that is not finite"
     yield bool(np.all(motion.peak_velocity >= 0.0)), "a negative speed"
     yield math.isnan(window.period) or 0.0 < window.period < math.inf, "such a period"
@@ -253,9 +249,13 @@ def _window_soundness(window: Window) -> Iterator[tuple[bool, str]]:
         yield whole is None, "a part of a window without its places"
     else:
         last = math.inf if whole is None else whole.sample_count - 1
-        yield places.shape == window.force.shape, "a window of unequal lengths"
+        yield places.shape == shape, "a window of unequal lengths"
         yield bool(np.all((places >= 0.0) & (places <= last))), "such a place"
         yield whole is not None or window.steady, "a part without the whole"
+
+
+def _finite(*values: float) -> bool:
+    return all(map(math.isfinite, values))
 
 
 def _square(vector: np.ndarray, matrix: np.ndarray) -> bool:
@@ -269,7 +269,10 @@ DISK_PATIENCE = 1.0
 
 
 class TrackerState:
-    """Stores a tracker's state under its own name, in the folder of the user's stored sets."""
+    """Stores a tracker's state under its own name, in the folder of the user's stored sets.
+
+    ``set_aside`` is a message about unusable files that were set aside; empty once acknowledged.
+    """
 
     def __init__(self, tracker: WindowTracker, directory: StateDirectory, name: str) -> None:
         self._tracker = tracker
@@ -277,7 +280,7 @@ class TrackerState:
         self._name = name
         self._lock: FolderLock | None = None
         self._writer: BackgroundWriter[tuple[ParameterSet, TrackerMemory]] | None = None
-        self._set_aside = ""
+        self.set_aside = ""
 
     @property
     def path(self) -> Path | None:
@@ -290,19 +293,9 @@ class TrackerState:
         return self._writer.fault if self._writer else ""
 
     @property
-    def set_aside(self) -> str:
-        """Message about unusable files that were set aside; empty once acknowledged."""
-        return self._set_aside
-
-    @property
-    def given(self) -> int:
-        """Number of the newest state given to the writer."""
-        return self._writer.given if self._writer else 0
-
-    @property
-    def written(self) -> int:
-        """Number of the newest state that was written or failed, as were all states before."""
-        return self._writer.done if self._writer else 0
+    def progress(self) -> tuple[int, int]:
+        """Numbers of the newest state given to the writer, and of the newest written or failed."""
+        return (self._writer.given, self._writer.done) if self._writer else (0, 0)
 
     def resume(self) -> str:
         """Continue from the stored state of this name, and store the state from now on.
@@ -314,9 +307,8 @@ class TrackerState:
         if not self._directory.keeps:
             return ""
         self._lock = self._directory.lock(self._name)
-        unread = self._directory.unread_asides(self._name)
-        if unread:
-            self._set_aside = "what could not be used at an earlier start was set aside as " + (
+        if unread := self._directory.unread_asides(self._name):
+            self.set_aside = "what could not be used at an earlier start was set aside as " + (
                 ", ".join(map(str, unread))
             )
         is_kept = self._directory.file(self._name).exists()
@@ -362,7 +354,7 @@ class TrackerState:
             why += f"; set aside as {self._directory.set_aside(self._name)}"
         except StateError as error:
             why += f"; {error}"
-        self._set_aside = "; ".join(filter(None, (why, self._set_aside)))
+        self.set_aside = "; ".join(filter(None, (why, self.set_aside)))
 
     def acknowledge(self) -> str:
         """Acknowledge the files set aside, so that they are no longer reported.
@@ -372,7 +364,7 @@ class TrackerState:
         """
         if self._directory.keeps:
             self._directory.mark_asides_read(self._name)
-        taken, self._set_aside = self._set_aside, ""
+        taken, self.set_aside = self.set_aside, ""
         return taken
 
     def keep(self) -> None:

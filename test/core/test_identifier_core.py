@@ -27,6 +27,10 @@ class StateByHand:
         self.fault = ""
         self.path = None
 
+    @property
+    def progress(self) -> tuple[int, int]:
+        return self.given, self.written
+
     def keep(self) -> None:
         self.given += 1
 
