@@ -71,7 +71,8 @@ def _car_travel(seed: int) -> Excitation:
     """Suspension stroke of a quarter car with a passive damper on a road of class B."""
     car = QuarterCar()
     # The damper's force opposes the travel: F = c v.
-    dynamics = car.dynamics + 1200.0 * np.outer(car.by_force, car.plant.velocity)
+    plant = car.plant
+    dynamics = plant.dynamics + 1200.0 * np.outer(plant.by_force, plant.velocity)
     grid = _FINE * np.arange(round(DURATION / _FINE) + 1, dtype=np.float64)
     forcing = np.outer(IsoRoad("B", 15.0, seed).at(grid), car.plant.by_input)
     states = _simulated(dynamics, forcing, _FINE)

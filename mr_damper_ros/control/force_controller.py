@@ -203,13 +203,6 @@ class ForceControlSettings(CheckedSettings):
         return command
 
 
-class Demand(NamedTuple):
-    """A desired force [N] and its stamp [ns]."""
-
-    stamp_ns: int
-    force: float
-
-
 @dataclass(frozen=True, eq=False)
 class Command:
     """Supply command ``current`` [A]; it tracks the desired force only without a ``doubt``.
@@ -256,7 +249,8 @@ class ForceController:
         command. After sending a command, the caller lets the predictor catch up.
         """
         self._feedback = ForceFeedback(settings.feedback)
-        self._demand: Demand | None = None
+        # Stamp [ns] and value [N] of the desired force.
+        self._demand: tuple[int, float] | None = None
         self._inverse: _Inverse | None = None
         # The inverted set, whether its reversals are gradual, and the extension of its range [A].
         self._inverted: tuple[ParameterSet, bool, float] | None = None
@@ -302,7 +296,7 @@ class ForceController:
         """Set the desired force [N]; returns an objection, empty if the force is usable."""
         if not math.isfinite(force):
             return f"the desired force is {force}: it must be a finite number"
-        self._demand = Demand(stamp_ns, force)
+        self._demand = stamp_ns, force
         return ""
 
     def command(self, block: SampleBlock, now_ns: int | None = None) -> Command:
@@ -311,7 +305,7 @@ class ForceController:
         duration = block.sample_count * block.period
         self._take_set_in_use()
         doubt = self._doubt(prediction, block.end_ns)
-        wanted = math.nan if self._demand is None else self._demand.force
+        wanted = math.nan if self._demand is None else self._demand[1]
         at_once = doubt.kind in _AT_ONCE or bool(self._unusable)
         self._probe.follow(duration, doubt, self._last_was_unknown)
         self._last_was_unknown = False
@@ -320,12 +314,18 @@ class ForceController:
         assert self._inverse is not None
         self._feedback.follow(block.force, duration)
         horizon = max(duration, self.settings.horizon)
-        now = _Now.after(prediction, self.predictor.memory)
-        aim = self._inverse.aim(now, wanted * self._feedback.factor, self._wanted, horizon)
+        assert prediction.motion is not None
+        sample, memory = MotionSample.of(prediction.motion, -1), self.predictor.memory
+        aim = self._inverse.aim(
+            sample, memory, wanted * self._feedback.factor, self._wanted, horizon
+        )
         self._wanted = self._fallback.towards(aim.current, duration)
         attainable = aim.attainable and self._wanted == aim.current
         self._feedback.expect(wanted if attainable else math.nan)
-        command = self._inverse.drive(now, self._wanted, self._commanded, horizon, duration)
+        supplied = float(np.asarray(prediction.current).flat[-1])
+        coil = self._inverse.coil_current(memory, supplied)
+        command = coil_command(self._wanted, coil, horizon, self._inverse.time_constant)
+        command = self._inverse.limits.limited(command, self._commanded, duration)
         self._commanded = self._fallback.within_reach(command)
         self._last_was_unknown = aim.unknown
         return Command(
@@ -385,7 +385,7 @@ class ForceController:
             return Doubt(
                 DoubtKind.MISSING, "no desired force yet: is it published on damper/desired_force?"
             )
-        age = (end_ns - self._demand.stamp_ns) / NANOSECONDS
+        age = (end_ns - self._demand[0]) / NANOSECONDS
         if abs(age) > self.settings.demand_timeout:
             return Doubt(
                 DoubtKind.OUTDATED,
@@ -407,23 +407,6 @@ class _Aim(NamedTuple):
     force: float
     attainable: bool
     unknown: bool
-
-
-class _Now(NamedTuple):
-    """The last sample of the motion, the state of the law after it, and the supply current [A]."""
-
-    sample: MotionSample
-    memory: State | None
-    supplied: float
-
-    @classmethod
-    def after(cls, prediction: Prediction, memory: State | None) -> _Now:
-        """The motion, state and current after a valid prediction."""
-        motion, current = prediction.motion, prediction.current
-        assert motion is not None
-        assert current is not None
-        supplied = current if isinstance(current, float) else float(current[-1])
-        return cls(MotionSample.of(motion, -1), memory, supplied)
 
 
 class _Inverse:
@@ -448,24 +431,31 @@ class _Inverse:
             )
         self._ends_early = high < settings.highest_current
         self._model = InverseModel(parameters, low, high, gradual_reversal=gradual)
-        self._time_constant = coil_time_constant(parameters)
+        self.time_constant = coil_time_constant(parameters)
         # The limits also hold while the coil is driven: outside the identified range, no force is
         # valid.
-        self._limits = replace(settings, lowest_current=low, highest_current=high)
+        self.limits = replace(settings, lowest_current=low, highest_current=high)
         self._lowest, self.highest = low, high
         self._deadband = settings.force_deadband
 
-    def aim(self, now: _Now, wanted: float, last: float | None, horizon: float) -> _Aim:
+    def aim(
+        self,
+        sample: MotionSample,
+        memory: State | None,
+        wanted: float,
+        last: float | None,
+        horizon: float,
+    ) -> _Aim:
         """The coil current for a desired force [N] within the ``horizon`` [s].
 
-        ``last`` [A] is the previous coil current, None without one.
+        ``sample`` is the last one of the motion, ``memory`` the state of the law after it, and
+        ``last`` [A] the previous coil current, None without one.
         """
-        ahead = horizon if self._time_constant > 0.0 else 0.5 * horizon
+        ahead = horizon if self.time_constant > 0.0 else 0.5 * horizon
         responses = []
         for part in _MOMENTS:
             later = part * ahead
-            sample = now.sample.moved_on(later)
-            responses.append(self._model.at(sample, period=later, state=now.memory))
+            responses.append(self._model.at(sample.moved_on(later), period=later, state=memory))
         found = self._model.current(responses[_MIDDLE], wanted, last)
         currents = found.current, self._lowest, self._lowest if last is None else last
         # Just before a reversal, a current that fits one moment is far off at another, and the coil
@@ -488,15 +478,8 @@ class _Inverse:
         unknown = self._ends_early and more and not found.attainable
         return _Aim(currents[best], forces[best][_MIDDLE], met, unknown)
 
-    def drive(
-        self, now: _Now, wanted: float, before: float, horizon: float, duration: float
-    ) -> float:
-        """Supply command [A] that drives the coil to ``wanted`` [A] within ``horizon`` [s].
-
-        ``before`` [A] is the previous command, ``duration`` [s] the time since then.
-        """
-        coil = now.supplied
-        if self._time_constant > 0.0 and now.memory is not None:
-            coil = float(now.memory[-1])
-        command = coil_command(wanted, coil, horizon, self._time_constant)
-        return self._limits.limited(command, before, duration)
+    def coil_current(self, memory: State | None, supplied: float) -> float:
+        """The present current [A] in the coil, when the supply gives ``supplied`` [A]."""
+        if self.time_constant > 0.0 and memory is not None:
+            return float(memory[-1])
+        return supplied

@@ -12,6 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from mr_damper_ros.settings.option_table import CheckedSettings, option
 from mr_damper_ros.signals.arrays import Array
 
 
@@ -90,37 +91,28 @@ _LONGEST, _SHORTEST = 0.01, 4.0
 
 
 @dataclass(frozen=True)
-class QuarterCar:
-    """Masses of ``body`` and ``wheel`` [kg], stiffnesses of ``spring`` and ``tyre`` [N/m]."""
+class QuarterCar(CheckedSettings):
+    """A body on a wheel on a road."""
 
-    body: float = 400.0
-    wheel: float = 50.0
-    spring: float = 20e3
-    tyre: float = 250e3
-
-    @property
-    def dynamics(self) -> Array:
-        """State matrix (4, 4)."""
-        return np.array(
-            [
-                [0.0, 1.0, 0.0, -1.0],
-                [-self.spring / self.body, 0.0, 0.0, 0.0],
-                [0.0, 0.0, 0.0, 1.0],
-                [self.spring / self.wheel, 0.0, -self.tyre / self.wheel, 0.0],
-            ]
-        )
-
-    @property
-    def by_force(self) -> Array:
-        """Input vector (4,) of the damper force, tension positive."""
-        return np.array([0.0, -1.0 / self.body, 0.0, 1.0 / self.wheel])
+    body: float = option(400.0, "Mass [kg] above the spring.", minimum=1e-3, maximum=1e6)
+    wheel: float = option(50.0, "Mass [kg] of the wheel.", minimum=1e-3, maximum=1e6)
+    spring: float = option(20e3, "Stiffness [N/m] of the spring.", minimum=1.0, maximum=1e9)
+    tyre: float = option(250e3, "Stiffness [N/m] of the tyre.", minimum=1.0, maximum=1e9)
 
     @property
     def plant(self) -> LinearPlant:
         """The car with the velocity of the road [m/s] as its input."""
+        body, wheel, spring, tyre = self.body, self.wheel, self.spring, self.tyre
         return LinearPlant(
-            self.dynamics,
-            self.by_force,
+            dynamics=np.array(
+                [
+                    [0.0, 1.0, 0.0, -1.0],
+                    [-spring / body, 0.0, 0.0, 0.0],
+                    [0.0, 0.0, 0.0, 1.0],
+                    [spring / wheel, 0.0, -tyre / wheel, 0.0],
+                ]
+            ),
+            by_force=np.array([0.0, -1.0 / body, 0.0, 1.0 / wheel]),
             by_input=np.array([0.0, 0.0, -1.0, 0.0]),
             displacement=np.array([1.0, 0.0, 0.0, 0.0]),
             velocity=np.array([0.0, 1.0, 0.0, -1.0]),

@@ -15,7 +15,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from importlib import import_module
-from typing import NamedTuple
+from typing import Any
 
 import numpy as np
 
@@ -109,36 +109,10 @@ def linear_feedback(gain: Array) -> Controller:
     )
 
 
-class Weights(NamedTuple):
-    """Weights of squared body acceleration, suspension stroke, tyre deflection and force."""
-
-    acceleration: float = 1.0
-    apart: float = 1e3
-    tyre: float = 1e4
-    force: float = 1e-9
-
-
-def optimal_gain(car: QuarterCar, weights: Weights) -> Array:
-    """Gain (4,) of the linear-quadratic regulator of a car, for :func:`linear_feedback`.
-
-    See :mod:`mr_damper_ros.control.semi_active`. An estimator, where the states are not
-    measured, does not change the gain (separation principle).
-    """
-    # The body acceleration is the derivative of the second state and depends on the force.
-    outputs = np.stack([car.dynamics[1], np.eye(4)[0], np.eye(4)[2]])
-    direct = np.array([car.by_force[1], 0.0, 0.0])
-    squares = np.array([weights.acceleration, weights.apart, weights.tyre])
-    return regulator_gain(car.plant, outputs, direct, squares, weights.force)
-
-
 @dataclass(frozen=True)
-class OptimalSettings(CheckedSettings):
-    """Car and weights of ``controller: optimal``."""
+class Weights(CheckedSettings):
+    """Weights of the cost of the linear-quadratic regulator of a car."""
 
-    body: float = option(400.0, "Mass [kg] above the spring.", minimum=1e-3, maximum=1e6)
-    wheel: float = option(50.0, "Mass [kg] of the wheel.", minimum=1e-3, maximum=1e6)
-    spring: float = option(20e3, "Stiffness [N/m] of the spring.", minimum=1.0, maximum=1e9)
-    tyre: float = option(250e3, "Stiffness [N/m] of the tyre.", minimum=1.0, maximum=1e9)
     weight_acceleration: float = option(
         1.0, "Weight of the squared body acceleration.", minimum=0.0, maximum=1e12
     )
@@ -149,6 +123,28 @@ class OptimalSettings(CheckedSettings):
         1e4, "Weight of the squared tyre deflection.", minimum=0.0, maximum=1e12
     )
     weight_force: float = option(1e-9, "Weight of the squared force.", minimum=1e-15, maximum=1e6)
+
+
+def optimal_gain(car: QuarterCar, weights: Weights) -> Array:
+    """Gain (4,) of the linear-quadratic regulator of a car, for :func:`linear_feedback`.
+
+    See :mod:`mr_damper_ros.control.semi_active`. An estimator, where the states are not
+    measured, does not change the gain (separation principle).
+    """
+    plant = car.plant
+    # The body acceleration is the derivative of the second state and depends on the force.
+    outputs = np.stack([plant.dynamics[1], np.eye(4)[0], np.eye(4)[2]])
+    direct = np.array([plant.by_force[1], 0.0, 0.0])
+    squares = np.array([weights.weight_acceleration, weights.weight_travel, weights.weight_tyre])
+    return regulator_gain(plant, outputs, direct, squares, weights.weight_force)
+
+
+@dataclass(frozen=True)
+class OptimalSettings(CheckedSettings):
+    """Car and weights of ``controller: optimal``."""
+
+    car: QuarterCar = group(QuarterCar, flat=True)
+    weights: Weights = group(Weights, flat=True)
 
 
 @dataclass(frozen=True)
@@ -189,22 +185,10 @@ class SuspensionSettings(CheckedSettings):
 
 
 def controller_of(settings: SuspensionSettings) -> Controller:
-    """The controller that is meant.
-
-    Raises ValueError where one's own cannot be found, in a sentence.
-    """
+    """The controller of these settings; raises ValueError if one's own cannot be found."""
     if settings.function:
         return _own(settings.function)
     return _CONTROLLERS[settings.controller](settings)
-
-
-def _optimal(settings: SuspensionSettings) -> Controller:
-    given = settings.optimal
-    car = QuarterCar(given.body, given.wheel, given.spring, given.tyre)
-    weights = Weights(
-        given.weight_acceleration, given.weight_travel, given.weight_tyre, given.weight_force
-    )
-    return linear_feedback(optimal_gain(car, weights))
 
 
 _CONTROLLERS: dict[str, Callable[[SuspensionSettings], Controller]] = {
@@ -214,7 +198,9 @@ _CONTROLLERS: dict[str, Callable[[SuspensionSettings], Controller]] = {
     "hybrid": lambda given: hybrid(given.damping, given.share),
     "add": lambda given: acceleration_driven(given.low, given.high),
     "sh_add": lambda given: mixed_skyhook_add(given.low, given.high, given.crossover),
-    "optimal": _optimal,
+    "optimal": lambda given: linear_feedback(
+        optimal_gain(given.optimal.car, given.optimal.weights)
+    ),
 }
 
 
@@ -226,15 +212,14 @@ def _own(place: str) -> Controller:
             f"function is {place!r}: write it as module:function, such as mine:comfort"
         )
     try:
-        found = getattr(import_module(module), name)
+        found: Any = getattr(import_module(module), name, None)
     except ImportError as error:
         raise ValueError(
             f"function is {place}, and the module cannot be imported ({error}): is its folder on "
             "PYTHONPATH?"
         ) from error
-    except AttributeError as error:
-        raise ValueError(f"function is {place}, but {module} has no {name}") from error
     if not callable(found):
-        raise ValueError(f"function is {place}, which is not a function")
+        what = f"but {module} has no {name}" if found is None else "which is not a function"
+        raise ValueError(f"function is {place}, {what}")
     controller: Controller = found
     return controller

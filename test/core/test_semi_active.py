@@ -84,7 +84,7 @@ def test_the_car_moves_as_its_equations_say() -> None:
     for _ in range(200):
         state = car.step(120.0, 0.1)
     run = solve_ivp(
-        lambda _, x: CAR.dynamics @ x + 120.0 * CAR.by_force + 0.1 * CAR.plant.by_input,
+        lambda _, x: CAR.plant.dynamics @ x + 120.0 * CAR.plant.by_force + 0.1 * CAR.plant.by_input,
         (0.0, 0.2),
         np.zeros(4),
         rtol=1e-9,
