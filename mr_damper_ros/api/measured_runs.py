@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
-from itertools import combinations, pairwise
+from itertools import combinations
 from pathlib import Path
 
 import numpy as np
@@ -210,19 +210,6 @@ _MOST = 3
 """Largest number of runs, or pairs of runs, that a remark names."""
 
 
-@dataclass(frozen=True, eq=False)
-class _Cycles:
-    """Peak velocity [m/s], current [A] and loop height [N] of the cycles of a run, shape (n,)."""
-
-    speed: Array
-    current: Array
-    height: Array
-
-    def fast(self) -> _Cycles:
-        chosen = self.speed >= _FULL_SPEED * self.speed.max(initial=0.0)
-        return _Cycles(self.speed[chosen], self.current[chosen], self.height[chosen])
-
-
 def remarks_on(runs: Sequence[MeasuredRun]) -> tuple[str, ...]:
     """Possible problems of the runs, their currents and the processing of their forces."""
     return (
@@ -238,13 +225,11 @@ def _averages(runs: Sequence[MeasuredRun]) -> list[str]:
     named = [f"{name} ({count} samples)" for name, count in counts.items() if count > 1]
     if not named:
         return []
-    listed = ", ".join(named[:_MOST]) + (
-        f" and {len(named) - _MOST} more runs" if len(named) > _MOST else ""
-    )
+    more = f" and {len(named) - _MOST} more runs" if len(named) > _MOST else ""
     return [
-        f"a moving average shows in the force of {listed}: no law holds between averages of a fast "
-        "motion; import_record --undo-moving-average N brings back what was averaged, where the "
-        "record begins at rest"
+        f"a moving average shows in the force of {', '.join(named[:_MOST])}{more}: no law holds "
+        "between averages of a fast motion; import_record --undo-moving-average N brings back what "
+        "was averaged, where the record begins at rest"
     ]
 
 
@@ -254,21 +239,29 @@ def doubts_of_currents(runs: Sequence[MeasuredRun]) -> list[str]:
     The force increases with the current. At equal current and speed, it changes only with the
     temperature.
     """
-    fast = [_cycles(run.windows).fast() for run in runs]
-    doubts = [text for run, cycles in zip(runs, fast, strict=True) for text in _within(run, cycles)]
-    known = [(run, cycles) for run, cycles in zip(runs, fast, strict=True) if cycles.speed.size]
-    pairs = [text for one, two in combinations(known, 2) for text in _between(*one, *two)]
+    tables = [_fast_cycles(run.windows) for run in runs]
+    doubts = [text for run, table in zip(runs, tables, strict=True) for text in _within(run, table)]
+    middles = [
+        (run.name, *np.median(table, axis=0).tolist())
+        for run, table in zip(runs, tables, strict=True)
+        if len(table)
+    ]
+    pairs = [text for one, two in combinations(middles, 2) for text in _between(*one, *two)]
     if len(pairs) > _MOST:
         pairs = [*pairs[:_MOST], f"{len(pairs) - _MOST} more pairs of runs contradict each other"]
     return doubts + pairs
 
 
-def _cycles(windows: Sequence[Window]) -> _Cycles:
+def _fast_cycles(windows: Sequence[Window]) -> Array:
+    """Peak velocity [m/s], current [A] and loop height [N] of the fastest cycles, shape (n, 3)."""
     found = []
     for window in windows:
         velocity = window.motion.velocity
-        strokes = _strokes(velocity)
-        for (first, _), (_, last) in pairwise(strokes):
+        # A stroke begins where the velocity exceeds a fraction of its peak in a new direction.
+        moving = np.flatnonzero(np.abs(velocity) > _TURNED * float(np.max(np.abs(velocity))))
+        turns = moving[1:][np.diff(np.sign(velocity[moving])) != 0.0]
+        strokes = [int(moving[0]), *turns.tolist(), int(moving[-1]) + 1]
+        for first, last in zip(strokes, strokes[2:], strict=False):
             cycle = slice(first, last)
             current = window.current[cycle]
             if float(np.ptp(current)) <= _SAME_CURRENT:
@@ -276,46 +269,36 @@ def _cycles(windows: Sequence[Window]) -> _Cycles:
                 height = 0.5 * float(np.ptp(window.force[cycle]))
                 found.append((speed, float(np.mean(current)), height))
     table = np.array(found).reshape(-1, 3)
-    return _Cycles(table[:, 0], table[:, 1], table[:, 2])
+    return table[table[:, 0] >= _FULL_SPEED * table[:, 0].max(initial=0.0)]
 
 
-def _strokes(velocity: Array) -> list[tuple[int, int]]:
-    """First index and last index + 1 of each stroke of the motion."""
-    limit = _TURNED * float(np.max(np.abs(velocity)))
-    moving = np.flatnonzero(np.abs(velocity) > limit)
-    turns = moving[1:][np.diff(np.sign(velocity[moving])) != 0.0]
-    return list(pairwise([int(moving[0]), *turns.tolist(), int(moving[-1]) + 1]))
-
-
-def _within(run: MeasuredRun, cycles: _Cycles) -> list[str]:
-    """Remarks on different loop heights at one current.
+def _within(run: MeasuredRun, table: Array) -> list[str]:
+    """A remark on different loop heights at one current.
 
     Each height needs two cycles, so that a single disturbance causes no remark.
     """
-    doubts = []
-    for current in np.unique(np.round(cycles.current / _SAME_CURRENT)) * _SAME_CURRENT:
-        heights = np.sort(cycles.height[np.abs(cycles.current - current) <= _SAME_CURRENT])
+    _, currents, every = table.T
+    for current in np.unique(np.round(currents / _SAME_CURRENT)) * _SAME_CURRENT:
+        heights = np.sort(every[np.abs(currents - current) <= _SAME_CURRENT])
         if heights.size >= 4 and heights[-2] > _CONTRADICTING * heights[1]:
-            doubts.append(
+            return [
                 f"{run.name}: at {current:.3g} A and the same speed the force reaches "
                 f"{heights[1]:.3g} N in some cycles and {heights[-2]:.3g} N in others: does the "
                 "record hold several currents? (import_record --split cuts it into its runs)"
-            )
-    return doubts[:1]
+            ]
+    return []
 
 
-def _between(one: MeasuredRun, a: _Cycles, two: MeasuredRun, b: _Cycles) -> list[str]:
-    speeds = float(np.median(a.speed)), float(np.median(b.speed))
-    if max(speeds) - min(speeds) > _SAME_SPEED * max(speeds):
-        return []
-    currents = float(np.median(a.current)), float(np.median(b.current))
-    heights = float(np.median(a.height)), float(np.median(b.height))
-    ratio = heights[0] / heights[1] if currents[0] < currents[1] else heights[1] / heights[0]
-    if abs(currents[0] - currents[1]) <= _SAME_CURRENT:
-        ratio = max(heights) / min(heights)
-    if ratio <= _CONTRADICTING:
+def _between(
+    one: str, v1: float, i1: float, f1: float, two: str, v2: float, i2: float, f2: float
+) -> list[str]:
+    """A remark on two runs of equal speed with contradicting currents [A] and forces [N]."""
+    ratio = f1 / f2 if i1 < i2 else f2 / f1
+    if abs(i1 - i2) <= _SAME_CURRENT:
+        ratio = max(f1, f2) / min(f1, f2)
+    if abs(v1 - v2) > _SAME_SPEED * max(v1, v2) or ratio <= _CONTRADICTING:
         return []
     return [
-        f"{one.name} and {two.name}: the force reaches {heights[0]:.3g} N at {currents[0]:.3g} A "
-        f"and {heights[1]:.3g} N at {currents[1]:.3g} A, at the same speed: is a current wrong?"
+        f"{one} and {two}: the force reaches {f1:.3g} N at {i1:.3g} A and {f2:.3g} N at {i2:.3g} "
+        "A, at the same speed: is a current wrong?"
     ]

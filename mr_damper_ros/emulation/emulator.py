@@ -16,7 +16,7 @@ from typing import Protocol
 import numpy as np
 
 from mr_damper_ros.control.inverse_model import in_coil
-from mr_damper_ros.emulation.faults import Fault, Samples, Stage, changed, moved
+from mr_damper_ros.emulation.faults import Fault, Samples, changed, moved
 from mr_damper_ros.emulation.motions import Excitation, is_sine
 from mr_damper_ros.kinematics.motion import Motion
 from mr_damper_ros.kinematics.peak_velocity import MEMORY, PeakVelocity, peak_velocity
@@ -385,11 +385,11 @@ class EmulatedRig(MeasuredRig):
             else self._peak.follow(velocity, acceleration)
         )
         motion = Motion(centred, velocity, acceleration, v_m, sine=None)
-        fed = changed(self._faults, Stage.COIL, Samples(time, current, period, kinematics))
+        fed = changed(self._faults, "coil", Samples(time, current, period, kinematics))
         coil = coil_current(fed, self._coil, period, self._before)
         self._before = fed[-1], coil[-1]
         force = self._damper.force(motion, coil, self._celsius, period)
-        true_force = changed(self._faults, Stage.FORCE, Samples(time, force, period, kinematics))
+        true_force = changed(self._faults, "force", Samples(time, force, period, kinematics))
         celsius = np.full(count, self._celsius)
         self._power[part] = true_force * velocity
         self._made += count

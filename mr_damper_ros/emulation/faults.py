@@ -11,8 +11,7 @@ import re
 from collections.abc import Callable, Sequence
 from copy import deepcopy
 from dataclasses import dataclass, replace
-from enum import Enum, auto
-from typing import Any, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 
@@ -37,38 +36,23 @@ class FaultError(ValueError):
     """An invalid fault; the message says what to change."""
 
 
-class Stage(Enum):
-    """The stage at which a fault acts.
+Stage = Literal["motion", "coil", "force", "channel", "block", "delivery", "label"]
+"""The stage at which a fault acts. Its function receives the fault and:
 
-    The function of the fault receives the fault and the object named here.
-    """
-
-    MOTION = auto()
-    """An :class:`Excitation`, the motion of the machine; returns another excitation."""
-
-    COIL = auto()
-    """:class:`Samples` of the current [A] in the coil; returns other values (n,)."""
-
-    FORCE = auto()
-    """:class:`Samples` of the force [N] between rod and load cell; returns other values (n,)."""
-
-    CHANNEL = auto()
-    """:class:`Samples` of one instrument; returns what it shows instead (n,)."""
-
-    BLOCK = auto()
-    """A :class:`RigBlock`, for faults of several channels; returns another block."""
-
-    DELIVERY = auto()
-    """A block to be sent; returns the list of blocks to send now."""
-
-    LABEL = auto()
-    """A block; returns it with the stamp, the period and the number to send."""
+- motion: an :class:`Excitation`, the motion of the machine; returns another excitation;
+- coil, force: :class:`Samples` of the current [A] in the coil, or of the force [N] between rod and
+  load cell; returns other values (n,);
+- channel: :class:`Samples` of one instrument; returns what it shows instead (n,);
+- block: a :class:`RigBlock`, for faults of several channels; returns another block;
+- delivery: a block to be sent; returns the list of blocks to send now;
+- label: a block; returns it with the stamp, the period and the number to send.
+"""
 
 
 class Samples(NamedTuple):
     """``values`` (n,) at ``time`` (n,) [s] with sample ``period`` [s].
 
-    ``motion``: the true motion, except for :attr:`Stage.CHANNEL`.
+    ``motion``: the true motion, except for the stage "channel".
     """
 
     time: Array
@@ -99,7 +83,7 @@ class Kind:
     @property
     def channels(self) -> tuple[str, ...]:
         """The channels that can have the fault; empty if it does not act on a channel."""
-        return CHANNELS if self.stage is Stage.CHANNEL else ()
+        return CHANNELS if self.stage == "channel" else ()
 
 
 @dataclass(eq=False)
@@ -158,7 +142,7 @@ class Fault:
 def moved(faults: Sequence[Fault], excitation: Excitation) -> Excitation:
     """The motion of the machine with these faults."""
     for fault in faults:
-        if fault.kind.stage is Stage.MOTION:
+        if fault.kind.stage == "motion":
             excitation = fault.kind.act(fault, excitation)
     return excitation
 
@@ -166,7 +150,7 @@ def moved(faults: Sequence[Fault], excitation: Excitation) -> Excitation:
 def changed(faults: Sequence[Fault], stage: Stage, samples: Samples) -> Array:
     """The values (n,) of the samples after a stage."""
     for fault in faults:
-        if fault.kind.stage is stage:
+        if fault.kind.stage == stage:
             values = fault.kind.act(fault, samples)
             if fault.kind.masked:
                 values = np.where(fault.active(samples.time), values, samples.values)
@@ -195,22 +179,22 @@ class Instruments:
         time = (block.sequence + np.arange(block.sample_count, dtype=np.float64)) * block.period
         for fault in self._faults:
             kind = fault.kind
-            if kind.stage is Stage.CHANNEL:
+            if kind.stage == "channel":
                 samples = Samples(time, getattr(block, fault.channel), block.period)
                 shown: dict[str, Any] = {fault.channel: changed([fault], kind.stage, samples)}
                 block = replace(block, **shown)
-            elif kind.stage is Stage.BLOCK and (fault.concerns(block) or not kind.masked):
+            elif kind.stage == "block" and (fault.concerns(block) or not kind.masked):
                 block = kind.act(fault, block)
         blocks = [block]
         for fault in self._faults:
-            if fault.kind.stage is Stage.DELIVERY:
+            if fault.kind.stage == "delivery":
                 blocks = [sent for made in blocks for sent in fault.kind.act(fault, made)]
         return [Delivery(self._labelled(made), made.sequence) for made in blocks]
 
     def _labelled(self, made: RigBlock) -> RigBlock:
         sent = made
         for fault in self._faults:
-            if fault.kind.stage is Stage.LABEL and fault.concerns(made):
+            if fault.kind.stage == "label" and fault.concerns(made):
                 sent = fault.kind.act(fault, sent)
         return sent
 
@@ -325,135 +309,112 @@ def _ahead(block: RigBlock, seconds: float) -> RigBlock:
 
 # In the functions of the table, f is the fault, s the samples, b the block.
 KINDS: tuple[Kind, ...] = (
-    Kind("force_loss", Stage.FORCE, lambda f, s: f.amount * s.values, "1", 0.5),
-    Kind("wear", Stage.FORCE, _wear, "1", 0.7, masked=False),
+    Kind("force_loss", "force", lambda f, s: f.amount * s.values, "1", 0.5),
+    Kind("wear", "force", _wear, "1", 0.7, masked=False),
     # The sign of the velocity, smoothed within 1 mm/s.
     Kind(
         "friction",
-        Stage.FORCE,
-        lambda f, s: s.values + f.amount * np.tanh(s.motion.velocity / 1e-3),
+        "force",
+        lambda f, s: s.values + f.amount * np.tanh(s.motion[1] / 1e-3),
         "N",
         200.0,
     ),
-    Kind(
-        "spring",
-        Stage.FORCE,
-        lambda f, s: s.values + f.amount * s.motion.displacement,
-        "N/m",
-        1e5,
-    ),
+    Kind("spring", "force", lambda f, s: s.values + f.amount * s.motion[0], "N/m", 1e5),
     Kind(
         "end_stop",
-        Stage.FORCE,
+        "force",
         lambda f, s: s.values + 1e6 * (s.motion[0] - np.clip(s.motion[0], -f.amount, f.amount)),
         "m",
         0.004,
         0.0,
     ),
-    Kind("backlash", Stage.FORCE, _backlash, "m", 0.5e-3, 0.0),
-    Kind("coil_factor", Stage.COIL, lambda f, s: f.amount * s.values, "1", 0.0),
-    Kind("coil_offset", Stage.COIL, lambda f, s: s.values + f.amount, "A", 0.1),
+    Kind("backlash", "force", _backlash, "m", 0.5e-3, 0.0),
+    Kind("coil_factor", "coil", lambda f, s: f.amount * s.values, "1", 0.0),
+    Kind("coil_offset", "coil", lambda f, s: s.values + f.amount, "A", 0.1),
     Kind(
         "amplitude",
-        Stage.MOTION,
+        "motion",
         lambda f, motion: ChangedMotion(motion, f.begin, f.end, _CHANGE, factor=f.amount),
         "1",
         0.1,
     ),
     Kind(
         "tempo",
-        Stage.MOTION,
+        "motion",
         lambda f, motion: ChangedMotion(motion, f.begin, f.end, _CHANGE, tempo=f.amount),
         "1",
         0.0,
         0.0,
     ),
-    Kind("gain", Stage.CHANNEL, lambda f, s: f.amount * s.values, "1", 10.0),
-    Kind("offset", Stage.CHANNEL, lambda f, s: s.values + f.amount, "channel"),
-    Kind(
-        "creep", Stage.CHANNEL, lambda f, s: s.values + f.amount * (s.time - f.begin), "channel/s"
-    ),
-    Kind("stuck", Stage.CHANNEL, _stuck),
-    Kind(
-        "dropouts", Stage.CHANNEL, lambda f, s: _outages(f, s, 0.0), "1/s", 2.0, 0.0, masked=False
-    ),
-    Kind(
-        "nan", Stage.CHANNEL, lambda f, s: _outages(f, s, math.nan), "1/s", 2.0, 0.0, masked=False
-    ),
-    Kind("missing", Stage.CHANNEL, lambda f, s: np.full(s.values.size, math.nan)),
-    Kind("spikes", Stage.CHANNEL, _spikes, "channel"),
+    Kind("gain", "channel", lambda f, s: f.amount * s.values, "1", 10.0),
+    Kind("offset", "channel", lambda f, s: s.values + f.amount, "channel"),
+    Kind("creep", "channel", lambda f, s: s.values + f.amount * (s.time - f.begin), "channel/s"),
+    Kind("stuck", "channel", _stuck),
+    Kind("dropouts", "channel", lambda f, s: _outages(f, s, 0.0), "1/s", 2.0, 0.0, masked=False),
+    Kind("nan", "channel", lambda f, s: _outages(f, s, math.nan), "1/s", 2.0, 0.0, masked=False),
+    Kind("missing", "channel", lambda f, s: np.full(s.values.size, math.nan)),
+    Kind("spikes", "channel", _spikes, "channel"),
     Kind(
         "noise",
-        Stage.CHANNEL,
+        "channel",
         lambda f, s: s.values + f.amount * f.rng.standard_normal(s.time.size),
         "channel",
         least=0.0,
     ),
     Kind(
         "hum",
-        Stage.CHANNEL,
+        "channel",
         lambda f, s: s.values + f.amount * np.sin(2.0 * np.pi * 50.0 * s.time),
         "channel",
     ),
     Kind(
-        "clip",
-        Stage.CHANNEL,
-        lambda f, s: np.clip(s.values, -f.amount, f.amount),
-        "channel",
-        least=0.0,
+        "clip", "channel", lambda f, s: np.clip(s.values, -f.amount, f.amount), "channel", least=0.0
     ),
     Kind(
         "coarse",
-        Stage.CHANNEL,
+        "channel",
         lambda f, s: np.round(s.values / f.amount) * f.amount,
         "channel",
         least=1e-12,
     ),
-    Kind("delay", Stage.CHANNEL, _delay, "s", 0.05, 0.0),
-    Kind("sluggish", Stage.CHANNEL, _sluggish, "s", 0.05, 0.0),
+    Kind("delay", "channel", _delay, "s", 0.05, 0.0),
+    Kind("sluggish", "channel", _sluggish, "s", 0.05, 0.0),
     Kind(
         "swapped",
-        Stage.BLOCK,
+        "block",
         lambda f, b: replace(b, displacement=1e-6 * b.force, force=b.displacement / 1e-6),
     ),
     Kind(
         "crosstalk",
-        Stage.BLOCK,
+        "block",
         lambda f, b: replace(b, force=b.force + f.amount * b.current),
         "N/A",
         100.0,
     ),
-    Kind("repeated_buffer", Stage.BLOCK, _repeated_buffer, masked=False),
-    Kind("lost_blocks", Stage.DELIVERY, lambda f, b: [] if _chosen(f, b) else [b], "1", 0.05, 0.0),
-    Kind("doubled_blocks", Stage.DELIVERY, lambda f, b: [b] * (1 + _chosen(f, b)), "1", 0.1, 0.0),
-    Kind("reordered_blocks", Stage.DELIVERY, _reordered, "1", 0.1, 0.0),
-    Kind("late_blocks", Stage.DELIVERY, _late, "s", 0.3, 0.0),
+    Kind("repeated_buffer", "block", _repeated_buffer, masked=False),
+    Kind("lost_blocks", "delivery", lambda f, b: [] if _chosen(f, b) else [b], "1", 0.05, 0.0),
+    Kind("doubled_blocks", "delivery", lambda f, b: [b] * (1 + _chosen(f, b)), "1", 0.1, 0.0),
+    Kind("reordered_blocks", "delivery", _reordered, "1", 0.1, 0.0),
+    Kind("late_blocks", "delivery", _late, "s", 0.3, 0.0),
     Kind(
         "stamp_jitter",
-        Stage.LABEL,
+        "label",
         lambda f, b: _ahead(b, f.amount * (2.0 * f.rng.random() - 1.0) * b.period),
         "1",
         0.3,
         0.0,
     ),
-    Kind("clock_jump", Stage.LABEL, lambda f, b: _ahead(b, f.amount), "s", 60.0),
-    Kind("clock_drift", Stage.LABEL, lambda f, b: _ahead(b, f.amount * _since(f, b)), "s/s", 1e-4),
+    Kind("clock_jump", "label", lambda f, b: _ahead(b, f.amount), "s", 60.0),
+    Kind("clock_drift", "label", lambda f, b: _ahead(b, f.amount * _since(f, b)), "s/s", 1e-4),
     Kind(
-        "wrong_period",
-        Stage.LABEL,
-        lambda f, b: replace(b, period=b.period * f.amount),
-        "1",
-        2.0,
-        1e-6,
+        "wrong_period", "label", lambda f, b: replace(b, period=b.period * f.amount), "1", 2.0, 1e-6
     ),
     Kind(
-        "recount",
-        Stage.LABEL,
-        lambda f, b: replace(b, sequence=b.sequence - round(f.begin / b.period)),
+        "recount", "label", lambda f, b: replace(b, sequence=b.sequence - round(f.begin / b.period))
     ),
     Kind(
         "supply_clock",
-        Stage.LABEL,
+        "label",
         lambda f, b: replace(b, supply_ahead_ns=round(f.amount * NANOSECONDS)),
         "s",
         2.0,
