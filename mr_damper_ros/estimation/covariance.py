@@ -241,7 +241,7 @@ class NoiseModel:
 _LEAST_PART = 0.25
 """Smallest part of a second cycle that is needed to separate model error from noise."""
 
-_SURE = 4.0
+SIGNIFICANT = 4.0
 """A power is significant if it exceeds the noise power by this many standard errors."""
 
 _ORDERS_PER_CYCLE = 4
@@ -330,7 +330,7 @@ def _split(
     noise = NoiseModel.of(apart, min(_HIGHEST_ORDER, length // _ORDERS_PER_CYCLE))
     power = float(residual @ residual) / count * freedom
     chance = math.sqrt(2.0 * max(noise.integrated_time, 1.0) / apart.size)
-    if power <= noise.variance * (1.0 + _SURE * chance):
+    if power <= noise.variance * (1.0 + SIGNIFICANT * chance):
         return None
     phases = np.floor(np.arange(count) % cycle).astype(int) % length
     seen = np.maximum(np.bincount(phases, minlength=length), 1).astype(float)
@@ -454,7 +454,7 @@ def _beyond(scatter: Array, noise: Array, white: float, chance: float) -> Array:
     root = vectors * np.sqrt(np.maximum(variances, _LEAST_NOISE * white))
     whitened = np.linalg.solve(root, np.linalg.solve(root, scatter).T)
     times, axes = np.linalg.eigh(0.5 * (whitened + whitened.T))
-    if float(np.sum(times)) < times.size + _SURE * chance:
+    if float(np.sum(times)) < times.size + SIGNIFICANT * chance:
         return np.zeros_like(noise)
     directions = root @ axes
     return np.asarray(directions * np.sqrt(np.maximum(times - 1.0, 0.0)))

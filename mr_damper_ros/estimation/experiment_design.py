@@ -18,14 +18,16 @@ from __future__ import annotations
 
 import math
 from collections.abc import Collection, Iterable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from enum import Enum
 
 import numpy as np
 
-from mr_damper_ros.estimation.covariance import correlation_length, samples_per_cycle
-from mr_damper_ros.estimation.global_search import adapted
+from mr_damper_ros.estimation.covariance import SIGNIFICANT, correlation_length, samples_per_cycle
+from mr_damper_ros.estimation.global_search import Posterior, Prior, adapted
+from mr_damper_ros.estimation.local_search import LocalSearch
 from mr_damper_ros.estimation.observability import (
+    SMALLEST_SHARE,
     SURE,
     noise_level,
     operating_points_within,
@@ -60,25 +62,8 @@ _MOST_STEPS = 40
 _DRAWS = 200
 """Number of draws from the plausible range for the prior, and from the sets that may be true."""
 
-_SMALLEST_SHARE = 0.1
-"""Prior standard deviation of a scale parameter: its own size, and the change that makes this part
-of the force."""
-
-_ROUNDING = 1e-15
-"""Smallest eigenvalue of a balanced matrix relative to the largest; rounding hides smaller ones."""
-
-_LEAST_CURRENT = 1e-6
-"""Width [A] assumed for a current range of zero, as the scale for drawing shape parameters."""
-
-_CYCLE_PARTS = 128
-"""Number of parts of a cycle for the model error, small enough to resolve the reversal of the
-motion."""
-
 _FEWEST_IN_PART = 8
-"""Smallest number of samples in a part, needed to estimate the noise."""
-
-_SURELY = 4.0
-"""Model error is significant if its power exceeds the noise by this many standard deviations."""
+"""Smallest number of samples in a part of a cycle, needed to estimate the noise."""
 
 _BETWEEN = 1.35
 """Factor on the model error between the windows and beyond. For eleven laws other than the true
@@ -88,17 +73,12 @@ one, the true worst error is then at most 1.3 to 1.44 times the stated error in 
 _NEAR = 0.1
 """Distance, relative to the range, below which windows count equally near to a point."""
 
-_SETS = 6
-"""Number of sets that represent the undetermined parameters."""
+_SETS = 8
+"""Number of sets that represent the undetermined parameters, and least number of fits of windows in
+the search for the most probable set."""
 
-_STARTS, _FITS = 3, 24
-"""Number of additional starts in the search for the most probable set; with few windows there are
-more starts, up to this many fits of windows."""
-
-_ROUNDS = 6
-_SETTLED = 0.01
-"""Largest number of rounds that alternate between set and noise, and the relative decrease of the
-noise below which they end."""
+_ROUNDS = 4
+"""Largest number of rounds that alternate between set and noise."""
 
 _NORM = 8.0
 """Order of the norm over the points that replaces their maximum: a single run often does not change
@@ -106,9 +86,6 @@ the maximum itself."""
 
 _PARTS = 12
 """Number of parts of a motion other than a sine; every staircase has a whole number of them."""
-
-_FINE = 48
-"""Samples per shortest cycle of a motion other than a sine, for its peak velocity."""
 
 _FEW_PHASES = 4
 """Stride over the phases of a cycle when runs are compared."""
@@ -141,6 +118,11 @@ class Cycles:
     def gradient(self, parameters: Array) -> Array:
         """Derivatives (k, phases, p) of the force with respect to the parameters."""
         return self._problem.jacobian(parameters).reshape(self.count, PHASES, parameters.size)
+
+    def relative_gradient(self, parameters: Array) -> Array:
+        """:meth:`gradient` relative to the largest force of each cycle."""
+        largest = np.max(np.abs(self.force(parameters)), axis=1)
+        return self.gradient(parameters) / np.maximum(largest, 1e-9)[:, None, None]
 
 
 @dataclass(frozen=True, eq=False)
@@ -177,14 +159,8 @@ class PointErrors:
         return self.points[int(np.argmax(self.errors))]
 
 
-def relative_gradient(cycles: Cycles, parameters: Array) -> Array:
-    """Derivatives (k, phases, p) of the force, relative to the largest force of each cycle."""
-    largest = np.max(np.abs(cycles.force(parameters)), axis=1)
-    return cycles.gradient(parameters) / np.maximum(largest, 1e-9)[:, None, None]
-
-
 def point_errors(
-    goal: ForceGoal, gradient: Array, information: Array, model_errors: Array | float = 0.0
+    goal: ForceGoal, gradient: Array, information: Array, model_errors: Array
 ) -> PointErrors:
     """Errors at the points of a goal; ``gradient`` (k, phases, p) is relative.
 
@@ -195,13 +171,29 @@ def point_errors(
     scale = 1.0 / np.sqrt(np.diagonal(information))
     # Rounding can make the matrix indefinite, so it has no Cholesky factor.
     values, vectors = np.linalg.eigh(information * np.outer(scale, scale))
-    root = vectors / np.sqrt(np.maximum(values, _ROUNDING * values[-1]))
+    root = vectors / np.sqrt(np.maximum(values, np.finfo(float).eps * values[-1]))
     missed = np.abs((draws @ root.T * scale) @ flat.T).reshape(_DRAWS, len(gradient), -1)
     worst = np.max(np.hypot(np.max(missed, axis=2), model_errors), axis=1)
     errors = np.hypot(cycle_errors(gradient, information[None])[0], model_errors)
     largest = float(np.max(model_errors))
     median, bound = np.quantile(worst, [0.5, 0.95]).tolist()
     return PointErrors(goal.points, errors, median, math.hypot(bound, largest), largest)
+
+
+def cycle_errors(gradient: Array, information: Array) -> Array:
+    """Largest standard error of each cycle (m, k), for many information matrices (m, p, p).
+
+    ``gradient`` (k, phases, p) may be relative; the errors are then relative, too.
+    """
+    count, phases, size = gradient.shape
+    flat = gradient.reshape(-1, size)
+    # Units differ by many orders of magnitude.
+    scale = 1.0 / np.sqrt(np.diagonal(information, axis1=-2, axis2=-1))
+    units = scale[:, :, None] * scale[:, None, :]
+    inverse = np.linalg.inv(information * units) * units
+    variance = np.sum((flat @ inverse) * flat, axis=-1)
+    errors = np.sqrt(np.maximum(variance, 0.0)).reshape(-1, count, phases)
+    return np.asarray(errors.max(axis=-1))
 
 
 def model_error(model: Model, window: Window, parameters: Array) -> float:
@@ -214,17 +206,17 @@ def model_error(model: Model, window: Window, parameters: Array) -> float:
     residual = force - window.force
     count, cycle = residual.size, samples_per_cycle(window)
     if math.isfinite(cycle):
-        bins = max(min(_CYCLE_PARTS, count // _FEWEST_IN_PART, int(cycle)), 1)
+        bins = max(min(2 * PHASES, count // _FEWEST_IN_PART, int(cycle)), 1)
         places = np.floor((np.arange(count) % cycle) * (bins / cycle)).astype(int) % bins
     else:
         cycle = 1.0 / max(LoopReading.of(window).frequency * window.period, 1e-12)
-        places = np.arange(count) // max(round(cycle / _CYCLE_PARTS), _FEWEST_IN_PART)
+        places = np.arange(count) // max(round(cycle / (2 * PHASES)), _FEWEST_IN_PART)
     counts = np.maximum(np.bincount(places), 1)
     means = np.bincount(places, residual) / counts
     variance = float(np.sum((residual - means[places]) ** 2)) / max(count - means.size, 1)
     parts = counts.size
     power = float(np.sum(counts * means**2)) / max(variance, 1e-300)
-    if power <= parts + _SURELY * math.sqrt(2.0 * parts):
+    if power <= parts + SIGNIFICANT * math.sqrt(2.0 * parts):
         return 0.0
     # Wiener filter: each mean is reduced by the noise's share of the scatter of all means.
     noise = variance / counts
@@ -233,58 +225,14 @@ def model_error(model: Model, window: Window, parameters: Array) -> float:
     return largest / max(float(np.max(np.abs(force))), 1e-9)
 
 
-def model_errors_at(goal: ForceGoal, windows: Sequence[Window], errors: Sequence[float]) -> Array:
-    """Model errors (k,) at the points of a goal: mean over the windows, near ones count most."""
-    low, high = goal.peak_velocity
-    sizes = np.array([max(math.log(high / low), 1e-9), max(np.ptp(goal.current), 1e-9)])
+def noise_of(model: Model, window: Window, parameters: Array) -> float:
+    """Standard deviation [N] of white noise with the same effect as the residual of the set.
 
-    def places(points: Sequence[tuple[float, float]]) -> Array:
-        return np.array([(math.log(max(v, 1e-12)), i) for v, i in points]) / sizes
-
-    apart = places(goal.points)[:, None] - places([w.operating_point for w in windows])
-    weights = 1.0 / (_NEAR + np.linalg.norm(apart, axis=-1)) ** 4
-    return np.asarray(_BETWEEN * np.sqrt(weights @ np.square(errors) / weights.sum(axis=1)))
-
-
-def cycle_errors(gradient: Array, information: Array) -> Array:
-    """Largest standard error of each cycle (m, k), for many information matrices (m, p, p).
-
-    ``gradient`` (k, phases, p) may be relative; the errors are then relative, too.
+    It exceeds the RMSE of a correlated residual, because correlated samples count as one.
     """
-    count, phases, size = gradient.shape
-    flat = gradient.reshape(-1, size)
-    # Units differ by many orders of magnitude.
-    scale = 1.0 / np.sqrt(np.diagonal(information, axis1=-2, axis2=-1))
-    balanced = information * scale[:, :, None] * scale[:, None, :]
-    inverse = np.linalg.inv(balanced) * scale[:, :, None] * scale[:, None, :]
-    variance = np.sum((flat @ inverse) * flat, axis=-1)
-    errors = np.sqrt(np.maximum(variance, 0.0)).reshape(-1, count, phases)
-    return np.asarray(errors.max(axis=-1))
-
-
-def prior_information(model: Model, cycles: Cycles, parameters: Array, goal: ForceGoal) -> Array:
-    """Prior information (p, p) about any damper before the first run, at ``parameters`` (p,).
-
-    Shape parameters have the scatter of plausible draws. A scale parameter has a standard deviation
-    of its own size, plus the change that makes a tenth of the force.
-    """
-    rng = np.random.default_rng(0)
-    top_current = max(goal.current[1], _LEAST_CURRENT)
-    draws = [model.draw_shape(rng, goal.peak_velocity[1], top_current) for _ in range(_DRAWS)]
-    gradient = cycles.gradient(parameters).reshape(-1, parameters.size)
-    force = float(np.sqrt(np.mean(cycles.force(parameters) ** 2)))
-    lengths = np.sqrt(np.mean(gradient**2, axis=0))
-    deviations = np.maximum(
-        np.abs(parameters), _SMALLEST_SHARE * force / np.where(lengths > 0.0, lengths, np.inf)
-    )
-    for place, name in enumerate(model.parameter_names):
-        if name in draws[0]:
-            values = np.array([draw[name] for draw in draws])
-            # The set may lie outside the draws: its distance from them adds to the scatter.
-            deviations[place] = math.hypot(
-                float(np.std(values)), float(np.mean(values)) - parameters[place]
-            )
-    return np.diag(1.0 / np.maximum(deviations, 1e-12) ** 2)
+    residual = model.window_force(window, parameters) - window.force
+    length = max(correlation_length(residual), 1)
+    return max(math.sqrt(float(np.mean(residual**2)) * length), 1e-9)
 
 
 def open_sets(
@@ -293,20 +241,19 @@ def open_sets(
     parameters: Array,
     known: Collection[str],
     top: tuple[float, float],
-    rng: np.random.Generator,
-    count: int,
+    count: int = _SETS,
 ) -> list[Array]:
     """Sets (p,) that agree with the windows and differ in the shape parameters not in ``known``.
 
     The linear parameters follow from the coefficients of the windows. ``top``: peak velocity [m/s]
     and current [A] of the range. None if all shape parameters are known.
     """
-    unknown = set(model.shape_names).difference(known)
+    rng, unknown = np.random.default_rng(0), set(model.shape_names).difference(known)
     solved = frozenset(model.linear) - unknown
     sets = []
     for _ in range(count if unknown else 0):
         values = np.array(parameters)
-        for name, value in model.draw_shape(rng, top[0], max(top[1], _LEAST_CURRENT)).items():
+        for name, value in model.draw_shape(rng, *top).items():
             if name in unknown:
                 values[model.parameter_names.index(name)] = value
         sets.append(adapted(model, windows, parameters, values, solved))
@@ -326,51 +273,23 @@ def window_information(
 
 
 def most_probable(
-    model: Model,
-    windows: Sequence[Window],
-    noise: Sequence[float],
-    prior: Array,
-    about: Array,
-    start: Array,
+    model: Model, windows: Sequence[Window], noise: Sequence[float], prior: Prior, start: Array
 ) -> Array:
-    """The most probable parameters (p,).
+    """The most probable parameters (p,), from ``start`` (p,).
 
-    All parameters are free. The prior has its centre at ``about`` (p,) and the diagonal information
-    ``prior`` (p, p). Weakly determined parameters move as far as the data support, and undetermined
-    ones stay. Holding weakly determined parameters would give standard errors that are too small.
-    The search starts at ``start`` (p,).
+    All parameters are free. Weakly determined parameters move as far as the data support, and
+    undetermined ones stay. Holding weakly determined parameters would give standard errors that are
+    too small.
     """
-    from scipy.optimize import least_squares
-
-    problems = [
-        Misfit(model, [window], [sigma]) for window, sigma in zip(windows, noise, strict=True)
-    ]
-    weight = np.sqrt(np.diagonal(prior))
-
-    def residual(values: Array) -> Array:
-        parts = [problem.residual(values) for problem in problems]
-        return np.concatenate([*parts, weight * (values - about)])
-
-    def jacobian(values: Array) -> Array:
-        parts = [problem.jacobian(values) for problem in problems]
-        return np.concatenate([*parts, np.diag(weight)])
-
-    low, high = model.bounds
-    inside = np.clip(start, np.nextafter(low, np.inf), np.nextafter(high, -np.inf))
-    found = least_squares(
-        residual, inside, jacobian, (low, high), x_scale=1.0 / weight, max_nfev=_MOST_STEPS
+    # A misfit weighs its windows equally; here every sample counts by its noise.
+    sizes = np.array([window.sample_count for window in windows])
+    equal = np.asarray(noise) * np.sqrt(sizes.mean() / sizes)
+    problem = Posterior(
+        Misfit(model, windows, equal.tolist()), start, range(start.size), prior, 1.0
     )
-    return np.asarray(found.x)
-
-
-def noise_of(model: Model, window: Window, parameters: Array) -> float:
-    """Standard deviation [N] of white noise with the same effect as the residual of the set.
-
-    It exceeds the RMSE of a correlated residual, because correlated samples count as one.
-    """
-    residual = model.window_force(window, parameters) - window.force
-    length = max(correlation_length(residual), 1)
-    return max(math.sqrt(float(np.mean(residual**2)) * length), 1e-9)
+    search = LocalSearch(problem, problem.start)
+    search.least_squares(most_steps=_MOST_STEPS)
+    return problem.parameters(search.best)
 
 
 @dataclass(frozen=True)
@@ -382,12 +301,22 @@ class _Look:
     part: int = 0
     duration: float = 0.0
 
+    @classmethod
+    def of(cls, run: PlannedRun, place: int) -> list[_Look]:
+        """The looks at a stretch of a run."""
+        if run.kind is MotionKind.SINE:
+            return [cls(run.motion, run.currents[place])]
+        each = _PARTS // len(run.currents)
+        parts = range(place * each, (place + 1) * each)
+        return [cls(run.motion, run.currents[place], part, run.duration) for part in parts]
+
     def window(self) -> Window:
         """A window of the stretch, without a force."""
         motion = self.motion
         if motion.kind is MotionKind.SINE:
             return steady_cycle(motion.amplitude, motion.frequency, self.current)
-        stride = math.ceil(_FINE * motion.highest_frequency * self.duration / (PHASES * _PARTS))
+        # The peak velocity needs as many samples per shortest cycle as a sine.
+        stride = math.ceil(motion.highest_frequency * self.duration / _PARTS)
         size = stride * PHASES
         period = self.duration / (size * _PARTS)
         u, v, a = motion.at(np.arange(size * _PARTS, dtype=np.float64) * period)
@@ -396,11 +325,6 @@ class _Look:
         whole = with_motion_before(Window(moved, nothing, nothing + self.current, period))
         begin = self.part * size + stride // 2
         return whole.part(slice(begin, begin + size, stride))
-
-
-def _parts_of(stretch: int, count: int) -> range:
-    each = _PARTS // count
-    return range(stretch * each, (stretch + 1) * each)
 
 
 class CandidateRuns:
@@ -412,23 +336,17 @@ class CandidateRuns:
     def __init__(self, model: Model, runs: Sequence[PlannedRun], sample_rate: float) -> None:
         self.runs = list(runs)
         looks: dict[_Look, int] = {}
-        rows, columns, samples, times = [], [], [], []
+        rows, columns, seconds, settled = [], [], [], []
         for row, run in enumerate(self.runs):
-            sine = run.kind is MotionKind.SINE
-            for place, current in enumerate(run.currents):
-                seconds = run.stretch - SETTLING * (place > 0)
-                each = [_Look(run.motion, current)]
-                if not sine:
-                    every = _parts_of(place, len(run.currents))
-                    each = [replace(each[0], part=part, duration=run.duration) for part in every]
+            for place in range(len(run.currents)):
+                each = _Look.of(run, place)
                 rows += [row] * len(each)
                 columns += [looks.setdefault(look, len(looks)) for look in each]
-                samples += [sample_rate * seconds / len(each)] * len(each)
-                times += [run.stretch / len(each)] * len(each)
-        shape = (len(self.runs), len(looks))
-        self._time, self._samples = np.zeros(shape), np.zeros(shape)
-        np.add.at(self._time, (rows, columns), times)
-        np.add.at(self._samples, (rows, columns), samples)
+                seconds += [run.stretch / len(each)] * len(each)
+                settled += [(run.stretch - SETTLING * (place > 0)) / len(each)] * len(each)
+        self._time, self._samples = np.zeros((2, len(self.runs), len(looks)))
+        np.add.at(self._time, (rows, columns), seconds)
+        np.add.at(self._samples, (rows, columns), sample_rate * np.array(settled))
         windows = [look.window() for look in looks]
         self._cycles = Cycles(model, windows)
         self._velocity = np.array([window.motion.velocity for window in windows])
@@ -490,8 +408,9 @@ class RunPlanner:
         self.model = model
         self.goal = goal
         self.limits = limits
-        self._goal_cycles = Cycles(model, goal.cycles())
-        self._top = goal.peak_velocity[1], goal.current[1]
+        self._cycles = Cycles(model, goal.cycles())
+        # A range of no current gives no scale for drawing shape parameters.
+        self._top = goal.peak_velocity[1], max(goal.current[1], 1e-6)
         self.candidates = candidate_runs(goal, limits)
         self._candidates = CandidateRuns(model, self.candidates, limits.sample_rate)
 
@@ -509,49 +428,77 @@ class RunPlanner:
             )
         return "" if self.candidates else "no run within the limits of the machine holds a cycle"
 
+    def prior(self, parameters: Array) -> Prior:
+        """What is known of any damper before the first run, at ``parameters`` (p,).
+
+        Shape parameters have the scatter of plausible draws. A scale parameter has a standard
+        deviation of its own size, plus the change that makes a tenth of the force.
+        """
+        rng = np.random.default_rng(0)
+        draws = [self.model.draw_shape(rng, *self._top) for _ in range(_DRAWS)]
+        gradient = self._cycles.gradient(parameters).reshape(-1, parameters.size)
+        lengths = np.sqrt(np.mean(gradient**2, axis=0))
+        force = float(np.sqrt(np.mean(self._cycles.force(parameters) ** 2)))
+        change = SMALLEST_SHARE * force / np.where(lengths > 0.0, lengths, np.inf)
+        widths = np.maximum(np.abs(parameters), change)
+        for place, name in enumerate(self.model.parameter_names):
+            if name in draws[0]:
+                values = np.array([draw[name] for draw in draws])
+                # The set may lie outside the draws: its distance from them adds to the scatter.
+                widths[place] = np.hypot(np.std(values), np.mean(values) - parameters[place])
+        return Prior(parameters, np.maximum(widths, 1e-12))
+
     def most_probable(self, windows: Sequence[Window], parameters: Array) -> Array:
         """The most probable set (p,), searched from the identified set and a few other sets.
 
         The noise of each window is estimated together with the set. Otherwise the residual of a
         wrong set would count as noise, and the search would stay at that set.
         """
-        prior = prior_information(self.model, self._goal_cycles, parameters, self.goal)
-        rng = np.random.default_rng(len(windows))
-        count = max(_STARTS, _FITS // len(windows))
-        others = open_sets(self.model, windows, parameters, (), self._top, rng, count)
+        prior, first = self.prior(parameters), self._noise(windows, parameters)
+        count = max(3 * _SETS // len(windows), 3)
+        starts = [parameters, *open_sets(self.model, windows, parameters, (), self._top, count)]
         few = [window.thinned(FEW) for window in windows]
-        first = self._noise(windows, parameters)
-        found = [
-            self._with_noise(windows, few, first, prior, parameters, start)
-            for start in (parameters, *others)
-        ]
+        sizes = np.array([window.sample_count for window in windows], dtype=float)
+        found = []
+        for values in starts:
+            noise, least = first, math.inf
+            for _ in range(_ROUNDS):
+                values = most_probable(self.model, few, noise, prior, values)
+                noise = self._noise(windows, values)
+                # Negative log-likelihood of the noise per sample.
+                before, least = least, float(sizes @ np.log(noise)) / float(sizes.sum())
+                if not least < before:
+                    break
+            found.append((least, values, noise))
         _, values, noise = min(found, key=lambda one: one[0])
         # A search on a few samples selects the minimum; a search on all samples locates it exactly.
-        return most_probable(self.model, windows, noise, prior, parameters, values)
-
-    def _with_noise(
-        self,
-        windows: Sequence[Window],
-        few: Sequence[Window],
-        noise: Sequence[float],
-        prior: Array,
-        about: Array,
-        values: Array,
-    ) -> tuple[float, Array, Sequence[float]]:
-        """Negative log-likelihood of the noise per sample, the set (p,) and its noise."""
-        sizes = np.array([window.sample_count for window in windows], dtype=float)
-        least = math.inf
-        for _ in range(_ROUNDS):
-            values = most_probable(self.model, few, noise, prior, about, values)
-            noise = self._noise(windows, values)
-            left = float(sizes @ np.log(noise)) / float(sizes.sum())
-            if left > least - _SETTLED:
-                break
-            least = left
-        return left, values, noise
+        return most_probable(self.model, windows, noise, prior, values)
 
     def _noise(self, windows: Sequence[Window], parameters: Array) -> list[float]:
         return [noise_of(self.model, window, parameters) for window in windows]
+
+    def _information(
+        self, windows: Sequence[Window], noise: Sequence[float], parameters: Array
+    ) -> Array:
+        prior = np.diag(1.0 / self.prior(parameters).width ** 2)
+        return prior + window_information(self.model, windows, noise, parameters)
+
+    def _model_errors(self, windows: Sequence[Window], parameters: Array) -> Array:
+        """Model errors (k,) at the points of the goal: mean over the windows, mainly near ones."""
+        goal, squares = self.goal, [model_error(self.model, w, parameters) ** 2 for w in windows]
+        low, high = goal.peak_velocity
+        sizes = np.array([max(math.log(high / low), 1e-9), max(np.ptp(goal.current), 1e-9)])
+
+        def places(points: Sequence[tuple[float, float]]) -> Array:
+            return np.array([(math.log(max(v, 1e-12)), i) for v, i in points]) / sizes
+
+        apart = places(goal.points)[:, None] - places([w.operating_point for w in windows])
+        weights = 1.0 / (_NEAR + np.linalg.norm(apart, axis=-1)) ** 4
+        return np.asarray(_BETWEEN * np.sqrt(weights @ squares / weights.sum(axis=1)))
+
+    def _errors(self, parameters: Array, information: Array, model_errors: Array) -> PointErrors:
+        gradient = self._cycles.relative_gradient(parameters)
+        return point_errors(self.goal, gradient, information, model_errors)
 
     def errors(self, windows: Sequence[Window], parameters: Array) -> PointErrors:
         """Accuracy of the force from windows to which ``parameters`` (p,) were fitted."""
@@ -574,73 +521,40 @@ class RunPlanner:
         now: PointErrors,
     ) -> Plan:
         """The plan of :meth:`next` as if the goal were not met; ``now``: the present accuracy."""
-        beyond = self.shortcoming()
-        if beyond:
-            return Plan(PlanState.OUT_OF_REACH, now, runs_left=None, reason=beyond)
-        sets = self.possible_sets(windows, parameters, observable)
-        allowed = self.allowed(windows, sets)
-        if not allowed.any():
-            return Plan(
-                PlanState.OUT_OF_REACH,
-                now,
-                runs_left=None,
-                reason="every run that would help may leave the limits of force or heat",
-            )
+        reason, known = self.shortcoming(), np.array(self.model.parameter_names)[observable]
+        if not reason:
+            others = open_sets(self.model, windows, parameters, known.tolist(), self._top)
+            sets = [parameters, *others]
+            allowed = self.allowed(windows, sets)
+            if not allowed.any():
+                reason = "every run that would help may leave the limits of force or heat"
+        if reason:
+            return Plan(PlanState.OUT_OF_REACH, now, runs_left=None, reason=reason)
         noise = self._noise(windows, parameters)
-        present = self._information(windows, noise, parameters)
         sigma = _noise_by_motion(windows, noise)
         scores = np.where(allowed, 0.0, math.inf)
         for values in sets:
-            before = present if values is parameters else self._information(windows, noise, values)
-            gradient = relative_gradient(self._goal_cycles, values)[:, ::_FEW_PHASES]
+            before = self._information(windows, noise, values)
+            gradient = self._cycles.relative_gradient(values)[:, ::_FEW_PHASES]
             after = before + self._candidates.gains(values, *sigma)[allowed]
             scores[allowed] += np.log(_soft_worst(cycle_errors(gradient, after)))
-        place = int(np.argmin(scores))
-        best = self.candidates[place]
-        unfollowed = self._model_errors(windows, parameters)
-        left, expected, reached = self._look_ahead(parameters, present, sigma, place, unfollowed)
-        misfit = self._law_at_fault(now)
+        best = int(np.argmin(scores))
+        left, expected, reached = self._look_ahead(windows, parameters, noise, best)
+        if now.model_error > self.goal.error:
+            reason = (
+                f"the law {self.model.name} itself leaves {now.model_error:.2%} of the force, "
+                f"where {self.goal.error:.2%} is wanted, and no run changes that: choose another "
+                "model (choose_law compares them on the runs made), or a larger error"
+            )
+        state = PlanState.RUN
         # With undetermined laws the number of runs cannot be predicted.
         if left is None and len(sets) == 1:
-            reason = misfit or (
+            state = PlanState.OUT_OF_REACH
+            reason = reason or (
                 f"{_LOOK_AHEAD} more runs would leave an error of {reached:.2%}: allow longer runs "
                 "or a larger error"
             )
-            return Plan(PlanState.OUT_OF_REACH, now, best, expected, None, reason)
-        return Plan(PlanState.RUN, now, best, expected, left, misfit)
-
-    def _law_at_fault(self, now: PointErrors) -> str:
-        """A sentence if the model error of the law alone exceeds the goal; empty otherwise."""
-        if now.model_error <= self.goal.error:
-            return ""
-        return (
-            f"the law {self.model.name} itself leaves {now.model_error:.2%} of the force, where "
-            f"{self.goal.error:.2%} is wanted, and no run changes that: choose another model "
-            "(choose_law compares them on the runs made), or a larger error"
-        )
-
-    def _errors(self, parameters: Array, information: Array, model_errors: Array) -> PointErrors:
-        gradient = relative_gradient(self._goal_cycles, parameters)
-        return point_errors(self.goal, gradient, information, model_errors)
-
-    def _model_errors(self, windows: Sequence[Window], parameters: Array) -> Array:
-        errors = [model_error(self.model, window, parameters) for window in windows]
-        return model_errors_at(self.goal, windows, errors)
-
-    def _information(
-        self, windows: Sequence[Window], noise: Sequence[float], parameters: Array
-    ) -> Array:
-        prior = prior_information(self.model, self._goal_cycles, parameters, self.goal)
-        return prior + window_information(self.model, windows, noise, parameters)
-
-    def possible_sets(
-        self, windows: Sequence[Window], parameters: Array, observable: np.ndarray
-    ) -> list[Array]:
-        """Sets that may be true: the identified set, and others if parameters are undetermined."""
-        names, rng = np.array(self.model.parameter_names), np.random.default_rng(0)
-        known = names[observable].tolist()
-        others = open_sets(self.model, windows, parameters, known, self._top, rng, _SETS)
-        return [parameters, *others]
+        return Plan(state, now, self.candidates[best], expected, left, reason)
 
     def allowed(self, windows: Sequence[Window], sets: Sequence[Array]) -> np.ndarray:
         """Candidates (m,) within the limits for all sets, without a leap in speed or current."""
@@ -657,25 +571,20 @@ class RunPlanner:
         return np.asarray(gentle & within)
 
     def _look_ahead(
-        self,
-        parameters: Array,
-        present: Array,
-        sigma: tuple[float, float],
-        first: int,
-        unfollowed: Array,
+        self, windows: Sequence[Window], parameters: Array, noise: Sequence[float], first: int
     ) -> tuple[int | None, float, float]:
         """Runs until the goal is met, and the worst errors after the first and the last."""
-        gradient = relative_gradient(self._goal_cycles, parameters)
-        gains = self._candidates.gains(parameters, *sigma)
-        information = present + gains[first]
-        expected = worst = point_errors(self.goal, gradient, information, unfollowed).worst
+        model_errors = self._model_errors(windows, parameters)
+        gradient = self._cycles.relative_gradient(parameters)[:, ::_FEW_PHASES]
+        gains = self._candidates.gains(parameters, *_noise_by_motion(windows, noise))
+        information = self._information(windows, noise, parameters) + gains[first]
+        expected = worst = self._errors(parameters, information, model_errors).worst
         for count in range(1, _LOOK_AHEAD + 1):
             if worst <= self.goal.error:
                 return count, expected, worst
             after = information + gains
-            errors = cycle_errors(gradient[:, ::_FEW_PHASES], after)
-            information = after[int(np.argmin(_soft_worst(errors)))]
-            worst = point_errors(self.goal, gradient, information, unfollowed).worst
+            information = after[int(np.argmin(_soft_worst(cycle_errors(gradient, after))))]
+            worst = self._errors(parameters, information, model_errors).worst
         return None, expected, worst
 
 
@@ -692,17 +601,6 @@ def _soft_worst(errors: Array) -> Array:
 
 
 # -- runs that would determine unobservable parameters --------------------------------------------
-
-_OPEN_SETS = 16
-"""Number of sets that represent the undetermined parameters when runs are chosen to determine them.
-"""
-
-_MOST_RUNS = 4
-"""Largest number of runs advised at once: the laws need four currents."""
-
-_SPEEDS = np.geomspace(0.1, 1.0, 6)
-_CURRENTS = np.linspace(0.0, 1.0, 9)
-"""Candidates, as fractions of the largest peak velocity and current."""
 
 
 @dataclass(frozen=True)
@@ -730,11 +628,8 @@ class RigRange:
     def of_windows(cls, windows: Sequence[Window]) -> RigRange:
         """The limits that the runs so far have reached."""
         speeds, currents = operating_points_within(windows)
-        return cls(
-            amplitude=max(window.motion.amplitude for window in windows),
-            peak_velocity=max(speeds),
-            current=max(map(abs, currents)),
-        )
+        amplitude = max(window.motion.amplitude for window in windows)
+        return cls(amplitude, max(speeds), max(map(abs, currents)))
 
 
 @dataclass(frozen=True)
@@ -779,45 +674,47 @@ def extra_runs(
     determined parameters. A run determines a shape parameter if it reduces the standard error below
     a quarter of the span for most of the sets that may be true.
     """
-    shape = np.isin(model.parameter_names, [name for law in model.shape_groups for name in law])
-    missing = shape & ~observable
+    names = np.array(model.parameter_names)
+    missing = np.isin(names, [name for law in model.shape_groups for name in law]) & ~observable
     if not missing.any():
         return ()
     speeds, currents = operating_points_within(misfit.windows)
     top = max(*speeds, rig.peak_velocity), max(rig.current, *currents)
     ranges = model.plausible_ranges(misfit.windows, *top)
     spans = parameter_spans(model, misfit.jacobian(parameters), parameters, ranges)
-    units = np.outer(spans, spans)
     amplitude = round_to(rig.amplitude, 2)
     fastest = rig.peak_velocity / (2.0 * math.pi * amplitude)
     candidates = CandidateRuns(
         model,
         [
             PlannedRun(amplitude, round_to(fastest * speed, 2), (current,), duration=1.0)
-            for speed in _SPEEDS.tolist()
-            for current in dict.fromkeys(round_to(rig.current * part, 2) for part in _CURRENTS)
+            for speed in np.geomspace(0.1, 1.0, 6).tolist()
+            for current in dict.fromkeys(round_to(x, 2) for x in np.linspace(0.0, rig.current, 9))
         ],
         sample_rate=misfit.sample_count / len(misfit.windows),
     )
     level = noise_level(misfit, parameters)
-    known = set(np.array(model.parameter_names)[observable].tolist())
-    sets = open_sets(
-        model, misfit.windows, parameters, known, top, np.random.default_rng(0), _OPEN_SETS
-    )
+    known = set(names[observable].tolist())
+    top = top[0], max(top[1], 1e-6)
+    sets = open_sets(model, misfit.windows, parameters, known, top, 2 * _SETS)
     jacobians = [misfit.jacobian(values) * spans / level for values in sets]
     present = np.array([np.eye(spans.size) + jacobian.T @ jacobian for jacobian in jacobians])
-    gains = np.array([candidates.gains(v, noise * level, noise * level) * units for v in sets])
+    gains = np.array([candidates.gains(v, noise * level, noise * level) for v in sets])
+    gains *= np.outer(spans, spans)
     advised: list[ExtraRun] = []
-    while len(advised) < _MOST_RUNS and missing.any():
+    useful = 0
+    # The laws need no more runs than currents.
+    for _ in range(max(parameter.currents for parameter in model.parameters)):
+        if not missing.any():
+            break
         after = present[:, np.newaxis] + gains
         best = int(np.argmax(np.mean(np.linalg.slogdet(after)[1], axis=0)))
         present, run = after[:, best], candidates.runs[best]
         errors = np.sqrt(np.diagonal(np.linalg.inv(present), axis1=-2, axis2=-1))
         determined = missing & (np.median(errors, axis=0) < SURE)
-        names = tuple(np.array(model.parameter_names)[determined].tolist())
-        worst = float(np.mean(errors.max(axis=-1)))
-        advised.append(ExtraRun(run.amplitude, run.frequency, run.currents[0], names, worst))
+        told, worst = tuple(names[determined].tolist()), float(np.mean(errors.max(axis=-1)))
+        advised.append(ExtraRun(run.amplitude, run.frequency, run.currents[0], told, worst))
         missing &= ~determined
-    # Drop the runs at the end that determine no further parameter.
-    useful = [place for place, run in enumerate(advised) if run.determines]
-    return tuple(advised[: useful[-1] + 1]) if useful else ()
+        # Runs at the end that determine no further parameter are not advised.
+        useful = len(advised) if told else useful
+    return tuple(advised[:useful])

@@ -94,7 +94,7 @@ def _count_different(currents: Sequence[float]) -> int:
     return count
 
 
-_SMALLEST_SHARE = 0.1
+SMALLEST_SHARE = 0.1
 """The span of a scale near zero is the change that alters the force by this part."""
 
 _NEGLIGIBLE = 0.05
@@ -180,7 +180,7 @@ def parameter_spans(
     strength = model.strength_indices
     force = float(np.linalg.norm(jacobian[:, strength] @ parameters[strength]))
     spans = np.maximum(
-        np.abs(parameters), _SMALLEST_SHARE * force / np.where(lengths > 0.0, lengths, np.inf)
+        np.abs(parameters), SMALLEST_SHARE * force / np.where(lengths > 0.0, lengths, np.inf)
     )
     for place, name in enumerate(model.parameter_names):
         if name in ranges:

@@ -6,7 +6,7 @@ A run is a sine, a swept sine or a random motion at one current or at a staircas
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import Any
@@ -34,9 +34,6 @@ _CURRENT_STEP = 0.05
 PHASES = 64
 """Number of samples of the cycle that represents an operating point."""
 
-_AMPLITUDE = 0.01
-"""Default amplitude [m] of the cycles of a goal."""
-
 
 @dataclass(frozen=True)
 class ForceGoal:
@@ -51,7 +48,7 @@ class ForceGoal:
     error: float
     peak_velocity: tuple[float, float]
     current: tuple[float, float]
-    amplitude: float = _AMPLITUDE
+    amplitude: float = 0.01
     speeds: int = 5
     currents: int = 6
 
@@ -263,33 +260,15 @@ def _settled(part: slice, recording: Recording) -> slice:
     return slice(part.start + int(late[-1]) + 1 + round(SETTLING / recording.period), part.stop)
 
 
-_SPEEDS = 6
-_CURRENTS = 6
-"""Number of peak velocities and currents of the candidates."""
-
 _AMPLITUDES = (1.0, 0.5, 0.25)
 """Amplitudes of the candidates, relative to the largest amplitude."""
-
-_BROAD_SPEEDS = 3
-_BROAD_AMPLITUDES = 2
-"""Number of the largest peak velocities for motions other than a sine."""
 
 _RANDOM_BAND = (0.25, 2.0)
 """Frequency band of a random motion, relative to the sine of the same amplitude and peak velocity.
 """
 
-_TRIES = 10
-"""Number of attempts to find such a motion within the limits, also while its amplitude builds up.
-"""
-
 _STAIRS = (2, 3, 4, 6)
 """Number of currents of a staircase."""
-
-_FIRST_CURRENTS = 4
-"""Largest number of currents of the first run."""
-
-_LEAST_CYCLES = 1.0
-"""Smallest number of cycles in a stretch at one current."""
 
 
 def first_run(goal: ForceGoal, limits: MachineLimits) -> PlannedRun:
@@ -299,10 +278,10 @@ def first_run(goal: ForceGoal, limits: MachineLimits) -> PlannedRun:
     """
     low, high = goal.current
     half = 0.5 * (low + min(high, limits.current))
-    counts = range(1, 1 + (_FIRST_CURRENTS if limits.steps and half > low else 1))
+    counts = (1, *_STAIRS[:-1]) if limits.steps and half > low else (1,)
     stairs = [tuple(np.linspace(low, half, count).tolist()) for count in counts]
     runs = [
-        run for part in _AMPLITUDES for run in _runs(limits, part, goal.peak_velocity[0], stairs)
+        run for part in _AMPLITUDES for run in _sines(limits, part, goal.peak_velocity[0], stairs)
     ]
     if not runs:
         raise ValueError(
@@ -313,43 +292,40 @@ def first_run(goal: ForceGoal, limits: MachineLimits) -> PlannedRun:
 
 
 def candidate_runs(goal: ForceGoal, limits: MachineLimits) -> list[PlannedRun]:
-    """All runs within the limits of the machine that a plan selects from."""
+    """All runs within the limits of the machine that a plan selects from.
+
+    Motions other than a sine reach the larger peak velocities only, at the larger amplitudes.
+    """
     low, high = goal.peak_velocity
-    speeds = np.unique(np.geomspace(low, min(high, limits.peak_velocity), _SPEEDS)).tolist()
+    top = min(high, limits.peak_velocity)
+    speeds = np.unique(np.geomspace(low, top, goal.speeds + 1)).tolist()
     stairs = _stairs(goal, limits)
-    found: dict[PlannedRun, None] = {}
-    for speed in speeds:
-        for part in _AMPLITUDES:
-            found.update(dict.fromkeys(_runs(limits, part, speed, stairs)))
-    for number, speed in enumerate(speeds[1:][-_BROAD_SPEEDS:]):
-        for part in _AMPLITUDES[:_BROAD_AMPLITUDES]:
+    found = [run for v in speeds for part in _AMPLITUDES for run in _sines(limits, part, v, stairs)]
+    for seed, speed in enumerate(speeds[1:][-len(_AMPLITUDES) :]):
+        for part in _AMPLITUDES[:-1]:
             for kind in limits.motions:
-                run = _broad_run(limits, kind, part, (low, speed), number)
+                run = _broad_run(limits, kind, part, (low, speed), seed)
                 runs = [replace(run, currents=currents) for currents in stairs] if run else []
-                found.update(dict.fromkeys(_whole_cycles(runs)))
-    return list(found)
+                found += _whole_cycles(runs)
+    return list(dict.fromkeys(found))
 
 
 def _stairs(goal: ForceGoal, limits: MachineLimits) -> list[tuple[float, ...]]:
     """Currents of the candidate runs: single ones, or several if the machine can step them."""
     bottom, top = goal.current[0], min(goal.current[1], limits.current)
-    currents = [round_to(current) for current in np.unique(np.linspace(bottom, top, _CURRENTS))]
-    stairs: list[tuple[float, ...]] = [(current,) for current in currents]
-    for count in _STAIRS if limits.steps else ():
-        for start in range(len(currents)):
-            for stride in range(1, len(currents)):
-                chosen = tuple(currents[start::stride][:count])
-                if len(chosen) == count and chosen not in stairs:
-                    stairs.append(chosen)
-    return stairs
+    currents = list(map(round_to, np.unique(np.linspace(bottom, top, max(_STAIRS)))))
+    strides = [currents[s::d] for s in range(len(currents)) for d in range(1, len(currents))]
+    counts = _STAIRS if limits.steps else ()
+    several = [tuple(each[:count]) for count in counts for each in strides if len(each) >= count]
+    return list(dict.fromkeys([*((current,) for current in currents), *several]))
 
 
-def _runs(
+def _sines(
     limits: MachineLimits, part: float, speed: float, stairs: Sequence[tuple[float, ...]]
 ) -> list[PlannedRun]:
     """Sines of an amplitude and a peak velocity within the limits, in round numbers."""
-    amplitude = _round_down(part * limits.amplitude)
-    frequency = _round_down(speed / (2.0 * math.pi * amplitude))
+    amplitude = _rounded(part * limits.amplitude, math.floor)
+    frequency = _rounded(speed / (2.0 * math.pi * amplitude), math.floor)
     if not limits.frequency[0] <= frequency <= limits.frequency[1]:
         return []
     return _whole_cycles(
@@ -363,33 +339,32 @@ def _broad_run(
     """A motion other than a sine within these peak velocities; None if there is none."""
     if kind is MotionKind.SINE:
         return None
-    amplitude = _round_down(part * limits.amplitude)
+    amplitude = _rounded(part * limits.amplitude, math.floor)
     low, high = (speed / (2.0 * math.pi * amplitude) for speed in speeds)
     if kind is MotionKind.RANDOM:
         low, high = (part * high for part in _RANDOM_BAND)
     low, high = max(low, limits.frequency[0]), min(high, limits.frequency[1])
-    for _ in range(_TRIES):
-        run = _banded(PlannedRun(amplitude, low, (0.0,), limits.duration, kind, high, seed))
-        try:
-            speed = run.motion.growing_velocity
-        except ValueError:
-            return None
-        if speed <= speeds[1]:
-            return run
-        # A sweep loses its fastest part; a random motion gets a smaller amplitude.
-        if kind is MotionKind.SWEEP:
-            high = 0.99 * high * speeds[1] / speed
-        else:
-            amplitude = _round_down(amplitude * speeds[1] / speed)
-    return None
+    try:
+        while True:
+            run = _banded(PlannedRun(amplitude, low, (0.0,), limits.duration, kind, high, seed))
+            excess = run.motion.growing_velocity / speeds[1]
+            if excess <= 1.0:
+                return run
+            # A sweep loses its fastest part; a random motion gets a smaller amplitude.
+            if kind is MotionKind.SWEEP:
+                high = 0.99 * high / excess
+            else:
+                amplitude = _rounded(amplitude / excess, math.floor)
+    except ValueError:  # the band is too narrow for a motion
+        return None
 
 
 def _banded(run: PlannedRun) -> PlannedRun:
     """The run with round frequencies; a swept sine has whole cycles."""
-    low, high = _round_up(run.frequency), _round_down(run.highest_frequency)
+    low, high = _rounded(run.frequency, math.ceil), _rounded(run.highest_frequency, math.floor)
     if run.kind is MotionKind.SWEEP:
         cycles = math.ceil(0.5 * (low + high) * run.duration - 1e-9)
-        low = _round_up(max(2.0 * cycles / run.duration - high, low), 6)
+        low = _rounded(max(2.0 * cycles / run.duration - high, low), math.ceil, 6)
     return replace(run, frequency=low, highest_frequency=high)
 
 
@@ -400,7 +375,7 @@ def _whole_cycles(runs: Sequence[PlannedRun]) -> list[PlannedRun]:
         for run in runs
         if (run.stretch - SETTLING * (len(run.currents) > 1))
         * max(run.frequency, 0.5 * (run.frequency + run.highest_frequency))
-        >= _LEAST_CYCLES
+        >= 1.0
     ]
 
 
@@ -409,13 +384,8 @@ def round_to(value: float, digits: int = 3) -> float:
     return float(f"{value:.{digits}g}")
 
 
-def _round_up(value: float, digits: int = 2) -> float:
-    """The value rounded up to this number of digits, as for lower limits."""
+def _rounded(value: float, way: Callable[[float], int], digits: int = 2) -> float:
+    """The value rounded down or up to this number of digits, as for upper or lower limits."""
     unit = 10.0 ** (math.floor(math.log10(value)) + 1 - digits)
-    return float(f"{math.ceil(value / unit - 1e-9) * unit:.6g}")
-
-
-def _round_down(value: float) -> float:
-    """The value rounded down to two digits, as for upper limits."""
-    unit = 10.0 ** (math.floor(math.log10(value)) - 1)
-    return float(f"{math.floor(value / unit + 1e-9) * unit:.6g}")
+    # Rounding errors of the quotient are no digit.
+    return round_to(way(round(value / unit, 9)) * unit, 6)
