@@ -227,9 +227,9 @@ def _averages(runs: Sequence[MeasuredRun]) -> list[str]:
         return []
     more = f" and {len(named) - _MOST} more runs" if len(named) > _MOST else ""
     return [
-        f"a moving average shows in the force of {', '.join(named[:_MOST])}{more}: no law holds "
-        "between averages of a fast motion; import_record --undo-moving-average N brings back what "
-        "was averaged, where the record begins at rest"
+        f"the force of {', '.join(named[:_MOST])}{more} was smoothed by a moving average, which "
+        "distorts fast motions: undo it with import_record --undo-moving-average N; the record "
+        "must begin at rest"
     ]
 
 

@@ -111,8 +111,8 @@ def read_binary_table(
     if len(set(lengths.values())) > 1:
         sizes = ", ".join(f"{name} has {length}" for name, length in lengths.items())
         raise RecordError(
-            f"the {kind}s of {path.name} that are wanted differ in length: {sizes}; "
-            "choose those of one rate"
+            f"the chosen {kind}s of {path.name} differ in length: {sizes}; "
+            f"choose {kind}s of one sample rate"
         )
     if max(lengths.values()) > maximum_samples:
         raise too_long(path.name, maximum_samples)

@@ -228,8 +228,8 @@ class Identifier:
         notices = self.worker.take_notices()
         if self._outbox.late > self._late:
             notices.append(
-                f"state_dir takes more than {DISK_PATIENCE:g} s to be written: "
-                "publishing what is not kept yet"
+                f"saving to state_dir takes more than {DISK_PATIENCE:g} s: "
+                "sets are published before they are saved"
             )
         self._late = self._outbox.late
         return notices
