@@ -16,7 +16,7 @@ from mr_damper_ros.campaign.course import (
     judge_run,
     report_campaign,
 )
-from mr_damper_ros.campaign.folder import CampaignFolder, CampaignStep, MadeRun
+from mr_damper_ros.campaign.folder import CampaignFolder, MadeRun
 from mr_damper_ros.campaign.runs import REST, DriveSettings, DriveStage, MachineCommand, RunDriver
 from mr_damper_ros.estimation.experiment_design import PlanState
 from mr_damper_ros.processes.worker import Done, Failed, Outcome, TaskRunner
@@ -131,36 +131,30 @@ class CampaignConductor:
     def add_current(self, stamp_ns: int, current: float) -> None:
         """Add a measured current [A]; raises CurrentError if it is invalid."""
         if self._driver is not None:
-            self._driver.add_current(stamp_ns, current)
+            self._driver.current.add(stamp_ns, current)
 
     def add_temperature(self, stamp_ns: int, celsius: float) -> None:
         """Add a temperature of the damper [°C]; implausible ones are ignored."""
-        if not _COLDEST <= celsius <= _HOTTEST:
-            return
-        self._celsius = (stamp_ns, celsius)
-        if self._driver is not None:
-            self._driver.add_temperature(stamp_ns, celsius)
+        if _COLDEST <= celsius <= _HOTTEST:
+            self._celsius = (stamp_ns, celsius)
+            if self._driver is not None:
+                self._driver.celsius.add(stamp_ns, celsius)
 
     def add_block(self, block: SampleBlock) -> None:
         """Add samples."""
         for placed in self.sequence.follow(block):
             self._newest_ns = placed.block.end_ns
-            driver = self._driver or self._new_driver()
-            if driver is not None:
-                self._driver = driver
-                driver.add_block(placed)
-                self._look_at(driver)
-
-    def _look_at(self, driver: RunDriver) -> None:
-        assert self._course is not None
-        if driver.stage is DriveStage.DONE:
-            assert driver.recording is not None
-            self._driver, self._rested_ns = None, None
-            # The worker writes the bag, so that commands do not wait for the disk.
-            self._made = driver.run, driver.recording
-        elif driver.stage is DriveStage.BROKEN:
-            self._driver = None
-            self._course.fail(f"run {self._course.number} could not be made: {driver.fault}")
+            self._driver = driver = self._driver or self._new_driver()
+            if driver is None or self._course is None:
+                continue
+            driver.add_block(placed)
+            if driver.recording is not None:
+                self._driver, self._rested_ns = None, None
+                # The worker writes the bag, so that commands do not wait for the disk.
+                self._made = driver.run, driver.recording
+            elif driver.stage is DriveStage.BROKEN:
+                self._driver = None
+                self._course.fail(f"run {self._course.number} could not be made: {driver.state}")
 
     def _new_driver(self) -> RunDriver | None:
         course, settings = self._course, self._settings
@@ -170,14 +164,10 @@ class CampaignConductor:
             self._rested_ns = self._newest_ns + round(settings.rest_time * NANOSECONDS)
         if self._newest_ns < self._rested_ns:
             return None
-        driver = RunDriver(
-            course.next_run,
-            course.task.limits,
-            settings.drive,
-            by_hand=settings.manual,
-        )
+        limits = course.task.limits
+        driver = RunDriver(course.next_run, limits, settings.drive, by_hand=settings.manual)
         if self._celsius is not None:
-            driver.add_temperature(*self._celsius)
+            driver.celsius.add(*self._celsius)
         return driver
 
     # --- what goes out --------------------------------------------------------------------------
@@ -233,7 +223,7 @@ class CampaignConductor:
         if course is None or folder is None:
             return None
         for outcome in outcomes:
-            self._hear(course, outcome)
+            self._take_outcome(course, outcome)
         if self._worker.busy:
             return None
         if self._made is not None:
@@ -250,35 +240,31 @@ class CampaignConductor:
             return course
         return None
 
-    def _hear(self, course: CampaignCourse, outcome: Outcome) -> None:
+    def _take_outcome(self, course: CampaignCourse, outcome: Outcome) -> None:
         made, self._made = self._made, None
+        result = outcome.result if isinstance(outcome, Done) else None
         failed = outcome.reason if isinstance(outcome, Failed) else ""
         if made is not None:
             # A campaign that was stopped meanwhile stores the run, too.
             number = len(course.runs) + 1
             if failed:
                 course.fail(f"run {number} could not be stored: {failed}")
-            elif isinstance(outcome, Done):
-                refusal = str(outcome.result)
-                said = f"is refused: {refusal}" if refusal else f"is kept: {made[0].sentence}"
+            elif result is not None:
+                said = f"is refused: {result}" if result else f"is kept: {made[0].sentence}"
                 self._notices.append(f"run {number} {said}")
-                course.add_judged(made, refusal)
+                course.add_judged(made, result)
         elif self._reporting:
             if failed:
                 self._notices.append(f"the report could not be written: {failed}")
-        elif course.outcome is None:
-            if failed:
-                course.fail(f"run {course.number} could not be identified: {failed}")
-            elif isinstance(outcome, Done):
-                self._conclude(course, outcome.result)
-
-    def _conclude(self, course: CampaignCourse, step: CampaignStep) -> None:
-        try:
-            course.conclude(step)
-        except OSError as error:
-            course.fail(f"the result could not be stored: {error.strerror or error}")
-            return
-        plan = step.plan
-        self._notices.append(f"the force is known to {plan.now.sentence}")
-        if plan.state is PlanState.RUN and plan.reason:
-            self._notices.append(plan.reason)
+        elif course.outcome is None and failed:
+            course.fail(f"run {course.number} could not be identified: {failed}")
+        elif course.outcome is None and result is not None:
+            plan = result.plan
+            try:
+                course.conclude(result)
+            except OSError as error:
+                course.fail(f"the result could not be stored: {error.strerror or error}")
+                return
+            self._notices.append(f"the force is known to {plan.now.sentence}")
+            if plan.state is PlanState.RUN and plan.reason:
+                self._notices.append(plan.reason)

@@ -6,7 +6,7 @@ import csv
 import io
 import math
 from dataclasses import dataclass, replace
-from enum import IntEnum
+from enum import Enum, auto
 from pathlib import Path
 from typing import NamedTuple
 
@@ -22,7 +22,7 @@ from mr_damper_ros.signals.blocks import NANOSECONDS, SampleBlock, ZeroOrderHold
 from mr_damper_ros.signals.recording import Recording
 from mr_damper_ros.signals.uniform_grid import Placed
 
-STEADY = 0.02
+_STEADY = 0.02
 """Largest difference of two cycles of a steady motion, relative to the amplitude."""
 
 _SINE = 0.1
@@ -72,20 +72,20 @@ class MachineCommand(NamedTuple):
 REST = MachineCommand(None, 0.0)
 
 
-class DriveStage(IntEnum):
+class DriveStage(Enum):
     """Progress of a run."""
 
-    SETTLING = 0
-    RECORDING = 1
-    DONE = 2
-    BROKEN = 3
+    SETTLING = auto()
+    RECORDING = auto()
+    DONE = auto()
+    BROKEN = auto()
 
 
 class RunDriver:
     """Conducts one run: receives all measurements and provides the ``command`` for the machine.
 
-    When the ``stage`` is DONE, there is a ``recording``; when it is BROKEN, ``fault`` gives the
-    reason. ``state`` describes in words what the run is waiting for.
+    When the ``stage`` is DONE, there is a ``recording``. ``state`` describes in words what the run
+    is waiting for, or why it is BROKEN. ``current`` [A] and ``celsius`` hold the readings.
     """
 
     def __init__(
@@ -98,21 +98,20 @@ class RunDriver:
     ) -> None:
         self.run = run
         self.stage = DriveStage.SETTLING
-        self.fault = ""
         self.state = "the motion grows"
         self.recording: Recording | None = None
+        self.current = ZeroOrderHold(60.0 + 2.0 * run.duration)
+        self.celsius = ZeroOrderHold(60.0 + 2.0 * run.duration)
         self._limits = limits
         self._settings = settings
         self._motion = run.motion
         self._match: RepeatedMatch | None = None
         length = 10.0 * self._motion.length
         self._patience = math.inf if by_hand else settings.settle_timeout + length
-        self._current = ZeroOrderHold(60.0 + 2.0 * run.duration)
-        self._celsius = ZeroOrderHold(60.0 + 2.0 * run.duration)
         self._blocks: list[SampleBlock] = []
         self._passed = 0.0
         self._since_ns: int | None = None
-        self._next_look_ns = 0
+        self._next_check_ns = 0
 
     @property
     def command(self) -> MachineCommand:
@@ -120,89 +119,76 @@ class RunDriver:
         if self.stage in (DriveStage.DONE, DriveStage.BROKEN):
             return REST
         passed = self._passed if self.stage is DriveStage.RECORDING else 0.0
-        current = float(self.run.current_at(np.array([passed]))[0])
-        return MachineCommand(self._motion, current)
-
-    def add_current(self, stamp_ns: int, current: float) -> None:
-        """Add a measured current [A]; raises CurrentError if it is invalid."""
-        self._current.add(stamp_ns, current)
-
-    def add_temperature(self, stamp_ns: int, celsius: float) -> None:
-        """Add a temperature of the damper [°C]."""
-        self._celsius.add(stamp_ns, celsius)
+        return MachineCommand(self._motion, float(self.run.current_at(np.array([passed]))[0]))
 
     def add_block(self, placed: Placed) -> None:
         """Add samples on the uniform grid."""
         if placed.continuity.restarts:
-            self._begin_anew("samples were lost")
+            self._blocks = []
+            if self.stage is DriveStage.RECORDING:
+                self.stage = DriveStage.SETTLING
+                self.state = "samples were lost: the run starts again"
         if placed.continuity.kind == "jump_back":
-            self._current.follow_jump()
-            self._celsius.follow_jump()
-        if placed.continuity.kind != "repeat":
-            self._follow(placed.block)
-
-    def _begin_anew(self, why: str) -> None:
-        self._blocks = []
-        if self.stage is DriveStage.RECORDING:
-            self.stage, self.state = DriveStage.SETTLING, f"{why}: the run starts again"
-
-    def _follow(self, block: SampleBlock) -> None:
-        if self.stage in (DriveStage.DONE, DriveStage.BROKEN):
+            self.current.follow_jump()
+            self.celsius.follow_jump()
+        over = self.stage in (DriveStage.DONE, DriveStage.BROKEN)
+        if over or placed.continuity.kind == "repeat":
+            return
+        block = placed.block
+        force = float(np.max(np.abs(block.force)))
+        if force > self._limits.force:
+            self._break(f"the force reached {force:.4g} N, above {self._limits.force:.4g} N")
             return
         if self._since_ns is None:
-            self._since_ns = self._next_look_ns = block.start_ns
-        if self._beyond(block):
-            return
+            self._since_ns = self._next_check_ns = block.start_ns
         self._blocks.append(block)
         if self.stage is DriveStage.RECORDING:
             self._passed += block.sample_count * block.period
             self._finish()
-        elif block.end_ns >= self._next_look_ns:
-            self._next_look_ns = block.end_ns + round(0.25 * NANOSECONDS / self.run.frequency)
-            self._settle(block)
+        elif block.end_ns >= self._next_check_ns:
+            self._next_check_ns = block.end_ns + round(0.25 * NANOSECONDS / self.run.frequency)
+            self._settle(block, (block.end_ns - self._since_ns) / NANOSECONDS)
 
-    def _beyond(self, block: SampleBlock) -> bool:
-        """Whether the force exceeds the machine limit, which aborts the run."""
-        force = float(np.max(np.abs(block.force)))
-        if force <= self._limits.force:
-            return False
-        self._break(f"the force reached {force:.4g} N, above {self._limits.force:.4g} N")
-        return True
+    def _break(self, reason: str) -> None:
+        self.stage, self.state, self._blocks = DriveStage.BROKEN, reason, []
 
-    def _break(self, fault: str) -> None:
-        self.stage, self.fault, self.state = DriveStage.BROKEN, fault, fault
-        self._blocks = []
-
-    def _settle(self, block: SampleBlock) -> None:
-        assert self._since_ns is not None
-        cycle = self._motion.length
+    def _settle(self, block: SampleBlock, waited: float) -> None:
+        """Start the recording if the machine follows the command; ``waited`` [s] so far."""
         # Only the part needed for the checks is kept.
-        self._blocks = _last(self._blocks, 2.0 * cycle)
-        unsettled = self._unsettled(block, cycle)
-        if not unsettled:
-            self._blocks, self._passed = [], 0.0
-            self.stage, self.state = DriveStage.RECORDING, "the run is made"
-        elif (block.end_ns - self._since_ns) / NANOSECONDS > self._patience:
-            self._break(f"the machine does not follow the command: {unsettled}")
-        else:
-            self.state = unsettled
-
-    def _unsettled(self, block: SampleBlock, cycle: float) -> str:
-        """Reason why the run cannot start yet, or empty."""
+        held = np.cumsum([one.sample_count * one.period for one in self._blocks[::-1]])
+        needed = int(np.searchsorted(held, 2.0 * self._motion.length, side="right")) + 1
+        self._blocks = self._blocks[-needed:]
         displacement = np.concatenate([one.displacement for one in self._blocks])
-        count = round(cycle / block.period)
-        if displacement.size < self._looked_at(count):
-            return "the motion grows"
         span = 0.5 * float(np.ptp(displacement))
         if span > _REACH * self._limits.amplitude:
             self._break(
                 f"the amplitude reached {1e3 * span:.3g} mm, above "
                 f"{1e3 * self._limits.amplitude:.3g} mm"
             )
-            return self.fault
-        if self.run.kind is not MotionKind.SINE:
-            return self._off_motion(displacement, block.period) or self._unsettled_current(block)
-        wanted, tolerance = self.run.amplitude, self._settings.amplitude_tolerance
+            return
+        unsettled = self._off_motion(displacement, block.period) or self._off_current(block)
+        if not unsettled:
+            self._blocks, self._passed = [], 0.0
+            self.stage, self.state = DriveStage.RECORDING, "the run is made"
+        elif waited > self._patience:
+            self._break(f"the machine does not follow the command: {unsettled}")
+        else:
+            self.state = unsettled
+
+    def _off_motion(self, displacement: Array, period: float) -> str:
+        """Deviation of the motion from the command, in words, or empty."""
+        tolerance, cycle = self._settings.amplitude_tolerance, self._motion.length
+        count, sine = round(cycle / period), self.run.kind is MotionKind.SINE
+        if displacement.size < (2 * count if sine else count + 1):
+            return "the motion grows"
+        if not sine:
+            if self._match is None:
+                self._match = RepeatedMatch(self._motion, period)
+            left = self._match.left_of(displacement[-self._match.count :])
+            if left <= tolerance:
+                return ""
+            return f"the motion differs by {left:.0%} from {self.run.kind.description} as wanted"
+        wanted = self.run.amplitude
         before = sine_of_cycle(displacement[-2 * count : -count])
         now = sine_of_cycle(displacement[-count:])
         if abs(now.size - wanted) > tolerance * wanted:
@@ -211,27 +197,15 @@ class RunDriver:
         off = slip / (2.0 * math.pi)
         if abs(off) > tolerance:
             return f"the frequency is {(1.0 + off) / cycle:.3g} Hz, not {1.0 / cycle:.3g} Hz"
-        if abs(now.size - before.size) > STEADY * now.size or now.rest > _SINE * now.size:
+        if abs(now.size - before.size) > _STEADY * now.size or now.rest > _SINE * now.size:
             return "the motion is not steady yet"
-        return self._unsettled_current(block)
+        return ""
 
-    def _looked_at(self, count: int) -> int:
-        """Number of samples to check for a motion of this length."""
-        return 2 * count if self.run.kind is MotionKind.SINE else count + 1
-
-    def _off_motion(self, displacement: Array, period: float) -> str:
-        """Deviation of a motion other than a sine from the command, in words, or empty."""
-        if self._match is None:
-            self._match = RepeatedMatch(self._motion, period)
-        left = self._match.left_of(displacement[-self._match.count :])
-        if left <= self._settings.amplitude_tolerance:
-            return ""
-        return f"the motion differs by {left:.0%} from {self.run.kind.description} as wanted"
-
-    def _unsettled_current(self, block: SampleBlock) -> str:
-        if not self._current.known_from(block.start_ns):
+    def _off_current(self, block: SampleBlock) -> str:
+        """Deviation of the current from the command, in words, or empty."""
+        if not self.current.known_from(block.start_ns):
             return "no reading of the current has come"
-        current = float(self._current.at(block.end_ns, block.period, 1)[0])
+        current = float(self.current.at(block.end_ns, block.period, 1)[0])
         wanted = self.run.currents[0]
         if abs(current - wanted) > self._settings.current_tolerance:
             return f"the current is {current:.3g} A, not {wanted:.3g} A"
@@ -243,7 +217,7 @@ class RunDriver:
         count = round(self.run.duration / first.period)
         if self._passed < (count - 0.5) * first.period:
             return
-        known = self._current.last_stamp_ns
+        known = self.current.last_stamp_ns
         needed_ns = first.start_ns + round(count * first.period * NANOSECONDS)
         late = (last.end_ns - needed_ns) / NANOSECONDS
         if (known is None or known < needed_ns) and late < _LATE:
@@ -252,16 +226,15 @@ class RunDriver:
             np.concatenate([getattr(block, name) for block in self._blocks])[:count]
             for name in ("displacement", "force")
         )
+        grid = first.start_ns, first.period, count
         self.recording = Recording(
             "run",
             first.start_ns,
             first.period,
             displacement,
             force,
-            self._current.at(first.start_ns, first.period, count),
-            self._celsius.at(first.start_ns, first.period, count)
-            if self._celsius.known_from(last.end_ns)
-            else None,
+            self.current.at(*grid),
+            self.celsius.at(*grid) if self.celsius.known_from(last.end_ns) else None,
         )
         self.stage, self.state = DriveStage.DONE, "the run is made"
 
@@ -282,17 +255,6 @@ def sine_of_cycle(displacement: Array) -> CycleSine:
     rest = centred - sine * np.sin(angle) - cosine * np.cos(angle)
     size, phase = math.hypot(sine, cosine), math.atan2(cosine, sine)
     return CycleSine(size, phase, float(np.sqrt(np.mean(rest**2))))
-
-
-def _last(blocks: list[SampleBlock], duration: float) -> list[SampleBlock]:
-    """The newest blocks that cover at least this time [s]."""
-    kept, held = [], 0.0
-    for block in reversed(blocks):
-        kept.append(block)
-        held += block.sample_count * block.period
-        if held > duration:
-            break
-    return kept[::-1]
 
 
 COLUMNS = ("time:s", "displacement:m", "current:A")
