@@ -216,9 +216,9 @@ class ControllerNode(BlockNode[ControllerParameters, Command]):
     def _tracking_finding(self) -> Finding:
         nrmse = self._tracking.nrmse
         if math.isnan(nrmse):
-            wanted = self._last is not None and not math.isnan(self._last.wanted)
-            what = "could be had" if wanted else "has been given"
-            return Finding(OK, f"no desired force {what} yet")
+            given = self._last is not None and not math.isnan(self._last.wanted)
+            sentence = "no desired force has been given yet"
+            return Finding(OK, "no desired force was attainable yet" if given else sentence)
         return Finding(
             OK,
             f"the attainable forces were missed by {nrmse:.1%} of the measured force",

@@ -12,6 +12,7 @@ from known import SIGMOID
 
 from mr_damper_ros.estimation.window_fit import WindowFit, fit_window
 from mr_damper_ros.kinematics.window import Window
+from mr_damper_ros.tracking import force_scale as tracking
 from mr_damper_ros.tracking.force_scale import ForceScale, force_scale
 from mr_damper_ros.tracking.operating_point import KnownPoints
 
@@ -84,6 +85,13 @@ def test_an_operating_point_at_the_edge_of_a_cell_has_one_baseline(what: str) ->
         scale = scale_of(known_points, run)
         known_points = known_points.with_baseline(fit_of(run))
     assert scale.value == pytest.approx(0.9, rel=ACROSS_THE_EDGE)
+
+
+@pytest.mark.parametrize("factor", [-4e-4, 0.0])
+def test_a_force_against_that_of_the_baseline_tells_no_scale(factor: float) -> None:
+    reference = known.run(seed=None).force
+    known_to = np.ones((reference.size, 1)), np.ones((1, 1))
+    assert math.isnan(tracking.scale_between(reference, factor * reference, *known_to).value)
 
 
 def test_a_baseline_beyond_all_measure_tells_no_scale() -> None:

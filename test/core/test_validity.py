@@ -143,6 +143,21 @@ def test_a_wild_sample_of_the_load_cell_is_told_and_spoils_no_other(size: float)
     assert "the measured force jumps to" in predictions[10].reason
 
 
+@pytest.mark.parametrize("size", [3000.0, 20_000.0])
+def test_wild_samples_in_a_slow_motion_hide_no_loss_of_force(size: float) -> None:
+    """The peak of a cycle of 20 s would hold them for long."""
+    run = known.run(amplitude=0.01, frequency=0.05, samples=30_000)
+    wild, lost = slice(23_000, 24_000, 200), 24_500
+    force = run.force.copy()
+    force[wild] += size
+    force[lost:] *= 0.3
+    slow = dataclasses.replace(SET, peak_velocity_range=(0.0, 1.0))
+    predictions = predicted(run.displacement, force, size=100, parameters=slow)
+    valid = np.concatenate([p.valid_samples for p in predictions])
+    assert valid[22_000:23_000].all(), "before them the force is valid"
+    assert not valid[lost + 500 :].any()
+
+
 def test_a_measured_force_that_drives_the_motion_is_told() -> None:
     predictions = predicted(force=spoilt(RUN.force, -RUN.force[CHANGE:]))
     assert predictions[-1].doubt.kind is DoubtKind.SENSOR

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -124,3 +125,10 @@ def test_it_says_what_it_lacks(start: Any, listener: Listener, recording: Record
     press.run(recording)
     status = listener.wait_for_finding("controller: command", "no parameters yet")
     assert {value.key: value.value for value in status.values}["doubt"] == DoubtKind.MISSING.name
+    listener.wait_for_finding("controller: tracking", "no desired force has been given")
+    demand = listener.node.create_publisher(DesiredForce, "damper/desired_force", 1)
+    listener.until(demand.get_subscription_count, "the controller's subscription")
+    demand.publish(DesiredForce(header=header(recording.start_ns, "damper"), force=WANTED))
+    assert demand.wait_for_all_acked(Duration(seconds=30))
+    press.run(replace(recording, start_ns=recording.start_ns + 10**10))
+    listener.wait_for_finding("controller: tracking", "no desired force was attainable")
