@@ -13,7 +13,7 @@ import sys
 import time
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
-from types import FrameType, TracebackType
+from types import FrameType
 from typing import Any, TypeVar
 
 from mr_damper_ros.api.comparison import FORMATS, Comparison, save_figures
@@ -227,18 +227,9 @@ class StatusLine:
     _shown = False
 
     def __enter__(self: Self) -> Self:
-        self._begin()
         return self
 
-    def _begin(self) -> None:
-        """Enter the context; subclasses override this."""
-
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         if self._shown:
             sys.stderr.write("\n")
 
@@ -259,18 +250,15 @@ class ProgressLine(StatusLine):
     def __init__(self) -> None:
         self.stopped = False
         self._end = math.inf
+        self._previous: Any = None
 
-    def _begin(self) -> None:
+    def __enter__(self) -> ProgressLine:
         self._previous = signal.signal(signal.SIGINT, self._interrupt)
+        return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         signal.signal(signal.SIGINT, self._previous)
-        super().__exit__(kind, error, trace)
+        super().__exit__()
 
     def _interrupt(self, number: int, frame: FrameType | None) -> None:
         if self.stopped:
@@ -281,11 +269,6 @@ class ProgressLine(StatusLine):
 
     def __call__(self, progress: GlobalProgress) -> bool:
         """Show the progress of the search; False after Ctrl-C."""
-        self.show(self._told(progress))
-        return not self.stopped
-
-    def _told(self, progress: GlobalProgress) -> str:
-        """The progress in words."""
         parts = []
         if progress.generation > 0:
             parts.append(f"generation {progress.generation} of at most {progress.generations}")
@@ -298,4 +281,5 @@ class ProgressLine(StatusLine):
             left = self._end - now
             late = left < _LATE * progress.time_left
             parts.append("longer than expected" if late else f"at most {left:.0f} s left")
-        return f"{progress.stage}: {', '.join(parts)}" if parts else progress.stage
+        self.show(f"{progress.stage}: {', '.join(parts)}" if parts else progress.stage)
+        return not self.stopped

@@ -91,15 +91,33 @@ def _demo(options: argparse.Namespace) -> int:
         print(f"page of this run, while it lasts: {page_of(running['live'])}")
         from mr_damper_ros.nodes.observer import Observer
 
-        heard = _Heard(stack.enter_context(Observer("demo")))
-        heard.wait_for_nodes(running)
+        heard = _Messages(stack.enter_context(Observer("demo")))
+        deadline = time.monotonic() + _START_LIMIT
+        while not set(_NODES) <= set(heard.observer.node.get_node_names()):
+            check_running(running)
+            if time.monotonic() > deadline:
+                raise DemoError(f"{' and '.join(_NODES)} did not start within {_START_LIMIT:.0f} s")
+            heard.observer.spin_once()
         running["replay"] = stack.enter_context(
             closing(start_node("replay", bag=bag, rate=options.rate, wait_for_subscribers=3))
         )
-        heard.follow(running)
+        heard.receive(running)
     if not heard.sets or not heard.reports:
         raise DemoError("no window was identified: see the messages of the nodes above")
-    return _summary(heard, recording, options.output)
+    from mr_damper_ros.nodes.messages import parameter_set
+
+    found = parameter_set(heard.sets[-1])
+    print(f"\n{text_table(*estimates_table('parameter', parameter_estimates(found)))}\n")
+    for known, when in ((start_set(found.model), "before"), (found, "after")):
+        nrmse = validate(known, recording).nrmse
+        print(f"NRMSE with the set {known.set_id}, {when}: {nrmse:.2%}")
+    comparison = heard.predicted(recording)
+    print(f"NRMSE of the force predicted while it ran: {comparison.error.nrmse:.2%}")
+    figures = save_figures(
+        [comparison], options.output, ["png"], "predicted while the bag was playing"
+    )
+    print("figures: " + ", ".join(map(str, figures)))
+    return 0
 
 
 def _live(options: argparse.Namespace) -> int:
@@ -156,7 +174,7 @@ def page_of(live: Program) -> str:
     return found[1]
 
 
-class _Heard:
+class _Messages:
     """Messages of the nodes: samples, forces, sets, and reports, which are also printed."""
 
     def __init__(self, observer: Observer) -> None:
@@ -164,15 +182,15 @@ class _Heard:
 
         from mr_damper_ros.nodes import quality
 
-        self._observer = observer
+        self.observer = observer
         self._last = time.monotonic()
         self.reports: list[Any] = []
-        observer.listen(FitReport, "damper/fit_report", take=self._tell)
+        observer.listen(FitReport, "damper/fit_report", take=self._print)
         self.samples = observer.listen(MtsSamples, "mts/samples")
         self.forces = observer.listen(PredictedForce, "damper/predicted_force")
         self.sets = observer.listen(DamperParameters, "damper/parameters", quality.latched())
 
-    def _tell(self, report: Any) -> None:
+    def _print(self, report: Any) -> None:
         self.reports.append(report)
         self._last = time.monotonic()
         now, begin = report.header.stamp, self.reports[0].window_start
@@ -185,54 +203,33 @@ class _Heard:
             flush=True,
         )
 
-    def wait_for_nodes(self, running: Mapping[str, Program]) -> None:
-        """Wait until identifier and model are running. Raises DemoError."""
-        deadline = time.monotonic() + _START_LIMIT
-        while not set(_NODES) <= set(self._observer.node.get_node_names()):
-            check_running(running)
-            if time.monotonic() > deadline:
-                raise DemoError(f"{' and '.join(_NODES)} did not start within {_START_LIMIT:.0f} s")
-            self._observer.spin_once()
-
-    def follow(self, running: Mapping[str, Program]) -> None:
+    def receive(self, running: Mapping[str, Program]) -> None:
         """Receive until the bag has ended and the identifier has finished. Raises DemoError."""
         print("\nwindow        held-back samples: before -> after the fit")
         while running["replay"].running or time.monotonic() - self._last < _SETTLE:
             check_running(running)
-            self._observer.spin_once()
+            self.observer.spin_once()
 
-
-def _summary(heard: _Heard, recording: Recording, folder: Path) -> int:
-    from mr_damper_ros.nodes.messages import parameter_set
-
-    found = parameter_set(heard.sets[-1])
-    print(f"\n{text_table(*estimates_table('parameter', parameter_estimates(found)))}\n")
-    for known, when in ((start_set(found.model), "before"), (found, "after")):
-        nrmse = validate(known, recording).nrmse
-        print(f"NRMSE with the set {known.set_id}, {when}: {nrmse:.2%}")
-    samples = {message.seq: message for message in heard.samples}
-    forces = {m.seq: m.force for m in heard.forces if m.valid and m.seq in samples}
-    if not forces:
-        raise DemoError("the model node predicted nothing valid: see /diagnostics")
-    numbers = sorted(forces)
-    moved, measured = (
-        np.concatenate([getattr(samples[seq], name) for seq in numbers])
-        for name in ("displacement", "force")
-    )
-    period = recording.period
-    comparison = Comparison(
-        name=recording.name,
-        time=np.concatenate([(seq + np.arange(len(forces[seq]))) * period for seq in numbers]),
-        displacement=moved,
-        velocity=np.gradient(moved, period),
-        measured=measured,
-        predicted=np.concatenate([forces[seq] for seq in numbers]),
-        provenance=recording.details.get("provenance", ""),
-    )
-    print(f"NRMSE of the force predicted while it ran: {comparison.error.nrmse:.2%}")
-    figures = save_figures([comparison], folder, ["png"], "predicted while the bag was playing")
-    print("figures: " + ", ".join(str(path) for path in figures))
-    return 0
+    def predicted(self, recording: Recording) -> Comparison:
+        """The force that was predicted while it ran. Raises DemoError."""
+        samples = {message.seq: message for message in self.samples}
+        forces = {m.seq: m.force for m in self.forces if m.valid and m.seq in samples}
+        if not forces:
+            raise DemoError("the model node predicted nothing valid: see /diagnostics")
+        numbers, period = sorted(forces), recording.period
+        moved, measured = (
+            np.concatenate([getattr(samples[seq], name) for seq in numbers])
+            for name in ("displacement", "force")
+        )
+        return Comparison(
+            name=recording.name,
+            time=np.concatenate([(seq + np.arange(len(forces[seq]))) * period for seq in numbers]),
+            displacement=moved,
+            velocity=np.gradient(moved, period),
+            measured=measured,
+            predicted=np.concatenate([forces[seq] for seq in numbers]),
+            provenance=recording.details.get("provenance", ""),
+        )
 
 
 main = program(_parser, _run)

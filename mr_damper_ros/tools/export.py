@@ -8,11 +8,11 @@ from collections.abc import Callable
 from pathlib import Path
 
 from mr_damper_ros.control.export.exported_law import ExportedLaw, ExportSettings, Vectors
-from mr_damper_ros.control.export.fmu import write_fmu
+from mr_damper_ros.control.export.fmu import fmu
 from mr_damper_ros.control.export.source_code import functions, header
 from mr_damper_ros.models.parameter_set import ParameterSet
-from mr_damper_ros.processes.files import write_text
-from mr_damper_ros.settings.option_table import Option, options
+from mr_damper_ros.processes.files import write_bytes
+from mr_damper_ros.settings.option_table import options
 from mr_damper_ros.tools.console import program
 
 _POINTS = 1000
@@ -38,58 +38,37 @@ def _parser() -> argparse.ArgumentParser:
         "--name", default="mr_damper", help="of what the C code defines (default %(default)s)"
     )
     for item in options(ExportSettings):
-        parser.add_argument(_flag(item), type=float, default=item.default, help=_help(item))
+        parser.add_argument(
+            f"--{item.name.replace('_', '-')}",
+            type=float,
+            default=item.default,
+            help=item.description.rstrip(".") + " (default %(default)s)",
+        )
     return parser
-
-
-def _flag(item: Option) -> str:
-    return "--" + item.name.replace("_", "-")
-
-
-def _help(item: Option) -> str:
-    return item.description.rstrip(".") + " (default %(default)s)"
 
 
 def _export(chosen: argparse.Namespace) -> int:
     settings = ExportSettings(
         **{item.name: getattr(chosen, item.name) for item in options(ExportSettings)}
     )
-    law = ExportedLaw.of(ParameterSet.load(chosen.parameters), settings)
+    law = ExportedLaw(ParameterSet.load(chosen.parameters), settings)
     if law.parameters.doubt_over_current:
         print(f"WARNING: {law.parameters.doubt_over_current}", file=sys.stderr)
     chosen.output.mkdir(parents=True, exist_ok=True)
-    written = _FORMATS[chosen.format](law, chosen.name, chosen.output)
-    vectors = chosen.output / "vectors.csv"
-    write_text(vectors, Vectors.of(law, _POINTS).csv())
-    print("written: " + ", ".join(str(path) for path in (*written, vectors)))
+    files = _FORMATS[chosen.format](law, chosen.name)
+    files["vectors.csv"] = Vectors.of(law, _POINTS).csv()
+    for name, content in files.items():
+        write_bytes(chosen.output / name, content.encode() if isinstance(content, str) else content)
+    print("written: " + ", ".join(str(chosen.output / name) for name in files))
     return 0
 
 
-def _c(law: ExportedLaw, name: str, folder: Path) -> list[Path]:
-    path = folder / f"{name}.h"
-    write_text(path, header(law, name))
-    return [path]
-
-
-def _fmu(law: ExportedLaw, name: str, folder: Path) -> list[Path]:
-    path = folder / f"{name}.fmu"
-    write_fmu(law, name, path)
-    return [path]
-
-
-def _matlab(law: ExportedLaw, name: str, folder: Path) -> list[Path]:
-    paths = []
-    for file, text in functions(law).items():
-        paths.append(folder / file)
-        write_text(paths[-1], text)
-    return paths
-
-
-_FORMATS: dict[str, Callable[[ExportedLaw, str, Path], list[Path]]] = {
-    "c": _c,
-    "fmu": _fmu,
-    "matlab": _matlab,
+_FORMATS: dict[str, Callable[[ExportedLaw, str], dict[str, str | bytes]]] = {
+    "c": lambda law, name: {f"{name}.h": header(law, name)},
+    "fmu": lambda law, name: {f"{name}.fmu": fmu(law, name)},
+    "matlab": lambda law, name: {**functions(law)},
 }
+"""The files of each format, by their names."""
 
 
 main = program(_parser, _export)

@@ -80,7 +80,7 @@ def _of(array: Array) -> Any:
 
 @pytest.fixture(scope="module", params=["thesis", "sigmoid_lag"])
 def law(request: pytest.FixtureRequest) -> ExportedLaw:
-    return ExportedLaw.of(SETS[request.param], ExportSettings())
+    return ExportedLaw(SETS[request.param], ExportSettings())
 
 
 @pytest.fixture(scope="module")
@@ -254,7 +254,7 @@ def test_fmpy_finds_nothing_wrong_and_runs_it(fmu: Path) -> None:
         output_interval=1e-3,
         output=["force", "coil_current"],
     )
-    law = ExportedLaw.of(SETS["sigmoid_lag"], ExportSettings())
+    law = ExportedLaw(SETS["sigmoid_lag"], ExportSettings())
     held = np.concatenate(([0.0], result["time"]))[:800]
     expected = expected_stream(law, np.interp(held, time, motion), np.full(800, 0.7), 0.0)
     assert np.abs(result["force"][:800] - expected).max() < 0.02 * np.abs(expected).max()
@@ -305,7 +305,7 @@ def test_what_cannot_be_exported_is_one_sentence(
 
 def test_other_laws_say_that_they_cannot_be_exported() -> None:
     with pytest.raises(ExportError, match="sigmoid or sigmoid_lag"):
-        ExportedLaw.of(ParameterSet(EXAMPLES["bingham"], model="bingham"), ExportSettings())
+        ExportedLaw(ParameterSet(EXAMPLES["bingham"], model="bingham"), ExportSettings())
     assert {name for name, model in MODELS.items() if model.formulas} == {"sigmoid", "sigmoid_lag"}
 
 

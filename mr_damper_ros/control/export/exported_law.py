@@ -12,7 +12,6 @@ from mr_damper_ros.kinematics.observer import (
     possible_bandwidths,
     settling_samples,
 )
-from mr_damper_ros.models.formulas import WrittenLaw
 from mr_damper_ros.models.parameter_set import ParameterSet, SpokenError
 from mr_damper_ros.settings.option_table import CheckedSettings, option
 from mr_damper_ros.signals.arrays import Array
@@ -44,70 +43,51 @@ class ExportSettings(CheckedSettings):
     )
 
 
-@dataclass(frozen=True, eq=False)
 class ExportedLaw:
-    """A parameter set prepared for a controller with a fixed sample period."""
+    """A parameter set prepared for a controller with a fixed sample period.
 
-    parameters: ParameterSet
-    settings: ExportSettings
-    formulas: WrittenLaw
-    constants: dict[str, float]
-    observer: Array
-    """State matrix (4, 4) of the observer."""
-    observer_gain: Array
-    """Input vector (4,) of the observer."""
-    settling: int
-    """Number of samples until the observer has settled."""
-    nodes: Array
-    """Nodes [A] of the inverse."""
+    ``constants`` are the parameters by name. The observer has the state matrix ``observer`` (4, 4)
+    and the input vector ``observer_gain`` (4,); it settles within ``settling`` samples. ``nodes``
+    [A] are those of the inverse. ``held``: range of peak velocities [m/s] in which v_m is held.
 
-    @classmethod
-    def of(cls, parameters: ParameterSet, settings: ExportSettings) -> ExportedLaw:
-        """Raises ExportError if the model has no formulas or the settings are invalid."""
+    Raises ExportError if the model has no formulas or the settings are invalid.
+    """
+
+    def __init__(self, parameters: ParameterSet, settings: ExportSettings) -> None:
         formulas = parameters.law.formulas
         if formulas is None:
             raise ExportError(
                 f"model '{parameters.model}' cannot be exported: identify the damper with one of "
                 "the sigmoid laws, sigmoid or sigmoid_lag"
             )
-        lowest, highest = possible_bandwidths(settings.period)
-        if not lowest <= settings.bandwidth <= highest:
+        period, bandwidth = settings.period, settings.bandwidth
+        lowest, highest = possible_bandwidths(period)
+        if not lowest <= bandwidth <= highest:
             raise ExportError(
-                f"the bandwidth is {settings.bandwidth:g} Hz: samples {settings.period:g} s apart "
-                f"allow {lowest:g} to {highest:g} Hz"
+                f"the bandwidth is {bandwidth:g} Hz: samples {period:g} s apart allow {lowest:g} "
+                f"to {highest:g} Hz"
             )
         low, high = settings.lowest_current, settings.highest_current
         if not low < high:
             raise ExportError(
                 f"the highest current, {high:g} A, is not above the lowest, {low:g} A"
             )
-        matrix, gain = closed_loop(settings.period, settings.bandwidth)
-        return cls(
-            parameters,
-            settings,
-            formulas,
-            formulas.constants(parameters.values),
-            matrix,
-            gain,
-            settling_samples(settings.period, settings.bandwidth),
-            np.linspace(low, high, NODES),
-        )
-
-    @property
-    def held(self) -> tuple[float, float]:
-        """Range of peak velocities [m/s] in which v_m is held."""
-        low, high = self.parameters.peak_velocity_range
-        return low, high
+        self.parameters, self.settings, self.formulas = parameters, settings, formulas
+        self.constants = formulas.constants(parameters.values)
+        self.observer, self.observer_gain = closed_loop(period, bandwidth)
+        self.settling = settling_samples(period, bandwidth)
+        self.nodes = np.linspace(low, high, NODES)
+        self.held = parameters.peak_velocity_range
 
     @property
     def provenance(self) -> str:
         """Description of the set in one line, for the header of the code."""
-        low, high = self.parameters.peak_velocity_range
+        (slow, fast), (low, high) = self.held, self.parameters.current_range
         doubt = self.parameters.doubt_over_current
         return (
             f"set {self.parameters.set_id} of model {self.parameters.model}, peak velocity "
-            f"{low:.4g} to {high:.4g} m/s, current {self.parameters.current_range[0]:.4g} to "
-            f"{self.parameters.current_range[1]:.4g} A" + (f"; WARNING: {doubt}" if doubt else "")
+            f"{slow:.4g} to {fast:.4g} m/s, current {low:.4g} to {high:.4g} A"
+            + (f"; WARNING: {doubt}" if doubt else "")
         )
 
 

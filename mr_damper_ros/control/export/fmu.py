@@ -16,7 +16,6 @@ from xml.sax.saxutils import quoteattr
 
 from mr_damper_ros.control.export.exported_law import ExportedLaw, ExportError, number
 from mr_damper_ros.control.export.source_code import filled, header, template
-from mr_damper_ros.processes.files import write_bytes
 
 WARNINGS = ("-std=c99", "-Wall", "-Wextra", "-pedantic")
 """Warning options; the code compiles without warnings."""
@@ -65,66 +64,63 @@ _EPOCH = (1980, 1, 1, 0, 0, 0)
 """Fixed time stamp in the archive, so that the same set gives the same bytes."""
 
 
-def write_fmu(law: ExportedLaw, name: str, path: Path) -> None:
-    """Write the FMU. Raises ExportError without a compiler or if it fails, and OSError."""
+def fmu(law: ExportedLaw, name: str) -> bytes:
+    """The content of the FMU. Raises ExportError without a compiler or if it fails, and OSError."""
     code = header(law, name)
     guid = hashlib.sha256(code.encode()).hexdigest()[:32]
     source = filled(template("fmu.c.in"), {"GUARD": name.upper(), "NAME": name, "GUID": guid})
+    # Names of the folder of the binaries in FMI 2.0, and of a library.
+    system, suffix = {"darwin": ("darwin", ".dylib"), "win32": ("win", ".dll")}.get(
+        sys.platform, (sys.platform, ".so")
+    )
+    bits = platform.architecture()[0].removesuffix("bit")
     with tempfile.TemporaryDirectory() as folder:
         place = Path(folder)
         (place / f"{name}.h").write_text(code, encoding="utf-8")
         (place / "fmu.c").write_text(source, encoding="utf-8")
-        library = place / f"{name}{_suffix()}"
+        library = place / f"{name}{suffix}"
         compile_library(place / "fmu.c", library, "-fvisibility=hidden")
         entries = {
             "modelDescription.xml": _description(law, name, guid).encode(),
             f"sources/{name}.h": code.encode(),
             "sources/fmu.c": source.encode(),
-            f"binaries/{_platform()}/{library.name}": library.read_bytes(),
+            f"binaries/{system}{bits}/{library.name}": library.read_bytes(),
         }
     packed = io.BytesIO()
     with zipfile.ZipFile(packed, "w", zipfile.ZIP_DEFLATED) as archive:
         for entry, content in entries.items():
             archive.writestr(zipfile.ZipInfo(entry, _EPOCH), content, zipfile.ZIP_DEFLATED)
-    write_bytes(path, packed.getvalue())
+    return packed.getvalue()
 
 
-def _platform() -> str:
-    """Name of the folder of the binaries in FMI 2.0."""
-    system = {"linux": "linux", "darwin": "darwin", "win32": "win"}.get(sys.platform, sys.platform)
-    return system + platform.architecture()[0].removesuffix("bit")
+_KINDS = {
+    "input": ('causality="input" variability="continuous"', ' start="0.0"'),
+    "output": ('causality="output" variability="continuous" initial="calculated"', ""),
+    "parameter": ('causality="parameter" variability="fixed" initial="exact"', ' start="0.0"'),
+}
+"""Attributes of a variable, and of its value, by its causality."""
 
-
-def _suffix() -> str:
-    return {"darwin": ".dylib", "win32": ".dll"}.get(sys.platform, ".so")
+_UNITS = (
+    ("m", 'm="1"'),
+    ("A", 'A="1"'),
+    ("N", 'kg="1" m="1" s="-2"'),
+    ("m/s", 'm="1" s="-1"'),
+)
 
 
 def _description(law: ExportedLaw, name: str, guid: str) -> str:
-    variables, outputs = [], []
-    for place, (variable, causality, unit, meaning) in enumerate(_VARIABLES):
-        kind = {
-            "input": 'causality="input" variability="continuous"',
-            "output": 'causality="output" variability="continuous" initial="calculated"',
-            "parameter": 'causality="parameter" variability="fixed" initial="exact"',
-        }[causality]
-        start = "" if causality == "output" else ' start="0.0"'
-        variables.append(
-            f'    <ScalarVariable name="{variable}" valueReference="{place}" {kind} '
-            f"description={quoteattr(meaning)}>\n"
-            f'      <Real unit="{unit}"{start}/>\n    </ScalarVariable>'
-        )
-        if causality == "output":
-            outputs.append(f'<Unknown index="{place + 1}"/>')
-    units = "\n".join(
-        f'    <Unit name="{unit}"><BaseUnit {base}/></Unit>'
-        for unit, base in (
-            ("m", 'm="1"'),
-            ("A", 'A="1"'),
-            ("N", 'kg="1" m="1" s="-2"'),
-            ("m/s", 'm="1" s="-1"'),
-        )
+    rows = "\n".join(
+        f'    <ScalarVariable name="{variable}" valueReference="{place}" {_KINDS[causality][0]} '
+        f"description={quoteattr(meaning)}>\n"
+        f'      <Real unit="{unit}"{_KINDS[causality][1]}/>\n    </ScalarVariable>'
+        for place, (variable, causality, unit, meaning) in enumerate(_VARIABLES)
     )
-    rows, unknowns = "\n".join(variables), "".join(outputs)
+    unknowns = "".join(
+        f'<Unknown index="{place}"/>'
+        for place, (_, causality, _, _) in enumerate(_VARIABLES, start=1)
+        if causality == "output"
+    )
+    units = "\n".join(f'    <Unit name="{unit}"><BaseUnit {base}/></Unit>' for unit, base in _UNITS)
     return f"""\
 <?xml version="1.0" encoding="UTF-8"?>
 <fmiModelDescription fmiVersion="2.0" modelName="{name}" guid="{guid}"
