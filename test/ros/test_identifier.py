@@ -420,9 +420,7 @@ def test_a_killed_worker_is_replaced_and_no_window_is_lost(
     assert "the worker process hangs" in identifier.errors
 
 
-@pytest.mark.parametrize(
-    ("number", "busy"), [(signal.SIGINT, True), (signal.SIGTERM, False), (signal.SIGKILL, True)]
-)
+@pytest.mark.parametrize(("number", "busy"), [(signal.SIGTERM, False), (signal.SIGKILL, True)])
 def test_it_ends_cleanly_and_its_worker_with_it(
     start: Any,
     listener: Listener,

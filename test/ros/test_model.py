@@ -386,8 +386,7 @@ def test_it_predicts_with_what_the_identifier_finds(
     assert second[-1].parameter_set.startswith("window-")
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
-def test_it_ends_cleanly(start: Any, listener: Listener, number: signal.Signals) -> None:
+def test_it_ends_cleanly(start: Any, listener: Listener) -> None:
     model = start("model")
     listener.wait_for_finding("model: latency", "no block since the last report")
-    model.stop(number)
+    model.stop(signal.SIGTERM)
