@@ -2,9 +2,9 @@
 # # Many recordings to one set, and the next run
 #
 # Runs at several amplitudes, frequencies and currents determine one parameter set for all of
-# them. The bags here are re-synthesised from the parameters that a thesis published for each
-# condition (`bags/README.md`); they are not original recordings. The thesis gives one set per
-# condition, so a single set for all leaves more than the noise, as on a real damper.
+# them. The bags are not original recordings: they are re-synthesised from a thesis, which published
+# one set per condition (`bags/README.md`). A single set for all conditions therefore has a model
+# error, as on a real damper.
 
 # %%
 import mr_damper_ros as mr
@@ -14,15 +14,15 @@ result = mr.identify(bags)
 print(result)
 
 # %% [markdown]
-# The standard error of a parameter contains all uncertainty; the discrepancy beside it is the
-# part that is model error, because no law describes a damper exactly. `determination` lists the
-# combinations of parameters that the runs do not determine, and the recommended next runs.
+# The standard error of a parameter contains all uncertainty; the discrepancy is the part that is
+# model error. `determination` lists the combinations of parameters that the runs do not determine,
+# and the recommended next runs.
 
 # %%
 print(result.determination())
 
 # %% [markdown]
-# How accurate is the set for other runs? Leave out one run at a time and validate the set on it.
+# Cross-validation: leave out one run at a time and validate the set of the others on it.
 
 # %%
 for left_out in bags:

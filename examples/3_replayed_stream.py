@@ -1,9 +1,9 @@
 # %% [markdown]
 # # A recording as a stream: what the nodes would have published
 #
-# `replay` feeds a recording to the engine of identifier and model, at default settings, driven by
-# the stamps of the data. Over ROS the same bag gives identical numbers. (The bag is
-# re-synthesised from published parameters, see `bags/README.md`.)
+# `replay` feeds a recording to the engine of the nodes identifier and model, at default settings.
+# Over ROS, the same bag gives identical numbers. (The bag is re-synthesised from published
+# parameters, see `bags/README.md`.)
 
 # %%
 from pathlib import Path
@@ -37,7 +37,7 @@ folder.mkdir(parents=True, exist_ok=True)
 replayed.plot().savefig(folder / "replayed_stream.png")
 
 # %% [markdown]
-# What if the load cell came loose at 4 s? A recording consists of arrays that can be changed.
+# A recording consists of arrays that can be changed: here, the load cell comes loose at 4 s.
 
 # %%
 (run,) = mr.read_bag("bags/5.0mm_1Hz_1.5A")

@@ -1,9 +1,9 @@
 # %% [markdown]
 # # A controller for an identified damper
 #
-# The inverse of the law gives the current for a desired force. The second part simulates a
-# quarter car whose damper follows a skyhook controller through the inverse; the last part exports
-# the inverse as code. All of this is simulated; the bags are re-synthesised (`bags/README.md`).
+# The inverse of the law gives the current for a desired force. The second part simulates a quarter
+# car with skyhook control; the last part exports the inverse as code. All of this is simulated; the
+# bags are re-synthesised (`bags/README.md`).
 
 # %%
 from pathlib import Path
@@ -32,8 +32,8 @@ for current, force, attainable in zip(found.current, found.force, found.attainab
     )
 
 # %% [markdown]
-# A quarter car drives on a poor road (ISO 8608, class C) at 20 m/s. The node `controller` runs
-# the same `ForceController`: an invalid force never raises the current.
+# A quarter car drives on an average road (ISO 8608, class C) at 20 m/s. The node `controller` runs
+# the same `ForceController`.
 
 # %%
 from mr_damper_ros.control.force_controller import ForceController, ForceControlSettings
@@ -49,7 +49,7 @@ SETTLED = 2.0
 
 
 def comfort(controlled: bool) -> float:
-    """RMS of the body's acceleration [m/s2] over eight seconds of road."""
+    """RMS of the body acceleration [m/s2] over eight seconds of road."""
     knob = SupplyKnob(0.0)
     rig = PlantRig(
         EmulatedDamper(invented_damper(COIL), built_in=True),
@@ -71,7 +71,7 @@ def comfort(controlled: bool) -> float:
 print(f"passive, 0 A: {comfort(False):.2f} m/s2; skyhook: {comfort(True):.2f} m/s2")
 
 # %% [markdown]
-# Export the law and its inverse as C, M-code or an FMU:
+# Save the set, then export the law and its inverse as C, M-code or an FMU:
 #
 # ```bash
 # ros2 run mr_damper_ros export build/examples/whole.yaml --format fmu --output build/examples
