@@ -32,13 +32,13 @@ from mr_damper_ros.nodes.messages import (
 )
 from mr_damper_ros.nodes.mirrors import JointMirror
 from mr_damper_ros.nodes.node_parameters import NodeParameters
-from mr_damper_ros.nodes.pacing import PacedSender
+from mr_damper_ros.nodes.pacing import PacedSender, PacingSettings
 from mr_damper_ros.nodes.spinning import run
 from mr_damper_ros.nodes.topic_source import TopicOptions, TopicSource
 from mr_damper_ros.rig.blocks import Meter, Reading, aligned
 from mr_damper_ros.rig.sources import SOURCES
 from mr_damper_ros.rig.sources.source import Source, StreamSettings
-from mr_damper_ros.settings.option_table import ParameterTable, groups, option
+from mr_damper_ros.settings.option_table import ParameterTable, group, groups, option
 from mr_damper_ros.signals.blocks import MOST_SAMPLES, RigBlock
 
 _MIRROR = "joint_states"
@@ -112,14 +112,7 @@ class BridgeParameters(ParameterTable):
         "stream.",
         start_only=True,
     )
-    rate: float = option(
-        1.0,
-        "Speed relative to the time of the data: 2.0 is twice as fast. 0.0: as fast as the "
-        "subscribers that keep all messages, such as the identifier, can receive; other "
-        "subscribers may lose messages.",
-        minimum=0.0,
-        maximum=1000.0,
-    )
+    pacing: PacingSettings = group(PacingSettings, flat=True)
     loop: bool = option(
         False,
         "Repeat a recording for ever: stamps and seq continue, with a gap of one second in "
@@ -156,18 +149,6 @@ class BridgeParameters(ParameterTable):
         "measures it.",
         minimum=-0.1,
         maximum=0.1,
-    )
-    wait_for_subscribers: int = option(
-        0,
-        "Number of subscribing nodes to wait for before the first sample is sent.",
-        minimum=0,
-        maximum=1000,
-    )
-    wait_timeout: float = option(
-        10.0,
-        "Longest time [s] to wait for the subscribers; then streaming starts without them.",
-        minimum=0.0,
-        maximum=86400.0,
     )
     sources: dict[str, ParameterTable] = groups(
         {name: (kind.prefix, kind.options) for name, kind in ALL_SOURCES.items()}
@@ -253,7 +234,7 @@ class BridgeNode(ManagedNode):
                 if (topic != _MIRROR or values.mirror_rate > 0.0)
                 and (topic != SUSPENSION_TOPIC or source.suspended)
             }
-            self._sender = PacedSender(self, values.rate, topics)
+            self._sender = PacedSender(self, values.pacing, topics)
         except (ValueError, OSError) as error:
             failed = self._fail("the source cannot be opened", _in_words(error))
             self._close()
@@ -272,11 +253,7 @@ class BridgeNode(ManagedNode):
         blocks = aligned(made, values.force_lateness)
         paced = self._as_they_come if self._source.live else self._paced
         self._sent = 0
-        self._sender.start(
-            partial(self._send, self._sender, paced(self._sender, blocks)),
-            values.wait_for_subscribers,
-            values.wait_timeout,
-        )
+        self._sender.start(partial(self._send, self._sender, paced(self._sender, blocks)))
         return TransitionCallbackReturn.SUCCESS
 
     def _stop(self) -> None:

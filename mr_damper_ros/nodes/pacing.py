@@ -18,12 +18,14 @@ from __future__ import annotations
 import threading
 import time
 from collections.abc import Callable, Collection, Mapping
+from dataclasses import dataclass
 
 from rclpy.duration import Duration
 from rclpy.node import Node
 from rclpy.publisher import Publisher
 
 from mr_damper_ros.nodes import quality
+from mr_damper_ros.settings.option_table import CheckedSettings, option
 
 _FORGIVEN_NS = 250_000_000
 """Longest delay that the sender catches up with; see above."""
@@ -42,25 +44,50 @@ _SETTLE = 0.3
 _POLL = 0.05
 
 
+@dataclass(frozen=True)
+class PacingSettings(CheckedSettings):
+    """Speed of a sender, and the subscribers that it waits for."""
+
+    rate: float = option(
+        1.0,
+        "Speed relative to the time of the data: 2.0 is twice as fast. 0.0: as fast as the "
+        "subscribers that keep all messages, such as the identifier, can receive; other "
+        "subscribers may lose messages.",
+        minimum=0.0,
+        maximum=1000.0,
+    )
+    wait_for_subscribers: int = option(
+        0,
+        "Number of subscribing nodes to wait for before the first message is sent.",
+        minimum=0,
+        maximum=1000,
+    )
+    wait_timeout: float = option(
+        10.0,
+        "Longest time [s] to wait for the subscribers; then sending starts without them.",
+        minimum=0.0,
+        maximum=86400.0,
+    )
+
+
 class PacedSender:
     """Publishes on these topics in its own thread, so that the node stays responsive.
 
-    ``rate`` is the speed relative to the data's time; 0: as fast as subscribers acknowledge. Topics
-    in ``latched`` keep their last message. ``state`` and ``failure`` describe the activity and the
-    fault in words.
+    Topics in ``latched`` keep their last message. ``state`` and ``failure`` describe the activity
+    and the fault in words.
     """
 
     def __init__(
         self,
         node: Node,
-        rate: float,
+        settings: PacingSettings,
         topics: Mapping[str, type],
         *,
         latched: Collection[str] = (),
         paused: bool = False,
     ) -> None:
         self._node = node
-        self._rate = rate
+        self._settings, self._rate = settings, settings.rate
         self.paused = paused
         """Whether the sending is paused."""
         self.stopped = False
@@ -76,20 +103,18 @@ class PacedSender:
         self._unacknowledged: dict[str, int] = {}
         for topic, kind in topics.items():
             profile = quality.latched() if topic in latched else quality.stream()
-            if rate == 0.0 and topic not in latched:
+            if self._rate == 0.0 and topic not in latched:
                 profile = quality.stream(_QUEUE)
                 self._unacknowledged[topic] = 0
             self.publishers[topic] = quality.publisher(node, kind, topic, profile)
 
     # --- the thread -----------------------------------------------------------------------------
 
-    def start(self, send: Callable[[], None], nodes: int, timeout: float) -> None:
-        """Call ``send`` once ``nodes`` nodes subscribe, or after the ``timeout`` [s]."""
+    def start(self, send: Callable[[], None]) -> None:
+        """Call ``send`` once enough nodes subscribe, or after the timeout."""
         self.stopped, self._steps, self._anchor, self.left_out_ns = False, 0, None, 0
         self.failure = ""
-        self._thread = threading.Thread(
-            target=self._run, args=(send, nodes, timeout), name="sending", daemon=True
-        )
+        self._thread = threading.Thread(target=self._run, args=(send,), name="sending", daemon=True)
         self._thread.start()
 
     @property
@@ -116,11 +141,11 @@ class PacedSender:
         for publisher in self.publishers.values():
             self._node.destroy_publisher(publisher)
 
-    def _run(self, send: Callable[[], None], nodes: int, timeout: float) -> None:
+    def _run(self, send: Callable[[], None]) -> None:
         self.state = "waits for subscribers"
         try:
-            if nodes:
-                self._wait_for_subscribers(nodes, timeout)
+            if self._settings.wait_for_subscribers:
+                self._wait_for_subscribers()
             send()
         except Exception as error:  # report any failure of the thread
             self.failure = f"sending failed: {error}"
@@ -206,7 +231,8 @@ class PacedSender:
                 )
                 return
 
-    def _wait_for_subscribers(self, nodes: int, timeout: float) -> None:
+    def _wait_for_subscribers(self) -> None:
+        nodes, timeout = self._settings.wait_for_subscribers, self._settings.wait_timeout
         publishers = self.publishers.values()
         seen: object = None
         since = time.monotonic()

@@ -22,9 +22,9 @@ from mr_damper_ros.nodes import quality
 from mr_damper_ros.nodes.diagnostics import ERROR, OK, WARN, Diagnostics, Finding
 from mr_damper_ros.nodes.messages import to_stamp
 from mr_damper_ros.nodes.node_parameters import ConfigurationError, NodeParameters
-from mr_damper_ros.nodes.pacing import PacedSender
+from mr_damper_ros.nodes.pacing import PacedSender, PacingSettings
 from mr_damper_ros.nodes.spinning import FAILURE, SUCCESS, run
-from mr_damper_ros.settings.option_table import ParameterTable, option
+from mr_damper_ros.settings.option_table import ParameterTable, group, option, with_default
 
 INPUTS = "inputs"
 """Value of ``topics`` that selects the topics of a test machine by the ends of their names."""
@@ -127,6 +127,11 @@ _CLOCK_PERIOD_NS = 10_000_000
 
 
 @dataclass(frozen=True)
+class _Pacing(PacingSettings):
+    wait_for_subscribers: int = with_default(PacingSettings, "wait_for_subscribers", 1)
+
+
+@dataclass(frozen=True)
 class ReplayParameters(ParameterTable):
     """Parameters of the replay node.
 
@@ -142,14 +147,7 @@ class ReplayParameters(ParameterTable):
         f"Topics to play, as recorded, separated by blanks; {INPUTS}: only those of the test "
         "machine, in any namespace; empty: all except /clock.",
     )
-    rate: float = option(
-        1.0,
-        "Speed relative to the recording: 2.0 is twice as fast. 0.0: as fast as the "
-        "subscribers that keep all messages, such as the identifier, can receive; other "
-        "subscribers may lose messages.",
-        minimum=0.0,
-        maximum=1000.0,
-    )
+    pacing: _Pacing = group(_Pacing, flat=True)
     loop: bool = option(
         False,
         "Repeat for ever. Stamps and /clock then jump back to the beginning; identifier and "
@@ -157,18 +155,6 @@ class ReplayParameters(ParameterTable):
     )
     start_paused: bool = option(
         False, "Wait at the first message for ~/resume, or for ~/step, which plays one message."
-    )
-    wait_for_subscribers: int = option(
-        1,
-        "Number of subscribing nodes to wait for before the first message is sent.",
-        minimum=0,
-        maximum=1000,
-    )
-    wait_timeout: float = option(
-        10.0,
-        "Longest time [s] to wait for the subscribers; then the bag is played without them.",
-        minimum=0.0,
-        maximum=86400.0,
     )
 
 
@@ -190,20 +176,20 @@ class ReplayNode(Node):  # type: ignore[misc]
         )
         self._sender = PacedSender(
             self,
-            values.rate,
+            values.pacing,
             self._bag.types,
             latched=self._bag.latched,
             paused=values.start_paused,
         )
         self._clock_publisher = self.create_publisher(Clock, "/clock", 10)
-        self._clock_step_ns = round(_CLOCK_PERIOD_NS * max(values.rate, 1.0))
+        self._clock_step_ns = round(_CLOCK_PERIOD_NS * max(values.pacing.rate, 1.0))
         self._sent = 0
         self._rounds = 0
         self._others: list[str] = []
         for name in ("pause", "resume", "step"):
             self.create_service(Trigger, f"~/{name}", partial(self._steer, name))
         self._diagnostics = Diagnostics(self, {"replay": self._find})
-        self._sender.start(self._send, values.wait_for_subscribers, values.wait_timeout)
+        self._sender.start(self._send)
 
     def destroy_node(self) -> None:
         """Stop sending before the publishers are destroyed."""

@@ -54,6 +54,8 @@ def hosting_parser(*, shared_workers: bool = True) -> argparse.ArgumentParser:
     parser.add_argument(
         "--namespace",
         type=_place,
+        nargs="?",
+        const="",
         action="append",
         default=[],
         metavar="NAME[=FILE]",
@@ -63,6 +65,8 @@ def hosting_parser(*, shared_workers: bool = True) -> argparse.ArgumentParser:
         parser.add_argument(
             "--workers",
             type=_positive,
+            nargs="?",
+            const="",
             metavar="NUMBER",
             help="worker processes for all of them (default: as many as processors)",
         )
@@ -73,14 +77,14 @@ def _place(text: str) -> Place:
     name, _, file = text.partition("=")
     if not _NAME.fullmatch(name):
         raise argparse.ArgumentTypeError(
-            f"a name has letters, digits and underscores, unlike {name!r}"
+            f"it needs a name of letters, digits and underscores, not {name!r}"
         )
     return Place(name.lstrip("/"), file)
 
 
 def _positive(text: str) -> int:
     if not text.isdecimal() or int(text) < 1:
-        raise argparse.ArgumentTypeError(f"the number must be at least 1, not {text!r}")
+        raise argparse.ArgumentTypeError(f"it needs a number of at least 1, not {text!r}")
     return int(text)
 
 

@@ -101,11 +101,12 @@ def test_as_fast_as_possible_a_slow_subscriber_loses_nothing(
     current = listener.listen(SupplyCurrent, CURRENT, quality.lossless(), raw=True)
     replay = start("replay", bag=bag, rate=0.0)
     listener.until(lambda: not replay.running, "the end of the bag")
-    expected = recorded(bag, SAMPLES)
-    listener.until(lambda: len(heard) >= len(expected), "the last message")
+    expected, readings = recorded(bag, SAMPLES), recorded(bag, CURRENT)
+    listener.until(lambda: len(heard) >= len(expected), "the last samples")
+    listener.until(lambda: len(current) >= len(readings), "the last current")
     assert replay.wait() == 0
     assert heard == expected
-    assert current == recorded(bag, CURRENT)
+    assert current == readings
     assert f"end of the bag: {len(expected) + len(current)} messages were sent" in replay.errors
     assert "provenance: re-synthesised" in replay.errors
     assert "Traceback" not in replay.errors
