@@ -1,4 +1,4 @@
-"""Pages that are made from the code: force laws, nodes, messages, programs, figures of the law."""
+"""Pages generated from the code: force laws, nodes, messages, programs, figures of the law."""
 
 from __future__ import annotations
 
@@ -30,20 +30,24 @@ ROS = [
     *("rosgraph_msgs", "rosidl_runtime_py", "sensor_msgs", "std_msgs", "std_srvs"),
     "unique_identifier_msgs",
 ]
-"""What the nodes import and the documentation does without."""
+"""Imports of the nodes that the documentation replaces by mocks."""
 
 NODES = {
-    "bridge": "An emulated rig, a bag, a record file or topics of other nodes become samples. "
-    "A lifecycle node that starts by itself.",
-    "campaign": "Chooses the runs of a test machine and has them made until the force is known "
-    "([more](../planned_runs.md)).",
-    "controller": "The current for a desired force, by the newest parameters.",
-    "identifier": "A fit for every window, and now and then all parameters at once.",
-    "live": "A page that shows the running system ([more](../live.md)).",
-    "model": "The force predicted from displacement, current and parameters.",
-    "supply": "The supply of the coil: commands in, measured current out. A lifecycle node that "
-    "starts by itself.",
-    "replay": "Plays a bag onto its topics, with `/clock`, for machines without `ros2 bag`.",
+    "bridge": "Publishes the samples of [a source](../sources.md). A lifecycle node that activates "
+    "itself.",
+    "campaign": "Chooses and commands the runs of a test machine until the force is known "
+    "([planned runs](../planned_runs.md)).",
+    "controller": "Commands the current for a desired force ([control](../control.md)).",
+    "identifier": "Fits every window, and from time to time all parameters of the law "
+    "([identification](../identification.md)).",
+    "live": "Serves [a page](../live.md) that shows the running system.",
+    "model": "Predicts the force from displacement, current and parameters "
+    "([validity](../validity.md)).",
+    "supply": "Drives [the supply](../supply.md) of the coil. A lifecycle node that activates "
+    "itself.",
+    "suspension": "Computes the desired force of a vehicle suspension "
+    "([control](../control.md#the-desired-force)).",
+    "replay": "Plays a bag onto its topics, with `/clock`.",
 }
 
 _YIELD = "$u_y$ is `yield_length`, $s$ is `share`; $z$ lies within −1 and 1."
@@ -52,12 +56,12 @@ SYMBOLS = {
     "bouc_wen": _YIELD,
     "modified_bouc_wen": _YIELD,
     "series_springs": "$\\varphi$ is `share`; see [springs in series](../series_springs.md).",
-    "sigmoid": "How the coefficients follow from the parameters: [the sigmoid law]"
-    "(../force_law.md).",
+    "sigmoid": "[The sigmoid law](../force_law.md) gives the coefficients as functions of the "
+    "parameters.",
     "sigmoid_lag": "$x = v + v_h \\operatorname{sgn}(a) + v_d$; see "
     "[the extended law](../extended_law.md).",
 }
-"""What in an equation is not named as the parameters are."""
+"""Symbols of an equation that differ from the names of the parameters."""
 
 PROGRAMS = (
     "check_rig",
@@ -66,6 +70,7 @@ PROGRAMS = (
     "export",
     "identify_many",
     "plan_run",
+    "replay_recording",
     "validate",
     "watch",
     "demo",
@@ -88,10 +93,15 @@ TYPES = {
     "damper/desired_force": "DesiredForce",
     "/diagnostics": "diagnostic_msgs/DiagnosticArray",
 }
-"""Type of each topic; of those named here without a package, the fields are on the messages' page.
-"""
+"""Type of each topic; types without a package are on the page of the messages."""
 
-REPLAY = "Publishes what is in the bag, and `/clock`. Services: `~/pause`, `~/resume`, `~/step`."
+SUSPENSION = (
+    "Publishes: `damper/desired_force` (DesiredForce).",
+    "",
+    "Subscribes: `suspension/motion` (sensor_msgs/JointState).",
+    "",
+)
+"""Topics of the node without an enclave in the policy."""
 
 _USUAL = re.compile(
     r"(describe|get|list|set)_\w*(parameters?|types?)(_atomically|_description)?"
@@ -108,15 +118,14 @@ def models_page() -> str:
     parts = [
         "# The force laws",
         "",
-        "Any of them can be identified, over many runs too, and predicts forces in the nodes. The "
-        "default is `sigmoid`, explained in [the sigmoid law](../force_law.md). Displacement $u$ "
-        "is counted from the centre of the motion, $v$ is the velocity, $a$ the acceleration, $i$ "
+        "The default is `sigmoid`, explained in [the sigmoid law](../force_law.md). $u$ is the "
+        "displacement from the centre of the motion, $v$ the velocity, $a$ the acceleration, $i$ "
         "the current.",
         "",
-        "A law that was published for a single current is given the usual dependence on it: a "
-        "coefficient $c$ that cannot be negative grows as $c\\,(1 + c_1 i + c_2 i^2)$, one of "
-        "either sign is shifted, $c + c_1 i + c_2 i^2$. The parameters that end in `_1` and `_2` "
-        "are these. The current of the coil follows that of the supply with `coil_time_constant`.",
+        "The parameters that end in `_1` and `_2` describe the dependence of a coefficient on the "
+        "current ([laws published for one current]"
+        "(../identification.md#laws-published-for-one-current)). The coil current follows the "
+        "supply current with the time constant `coil_time_constant`.",
         "",
     ]
     for name, model in MODELS.items():
@@ -133,7 +142,7 @@ def models_page() -> str:
 
 
 def _drawable(equation: str) -> str:
-    """An equation in lines of their own, with bars and signs that are set as those of functions."""
+    """The equation on separate lines, with stretched bars and with brackets after sgn."""
     equation = re.sub(r"\|(\w)\|", r"{\\left| \1 \\right|}", equation)
     equation = re.sub(r"\\operatorname\{sgn\} (\w)", r"\\operatorname{sgn}(\1)", equation)
     return equation.replace(r",\quad", r" \\ ")
@@ -144,15 +153,14 @@ def nodes_page() -> str:
     parts = [
         "# The nodes",
         "",
-        "Names are relative: in a namespace every damper has its own, and every one can be "
-        "remapped. The quality of service of each topic is in "
-        "[Quality of service](../quality_of_service.md).",
+        "Names are relative: each namespace has its own topics. [Quality of service]"
+        "(../quality_of_service.md) lists the profile of each topic.",
         "",
     ]
     profiles = _profiles()
     for node, tables in _parameter_tables().items():
         parts += [f"## {node}", "", NODES[node], ""]
-        parts += profiles.get(node, [REPLAY, ""])
+        parts += profiles.get(node, SUSPENSION)
         parts += [f"### Parameters of {node}", ""]
         parts += _definitions(tables)
     return "\n".join(parts)
@@ -174,7 +182,7 @@ def messages_page() -> str:
 
 
 def programs_page() -> str:
-    """What every command-line program says of itself."""
+    """The help text of every command-line program."""
     parts = ["# The programs", "", "Run them after `. ./env.bash`, or with `ros2 run`.", ""]
     for name in PROGRAMS:
         text = StringIO()
@@ -193,7 +201,7 @@ def _bounds(low: float, high: float) -> str:
 
 
 def _fields(head: str, section: str) -> Iterator[str]:
-    """The fields of one part of an interface; a comment that stands alone introduces the part."""
+    """The fields of one part of an interface; a separate comment introduces the part."""
     if head:
         yield from (f"*{head}*", "")
     entries = []
@@ -215,7 +223,7 @@ def _fields(head: str, section: str) -> Iterator[str]:
 
 
 def _profiles() -> dict[str, list[str]]:
-    """Topics and services of the nodes, as the policy of SROS2 has them, which a test checks."""
+    """Topics and services of the nodes, from the policy of SROS2, which a test checks."""
     found = {}
     for profile in ElementTree.parse(POLICY).iter("profile"):
         lines: list[str] = []
@@ -264,7 +272,7 @@ def _row(item: Any) -> tuple[str, ...]:
 
 
 def _definitions(entries: list[tuple[str, ...]]) -> list[str]:
-    """Terms, each with a note, and what they mean: readable on a narrow screen too."""
+    """A definition list of terms with notes, which a narrow screen shows well."""
     lines = []
     for term, note, meaning in entries:
         lines += [f"{term} ({note})", f": {meaning}", ""]
@@ -272,7 +280,7 @@ def _definitions(entries: list[tuple[str, ...]]) -> list[str]:
 
 
 def _table(head: tuple[str, ...], rows: list[tuple[str, ...]]) -> list[str]:
-    """A table in Markdown; columns with nothing in them are left out."""
+    """A table in Markdown without its empty columns."""
     kept = [place for place in range(len(head)) if any(row[place] for row in rows)]
     lines = [[row[place] for place in kept] for row in (head, ("---",) * len(head), *rows)]
     return [*("| " + " | ".join(line) + " |" for line in lines), ""]
@@ -293,7 +301,7 @@ def _generate(app: Any) -> None:
 
 
 def _write(path: Path, text: str) -> None:
-    """Write a page unless it is the same as before, which then need not be built again."""
+    """Write a page if it has changed; an unchanged page is not built again."""
     if not path.exists() or path.read_text(encoding="utf-8") != text:
         path.write_text(text, encoding="utf-8")
 
