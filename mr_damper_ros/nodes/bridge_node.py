@@ -22,7 +22,7 @@ from sensor_msgs.msg import JointState, Temperature
 from mr_damper_ros.nodes import quality
 from mr_damper_ros.nodes.command_topic import CommandTopic, CurrentCommands, MotionCommands
 from mr_damper_ros.nodes.diagnostics import ERROR, OK, WARN, Diagnostics, Finding
-from mr_damper_ros.nodes.managed_node import ManagedNode
+from mr_damper_ros.nodes.managed_node import ManagedNode, ManagedOptions
 from mr_damper_ros.nodes.messages import (
     SUSPENSION_TOPIC,
     current_message,
@@ -89,7 +89,7 @@ def source_of(name: str, settings: Any, stream: StreamSettings, node: Node) -> S
 
 
 @dataclass(frozen=True)
-class BridgeParameters(ParameterTable):
+class BridgeParameters(ManagedOptions):
     """Parameters of the bridge node.
 
     It publishes displacement and force of the test machine on mts/samples, the supply current on
@@ -104,13 +104,6 @@ class BridgeParameters(ParameterTable):
         "bag (a recorded bag), record (a text, CSV or MAT file), stream (a serial line, TCP, "
         "UDP), daq (a data acquisition device) or topics (of other nodes).",
         choices=tuple(ALL_SOURCES),
-    )
-    autostart: bool = option(
-        True,
-        "Configure and activate at the start. If false, a lifecycle manager or `ros2 "
-        "lifecycle set` does both: configuring opens the source, activating starts the "
-        "stream.",
-        start_only=True,
     )
     pacing: PacingSettings = group(PacingSettings, flat=True)
     loop: bool = option(

@@ -63,12 +63,6 @@ class ControllerParameters(SetOptions):
     )
     control: ForceControlSettings = group(ForceControlSettings, flat=True)
     grid: GridSettings = group(GridSettings, flat=True)
-    error_memory: float = option(
-        10.0,
-        "Averaging time [s] of desired and achieved force in the diagnostics.",
-        minimum=0.1,
-        maximum=3600.0,
-    )
     frame_id: str = option("damper", "Frame of the commands.")
 
     def objection(self) -> str:

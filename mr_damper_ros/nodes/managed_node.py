@@ -2,10 +2,26 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
 
 from mr_damper_ros.nodes import rclpy_internals
 from mr_damper_ros.nodes.node_parameters import ConfigurationError
+from mr_damper_ros.settings.option_table import ParameterTable, option
+
+
+@dataclass(frozen=True)
+class ManagedOptions(ParameterTable):
+    """Options of all managed nodes."""
+
+    autostart: bool = option(
+        True,
+        "Configure and activate at the start. If false, a lifecycle manager or `ros2 "
+        "lifecycle set` does both: configuring connects to the device or opens the file, "
+        "activating starts the stream or switches the output on.",
+        start_only=True,
+    )
 
 
 class ManagedNode(LifecycleNode):

@@ -47,12 +47,6 @@ class ModelParameters(SetOptions):
         "predicted.",
     )
     grid: GridSettings = group(GridSettings, flat=True)
-    error_memory: float = option(
-        10.0,
-        "Averaging time [s] of the prediction error in the diagnostics.",
-        minimum=0.1,
-        maximum=3600.0,
-    )
     wrench_rate: float = option(
         50.0,
         "Largest number of messages per second of data on damper/predicted_wrench "

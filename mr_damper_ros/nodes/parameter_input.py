@@ -36,7 +36,7 @@ _SHOWN = 100
 
 @dataclass(frozen=True)
 class SetOptions(ParameterTable):
-    """Options that choose the parameter set of a node."""
+    """Options that choose the parameter set of a node and judge its force."""
 
     parameter_file: str = option(
         "",
@@ -52,6 +52,12 @@ class SetOptions(ParameterTable):
         "the diagnostics. The ROS graph tells which nodes publish; if several do, the field "
         "node of the messages is checked as well. Both can be forged: only SROS2 "
         "authenticates (doc/security.md).",
+    )
+    error_memory: float = option(
+        10.0,
+        "Averaging time [s] of the error of the force in the diagnostics.",
+        minimum=0.1,
+        maximum=3600.0,
     )
 
 

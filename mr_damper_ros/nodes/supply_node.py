@@ -17,7 +17,7 @@ from rclpy.lifecycle import LifecycleState, TransitionCallbackReturn
 from mr_damper_ros.nodes import quality
 from mr_damper_ros.nodes.command_topic import CurrentCommands
 from mr_damper_ros.nodes.diagnostics import ERROR, OK, WARN, Diagnostics, Finding
-from mr_damper_ros.nodes.managed_node import ManagedNode
+from mr_damper_ros.nodes.managed_node import ManagedNode, ManagedOptions
 from mr_damper_ros.nodes.messages import current_message
 from mr_damper_ros.nodes.node_parameters import ConfigurationError, NodeParameters
 from mr_damper_ros.nodes.spinning import run
@@ -31,7 +31,7 @@ from mr_damper_ros.rig.supplies.scpi_link import (
     connect,
 )
 from mr_damper_ros.rig.supplies.supply import ScpiSupply, SupplyDriver, SupplyThread, read_profile
-from mr_damper_ros.settings.option_table import ParameterTable, group, option
+from mr_damper_ros.settings.option_table import group, option
 
 _EMULATED = "emulated"
 """The address, and the profile, of the emulated instrument in this process."""
@@ -40,7 +40,7 @@ _NOT_OFF = "the output may still be on: the node keeps trying to switch it off"
 
 
 @dataclass(frozen=True)
-class SupplyParameters(ParameterTable):
+class SupplyParameters(ManagedOptions):
     """Parameters of the supply node.
 
     It receives stamped commands on supply/current_command, sets the instrument, and publishes the
@@ -59,12 +59,6 @@ class SupplyParameters(ParameterTable):
         "Command set of the instrument: scpi (most bench supplies), keysight_n7900, or the "
         "path of your own YAML file (doc/supply.md). Empty: scpi, or that of the emulated "
         "instrument.",
-    )
-    autostart: bool = option(
-        True,
-        "Configure and activate at the start. If false, a lifecycle manager or `ros2 "
-        "lifecycle set` does both: configuring connects, activating switches the output on.",
-        start_only=True,
     )
     current: float = option(
         0.0,

@@ -137,8 +137,8 @@ class CommandSettings(CheckedSettings):
     command_timeout: float = option(
         0.5,
         "Time [s] for which a command holds from its stamp on. When commands stop, the "
-        "current is zero until another command arrives or the current is set by hand. Older "
-        "commands are refused.",
+        "current is zero until another command arrives or the current is set by hand; a "
+        "commanded motion ends. Older commands are refused.",
         minimum=0.01,
         maximum=3600.0,
     )

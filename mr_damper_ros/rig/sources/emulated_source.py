@@ -69,14 +69,7 @@ class _RigOptions(ParameterTable):
         maximum=MOST_CURRENT,
         read_only=False,
     )
-    command_timeout: float = option(
-        0.5,
-        "Time [s] for which a command holds from its stamp on. When commands stop, the "
-        "current is zero until another command arrives or the current is set by hand, and the "
-        "machine comes to rest.",
-        minimum=0.01,
-        maximum=3600.0,
-    )
+    command_timeout: float = with_default(CommandSettings, "command_timeout", 0.5)
     coil_time_constant: float = option(
         0.0,
         "Time constant [s] of the coil: its current, and so the force, follows the supply "
