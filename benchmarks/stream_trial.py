@@ -323,7 +323,7 @@ class StreamTrial:
         ``current`` is a different schedule of the supply that is the same up to now.
         """
         other = deepcopy(self)
-        other._rig.break_with(faults)
+        other._rig.add_faults(faults)
         if current is not None:
             other._rig.supply(current)
         other._instruments = Instruments(faults)

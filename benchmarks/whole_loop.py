@@ -21,13 +21,13 @@ from mr_damper_ros.api.replay import replay
 from mr_damper_ros.control.force_controller import ForceController, ForceControlSettings
 from mr_damper_ros.control.linear_plant import IsoRoad, QuarterCar
 from mr_damper_ros.control.semi_active import SuspensionSettings, controller_of
-from mr_damper_ros.emulation.commanded_rig import ForceChoice, turned
+from mr_damper_ros.emulation.commanded_rig import ForceChoice, commanded
 from mr_damper_ros.emulation.emulator import (
     Damper,
     EmulatedDamper,
     EmulatedRig,
     RigSettings,
-    SupplyKnob,
+    SupplySetpoint,
     ThermalModel,
 )
 from mr_damper_ros.emulation.motions import Excitation, SineMotion
@@ -84,13 +84,13 @@ class Driven:
 def driven(road: str, seed: int, duration: float = DRIVEN, *, given: bool = True) -> Driven:
     """Drive on a road; with ``given``, the identifier has the parameter file too."""
     known = invented_damper(LAG)
-    knob = SupplyKnob(0.0)
+    supply = SupplySetpoint(0.0)
     car = QuarterCar()
     rig = PlantRig(
         EmulatedDamper(invented_damper(0.0), HOT_FORCE, built_in=True),
         car.plant,
         IsoRoad(road, SPEED, seed),
-        knob.schedule,
+        supply.schedule,
         settings=RigSettings(displacement_noise=1e-6, seed=seed),
         thermal=ThermalModel(initial=28.0, capacity=430.0),
         coil_time_constant=LAG,
@@ -100,7 +100,7 @@ def driven(road: str, seed: int, duration: float = DRIVEN, *, given: bool = True
     choice = chosen(lambda _: wanted(moment_of(rig)), known, Engine(start=known if given else None))
     rows: list[list[Array]] = []
     commands = []
-    for measured, _ in turned(rig, knob, choice, BLOCK, duration):
+    for measured, _, _ in commanded(rig, supply, choice, BLOCK, duration):
         assert choice.predicted is not None
         assert choice.last is not None
         assert rig.motion is not None
@@ -259,11 +259,11 @@ class Followed:
 
 def followed(case: Case, duration: float = FOLLOWED, *, watched: bool = True) -> Followed:
     """Track a viscous damper; ``watched`` selects the default maximum_error, otherwise 0."""
-    knob = SupplyKnob(0.0)
+    supply = SupplySetpoint(0.0)
     rig = EmulatedRig(
         case.damper(),
         case.motion(),
-        knob.schedule,
+        supply.schedule,
         settings=RigSettings(displacement_noise=1e-6),
         # So much heat capacity that it stays as it is.
         thermal=ThermalModel(ambient=case.celsius, initial=case.celsius, capacity=1e9),
@@ -278,7 +278,7 @@ def followed(case: Case, duration: float = FOLLOWED, *, watched: bool = True) ->
     choice = chosen(wanted, case.known, engine, watched=watched)
     commands, missed, late, forces = [], [], [], []
     before = None
-    for number, (made, _) in enumerate(turned(rig, knob, choice, BLOCK, duration), start=1):
+    for number, (made, _, _) in enumerate(commanded(rig, supply, choice, BLOCK, duration), start=1):
         if before is not None and before.attainable:
             missed.append(made.force - before.wanted)
             if not before.doubt and number * BLOCK * PERIOD >= 0.5 * duration:

@@ -40,7 +40,7 @@ from mr_damper_ros.control.force_controller import ForceController, ForceControl
 from mr_damper_ros.control.linear_plant import IsoRoad, QuarterCar
 from mr_damper_ros.control.semi_active import skyhook
 from mr_damper_ros.emulation.commanded_rig import ForceChoice, commanded
-from mr_damper_ros.emulation.emulator import EmulatedDamper, RigSettings, SupplyKnob
+from mr_damper_ros.emulation.emulator import EmulatedDamper, RigSettings, SupplySetpoint
 from mr_damper_ros.emulation.plant_rig import HIGHEST_CURRENT, PlantRig, invented_damper
 from mr_damper_ros.rig.sources.emulated_source import moment_of
 
@@ -50,12 +50,12 @@ SETTLED = 2.0
 
 def comfort(controlled: bool) -> float:
     """RMS of the body acceleration [m/s2] over eight seconds of road."""
-    knob = SupplyKnob(0.0)
+    supply = SupplySetpoint(0.0)
     rig = PlantRig(
         EmulatedDamper(invented_damper(COIL), built_in=True),
         QuarterCar().plant,
         IsoRoad("C", speed=20.0, seed=1),
-        knob.schedule,
+        supply.schedule,
         settings=RigSettings(displacement_noise=1e-6),
         coil_time_constant=COIL,
     )
@@ -63,7 +63,7 @@ def comfort(controlled: bool) -> float:
     controller.predictor.set_parameters(invented_damper(COIL))
     wanted = skyhook(3000.0)
     choice = ForceChoice(controller, lambda _: wanted(moment_of(rig)))
-    blocks = commanded(rig, knob, choice if controlled else lambda _: 0.0, 10, 10.0)
+    blocks = commanded(rig, supply, choice if controlled else lambda _: 0.0, 10, 10.0)
     body = np.concatenate([block.motion.rates[:, 1] for block in blocks])
     return float(np.std(body[round(SETTLED * rig.settings.sample_rate) :]))
 

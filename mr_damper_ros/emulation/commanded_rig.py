@@ -6,11 +6,10 @@ The current is chosen after each block, as the nodes do in real time.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from mr_damper_ros.control.force_controller import Command, ForceController
-from mr_damper_ros.emulation.emulator import MeasuredRig, SupplyKnob
-from mr_damper_ros.emulation.plant_rig import PlantMotion, PlantRig
+from mr_damper_ros.emulation.emulator import MeasuredRig, SupplySetpoint
 from mr_damper_ros.signals.blocks import RigBlock, SampleBlock
 from mr_damper_ros.tracking.engine import Engine
 from mr_damper_ros.tracking.predictor import Prediction
@@ -18,11 +17,14 @@ from mr_damper_ros.tracking.reports import Report
 
 
 class CommandedBlock(NamedTuple):
-    """The measured block, the true motion, and the current [A] commanded after the block."""
+    """The measured block and the current [A] commanded after it.
+
+    ``motion``: the true motion, a :class:`PlantMotion`; None without a plant.
+    """
 
     measured: RigBlock
-    motion: PlantMotion
     current: float
+    motion: Any
 
 
 Choice = Callable[[RigBlock], float]
@@ -30,27 +32,18 @@ Choice = Callable[[RigBlock], float]
 
 
 def commanded(
-    rig: PlantRig, knob: SupplyKnob, choose: Choice, block_size: int, duration: float
+    rig: MeasuredRig, supply: SupplySetpoint, choose: Choice, block_size: int, duration: float
 ) -> Iterator[CommandedBlock]:
-    """Run the plant for ``duration`` [s] and yield its blocks.
+    """Run the rig for ``duration`` [s] and yield its blocks.
 
     The current chosen after a block takes effect in the next block.
     """
-    for measured, current in turned(rig, knob, choose, block_size, duration):
-        assert rig.motion is not None
-        yield CommandedBlock(measured, rig.motion, current)
-
-
-def turned(
-    rig: MeasuredRig, knob: SupplyKnob, choose: Choice, block_size: int, duration: float
-) -> Iterator[tuple[RigBlock, float]]:
-    """Run the rig for ``duration`` [s]; yield each block and the current [A] chosen after it."""
     period = rig.settings.period
     for number in range(1, round(duration / period / block_size) + 1):
         measured = rig.next_block(block_size)
         current = choose(measured)
-        knob.turn(number * block_size * period, current)
-        yield measured, current
+        supply.set(number * block_size * period, current)
+        yield CommandedBlock(measured, current, rig.motion)
 
 
 class ForceChoice:

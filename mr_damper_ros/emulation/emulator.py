@@ -215,6 +215,22 @@ class RigSettings:
         return 1.0 / self.sample_rate
 
 
+@dataclass(frozen=True, eq=False)
+class PlantMotion:
+    """True, unmeasured quantities at the samples of a block.
+
+    ``states`` of the plant and their derivatives ``rates`` have shape (n, states). The others have
+    shape (n,): the ``force`` of one damper [N], the ``velocity`` of its extension [m/s] and the
+    current in its ``coil`` [A].
+    """
+
+    states: Array
+    rates: Array
+    force: Array
+    velocity: Array
+    coil: Array
+
+
 class MeasuredRig(ABC):
     """Base class of emulated rigs, which produce blocks of samples.
 
@@ -240,6 +256,8 @@ class MeasuredRig(ABC):
         self._rng = np.random.default_rng(self.settings.seed)
         self._noise = np.empty((2, CHUNK))
         self._made = 0
+        self.motion: PlantMotion | None = None
+        """True quantities of the last block of a plant."""
 
     @abstractmethod
     def next_block(self, count: int) -> RigBlock:
@@ -297,19 +315,19 @@ class EmulatedRig(MeasuredRig):
         whole chunks in advance.
         """
         self._power = np.empty(CHUNK)
-        self.break_with(faults)
+        self.add_faults(faults)
 
-    def break_with(self, faults: Sequence[Fault]) -> None:
+    def add_faults(self, faults: Sequence[Fault]) -> None:
         """Add faults; each must begin after the samples produced so far."""
         own = deepcopy(list(faults))
-        self._go_on(self._excitation, own)
+        self._change_motion(self._excitation, own)
         self._faults += own
 
     def move(self, excitation: Excitation) -> None:
         """Change the motion from the next samples on; it must continue the present one smoothly."""
-        self._go_on(excitation, self._faults)
+        self._change_motion(excitation, self._faults)
 
-    def _go_on(self, excitation: Excitation, faults: Sequence[Fault]) -> None:
+    def _change_motion(self, excitation: Excitation, faults: Sequence[Fault]) -> None:
         before = self._excitation
         excitation = moved(faults, excitation)
         if is_sine(excitation):
@@ -322,7 +340,7 @@ class EmulatedRig(MeasuredRig):
         """Follow this schedule from the next samples on; the past must be unchanged."""
         self._current = current
 
-    def surround(self, ambient: float) -> None:
+    def set_ambient(self, ambient: float) -> None:
         """Set the ambient temperature [°C]; without a thermal model, this has no effect."""
         if self._thermal is not None:
             self._thermal = replace(self._thermal, ambient=ambient)
@@ -374,7 +392,7 @@ class EmulatedRig(MeasuredRig):
         time = np.arange(self._made, self._made + count, dtype=np.float64) * period
         if is_sine(self._excitation) != (self._peak is None):
             # A command has changed the kind of motion.
-            self._go_on(self._excitation, ())
+            self._change_motion(self._excitation, ())
         kinematics = self._excitation.at(time)
         displacement, velocity, acceleration = kinematics
         current = self._current.at(time)
@@ -416,7 +434,7 @@ class EmulatedRig(MeasuredRig):
         return peak
 
 
-class SupplyKnob:
+class SupplySetpoint:
     """The setpoint of a supply: a current schedule that grows while the rig runs."""
 
     def __init__(self, current: float = 0.0) -> None:
@@ -424,7 +442,7 @@ class SupplyKnob:
         self._times, self._currents = [0.0], [current]
         self.schedule = CurrentSchedule(self._times, self._currents)
 
-    def turn(self, time: float, current: float) -> None:
+    def set(self, time: float, current: float) -> None:
         """Supply this current [A] from ``time`` [s] on, or from just after the previous change."""
         if current != self._currents[-1]:
             # Of the past, only the latest setpoint is needed.

@@ -7,9 +7,8 @@ samples do not depend on the block size.
 from __future__ import annotations
 
 import math
-from collections import deque
 from copy import deepcopy
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Protocol
 
 import numpy as np
@@ -20,6 +19,7 @@ from mr_damper_ros.emulation.emulator import (
     CurrentSchedule,
     Damper,
     MeasuredRig,
+    PlantMotion,
     RigSettings,
     ThermalModel,
 )
@@ -44,22 +44,6 @@ class Surroundings(Protocol):
 
     def at(self, time: Array) -> Array:
         """The input (n,) at the times (n,) [s]; for a road, its vertical velocity [m/s]."""
-
-
-@dataclass(frozen=True, eq=False)
-class PlantMotion:
-    """True, unmeasured quantities at the samples of a block.
-
-    ``states`` of the plant and their derivatives ``rates`` have shape (n, states). The others have
-    shape (n,): the ``force`` of one damper [N], the ``velocity`` of its extension [m/s] and the
-    current in its ``coil`` [A].
-    """
-
-    states: Array
-    rates: Array
-    force: Array
-    velocity: Array
-    coil: Array
 
 
 class PlantRig(MeasuredRig):
@@ -97,83 +81,56 @@ class PlantRig(MeasuredRig):
         self._coil_decay, self._coil = decay, float(self._current.at(np.zeros(1))[0])
         self._force = self._acceleration = 0.0
         self._share = -math.expm1(-self._step / _ACCELERATION_MEMORY)
-        self._asked = 0
-        self._ahead: deque[list[float]] = deque()
+        self._inputs: list[list[float]] = []
         self._heat = 0.0
-        self.motion: PlantMotion | None = None
-        """True quantities of the last block; None before the first."""
 
     def next_block(self, count: int) -> RigBlock:
         """The next ``count`` samples."""
         first, period = self._made, self.settings.period
-        time = np.arange(first, first + count, dtype=np.float64) * period
-        moved = [self._moved_next() for _ in range(count)]
-        supplied = self._current.at(time)
+        supplied = self._current.at(np.arange(first, first + count, dtype=np.float64) * period)
         rows, states, rates = np.empty((6, count)), [], []
-        for place in range(count):
-            rows[:, place] = self._next_sample(float(supplied[place]), moved[place])
+        for place, current in enumerate(supplied.tolist()):
+            part = self._made % CHUNK
+            if part == 0:
+                self._noise = self._rng.standard_normal((2, CHUNK))
+                steps = np.arange(CHUNK * self._substeps, dtype=np.float64)
+                steps += self._made * self._substeps
+                inputs = self._surroundings.at(steps * self._step)
+                self._inputs = inputs.reshape(CHUNK, self._substeps).tolist()
+            self._heat += sum([self._step_on(current, moved) for moved in self._inputs[part]])
+            self._made += 1
+            if self._made % CHUNK == 0:
+                if self._thermal is not None:
+                    time = CHUNK * period
+                    self._celsius = self._thermal.after(self._celsius, self._heat / time, time)
+                self._heat = 0.0
+            now, (force_noise, displacement_noise) = self.plant.damper, self._noise[:, part]
+            rows[:, place] = (
+                now.displacement + self.settings.displacement_noise * displacement_noise,
+                self._force + self.settings.force_noise * force_noise,
+                self._celsius,
+                self._force,
+                now.velocity,
+                self._coil,
+            )
             states.append(self.plant.state)
             rates.append(self.plant.rates)
         displacement, force, celsius, true_force, velocity, coil = rows
         self.motion = PlantMotion(np.array(states), np.array(rates), true_force, velocity, coil)
         return self._block(first, np.stack([displacement, force, supplied, celsius]))
 
-    def _moved_next(self) -> list[float]:
-        """The external inputs in the steps of the next sample."""
-        if not self._ahead:
-            steps = self._asked + np.arange(CHUNK * self._substeps, dtype=np.float64)
-            self._asked += steps.size
-            inputs = self._surroundings.at(steps * self._step).reshape(CHUNK, self._substeps)
-            self._ahead.extend(inputs.tolist())
-        return self._ahead.popleft()
-
-    def _next_sample(self, supplied: float, moved: list[float]) -> tuple[float, ...]:
-        """The next sample.
-
-        Returns the measured displacement and force, the temperature, the true force, the velocity
-        and the coil current.
-        """
-        place = self._made % CHUNK
-        if place == 0:
-            self._noise = self._rng.standard_normal((2, CHUNK))
-        heat = 0.0
-        for each in moved:
-            now = self.plant.damper
-            self._coil = supplied + (self._coil - supplied) * self._coil_decay
-            self._acceleration += self._share * (now.acceleration - self._acceleration)
-            velocity, acceleration = np.array([now.velocity]), np.array([self._acceleration])
-            motion = Motion(
-                np.array([now.displacement]),
-                velocity,
-                acceleration,
-                self._peak.follow(velocity, acceleration),
-                sine=None,
-            )
-            coil = np.array([self._coil])
-            self._force = float(self._damper.force(motion, coil, self._celsius, self._step)[0])
-            heat += self._force * now.velocity * self._step
-            self.plant.step(self._dampers * self._force, each)
-        self._made += 1
-        self._warm(heat)
-        after, settings = self.plant.damper, self.settings
-        force_noise, displacement_noise = self._noise[:, place]
-        return (
-            after.displacement + settings.displacement_noise * displacement_noise,
-            self._force + settings.force_noise * force_noise,
-            self._celsius,
-            self._force,
-            after.velocity,
-            self._coil,
-        )
-
-    def _warm(self, heat: float) -> None:
-        """Add the heat [J] of a sample; update the temperature at the end of each chunk."""
-        self._heat += heat
-        if self._made % CHUNK == 0:
-            if self._thermal is not None:
-                duration = CHUNK * self.settings.period
-                self._celsius = self._thermal.after(self._celsius, self._heat / duration, duration)
-            self._heat = 0.0
+    def _step_on(self, supplied: float, moved: float) -> float:
+        """Move on by one step with a supply current [A] and an input; returns the heat [J]."""
+        now = self.plant.damper
+        self._coil = supplied + (self._coil - supplied) * self._coil_decay
+        self._acceleration += self._share * (now.acceleration - self._acceleration)
+        velocity, acceleration = np.array([now.velocity]), np.array([self._acceleration])
+        peak = self._peak.follow(velocity, acceleration)
+        motion = Motion(np.array([now.displacement]), velocity, acceleration, peak, sine=None)
+        coil = np.array([self._coil])
+        self._force = float(self._damper.force(motion, coil, self._celsius, self._step)[0])
+        self.plant.step(self._dampers * self._force, moved)
+        return self._force * now.velocity * self._step
 
 
 HOT_FORCE = 989.0 / 1332.0
@@ -201,7 +158,7 @@ _VALUES = {
     "k4": -0.11,
     "k5": 0.06,
     "k6": 0.012,
-    "compliance": 3e-8,
+    "compliance": 3e-08,
     "stiffness": 2000.0,
     "offset": -40.0,
 }

@@ -17,7 +17,7 @@ from mr_damper_ros.control.fallback import FallbackSettings
 from mr_damper_ros.control.force_controller import ForceController, ForceControlSettings
 from mr_damper_ros.control.semi_active import regulator_gain
 from mr_damper_ros.emulation.commanded_rig import Choice, ForceChoice, commanded
-from mr_damper_ros.emulation.emulator import EmulatedDamper, RigSettings, SupplyKnob
+from mr_damper_ros.emulation.emulator import EmulatedDamper, RigSettings, SupplySetpoint
 from mr_damper_ros.emulation.plant_rig import PlantRig
 from mr_damper_ros.report.document import (
     DASHES,
@@ -133,12 +133,12 @@ def simulate(task: BuildingRun) -> BuildingResult:
     """Simulate the building."""
     building, ground = BUILDINGS[task.building], _ground(task.earthquake)
     start = HIGHEST_CURRENT if task.strategy == ON else 0.0
-    knob = SupplyKnob(start)
+    supply = SupplySetpoint(start)
     rig = PlantRig(
         EmulatedDamper(recorded_damper(task.coil_time_constant), built_in=True),
         building.plant,
         ground,
-        knob.schedule,
+        supply.schedule,
         settings=RigSettings(displacement_noise=1e-6),
         coil_time_constant=task.coil_time_constant,
         dampers=0 if task.strategy == UNCONTROLLED else DAMPERS,
@@ -147,7 +147,7 @@ def simulate(task: BuildingRun) -> BuildingResult:
     rows, doubted, blocks = [], 0, 0
     commands = []
     duration = min(ground.duration, task.longest)
-    for done in commanded(rig, knob, choose, block, duration):
+    for done in commanded(rig, supply, choose, block, duration):
         motion = done.motion
         total = (0 if task.strategy == UNCONTROLLED else DAMPERS) * motion.force
         roof = _absolute(building, motion.states, total)[:, -1]

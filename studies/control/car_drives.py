@@ -26,7 +26,12 @@ from mr_damper_ros.control.semi_active import (
     skyhook,
 )
 from mr_damper_ros.emulation.commanded_rig import Choice, ForceChoice, commanded
-from mr_damper_ros.emulation.emulator import EmulatedDamper, RigSettings, SupplyKnob, ThermalModel
+from mr_damper_ros.emulation.emulator import (
+    EmulatedDamper,
+    RigSettings,
+    SupplySetpoint,
+    ThermalModel,
+)
 from mr_damper_ros.emulation.plant_rig import (
     HIGHEST_CURRENT,
     HOT_FORCE,
@@ -136,7 +141,7 @@ def _surroundings(road: str, seed: int) -> Surroundings:
 
 def car_rig(
     surroundings: Surroundings,
-    knob: SupplyKnob,
+    supply: SupplySetpoint,
     coil_time_constant: float,
     thermal: ThermalModel | None = None,
 ) -> PlantRig:
@@ -145,7 +150,7 @@ def car_rig(
         EmulatedDamper(invented_damper(coil_time_constant), HOT_FORCE, built_in=True),
         CAR.plant,
         surroundings,
-        knob.schedule,
+        supply.schedule,
         settings=RigSettings(displacement_noise=1e-6),
         thermal=thermal,
         coil_time_constant=coil_time_constant,
@@ -171,8 +176,8 @@ def constant(current: float) -> Choice:
 def drive(task: Drive) -> DriveResult:
     """Run the drive and evaluate it after the first seconds."""
     held = _HELD.get(task.strategy, 0.0)
-    knob = SupplyKnob(held)
-    rig = car_rig(_surroundings(task.road, task.seed), knob, task.coil_time_constant)
+    supply = SupplySetpoint(held)
+    rig = car_rig(_surroundings(task.road, task.seed), supply, task.coil_time_constant)
     choose: Callable[[RigBlock], float]
     if task.strategy in CONTROLLERS:
         known = invented_damper(task.coil_time_constant)
@@ -180,7 +185,7 @@ def drive(task: Drive) -> DriveResult:
     else:
         choose = constant(held)
     rows, met, doubted, count = [], 0, 0, 0
-    for block in commanded(rig, knob, choose, BLOCK, task.duration):
+    for block in commanded(rig, supply, choose, BLOCK, task.duration):
         motion = block.motion
         rows.append(
             np.stack(

@@ -15,7 +15,7 @@ import numpy as np
 from mr_damper_ros.control.linear_plant import IsoRoad
 from mr_damper_ros.control.semi_active import passive
 from mr_damper_ros.emulation.commanded_rig import commanded
-from mr_damper_ros.emulation.emulator import SupplyKnob, ThermalModel
+from mr_damper_ros.emulation.emulator import SupplySetpoint, ThermalModel
 from mr_damper_ros.emulation.plant_rig import invented_damper
 from mr_damper_ros.report.document import (
     Chapter,
@@ -100,15 +100,15 @@ class HeatedResult:
 
 def drive_heated(task: HeatedDrive) -> HeatedResult:
     """Run the drive until the damper is hot."""
-    knob = SupplyKnob()
+    supply = SupplySetpoint()
     road = IsoRoad(task.road, SPEEDS[task.road], task.seed)
-    rig = car_rig(road, knob, task.coil_time_constant, THERMAL)
+    rig = car_rig(road, supply, task.coil_time_constant, THERMAL)
     known = invented_damper(task.coil_time_constant)
     engine = Engine(EngineSettings().for_law(known.model), known) if task.learns else None
     choose = force_choice(rig, known, passive(DAMPING), engine)
     per_stretch = round(STRETCH / rig.settings.period / BLOCK)
     rows, stretches, before = [], [], None
-    for block in commanded(rig, knob, choose, BLOCK, task.duration):
+    for block in commanded(rig, supply, choose, BLOCK, task.duration):
         motion, measured = block.motion, block.measured
         # The command after the previous block has produced the force of this one.
         wanted = np.nan

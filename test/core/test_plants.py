@@ -10,7 +10,7 @@ import pytest
 from mr_damper_ros.control.linear_plant import IsoRoad, MovingPlant, QuarterCar
 from mr_damper_ros.control.semi_active import SuspensionSettings, controller_of
 from mr_damper_ros.emulation.commanded_rig import commanded
-from mr_damper_ros.emulation.emulator import EmulatedDamper, RigSettings, SupplyKnob
+from mr_damper_ros.emulation.emulator import EmulatedDamper, RigSettings, SupplySetpoint
 from mr_damper_ros.emulation.plant_rig import HOT_FORCE, PlantRig, invented_damper
 from mr_damper_ros.signals.blocks import Moment
 from studies.control.shear_building import BUILDINGS, STOREYS, StateEstimator
@@ -18,8 +18,8 @@ from studies.control.shear_building import BUILDINGS, STOREYS, StateEstimator
 CAR = QuarterCar()
 
 
-def car_rig(current: float | SupplyKnob = 0.3, **options: object) -> PlantRig:
-    supply = current.schedule if isinstance(current, SupplyKnob) else current
+def car_rig(current: float | SupplySetpoint = 0.3, **options: object) -> PlantRig:
+    supply = current.schedule if isinstance(current, SupplySetpoint) else current
     settings = {"settings": RigSettings(seed=5), **options}
     return PlantRig(
         EmulatedDamper(invented_damper(0.0), HOT_FORCE, built_in=True),
@@ -43,11 +43,11 @@ def test_a_plant_moves_the_same_whatever_the_blocks(sizes: tuple[int, ...]) -> N
 
 
 def test_a_choice_takes_effect_with_the_next_block() -> None:
-    knob = SupplyKnob(0.2)
-    rig = car_rig(knob)
+    supply = SupplySetpoint(0.2)
+    rig = car_rig(supply)
     currents = [
         block.measured.current
-        for block in commanded(rig, knob, lambda measured: 1e-3 * measured.sequence, 10, 0.04)
+        for block in commanded(rig, supply, lambda measured: 1e-3 * measured.sequence, 10, 0.04)
     ]
     assert [float(current[0]) for current in currents] == pytest.approx([0.2, 0.0, 0.01, 0.02])
     assert all(np.ptp(current) == 0.0 for current in currents)

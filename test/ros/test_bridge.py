@@ -161,9 +161,9 @@ def test_the_emulated_rig_obeys_commands_of_the_current(start: Any, listener: Li
     listener.until(lambda: current and current[-1].current == 0.7, "the commanded current")
     listener.node.destroy_timer(timer)
     listener.until(lambda: current[-1].current == 0.0, "no current once the commands have stopped")
-    # The knob counts though it already stood there.
+    # The supply counts though it already stood there.
     assert listener.set_parameter("bridge", "emulated.current", 1.5).successful
-    listener.until(lambda: current[-1].current == 1.5, "the knob")
+    listener.until(lambda: current[-1].current == 1.5, "the supply")
 
 
 def test_a_lifecycle_manager_configures_activates_and_cleans_up(

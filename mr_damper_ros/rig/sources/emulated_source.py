@@ -15,7 +15,7 @@ from mr_damper_ros.emulation.emulator import (
     EmulatedDamper,
     EmulatedRig,
     RigSettings,
-    SupplyKnob,
+    SupplySetpoint,
     ThermalModel,
     scaled,
 )
@@ -262,11 +262,11 @@ class EmulatedSource(_EmulatedSupply):
         settings = self._rig(start_ns)
         faults = faults_of(given.faults.split(), given.seed)
         instruments = Instruments(faults)
-        knob = SupplyKnob(commander.step(time.monotonic()))
+        supply = SupplySetpoint(commander.step(time.monotonic()))
         rig = EmulatedRig(
             self._damper,
             self._excitation,
-            knob.schedule,
+            supply.schedule,
             settings=settings,
             faults=faults,
             thermal=ThermalModel(
@@ -281,8 +281,8 @@ class EmulatedSource(_EmulatedSupply):
         taken = 0
         while True:
             now = time.monotonic()
-            knob.turn(taken * settings.period, commander.step(now))
-            rig.surround(self.settings.ambient_temperature)
+            supply.set(taken * settings.period, commander.step(now))
+            rig.set_ambient(self.settings.ambient_temperature)
             rig.live = commander.origin(now) is not Origin.HAND or mover.commanded
             if mover.commanded:
                 # Up to a chunk of samples may already have been computed ahead.
@@ -386,12 +386,12 @@ class QuarterCarSource(_EmulatedSupply):
         assert self._damper is not None
         assert self.commander is not None
         given = self.settings
-        knob = SupplyKnob(self.commander.step(time.monotonic()))
+        supply = SupplySetpoint(self.commander.step(time.monotonic()))
         rig = PlantRig(
             self._damper,
             _CAR.plant,
             _road(given),
-            knob.schedule,
+            supply.schedule,
             settings=self._rig(start_ns),
             thermal=ThermalModel(initial=given.initial_temperature, capacity=given.heat_capacity),
             coil_time_constant=given.coil_time_constant,
@@ -399,7 +399,7 @@ class QuarterCarSource(_EmulatedSupply):
         )
         taken = 0
         while True:
-            knob.turn(taken / given.sample_rate, self.commander.step(time.monotonic()))
+            supply.set(taken / given.sample_rate, self.commander.step(time.monotonic()))
             made = rig.next_block(self.stream.block_size)
             taken += self.stream.block_size
             yield replace(made, suspension=moment_of(rig))
