@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-from mr_damper_msgs.msg import DamperParameters, MtsSamples, PredictedForce
+from mr_damper_msgs.msg import MtsSamples, PredictedForce
 from press import block_message
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 from support import Listener
@@ -18,14 +18,6 @@ BAG = Path(__file__).parents[2] / "bags" / "5.0mm_1Hz_1.5A"
 
 def best_effort() -> QoSProfile:
     return QoSProfile(reliability=ReliabilityPolicy.BEST_EFFORT, depth=10)
-
-
-def test_who_comes_late_gets_the_parameters(start: Any, listener: Listener) -> None:
-    start("identifier")
-    listener.wait_for_finding("identifier: parameters", "literature")
-    sets = listener.listen(DamperParameters, "damper/parameters", quality.latched())
-    listener.until(lambda: sets, "the parameters that were published before")
-    assert [message.id for message in sets] == ["literature"]
 
 
 def test_a_best_effort_publisher_is_told_and_can_be_taken(start: Any, listener: Listener) -> None:
