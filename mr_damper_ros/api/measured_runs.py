@@ -17,9 +17,8 @@ from mr_damper_ros.processes.process_pool import ProcessPool, Tell
 from mr_damper_ros.signals.arrays import Array
 from mr_damper_ros.signals.blocks import NANOSECONDS
 from mr_damper_ros.signals.moving_average import find_average
-from mr_damper_ros.signals.recording import DEFAULT_START_NS, Recording
+from mr_damper_ros.signals.recording import DEFAULT_START_NS, LARGEST_CURRENT, Recording
 from mr_damper_ros.tracking.screening import (
-    LARGEST_CURRENT,
     Screening,
     fault_of_samples,
     fault_of_sign,

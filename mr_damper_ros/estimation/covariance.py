@@ -358,10 +358,10 @@ def _of_misfit(over_cycle: Array) -> Array:
     return np.asarray(draws.T @ draws)
 
 
-_SAME_MOTION = 0.1
+SAME_MOTION = 0.1
 """Largest relative difference of root mean squares at which two motions count as the same."""
 
-_SAME_CURRENT = 0.05
+SAME_CURRENT = 0.05
 """Largest difference of current [A] at which two motions count as the same."""
 
 _FEWEST_MOTIONS = 3
@@ -388,9 +388,9 @@ def motion_numbers(windows: Sequence[Window]) -> np.ndarray:
         motion = window.motion
         size = np.array(
             [
-                math.log(max(float(np.std(motion.displacement)), 1e-12)) / _SAME_MOTION,
-                math.log(max(float(np.std(motion.velocity)), 1e-12)) / _SAME_MOTION,
-                float(np.mean(window.current)) / _SAME_CURRENT,
+                math.log(max(float(np.std(motion.displacement)), 1e-12)) / SAME_MOTION,
+                math.log(max(float(np.std(motion.velocity)), 1e-12)) / SAME_MOTION,
+                float(np.mean(window.current)) / SAME_CURRENT,
             ]
         )
         same = (k for k, other in enumerate(seen) if np.all(np.abs(size - other) < 1.0))

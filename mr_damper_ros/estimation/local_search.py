@@ -26,7 +26,7 @@ _FAR = 30.0
 
 _MOST_RESTARTS = 5
 
-_HUBER = 1.345
+HUBER = 1.345
 """Huber's constant, which gives 95 % efficiency for normal noise."""
 
 MOST_STEPS = 300
@@ -210,7 +210,7 @@ class LocalSearch(Generic[P]):
         for _ in range(10):
             residual = self.problem.residual(self.best)
             deviation = 1.4826 * float(np.median(np.abs(residual - np.median(residual))))
-            bound = _HUBER * deviation
+            bound = HUBER * deviation
             if bound == 0.0:
                 break
             updated = bound / np.maximum(np.abs(residual), bound)

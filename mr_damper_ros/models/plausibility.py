@@ -14,9 +14,7 @@ import numpy as np
 from mr_damper_ros.kinematics.motion import Motion
 from mr_damper_ros.models.parameter_set import ParameterError, ParameterSet
 from mr_damper_ros.signals.arrays import Array
-
-LARGEST_FORCE = 1e6
-"""Upper limit [N] of a plausible force; the largest MR dampers, used in buildings, give 400 kN."""
+from mr_damper_ros.signals.recording import LARGEST_FORCE
 
 LARGEST_NRMSE = 1.0
 """Upper limit of the NRMSE; at 1 the error is as large as the spread of the force."""

@@ -13,20 +13,35 @@ from pathlib import Path
 from typing import Any
 
 
-def write_text(path: Path, text: str) -> None:
+def write_text(path: Path, text: str, *, durable: bool = False) -> None:
     """As :func:`write_bytes`, in UTF-8."""
-    write_bytes(path, text.encode())
+    write_bytes(path, text.encode(), durable=durable)
 
 
-def write_bytes(path: Path, content: bytes) -> None:
-    """Write a file completely or not at all; missing folders are created. Raises OSError."""
+def write_bytes(path: Path, content: bytes, *, durable: bool = False) -> None:
+    """Write a file completely or not at all; missing folders are created. Raises OSError.
+
+    A ``durable`` file also survives a power failure right after the call.
+    """
     path.parent.mkdir(parents=True, exist_ok=True)
     fresh = path.with_name(f".{path.name}.{os.getpid()}")
     try:
         fresh.write_bytes(content)
+        if durable:
+            _sync(fresh)
         fresh.replace(path)
     finally:
         fresh.unlink(missing_ok=True)
+    if durable:
+        _sync(path.parent)  # the new name
+
+
+def _sync(path: Path) -> None:
+    descriptor = os.open(path, os.O_RDONLY)
+    try:
+        os.fsync(descriptor)
+    finally:
+        os.close(descriptor)
 
 
 def json_ready(value: Any) -> Any:

@@ -19,10 +19,10 @@ Many ROS programs interpret a stamp near zero as "time unknown".
 """
 
 _SMALLEST_MOTION = 1e-6
-_LARGEST_MOTION = 0.5
+LARGEST_MOTION = 0.5
 _LARGEST_SPEED = 5.0
-_LARGEST_FORCE = 1e6
-_LARGEST_CURRENT = 50.0
+LARGEST_FORCE = 1e6
+LARGEST_CURRENT = 50.0
 _TEMPERATURES = (-60.0, 250.0)
 _PERIODS = (1e-6, 0.1)
 
@@ -133,7 +133,7 @@ class Recording:
         if not _PERIODS[0] <= self.period <= _PERIODS[1]:
             return f"the sample period is {self.period:.3g} s: is the unit of the time right?"
         span = float(np.ptp(self.displacement))
-        if span > _LARGEST_MOTION:
+        if span > LARGEST_MOTION:
             return f"the displacement spans {span:.3g} m: is it in millimetres?"
         if span < _SMALLEST_MOTION:
             return (
@@ -144,12 +144,12 @@ class Recording:
         if speed > _LARGEST_SPEED:
             return f"the rod moves at {speed:.3g} m/s on average: is the unit of the time right?"
         force = float(np.max(np.abs(self.force)))
-        if force > _LARGEST_FORCE:
+        if force > LARGEST_FORCE:
             return f"the force reaches {force:.3g} N: give the unit of the force that fits"
         if np.ptp(self.force) == 0.0:
             return f"the force is constant at {force:.3g} N: is it the right column?"
         current = float(np.max(np.abs(self.current)))
-        if current > _LARGEST_CURRENT:
+        if current > LARGEST_CURRENT:
             return f"the current reaches {current:.3g} A: is it in milliamperes?"
         if self.temperature is not None:
             low, high = float(np.min(self.temperature)), float(np.max(self.temperature))

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from enum import IntEnum
 
 import numpy as np
@@ -166,38 +166,31 @@ def evidence_of(
         # The running set cannot predict this window, so any finite force is better.
         old = np.full(old.size, math.inf)
     judged = held_back & settled
-    rmse_before, rmse_after = (
+    before, after = (
         float(np.sqrt(np.mean((force - window.force)[judged] ** 2))) for force in (old, new)
     )
-    power = float(old[settled] @ old[settled])
-    change, shape = math.inf, 1.0
+    power, change, shape = float(old[settled] @ old[settled]), math.inf, 1.0
     if 0.0 < power < math.inf:
         common = float(new[settled] @ old[settled])
         change = common / power - 1.0
         own = max(float(new[settled] @ new[settled]), 1e-300)
         shape = math.sqrt(max(1.0 - common**2 / (power * own), 0.0))
-    lead, loss, left_elsewhere = math.inf, 0.0, math.inf
-    if known:
-        noise = NoiseModel.of((new - window.force)[settled])
-        one = Lead.of(old, new, window.force, judged, noise)
-        lead = Lead.together([one] if fresh >= CHUNKS else [])
-        gain = rmse_before**2 - rmse_after**2
-        if elsewhere and gain > 0.0:
-            before, after = (_mean_square(each, elsewhere) for each in (running, found))
-            loss = len(elsewhere) * (after - before) / gain
-            means = [float(np.mean(each.force)) for each in elsewhere]
-            squares = [float(np.mean(each.force**2)) for each in elsewhere]
-            variance = float(np.mean(squares) - np.mean(means) ** 2)
-            left_elsewhere = math.sqrt(before / variance) if variance > 0.0 else math.inf
-    return Evidence(
-        rmse_before / spread,
-        rmse_after / spread,
-        rmse_after,
-        change,
-        lead,
-        shape,
-        loss,
-        left_elsewhere,
+    evidence = Evidence(before / spread, after / spread, after, change, shape_change=shape)
+    if not known:
+        return evidence
+    noise = NoiseModel.of((new - window.force)[settled])
+    one = Lead.of(old, new, window.force, judged, noise)
+    evidence = replace(evidence, lead=Lead.together([one] if fresh >= CHUNKS else []))
+    if not elsewhere or before <= after:
+        return evidence
+    left, lost = (_mean_square(each, elsewhere) for each in (running, found))
+    means = [float(np.mean(each.force)) for each in elsewhere]
+    squares = [float(np.mean(each.force**2)) for each in elsewhere]
+    variance = float(np.mean(squares) - np.mean(means) ** 2)
+    return replace(
+        evidence,
+        loss=len(elsewhere) * (lost - left) / (before**2 - after**2),
+        nrmse_elsewhere=math.sqrt(left / variance) if variance > 0.0 else math.inf,
     )
 
 
@@ -260,22 +253,19 @@ def _mean_square(found: ParameterSet, windows: Sequence[Window]) -> float:
     return error if math.isfinite(error) else math.inf
 
 
-_OTHER_SHAPE = 0.3
-"""Largest shape change, relative to the force, that temperature and wear cause between two windows
-of one steady motion. A delay between the sensors causes a larger change."""
-
-_FITS = 0.15
-"""Up to this NRMSE a window confirms the running set, whatever the residual baseline is."""
-
-_SURPRISING = 0.2
+_OTHER_SHAPE = 0.2
 """A larger shape change, relative to the force, must be confirmed by the next window if the running
-set has been identified at this operating point (``foreign_worse_sets``)."""
+set has been identified at this operating point (``foreign_worse_sets``). Temperature and wear do
+not cause it between two windows of one steady motion; a delay between the sensors does."""
 
-_SAME_FORCE = 0.05
+SAME_FORCE = 0.1
+"""Up to this relative change of the force it is the same force, and the law of the running set also
+holds where it has not been identified."""
+
 _FAR_BETTER = 1.5
 """If the running set has been identified at this operating point and the residual stays large, a
-changed force is attributed to a sensor. Exceptions are a relative change of at most
-``_SAME_FORCE``, and a new set with an NRMSE lower by the factor ``_FAR_BETTER``."""
+force that is not the same is attributed to a sensor, unless the NRMSE of the new set is lower by
+this factor."""
 
 
 class Verdict(IntEnum):
@@ -334,38 +324,9 @@ class Judgement:
 ACCEPTED = Judgement(Verdict.ACCEPTED)
 
 
-def _disturbed(excess: float, nrmse_before: float) -> Judgement:
-    """Judge a window whose residual is ``excess`` times the residual baseline.
-
-    The running set may fit nevertheless, because the baseline depends on the motions and currents
-    of earlier windows.
-    """
-    sentence = f"the residual is {excess:.1f} times the residual baseline: "
-    if nrmse_before <= _FITS:
-        return Judgement(
-            Verdict.NO_BETTER,
-            sentence + f"the running set, with an NRMSE of {nrmse_before:.0%}, stays in use",
-            usual=False,
-        )
-    return Judgement(Verdict.DISTURBED, sentence + "a disturbance or a sensor fault")
-
-
 def fault_of_data(sentence: str) -> Judgement:
     """The judgement for data that cannot be used."""
     return Judgement(Verdict.FAULT_OF_DATA, sentence)
-
-
-def failed(error: Exception) -> Judgement:
-    """The judgement for an identification that failed with an error."""
-    return Judgement(
-        Verdict.FAILED,
-        f"the identification failed ({type(error).__name__}: {error}): the running set stays",
-    )
-
-
-def too_little_motion(sentence: str) -> Judgement:
-    """The judgement for a window with too little motion; its data may be sound."""
-    return Judgement(Verdict.TOO_LITTLE_MOTION, sentence)
 
 
 @dataclass(frozen=True)
@@ -451,25 +412,27 @@ class Gatekeeper:
         point. ``objection`` returns the reason why the set is implausible, or an empty text; it is
         called only if the set passes all other tests.
         """
+        known = self.known
         point = force.operating_point if force is not None and one_point else None
-        judgement = self._judge(evidence, force, point, holds, same_motion)
+        is_first = not known.residuals
+        judgement = (
+            self._refusal(evidence, force, holds=holds, same_motion=same_motion)
+            or self._disturbance(evidence, point, holds=holds)
+            or self._comparison(evidence, force, holds=holds, is_first=is_first)
+        )
         if judgement.verdict.accepted and (sentence := objection()):
             judgement = Judgement(Verdict.POOR_FIT, sentence)
         if judgement.teaches:
             seen = (evidence.rmse_after, evidence.nrmse_after, *(point or ()))
-            self.known.residuals = (*self.known.residuals, seen)[-MOST_WINDOWS:]
-            if force is not None:
-                self._learn(force)
+            known.residuals = (*known.residuals, seen)[-MOST_WINDOWS:]
+        if judgement.teaches and force is not None:
+            # The first force of each operating point is kept.
+            here = known.points.known_force(force.operating_point)
+            if here is not None:
+                known.level = force.size / here.size
+            elif min(force.size, force.peak_velocity, force.largest) > 0.0:
+                known.points = known.points.noted(force.operating_point, force=force)
         return judgement
-
-    def _learn(self, force: KnownForce) -> None:
-        """Learn from an accepted force; the first force of each operating point is kept."""
-        known, point = self.known, force.operating_point
-        here = known.points.known_force(point)
-        if here is not None:
-            known.level = force.size / here.size
-        elif min(force.size, force.peak_velocity, force.largest) > 0.0:
-            known.points = known.points.noted(point, force=force)
 
     def judge_global(
         self, evidence: Evidence, objection: Callable[[], str] = str, *, tentative: bool = False
@@ -531,53 +494,66 @@ class Gatekeeper:
         excess = excess_residual(self.known.residuals, rmse, nrmse)
         return excess <= self._settings.residual_factor
 
-    def _judge(
-        self,
-        evidence: Evidence,
-        force: KnownForce | None,
-        point: OperatingPoint | None,
-        holds: bool,
-        same_motion: bool,
-    ) -> Judgement:
-        settings, experience = self._settings, self.known
+    def _refusal(
+        self, evidence: Evidence, force: KnownForce | None, *, holds: bool, same_motion: bool
+    ) -> Judgement | None:
+        """Refuse a fit with too large an error, and a force that is impossible for this damper."""
+        maximum, limit = self._settings.maximum_nrmse, self._settings.change_limit
         if not math.isfinite(evidence.nrmse_after):
             return Judgement(Verdict.POOR_FIT, "the fit has no finite error: the window is refused")
-        if evidence.nrmse_after > settings.maximum_nrmse:
+        if evidence.nrmse_after > maximum:
             return Judgement(
                 Verdict.POOR_FIT,
                 f"the fit leaves an NRMSE of {evidence.nrmse_after:.0%}, more than maximum_nrmse "
-                f"({settings.maximum_nrmse:.0%})",
+                f"({maximum:.0%})",
             )
-        beyond = self._beyond(evidence, force, holds) if force is not None else ""
+        beyond = ""
         if same_motion and evidence.shape_change > _OTHER_SHAPE:
             beyond = (
                 f"the shape of the force changed by {evidence.shape_change:.0%} in the same motion"
             )
-        if beyond:
-            return Judgement(
-                Verdict.BEYOND_LIMITS,
-                f"{beyond}: check the sensors and their clocks; if the damper was replaced, call "
-                "reset",
-            )
-        known = bool(experience.residuals)
-        if known:
-            excess = excess_residual(
-                experience.residuals, evidence.rmse_after, evidence.nrmse_after, point
-            )
-            if excess > settings.residual_factor:
-                experience.refused_for_residual += 1
-                # The force is known here, so a sensor has changed rather than the damper.
-                doubtful = (
-                    holds
-                    and abs(evidence.force_change) > _SAME_FORCE
-                    and evidence.nrmse_before < _FAR_BETTER * evidence.nrmse_after
-                )
-                patience = self._PATIENCE_WHERE_KNOWN if holds else self._PATIENCE
-                if experience.refused_for_residual <= patience or doubtful:
-                    return _disturbed(excess, evidence.nrmse_before)
-                # The larger residual has lasted: the rig itself has become noisier.
-                experience.residuals = ()
-        experience.refused_for_residual = 0
+        elif force is not None:
+            # Where the running set has been identified, it gives the first force at a new point.
+            expected = self.known.level * (1.0 + evidence.force_change) if holds else math.nan
+            objection = self.known.points.objection(force, limit, expected)
+            beyond = f"{objection}, more than change_limit ({limit:g}) allows" if objection else ""
+        if not beyond:
+            return None
+        return Judgement(
+            Verdict.BEYOND_LIMITS,
+            f"{beyond}: check the sensors and their clocks; if the damper was replaced, call reset",
+        )
+
+    def _disturbance(
+        self, evidence: Evidence, point: OperatingPoint | None, *, holds: bool
+    ) -> Judgement | None:
+        """Refuse a window whose residual is far above the residual baseline, unless it lasts."""
+        known, before, after = self.known, evidence.nrmse_before, evidence.nrmse_after
+        excess = excess_residual(known.residuals, evidence.rmse_after, after, point)
+        if excess <= self._settings.residual_factor:
+            known.refused_for_residual = 0
+            return None
+        known.refused_for_residual += 1
+        # The force is known here, so a sensor has changed rather than the damper.
+        doubtful = (
+            holds and abs(evidence.force_change) > SAME_FORCE and before < _FAR_BETTER * after
+        )
+        patience = self._PATIENCE_WHERE_KNOWN if holds else self._PATIENCE
+        if known.refused_for_residual > patience and not doubtful:
+            # The larger residual has lasted: the rig itself has become noisier.
+            known.residuals, known.refused_for_residual = (), 0
+            return None
+        sentence = f"the residual is {excess:.1f} times the residual baseline: "
+        if before <= 0.5 * STILL_GOOD:
+            # The baseline depends on the motions and currents of earlier windows.
+            sentence += f"the running set, with an NRMSE of {before:.0%}, stays in use"
+            return Judgement(Verdict.NO_BETTER, sentence, usual=False)
+        return Judgement(Verdict.DISTURBED, sentence + "a disturbance or a sensor fault")
+
+    def _comparison(
+        self, evidence: Evidence, force: KnownForce | None, *, holds: bool, is_first: bool
+    ) -> Judgement:
+        """Compare the new set with the running set; a large sudden change must be confirmed."""
         # Where the running set was not identified, a smaller error suffices to replace it.
         if not (evidence.better if holds else evidence.nrmse_after < evidence.nrmse_before):
             return Judgement(
@@ -588,30 +564,18 @@ class Gatekeeper:
                 Verdict.NO_BETTER,
                 "the new set loses more at the other recent operating points than it gains here",
             )
-        change = evidence.force_change
+        change, surprise = evidence.force_change, ""
         if force is not None and not holds:
             # The running set does not give the earlier force here; the first accepted force does.
-            here = experience.points.known_force(force.operating_point)
+            here = self.known.points.known_force(force.operating_point)
             if here is not None:
-                change = min(change, force.size / (here.size * experience.level) - 1.0, key=abs)
-        surprise = ""
-        if abs(change) > settings.step_limit:
+                change = min(change, force.size / (here.size * self.known.level) - 1.0, key=abs)
+        if abs(change) > self._settings.step_limit:
             surprise = f"the force changed by {change:+.0%} at once"
-        elif holds and evidence.shape_change > _SURPRISING:
+        elif holds and evidence.shape_change > _OTHER_SHAPE:
             surprise = f"the shape of the force changed by {evidence.shape_change:.0%} at once"
-        if known and surprise:
-            return Judgement(
-                Verdict.UNCONFIRMED, f"{surprise}: waiting for the next window to confirm it"
-            )
-        return ACCEPTED
-
-    def _beyond(self, evidence: Evidence, force: KnownForce, holds: bool) -> str:
-        """Why the force is impossible for this damper, in words; empty if it is possible.
-
-        Where the running set has been identified, it gives the first force at a new operating
-        point.
-        """
-        limit = self._settings.change_limit
-        expected = self.known.level * (1.0 + evidence.force_change) if holds else math.nan
-        objection = self.known.points.objection(force, limit, expected)
-        return f"{objection}, more than change_limit ({limit:g}) allows" if objection else ""
+        if is_first or not surprise:
+            return ACCEPTED
+        return Judgement(
+            Verdict.UNCONFIRMED, f"{surprise}: waiting for the next window to confirm it"
+        )

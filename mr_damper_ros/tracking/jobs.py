@@ -38,12 +38,11 @@ from mr_damper_ros.tracking.acceptance import (
     Evidence,
     Judgement,
     Lead,
+    Verdict,
     evidence_of,
-    failed,
     fault_of_data,
     held_back_samples,
     rival_wins,
-    too_little_motion,
 )
 from mr_damper_ros.tracking.cusum import ChangeWatch, change_point, fit_scale
 from mr_damper_ros.tracking.force_scale import baseline_at, force_scale, with_strength
@@ -267,8 +266,13 @@ def run(job: Job, control: Control | None = None) -> Outcome:
     except DataError as error:
         outcome = Outcome(fault_of_data(str(error)))
     except (ValueError, ArithmeticError) as error:
-        outcome = Outcome(failed(error))
+        sentence = f"the identification failed ({type(error).__name__}: {error}): the running set"
+        outcome = Outcome(Judgement(Verdict.FAILED, f"{sentence} stays"))
     return replace(outcome, duration=time.perf_counter() - began)
+
+
+def _too_little_motion(sentence: str) -> Judgement:
+    return Judgement(Verdict.TOO_LITTLE_MOTION, sentence)
 
 
 def _fit(job: Job, control: Control | None) -> Outcome:
@@ -280,7 +284,7 @@ def _fit(job: Job, control: Control | None) -> Outcome:
     lack = lack_of_motion(raw.displacement, limits)
     if lack:
         fault = fault_at_rest(raw.displacement, raw.force, job.running.largest_force)
-        return Outcome(fault_of_data(fault) if fault else too_little_motion(lack))
+        return Outcome(fault_of_data(fault) if fault else _too_little_motion(lack))
     window = Window.from_samples(
         raw.displacement, raw.force, raw.current, raw.period, raw.peak_velocity
     )
@@ -288,14 +292,14 @@ def _fit(job: Job, control: Control | None) -> Outcome:
     fault, lack = fault_of_rest(velocity, force), lack_of_cycle(raw.displacement, velocity)
     fault = fault or ("" if lack else fault_of_sign(velocity, force))
     if fault or lack:
-        return Outcome(fault_of_data(fault) if fault else too_little_motion(lack))
+        return Outcome(fault_of_data(fault) if fault else _too_little_motion(lack))
     if raw.force_after is not None:
         window = window.measured_after(raw.force_after)
     if raw.look:
         return _look(job, window)
     before_change = math.ceil((job.changed_ns - raw.start_ns) / (raw.period * NANOSECONDS))
     if before_change > 0.5 * window.sample_count:
-        return Outcome(too_little_motion("most of the window lies before the change of the force"))
+        return Outcome(_too_little_motion("most of the window lies before the change of the force"))
     window = window.part(slice(max(before_change, 0), None))
     rival, taken = job.rival, None
     if rival is not None:

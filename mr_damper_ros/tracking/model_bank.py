@@ -20,6 +20,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from mr_damper_ros.estimation.covariance import SAME_CURRENT
 from mr_damper_ros.kinematics.motion import Motion
 from mr_damper_ros.models.parameter_set import (
     EARLY_SOURCE,
@@ -29,7 +30,11 @@ from mr_damper_ros.models.parameter_set import (
 )
 from mr_damper_ros.signals.arrays import Array, RollingRows
 from mr_damper_ros.signals.blocks import NANOSECONDS
-from mr_damper_ros.tracking.operating_point import SAME_CURRENT, SAME_SPEED
+from mr_damper_ros.tracking.operating_point import SAME_SPEED
+
+_SAME_TIME = 1.5
+"""A set replaces another with the same range of peak velocities if the half-cycles of their motions
+are within this factor."""
 
 _MOST = 8
 """Largest number of sets in the bank, each of which a search tries; the schedule has twice as many
@@ -65,18 +70,23 @@ Span = tuple[float, float]
 class KnownSet:
     """A set, and the stamp up to which it fits the samples (None: the set does not age).
 
-    ``currents`` is the current range of the windows that the set fits; a set of unknown range
-    (None) counts for all currents. ``whole`` marks a set for all operating points, as opposed to a
-    window set.
+    ``half_cycle`` [s] is that of the motion when the set arrived, NaN if unknown. ``currents`` is
+    the current range of the windows that the set fits; a set of unknown range (None) counts for all
+    currents. ``whole`` marks a set for all operating points, as opposed to a window set.
     """
 
     parameters: ParameterSet
     confirmed_ns: int | None
+    half_cycle: float = math.nan
     currents: Span | None = None
     whole: bool = False
 
     def replaces(self, other: KnownSet) -> bool:
         """Whether the set is for the same motions and currents as another."""
+        if max(self.half_cycle, other.half_cycle) > _SAME_TIME * min(
+            self.half_cycle, other.half_cycle
+        ):
+            return False
         mine, its = self.parameters, other.parameters
         speeds = zip(mine.peak_velocity_range, its.peak_velocity_range, strict=True)
         currents = zip(mine.current_range, its.current_range, strict=True)
@@ -258,14 +268,16 @@ class ModelBank:
         self._take(found)
         return True
 
-    def add(self, parameters: ParameterSet, stamp_ns: int | None) -> None:
+    def add(
+        self, parameters: ParameterSet, stamp_ns: int | None, half_cycle: float = math.nan
+    ) -> None:
         """Add a set and use it, unless the schedule has a better set for the present current.
 
-        The stamp is that of :class:`KnownSet`; a set without a stamp was loaded by a user. A loaded
-        set clears the bank, as does a set that is not newer than those in the bank or belongs to
-        another law; the loaded set itself stays. A set that was never identified does not replace a
-        loaded set. A set for fewer currents replaces the loaded set only if the force of the loaded
-        set is wrong.
+        Stamp and ``half_cycle`` are those of :class:`KnownSet`; a set without a stamp was loaded by
+        a user. A loaded set clears the bank, as does a set that is not newer than those in the bank
+        or belongs to another law; the loaded set itself stays. A set that was never identified does
+        not replace a loaded set. A set for fewer currents replaces the loaded set only if the force
+        of the loaded set is wrong.
         """
         given = self._given
         if given is not None and not parameters.has_evidence:
@@ -289,7 +301,7 @@ class ModelBank:
             currents = None if math.isnan(self._current) else (self._current, self._current)
         elif reported_id != parameters.set_id:
             currents = None
-        found = KnownSet(parameters, stamp_ns, currents, whole)
+        found = KnownSet(parameters, stamp_ns, half_cycle, currents, whole)
         if stamp_ns is None:
             self._given = found if parameters.has_evidence else None
         elif self._is_given(self.present) and not found.covers(self._sets[0]):

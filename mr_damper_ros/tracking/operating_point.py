@@ -16,7 +16,9 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from mr_damper_ros.estimation.covariance import SAME_CURRENT, SAME_MOTION
 from mr_damper_ros.estimation.window_fit import WindowFit
+from mr_damper_ros.kinematics.peak_velocity import MEMORY
 from mr_damper_ros.kinematics.window import Window
 from mr_damper_ros.signals.arrays import Array
 from mr_damper_ros.signals.blocks import NANOSECONDS
@@ -24,10 +26,9 @@ from mr_damper_ros.signals.blocks import NANOSECONDS
 OperatingPoint = tuple[float, float]
 """Peak velocity [m/s] and current [A]."""
 
-SAME_SPEED = 1.1
-SAME_CURRENT = 0.05
+SAME_SPEED = 1.0 + SAME_MOTION
 """Two points are the same operating point if their peak velocities differ by at most this factor,
-and their currents by at most this difference [A]."""
+and their currents by at most :data:`SAME_CURRENT` [A]."""
 
 _COMPARABLE = (4.0, 2.0)
 """Forces and residuals are comparable within these multiples of the tolerances: a speed higher by
@@ -38,7 +39,7 @@ MOST_SAMPLES = 500
 MOST_WINDOWS = 100
 """At most this many windows are kept, one per operating point, thinned to this many samples."""
 
-RECENT = 10.0
+RECENT = MEMORY
 """Seconds for which an operating point counts as recent. A set must serve at all recent points."""
 
 _OTHER_SPEED = 2.0

@@ -245,7 +245,8 @@ class ForcePredictor:
         if self._bank.is_in_use(parameters):
             return
         before = self._bank.present
-        self._bank.add(parameters, confirmed_ns)
+        half_cycle = math.nan if self._motion is None else self._motion.half_cycle
+        self._bank.add(parameters, confirmed_ns, half_cycle)
         if self._bank.present is not before:
             self._use_present(fade=confirmed_ns is not None)
 

@@ -15,6 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from mr_damper_ros.estimation.covariance import least_squares_covariance, normal_inverse
+from mr_damper_ros.estimation.local_search import HUBER
 from mr_damper_ros.estimation.window_fit import WindowFit, fit_of
 from mr_damper_ros.models.misfit import WindowProblem
 from mr_damper_ros.signals.arrays import Array
@@ -28,9 +29,6 @@ a quarter."""
 
 _SURPRISE = 3.09
 """Normal deviate that a window's squared innovation exceeds once in 1000 windows."""
-
-_HUBER = 1.345
-"""Huber's constant: 95 % efficiency with normal noise."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -145,7 +143,7 @@ def _noise(jacobian: Array, residual: Array, robust: bool) -> Array:
         return np.full(count, level)
     usual = 1.4826 * float(np.median(np.abs(unexplained)))
     shrunk = min(usual, math.sqrt(variance)) * level / max(math.sqrt(variance), 1e-300)
-    outlying = np.abs(unexplained) / max(_HUBER * usual, 1e-300)
+    outlying = np.abs(unexplained) / max(HUBER * usual, 1e-300)
     return np.asarray(shrunk * np.sqrt(np.maximum(outlying, 1.0)))
 
 

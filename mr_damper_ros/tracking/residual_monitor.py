@@ -17,19 +17,24 @@ from itertools import compress, product
 
 import numpy as np
 
+from mr_damper_ros.estimation.covariance import SAME_CURRENT
+from mr_damper_ros.kinematics.peak_velocity import HALF_CYCLES
 from mr_damper_ros.signals.arrays import Array, Mask, span_of, white_noise
-from mr_damper_ros.tracking.operating_point import SAME_CURRENT
+from mr_damper_ros.tracking.operating_point import RECENT
 from mr_damper_ros.tracking.screening import DRIVING
 from mr_damper_ros.tracking.validity import NO_DOUBT, Doubt, DoubtKind
 
-_HALF_CYCLES = 8
 _SHORTEST_MEMORY = 2.0
 _LONGEST_MEMORY = 120.0
-"""The memory covers this many half-cycles, limited to these times [s]."""
+"""The memory covers as many half-cycles as that of the peak velocity, limited to these times [s].
+If the motion is not steady, the peak is that of the recent operating points, or of a cycle if that
+is longer: eight half-cycles could all be small, or include an earlier motion. The power is averaged
+over half of them, in which a spring returns its energy."""
 
-_PEAK_MEMORY = 10.0
-"""Memory [s] of the peak if the motion is not steady, or a cycle if that is longer. Eight
-half-cycles could all be small, or include an earlier motion."""
+_SHORTEST = 0.2
+"""Shortest half-cycle [s] over which the root mean square error is computed. A force that is
+constant for twice this time counts as a fault: in fast motion the estimated half-cycle is too
+inaccurate to set it."""
 
 _WILD = 20
 """The span excludes one sample in this many at either end, because it may be an outlier."""
@@ -45,13 +50,6 @@ _PRELOAD = 0.5
 """The middle of the span counts towards the peak up to this fraction of half the span, as from gas
 pressure. A larger value comes from a load cell that was not zeroed; it must not hide the damper's
 force."""
-
-_FOR_POWER = 4
-"""The power is averaged over this many half-cycles, in which a spring returns its energy."""
-
-_SHORTEST_STUCK = 0.4
-"""Shortest time [s] after which a constant force counts as a fault. In fast motion the estimated
-half-cycle is too inaccurate to set this time."""
 
 
 @dataclass(frozen=True)
@@ -163,9 +161,9 @@ class ForceStatistics:
         self._remembered += count
         # While the half-cycle is unknown, the memory is as short as possible.
         known = 0.0 if math.isnan(half_cycle) else half_cycle
-        memory = min(max(_HALF_CYCLES * known, _SHORTEST_MEMORY), _LONGEST_MEMORY)
+        memory = min(max(HALF_CYCLES * known, _SHORTEST_MEMORY), _LONGEST_MEMORY)
         self._stretch = max(round(min(memory / _STRETCHES, _LONGEST_STRETCH) / self._period), 1)
-        unsteady = min(max(2.0 * known, _PEAK_MEMORY), _LONGEST_MEMORY)
+        unsteady = min(max(2.0 * known, RECENT), _LONGEST_MEMORY)
         kept = max(memory, unsteady)
         while (self._remembered - self._past[0].count) * self._period >= kept:
             self._remembered -= self._past.popleft().count
@@ -193,7 +191,7 @@ class ForceStatistics:
         stayed = int(counts[: (*here, False).index(False)].sum()) * self._period
         counted: Sequence[_Stretch] = stretches
         if not all(here):
-            others = 0.0 if stayed >= max(cycle, _SHORTEST_MEMORY) else _PEAK_MEMORY
+            others = 0.0 if stayed >= max(cycle, _SHORTEST_MEMORY) else RECENT
             ages = (counts.cumsum() - counts) * self._period
             counted = list(compress(stretches, here | (ages < others)))
         top, bottom = max(s.top for s in counted), min(s.bottom for s in counted)
@@ -201,11 +199,11 @@ class ForceStatistics:
         self.peak = half + min(abs(self.centre), _PRELOAD * half)
 
     def _judge_power(self, half_cycle: float) -> None:
-        self.stuck = self._unchanged * self._period > max(half_cycle, _SHORTEST_STUCK)
+        self.stuck = self._unchanged * self._period > max(half_cycle, 2.0 * _SHORTEST)
         self.measured_drives = self.predicted_drives = False
-        latest = self._latest(_FOR_POWER * half_cycle)
+        latest = self._latest(0.5 * HALF_CYCLES * half_cycle)
         count = sum(stretch.count for stretch in latest)
-        if half_cycle == 0.0 or count * self._period < 0.5 * _FOR_POWER * half_cycle:
+        if half_cycle == 0.0 or count * self._period < 0.25 * HALF_CYCLES * half_cycle:
             return
         with np.errstate(over="ignore", invalid="ignore"):
             sums = np.sum([stretch.sums for stretch in latest], axis=0)
@@ -240,15 +238,8 @@ first value [s], the second value times the half-cycle, and the third value time
 it was wrong. If the error jumps by more than the peak between two samples, the measured samples
 count as outliers until the error is small again, for at most the first value [s]."""
 
-_ENOUGH = 4.0
-"""Longest time [s] for which a force must have agreed to hold: the time of two windows. A cycle
-suffices if it is shorter."""
-
 _MOST_NOISE = 0.1
 """Limit of the noise estimate, relative to the peak."""
-
-_SHORTEST, _LONGEST = 0.2, 20.0
-"""Limits [s] of the half-cycle over which the root mean square error is computed."""
 
 
 class ResidualMonitor:
@@ -278,10 +269,10 @@ class ResidualMonitor:
     def holds(self) -> bool:
         """Whether the predicted force has agreed with the measured force over the last cycle.
 
-        In slow motion the last ``_ENOUGH`` seconds suffice. A short error counts only while it
-        lasts, and by its contribution to the root mean square.
+        In slow motion the time of two windows suffices. A short error counts only while it lasts,
+        and by its contribution to the root mean square.
         """
-        enough = min(2.0 * self._time, _ENOUGH)
+        enough = 2.0 * min(self._time, _SHORTEST_MEMORY)
         return self._cycle_known and self._compared >= enough and not (self._wrong or self._wait)
 
     @property
@@ -290,7 +281,7 @@ class ResidualMonitor:
         peak = self._recent.peak
         if self._limit == 0.0 or not peak > 0.0:
             return math.inf
-        return self._allowed(self._limit * peak, self._noise(peak))
+        return float(self._allowed(self._limit * peak, self._noise(peak)))
 
     def forget_error(self, known: float = math.nan) -> None:
         """Reset the root mean square error after a change of parameters.
@@ -326,7 +317,11 @@ class ResidualMonitor:
         self._follow(sizes if wild is None else sizes[~wild], peak)
         doubts = [self._doubt_of_sensor()]
         if wild is not None:
-            doubts.append(self._doubt_of_wild(measured[wild], peak, wild))
+            sentence = (
+                f"the measured force jumps to {float(measured[wild][-1]):.4g} N at a peak of "
+                f"{peak:.3g} N: a loose contact, or a disturbance on the line of the load cell?"
+            )
+            doubts.append(Doubt(DoubtKind.SENSOR, sentence, wild))
         if self._wrong or wrong is not None:
             error = self._doubt_of_error(sizes, peak, wrong)
             # A force that agrees with the measured force is as dissipative as the measured one.
@@ -342,17 +337,12 @@ class ResidualMonitor:
         *,
         steady: bool,
     ) -> None:
-        """Update the statistics for later samples; arrays have shape (n,).
-
-        ``forces`` [N] are predicted and measured, ``velocity`` is in m/s, and ``current`` [A] may
-        be a float. ``half_cycle`` [s] is that of the motion, NaN if unknown. ``steady`` says
-        whether the motion is a continuing sine.
-        """
+        """Update the statistics for later samples; the arguments are as in ForceStatistics.add."""
         self._recent.add(forces, velocity, current, half_cycle, steady=steady)
         self._cycle_known = not math.isnan(half_cycle)
         if self._cycle_known:
             self._calm = min(_CALM, _CALM_PART * half_cycle) / self._period
-            self._time = min(max(half_cycle, _SHORTEST), _LONGEST)
+            self._time = max(half_cycle, _SHORTEST)
 
     def _wrong_samples(
         self, errors: Array, sizes: Array, measured: Array, peak: float
@@ -369,7 +359,7 @@ class ResidualMonitor:
         # If the force grows beyond the recent peak, the limit grows with it.
         largest = np.maximum(np.abs(measured - self._recent.centre), peak)
         begins, stays = (
-            (sizes > np.maximum(*self._limits(part * self._limit * largest, noise))).tolist()
+            (sizes > self._allowed(part * self._limit * largest, noise)).tolist()
             for part in (1.0, _BACK)
         )
         jumps = (np.abs(np.diff(errors, prepend=before)) > peak).tolist()
@@ -404,13 +394,10 @@ class ResidualMonitor:
         self._wrong = self._square > lasting**2
 
     @staticmethod
-    def _limits(limit: Array | float, noise: float) -> tuple[Array | float, Array | float]:
-        """Two limits [N] of the error of a sample at this noise [N]; the larger applies."""
+    def _allowed(limit: Array | float, noise: float) -> Array:
+        """Limit [N] of the error of a sample at this noise [N]."""
         # Noise may hide a part of an error. Much noise may itself look like an error.
-        return _SEEN * limit - _CHANCE * noise, _SAMPLE * limit + _RARE * noise
-
-    def _allowed(self, limit: float, noise: float) -> float:
-        return float(max(*self._limits(limit, noise)))
+        return np.maximum(_SEEN * limit - _CHANCE * noise, _SAMPLE * limit + _RARE * noise)
 
     def _noise(self, peak: float) -> float:
         return min(self._recent.noise, _MOST_NOISE * peak)
@@ -429,35 +416,25 @@ class ResidualMonitor:
             wrong,
         )
 
-    @staticmethod
-    def _doubt_of_wild(measured: Array, peak: float, wild: Mask) -> Doubt:
-        return Doubt(
-            DoubtKind.SENSOR,
-            f"the measured force jumps to {float(measured[-1]):.4g} N at a peak of {peak:.3g} N: "
-            "a loose contact, or a disturbance on the line of the load cell?",
-            wild,
-        )
-
     def _doubt_of_sensor(self) -> Doubt:
+        sentence = ""
         if self._recent.stuck:
-            return Doubt(
-                DoubtKind.SENSOR,
+            sentence = (
                 "the measured force is constant although the damper moves: is the load cell "
-                "connected? without a load cell set maximum_error to 0",
+                "connected? without a load cell set maximum_error to 0"
             )
-        if self._recent.measured_drives:
-            return Doubt(
-                DoubtKind.SENSOR,
+        elif self._recent.measured_drives:
+            sentence = (
                 "the measured force is not dissipative: has the sign of the force or of the "
-                "displacement changed?",
+                "displacement changed?"
             )
-        return NO_DOUBT
+        return Doubt(DoubtKind.SENSOR, sentence) if sentence else NO_DOUBT
 
     def _doubt_of_power(self) -> Doubt:
-        if self._recent.predicted_drives:
-            return Doubt(
-                DoubtKind.DRIVING,
-                "the predicted force is not dissipative: do the parameters belong to this "
-                "damper, and are the signs of force and displacement right?",
-            )
-        return NO_DOUBT
+        if not self._recent.predicted_drives:
+            return NO_DOUBT
+        return Doubt(
+            DoubtKind.DRIVING,
+            "the predicted force is not dissipative: do the parameters belong to this "
+            "damper, and are the signs of force and displacement right?",
+        )

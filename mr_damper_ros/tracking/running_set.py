@@ -7,21 +7,17 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from mr_damper_ros.estimation.covariance import SAME_CURRENT
 from mr_damper_ros.estimation.window_fit import WindowFit
 from mr_damper_ros.kinematics.window import Window
 from mr_damper_ros.models.parameter_set import ParameterSet
 from mr_damper_ros.signals.arrays import Array
-from mr_damper_ros.tracking.acceptance import Evidence
+from mr_damper_ros.tracking.acceptance import SAME_FORCE, Evidence
 from mr_damper_ros.tracking.operating_point import (
-    SAME_CURRENT,
     SAME_SPEED,
     KnownForce,
     OperatingPoint,
 )
-
-_AGREES = 0.1
-"""If the force changes by at most this fraction, the law of the running set also holds where it has
-not been identified."""
 
 _SAME_FREQUENCY = 0.05
 _SAME_AMPLITUDE = 0.3
@@ -128,7 +124,7 @@ def set_of_window(
     if fit.discrepancy is not None:
         discrepancies[places] = model.fitted_errors(fit.scales, fit.discrepancy)[1]
     # The running set predicted the force here, so its range stays valid.
-    agrees = abs(evidence.force_change) <= _AGREES
+    agrees = abs(evidence.force_change) <= SAME_FORCE
     velocity_range, largest_force = window.peak_velocity_range, window.largest_force
     current_range = float(window.current.min()), float(window.current.max())
     known = (

@@ -8,16 +8,8 @@ import numpy as np
 
 from mr_damper_ros.kinematics.window import holds_cycle
 from mr_damper_ros.settings.option_table import CheckedSettings, option
-from mr_damper_ros.signals.arrays import Array, Mask, white_noise
-
-LARGEST_SPAN = 0.5
-"""Largest plausible span of the displacement [m]; larger values are probably in millimetres."""
-
-LARGEST_FORCE = 1e7
-"""Largest plausible force of a damper [N]."""
-
-LARGEST_CURRENT = 50.0
-"""Largest plausible coil current [A]; larger values are probably in milliamperes."""
+from mr_damper_ros.signals.arrays import NOISE_SPAN, Array, Mask, white_noise
+from mr_damper_ros.signals.recording import LARGEST_CURRENT, LARGEST_FORCE, LARGEST_MOTION
 
 _CLIPPED = 0.02
 """Fraction of the samples that a clipped signal has at its extreme, in stays of several samples."""
@@ -25,9 +17,6 @@ _CLIPPED = 0.02
 _STUCK_PART = 0.05
 """A force is stuck if it is constant to the last bit for this fraction of a window without a break,
 while the motion reverses and returns by this fraction of its span."""
-
-_STILL = 12.0
-"""A displacement whose span is fewer standard deviations of its noise is at rest."""
 
 _STUCK = (
     "the force follows a motion that the displacement does not show: is the displacement sensor "
@@ -92,7 +81,7 @@ def fault_of_samples(displacement: Array, force: Array, current: Array, limits: 
     motion is not a fault here; :func:`fault_at_rest` compares it with the force.
     """
     span = float(np.ptp(displacement))
-    if span > LARGEST_SPAN:
+    if span > LARGEST_MOTION:
         return f"the displacement spans {span:.3g} m: is it in millimetres? give it in metres"
     largest = float(np.max(np.abs(force)))
     if largest > LARGEST_FORCE:
@@ -118,7 +107,7 @@ def fault_at_rest(displacement: Array, force: Array, largest_force: float) -> st
     Arrays have shape (n,), in m and N. ``largest_force`` [N] is the largest known force of the
     damper, NaN if unknown.
     """
-    still = float(np.ptp(displacement)) <= _STILL * white_noise(displacement)
+    still = float(np.ptp(displacement)) <= NOISE_SPAN * white_noise(displacement)
     low, high = np.quantile(force, (0.01, 0.99))
     if still and high - low > _MOVING_FORCE * largest_force and holds_cycle(force):
         return _STUCK

@@ -7,12 +7,11 @@ import hashlib
 import os
 import re
 import stat
-import tempfile
 from pathlib import Path
 
 from mr_damper_ros.models.parameter_set import ParameterError, ParameterSet, SpokenError
 from mr_damper_ros.models.plausibility import check_plausible
-from mr_damper_ros.processes.files import FolderLock, LockHeldError
+from mr_damper_ros.processes.files import FolderLock, LockHeldError, write_text
 
 _PLAIN, _WITH_MEMORY = 1, 2
 """Versions of the files: a set alone, and a set with the memory of its tracker."""
@@ -85,13 +84,9 @@ class StateDirectory:
             version, body = _WITH_MEMORY, f"{body.rstrip()}{_MEMORY_LINE}{memory}\n"
         text = f"# mr_damper_ros parameters, version {version}, sha256 {_digest(body)}\n{body}"
         try:
-            path.parent.mkdir(parents=True, exist_ok=True)
-            _write_atomically(path, text)
+            write_text(path, text, durable=True)
         except OSError as error:
-            raise StateError(
-                f"cannot write {path}: {error.strerror}; "
-                "set state_dir to a folder that can be written"
-            ) from error
+            raise _unwritable(path, error) from error
         return path
 
     def load(self, name: str) -> ParameterSet:
@@ -137,10 +132,7 @@ class StateDirectory:
                 + ": give this one another name, namespace or state_dir"
             ) from error
         except OSError as error:
-            raise StateError(
-                f"cannot write {path}: {error.strerror}; "
-                "set state_dir to a folder that can be written"
-            ) from error
+            raise _unwritable(path, error) from error
 
     def is_of_a_node(self, name: str) -> bool:
         """Whether a node stores, or has stored, its own state under a name."""
@@ -182,7 +174,7 @@ class StateDirectory:
     def remove_unfinished(self, name: str) -> None:
         """Remove temporary files of a process that was killed while it saved this set."""
         path = self.file(name)
-        for unfinished in path.parent.glob(f"{_unfinished_prefix(path)}*"):
+        for unfinished in path.parent.glob(f".{path.name}.*"):
             with contextlib.suppress(OSError):
                 unfinished.unlink()
 
@@ -229,6 +221,12 @@ def _text(path: Path) -> str:
         raise StateError(f"cannot read {str(path)!r}: it is no usable path") from error
 
 
+def _unwritable(path: Path, error: OSError) -> StateError:
+    return StateError(
+        f"cannot write {path}: {error.strerror}; set state_dir to a folder that can be written"
+    )
+
+
 def _digest(body: str) -> str:
     return hashlib.sha256(body.encode()).hexdigest()
 
@@ -270,28 +268,3 @@ def _renamed(path: Path, without_ending: Path, ending: str) -> Path:
     except OSError as error:
         raise StateError(f"cannot rename {path}: {error.strerror}") from error
     return free
-
-
-def _unfinished_prefix(path: Path) -> str:
-    """Prefix of the temporary file that is written before it replaces the old one."""
-    return f".{path.name}."
-
-
-def _write_atomically(path: Path, text: str) -> None:
-    descriptor, temporary = tempfile.mkstemp(prefix=_unfinished_prefix(path), dir=path.parent)
-    try:
-        with os.fdopen(descriptor, "w", encoding="utf-8") as file:
-            file.write(text)
-            file.flush()
-            os.fsync(file.fileno())
-        os.replace(temporary, path)
-    except BaseException:
-        with contextlib.suppress(OSError):
-            os.unlink(temporary)
-        raise
-    # The new name must also survive a power failure.
-    folder = os.open(path.parent, os.O_RDONLY)
-    try:
-        os.fsync(folder)
-    finally:
-        os.close(folder)
