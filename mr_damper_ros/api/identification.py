@@ -62,7 +62,7 @@ from mr_damper_ros.report.document import Cell, Grid
 from mr_damper_ros.signals.arrays import Array
 from mr_damper_ros.tracking.state_directory import read_parameter_file
 
-MOST_LEFT = 0.3
+LARGEST_RUN_NRMSE = 0.3
 """Largest acceptable NRMSE of a run; above it, the set explains too little of the force."""
 
 
@@ -186,7 +186,7 @@ class Identification(ComparedRuns):
     def _unexplained(self) -> list[tuple[float, str]]:
         """NRMSE and name of the runs with too large an NRMSE, the worst first."""
         left = [((run.level or run.error).nrmse, run.name) for run in self.runs]
-        return sorted((entry for entry in left if entry[0] > MOST_LEFT), reverse=True)
+        return sorted((entry for entry in left if entry[0] > LARGEST_RUN_NRMSE), reverse=True)
 
     @property
     def success(self) -> bool:
@@ -203,8 +203,8 @@ class Identification(ComparedRuns):
         where = f"{name} and {len(others)} more" if others else name
         return (
             f"{ended}, but THE SET EXPLAINS TOO LITTLE OF THE FORCE of {where}: NRMSE {worst:.1%}, "
-            f"where {MOST_LEFT:.0%} is the most; are columns, units, signs and currents right, and "
-            "are all runs of one damper?"
+            f"where {LARGEST_RUN_NRMSE:.0%} is the most; are columns, units, signs and currents "
+            "right, and are all runs of one damper?"
         )
 
     @one_thread()
@@ -471,7 +471,7 @@ def identify_measured(
         levels = LevelPrior(records, options.level_per_record)
     record = SearchRecord(law, windows, options.start_values, settings, options.method, levels)
     if resume is not None and resume.exists():
-        _take(record, resume)
+        _resume(record, resume)
     began = time.monotonic()
     searches = identify_from_seeds(
         law,
@@ -484,7 +484,7 @@ def identify_measured(
         levels=levels,
         processes=processes,
         record=record,
-        keep=None if resume is None else partial(_keep, resume),
+        keep=None if resume is None else partial(_store, resume),
     )
     profiles = Findings([], {})
     if options.profile and not searches.best.stopped:
@@ -523,7 +523,7 @@ def start_values_of(source: ParameterSet | str | os.PathLike[str] | None, model:
     return found.start_of(model)
 
 
-def _take(record: SearchRecord, path: Path) -> None:
+def _resume(record: SearchRecord, path: Path) -> None:
     try:
         record.take(json.loads(path.read_text(encoding="utf-8")))
     except ValueError as error:
@@ -533,7 +533,7 @@ def _take(record: SearchRecord, path: Path) -> None:
         raise ValueError(f"cannot resume from {path}: {detail}") from error
 
 
-def _keep(path: Path, record: SearchRecord) -> None:
+def _store(path: Path, record: SearchRecord) -> None:
     write_text(path, json.dumps(record.document()) + "\n")
 
 

@@ -31,7 +31,7 @@ RunSource = str | os.PathLike[str] | Recording | Iterable["RunSource"]
 RunArrays = tuple[ArrayLike | None, ArrayLike | None, ArrayLike | None, float | None]
 """Displacement [m], force [N] and current [A] of a run, and the sample period [s]."""
 
-_WAY_OUT = "accept_doubtful, --accept-doubtful: use it anyway"
+_REMEDY = "accept_doubtful, --accept-doubtful: use it anyway"
 
 _LIMITS = Screening(minimum_amplitude=1e-6, current_tolerance=2.0 * LARGEST_CURRENT)
 
@@ -73,11 +73,11 @@ def measured_run(
         name, recordings = os.fspath(source), _recordings(Path(source))
     windows, remarks = [], []
 
-    def doubt(fault: str, recording: Recording) -> None:
+    def reject(fault: str, recording: Recording) -> None:
         lifeless = not (np.ptp(recording.displacement) > 0.0 and np.ptp(recording.force) > 0.0)
         if fault and (lifeless or not accept_doubtful):
-            way_out = "" if lifeless else f" ({_WAY_OUT})"
-            raise ValueError(f"{name}: {fault}{way_out}")
+            remedy = "" if lifeless else f" ({_REMEDY})"
+            raise ValueError(f"{name}: {fault}{remedy}")
         if fault:
             remarks.append(f"{name}: {fault} (used anyway)")
 
@@ -85,11 +85,11 @@ def measured_run(
         fault = fault_of_samples(
             recording.displacement, recording.force, recording.current, _LIMITS
         ) or lack_of_motion(recording.displacement, _LIMITS)
-        doubt(fault, recording)
+        reject(fault, recording)
         window = Window.from_samples(
             recording.displacement, recording.force, recording.current, recording.period
         )
-        doubt(fault_of_sign(window.motion.velocity, window.force), recording)
+        reject(fault_of_sign(window.motion.velocity, window.force), recording)
         windows.append(window)
     first_ns = recordings[0].start_ns
     return MeasuredRun(
@@ -196,7 +196,7 @@ _SAME_SPEED = 0.2
 _SAME_CURRENT = 0.05
 """Largest difference [A] between equal currents."""
 
-_TURNED = 0.1
+_STROKE_BEGINS = 0.1
 """Fraction of the peak velocity from which a stroke has begun."""
 
 _CONTRADICTING = 1.5
@@ -213,7 +213,7 @@ def remarks_on(runs: Sequence[MeasuredRun]) -> tuple[str, ...]:
     """Possible problems of the runs, their currents and the processing of their forces."""
     return (
         *(remark for run in runs for remark in run.remarks),
-        *doubts_of_currents(runs),
+        *_current_remarks(runs),
         *_averages(runs),
     )
 
@@ -232,14 +232,16 @@ def _averages(runs: Sequence[MeasuredRun]) -> list[str]:
     ]
 
 
-def doubts_of_currents(runs: Sequence[MeasuredRun]) -> list[str]:
+def _current_remarks(runs: Sequence[MeasuredRun]) -> list[str]:
     """Remarks on currents that are inconsistent with the heights of the loops.
 
     The force increases with the current. At equal current and speed, it changes only with the
     temperature.
     """
     tables = [_fast_cycles(run.windows) for run in runs]
-    doubts = [text for run, table in zip(runs, tables, strict=True) for text in _within(run, table)]
+    remarks = [
+        text for run, table in zip(runs, tables, strict=True) for text in _within(run, table)
+    ]
     middles = [
         (run.name, *np.median(table, axis=0).tolist())
         for run, table in zip(runs, tables, strict=True)
@@ -248,7 +250,7 @@ def doubts_of_currents(runs: Sequence[MeasuredRun]) -> list[str]:
     pairs = [text for one, two in combinations(middles, 2) for text in _between(*one, *two)]
     if len(pairs) > _MOST:
         pairs = [*pairs[:_MOST], f"{len(pairs) - _MOST} more pairs of runs contradict each other"]
-    return doubts + pairs
+    return remarks + pairs
 
 
 def _fast_cycles(windows: Sequence[Window]) -> Array:
@@ -257,7 +259,7 @@ def _fast_cycles(windows: Sequence[Window]) -> Array:
     for window in windows:
         velocity = window.motion.velocity
         # A stroke begins where the velocity exceeds a fraction of its peak in a new direction.
-        moving = np.flatnonzero(np.abs(velocity) > _TURNED * float(np.max(np.abs(velocity))))
+        moving = np.flatnonzero(np.abs(velocity) > _STROKE_BEGINS * float(np.max(np.abs(velocity))))
         turns = moving[1:][np.diff(np.sign(velocity[moving])) != 0.0]
         strokes = [int(moving[0]), *turns.tolist(), int(moving[-1]) + 1]
         for first, last in zip(strokes, strokes[2:], strict=False):

@@ -252,7 +252,7 @@ class CampaignConductor:
             elif result is not None:
                 said = f"is refused: {result}" if result else f"is kept: {made[0].sentence}"
                 self._notices.append(f"run {number} {said}")
-                course.add_judged(made, result)
+                course.add_run(made, result)
         elif self._reporting:
             if failed:
                 self._notices.append(f"the report could not be written: {failed}")
@@ -261,7 +261,7 @@ class CampaignConductor:
         elif course.outcome is None and result is not None:
             plan = result.plan
             try:
-                course.conclude(result)
+                course.add_step(result)
             except OSError as error:
                 course.fail(f"the result could not be stored: {error.strerror or error}")
                 return

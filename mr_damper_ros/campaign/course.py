@@ -194,7 +194,7 @@ class CampaignCourse:
         before = self.steps[-1].parameter_set.values if self.steps else None
         return self.task, self.runs[: len(self.steps) + 1], before, self._evolution
 
-    def take(self, recording: Recording, made: PlannedRun | None = None) -> str:
+    def add_recording(self, recording: Recording, made: PlannedRun | None = None) -> str:
         """Add a recording of the next run; returns the reason to refuse it, or empty.
 
         ``made``: the run that was made, if different. A run that is refused twice ends the
@@ -204,10 +204,10 @@ class CampaignCourse:
         assert run is not None, "no run is wanted now"
         folder = None if self._folder is None else self._folder.path
         refusal = judge_run(folder, len(self.runs) + 1, (run, recording))
-        self.add_judged((run, recording), refusal)
+        self.add_run((run, recording), refusal)
         return refusal
 
-    def add_judged(self, made: MadeRun, refusal: str) -> None:
+    def add_run(self, made: MadeRun, refusal: str) -> None:
         """Add a run that was judged."""
         if not refusal:
             self.refusals = 0
@@ -217,7 +217,7 @@ class CampaignCourse:
         if self.refusals >= _TRIES:
             self.fail(f"run {self.number} was refused {_TRIES} times: {refusal}")
 
-    def conclude(self, step: CampaignStep) -> None:
+    def add_step(self, step: CampaignStep) -> None:
         """Add the result of the work. Raises OSError."""
         if self._folder is not None:
             self._folder.keep_step(len(self.steps) + 1, step)
@@ -316,11 +316,11 @@ def run_campaign(
         course = CampaignCourse(task, folder=kept, most_runs=most_runs, evolution=evolution)
         while course.outcome is None:
             if course.work is not None:
-                course.conclude(find_step(*course.work))
+                course.add_step(find_step(*course.work))
                 if report is not None and not report(course.steps[-1]):
                     course.end("it was ended")
             elif course.next_run is not None:
-                course.take(perform(course.next_run))
+                course.add_recording(perform(course.next_run))
     finally:
         if kept is not None:
             kept.close()

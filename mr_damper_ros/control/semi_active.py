@@ -187,7 +187,7 @@ class SuspensionSettings(CheckedSettings):
 def controller_of(settings: SuspensionSettings) -> Controller:
     """The controller of these settings; raises ValueError if one's own cannot be found."""
     if settings.function:
-        return _own(settings.function)
+        return _import_controller(settings.function)
     return _CONTROLLERS[settings.controller](settings)
 
 
@@ -204,7 +204,7 @@ _CONTROLLERS: dict[str, Callable[[SuspensionSettings], Controller]] = {
 }
 
 
-def _own(place: str) -> Controller:
+def _import_controller(place: str) -> Controller:
     """Import a function by module and name."""
     module, _, name = place.partition(":")
     if not module or not name:

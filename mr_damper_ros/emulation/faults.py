@@ -131,7 +131,7 @@ class Fault:
         """Mask (n,): whether the fault is active at each time [s]."""
         return np.asarray((time >= self.begin - _ROUNDING) & (time < self.end - _ROUNDING))
 
-    def concerns(self, block: RigBlock) -> bool:
+    def active_in(self, block: RigBlock) -> bool:
         """Whether the fault is active at the first sample of a block.
 
         The block must still have the sequence number that the rig gave it.
@@ -183,7 +183,7 @@ class Instruments:
                 samples = Samples(time, getattr(block, fault.channel), block.period)
                 shown: dict[str, Any] = {fault.channel: changed([fault], kind.stage, samples)}
                 block = replace(block, **shown)
-            elif kind.stage == "block" and (fault.concerns(block) or not kind.masked):
+            elif kind.stage == "block" and (fault.active_in(block) or not kind.masked):
                 block = kind.act(fault, block)
         blocks = [block]
         for fault in self._faults:
@@ -194,7 +194,7 @@ class Instruments:
     def _labelled(self, made: RigBlock) -> RigBlock:
         sent = made
         for fault in self._faults:
-            if fault.kind.stage == "label" and fault.concerns(made):
+            if fault.kind.stage == "label" and fault.active_in(made):
                 sent = fault.kind.act(fault, sent)
         return sent
 
@@ -268,7 +268,7 @@ def _sluggish(fault: Fault, samples: Samples) -> Array:
 
 
 def _repeated_buffer(fault: Fault, block: RigBlock) -> RigBlock:
-    if not fault.concerns(block):
+    if not fault.active_in(block):
         fault.memory = block
     last: RigBlock | None = fault.memory
     if last is None or last.sample_count != block.sample_count:
@@ -278,7 +278,7 @@ def _repeated_buffer(fault: Fault, block: RigBlock) -> RigBlock:
 
 def _chosen(fault: Fault, block: RigBlock) -> bool:
     """Draw whether this block has the fault."""
-    return bool(fault.rng.random() < fault.amount) and fault.concerns(block)
+    return bool(fault.rng.random() < fault.amount) and fault.active_in(block)
 
 
 def _reordered(fault: Fault, block: RigBlock) -> list[RigBlock]:
@@ -291,7 +291,7 @@ def _reordered(fault: Fault, block: RigBlock) -> list[RigBlock]:
 
 def _late(fault: Fault, block: RigBlock) -> list[RigBlock]:
     waiting: list[RigBlock] = [*(fault.memory or []), block]
-    held = fault.concerns(block) and _since(fault, block) % 1.0 < fault.amount
+    held = fault.active_in(block) and _since(fault, block) % 1.0 < fault.amount
     fault.memory = waiting if held else []
     return [] if held else waiting
 

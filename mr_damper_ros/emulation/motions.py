@@ -319,7 +319,7 @@ class BandLimitedMotion:
         )
 
 
-_SURRENDER = 2.0
+_FADE_TIME = 2.0
 """Time [s] in which a motion other than a sine fades after the first command."""
 
 
@@ -351,7 +351,7 @@ class CommandedMotion:
 
     def __init__(self, before: Excitation, time: float) -> None:
         self.centre = before.centre
-        duration = _SURRENDER
+        duration = _FADE_TIME
         if isinstance(before, SineMotion):
             duration = PeriodicMotion(MotionKind.SINE, before.amplitude, before.frequency).growth
         self._stretches = [_Stretch(before, -math.inf, duration, time)]

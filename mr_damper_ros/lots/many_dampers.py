@@ -45,7 +45,7 @@ from mr_damper_ros.processes.process_pool import (
 )
 from mr_damper_ros.signals.recording import Recording
 
-_LASTING = (FileNotFoundError, PermissionError, ValueError)
+_PERMANENT = (FileNotFoundError, PermissionError, ValueError)
 """Errors of the file itself; other errors may be temporary."""
 
 
@@ -75,7 +75,7 @@ def identify_group(group: DamperGroup) -> dict[str, Any]:
     runs = []
 
     def reason_of(error: Exception) -> str:
-        document["passing"] |= not isinstance(error, _LASTING)
+        document["passing"] |= not isinstance(error, _PERMANENT)
         if isinstance(error, OSError):
             return error.strerror or str(error)
         return str(error) if isinstance(error, ValueError) else f"{type(error).__name__}: {error}"
@@ -123,7 +123,7 @@ _EVOLUTION = EvolutionSettings()
 
 _LOST = "the process that identified it died repeatedly: is there enough memory?"
 
-Told = Callable[[int, int, Mapping[str, Any]], None]
+Progress = Callable[[int, int, Mapping[str, Any]], None]
 """Receives the number of finished dampers, the total, and the document of the last one."""
 
 
@@ -199,7 +199,7 @@ def identify_many(
     workers: int = 1,
     executor: Executor | None = None,
     scheduler: str | None = None,
-    report: Told | None = None,
+    report: Progress | None = None,
 ) -> ManyDampers:
     """Identify every damper from all its recordings.
 
@@ -345,7 +345,7 @@ def _all_done(
     tasks: Sequence[KeptTask],
     workforce: Callable[[], Workforce],
     folder: Path,
-    report: Told | None,
+    report: Progress | None,
 ) -> tuple[dict[str, dict[str, Any]], int]:
     """The documents of all tasks by name, and how many were reused."""
     results = ResultFolder(folder / "dampers")

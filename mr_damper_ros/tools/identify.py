@@ -6,7 +6,7 @@ import argparse
 from pathlib import Path
 
 from mr_damper_ros.api.findings import Findings, searches
-from mr_damper_ros.api.identification import AUTO, MOST_LEFT, Identification, identify
+from mr_damper_ros.api.identification import AUTO, LARGEST_RUN_NRMSE, Identification, identify
 from mr_damper_ros.estimation.differential_evolution import STRATEGIES
 from mr_damper_ros.estimation.global_fit import GLOBAL_METHODS
 from mr_damper_ros.estimation.record_levels import USUAL_SPREAD
@@ -46,8 +46,8 @@ def _parser() -> argparse.ArgumentParser:
         description="Fit one parameter set of a force law to all bags given, of any amplitudes, "
         "frequencies and currents.",
         epilog=f"Exit code: 0; {EXPLAINS_TOO_LITTLE} where the set leaves an NRMSE above "
-        f"{100 * MOST_LEFT:.0f} % in a run, with all results written; {FAILED} where a bag or an "
-        f"option cannot be used; {INTERRUPTED} after Ctrl-C pressed twice.",
+        f"{100 * LARGEST_RUN_NRMSE:.0f} % in a run, with all results written; {FAILED} where a bag "
+        f"or an option cannot be used; {INTERRUPTED} after Ctrl-C pressed twice.",
     )
     add_run_options(parser)
     choices = {**SEARCH_CHOICES, "model": (*MODELS, AUTO), "strategy": STRATEGIES}

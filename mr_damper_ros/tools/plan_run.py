@@ -175,7 +175,7 @@ def _plan(options: argparse.Namespace) -> int:
     if options.keep is not None:
         if options.signal is not None or options.json is not None:
             raise ValueError("--signal and --json are for a single plan: the folder holds both")
-        return _go_on_with_campaign(options, missing)
+        return _continue_campaign(options, missing)
     if missing:
         raise ValueError(f"a plan needs {', '.join(missing)} too")
     goal, limits = _goal_and_limits(options)
@@ -183,7 +183,7 @@ def _plan(options: argparse.Namespace) -> int:
     run = first_run(goal, limits) if plan is None else plan.run
     document: dict[str, object] = {"state": "run" if plan is None else plan.state.value}
     if plan is not None:
-        _tell_knowledge(plan, goal)
+        _print_accuracy(plan, goal)
         if plan.reason:
             print(plan.reason)
         elif plan.runs_left is not None:
@@ -199,7 +199,7 @@ def _plan(options: argparse.Namespace) -> int:
     return OUT_OF_REACH if plan is not None and plan.state is PlanState.OUT_OF_REACH else 0
 
 
-def _tell_knowledge(plan: Plan, goal: ForceGoal) -> None:
+def _print_accuracy(plan: Plan, goal: ForceGoal) -> None:
     speed, current = plan.now.worst_point
     print(
         f"the force is known to {plan.now.sentence}, where {goal.error:.2%} is wanted; "
@@ -207,7 +207,7 @@ def _tell_knowledge(plan: Plan, goal: ForceGoal) -> None:
     )
 
 
-def _go_on_with_campaign(options: argparse.Namespace, missing: Sequence[str]) -> int:
+def _continue_campaign(options: argparse.Namespace, missing: Sequence[str]) -> int:
     if len(missing) == len(_NEEDED) and (options.keep / "campaign.json").exists():
         task = read_task(options.keep)
     elif missing:
@@ -221,11 +221,11 @@ def _go_on_with_campaign(options: argparse.Namespace, missing: Sequence[str]) ->
     folder = CampaignFolder(options.keep, task)
     try:
         course = CampaignCourse(task, folder=folder, most_runs=options.runs)
-        _go_on(course, waiting)
+        _process_recordings(course, waiting)
     finally:
         folder.close()
     if course.steps:
-        _tell_knowledge(course.steps[-1].plan, task.goal)
+        _print_accuracy(course.steps[-1].plan, task.goal)
         print(f"report: {write_campaign_report(options.keep, course.reason)}")
     run = course.next_run
     if run is not None:
@@ -242,7 +242,7 @@ def _go_on_with_campaign(options: argparse.Namespace, missing: Sequence[str]) ->
     return OUT_OF_REACH if course.outcome is CampaignOutcome.OUT_OF_REACH else 0
 
 
-def _go_on(course: CampaignCourse, waiting: Sequence[Recording]) -> None:
+def _process_recordings(course: CampaignCourse, waiting: Sequence[Recording]) -> None:
     """Identify from the runs so far, and add waiting recordings; those added before are skipped."""
     remaining = [
         one
@@ -251,20 +251,20 @@ def _go_on(course: CampaignCourse, waiting: Sequence[Recording]) -> None:
     ]
     while course.outcome is None:
         if course.work is not None:
-            course.conclude(find_step(*course.work))
+            course.add_step(find_step(*course.work))
         elif course.next_run is None or not remaining:
             return
         else:
-            _take(course, course.next_run, remaining.pop(0))
+            _add_recording(course, course.next_run, remaining.pop(0))
 
 
 def _end_ns(recording: Recording) -> int:
     return recording.stamp_ns(recording.sample_count)
 
 
-def _take(course: CampaignCourse, run: PlannedRun, recording: Recording) -> None:
+def _add_recording(course: CampaignCourse, run: PlannedRun, recording: Recording) -> None:
     try:
-        refusal = course.take(cut_run(run, recording))
+        refusal = course.add_recording(cut_run(run, recording))
     except RunNotFoundError as missing:
         try:
             made = run_as_made(recording)
@@ -272,7 +272,7 @@ def _take(course: CampaignCourse, run: PlannedRun, recording: Recording) -> None
             refusal = f"{missing}, and {unsteady}"
         else:
             print(f"{missing}; it is taken as a run of its own: {made.sentence}")
-            refusal = fault_of_run(made, recording) or course.take(recording, made)
+            refusal = fault_of_run(made, recording) or course.add_recording(recording, made)
     if refusal:
         print(f"run {course.number} is refused: {refusal}")
 
