@@ -112,29 +112,6 @@ CONDUCTANCE = 0.2
 DAMPER = EmulatedDamper(THESIS_28_CELSIUS, THESIS_71_CELSIUS)
 
 
-@dataclass(frozen=True, eq=False)
-class Drift:
-    """Errors of the reported force scales (k,) [1], and NRMSE of the predicted and fitted forces.
-
-    ``predicted`` (m,) is the NRMSE of the set in use on the next window. ``fitted`` (m,) is that of
-    a separate least-squares fit to the same window.
-    """
-
-    scale_errors: Array
-    predicted: Array
-    fitted: Array
-
-    @property
-    def scale_error_p95(self) -> float:
-        """95th percentile of the absolute errors of the force scale [1]."""
-        return float(np.quantile(np.abs(self.scale_errors), 0.95))
-
-    @property
-    def nrmse_ratio(self) -> float:
-        """Root mean square of the predictions' NRMSE over that of the fresh fits'."""
-        return float(np.sqrt(np.mean(self.predicted**2) / np.mean(self.fitted**2)))
-
-
 def thermal_model(duration: float) -> ThermalModel:
     """Thermal model that heats the damper of this test from 28 to 71 °C in ``duration`` [s]."""
     cycle = one_cycle()
@@ -160,8 +137,12 @@ def heated_run(duration: float = DURATION, seed: int = 1) -> Recording:
     return recording(DAMPER, duration, seed=seed, thermal=thermal_model(duration))
 
 
-def drift_of(run: Recording, settings: TrackerSettings) -> Drift:
-    """Follow the drift and compare each report with the true values at its publication."""
+def drift_of(run: Recording, settings: TrackerSettings) -> tuple[float, Array, Array]:
+    """Follow the drift and compare each report with the true values at its publication.
+
+    Returns the 95th percentile of the absolute errors of the force scale [1], and the NRMSE (m,) on
+    the next window of the set in use and of a separate least-squares fit to that window.
+    """
     steps = follow(run, settings)
     length = round(WINDOW / run.period)
     first = next(step.report for step in steps if step.report.accepted)
@@ -183,7 +164,7 @@ def drift_of(run: Recording, settings: TrackerSettings) -> Drift:
             fitted.append(
                 fit_window(MODELS["sigmoid"], ahead, step.parameters, method="least_squares").nrmse
             )
-    return Drift(np.array(errors), np.array(predicted), np.array(fitted))
+    return float(np.quantile(np.abs(errors), 0.95)), np.array(predicted), np.array(fitted)
 
 
 def _true_loop(run: Recording, part: slice) -> Array:
@@ -198,25 +179,28 @@ def _true_loop(run: Recording, part: slice) -> Array:
 def drift_figures(duration: float = DURATION) -> Measured:
     """Run both trackers on the same recording."""
     run = heated_run(duration)
-    window, recursive = (
-        drift_of(run, TrackerSettings(tracker=name)) for name in ("window", "recursive")
-    )
+    scale, predicted, fitted = drift_of(run, TrackerSettings(tracker="window"))
+    ukf_scale, *ukf = drift_of(run, TrackerSettings(tracker="recursive"))
     assert run.temperature is not None
-    single = float(np.quantile(window.predicted / window.fitted, 0.95))
+    single = float(np.quantile(predicted / fitted, 0.95))
     return {
         "drift_scale_error_p95_percent": (
-            100.0 * window.scale_error_p95,
+            100.0 * scale,
             f"To {float(run.temperature[-1]):.1f} °C in {duration:.0f} s.",
         ),
         "drift_nrmse_ratio": (
-            window.nrmse_ratio,
+            _ratio(predicted, fitted),
             f"95th percentile of the single ratios: {single:.3f}.",
         ),
         "ukf_drift_scale_error_p95_percent": (
-            100.0 * recursive.scale_error_p95,
-            f"Its NRMSE ratio: {recursive.nrmse_ratio:.3f}.",
+            100.0 * ukf_scale,
+            f"Its NRMSE ratio: {_ratio(*ukf):.3f}.",
         ),
     }
+
+
+def _ratio(predicted: Array, fitted: Array) -> float:
+    return float(np.sqrt(np.mean(predicted**2) / np.mean(fitted**2)))
 
 
 # -- a sudden loss of force ------------------------------------------------------------------

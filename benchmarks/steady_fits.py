@@ -8,7 +8,6 @@ from __future__ import annotations
 import statistics
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 from functools import partial
 
 import numpy as np
@@ -111,64 +110,37 @@ _INTERVAL = 1.959964
 """Half width of the 95 % interval of a normal distribution, in standard deviations."""
 
 
-@dataclass(frozen=True, eq=False)
-class Scatter:
-    """Errors and standard errors (r, 7) of coefficients; ``bound`` (7,) on their variances."""
+def noise_figures(realisations: int = 500, samples: int = 2000) -> Measured:
+    """Variance of the coefficients relative to the bound, and coverage of their intervals.
 
-    errors: Array
-    standard_errors: Array
-    bound: Array
-
-    @property
-    def ratios(self) -> Array:
-        """Mean squared error over the bound, one for each coefficient (7,)."""
-        return np.asarray(np.mean(self.errors**2, axis=0) / self.bound)
-
-    @property
-    def coverage(self) -> float:
-        """Fraction of the 95 % intervals that contain the truth, over all coefficients [1]."""
-        return float(np.mean(np.abs(self.errors) <= _INTERVAL * self.standard_errors))
-
-
-def scatter(realisations: int, samples: int) -> Scatter:
-    """Fits of one condition with independent noise; seeds are 0, 1, 2 ..."""
+    The fits are to one condition with independent noise; seeds are 0, 1, 2 ...
+    """
     condition = find(CONDITION)
     published = parameters(condition)
     speed = 2.0 * np.pi * condition.frequency * condition.amplitude
     truth = np.concatenate(operating_point_coefficients(published, speed, condition.current))
     if truth[0] < 0.0:
         truth[:2] *= -1.0  # the same loop, as fits report it
-    fits = [
-        fit_window(
-            _LAW,
-            steady_window(published, condition, samples=samples, seed=seed),
-            published,
-            method="least_squares",
-        )
-        for seed in range(realisations)
-    ]
+    errors, claimed = [], []
+    for seed in range(realisations):
+        window = steady_window(published, condition, samples=samples, seed=seed)
+        fit = fit_window(_LAW, window, published, method="least_squares")
+        errors.append(fit.coefficients - truth)
+        claimed.append(np.sqrt(np.diag(fit.coefficient_covariance)))
     # Smallest variance of unbiased coefficients from samples of the exact motion at 1 kHz.
     motion = SineMotion(condition.amplitude, condition.frequency, phase=PHASE).at(
         np.arange(samples, dtype=np.float64) * 1e-3
     )
     jacobian = coefficient_jacobian(Coefficients(*truth), motion.velocity, motion.acceleration)
-    return Scatter(
-        np.array([fit.coefficients - truth for fit in fits]),
-        np.array([np.sqrt(np.diag(fit.coefficient_covariance)) for fit in fits]),
-        np.diag(THESIS_FORCE_NOISE**2 * np.linalg.inv(jacobian.T @ jacobian)),
-    )
-
-
-def noise_figures(realisations: int = 500, samples: int = 2000) -> Measured:
-    """Variance of the coefficients relative to the bound, and coverage of their intervals."""
-    found = scatter(realisations, samples)
+    bound = np.diag(THESIS_FORCE_NOISE**2 * np.linalg.inv(jacobian.T @ jacobian))
+    ratios = np.mean(np.square(errors), axis=0) / bound
     return {
         "crlb_ratio": (
-            float(found.ratios.max()),
-            f"Mean of the seven: {found.ratios.mean():.3f}. One ratio has a standard error of "
+            float(ratios.max()),
+            f"Mean of the seven: {ratios.mean():.3f}. One ratio has a standard error of "
             f"{np.sqrt(2.0 / realisations):.3f} by chance.",
         ),
-        "coverage_percent": 100.0 * found.coverage,
+        "coverage_percent": 100.0 * float(np.mean(np.abs(errors) <= _INTERVAL * np.array(claimed))),
     }
 
 
@@ -201,14 +173,6 @@ REFITTED = ("2.5mm_1Hz_0.0A", "5.0mm_1Hz_1.5A", "5.0mm_3Hz_0.5A", "7.5mm_1Hz_1.0
 RESIDUAL_LIMIT = 1.001
 
 
-@dataclass(frozen=True)
-class Refit:
-    """Processor times [s] of the reference and of both fits, and residuals over the reference's."""
-
-    seconds: tuple[float, ...]
-    residual_ratios: tuple[float, ...]
-
-
 def reference_fit(window: Window, start: Array) -> tuple[Array, float]:
     """Parameters (16,) and norm of the residual [N] by the method of the thesis (eq. 12).
 
@@ -220,11 +184,14 @@ def reference_fit(window: Window, start: Array) -> tuple[Array, float]:
     return found, norm
 
 
-def measured_refit(condition_name: str, repetitions: int, samples: int = 1000) -> Refit:
+def measured_refit(
+    condition_name: str, repetitions: int, samples: int = 1000
+) -> tuple[list[float], list[float]]:
     """Fit a window again after the damper has lost 1 % of its force since the previous window.
 
     The start is the fit to the previous window. The reference runs ``repetitions`` times, and the
-    fits ten times as often.
+    two fits ten times as often. Returns the processor times [s] of the reference and of the fits,
+    and the residuals of the fits over that of the reference.
     """
     condition = find(condition_name)
     truth = parameters(condition)
@@ -238,25 +205,27 @@ def measured_refit(condition_name: str, repetitions: int, samples: int = 1000) -
     works: list[Callable[[], object]] = [lambda: reference_fit(window, start), *fits]
     seconds = interleaved_medians(works, [repetitions, 10 * repetitions, 10 * repetitions])
     reached = reference_fit(window, start)[1] / np.sqrt(samples)
-    return Refit(tuple(seconds), tuple(fit().rmse / reached for fit in fits))
+    return seconds, [fit().rmse / reached for fit in fits]
 
 
 def refit_figures(repetitions: int = 5) -> Measured:
     """Medians over conditions; a speed counts only if the residual equals that of the reference."""
-    refits = [measured_refit(name, repetitions) for name in REFITTED]
+    seconds, residuals = map(
+        np.array, zip(*(measured_refit(name, repetitions) for name in REFITTED), strict=True)
+    )
 
     def speedup(which: int) -> tuple[float | None, str]:
-        ratios = [refit.seconds[0] / refit.seconds[which] for refit in refits]
-        worst = max(refit.residual_ratios[which - 1] for refit in refits)
+        ratios = seconds[:, 0] / seconds[:, which]
+        worst = residuals[:, which - 1].max()
         return (
-            statistics.median(ratios) if worst <= RESIDUAL_LIMIT else None,
+            float(np.median(ratios)) if worst <= RESIDUAL_LIMIT else None,
             f"Single conditions: {', '.join(f'{ratio:.0f}' for ratio in ratios)}. Largest residual "
             f"against the reference's: {worst:.5f} (limit {RESIDUAL_LIMIT}).",
         )
 
     return {
         "window_nm_speedup": speedup(1),
-        "window_nm_ms": 1e3 * statistics.median(refit.seconds[1] for refit in refits),
+        "window_nm_ms": 1e3 * float(np.median(seconds[:, 1])),
         "window_ls_speedup": speedup(2),
     }
 
