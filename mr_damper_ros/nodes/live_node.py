@@ -6,6 +6,7 @@ import queue
 import time
 from collections import deque
 from collections.abc import Mapping
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -35,12 +36,13 @@ from mr_damper_ros.nodes import quality
 from mr_damper_ros.nodes.bag_recorder import BagRecorder
 from mr_damper_ros.nodes.command_topic import COMMAND_TOPIC, DEMAND_TOPIC
 from mr_damper_ros.nodes.inputs import CURRENT_TOPIC
-from mr_damper_ros.nodes.messages import from_field, parameter_set, to_seconds
+from mr_damper_ros.nodes.messages import from_field, parameter_set, sample_block, to_seconds
 from mr_damper_ros.nodes.mirrors import JOINED_FORCES_TOPIC, JOINED_SAMPLES_TOPIC
 from mr_damper_ros.nodes.node_parameters import ConfigurationError, NodeParameters
 from mr_damper_ros.nodes.parameter_input import PARAMETERS_TOPIC, REPORT_TOPIC
 from mr_damper_ros.nodes.spinning import run
 from mr_damper_ros.settings.option_table import ParameterTable, option
+from mr_damper_ros.signals.blocks import BlockError
 from mr_damper_ros.tracking.acceptance import Verdict
 
 _WAITING = 50
@@ -86,16 +88,16 @@ class RecordInput:
         """Join predicted forces with their samples, which arrive before them."""
         same = [block for block in self._samples if block.seq == message.seq]
         self._samples.clear()
-        if not same or not 0 < len(same[0].force) == len(message.force):
+        predicted = from_field(message.force)
+        valid = np.frombuffer(message.sample_doubts, dtype=np.uint8) == PredictedForce.NONE
+        if not same or not len(same[0].force) == predicted.size == valid.size:
             return
-        self._record.add_samples(
-            to_seconds(message.header.stamp),
-            message.period,
-            from_field(same[0].displacement),
-            from_field(same[0].force),
-            from_field(message.force),
-            np.frombuffer(message.sample_doubts, dtype=np.uint8) == PredictedForce.NONE,
-        )
+        with suppress(BlockError):
+            block = sample_block(same[0])
+            start_s = to_seconds(message.header.stamp)
+            self._record.add_samples(
+                start_s, block.period, block.displacement, block.force, predicted, valid
+            )
 
     def _take_current(self, message: SupplyCurrent) -> None:
         self._record.add_current(to_seconds(message.header.stamp), message.current)
