@@ -347,7 +347,8 @@ def finish(
     the next time. A task whose process dies repeatedly is given up and passed to ``lost``. Raises
     WorkersError if the workers cannot run tasks at all, and OSError if a result cannot be written.
     """
-    call = _Call(function, results if workforce.shares_folders else None, final)
+    shared = results if workforce.shares_folders else None
+    call = partial(_call_and_keep, function, shared, final)
     waiting, suspects = deque(tasks), deque[KeptTask]()
     losses: Counter[str] = Counter()
     under_way: dict[Future[Document], KeptTask] = {}
@@ -411,20 +412,18 @@ def finish(
         workforce.end()
 
 
-@dataclass(frozen=True)
-class _Call:
-    """The call in a worker: run the task, and store its document if the folder is shared."""
-
-    function: Callable[[Any], Document]
-    results: ResultFolder | None
-    final: Callable[[Document], bool]
-
-    def __call__(self, task: KeptTask) -> Document:
-        with one_thread():  # the process may belong to another program
-            document = self.function(task.argument)
-        if self.results is not None and self.final(document):
-            self.results.keep(task, document)
-        return document
+def _call_and_keep(
+    function: Callable[[Any], Document],
+    results: ResultFolder | None,
+    final: Callable[[Document], bool],
+    task: KeptTask,
+) -> Document:
+    """Run the task in a worker, and store its document if the folder is shared."""
+    with one_thread():  # the process may belong to another program
+        document = function(task.argument)
+    if results is not None and final(document):
+        results.keep(task, document)
+    return document
 
 
 def fingerprint(content: Mapping[str, Any]) -> str:
