@@ -22,7 +22,7 @@ import scipy
 import mr_damper_ros
 from mr_damper_ros.processes.process_pool import ProcessPool, Tell
 
-_FOLDERS = (Path(mr_damper_ros.__file__).parent, Path(__file__).parent)
+_FOLDERS = (Path(mr_damper_ros.__file__).parent, Path(__file__).parents[1])
 """Code on which the results depend."""
 
 _ABOVE = ("nodes", "tools")
@@ -116,13 +116,20 @@ def _read(path: Path) -> dict[str, Any]:
     return known
 
 
+def code_files() -> list[Path]:
+    """The files of code and tables on which the results depend."""
+    return [
+        path
+        for folder in _FOLDERS
+        for path in sorted(folder.rglob("*"))
+        if path.suffix in (".py", ".csv") and path.relative_to(folder).parts[0] not in _ABOVE
+    ]
+
+
 @lru_cache(maxsize=1)
 def _code_digest() -> str:
     """Digest of the code on which the results depend, taken when the program starts."""
     digest = hashlib.sha256(f"{sys.version} {np.__version__} {scipy.__version__}".encode())
-    for folder in _FOLDERS:
-        for path in sorted(folder.rglob("*")):
-            inside = path.relative_to(folder)
-            if path.suffix in (".py", ".csv") and inside.parts[0] not in _ABOVE:
-                digest.update(inside.as_posix().encode() + path.read_bytes())
+    for path in code_files():
+        digest.update(path.name.encode() + path.read_bytes())
     return digest.hexdigest()[:12]

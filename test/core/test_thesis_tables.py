@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import pytest
+from fresh_python import alone
 
 from mr_damper_ros.emulation.emulator import THESIS_FORCE_NOISE
 from mr_damper_ros.models.published import ROW_ERRATA, find
 from studies.thesis import dependency, errata, facts, force_error
-from studies.thesis.campaign import Campaign, Settings
+from studies.thesis.campaign import Campaign, Settings, code_files
 from studies.thesis.conditions import identified
 
 SOUND_AFTER_ALL = (find("7.5mm_3Hz_1.5A"), "nelder_mead")
@@ -41,6 +42,17 @@ TWO_DECIMALS = 0.005
 @pytest.fixture(scope="module")
 def campaign(tmp_path_factory):
     return Campaign(Settings(tmp_path_factory.mktemp("thesis"), runs=2, quick=True))
+
+
+def test_results_are_kept_for_the_code_that_they_were_computed_with():
+    loaded = alone(
+        "import studies.thesis.sections\n"
+        "for module in list(sys.modules.values()):\n"
+        "    if module.__name__.partition('.')[0] in ('mr_damper_ros', 'studies'):\n"
+        "        print(module.__file__)"
+    )
+    counted = set(map(str, code_files()))
+    assert {path for path in loaded.split() if "/tools/" not in path} <= counted
 
 
 @pytest.fixture(scope="module")
