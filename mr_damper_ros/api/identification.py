@@ -216,9 +216,9 @@ class Identification(ComparedRuns):
         Parameters
         ----------
         top_velocity
-            Largest peak velocity [m/s] of an advised run. Default: that of the present runs.
+            Largest peak velocity [m/s] of a recommended run. Default: that of the present runs.
         top_current
-            Largest current [A] of an advised run. Default: that of the present runs.
+            Largest current [A] of a recommended run. Default: that of the present runs.
         """
         windows = self._windows
         done = RigRange.of_windows(windows)
@@ -336,8 +336,8 @@ def identify(
         A run as arrays of shape (n,): displacement [m], extension positive; force [N], tension
         positive; current [A], or one number if it is constant; and the sample period [s].
     model
-        Force law. For identify, "auto" is the simplest of those that predict best what was left out
-        of the runs (:func:`choose_law`).
+        Force law. For identify, "auto" compares all laws by cross-validation
+        (:func:`choose_law`).
 
         The laws are the keys of ``MODELS``.
     method
@@ -360,8 +360,8 @@ def identify(
 
         A script with more than one process needs the usual ``if __name__ == "__main__":``.
     accept_doubtful
-        Accept runs that would be rejected as clipped, driven by the force, or in wrong units. A
-        remark then describes the problem.
+        Accept runs that would be rejected because the force is clipped or not dissipative, or a
+        unit is wrong. A remark then describes the problem.
     resume
         File with the progress of the searches. A repeated call continues from it.
     profile

@@ -55,7 +55,7 @@ def read_record(
         Matrix of a MAT file, sheet of a spreadsheet, or group of channels of a TDMS file, if there
         are several.
     moving_average
-        Undo a moving average over so many past samples; exact if the record begins at rest.
+        Undo a moving average over this number of samples; exact if the record begins at rest.
 
         Other filters cannot be undone.
     begins_in_motion

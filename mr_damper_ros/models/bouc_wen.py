@@ -40,8 +40,8 @@ from mr_damper_ros.models.quantities import LoopReading, State
 from mr_damper_ros.signals.arrays import Array
 
 HYSTERESIS = (
-    Coefficient("alpha", "N", 0.0, degree=2, meaning="force of full yield"),
-    Coefficient("yield_length", "m", 1e-6, 1.0, degree=1, meaning="way to the yield"),
+    Coefficient("alpha", "N", 0.0, degree=2, meaning="force at full yield"),
+    Coefficient("yield_length", "m", 1e-6, 1.0, degree=1, meaning="displacement to the yield"),
     Coefficient("share", "1", 0.0, 1.0, meaning="share of the loop that unloads elastically"),
     Coefficient("n", "1", 1.0, 6.0, meaning="sharpness of the yield"),
 )

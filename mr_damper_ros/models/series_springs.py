@@ -209,7 +209,7 @@ class SeriesSprings(DifferentiatedModel):
     )
     at_one_current = (
         Coefficient("f_y", "N", 0.0, degree=3, meaning="yield force"),
-        Coefficient("w_y", "m/s", 1e-6, degree=1, meaning="width of the yield"),
+        Coefficient("w_y", "m/s", 1e-6, degree=1, meaning="velocity to the yield"),
         Coefficient("c", "N s/m", 0.0, degree=1, meaning="viscous damping"),
         Coefficient("k1", "N/m", 1.0, 1e12, 1, meaning="stiffness in series with the damper"),
         Coefficient("share", "1", 0.0, 1.0, meaning="share of the yield on the softer spring"),

@@ -206,7 +206,7 @@ def add_plot_options(parser: argparse.ArgumentParser) -> None:
         choices=FORMATS,
         nargs="+",
         default=["png"],
-        help="of the figures (default png)",
+        help="format of the figures (default png)",
     )
 
 

@@ -47,9 +47,9 @@ class DemoError(ValueError):
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
         prog="demo",
-        description="Play a bag to identifier and model, each a ROS 2 process of its own, watch "
-        "them, and draw measured and predicted force. With --live: run the emulated rig, or play a "
-        "bag again and again, and serve the page that shows it, until Ctrl-C.",
+        description="Play a bag to the nodes identifier and model, and draw measured and predicted "
+        "force. With --live: serve the live page of the emulated rig, or of a looping bag, until "
+        "Ctrl-C.",
     )
     parser.add_argument("--live", action="store_true", help="serve the page until Ctrl-C")
     parser.add_argument(
@@ -61,7 +61,7 @@ def _parser() -> argparse.ArgumentParser:
         "--port",
         type=int,
         default=8770,
-        help="of the page of --live (default %(default)s; 0: any that is free)",
+        help="port of the live page (default %(default)s; 0: any free port)",
     )
     parser.add_argument(
         "--rate", type=float, default=1.0, help="speed of the replay (default 1: real time)"

@@ -25,7 +25,7 @@ def _parser() -> argparse.ArgumentParser:
         description="Write an identified set as code for a controller, with test vectors.",
     )
     parser.add_argument(
-        "parameters", type=Path, metavar="PARAMETERS.yaml", help="as written by identify --output"
+        "parameters", type=Path, metavar="PARAMETERS.yaml", help="file of identify --output"
     )
     parser.add_argument(
         "--format",
@@ -35,7 +35,7 @@ def _parser() -> argparse.ArgumentParser:
     )
     parser.add_argument("--output", type=Path, required=True, metavar="FOLDER")
     parser.add_argument(
-        "--name", default="mr_damper", help="of what the C code defines (default %(default)s)"
+        "--name", default="mr_damper", help="prefix of the names in C (default %(default)s)"
     )
     for item in options(ExportSettings):
         parser.add_argument(

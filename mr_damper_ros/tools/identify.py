@@ -43,11 +43,11 @@ _OPTIONS = (
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
         prog="identify",
-        description="Fit one parameter set of a force law to all bags given, of any amplitudes, "
-        "frequencies and currents.",
-        epilog=f"Exit code: 0; {EXPLAINS_TOO_LITTLE} where the set leaves an NRMSE above "
-        f"{100 * LARGEST_RUN_NRMSE:.0f} % in a run, with all results written; {FAILED} where a bag "
-        f"or an option cannot be used; {INTERRUPTED} after Ctrl-C pressed twice.",
+        description="Fit one parameter set of a force law to all bags, which may have different "
+        "amplitudes, frequencies and currents.",
+        epilog=f"Exit code: 0: success; {EXPLAINS_TOO_LITTLE}: the NRMSE of a run exceeds "
+        f"{100 * LARGEST_RUN_NRMSE:.0f} %, all results are written; {FAILED}: a bag or an option "
+        f"cannot be used; {INTERRUPTED}: Ctrl-C was pressed twice.",
     )
     add_run_options(parser)
     choices = {**SEARCH_CHOICES, "model": (*MODELS, AUTO), "strategy": STRATEGIES}

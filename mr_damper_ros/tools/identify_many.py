@@ -37,17 +37,17 @@ _FLAGS = {"listed": "--list", "folder": "--output", "pattern": "--damper"}
 _RECORD_OPTIONS = ("columns", "current", "period", "variable")
 
 _EPILOG = f"""\
-Called again with the same folder it does only what is missing or whose files have changed, however
-it ended. Below the folder: dampers.csv, population.html, sets/ (a parameter file of each damper),
-dampers/ (all that is known of each).
+A second call with the same folder processes only dampers that are missing or whose files have
+changed. The folder contains dampers.csv, population.html, sets/ (the parameter file of each damper)
+and dampers/ (the complete result of each damper).
 
 examples:
   identify_many lots/2026-03 --output results/2026-03
   identify_many "bench/**/*.mcap" --damper "(D[0-9]+)_" --output results/bench --workers 8
   identify_many --list runs.csv --columns time:s,displacement:mm,force:N --output results/runs
 
-Exit code: 0; {LEFT_OUT} where a file was left out or a damper not identified, with all results
-written; {FAILED} where an option cannot be used; {INTERRUPTED} after Ctrl-C.
+Exit code: 0: success; {LEFT_OUT}: a file was left out or a damper not identified, all other results
+are written; {FAILED}: an option cannot be used; {INTERRUPTED}: Ctrl-C.
 """
 
 
@@ -55,23 +55,23 @@ def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
         prog="identify_many",
         formatter_class=argparse.RawDescriptionHelpFormatter,
-        description="Identify every damper of which there are recordings, each from all of its own,"
-        "\nand report how far the dampers of the lot differ and which of them stand out.",
+        description="Identify every damper from all of its recordings, and report the variation of "
+        "the lot\nand its outliers.",
         epilog=_EPILOG,
     )
     parser.add_argument(
         "sources",
         nargs="*",
         metavar="SOURCE",
-        help="folder that is searched through, bag, or pattern such as 'lot*/**/*.mcap' in quotes",
+        help="folder to search, bag, or quoted pattern such as 'lot*/**/*.mcap'",
     )
     add_arguments(parser, identify_many, _OPTIONS, flags=_FLAGS)
-    records = parser.add_argument_group("record files (without --columns only bags are taken)")
+    records = parser.add_argument_group("record files (only with --columns)")
     add_arguments(records, identify_many, _RECORD_OPTIONS)
     search = parser.add_argument_group("identification")
     add_arguments(search, identify, SEARCH_OPTIONS, SEARCH_CHOICES)
     parser.add_argument(
-        "--parquet", action="store_true", help="write the table as dampers.parquet too"
+        "--parquet", action="store_true", help="also write the table as dampers.parquet"
     )
     return parser
 

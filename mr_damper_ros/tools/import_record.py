@@ -16,11 +16,10 @@ from mr_damper_ros.signals.recording import Recording
 from mr_damper_ros.tools.console import add_arguments, arguments_of, program
 
 _EPILOG = f"""\
-columns: QUANTITY:UNIT for each column from the left, - to skip one, ... at the end for all that
-follow; or QUANTITY=HEADER:UNIT for all, where HEADER is the name at the head of the column (in a
-MAT file: a variable). A factor may stand before the unit and an offset after it (980.665*N-12N);
-a negative factor turns the sign. Extension and tension are positive. A velocity is integrated
-where no column holds the displacement.
+columns: QUANTITY:UNIT for each column from the left; - skips one, ... at the end skips all that
+follow. Or QUANTITY=HEADER:UNIT for each, where HEADER is the heading of the column (in a MAT file:
+a variable). 980.665*N-12N multiplies by 980.665, then subtracts 12 N; a negative factor reverses
+the sign. Extension and tension are positive. Without a displacement, the velocity is integrated.
 {chr(10).join(f"  {name:<13} {', '.join(units)}" for name, units in UNITS.items())}
 
 examples:
@@ -47,7 +46,7 @@ def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
         prog="import_record",
         formatter_class=argparse.RawDescriptionHelpFormatter,
-        description="Turn a text, CSV, MAT, XLSX or TDMS file into a bag.",
+        description="Convert a text, CSV, MAT, XLSX or TDMS file to a bag.",
         epilog=_EPILOG,
     )
     parser.add_argument("file", type=Path, metavar="FILE", help="text, CSV, MAT, XLSX or TDMS file")
@@ -56,20 +55,20 @@ def _parser() -> argparse.ArgumentParser:
         required=True,
         type=Path,
         metavar="BAG",
-        help="bag to make; with --split a folder with a bag for each run",
+        help="bag to write; with --split, folder of the bags, one for each run",
     )
     add_arguments(parser, read_record, _OPTIONS, flags=_FLAGS)
     parser.add_argument(
         "--split",
         action="store_true",
-        help="cut the file into its runs: at pauses of the logger, rests of the rod, changes of a "
-        "measured current, and where one steady cycle gives way to another",
+        help="cut the file into its runs: at pauses of the logger, rests of the rod, and changes "
+        "of a measured current or of the steady motion",
     )
     parser.add_argument(
         "--currents",
         metavar="A,A,...",
-        help="with --split: coil current [A] of each run, - to leave a run out; without it they "
-        "are asked for, if no column holds them",
+        help="with --split: coil current [A] of each run, - to leave a run out; by default the "
+        "program asks for the currents, unless a column gives them",
     )
     parser.add_argument("--overwrite", action="store_true", help="replace an existing bag")
     return parser

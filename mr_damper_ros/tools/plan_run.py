@@ -56,19 +56,19 @@ _MACHINE = {
 """Options of the tables by the argument that gives them; two of them are a range."""
 
 _EPILOG = f"""\
-A campaign is kept with --keep. The first call names the goal and the limits of the machine, and
-says which run to make; each further call takes the bags of the runs made since, whatever else they
-hold, and says what comes next. A bag that does not hold the wanted run, but is a steady sine at one
-current, counts as well, also in the first call. Below the folder: campaign.html (the report),
-set.yaml (the last set), signals/ (the runs as CSV, for machines that play files), runs/ and steps/.
+With --keep, the folder holds a campaign. The first call needs the goal and the limits of the
+machine, and recommends the first run. Each further call needs only the bags of the new runs, and
+recommends the next run. Bags of other runs, steady sines at one current, are also used. The folder
+contains campaign.html (the report), set.yaml (the last set), signals/ (the runs as CSV), runs/ and
+steps/.
 
 examples:
   plan_run --velocity 0.02 0.2 --current 0 1.5 --amplitude 0.01 --force 5000 bags/today
   plan_run --keep damper_7 --velocity 0.02 0.2 --current 0 1.5 --amplitude 0.01 --force 5000
   plan_run --keep damper_7 bags/today
 
-Exit code: 0, also where the goal is met; {OUT_OF_REACH} where it cannot be met within the limits;
-{FAILED} where a bag or an option cannot be used.
+Exit code: 0: success; {OUT_OF_REACH}: the goal cannot be met within the limits;
+{FAILED}: a bag or an option cannot be used.
 """
 
 
@@ -76,9 +76,8 @@ def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
         prog="plan_run",
         formatter_class=argparse.RawDescriptionHelpFormatter,
-        description="Recommend the next run of the test machine, so that the force of a damper is "
-        "soon known to a\ngiven accuracy over a range of peak velocity and current; without bags, "
-        "the first run.",
+        description="Recommend the run of the test machine after which the force of the damper is "
+        "known best over a range\nof peak velocity and current; without bags, the first run.",
         epilog=_EPILOG,
     )
     parser.add_argument(
@@ -86,21 +85,21 @@ def _parser() -> argparse.ArgumentParser:
         nargs="*",
         type=Path,
         metavar="BAG",
-        help="runs made so far; with --keep the new ones; or folders with bags",
+        help="bags of the runs so far, or folders of bags; with --keep only the new runs",
     )
     parser.add_argument(
-        "--signal", type=Path, metavar="FILE", help="write the run as CSV, to be played"
+        "--signal", type=Path, metavar="FILE", help="write the run as CSV for the machine"
     )
     add_json_option(parser, "the plan")
     parser.add_argument(
-        "--keep", type=Path, metavar="FOLDER", help="folder of the campaign, which continues"
+        "--keep", type=Path, metavar="FOLDER", help="folder of a campaign to begin or continue"
     )
     parser.add_argument(
         "--runs",
         type=int,
         default=20,
         metavar="N",
-        help="of a campaign at most (default %(default)s)",
+        help="largest number of runs of a campaign (default %(default)s)",
     )
     _add_options(parser.add_argument_group("goal"), GoalOptions, _GOAL)
     machine = parser.add_argument_group("machine")
@@ -115,9 +114,9 @@ def _parser() -> argparse.ArgumentParser:
     machine.add_argument(
         "--manual",
         action="store_true",
-        help="an operator sets the press and the supply: sines only, at a constant current",
+        help="an operator sets machine and supply: only sines at a constant current",
     )
-    parser.add_argument("--model", choices=tuple(MODELS), default=DEFAULT_MODEL)
+    parser.add_argument("--model", choices=tuple(MODELS), default=DEFAULT_MODEL, help="force law")
     return parser
 
 

@@ -24,7 +24,7 @@ def _parser() -> argparse.ArgumentParser:
         prog="validate", description="Report the error of a parameter set on each bag."
     )
     parser.add_argument(
-        "parameters", type=Path, metavar="PARAMETERS.yaml", help="as written by identify --output"
+        "parameters", type=Path, metavar="PARAMETERS.yaml", help="file of identify --output"
     )
     add_run_options(parser)
     add_arguments(parser, identify, ["mass"])
