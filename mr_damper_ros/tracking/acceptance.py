@@ -260,12 +260,9 @@ not cause it between two windows of one steady motion; a delay between the senso
 
 SAME_FORCE = 0.1
 """Up to this relative change of the force it is the same force, and the law of the running set also
-holds where it has not been identified."""
-
-_FAR_BETTER = 1.5
-"""If the running set has been identified at this operating point and the residual stays large, a
-force that is not the same is attributed to a sensor, unless the NRMSE of the new set is lower by
-this factor."""
+holds where it has not been identified. If the running set has been identified at this operating
+point and the residual stays large, another force is attributed to a sensor, unless the new set is
+worth while."""
 
 
 class Verdict(IntEnum):
@@ -536,7 +533,7 @@ class Gatekeeper:
         known.refused_for_residual += 1
         # The force is known here, so a sensor has changed rather than the damper.
         doubtful = (
-            holds and abs(evidence.force_change) > SAME_FORCE and before < _FAR_BETTER * after
+            holds and abs(evidence.force_change) > SAME_FORCE and WORTH_WHILE * before < after
         )
         patience = self._PATIENCE_WHERE_KNOWN if holds else self._PATIENCE
         if known.refused_for_residual > patience and not doubtful:

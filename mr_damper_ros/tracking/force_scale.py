@@ -39,7 +39,10 @@ _ALIKE = 0.5
 """Smallest correlation with the baseline's force at which a force scale is computed."""
 
 _REMEMBERED = 40
-_FEWEST_PAIRS = 5
+"""Number of newest force scales from which their scatter is learnt."""
+
+_FEWEST_WINDOWS = 8
+"""Smallest number of windows for a map, and of differences between windows for their scatter."""
 
 
 @dataclass(frozen=True)
@@ -86,7 +89,7 @@ def widened(
         seen = ()  # the clock was set back
     seen = (*seen, SeenScale(start_ns, end_ns, scale.value, scale.standard_error))[-_REMEMBERED:]
     squares = _squares(seen)
-    if len(squares) < _FEWEST_PAIRS:
+    if len(squares) < _FEWEST_WINDOWS:
         # Until the scatter is known, the whole misfit counts as error.
         return replace(scale, standard_error=max(scale.misfit, scale.standard_error)), seen
     ratio = math.sqrt(float(np.median(squares))) / NORMAL_MEDIAN
@@ -206,9 +209,6 @@ def _alike(one: Array, other: Array) -> bool:
         usable = bool(sizes > 0.0 and np.square(one @ one) < math.inf)
         return usable and bool(one @ other > _ALIKE * sizes)
 
-
-_FEWEST_WINDOWS = 8
-"""Smallest number of windows for a map."""
 
 _MOST_WINDOWS = 400
 """If there are more windows, pairs of neighbouring temperature are averaged."""

@@ -16,7 +16,6 @@ import numpy as np
 from mr_damper_ros.estimation.covariance import NoiseModel
 from mr_damper_ros.estimation.differential_evolution import EvolutionSettings
 from mr_damper_ros.estimation.global_fit import error_of_set, identify_global
-from mr_damper_ros.estimation.global_search import adapted
 from mr_damper_ros.estimation.window_fit import (
     WINDOW_METHODS,
     WindowFit,
@@ -45,7 +44,7 @@ from mr_damper_ros.tracking.acceptance import (
     rival_wins,
 )
 from mr_damper_ros.tracking.cusum import ChangeWatch, change_point, fit_scale
-from mr_damper_ros.tracking.force_scale import baseline_at, force_scale, with_strength
+from mr_damper_ros.tracking.force_scale import force_scale, with_strength
 from mr_damper_ros.tracking.operating_point import (
     MOST_SAMPLES,
     Kept,
@@ -72,9 +71,6 @@ from mr_damper_ros.tracking.screening import (
     lack_of_motion,
 )
 from mr_damper_ros.tracking.window_assembler import RawWindow
-
-_NEARER = 0.5
-"""A fit starts from the baseline if its error is below this multiple of the running set's error."""
 
 _ASTRAY = 2.0
 """The filter has diverged if the error on the validation samples exceeds this multiple of the
@@ -403,7 +399,7 @@ def _fitted(job: Job, window: Window, should_stop: Callable[[], bool] | None) ->
     """Fit a window, first without its validation samples and then to all samples."""
     model, options = job.model, job.options
     held_back = held_back_samples(window.sample_count, job.fresh)
-    start = _start_of(job, window)
+    start = job.start
     _, fastest = job.running.peak_velocity_range
     prior = WindowPrior(start, fastest) if job.known else None
     trained = fit_window(
@@ -442,26 +438,6 @@ def _evidence(job: Job, window: Window, values: Array, held_back: np.ndarray) ->
     return evidence_of(
         job.running, found, window, held_back, fresh=job.fresh, elsewhere=job.windows
     )
-
-
-def _start_of(job: Job, window: Window) -> Array:
-    """Start values (p,) of the fit, from the running set or from the baseline.
-
-    A search that starts far away may end in another local minimum. If the force of the baseline at
-    the window's operating point has a much smaller error, the linear parameters of the running set
-    are refitted to this force. The other parameters, learnt at other operating points, stay.
-    """
-    baseline = baseline_at(job.baselines, window.operating_point)
-    if baseline is None:
-        return job.start
-    model = job.model
-    linear = frozenset(model.free_in_one_run)
-    first = adapted(model, [window], baseline.parameters, job.start, linear)
-    left, left_by_first = (
-        float(np.sum((model.window_force(window, each) - window.force) ** 2))
-        for each in (job.start, first)
-    )
-    return first if left_by_first < _NEARER**2 * left else job.start
 
 
 def _outcome(

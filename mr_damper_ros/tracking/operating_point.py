@@ -42,12 +42,9 @@ MOST_WINDOWS = 100
 RECENT = MEMORY
 """Seconds for which an operating point counts as recent. A set must serve at all recent points."""
 
-_OTHER_SPEED = 2.0
-"""At another speed the force is between unchanged and proportional to the speed, to within this
-factor."""
-
 _OTHER_CURRENT = 30.0
-"""At another current the force may differ by this factor, the range of these dampers."""
+"""At another current the force may differ by this factor, the range of these dampers. At another
+speed it is between unchanged and proportional to the speed."""
 
 
 def nearest_same(points: Sequence[OperatingPoint], wanted: OperatingPoint) -> int | None:
@@ -234,7 +231,8 @@ class KnownPoints:
             return f"the force is {expected:.3g} times the first one"
         for known in self._forces:
             ratio = found.peak_velocity / known.peak_velocity
-            besides = limit * _besides(found, known)
+            _, current = _apart(found.operating_point, known.operating_point)
+            besides = limit * (_OTHER_CURRENT if current > _COMPARABLE[1] else 1.0)
             low, high = min(1.0, ratio) / besides, max(1.0, ratio) * besides
             if found.size > high * known.size or found.largest > high * known.largest:
                 return f"the force reaches {found.largest:.3g} N, at first {known.largest:.3g} N"
@@ -244,14 +242,6 @@ class KnownPoints:
                     f"{known.size:.3g} N"
                 )
         return ""
-
-
-def _besides(one: KnownForce, other: KnownForce) -> float:
-    """Factor by which the force may differ between two points of an unchanged damper."""
-    speed, current = _apart(one.operating_point, other.operating_point)
-    if current > _COMPARABLE[1]:
-        return _OTHER_CURRENT
-    return 1.0 if speed <= _COMPARABLE[0] else _OTHER_SPEED
 
 
 _AT_ONE_POINT = 15

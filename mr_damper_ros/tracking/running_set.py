@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from mr_damper_ros.estimation.covariance import SAME_CURRENT
+from mr_damper_ros.estimation.covariance import SAME_CURRENT, SAME_MOTION
 from mr_damper_ros.estimation.window_fit import WindowFit
 from mr_damper_ros.kinematics.window import Window
 from mr_damper_ros.models.parameter_set import ParameterSet
@@ -19,10 +19,9 @@ from mr_damper_ros.tracking.operating_point import (
     OperatingPoint,
 )
 
-_SAME_FREQUENCY = 0.05
 _SAME_AMPLITUDE = 0.3
-"""Relative tolerances of the same motion. The tolerance of the amplitude is wide because a sensor
-with a delay may also attenuate the motion. Within it, the loop keeps its shape."""
+"""Relative tolerance of the amplitude of the same motion, wide because a sensor with a delay may
+also attenuate the motion. Within it, the loop keeps its shape."""
 
 
 @dataclass(frozen=True)
@@ -49,7 +48,7 @@ class SteadyMotion:
         """Number of good windows in a row with this motion; 0 if it is not a sine."""
         same = (
             math.isclose(motion.amplitude, self.amplitude, rel_tol=_SAME_AMPLITUDE)
-            and math.isclose(motion.frequency, self.frequency, rel_tol=_SAME_FREQUENCY)
+            and math.isclose(motion.frequency, self.frequency, rel_tol=SAME_MOTION)
             and abs(motion.current - self.current) <= SAME_CURRENT
         )
         return self.windows if same else 0

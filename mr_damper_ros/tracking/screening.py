@@ -23,12 +23,10 @@ _STUCK = (
     "stuck?"
 )
 
-_MOVING_AT_REST = 0.5
-"""If the standard deviation of the force during a rest exceeds this fraction of that in the whole
-window, the damper moves and the rest is a fault of the displacement."""
-
-_MOVING_FORCE = 0.3
-"""A force that spans more than this fraction of the largest known force belongs to a motion."""
+_MOVING = 0.3
+"""The damper moves if the standard deviation of its force in a rest exceeds this fraction of that
+in the whole window, or if its force spans more than this fraction of the largest known force. The
+displacement is then at fault."""
 
 _APPROACH = 8
 """The approach to an extreme is measured over a quarter of the stay there, in two halves. A half is
@@ -109,7 +107,7 @@ def fault_at_rest(displacement: Array, force: Array, largest_force: float) -> st
     """
     still = float(np.ptp(displacement)) <= NOISE_SPAN * white_noise(displacement)
     low, high = np.quantile(force, (0.01, 0.99))
-    if still and high - low > _MOVING_FORCE * largest_force and holds_cycle(force):
+    if still and high - low > _MOVING * largest_force and holds_cycle(force):
         return _STUCK
     return ""
 
@@ -153,7 +151,7 @@ def fault_of_rest(velocity: Array, force: Array) -> str:
     """Why a machine cannot have rested within a window (n,) [m/s, N]; empty if it can."""
     rest = _longest_rest(velocity)
     long = rests_too_long((rest.stop - rest.start) / velocity.size)
-    if long and float(np.std(force[rest])) > _MOVING_AT_REST * float(np.std(force)):
+    if long and float(np.std(force[rest])) > _MOVING * float(np.std(force)):
         return _STUCK
     return ""
 
