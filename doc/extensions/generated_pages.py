@@ -90,6 +90,8 @@ TYPES = {
     "damper/predicted_wrench": "geometry_msgs/WrenchStamped",
     "damper/signals": "DamperSignals",
     "damper/identified": "diagnostic_msgs/DiagnosticArray",
+    "damper/joined_samples": "MtsSamples",
+    "damper/joined_forces": "PredictedForce",
     "damper/desired_force": "DesiredForce",
     "/diagnostics": "diagnostic_msgs/DiagnosticArray",
 }

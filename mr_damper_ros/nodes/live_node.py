@@ -179,7 +179,7 @@ class LiveParameters(ParameterTable):
     host: str = option(
         "127.0.0.1",
         "Address of the page. 127.0.0.1: this computer only; others use a tunnel (ssh -L "
-        "8770:127.0.0.1:8770 RIG). 0.0.0.0: everybody who can reach this computer, "
+        "8770:127.0.0.1:8770 RIG). 0.0.0.0: every computer that can reach this one, "
         "unencrypted and without a password.",
     )
     port: int = option(
@@ -248,7 +248,7 @@ class LiveNode(Node):
         self.get_logger().info(f"the page is at {self._page.address}")
         if not is_local(options.host):
             self.get_logger().warning(
-                "everybody who can reach this computer can see the page"
+                "every computer that can reach this one can see the page"
                 + (" and give commands" if commands else "")
             )
 

@@ -54,8 +54,8 @@ class TopicOptions(ParameterTable):
         1.0, "Metres per unit of the field; negative if compression is positive."
     )
     force_topic: str = option("", "Topic of the force; empty: the topic of the displacement.")
-    force_type: str = option("sensor_msgs/JointState", "Type of its messages.")
-    force_field: str = option("effort[0]", "Where in a message it is.")
+    force_type: str = option("sensor_msgs/JointState", "Message type of the force topic.")
+    force_field: str = option("effort[0]", "Field of the force, as for displacement_field.")
     force_scale: float = option(
         1.0, "Newtons per unit of the field; negative if compression is positive."
     )

@@ -30,7 +30,7 @@ _FULL = 0.999
 
 def _scale(name: str, unit: str) -> float:
     return option(  # type: ignore[no-any-return]
-        1.0, f"Scale of the {name} [{unit}/V]; negative reverses the sign."
+        1.0, f"Scale of the {name} [{unit}/V]; a negative value reverses the sign."
     )
 
 
@@ -77,15 +77,15 @@ class DaqOptions(ParameterTable):
         "Channel of the displacement: ai0 of NI, AIN0 of LabJack, 0 of MCC, label or number of "
         "LSL.",
     )
-    displacement_scale: float = _scale("displacement", "Metres")
+    displacement_scale: float = _scale("displacement", "m")
     displacement_offset: float = _offset("displacement", "m")
     displacement_range: float = _range("displacement")
     force_channel: str = option("", "Channel of the force.")
-    force_scale: float = _scale("force", "Newtons")
+    force_scale: float = _scale("force", "N")
     force_offset: float = _offset("force", "N")
     force_range: float = _range("force")
     current_channel: str = option("", "Channel of the coil current; empty: none.")
-    current_scale: float = _scale("current", "Amperes")
+    current_scale: float = _scale("current", "A")
     current_offset: float = _offset("current", "A")
     current_range: float = _range("current")
 
@@ -96,7 +96,7 @@ class DaqOptions(ParameterTable):
             return f"daq.driver is {self.driver}, but daq.device is empty: name {what}"
         for name in _QUANTITIES:
             if getattr(self, f"{name}_scale") == 0.0:
-                return f"daq.{name}_scale is 0: give what a volt stands for"
+                return f"daq.{name}_scale is 0: give the {name} per volt"
             needed = name != "current" and self.driver != "simulated"
             channel = getattr(self, f"{name}_channel")
             if needed and not channel:
