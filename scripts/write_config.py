@@ -12,7 +12,7 @@ from pathlib import Path
 import yaml
 
 from mr_damper_ros.emulation.plant_rig import invented_damper
-from mr_damper_ros.settings.option_table import Option, ParameterTable, options
+from mr_damper_ros.settings.option_table import Option, ParameterTable, options, tables_of
 
 CONFIG = Path(__file__).resolve().parents[1] / "config"
 
@@ -85,13 +85,7 @@ def _fixed(node: str, table: type[ParameterTable]) -> str:
 def _headings(table: type, prefix: str = "") -> Iterator[tuple[str, str]]:
     """What is said of each group of options: the first paragraph of its table's docstring."""
     for field in dataclasses.fields(table):
-        inner = []
-        if "group" in field.metadata:
-            group = field.metadata["group"]
-            inner = [(group.prefix(field.name), group.table)]
-        elif "groups" in field.metadata:
-            inner = list(field.metadata["groups"].values())
-        for own, part in inner:
+        for own, part in tables_of(field).values():
             if own:
                 first = (inspect.getdoc(part) or "").partition("\n\n")[0]
                 yield prefix + own.rstrip("."), first

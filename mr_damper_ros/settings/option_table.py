@@ -152,21 +152,9 @@ def with_default(table: type, name: str, default: Value) -> Any:
     return dataclasses.field(default=default, metadata={"option": details})
 
 
-@dataclass(frozen=True)
-class _Group:
-    """Metadata of a field that is a group of options."""
-
-    table: type
-    flat: bool
-
-    def prefix(self, name: str) -> str:
-        """The prefix of the names of the options if the field has this name."""
-        return "" if self.flat else f"{name}."
-
-
 def group(table: type, *, flat: bool = False) -> Any:
     """A field with further options; unless ``flat``, its name prefixes their names."""
-    return dataclasses.field(default_factory=table, metadata={"group": _Group(table, flat)})
+    return dataclasses.field(default_factory=table, metadata={"group": table, "flat": flat})
 
 
 def groups(tables: Mapping[str, tuple[str, type]]) -> Any:
@@ -178,18 +166,22 @@ def groups(tables: Mapping[str, tuple[str, type]]) -> Any:
     return dataclasses.field(default_factory=defaults, metadata={"groups": tables})
 
 
+def tables_of(field: dataclasses.Field[Any]) -> Mapping[str, tuple[str, type]]:
+    """The tables of a field by name, each with its prefix; empty if the field is an option."""
+    if "group" in field.metadata:
+        prefix = "" if field.metadata["flat"] else f"{field.name}."
+        return {field.name: (prefix, field.metadata["group"])}
+    found: Mapping[str, tuple[str, type]] = field.metadata.get("groups", {})
+    return found
+
+
 def options(table: type, prefix: str = "") -> Iterator[Option]:
     """All options of a table and its groups, with their full names."""
     for field in dataclasses.fields(table):
-        if "group" in field.metadata:
-            inner: _Group = field.metadata["group"]
-            yield from options(inner.table, prefix + inner.prefix(field.name))
-        elif "groups" in field.metadata:
-            for own_prefix, part in field.metadata["groups"].values():
-                yield from options(part, prefix + own_prefix)
-        else:
-            item: Option = field.metadata["option"]
-            yield dataclasses.replace(item, name=prefix + field.name)
+        for own_prefix, part in tables_of(field).values():
+            yield from options(part, prefix + own_prefix)
+        if "option" in field.metadata:
+            yield dataclasses.replace(field.metadata["option"], name=prefix + field.name)
 
 
 def build(table: type[T], values: Mapping[str, Value], prefix: str = "") -> T:
@@ -199,17 +191,14 @@ def build(table: type[T], values: Mapping[str, Value], prefix: str = "") -> T:
     """
     filled: dict[str, Any] = {}
     for field in dataclasses.fields(table):  # type: ignore[arg-type]
-        name = prefix + field.name
-        if "group" in field.metadata:
-            inner: _Group = field.metadata["group"]
-            filled[field.name] = build(inner.table, values, prefix + inner.prefix(field.name))
-        elif "groups" in field.metadata:
-            filled[field.name] = {
-                key: build(part, values, prefix + own_prefix)
-                for key, (own_prefix, part) in field.metadata["groups"].items()
-            }
-        elif name in values:
-            filled[field.name] = values[name]
+        parts: dict[str, Any] = {
+            key: build(part, values, prefix + own_prefix)
+            for key, (own_prefix, part) in tables_of(field).items()
+        }
+        if parts:
+            filled[field.name] = parts if "groups" in field.metadata else parts[field.name]
+        elif prefix + field.name in values:
+            filled[field.name] = values[prefix + field.name]
     return table(**filled)
 
 

@@ -9,9 +9,8 @@ import sys
 import textwrap
 import time
 
-import numpy as np
-
 from mr_damper_ros.live.live_record import SILENT_AFTER, LiveRecord
+from mr_damper_ros.signals.error_sums import ErrorSums
 from mr_damper_ros.tools.console import program
 
 _SIGNS = ("+", "!", "x", "?")
@@ -43,6 +42,10 @@ def _signals(record: LiveRecord) -> list[str]:
     named = dict(zip(rows.columns, rows.values[-_ERROR_OVER:].T, strict=True))
     now = {name: float(column[-1]) for name, column in named.items()}
     silence = _since(record.silence)
+    measured, error = (
+        named[name][named["valid"] == 1.0] for name in ("measured_force", "force_error")
+    )
+    nrmse = ErrorSums.of(measured + error, measured).nrmse
     valid = "valid" if now["valid"] else "invalid"
     return [
         *([f"{'no signals':24} {silence}; the last ones:"] if silence else []),
@@ -50,16 +53,8 @@ def _signals(record: LiveRecord) -> list[str]:
         f"velocity {now['velocity']:8.4f} m/s   current {now['current']:6.3f} A",
         f"{'force':24} measured {now['measured_force']:13.1f} N    "
         f"predicted {now['predicted_force']:9.1f} N ({valid})",
-        f"{'error':24} NRMSE {_nrmse(named):.1%} over the last valid samples",
+        f"{'error':24} NRMSE {nrmse:.1%} over the last valid samples",
     ]
-
-
-def _nrmse(named: dict[str, np.ndarray]) -> float:
-    valid = named["valid"] == 1.0
-    spread = float(np.std(named["measured_force"][valid])) if valid.any() else 0.0
-    if spread == 0.0:
-        return math.nan
-    return float(np.sqrt(np.mean(named["force_error"][valid] ** 2))) / spread
 
 
 def _window(record: LiveRecord) -> list[str]:
