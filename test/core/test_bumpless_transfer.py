@@ -118,7 +118,9 @@ def follow(made: ForceInUse, motion: Motion, size: int, current: float = 1.0) ->
     )
 
 
-def all_along(parameters: ParameterSet, motion: Motion, current: float, period: float) -> Array:
+def all_along(
+    parameters: ParameterSet, motion: Motion, current: Array | float, period: float
+) -> Array:
     return parameters.law.force(parameters.values, parameters.held(motion), current, period)
 
 
@@ -133,3 +135,25 @@ def test_the_state_is_that_of_the_new_set_and_its_range(fastest: float) -> None:
     force = follow(made, motion.part(slice(800, None)), 50)
     expected = all_along(after, motion, 1.0, known.PERIOD)[800:]
     np.testing.assert_allclose(force, expected, rtol=0.0, atol=RECOMPUTED)
+
+
+def test_as_much_is_followed_again_as_the_law_remembers_at_this_current() -> None:
+    """The yield length grows tenfold with the current, and so does the travel to be remembered."""
+    model = MODELS["bouc_wen"]
+    values = known.EXAMPLES["bouc_wen"].copy()
+    values[model.parameter_names.index("yield_length_1")] = 5.0
+    before = ParameterSet(values, set_id="before", model="bouc_wen")
+    assert model.memory_length(values, 2.0) > 10.0 * model.memory_length(values, 0.0)
+    softer = values.copy()
+    softer[model.parameter_names.index("yield_length")] *= 2.0
+    after = ParameterSet(softer, set_id="after", model="bouc_wen")
+    # Smaller than the yield length: no stroke ends the memory.
+    motion = known.run(amplitude=5e-4, frequency=2.0, samples=5500).window.motion
+    made = in_use(before)
+    follow(made, motion.part(slice(200)), 50, current=0.0)
+    follow(made, motion.part(slice(200, 5000)), 50, current=2.0)
+    made.use(after, gradual=False, fade=False)
+    force = follow(made, motion.part(slice(5000, None)), 50, current=2.0)
+    current = np.where(np.arange(5500) < 200, 0.0, 2.0)
+    expected = all_along(after, motion, current, known.PERIOD)[5000:]
+    np.testing.assert_allclose(force, expected, atol=1e-3 * np.abs(expected).max())
