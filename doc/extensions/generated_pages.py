@@ -213,10 +213,14 @@ def _fields(head: str, section: str) -> Iterator[str]:
         rest = [line for line in lines if not line.startswith("#")]
         constants = [found for line in rest if (found := _CONSTANT.match(line))]
         fields = [line.split()[:2] for line in rest if not _CONSTANT.match(line)]
-        comment += "".join(f"\n\n  - `{c[1]}` = {c[2]}: {c[3]}" for c in constants)
+        comment += "".join(
+            f"\n\n  - `{c[1]}` = {c[2]}" + (f": {c[3]}" if c[3] else "") for c in constants
+        )
         if fields:
             term = ", ".join(f"`{name}`" for _, name in fields)
-            entries.append((term, f"`{fields[0][0]}`", comment))
+            kinds = [kind for kind, _ in fields]
+            shown = kinds if len(set(kinds)) > 1 else kinds[:1]
+            entries.append((term, ", ".join(f"`{kind}`" for kind in shown), comment))
         elif constants:
             entries.append(("constants", f"`{rest[0].split()[0]}`", comment.strip()))
         else:
