@@ -223,35 +223,28 @@ def replay(
 
 
 def _replayed(name: str, stream: Iterable[StreamItem], engine: Engine) -> Replay:
-    parts: list[Array] = []
+    parts: list[tuple[np.ndarray, ...]] = []
     start_ns: int | None = None
     for block, prediction in engine.follow(stream):
         start_ns = block.start_ns if start_ns is None else start_ns
         count = prediction.force.size
         arrived = slice(block.sample_count - count, None)
-        begin = (prediction.start_ns - start_ns) / NANOSECONDS
-        parts.append(
-            np.stack(
-                [
-                    begin + np.arange(count) * prediction.period,
-                    block.displacement[arrived],
-                    block.force[arrived],
-                    prediction.force,
-                    prediction.doubts,
-                ]
-            )
+        seconds = (prediction.start_ns - start_ns) / NANOSECONDS + (
+            np.arange(count) * prediction.period
         )
+        measured = block.displacement[arrived], block.force[arrived]
+        parts.append((seconds, *measured, prediction.force, prediction.doubts))
     if start_ns is None:
         raise ValueError(f"{name} holds no samples")
-    time, displacement, measured, predicted, doubts = np.concatenate(parts, axis=1)
     published = engine.take_publications()
+    time, displacement, force, predicted, doubts = map(np.concatenate, zip(*parts, strict=True))
     return Replay(
-        name=name,
-        start_ns=start_ns,
-        time=time,
-        displacement=displacement,
-        measured=measured,
-        predicted=predicted,
+        name,
+        start_ns,
+        time,
+        displacement,
+        force,
+        predicted,
         doubts=doubts.astype(np.uint8),
         reports=tuple(each.report for each in published),
         sets=tuple(each.parameters for each in published if each.parameters is not None),

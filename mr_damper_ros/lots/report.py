@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import csv
-import io
 from collections.abc import Mapping, Sequence
 from importlib.util import find_spec
 from pathlib import Path
@@ -13,7 +11,6 @@ import numpy as np
 
 from mr_damper_ros.lots.many_dampers import ManyDampers
 from mr_damper_ros.lots.population import LEAST_DAMPERS, Population, Spread
-from mr_damper_ros.processes.files import write_text
 from mr_damper_ros.report.document import (
     GREY,
     INK,
@@ -27,6 +24,7 @@ from mr_damper_ros.report.document import (
     styled,
     with_error,
     write_report,
+    write_table,
 )
 
 Row = Mapping[str, Any]
@@ -35,13 +33,10 @@ _MOST_SHOWN = 100
 """Largest number of rows of a table on the page; the files contain all rows."""
 
 
-def write_csv(rows: Sequence[Row], path: Path) -> None:
-    """Write the table as CSV with full precision; unknown values are empty."""
-    text = io.StringIO()
-    writer = csv.DictWriter(text, list(rows[0]) if rows else [], lineterminator="\n")
-    writer.writeheader()
-    writer.writerows(rows)
-    write_text(path, text.getvalue())
+def write_csv(rows: Sequence[Row], folder: Path) -> None:
+    """Write ``dampers.csv`` with full precision; unknown values are empty."""
+    columns = tuple(rows[0]) if rows else ()
+    write_table(folder, Table("dampers", "", columns, [list(row.values()) for row in rows]))
 
 
 def require_parquet() -> None:

@@ -85,7 +85,7 @@ def _identify_many(options: argparse.Namespace) -> int:
         given = arguments_of(options, identify_many, "sources")
         found = identify_many(*options.sources, report=progress, **given)
     rows, folder = found.table, Path(options.folder)
-    write_csv(rows, folder / "dampers.csv")
+    write_csv(rows, folder)
     if options.parquet:
         write_parquet(rows, folder / "dampers.parquet")
     page = write_population_report(found, folder)
