@@ -407,7 +407,7 @@ class Gatekeeper:
         of the window, ``same_motion`` whether several windows in a row had this motion, and
         ``one_point`` whether the current is constant, so that the residual belongs to one operating
         point. ``objection`` returns the reason why the set is implausible, or an empty text; it is
-        called only if the set passes all other tests.
+        called only for a set that may come into use.
         """
         known = self.known
         point = force.operating_point if force is not None and one_point else None
@@ -417,7 +417,9 @@ class Gatekeeper:
             or self._disturbance(evidence, point, holds=holds)
             or self._comparison(evidence, force, holds=holds, is_first=is_first)
         )
-        if judgement.verdict.accepted and (sentence := objection()):
+        # An unconfirmed set is in use once the next window confirms it.
+        usable = judgement.verdict.accepted or judgement.verdict is Verdict.UNCONFIRMED
+        if usable and (sentence := objection()):
             judgement = Judgement(Verdict.POOR_FIT, sentence)
         if judgement.teaches:
             seen = (evidence.rmse_after, evidence.nrmse_after, *(point or ()))

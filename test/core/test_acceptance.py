@@ -228,6 +228,10 @@ def test_a_set_that_nobody_could_use_is_refused() -> None:
     judgement = gatekeeper.judge(evidence(20.0, 5.0), objection=lambda: "no damper gives 1e9 N")
     assert judgement == Judgement(Verdict.POOR_FIT, "no damper gives 1e9 N")
     assert gatekeeper.judge(evidence(5.0, 5.0), objection=lambda: "no").verdict.confirms
+    sudden = evidence(400.0, 5.0, change=0.8)
+    assert experienced().judge(sudden).verdict is Verdict.UNCONFIRMED
+    found = experienced().judge(sudden, objection=lambda: "no damper gives 1e9 N")
+    assert found.verdict is Verdict.POOR_FIT
     found = gatekeeper.judge_global(Evidence(0.2, 0.1), objection=lambda: "no damper gives 1e9 N")
     assert found.verdict is Verdict.POOR_FIT
 
