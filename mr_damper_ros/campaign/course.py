@@ -287,7 +287,7 @@ class ForceCampaign:
 
     @property
     def parameter_set(self) -> ParameterSet:
-        """The last step."""
+        """The set of the last step."""
         return self.steps[-1].parameter_set
 
 
