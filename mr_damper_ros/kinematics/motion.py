@@ -17,20 +17,25 @@ import numpy as np
 from numpy.polynomial import polynomial
 
 from mr_damper_ros.kinematics.peak_velocity import peak_velocity_of_window
-from mr_damper_ros.signals.arrays import Array, span_of, white_noise
+from mr_damper_ros.signals.arrays import Array, noise_power, span_of, white_noise
 
-_ENOUGH_CYCLES = 2.0
-_FAR_FROM_SINE = 0.4
-"""For a sine of at least ``_ENOUGH_CYCLES``, a fit at the strongest line of the spectrum leaves a
-residual of at most 0.15 of the displacement (standard deviations). A motion with a residual above
-``_FAR_FROM_SINE`` is not a sine, unless the residual is noise ..."""
+SINE_TOLERANCE = 2e-3
+"""A motion counts as a sine if the fit leaves less than this fraction of the amplitude [1] ...
 
-_SINE_NOISE = 2.0
-"""... that is, at most this many times the white noise of the displacement."""
+A third harmonic of 0.2 % of the displacement is 0.6 % of the velocity: below the noise of the
+force in all published conditions. A larger distortion would bias the fit of the force.
+"""
 
-_ROUGHLY, _LAST_DIGITS = 1e-3, 1e-13
-"""Relative tolerances of the two frequency fits. Motions shorter than ``_ENOUGH_CYCLES`` need the
-rough fit, because their spectral line is too inaccurate to judge the residual."""
+_NOISE_FACTOR = 1.2
+"""... or less than this many times the noise of the displacement. A larger factor would allow a
+distortion that shows in the force."""
+
+NO_SINE, _TRIED = 0.25, 3
+"""A motion is not a sine if the fit leaves more than this fraction of the amplitude after this many
+corrections of the frequency."""
+
+_LARGEST_STEP, _MOST_STEPS = 0.1, 50
+"""Largest relative correction of the frequency in one step, and largest number of steps."""
 
 
 @dataclass(frozen=True)
@@ -61,65 +66,69 @@ class Sine:
         return -((2.0 * np.pi * self.frequency) ** 2) * self.displacement(time)
 
 
+def allowed_residual(
+    amplitude: float, displacement: Array, noise_factor: float = _NOISE_FACTOR
+) -> float:
+    """Largest residual [m, root mean square] of a sine fitted to a displacement (n,) [m]."""
+    noise = noise_factor * white_noise(displacement)
+    return max(SINE_TOLERANCE * amplitude / math.sqrt(2.0), noise)
+
+
+def refined_sine(
+    time: Array, values: Array, omega: float, steps: int | None = None
+) -> tuple[float, Array, float]:
+    """Least-squares sine by Gauss-Newton steps from an angular frequency ``omega`` [rad/s].
+
+    ``time`` [s] and ``values`` [m] have shape (n,). The number of ``steps`` is given, or the fit
+    converges, unless the residual shows that the motion is not a sine. Returns the angular
+    frequency, the weights (3,) of sine, cosine and offset [m], and the residual [m, root mean
+    square], which is infinite if the samples span less than half a cycle.
+    """
+    for step in range(1, (steps or _MOST_STEPS) + 1):
+        angle = omega * time
+        sine, cosine = np.sin(angle), np.cos(angle)
+        columns = np.column_stack((sine, cosine, np.ones(time.size)))
+        weights = np.linalg.lstsq(columns, values, rcond=None)[0]
+        by_frequency = time * (weights[0] * cosine - weights[1] * sine)
+        columns = np.column_stack((columns, by_frequency))
+        change = np.linalg.lstsq(columns, values - columns[:, :3] @ weights, rcond=None)[0]
+        change *= min(1.0, _LARGEST_STEP * omega / max(abs(float(change[3])), 1e-300))
+        correction = float(change[3]) / omega
+        omega += float(change[3])
+        residual = values - columns @ (change + np.append(weights, 0.0))
+        weights = weights + change[:3]
+        left = math.sqrt(float(residual @ residual) / residual.size)
+        if abs(correction) < 1e-13 or (
+            step >= _TRIED and left > NO_SINE * math.hypot(weights[0], weights[1])
+        ):
+            break
+    # With less than half a cycle, a sine, an offset and a ramp look alike.
+    return omega, weights, left if omega * np.ptp(time) > 0.99 * math.pi else math.inf
+
+
 def fit_sine(displacement: Array, period: float) -> Sine | None:
     """Least-squares sine of a displacement of shape (n,) [m] sampled every ``period`` [s].
 
-    The peak of the spectrum gives the initial frequency. Frequency is the only unknown that enters
-    nonlinearly; the other three are solved linearly at each step. Returns None for fewer than eight
-    samples, for a constant displacement, or if an early check shows that the motion is far from a
-    sine.
+    The peak of the spectrum gives the initial frequency. Returns None for fewer than eight samples
+    or a constant displacement. The residual shows whether the motion is a sine.
     """
     u = np.asarray(displacement, dtype=float)
     n = u.size
-    centred = u - u.mean()
     if n < 8 or np.ptp(u) == 0.0:
         return None
     # Zero padding refines the initial frequency to a fraction of a spectral line.
-    spectrum = np.abs(np.fft.rfft(centred * np.hanning(n), 8 * n))
-    # With less than half a cycle in the window, a sine, an offset and a ramp look alike.
-    lowest = 4
+    spectrum = np.abs(np.fft.rfft((u - u.mean()) * np.hanning(n), 8 * n))
+    lowest = 4  # half a cycle
     start = float(np.argmax(spectrum[lowest:]) + lowest) / (8 * n)
     # Time is counted from the middle, where frequency and phase are nearly uncorrelated.
-    index = np.arange(n) - 0.5 * (n - 1)
-
-    def basis(cycles_per_sample: float) -> Array:
-        angle = 2.0 * np.pi * cycles_per_sample * index
-        return np.column_stack((np.sin(angle), np.cos(angle), np.ones(n)))
-
-    def solve(cycles_per_sample: float) -> tuple[Array, Array]:
-        columns = basis(cycles_per_sample)
-        weights = np.linalg.lstsq(columns, u, rcond=None)[0]
-        return weights, columns @ weights - u
-
-    scale = float(np.std(u))
-
-    def fitted(start: float, tolerance: float) -> float:
-        from scipy.optimize import least_squares  # here: see mr_damper_ros.entry_points
-
-        fit = least_squares(
-            lambda x: solve(x[0])[1] / scale,
-            x0=[start],
-            x_scale=1.0 / (8 * n),
-            bounds=(lowest / (8 * n) / 2, 0.5),
-            xtol=tolerance,
-            ftol=tolerance,
-            gtol=tolerance,
-        )
-        return float(fit.x[0])
-
-    near = start if start * n >= _ENOUGH_CYCLES else fitted(start, _ROUGHLY)
-    left = float(np.std(solve(near)[1]))
-    if left > _FAR_FROM_SINE * scale and left > _SINE_NOISE * white_noise(u):
-        return None
-    frequency = fitted(near, _LAST_DIGITS)
-    (sine, cosine, offset), residual = solve(frequency)
-    omega = 2.0 * np.pi * frequency
+    index: Array = np.arange(0.5 - 0.5 * n, 0.5 * n)
+    omega, (sine, cosine, offset), left = refined_sine(index, u, 2.0 * np.pi * start)
     return Sine(
         amplitude=float(np.hypot(sine, cosine)),
-        frequency=frequency / period,
+        frequency=omega / (2.0 * np.pi * period),
         phase=float((np.arctan2(cosine, sine) - omega * 0.5 * (n - 1)) % (2.0 * np.pi)),
         offset=float(offset),
-        residual_rms=float(np.sqrt(np.mean(residual**2))),
+        residual_rms=left,
     )
 
 
@@ -172,18 +181,7 @@ class SavitzkyGolay:
         return np.asarray(result / (half * period) ** order)
 
 
-SINE_TOLERANCE = 2e-3
-"""A window counts as a sine if the fit leaves less than this fraction of the amplitude [1] ...
-
-A third harmonic of 0.2 % of the displacement is 0.6 % of the velocity: below the noise of the
-force in all published conditions. A larger distortion would bias the fit of the force.
-"""
-
-_NOISE_FACTOR = 1.2
-"""... or less than this many times the noise of the displacement."""
-
 _POLYNOMIAL_ORDER = 4
-_SHORTEST_FILTER = 7
 
 
 class DataError(ValueError):
@@ -266,9 +264,8 @@ def _smooth(displacement: Array, period: float) -> tuple[Array, Array, Array]:
     in excess of noise. On emulated random motion with eight kinds of noise, the velocity error is
     1.0 times that of the best length (median; at most 3.1 times).
     """
-    # The mean includes bursts of noise and the steps of a digital sensor; the median would not.
-    noise = float(np.mean(np.diff(displacement, 4) ** 2)) / 70.0
-    length = _SHORTEST_FILTER
+    noise = noise_power(displacement)
+    length = _POLYNOMIAL_ORDER + 3
     best, least = SavitzkyGolay(length, _POLYNOMIAL_ORDER), math.inf
     shorter, before = best, displacement
     while length < displacement.size // 2:
@@ -310,14 +307,9 @@ def window_motion(displacement: Array, period: float) -> Motion:
     if np.ptp(u) == 0.0:
         raise DataError("the displacement does not change: there is no motion to identify from")
     sine = fit_sine(u, period)
-    if sine is not None:
-        noise = white_noise(u)
-        limit = max(SINE_TOLERANCE * sine.amplitude / math.sqrt(2.0), _NOISE_FACTOR * noise)
-        cycles = sine.frequency * period * u.size
-        if sine.residual_rms <= limit and cycles >= 0.5:
-            time: Array = np.arange(u.size, dtype=float) * period
-            top_speed = 2.0 * np.pi * sine.frequency * sine.amplitude
-            return Motion.of_sine(sine, time, top_speed)
+    if sine is not None and sine.residual_rms <= allowed_residual(sine.amplitude, u):
+        time: Array = np.arange(u.size, dtype=float) * period
+        return Motion.of_sine(sine, time, 2.0 * np.pi * sine.frequency * sine.amplitude)
     smooth, velocity, acceleration = _smooth(u, period)
     centred = smooth - 0.5 * (smooth.max() + smooth.min())
     return Motion(

@@ -20,12 +20,13 @@ are enough.
 from __future__ import annotations
 
 import math
+from collections import deque
 from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
 
-from mr_damper_ros.signals.arrays import Array
+from mr_damper_ros.signals.arrays import Array, noise_power
 
 _ORDER = 4
 _AT_ONCE = 64
@@ -68,7 +69,6 @@ class CausalDifferentiator:
                 f"{lowest:g} to {highest:g} Hz"
             )
         self._decays, self._responses = _observer(self._period, bandwidth)
-        self._closed, self._gain = self._decays[:, 0].copy(), self._responses[:, 0, 0].copy()
 
     def reset(self) -> None:
         """Discard the state: the next sample is treated as the first."""
@@ -91,8 +91,6 @@ class CausalDifferentiator:
         if self.seen == 0:
             # The state is relative to the first sample, which avoids a step at the start.
             self._origin = float(displacement[0])
-        if displacement.size == 1:
-            return self._follow_one(float(displacement[0]))
         centred = np.asarray(displacement, dtype=float) - self._origin
         outputs = np.empty((_ORDER, centred.size))
         for first in range(0, centred.size, _AT_ONCE):
@@ -103,13 +101,6 @@ class CausalDifferentiator:
             self._state = states[:, -1]
         self.seen += centred.size
         return outputs[0] + self._origin, outputs[1], outputs[2]
-
-    def _follow_one(self, displacement: float) -> tuple[Array, Array, Array]:
-        self._state = state = self._closed @ self._state + self._gain * (
-            displacement - self._origin
-        )
-        self.seen += 1
-        return state[0:1] + self._origin, state[1:2], state[2:3]
 
 
 class NoiseGains(NamedTuple):
@@ -145,23 +136,23 @@ def settling_samples(period: float, bandwidth: float) -> int:
 def closed_loop(period: float, bandwidth: float) -> tuple[Array, Array]:
     """Matrix A (4, 4) and gain g (4,) of the state equation x+ = A x + g y.
 
-    A = (1 - L C) F and g = L, where F integrates a constant jerk and L places all poles.
+    A = (1 - g C) F, where F integrates a constant jerk. The gain is that of the fading-memory
+    filter of third degree (Morrison, "Introduction to sequential smoothing and prediction", 1969).
     """
-    powers = [period**k / math.factorial(k) for k in range(_ORDER)]
-    advance = np.zeros((_ORDER, _ORDER))
-    for row in range(_ORDER):
-        advance[row, row:] = powers[: _ORDER - row]
-    output = np.eye(_ORDER)[0]
-    # Ackermann's formula gives the predictor gain F L from the desired characteristic polynomial.
     pole = math.exp(-2.0 * math.pi * bandwidth * period)
-    polynomial = sum(
-        weight * np.linalg.matrix_power(advance, _ORDER - k)
-        for k, weight in enumerate(np.poly(np.full(_ORDER, pole)))
+    rest = -math.expm1(-2.0 * math.pi * bandwidth * period)
+    gain = np.array(
+        [
+            1.0 - pole**4,
+            rest**2 * (11.0 + 14.0 * pole + 11.0 * pole**2) / (6.0 * period),
+            2.0 * rest**3 * (1.0 + pole) / period**2,
+            rest**4 / period**3,
+        ]
     )
-    observability = np.vstack([output @ np.linalg.matrix_power(advance, k) for k in range(_ORDER)])
-    predictor_gain = polynomial @ np.linalg.solve(observability, np.eye(_ORDER)[-1])
-    gain = np.linalg.solve(advance, predictor_gain)
-    return (np.eye(_ORDER) - np.outer(gain, output)) @ advance, gain
+    lags = np.arange(_ORDER) - np.arange(_ORDER)[:, np.newaxis]
+    powers = np.array([period**k / math.factorial(k) for k in range(_ORDER)])
+    advance = np.where(lags >= 0, powers[lags], 0.0)
+    return advance - np.outer(gain, advance[0]), gain
 
 
 @lru_cache(maxsize=64)
@@ -192,11 +183,8 @@ rest, at 200 and 1000 Hz, the velocity error of the first one and a half cycles 
 the peak velocity (median). Groups of 5 with a factor of 8 give 3.4 and 1.7 %, but a block of ten
 then takes twice the time. Without this rule the errors are 9.7 and 7.4 %."""
 
-_START = 40.0
-"""Initial bandwidth [Hz]."""
-
-_NARROWEST = 0.5
-"""Lowest bandwidth [Hz]."""
+_START, _NARROWEST = 40.0, 0.5
+"""Initial and lowest bandwidth [Hz]."""
 
 _NOTCH = math.sqrt(2.0)
 """Ratio of neighbouring bandwidths."""
@@ -204,7 +192,6 @@ _NOTCH = math.sqrt(2.0)
 _BEHIND = 2
 """Smallest number of bandwidth steps by which the second observer starts narrower."""
 
-_DIFFERENCE = 8
 _SHOWS = 2.0
 """The motion is visible in a residual with more than this many times the power of the noise."""
 
@@ -241,22 +228,21 @@ class AdaptiveObserver:
         self._bandwidths = highest / _NOTCH ** np.arange(count)
         self._rates = 2.0 * math.pi * self._bandwidths
         gains = [noise_gains(period, float(bandwidth)) for bandwidth in self._bandwidths]
-        self._acceleration_gains = np.array([gain.acceleration for gain in gains])
-        self._residual_gains = np.array([gain.residual for gain in gains])
+        self._acceleration_gains, self._residual_gains = np.array(gains).T
         self._start = int(np.argmin(np.abs(np.log(self._bandwidths / _START))))
         self._place, self._trial_place = self._start, min(self._start + _BEHIND, count - 1)
         self._observer = CausalDifferentiator(period, self.bandwidth)
         self._trial = CausalDifferentiator(period, float(self._bandwidths[self._trial_place]))
-        self._noises: list[float] = []
+        self._whites: deque[float] = deque(maxlen=_NOISES)
         # Power [m²] of the white noise and of the steps of a digital sensor.
-        self._noise = 0.0, 0.0
-        self._snap = 0.0
-        self._shown = False
+        self._white = self._steps = 0.0
+        # Estimate of the fourth derivative [m/s⁴]; an upper bound until the motion is visible.
+        self._snap, self._visible = 0.0, False
         # The last sample, the last change and the largest recent change [m]; NaN while unknown.
         self._last = self._last_change = self._largest_change = math.nan
-        self._forget_stretch()
+        self._begin_stretch()
 
-    def _forget_stretch(self) -> None:
+    def _begin_stretch(self) -> None:
         self._stretch: list[Array] = []
         self._count = 0
         # Present group: sum of the squared residuals, and whether the displacement has changed.
@@ -292,111 +278,91 @@ class AdaptiveObserver:
             first += part.size
             if self._count % _GROUP == 0:
                 self._widen_at_once()
-        if len(parts) == 1:
-            return parts[0]
-        u, v, a = (np.concatenate(arrays) for arrays in zip(*parts, strict=True))
+        u, v, a = np.concatenate(parts, axis=1) if len(parts) > 1 else parts[0]
         return u, v, a
 
     def adapt(self) -> None:
         """Choose the bandwidth if a choice is due; :meth:`follow` does this too."""
         if self._count == _STRETCH:
             stretch = np.concatenate(self._stretch)
-            self._forget_stretch()
+            self._begin_stretch()
             self._choose(stretch)
 
     def _up_to_jump(self, displacement: Array) -> Array:
         """The next samples (n,) up to a jump of the sensor; a jump at the first one restarts."""
-        changes = np.empty(displacement.size)
-        changes[0] = displacement[0] - self._last
-        np.subtract(displacement[1:], displacement[:-1], out=changes[1:])
-        np.abs(changes, out=changes)
+        changes = np.abs(np.diff(displacement, prepend=self._last))
         largest = changes.max()
         if largest > _JUMP * self._largest_change:
-            sudden = changes > _JUMP * self._largest_change
-            sudden[0] &= changes[0] > _SUDDEN * self._last_change
-            sudden[1:] &= changes[1:] > _SUDDEN * changes[:-1]
+            before = np.concatenate(([self._last_change], changes[:-1]))
+            sudden = (changes > _JUMP * self._largest_change) & (changes > _SUDDEN * before)
             if sudden[0]:
-                self._start_again()
-            if sudden[1:].any():
-                end = 1 + int(sudden[1:].argmax())
-                displacement, changes = displacement[:end], changes[:end]
+                self._observer.reset()
+                self._trial.reset()
+                self._begin_stretch()
+                # A motion that starts abruptly looks like a jump: no narrow bandwidth.
+                self._use(min(self._place, self._start))
+            end = 1 + int(sudden[1:].argmax()) if sudden[1:].any() else changes.size
+            displacement, changes = displacement[:end], changes[:end]
         self._moved = self._moved or largest > 0.0
         self._last, self._last_change = float(displacement[-1]), float(changes[-1])
         return displacement
-
-    def _start_again(self) -> None:
-        self._observer.reset()
-        self._trial.reset()
-        self._forget_stretch()
-        # A motion that starts abruptly looks like a jump and must not get a narrow bandwidth.
-        self._use(min(self._place, self._start))
 
     def _use(self, place: int) -> None:
         if place != self._place:
             self._place = place
             self._observer.tune(self.bandwidth)
 
+    def _noise(self, place: int) -> float:
+        """Power [m²] of the noise in the residual; no observer removes a sensor's steps."""
+        return float(self._residual_gains[place] ** 2 * self._white + self._steps)
+
     def _widen_at_once(self) -> None:
         """Widen the bandwidth if the residual of a group exceeds noise and known motion."""
         power, self._squares = self._squares / _GROUP, 0.0
         moved, self._moved = self._moved, False
         settling = settling_samples(self._period, self.bandwidth)
-        if not (self._noises and moved and self._observer.seen >= settling):
+        if not (self._whites and moved and self._observer.seen >= settling):
             return
         rate = self._rates[self._place]
-        white, steps = self._noise
-        noise = self._residual_gains[self._place] ** 2 * white + steps
-        if power > _SURPRISE * (noise + (self._snap / rate**4) ** 2):
-            self._snap, self._shown = rate**4 * math.sqrt(power), True
+        if power > _SURPRISE * (self._noise(self._place) + (self._snap / rate**4) ** 2):
+            self._snap, self._visible = rate**4 * math.sqrt(power), True
             self._use_best()
-            if self._trial_place > self._place + _BEHIND:
-                self._move_trial(self._place + _BEHIND - self._trial_place)
+            self._move_trial(min(self._trial_place, self._place + _BEHIND))
 
     def _choose(self, stretch: Array) -> None:
+        """Estimate noise and fourth derivative from a stretch (n,), and choose the bandwidth."""
         settled = self._trial.settled
         residual = stretch - self._trial.follow(stretch)[0]
-        largest = float(np.abs(np.diff(stretch)).max())
+        changes = np.abs(np.diff(stretch))
+        largest = float(changes.max())
         if largest == 0.0:
             return
-        known = self._largest_change
-        self._largest_change = largest if math.isnan(known) else max(largest, _FORGETTING * known)
+        self._largest_change = float(np.fmax(largest, _FORGETTING * self._largest_change))
         if not settled:
             return
-        white, steps = _noise_powers(stretch)
-        self._noises = [*self._noises, white][-_NOISES:]
-        white = float(np.median(self._noises))
-        self._noise = white, steps
-        # In slow motion the error of a digital sensor is not white, and no observer removes it.
-        noise = self._residual_gains[self._trial_place] ** 2 * white + steps
+        self._whites.append(noise_power(stretch, 8))
+        self._white = float(np.median(self._whites))
+        # In slow motion the error of a digital sensor is not white, but uniform over its step.
+        moved = changes[changes > 0.0]
+        self._steps = 0.0 if moved.size == changes.size else float(moved.min()) ** 2 / 12.0
+        noise = self._noise(self._trial_place)
         bias = float(np.mean(residual**2)) - noise
-        shows = bias > (_SHOWS - 1.0) * noise
-        snap = self._rates[self._trial_place] ** 4 * math.sqrt(bias if shows else noise)
+        visible = bias > (_SHOWS - 1.0) * noise
+        snap = self._rates[self._trial_place] ** 4 * math.sqrt(bias if visible else noise)
         # Until the motion is visible, each stretch gives a better upper bound.
-        self._snap = max(snap, _FORGETTING * self._snap) if self._shown else snap
-        self._shown = self._shown or shows
-        if not shows:
-            self._move_trial(1)
+        self._snap = max(snap, _FORGETTING * self._snap) if self._visible else snap
+        self._visible = self._visible or visible
+        if not visible:
+            self._move_trial(self._trial_place + 1)
         elif bias > _SHOWS**8 * noise:
-            self._move_trial(-1)
+            self._move_trial(self._trial_place - 1)
         self._use_best()
 
     def _use_best(self) -> None:
         errors = (6.0 * self._snap / self._rates**2) ** 2
-        errors += self._acceleration_gains**2 * sum(self._noise)
+        errors += self._acceleration_gains**2 * (self._white + self._steps)
         self._use(int(np.argmin(errors)))
 
-    def _move_trial(self, notches: int) -> None:
-        self._trial_place = min(max(self._trial_place + notches, 0), self._bandwidths.size - 1)
+    def _move_trial(self, place: int) -> None:
+        self._trial_place = min(max(place, 0), self._bandwidths.size - 1)
         self._trial.tune(float(self._bandwidths[self._trial_place]))
-
-
-def _noise_powers(stretch: Array) -> tuple[float, float]:
-    """Power [m²] of the white noise of a stretch (n,), and of the steps of a digital sensor."""
-    # Differences multiply the power of white noise by the sum of squared binomial coefficients.
-    gain = math.comb(2 * _DIFFERENCE, _DIFFERENCE)
-    white = float(np.mean(np.diff(stretch, _DIFFERENCE) ** 2)) / gain
-    changes = np.abs(np.diff(stretch))
-    moved = changes > 0.0
-    if moved.all() or not moved.any():
-        return white, 0.0
-    return white, float(changes[moved].min()) ** 2 / 12.0

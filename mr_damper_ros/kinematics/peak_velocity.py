@@ -24,6 +24,7 @@ acceleration. It
 from __future__ import annotations
 
 import math
+import sys
 from collections import deque
 from dataclasses import dataclass
 
@@ -42,13 +43,6 @@ MEMORY = 10.0
 _TURNED = 0.25
 """A half-cycle ends when the speed in the other direction reaches this fraction of the highest."""
 
-_AT_ONCE, _FEW = 512, 32
-"""Samples searched at once for the end of a half-cycle. The larger number is fast for long
-recordings; the smaller one applies after a step that ended within few samples."""
-
-_LARGEST = 1e100
-"""Inputs are clipped to this magnitude, so that their products do not overflow."""
-
 
 def peak_velocity(displacement: ArrayLike, velocity: ArrayLike, acceleration: ArrayLike) -> Array:
     """Peak velocity of the present cycle, sqrt(max(v² - a u, 0)) [m/s].
@@ -57,8 +51,10 @@ def peak_velocity(displacement: ArrayLike, velocity: ArrayLike, acceleration: Ar
     measured from the centre of the motion. This is the formula of the thesis; see
     :class:`PeakVelocity` for a motion that is not a sine.
     """
+    # The sum of two products of these magnitudes does not overflow.
+    largest = math.sqrt(0.5 * sys.float_info.max)
     u, v, a = (
-        np.asarray(x, dtype=float).clip(-_LARGEST, _LARGEST)
+        np.asarray(x, dtype=float).clip(-largest, largest)
         for x in (displacement, velocity, acceleration)
     )
     return np.asarray(np.sqrt(np.maximum(v * v - a * u, 0.0)))
@@ -66,22 +62,12 @@ def peak_velocity(displacement: ArrayLike, velocity: ArrayLike, acceleration: Ar
 
 @dataclass
 class _HalfCycle:
-    """Highest speed [m/s], number of samples, and sums of the squared velocity [m²/s²] and
-    acceleration [m²/s⁴]. A half-cycle in which the stream began is not whole.
-    """  # noqa: D205
+    """Highest speed [m/s], sample count, and sums of squared velocity and acceleration."""
 
-    whole: bool
     highest: float = 0.0
     count: int = 0
     squared_velocity: float = 0.0
     squared_acceleration: float = 0.0
-
-    def add(self, highest: float, velocity: Array, acceleration: Array) -> None:
-        """Add samples whose ``highest`` speed [m/s] is given."""
-        self.highest = max(self.highest, highest)
-        self.count += velocity.size
-        self.squared_velocity += float(velocity.dot(velocity))
-        self.squared_acceleration += float(acceleration.dot(acceleration))
 
 
 class PeakVelocity:
@@ -94,147 +80,77 @@ class PeakVelocity:
 
     def __init__(self, period: float, memory: float = MEMORY) -> None:
         self._longest = max(round(memory / period), 1)
+        # The half-cycle in which the stream began is not whole. It leaves after the next one.
         self._finished: deque[_HalfCycle] = deque(maxlen=HALF_CYCLES)
-        self._present = _HalfCycle(whole=False)
-        # Highest speed of the finished half-cycles.
+        self._present = _HalfCycle()
         self._highest = 0.0
         self._sense = 0.0
         self._count = 0
-        # Computed from the whole half-cycles, and only when one of them ends.
-        self._whole_time_scale: float | None = None
-        self._whole_root_mean_square: float | None = None
+        # Computed when a whole half-cycle ends; None before the first.
+        self._known_time_scale: float | None = None
+        self.root_mean_square = 0.0
+        """Root mean square of the peak velocity [m/s] over the latest half-cycles."""
+        self.half_cycles = 0
+        """Number of whole half-cycles behind the angular frequency, at most eight."""
         self.known_from: int | None = None
 
-    @property
-    def half_cycles(self) -> int:
-        """Number of whole half-cycles behind the angular frequency, at most eight."""
-        return sum(part.whole for part in self._finished)
-
-    @property
-    def root_mean_square(self) -> float:
-        """Root mean square of the peak velocity [m/s] over the latest half-cycles."""
-        if self._whole_root_mean_square is not None:
-            return self._whole_root_mean_square
-        parts = self._known
-        squares = 2.0 * sum(part.squared_velocity for part in parts)
-        return math.sqrt(squares / max(sum(part.count for part in parts), 1))
-
-    @property
-    def _known(self) -> list[_HalfCycle]:
-        """The latest whole half-cycles, or all parts of the stream if none is whole."""
-        whole = [part for part in self._finished if part.whole]
-        return whole or [*self._finished, self._present]
-
     def follow(self, velocity: Array, acceleration: Array) -> Array:
-        """Peak velocity [m/s] at the next samples of the velocity [m/s] and of the acceleration
-        [m/s²], shape (n,).
-        """  # noqa: D205
-        if velocity.size == 1 and self._whole_time_scale is not None:
-            return np.hypot(velocity, acceleration * self._follow_one(velocity, acceleration))
-        return np.hypot(velocity, acceleration * self.follow_time_scale(velocity, acceleration))
+        """Peak velocity [m/s] of the next samples, from velocity and acceleration, shape (n,)."""
+        return np.hypot(velocity, acceleration * self.time_scales(velocity, acceleration))
 
     def follow_settled(self, velocity: Array, acceleration: Array, settled: int) -> Array:
         """As :meth:`follow`; the observer had settled for the last ``settled`` of the samples.
 
         An overshoot of the settling observer must not be stored, so the result is the speed there.
         """
-        if settled >= velocity.size:
-            return self.follow(velocity, acceleration)
-        found = np.abs(velocity)
-        if settled > 0:
-            found[-settled:] = self.follow(velocity[-settled:], acceleration[-settled:])
-        return found
+        first = max(velocity.size - settled, 0)
+        later = self.follow(velocity[first:], acceleration[first:])
+        return np.concatenate([np.abs(velocity[:first]), later])
 
-    def _follow_one(self, velocity: Array, acceleration: Array) -> float:
-        """As :meth:`follow_time_scale`, for a single sample when whole half-cycles are known."""
-        assert self._whole_time_scale is not None
-        v = float(velocity[0])
-        speed = abs(v)
-        self._sense = self._sense or float(np.sign(v))
-        before = max(self._highest, self._present.highest, speed)
-        if self._sense * v < -_TURNED * before:
-            self._sense = -self._sense
-            self._finish()
-        time_scale = self._whole_time_scale
-        self._present.add(speed, velocity, acceleration)
-        self._count += 1
-        if self._present.count == self._longest:
-            self._finish()
-        return time_scale
-
-    def follow_time_scale(self, velocity: Array, acceleration: Array) -> Array:
+    def time_scales(self, velocity: Array, acceleration: Array) -> Array:
         """Inverse angular frequency [s] at the next samples, shape (n,); see :meth:`follow`."""
-        found = np.empty(velocity.size)
-        place = 0
-        at_once = _AT_ONCE
-        with np.errstate(over="ignore"):
-            while place < velocity.size:
-                part = slice(place, place + at_once)
-                used = self._follow_half_cycle(velocity[part], acceleration[part], found[part])
-                place += used
-                # Short searches limit the cost of a motion that reverses all the time.
-                at_once = _FEW if used < _FEW else _AT_ONCE
-        return found
+        scales = []
+        for v, a in zip(velocity.tolist(), acceleration.tolist(), strict=True):
+            speed = abs(v)
+            if self._sense == 0.0 and v != 0.0:
+                self._sense = math.copysign(1.0, v)
+            present = self._present
+            if self._sense * v < -_TURNED * max(self._highest, present.highest, speed):
+                self._sense = -self._sense
+                self._finish()
+                present = self._present
+            present.highest = max(present.highest, speed)
+            present.count += 1
+            present.squared_velocity += v * v
+            present.squared_acceleration += a * a
+            self._count += 1
+            scale = self._known_time_scale
+            scales.append(self._estimate() if scale is None else scale)
+            if present.count == self._longest:
+                self._finish()
+        return np.array(scales)
 
-    def _follow_half_cycle(self, velocity: Array, acceleration: Array, found: Array) -> int:
-        """Process samples up to the end of the half-cycle; returns the number of samples used."""
-        present = self._present
-        speed = np.abs(velocity[: self._longest - present.count])
-        highest = np.maximum.accumulate(speed)
-        if self._sense == 0.0:
-            self._sense = float(np.sign(velocity[speed.nonzero()[0][:1]].sum()))
-        before = max(self._highest, present.highest)
-        turned = self._sense * velocity[: speed.size] < -_TURNED * np.maximum(highest, before)
-        used = int(turned.argmax())
-        ends = bool(turned[used])
-        if not ends:
-            used = speed.size
-        if used > 0:
-            found[:used] = self._time_scale(velocity[:used], acceleration[:used])
-            present.add(float(highest[used - 1]), velocity[:used], acceleration[:used])
-            self._count += used
-        if ends:
-            self._sense = -self._sense
-        if ends or present.count == self._longest:
-            self._finish()
-        return used
-
-    def _time_scale(self, velocity: Array, acceleration: Array) -> Array | float:
-        if self._whole_time_scale is not None:
-            return self._whole_time_scale
-        sums = np.cumsum(velocity**2), np.cumsum(acceleration**2)
-        return _root_of_ratio(*(s + more for s, more in zip(self._sums(), sums, strict=True)))
-
-    def _sums(self) -> tuple[float, float]:
-        parts = self._known
-        return (
-            sum(part.squared_velocity for part in parts),
-            sum(part.squared_acceleration for part in parts),
-        )
+    def _estimate(self) -> float:
+        """Time scale [s] of all half-cycles; 0 without acceleration or after an overflow."""
+        parts = self._finished if self.half_cycles else [*self._finished, self._present]
+        velocity = sum(part.squared_velocity for part in parts)
+        acceleration = sum(part.squared_acceleration for part in parts)
+        self.root_mean_square = math.sqrt(2.0 * velocity / sum(part.count for part in parts))
+        usable = acceleration > 0.0 and math.isfinite(velocity) and math.isfinite(acceleration)
+        return math.sqrt(velocity / acceleration) if usable else 0.0
 
     def _finish(self) -> None:
-        if self._finished and not self._finished[0].whole:
+        is_whole = bool(self._finished)
+        if is_whole and not self.half_cycles:
             self._finished.clear()
         self._finished.append(self._present)
-        self._highest = max([part.highest for part in self._finished])
-        self._present = _HalfCycle(whole=True)
-        if self._finished[-1].whole:
-            velocity, acceleration = self._sums()
-            # Scalar version of _root_of_ratio.
-            usable = acceleration > 0.0 and math.isfinite(velocity) and math.isfinite(acceleration)
-            self._whole_time_scale = math.sqrt(velocity / acceleration) if usable else 0.0
-            self._whole_root_mean_square = None
-            self._whole_root_mean_square = self.root_mean_square
-        if self.known_from is None and len(self._finished) == HALF_CYCLES:
-            self.known_from = self._count
-
-
-def _root_of_ratio(velocity: Array, acceleration: Array) -> Array:
-    """Time scales (n,) [s] from sums of squares; 0 where the sum of squared acceleration is zero
-    or a sum overflows.
-    """  # noqa: D205
-    usable = (acceleration > 0.0) & np.isfinite(velocity) & np.isfinite(acceleration)
-    return np.sqrt(np.divide(velocity, acceleration, out=np.zeros(usable.size), where=usable))
+        self._highest = max(part.highest for part in self._finished)
+        self._present = _HalfCycle()
+        if is_whole:
+            self.half_cycles = len(self._finished)
+            self._known_time_scale = self._estimate()
+            if self.known_from is None and self.half_cycles == HALF_CYCLES:
+                self.known_from = self._count
 
 
 class StreamPeakVelocity:
@@ -255,14 +171,13 @@ class StreamPeakVelocity:
 
 
 def peak_velocity_of_window(velocity: Array, acceleration: Array, period: float) -> Array:
-    """Peak velocity [m/s] at samples ``period`` [s] apart of a velocity [m/s] and an acceleration
-    [m/s²], shape (n,).
+    """Peak velocity [m/s] at samples (n,) of velocity and acceleration, ``period`` [s] apart.
 
     Samples within the first eight half-cycles use the angular frequency at the end of these, or at
     the end of the window if it holds fewer.
-    """  # noqa: D205
+    """
     follower = PeakVelocity(period)
-    time_scale = follower.follow_time_scale(velocity, acceleration)
+    time_scale = follower.time_scales(velocity, acceleration)
     known = velocity.size - 1 if follower.known_from is None else follower.known_from
     time_scale[:known] = time_scale[min(known, velocity.size - 1)]
     return np.hypot(velocity, acceleration * time_scale)
@@ -271,5 +186,5 @@ def peak_velocity_of_window(velocity: Array, acceleration: Array, period: float)
 def peak_velocity_of_period(velocity: Array, acceleration: Array, period: float) -> Array:
     """As :func:`peak_velocity_of_window`, for one period of a motion that repeats."""
     follower = PeakVelocity(period)
-    follower.follow_time_scale(velocity, acceleration)
-    return np.hypot(velocity, acceleration * follower.follow_time_scale(velocity, acceleration))
+    follower.time_scales(velocity, acceleration)
+    return follower.follow(velocity, acceleration)

@@ -39,7 +39,7 @@ _GRID = 64
 _BETWEEN = 1.0 / (1.0 - (math.pi / _GRID) ** 2 / 2.0)
 """Upper bound of the ratio of the true maximum to the largest sample (Bernstein)."""
 
-_GOLDEN = 0.6180339887498949
+_GOLDEN = (math.sqrt(5.0) - 1.0) / 2.0
 """The phase of harmonic k is the fractional part of (k + seed)³ times this, in turns."""
 
 
@@ -82,42 +82,35 @@ class PeriodicMotion:
     seed: int = 0
 
     def __post_init__(self) -> None:
-        needed = ["amplitude", "frequency"]
-        if self.kind is not MotionKind.SINE:
-            needed += ["highest_frequency", "period"]
+        is_sine = self.kind is MotionKind.SINE
+        needed = ["amplitude", "frequency", "highest_frequency", "period"][: 2 if is_sine else 4]
         for name in needed:
             value = getattr(self, name)
             if not (math.isfinite(value) and value > 0.0):
                 raise ValueError(f"the {name.replace('_', ' ')} is {value}: it must be positive")
-        if self.kind is MotionKind.SINE:
+        if is_sine:
             return
         if not self.highest_frequency > self.frequency:
             raise ValueError(
                 f"the motion goes from {self.frequency:g} to {self.highest_frequency:g} Hz: the "
                 "highest frequency must be above the lowest"
             )
-        cycles = self.highest_frequency * self.period
-        if cycles > _MOST_CYCLES or (self.kind is MotionKind.RANDOM and self._too_many):
+        is_random = self.kind is MotionKind.RANDOM
+        harmonics = (self.highest_frequency - self.frequency) * self.period
+        if self.highest_frequency * self.period > _MOST_CYCLES or (
+            is_random and harmonics > _MOST_HARMONICS
+        ):
             raise ValueError(
                 f"a motion of up to {self.highest_frequency:g} Hz that repeats after "
                 f"{self.period:g} s has too many parts: let it repeat sooner"
             )
         if not 0 <= self.seed <= _MOST_SEED:
             raise ValueError(f"the seed is {self.seed}: give 0 to {_MOST_SEED}")
-        empty = (
-            self._mean_frequency <= self.frequency
-            if self.kind is MotionKind.SWEEP
-            else self._harmonics.size < _FEWEST
-        )
-        if empty:
+        if self._harmonics.size < _FEWEST if is_random else self._mean_frequency <= self.frequency:
             raise ValueError(
                 f"{self.period:g} s are too short for a motion from {self.frequency:g} to "
                 f"{self.highest_frequency:g} Hz: allow more time, or a wider band"
             )
-
-    @property
-    def _too_many(self) -> bool:
-        return (self.highest_frequency - self.frequency) * self.period > _MOST_HARMONICS
 
     @property
     def sentence(self) -> str:
@@ -131,30 +124,23 @@ class PeriodicMotion:
         return f"{1e3 * self.amplitude:.3g} mm {how}"
 
     @property
-    def peak_velocity(self) -> float:
-        """Upper bound of the speed [m/s]."""
-        if self.kind is MotionKind.RANDOM:
-            return self._random_peak_velocity
-        return 2.0 * math.pi * self.amplitude * self._top_frequency
-
-    @property
     def length(self) -> float:
         """Time [s] after which the motion repeats."""
         return 1.0 / self.frequency if self.kind is MotionKind.SINE else self.period
 
     @property
-    def span(self) -> float:
-        """Half the distance [m] between the lowest and the highest displacement."""
-        if self.kind is not MotionKind.RANDOM:
-            return self.amplitude
-        return self._random_span
-
-    @property
     def growth(self) -> float:
         """Time [s] in which the motion grows from rest, or fades to rest."""
-        if self.kind is MotionKind.SINE:
-            return _GROWTH_CYCLES / self.frequency
-        return self.period
+        is_sine = self.kind is MotionKind.SINE
+        return _GROWTH_CYCLES / self.frequency if is_sine else self.period
+
+    @property
+    def peak_velocity(self) -> float:
+        """Upper bound of the speed [m/s]."""
+        if self.kind is MotionKind.RANDOM:
+            return self._random[1]
+        top_frequency = 2.0 * self._mean_frequency - self.frequency
+        return 2.0 * math.pi * self.amplitude * top_frequency
 
     @property
     def growing_velocity(self) -> float:
@@ -163,38 +149,33 @@ class PeriodicMotion:
             return self.peak_velocity
         return self.peak_velocity + _STEEPEST * self.amplitude / self.growth
 
+    @property
+    def span(self) -> float:
+        """Half the distance [m] between the lowest and the highest displacement."""
+        return self._random[2] if self.kind is MotionKind.RANDOM else self.amplitude
+
     def at(self, time: Array) -> tuple[Array, Array, Array]:
         """Displacement [m], velocity [m/s] and acceleration [m/s²] at the times [s], shape (n,)."""
         if self.kind is MotionKind.RANDOM:
-            return self._random_at(time, self._sizes)
-        angle, rate, bend = self._phase(time)
-        sine, cosine = np.sin(angle), np.cos(angle)
-        a = self.amplitude
-        return a * sine, a * rate * cosine, a * (bend * cosine - rate**2 * sine)
-
-    def _phase(self, time: Array) -> tuple[Array, Array | float, Array | float]:
-        """Angle [rad] and its first and second derivative with respect to time."""
-        if self.kind is MotionKind.SINE:
-            rate = 2.0 * math.pi * self.frequency
-            return rate * time, rate, 0.0
+            return self._sum(time, self._random[0])
         mean = 2.0 * math.pi * self._mean_frequency
         half = mean - 2.0 * math.pi * self.frequency
-        turn = 2.0 * math.pi / self.period
+        turn = 2.0 * math.pi / self.length
         # Removing whole periods does not change the sine and keeps the angle small.
-        within = np.mod(time, self.period)
+        within = np.mod(time, self.length)
         angle = mean * within - half / turn * np.sin(turn * within)
-        return angle, mean - half * np.cos(turn * within), half * turn * np.sin(turn * within)
+        rate = mean - half * np.cos(turn * within)
+        bend = half * turn * np.sin(turn * within)
+        sine, cosine = self.amplitude * np.sin(angle), self.amplitude * np.cos(angle)
+        return sine, rate * cosine, bend * cosine - rate**2 * sine
 
     @property
     def _mean_frequency(self) -> float:
-        cycles = math.floor(0.5 * (self.frequency + self.highest_frequency) * self.period + 1e-9)
-        return cycles / self.period
-
-    @property
-    def _top_frequency(self) -> float:
+        """Mean frequency [Hz] of a swept sine with whole cycles; that of a sine does not change."""
         if self.kind is MotionKind.SINE:
             return self.frequency
-        return 2.0 * self._mean_frequency - self.frequency
+        cycles = math.floor(0.5 * (self.frequency + self.highest_frequency) * self.period + 1e-9)
+        return cycles / self.period
 
     @cached_property
     def _harmonics(self) -> Array:
@@ -203,27 +184,17 @@ class PeriodicMotion:
         return np.arange(max(first, 1), last + 1, dtype=np.float64)
 
     @cached_property
-    def _sizes(self) -> Array:
-        """Amplitudes [m] of the harmonics."""
-        plain = 1.0 / self._harmonics
-        largest = _BETWEEN * float(np.max(np.abs(self._random_at(self._grid, plain)[0])))
-        return plain * (self.amplitude / largest)
-
-    @cached_property
-    def _random_peak_velocity(self) -> float:
-        speed = np.abs(self._random_at(self._grid, self._sizes)[1])
-        return _BETWEEN * float(np.max(speed))
-
-    @cached_property
-    def _random_span(self) -> float:
-        return 0.5 * float(np.ptp(self._random_at(self._grid, self._sizes)[0]))
-
-    @property
-    def _grid(self) -> Array:
+    def _random(self) -> tuple[Array, float, float]:
+        """Amplitudes [m] of the harmonics, bound of the speed [m/s], and half the span [m]."""
         count = _GRID * int(self._harmonics[-1])
-        return np.arange(count, dtype=np.float64) * (self.period / count)
+        time = np.arange(count, dtype=np.float64) * (self.period / count)
+        displacement, velocity, _ = self._sum(time, 1.0 / self._harmonics)
+        scale = self.amplitude / (_BETWEEN * float(np.abs(displacement).max()))
+        speed = _BETWEEN * scale * float(np.abs(velocity).max())
+        return scale / self._harmonics, speed, 0.5 * scale * float(np.ptp(displacement))
 
-    def _random_at(self, time: Array, sizes: Array) -> tuple[Array, Array, Array]:
+    def _sum(self, time: Array, sizes: Array) -> tuple[Array, Array, Array]:
+        """Sum of the harmonics of these amplitudes [m], and its derivatives."""
         rates = 2.0 * math.pi / self.period * self._harmonics
         turns = np.mod(_GOLDEN * (self._harmonics + self.seed) ** 3, 1.0)
         angles = np.multiply.outer(np.mod(time, self.period), rates) + 2.0 * math.pi * turns

@@ -51,12 +51,6 @@ class MotionHistory:
         return cls(motion, np.full(count, current), period, places, branch, periodic=True)
 
     @cached_property
-    def is_window(self) -> bool:
-        """Whether the history and the window have the same samples."""
-        count = self.current.size
-        return self.places.size == count and bool(np.all(self.places == np.arange(count)))
-
-    @cached_property
     def _picked(self) -> np.ndarray | None:
         """Places (n,) as indices; None if a place lies between two samples of the history."""
         places = self.places.astype(int)
@@ -65,7 +59,12 @@ class MotionHistory:
     @property
     def holds_samples(self) -> bool:
         """Whether the history contains all samples of the window, so none is interpolated."""
-        return self.is_window or self._picked is not None
+        return self._picked is not None
+
+    @cached_property
+    def is_window(self) -> bool:
+        """Whether the history and the window have the same samples."""
+        return np.array_equal(self.places, np.arange(self.current.size))
 
     @cached_property
     def _between(self) -> tuple[np.ndarray, np.ndarray, Array]:
@@ -151,9 +150,8 @@ _SLOWER = 0.8
 """A stroke that begins at a reversal is slow at first: its first third covers less than this
 fraction of the distance of its middle third."""
 
-_MOST_SAMPLES = (512, 4096)
-"""Longer records are averaged to this many values. The smaller number suffices for most motions;
-the larger one is tried next."""
+_MOST_SAMPLES = 4096
+"""Longer records are averaged to this many values."""
 
 _FEWEST_SAMPLES = 8
 
@@ -170,16 +168,11 @@ def holds_cycle(displacement: Array) -> bool:
 
     Such a motion shows the force at both signs of the velocity and of the acceleration.
     """
-    few, many = (averages(displacement, most) for most in _MOST_SAMPLES)
-    return _holds_cycle(few) or (many.size > few.size and _holds_cycle(many))
-
-
-def _holds_cycle(u: Array) -> bool:
+    u = averages(displacement, _MOST_SAMPLES)
     if u.size < _FEWEST_SAMPLES:
         return False
     span = float(np.ptp(u))
-    noise = NOISE_SPAN * white_noise(u)
-    turn = min(max(_TURN * span, noise), _LARGEST_TURN * span)
+    turn = min(max(_TURN * span, NOISE_SPAN * white_noise(u)), _LARGEST_TURN * span)
     if not turn > 0.0:
         return False
     places = turning_points(u.tolist(), turn)
@@ -222,9 +215,6 @@ def turning_points(u: list[float], turn: float) -> np.ndarray:
 
 _FOLLOWS_CURRENT = 1e-3
 """Sample period [s] of a history that resolves how the coil follows a step of the current."""
-
-_CYCLE = 256
-"""Samples in a synthetic cycle on which a law is evaluated."""
 
 _ALL_BUT_SPIKES = 0.995
 """Fraction of the samples that is assumed free of spikes. A window with more spikes is spoilt."""
@@ -282,9 +272,10 @@ class Window:
     def of_sine(cls, peak_velocity: float, frequency: float, current: float) -> Window:
         """One cycle of a steady sine [m/s, Hz] at a current [A] and zero force, for any law."""
         sine = Sine(peak_velocity / (2.0 * np.pi * frequency), frequency, 0.0, 0.0, 0.0)
-        period = 1.0 / (frequency * _CYCLE)
-        motion = Motion.of_sine(sine, period * np.arange(_CYCLE, dtype=float), peak_velocity)
-        return cls(motion, np.zeros(_CYCLE), np.full(_CYCLE, current), period)
+        count = _FEWER_PER_CYCLE
+        period = 1.0 / (frequency * count)
+        motion = Motion.of_sine(sine, period * np.arange(count, dtype=float), peak_velocity)
+        return cls(motion, np.zeros(count), np.full(count, current), period)
 
     def part(self, chosen: slice | np.ndarray) -> Window:
         """The chosen samples: a slice, or a mask of shape (n,)."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from statistics import NormalDist
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,23 +28,29 @@ def span_of(values: Array) -> tuple[float, float]:
 NOISE_SPAN = 8.0
 """Span of the white noise in a long signal, in standard deviations."""
 
-NORMAL_MEDIAN = 0.6745
+NORMAL_MEDIAN = NormalDist().inv_cdf(0.75)
 """Median absolute value of a normal variable over its standard deviation."""
+
+
+def noise_power(values: Array, order: int = 4) -> float:
+    """Power of the white part of a signal (n,), n > order, from its differences of this order.
+
+    Almost nothing of a smooth signal remains in them. The mean includes bursts of noise and the
+    steps of a digital sensor, which a median would leave out.
+    """
+    changes = np.diff(values, order)
+    # The differences of white noise have the squared binomial coefficients as their power.
+    return float(changes @ changes) / changes.size / math.comb(2 * order, order)
 
 
 def white_noise(values: Array) -> float:
     """Standard deviation of the white part of a signal (n,), in its unit; 0 for n < 5.
 
-    It is estimated from fourth differences, in which almost nothing of a smooth signal remains. The
-    median makes the estimate robust against kinks and jumps.
+    The median makes this estimate robust against kinks and jumps; see :func:`noise_power`.
     """
     if values.size < 5:
         return 0.0
-    # The sum of the squared binomial coefficients of the fourth difference is 70.
-    return float(np.median(np.abs(np.diff(values, 4))) / NORMAL_MEDIAN / math.sqrt(70.0))
-
-
-_LEAST_ROOM = 1024
+    return float(np.median(np.abs(np.diff(values, 4))) / NORMAL_MEDIAN / math.sqrt(math.comb(8, 4)))
 
 
 class RollingRows:
@@ -53,7 +60,7 @@ class RollingRows:
     """
 
     def __init__(self, rows: int) -> None:
-        self._table = np.empty((rows, _LEAST_ROOM))
+        self._table = np.empty((rows, 0))
         self._begin = self._end = 0
 
     @property
@@ -71,7 +78,7 @@ class RollingRows:
         if self._end + count > self._table.shape[1]:
             kept = self.newest
             # With twice the space needed, each column moves about once, however few are added.
-            self._table = np.empty((len(kept), max(2 * (self.count + count), _LEAST_ROOM)))
+            self._table = np.empty((len(kept), 2 * (self.count + count)))
             self._begin, self._end = 0, kept.shape[1]
             self.newest[:] = kept
         for row, values in zip(self._table, rows, strict=True):

@@ -27,53 +27,31 @@ from mr_damper_ros.signals.arrays import Array
 from mr_damper_ros.signals.blocks import LATE_NS, NANOSECONDS, SampleBlock
 from mr_damper_ros.signals.clocks import StampClock
 
-_FEWEST, _AROUND = 3, 12
-"""Smallest and largest number of samples that determine the slope beside a gap. The larger number
-is also the number of stored past samples, and of neighbours in the interpolation of a sample."""
-
-_RIDGE = 1e-9
-
-_DECIDED = 3.0
-"""Standard errors by which the share must differ from one half for a decision."""
-
-_TOGETHER, _ENOUGH = 32, 30
-"""Number of samples that are evaluated together if none is lost, and the smallest number for a
-decision."""
-
-_FORGETTING = 0.9997
-"""Forgetting factor per sample."""
-
-
-def on_a_line(before: Array, after: Array, count: int) -> Array:
-    """``count`` values on the straight line from the last of ``before`` to the first of ``after``.
-
-    It serves for the force, whose sharp reversals leave no advantage to a cubic.
-    """
-    place = np.arange(1.0, count + 1.0) / (count + 1.0)
-    return np.asarray(before[-1] + (after[0] - before[-1]) * place)
+_AROUND = 12
+"""Largest number of samples that determine the slope beside a gap; number of stored past samples,
+and of neighbours in the interpolation of a sample."""
 
 
 def on_a_cubic(before: Array, after: Array, count: int) -> Array:
     """``count`` values between the last of ``before`` (n,) and the first of ``after`` (m,).
 
     The values lie on a cubic Hermite polynomial with the values and slopes at both ends. It is a
-    parabola if ``after`` holds fewer than three values, and a straight line if ``before`` does.
-    Each slope is that of a parabola fitted to the nearest samples. This function serves for the
-    displacement: over a twentieth of a cycle, its error is a tenth of that of a straight line.
+    parabola if one end has fewer than three values, and a straight line if both have. Each slope is
+    that of a parabola fitted to the nearest samples. Over a twentieth of a cycle, the error of a
+    displacement is a tenth of that of a straight line.
     """
     width = count + 1.0
     place = np.arange(1.0, width) / width
-    low, high = float(before[-1]), float(after[0])
-    line = on_a_line(before, after, count)
-    if before.size < _FEWEST:
-        return line
-    points = min(max(count + 2, _FEWEST), _AROUND)
+    rise = float(after[0] - before[-1])
+    points = min(max(count + 2, 3), _AROUND)
     # Slopes relative to that of the line, times the width of the gap.
-    start = width * _end_slope(before[-points:]) - (high - low)
-    if after.size < _FEWEST:
-        return line + start * place * (1.0 - place)
-    end = -width * _end_slope(after[points - 1 :: -1] if after.size >= points else after[::-1])
-    end -= high - low
+    start = width * _end_slope(before[-points:]) - rise
+    end = -width * _end_slope(after[:points][::-1]) - rise
+    if math.isnan(start):
+        start = 0.0 if math.isnan(end) else -end
+    if math.isnan(end):
+        end = -start
+    line = before[-1] + rise * place
     return np.asarray(line + place * (1.0 - place) * (start * (1.0 - place) - end * place))
 
 
@@ -92,22 +70,27 @@ def at_even_times(wanted: Array, places: Array, values: Array) -> Array:
     around = first[:, np.newaxis] + np.arange(width)
     unit = 0.5 * width
     time = (places[around] - places[own, np.newaxis]) / unit
-    columns = time[:, :, np.newaxis] ** powers
-    rows = columns.transpose(0, 2, 1)
-    # The ridge keeps the matrix regular if many samples have the same stamp.
-    square = rows @ columns + _RIDGE * np.eye(powers.size)
+    # The pseudo-inverse also exists if many samples have the same stamp.
+    fit = np.linalg.pinv(time[:, :, np.newaxis] ** powers)
     away = values[around] - values[own, np.newaxis]
-    cubic = np.linalg.solve(square, rows @ away[:, :, np.newaxis])[:, :, 0]
+    cubic = (fit @ away[:, :, np.newaxis])[:, :, 0]
     way = ((wanted - places[own]) / unit)[:, np.newaxis] ** powers
     return np.asarray(values[own] + (cubic * way)[:, 1:].sum(axis=1))
 
 
 def _end_slope(values: Array) -> float:
     """Slope per sample, at the last value, of the least-squares parabola through the values."""
-    time = np.arange(1.0 - values.size, 1.0)
-    columns = np.stack([np.ones(values.size), time, time * time], axis=1)
-    weights, *_ = np.linalg.lstsq(columns, values, rcond=None)
-    return float(weights[1])
+    if values.size < 3:
+        return math.nan
+    return float(np.polynomial.polynomial.polyfit(np.arange(1 - values.size, 1), values, 2)[1])
+
+
+_DECIDED, _ENOUGH = 3.0, 30
+"""Standard errors by which the share must differ from one half for a decision, and the smallest
+number of samples."""
+
+_FORGETTING = 0.9997
+"""Forgetting factor per sample."""
 
 
 class UnevenSampling:
@@ -120,11 +103,11 @@ class UnevenSampling:
     """
 
     def __init__(self) -> None:
-        self._late: list[Array] = []
-        self._values: list[Array] = []
-        self._waiting = 0
+        # Delay and displacement of the last two samples, which are neighbours of the next ones.
+        self._tail = np.empty((2, 0))
         self._next = 0
-        self._product, self._square, self._rest, self._count = 0.0, 0.0, 0.0, 0.0
+        # Sums of the products and squares of both differences, and the number of samples.
+        self._sums = np.zeros(4)
         self.found = False
 
     def learn(self, index: int, late: float, displacement: Array) -> None:
@@ -133,35 +116,23 @@ class UnevenSampling:
         ``index`` is that of its first sample. After a jump of the index, samples are not compared
         across it.
         """
-        if index != self._next:
-            self._look()
-            self._late, self._values, self._waiting = [], [], 0
+        tail = self._tail if index == self._next else self._tail[:, :0]
         self._next = index + displacement.size
-        self._late.append(np.full(displacement.size, late))
-        self._values.append(displacement)
-        self._waiting += displacement.size
-        if self._waiting >= _TOGETHER:
-            self._look()
-
-    def _look(self) -> None:
-        if self._waiting == 0:
-            return
-        late, values = np.concatenate(self._late), np.concatenate(self._values)
-        # The last two samples are neighbours of the next ones.
-        self._late, self._values, self._waiting = [late[-2:]], [values[-2:]], 0
+        block = np.stack([np.full(displacement.size, late), displacement])
+        times, values = np.concatenate([tail, block], axis=1)
+        self._tail = np.stack([times[-2:], values[-2:]])
         off = values[1:-1] - 0.5 * (values[:-2] + values[2:])
-        expected = 0.5 * (values[2:] - values[:-2]) * (late[1:-1] - 0.5 * (late[:-2] + late[2:]))
-        moved = expected != 0.0
-        off, expected = off[moved], expected[moved]
-        known = _FORGETTING**off.size
-        self._product = known * self._product + float(off @ expected)
-        self._square = known * self._square + float(expected @ expected)
-        self._rest = known * self._rest + float(off @ off)
-        self._count = known * self._count + off.size
-        if self._count < _ENOUGH or self._square == 0.0:
+        expected = 0.5 * (values[2:] - values[:-2]) * (times[1:-1] - 0.5 * (times[:-2] + times[2:]))
+        count = float(np.count_nonzero(expected))
+        off = off[expected != 0.0]
+        expected = expected[expected != 0.0]
+        self._sums *= _FORGETTING**count
+        self._sums += [off @ expected, expected @ expected, off @ off, count]
+        product, square, rest, count = self._sums.tolist()
+        if count < _ENOUGH or square == 0.0:
             return
-        share = self._product / self._square
-        noise = max(self._rest / self._square - share**2, 0.0) / self._count
+        share = product / square
+        noise = max(rest / square - share**2, 0.0) / count
         if abs(share - 0.5) > _DECIDED * noise**0.5:
             self.found = share > 0.5
 
@@ -170,11 +141,9 @@ _JITTER_NS, _JITTER = 5_000_000, 1.5
 """Largest error of a stamp in [ns] or sample periods, whichever is more, while the sample count
 continues: computers assign stamps with a variable delay."""
 
-_EVEN = 0.1
-"""A stamp with an error of at most this fraction of a period is used unchanged."""
-
-_NOTICED = 0.02
-"""Stamps with an error above this fraction of a period show whether the sampling is non-uniform."""
+_EVEN = 0.02
+"""A stamp with an error of at most this fraction of a period is used unchanged. Others show whether
+the sampling is non-uniform."""
 
 _DELAY, _SLEW = 0.5, 0.01
 """Delay of the grid with non-uniform sampling, in sample periods, so that it lies between samples
@@ -260,7 +229,8 @@ class UniformGrid:
         self._settings = settings or GridSettings()
         self._hold_back = hold_back
         self._held: list[SampleBlock] = []
-        self._last: SampleBlock | None = None
+        self.last: SampleBlock | None = None
+        """The last block on the grid."""
         self._clock: StampClock | None = None
         self._uneven = UnevenSampling()
         # The latest blocks and the delays of their stamps [sample periods].
@@ -271,11 +241,6 @@ class UniformGrid:
         self.repeated_samples = 0
         self.interruptions = 0
         self.last_interruption = ""
-
-    @property
-    def last(self) -> SampleBlock | None:
-        """The last block on the grid."""
-        return self._last
 
     @property
     def uneven(self) -> bool:
@@ -306,12 +271,12 @@ class UniformGrid:
         return [self._place(block, self._judge(block)) for block in held]
 
     def _may_wait(self, newest: SampleBlock) -> bool:
-        assert self._last is not None
-        ahead = newest.sequence + newest.sample_count - _end(self._last)
-        return ahead * self._last.period < self._hold_back + newest.sample_count * newest.period
+        assert self.last is not None
+        ahead = newest.sequence + newest.sample_count - _end(self.last)
+        return ahead * self.last.period < self._hold_back + newest.sample_count * newest.period
 
     def _judge(self, block: SampleBlock) -> Continuity:
-        last = self._last
+        last = self.last
         if last is None or self._clock is None:
             return _FIRST
         if not math.isclose(block.period, last.period, rel_tol=1e-6):
@@ -368,56 +333,39 @@ class UniformGrid:
         if verdict.restarts or self._clock is None:
             self._clock = StampClock(block.sequence, block.start_ns, block.period)
             self._recent.clear()
-            self._last = block
+            self.last = block
             self._remember(block, 0.0)
             return Placed(block, block, 0, verdict, block.start_ns)
-        assert self._last is not None
-        known = _end(self._last) - block.sequence
+        assert self.last is not None
+        known = _end(self.last) - block.sequence
         if known > 0:
             self.repeated_samples += known
             block = block.part(known)
         self._clock.learn(block.sequence, block.start_ns)
         late = (block.start_ns - self._clock.at(block.sequence)) / (block.period * NANOSECONDS)
-        if self._settings.stamps == "auto" and (abs(late) > _NOTICED or self._uneven.found):
+        if self._settings.stamps == "auto" and (abs(late) > _EVEN or self._uneven.found):
             self._uneven.learn(block.sequence, late, block.displacement)
-        stamp_ns, measured = block.start_ns, None
-        if self.uneven or self._delay > 0.0:
-            placed, after = self._between(block, late, verdict.lost)
-            stamp_ns = placed.start_ns + round(verdict.lost * block.period * NANOSECONDS)
+        stamp_ns, measured, placed = block.start_ns, None, block
+        moves = self.uneven or self._delay > 0.0
+        if not moves:
+            if abs(late) > _EVEN:
+                placed = replace(block, start_ns=self._clock.at(block.sequence))
+            late = 0.0
+        if moves or verdict.lost:
+            placed, after = self._resampled(block, late, verdict.lost)
             measured = _measured(block.force, after, verdict.lost)
-            self._remember(block, late)
-        else:
-            placed = self._in_time(block, late, verdict.lost)
-            if verdict.lost:
-                measured = _measured(block.force, np.zeros(placed.sample_count), verdict.lost)
-            self._remember(placed, late)
+        if moves:
+            stamp_ns = placed.start_ns + round(verdict.lost * block.period * NANOSECONDS)
+        self._remember(block, late)
         self.bridged_samples += verdict.lost
-        self._last = placed
+        self.last = placed
         return Placed(placed, block, verdict.lost, verdict, stamp_ns, measured)
 
-    def _in_time(self, block: SampleBlock, late: float, lost: int) -> SampleBlock:
-        """The block with its samples unchanged, preceded by the ``lost`` ones, interpolated."""
-        assert self._clock is not None
-        if lost == 0:
-            if abs(late) <= _EVEN:
-                return block
-            return replace(block, start_ns=self._clock.at(block.sequence))
-        _, displacement, force = self._tail()
-        return replace(
-            block,
-            start_ns=self._clock.at(block.sequence - lost),
-            sequence=block.sequence - lost,
-            displacement=np.concatenate(
-                [on_a_cubic(displacement, block.displacement, lost), block.displacement]
-            ),
-            force=np.concatenate([on_a_line(force, block.force, lost), block.force]),
-        )
+    def _resampled(self, block: SampleBlock, late: float, lost: int) -> tuple[SampleBlock, Array]:
+        """The block, preceded by the ``lost`` samples, moved from the sample times to the grid.
 
-    def _between(self, block: SampleBlock, late: float, lost: int) -> tuple[SampleBlock, Array]:
-        """The block moved from the sample times to the grid between them.
-
-        The second value is the time from each grid point to the sample with the same index, in
-        sample periods.
+        With non-uniform sampling, the grid lies between the samples. The second value is the time
+        from each grid point to the sample with the same index, in sample periods.
         """
         assert self._clock is not None
         first = block.sequence - lost
@@ -426,16 +374,25 @@ class UniformGrid:
         delays = np.clip(self._delay + step * np.arange(1.0, count + 1.0), 0.0, _DELAY)
         self._delay = float(delays[-1])
         wanted = np.arange(count) - delays
-        before, displacement, force = self._tail()
-        places = np.concatenate([before - first, np.arange(lost, count) + late])
+        places, displacement, force = self._tail()
+        places = np.concatenate([places - first, np.arange(lost, count) + late])
+        displacement = np.concatenate([displacement, block.displacement])
+        known = places.size - block.sample_count
+        if lost:
+            # The lost samples lie between the past ones and the new ones, all on the grid.
+            earlier = wanted[0] - np.arange(known, 0.0, -1.0)
+            even = at_even_times(np.concatenate([earlier, wanted[lost:]]), places, displacement)
+            bridge = on_a_cubic(even[:known], even[known:], lost)
+            displacement = np.concatenate([bridge, even[known:]])
+        else:
+            displacement = at_even_times(wanted, places, displacement)
         placed = replace(
             block,
             start_ns=self._clock.at(first) - round(float(delays[0]) * block.period * NANOSECONDS),
             sequence=first,
-            displacement=_brought(
-                wanted, places, np.concatenate([displacement, block.displacement]), lost
-            ),
-            # Samples whose stamps are not in order keep their order.
+            displacement=displacement,
+            # Samples whose stamps are not in order keep their order. The force has sharp reversals,
+            # which leave no advantage to a cubic.
             force=np.interp(
                 wanted, np.maximum.accumulate(places), np.concatenate([force, block.force])
             ),
@@ -450,36 +407,13 @@ class UniformGrid:
 
     def _tail(self) -> tuple[Array, Array, Array]:
         """Times of the latest samples [sample periods], their displacement and their force."""
-        places, displacement, force = (
-            np.concatenate(parts)
-            for parts in zip(
-                *(
-                    (
-                        block.sequence + np.arange(block.sample_count) + late,
-                        block.displacement,
-                        block.force,
-                    )
-                    for block, late in self._recent
-                ),
-                strict=True,
-            )
+        blocks = [block for block, _ in self._recent]
+        places = [b.sequence + late + np.arange(b.sample_count) for b, late in self._recent]
+        return (
+            np.concatenate(places)[-_AROUND:],
+            np.concatenate([block.displacement for block in blocks])[-_AROUND:],
+            np.concatenate([block.force for block in blocks])[-_AROUND:],
         )
-        return places[-_AROUND:], displacement[-_AROUND:], force[-_AROUND:]
-
-
-def _brought(wanted: Array, places: Array, displacement: Array, lost: int) -> Array:
-    """Displacement (m,) of samples taken at ``places`` (m,), moved to the ``wanted`` places (n,).
-
-    The first ``lost`` of the wanted places have no sample and are interpolated. The samples before
-    them come first in ``displacement``.
-    """
-    if lost == 0:
-        return at_even_times(wanted, places, displacement)
-    known = displacement.size - (wanted.size - lost)
-    earlier = wanted[0] - np.arange(known, 0.0, -1.0)
-    even = at_even_times(np.concatenate([earlier, wanted[lost:]]), places, displacement)
-    bridge = on_a_cubic(even[:known], even[known:], lost)
-    return np.concatenate([bridge, even[known:]])
 
 
 def _measured(force: Array, after: Array, lost: int) -> tuple[Array, Array]:
