@@ -15,7 +15,6 @@ import json
 import sys
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
-from dataclasses import replace
 from functools import partial
 from multiprocessing import get_context
 from pathlib import Path
@@ -70,12 +69,7 @@ def _record(read: Callable[[Path], Sequence[Recording]], number: int, law: str) 
     assert place is not None
     record = read(place)[number]
     part = slice(0, round(_LONGEST / record.period))
-    begin = replace(
-        record,
-        displacement=record.displacement[part],
-        force=record.force[part],
-        current=record.current[part],
-    )
+    begin = recordings.cut(record, part)
     return _of_replay(replay(begin, settings=EngineSettings().for_law(law)))
 
 

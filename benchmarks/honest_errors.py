@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import replace
 
 import numpy as np
 from scipy.signal import lfilter
@@ -29,6 +28,7 @@ from mr_damper_ros.signals.blocks import NANOSECONDS
 from mr_damper_ros.tracking.acceptance import Verdict
 from mr_damper_ros.tracking.tracker import TrackerSettings, WindowTracker
 from mr_damper_ros.tracking.window_assembler import RawWindow
+from studies import recordings
 from studies.thesis.published_runs import PHASE
 
 WINDOWS = 600
@@ -122,13 +122,7 @@ def published_scales(
     rig = EmulatedRig(EmulatedDamper(truth), motion, _CURRENT, settings=settings)
     run = rig.record(_SETTLING + windows * following.WINDOW)
     part = slice(round(_SETTLING / run.period), None)
-    run = replace(
-        run,
-        displacement=run.displacement[part],
-        force=run.force[part],
-        current=run.current[part],
-        temperature=None,
-    )
+    run = recordings.cut(run, part)
     settings_of_tracker = TrackerSettings(global_period=0, method="least_squares")
     steps = following.follow(run, settings_of_tracker, hop=following.WINDOW)
     reports = [step.report for step in steps if step.report.confirms][1:]

@@ -127,23 +127,6 @@ class _Reached:
     bound: float = math.nan
 
 
-@dataclass(frozen=True)
-class PlannedTrial:
-    """Result of one damper: planned runs, and the number of runs if each is chosen at random.
-
-    ``inside`` is true if no sample exceeded the limits.
-    """
-
-    planned: _Reached
-    random: float
-    inside: bool
-
-    @property
-    def saved(self) -> float:
-        """Number of random runs over that of planned runs; 1 if both are infinite."""
-        return 1.0 if self.random == self.planned.runs else self.random / self.planned.runs
-
-
 class _RandomPlanner(RunPlanner):
     """Chooses runs at random: a sine at one current within the goal, as in a list of conditions.
 
@@ -201,18 +184,15 @@ class _Machine:
         noise = np.random.default_rng((self._seed, self._made)).normal(
             0.0, self._noise, clean.force.size
         )
-        return Recording(
-            clean.name,
-            clean.start_ns,
-            clean.period,
-            clean.displacement,
-            clean.force + noise,
-            clean.current,
-        )
+        return replace(clean, force=clean.force + noise, temperature=None)
 
 
-def trial(kind: DamperKind, seed: int) -> PlannedTrial:
-    """One damper from no knowledge to the goal."""
+def trial(kind: DamperKind, seed: int) -> tuple[_Reached, float, bool]:
+    """One damper from no knowledge to the goal.
+
+    Returns the result of planned runs, the number of runs chosen at random over that of planned
+    ones (1 if both are infinite), and whether no sample of a planned run exceeded the limits.
+    """
     model = MODELS["sigmoid"]
     truth = random_damper(kind, seed)
     goal = ForceGoal(_ERROR, kind.peak_velocity, kind.current)
@@ -230,8 +210,8 @@ def trial(kind: DamperKind, seed: int) -> PlannedTrial:
     course = _campaign(RunPlanner(model, goal, limits), first_run(goal, limits), machine, truth)
     at_random = _RandomPlanner(model, goal, limits, seed)
     by_chance = _Machine(truth, noise, limits, seed)
-    random_one = _campaign(at_random, at_random.draw(), by_chance, truth)
-    return PlannedTrial(course, random_one.runs, machine.inside)
+    random = _campaign(at_random, at_random.draw(), by_chance, truth).runs
+    return course, 1.0 if random == course.runs else random / course.runs, machine.inside
 
 
 def _campaign(planner: RunPlanner, first: PlannedRun, machine: _Machine, truth: Array) -> _Reached:
@@ -266,7 +246,7 @@ def _campaign(planner: RunPlanner, first: PlannedRun, machine: _Machine, truth: 
 def figures(dampers: int = 30) -> Measured:
     """Measure a number of dampers, half of each kind."""
     trials = [trial(kind, seed) for kind in KINDS for seed in range(dampers // len(KINDS))]
-    courses = [each.planned for each in trials]
+    courses, saved, inside = zip(*trials, strict=True)
     within = sum(course.true <= _ERROR for course in courses)
     true = float(np.median([course.true for course in courses]))
     return {
@@ -275,8 +255,8 @@ def figures(dampers: int = 30) -> Measured:
             f"Of {len(trials)}. Where it is claimed first, the true error is {true:.2%} (median) "
             f"and within {_ERROR:.0%} for {within}.",
         ),
-        "planned_runs_saved": float(np.median([each.saved for each in trials])),
-        "planned_runs_inside": float(np.mean([each.inside for each in trials])),
+        "planned_runs_saved": float(np.median(saved)),
+        "planned_runs_inside": float(np.mean(inside)),
         "planned_runs_claim": float(np.median([c.claimed / c.true for c in courses])),
         "planned_runs_bound": float(np.mean([c.true <= c.bound for c in courses])),
     }

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -61,12 +60,7 @@ def _begin_of(record: Recording) -> Recording:
     moves = np.abs(record.displacement - record.displacement[0]) > _MOVING
     begin = max(int(np.argmax(moves)) - round(_BEFORE / record.period), 0)
     part = slice(begin, begin + round((_BEFORE + _AFTER) / record.period))
-    return replace(
-        record,
-        displacement=record.displacement[part],
-        force=record.force[part],
-        current=record.current[part],
-    )
+    return recordings.cut(record, part)
 
 
 def _windows_until_good(record: Recording, model: str) -> tuple[float, float]:

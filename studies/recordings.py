@@ -4,10 +4,14 @@ from __future__ import annotations
 
 import os
 import re
+from dataclasses import replace
 from pathlib import Path
+
+import numpy as np
 
 from mr_damper_ros.io.records import read_record
 from mr_damper_ros.kinematics.window import Window
+from mr_damper_ros.signals.arrays import Array
 from mr_damper_ros.signals.recording import Recording
 
 NONE = "MR_DAMPER_DATA is not set to a folder that holds utfsm."
@@ -20,6 +24,19 @@ def window_of(recording: Recording) -> Window:
     return Window.from_samples(
         recording.displacement, recording.force, recording.current, recording.period
     )
+
+
+def cut(recording: Recording, part: slice) -> Recording:
+    """A part of a recording, without its temperature."""
+    channels = {
+        name: getattr(recording, name)[part] for name in ("displacement", "force", "current")
+    }
+    return replace(recording, temperature=None, **channels)
+
+
+def rms(values: Array) -> float:
+    """Root mean square."""
+    return float(np.sqrt(np.mean(values**2)))
 
 
 def folder() -> Path | None:

@@ -43,6 +43,7 @@ from studies.control.ground_motion import (
 from studies.control.recorded_damper import recorded_damper
 from studies.control.shear_building import BUILDINGS, STOREYS, ShearBuilding, StateEstimator
 from studies.drawing import heads
+from studies.recordings import rms
 
 DAMPERS = 4
 """Number of parallel dampers: the authors' model multiplies the force of the damper by four."""
@@ -160,12 +161,12 @@ def simulate(task: BuildingRun) -> BuildingResult:
     displacement, acceleration, force, _ = every
     time = rig.settings.period * np.arange(1, every.shape[1] + 1)
     return BuildingResult(
-        displacement=_rms(displacement),
-        acceleration=_rms(acceleration),
+        displacement=rms(displacement),
+        acceleration=rms(acceleration),
         farthest=float(np.max(np.abs(displacement))),
         highest=float(np.max(np.abs(acceleration))),
         reversals=reversals(np.array(commands)) / duration,
-        force=_rms(force),
+        force=rms(force),
         doubted=doubted / blocks,
         series=np.stack([time, displacement, acceleration, every[3]])[:, ::10],
     )
@@ -261,10 +262,6 @@ class _Observed:
         for force, outputs in zip(measured.force.tolist(), read, strict=True):
             states = self._estimator.follow(DAMPERS * force, outputs)
         return -float(self._gain @ states)
-
-
-def _rms(values: Array) -> float:
-    return float(np.sqrt(np.mean(values**2)))
 
 
 Case = tuple[str, str]

@@ -44,6 +44,7 @@ from mr_damper_ros.rig.sources.emulated_source import moment_of
 from mr_damper_ros.signals.arrays import Array
 from mr_damper_ros.signals.blocks import RigBlock
 from mr_damper_ros.tracking.engine import Engine
+from studies.recordings import rms
 
 CAR = QuarterCar()
 GRAVITY = 9.80665
@@ -207,9 +208,9 @@ def drive(task: Drive) -> DriveResult:
     acceleration, load, travel, power, coil = late
     time = rig.settings.period * np.arange(1, every.shape[1] + 1)
     return DriveResult(
-        comfort=_rms(acceleration),
-        holding=_rms(load) / STATIC_LOAD,
-        travel=_rms(travel - travel.mean()),
+        comfort=rms(acceleration),
+        holding=rms(load) / STATIC_LOAD,
+        travel=rms(travel - travel.mean()),
         power=float(np.mean(power)),
         coil=float(np.mean(coil**2)),
         met=met / count if count else np.nan,
@@ -218,7 +219,3 @@ def drive(task: Drive) -> DriveResult:
         furthest=float(np.max(np.abs(travel))),
         series=np.stack([time, every[0], every[1], every[4]])[:, ::BLOCK],
     )
-
-
-def _rms(values: Array) -> float:
-    return float(np.sqrt(np.mean(values**2)))

@@ -34,6 +34,7 @@ from mr_damper_ros.report.document import (
     with_error,
 )
 from mr_damper_ros.signals.arrays import Array
+from studies.recordings import rms
 from studies.truth.hysteretic_oscillator import (
     BAND,
     OUTPUT_NOISE,
@@ -129,12 +130,12 @@ def judge_on_oscillator(task: OscillatorTrial) -> OscillatorResult:
     if task.moves:
         answer = _moved(found, multisine(_TEST, task.count, _LAW_STEPS))
         truth = settled(TRUTH, multisine(_TEST, task.count))
-        missed = _rms(answer - truth.displacement)
+        missed = rms(answer - truth.displacement)
     shown = slice(-_SHOWN, None)
     return OscillatorResult(
         found,
         float(fit.nrmse[0]),
-        _rms(residual) / float(np.std(other.force[counted])),
+        rms(residual) / float(np.std(other.force[counted])),
         missed,
         np.stack([other.motion.displacement[shown], other.force[shown], predicted[shown]]),
         time.process_time() - began,
@@ -210,7 +211,7 @@ def estimate_oscillator(task: EstimationTrial) -> EstimationResult:
     other = multisine(_TEST, task.count, task.steps)
     truth = settled(TRUTH, multisine(_TEST, task.count)).displacement
     on_other = (
-        _rms(settled(each, other, task.steps).displacement - truth) for each in (found, straight)
+        rms(settled(each, other, task.steps).displacement - truth) for each in (found, straight)
     )
     multisine_error, linear_error = on_other
     return EstimationResult(
@@ -230,7 +231,7 @@ def _sweep_error(found: HystereticOscillator, task: EstimationTrial) -> float:
         thinned(oscillator.simulate(sine_sweep(task.sweep, steps), PERIOD / steps)[0], steps)
         for oscillator, steps in ((found, task.steps), (TRUTH, STEPS))
     ]
-    return _rms(answers[0] - answers[1])
+    return rms(answers[0] - answers[1])
 
 
 def _linear(force: Array, displacement: Array) -> tuple[float, float, float]:
@@ -248,10 +249,6 @@ def _linear(force: Array, displacement: Array) -> tuple[float, float, float]:
     )[0]
     mass, damping, stiffness = solution.tolist()
     return mass, damping, stiffness
-
-
-def _rms(values: Array) -> float:
-    return float(np.sqrt(np.mean(values**2)))
 
 
 _PUBLISHED = {

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
@@ -148,12 +148,7 @@ def judge_earthquake(task: EarthquakeTrial) -> EarthquakeResult:
     record = earthquake.unsmoothed_records(task.utfsm)[place]
     if task.longest < record.force.size * record.period:
         part = slice(0, round(task.longest / record.period))
-        record = replace(
-            record,
-            displacement=record.displacement[part],
-            force=record.force[part],
-            current=record.current[part],
-        )
+        record = recordings.cut(record, part)
     force = earthquake.predicted(record, task.parameter_set, identify=task.follows)
     shown = slice(None, None, _SHOWN_EVERY)
     return EarthquakeResult(
