@@ -77,7 +77,8 @@ def test_the_levels_of_the_records_are_found() -> None:
 
 def test_levels_are_told_line_by_line_and_in_json() -> None:
     result = identified(0.1)
-    assert str(result).count("force gain") == len(SCALES)
+    # A gain and an offset in the row of every record.
+    assert str(result).count(" ± ") == 2 * len(SCALES)
     entries = json.loads(json.dumps(result.document()))["bags"]
     assert [entry["level"]["scale"] for entry in entries] == [
         run.level.scale for run in result.runs if run.level is not None
