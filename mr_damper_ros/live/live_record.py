@@ -190,14 +190,18 @@ _OF_A_REPORT = (
 
 
 def window_seen(
-    report: Any, names: Sequence[str], values: Sequence[float], errors: Sequence[float], **told: Any
+    report: Any,
+    names: Sequence[str],
+    values: Sequence[float],
+    errors: Sequence[float],
+    **fields: Any,
 ) -> WindowSeen:
     """The result in a report or in its message, with the ``names`` of its coefficients.
 
-    ``told`` are the fields of :class:`WindowSeen` that the two name differently, and further
+    ``fields`` are the fields of :class:`WindowSeen` that the two name differently, and further
     ``figures``.
     """
-    figures = {name: float(getattr(report, name)) for name in _OF_A_REPORT} | told.pop("figures")
+    figures = {name: float(getattr(report, name)) for name in _OF_A_REPORT} | fields.pop("figures")
     known = zip(names, values, errors, strict=False)
     coefficients = {name: (value, error) for name, value, error in known if math.isfinite(value)}
     return WindowSeen(
@@ -205,7 +209,7 @@ def window_seen(
         reason=report.reason,
         accepted=report.accepted,
         coefficients=coefficients,
-        **told,
+        **fields,
     )
 
 
