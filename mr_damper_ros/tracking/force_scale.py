@@ -29,6 +29,7 @@ from mr_damper_ros.models.misfit import WindowProblem
 from mr_damper_ros.signals.arrays import NORMAL_MEDIAN, Array
 from mr_damper_ros.tracking.cusum import ScaleFit
 from mr_damper_ros.tracking.operating_point import (
+    MOST_WINDOWS,
     KnownPoints,
     OperatingPoint,
     PointRecord,
@@ -37,9 +38,6 @@ from mr_damper_ros.tracking.operating_point import (
 
 _ALIKE = 0.5
 """Smallest correlation with the baseline's force at which a force scale is computed."""
-
-_REMEMBERED = 40
-"""Number of newest force scales from which their scatter is learnt."""
 
 _FEWEST_WINDOWS = 8
 """Smallest number of windows for a map, and of differences between windows for their scatter."""
@@ -87,7 +85,7 @@ def widened(
         return scale, seen
     if seen and start_ns < seen[-1].start_ns:
         seen = ()  # the clock was set back
-    seen = (*seen, SeenScale(start_ns, end_ns, scale.value, scale.standard_error))[-_REMEMBERED:]
+    seen = (*seen, SeenScale(start_ns, end_ns, scale.value, scale.standard_error))[-MOST_WINDOWS:]
     squares = _squares(seen)
     if len(squares) < _FEWEST_WINDOWS:
         # Until the scatter is known, the whole misfit counts as error.
@@ -209,9 +207,6 @@ def _alike(one: Array, other: Array) -> bool:
         usable = bool(sizes > 0.0 and np.square(one @ one) < math.inf)
         return usable and bool(one @ other > _ALIKE * sizes)
 
-
-_MOST_WINDOWS = 400
-"""If there are more windows, pairs of neighbouring temperature are averaged."""
 
 _LARGEST = 1e6
 """Limit of the magnitude of a temperature [°C] and of a force scale [1]."""
@@ -348,13 +343,14 @@ def with_temperature(
 ) -> KnownPoints:
     """The records with the temperature [°C] and the force scale of a window added, if plausible.
 
-    All force scales of one operating point must refer to the same baseline.
+    All force scales of one operating point must refer to the same baseline. If there are too many,
+    pairs of neighbouring temperature are averaged.
     """
     row = np.array([[celsius, scale.value, scale.standard_error]])
     if not can_be_seen(row):
         return known
     seen = np.concatenate([known.at(point).temperatures, row])
-    return known.noted(point, temperatures=_paired(seen) if len(seen) > _MOST_WINDOWS else seen)
+    return known.noted(point, temperatures=_paired(seen) if len(seen) > 4 * MOST_WINDOWS else seen)
 
 
 def temperature_map(known: PointRecord) -> TemperatureMap | None:

@@ -58,8 +58,7 @@ from mr_damper_ros.tracking.running_set import (
     SteadyMotion,
     candidate,
     known_force,
-    set_of_change,
-    set_of_window,
+    new_set,
 )
 from mr_damper_ros.tracking.screening import (
     Screening,
@@ -70,7 +69,7 @@ from mr_damper_ros.tracking.screening import (
     lack_of_cycle,
     lack_of_motion,
 )
-from mr_damper_ros.tracking.window_assembler import RawWindow
+from mr_damper_ros.tracking.window_assembler import ENOUGH_POINTS, RawWindow
 
 _ASTRAY = 2.0
 """The filter has diverged if the error on the validation samples exceeds this multiple of the
@@ -79,10 +78,9 @@ expected noise."""
 _MOST_INTERVALS = 6
 """Largest number of intervals into which a continuous range of currents is divided."""
 
-_FEWEST_SAMPLES = 64
 _LEAST_SPEED = 0.2
-"""A part counts as an operating point if it has at least this many samples, and an RMS speed of at
-least this fraction of the window's."""
+"""A part counts as an operating point if it has as many samples as show a cycle, and an RMS speed
+of at least this fraction of the window's."""
 
 _AS_WELL = 1.25
 _BESIDES = 0.01
@@ -127,16 +125,6 @@ class Job:
         """The raw samples of a window fit or a change check."""
         assert self.raw is not None
         return self.raw
-
-    @property
-    def model(self) -> Model:
-        """The force law."""
-        return self.running.law
-
-    @property
-    def start(self) -> Array:
-        """The parameters (p,) of the running set."""
-        return self.running.values
 
     @property
     def known(self) -> bool:
@@ -197,7 +185,7 @@ class Outcome:
 
 def blank_report(job: Job) -> Report:
     """The report on a job from which nothing was found."""
-    raw, model = job.raw, job.model
+    raw, model = job.raw, job.running.law
     if raw is None:
         # Linear laws are solved by least squares; the others need a search.
         searched = model.searched_laws(frozenset(model.parameter_names)) > 0
@@ -230,7 +218,7 @@ def _report(job: Job, window: Window, fit: WindowFit) -> Report:
         blank_report(job),
         method=fit.method,
         evaluations=fit.evaluations,
-        scale=force_scale(job.model, window, fit, job.baselines),
+        scale=force_scale(job.running.law, window, fit, job.baselines),
         peak_velocity=fit.operating_point[0],
         amplitude=window.motion.amplitude,
         frequency=window.motion.frequency,
@@ -329,7 +317,7 @@ def _followed(job: Job, window: Window) -> Outcome | None:
         return None
     unseen = round((raw.end_ns - state.stamp_ns) / (raw.period * NANOSECONDS))
     new = window.part(slice(max(window.sample_count - unseen, 0), None))
-    problem = WindowProblem(job.model, new, job.start)
+    problem = WindowProblem(job.running.law, new, job.running.values)
     follower = RecursiveFilter(
         state, problem, raw.end_ns, drift_rate=options.drift_rate, robust=options.robust
     )
@@ -339,7 +327,7 @@ def _followed(job: Job, window: Window) -> Outcome | None:
     if evidence.rmse_after > _ASTRAY * follower.noise_level:
         return None
     follower.take_in(held_back)
-    fit = follower.as_fit(WindowProblem(job.model, window, job.start))
+    fit = follower.as_fit(WindowProblem(job.running.law, window, job.running.values))
     return _outcome(job, window, fit, evidence, follower.state)
 
 
@@ -397,9 +385,9 @@ class FitOptions(CheckedSettings):
 
 def _fitted(job: Job, window: Window, should_stop: Callable[[], bool] | None) -> Outcome:
     """Fit a window, first without its validation samples and then to all samples."""
-    model, options = job.model, job.options
+    model, options = job.running.law, job.options
     held_back = held_back_samples(window.sample_count, job.fresh)
-    start = job.start
+    start = job.running.values
     _, fastest = job.running.peak_velocity_range
     prior = WindowPrior(start, fastest) if job.known else None
     trained = fit_window(
@@ -444,7 +432,7 @@ def _outcome(
     job: Job, window: Window, fit: WindowFit, evidence: Evidence, state: FilterState | None
 ) -> Outcome:
     """The outcome of a fit, with a change detection for later samples."""
-    model, options, running = job.model, job.options, job.running
+    model, options, running = job.running.law, job.options, job.running
     judged = candidate(running, fit.parameters, window)
     settled = model.settled(window, fit.parameters)
     watch = ChangeWatch.after_fit(
@@ -458,7 +446,7 @@ def _outcome(
     stamp_ns, name = job.samples.end_ns, f"window-{job.number}"
     return Outcome(
         report=_report(job, window, fit),
-        found=set_of_window(running, fit, evidence, window, set_id=name, stamp_ns=stamp_ns),
+        found=new_set(running, fit, evidence, window, set_id=name, stamp_ns=stamp_ns),
         evidence=evidence,
         fit=fit,
         force=known_force(fit, window),
@@ -495,7 +483,7 @@ def parts_by_current(model: Model, window: Window, tolerance: float) -> list[Win
     parts = []
     for number in range(edges.size + 1):
         chosen = place == number
-        if np.count_nonzero(chosen[lead_in:]) < _FEWEST_SAMPLES:
+        if np.count_nonzero(chosen[lead_in:]) < ENOUGH_POINTS:
             continue
         moving = float(np.sqrt(np.mean(speed[chosen] ** 2))) >= least
         if moving and np.ptp(window.force[chosen]) > 0.0:
@@ -540,7 +528,7 @@ def _look(job: Job, window: Window) -> Outcome:
 
     Without a change the outcome contains only the state of the change detection.
     """
-    raw, watch, model = job.samples, job.watch, job.model
+    raw, watch, model = job.samples, job.watch, job.running.law
     if watch is None:
         return Outcome()
     newest = slice(window.sample_count - raw.look, None)
@@ -549,7 +537,7 @@ def _look(job: Job, window: Window) -> Outcome:
         return Outcome(watch=watch.quiet())
     # The peak velocity is held within the range of the running set, as in its own prediction.
     held = job.running.held(window)
-    predicted = model.window_force(held, job.start)
+    predicted = model.window_force(held, job.running.values)
     watch = watch.follow(predicted[newest], window.force[newest])
     count = min(watch.samples_since_change, window.sample_count)
     if not watch.changed or count < CHUNKS:
@@ -558,7 +546,7 @@ def _look(job: Job, window: Window) -> Outcome:
     count -= change_point(predicted[since], window.force[since], CHUNKS)
     since = slice(window.sample_count - count, None)
     changed, predicted = held.part(since), predicted[since]
-    lasting = model.lasting_force(changed, job.start)
+    lasting = model.lasting_force(changed, job.running.values)
     own, measured = predicted - lasting, changed.force - lasting
     held_back = held_back_samples(count)
     trained = fit_scale(own[~held_back], measured[~held_back]).factor
@@ -574,15 +562,15 @@ def _look(job: Job, window: Window) -> Outcome:
     scale = fit_scale(own, measured)
     if not scale.factor > 0.0 or np.ptp(changed.force) == 0.0:
         return Outcome(watch=watch)  # only a failed sensor gives such a force
-    fit = with_strength(model, changed, job.start, scale, EARLY_SOURCE)
+    fit = with_strength(model, changed, job.running.values, scale, EARLY_SOURCE)
     state = job.state
     if state is not None:
-        strength = WindowProblem(model, changed, job.start).strength
+        strength = WindowProblem(model, changed, job.running.values).strength
         factors = np.where(strength, scale.factor, 1.0)
         covariance = state.covariance * np.outer(factors, factors) + fit.covariance
         state = FilterState(state.scales * factors, covariance, raw.end_ns, here)
     evidence = Evidence(before / spread, after / spread, after, trained - 1.0, lead)
-    found = set_of_change(
+    found = new_set(
         job.running, fit, evidence, changed, set_id=f"early-{job.number}", stamp_ns=raw.end_ns
     )
     return Outcome(

@@ -54,10 +54,10 @@ _TURNING_EVERY = 5.0
 _BETTER = 0.6
 """A set replaces a wrong one if its error is below this multiple of the wrong one's."""
 
-_MOST_SHOWN, _KEPT = 1.0, 0.5
+_KEPT = 0.5
 """A single cycle is weak evidence for a branch rule. The evidence, the logarithm of the ratio of
-two errors, is limited to the first value. Earlier evidence is multiplied by the second value at
-each further comparison."""
+two errors, is limited to twice the value that changes the rule. Earlier evidence is multiplied by
+this factor at each further comparison."""
 
 _MOST_TRIED = 2000
 """Largest number of samples that a set is tried on; twenty times as many are kept."""
@@ -536,9 +536,10 @@ class ModelBank:
             max(_root_mean_square(newest.left_by(newest.force_of(present, gradual))), 1e-9)
             for gradual in (False, True)
         ]
-        shown = min(max(math.log(errors[0] / errors[1]), -_MOST_SHOWN), _MOST_SHOWN)
+        decides = -math.log(_BETTER)
+        shown = float(np.clip(math.log(errors[0] / errors[1]), -2.0 * decides, 2.0 * decides))
         self._turning = _KEPT * self._turning + shown
-        if not (-self._turning if self.gradual else self._turning) > -math.log(_BETTER):
+        if not (-self._turning if self.gradual else self._turning) > decides:
             return None
         self.gradual = not self.gradual
         return Choice(present, errors[self.gradual])

@@ -244,9 +244,6 @@ class KnownPoints:
         return ""
 
 
-_AT_ONE_POINT = 15
-"""Number of newest residuals at an operating point that give the residual baseline."""
-
 _NO_NOISE = 1e-4
 """No load cell reaches a smaller NRMSE; smaller values count as equal."""
 
@@ -275,7 +272,7 @@ def excess_residual(
         for each in seen
         if point is None or not each[2:] or nearest_comparable([(each[2], each[3])], point) == 0
     ]
-    known = (near or seen)[-_AT_ONE_POINT:]
+    known = near or seen
     usual_rmse, usual_nrmse = median(e[0] for e in known), median(e[1] for e in known)
     # A simulated force has no noise, and its residual is only rounding error.
     spread = rmse / max(nrmse, _NO_NOISE)

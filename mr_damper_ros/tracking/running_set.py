@@ -10,18 +10,15 @@ import numpy as np
 from mr_damper_ros.estimation.covariance import SAME_CURRENT, SAME_MOTION
 from mr_damper_ros.estimation.window_fit import WindowFit
 from mr_damper_ros.kinematics.window import Window
-from mr_damper_ros.models.parameter_set import ParameterSet
+from mr_damper_ros.models.parameter_set import EARLY_SOURCE, ParameterSet
 from mr_damper_ros.signals.arrays import Array
 from mr_damper_ros.tracking.acceptance import SAME_FORCE, Evidence
 from mr_damper_ros.tracking.operating_point import (
     SAME_SPEED,
     KnownForce,
     OperatingPoint,
+    nearest_comparable,
 )
-
-_SAME_AMPLITUDE = 0.3
-"""Relative tolerance of the amplitude of the same motion, wide because a sensor with a delay may
-also attenuate the motion. Within it, the loop keeps its shape."""
 
 
 @dataclass(frozen=True)
@@ -46,11 +43,11 @@ class SteadyMotion:
 
     def windows_before(self, motion: SteadyMotion) -> int:
         """Number of good windows in a row with this motion; 0 if it is not a sine."""
-        same = (
-            math.isclose(motion.amplitude, self.amplitude, rel_tol=_SAME_AMPLITUDE)
-            and math.isclose(motion.frequency, self.frequency, rel_tol=SAME_MOTION)
-            and abs(motion.current - self.current) <= SAME_CURRENT
-        )
+        # A sensor with a delay may also attenuate the motion; the loop keeps its shape.
+        points = ((each.amplitude * each.frequency, each.current) for each in (self, motion))
+        before, now = points
+        same = math.isclose(motion.frequency, self.frequency, rel_tol=SAME_MOTION)
+        same = same and nearest_comparable([before], now) is not None
         return self.windows if same else 0
 
     def followed_by(self, motion: SteadyMotion) -> SteadyMotion:
@@ -96,7 +93,7 @@ def _wider_speeds(
     return _wider(found, running.peak_velocity_range)
 
 
-def set_of_window(
+def new_set(
     running: ParameterSet,
     fit: WindowFit,
     evidence: Evidence,
@@ -110,15 +107,35 @@ def set_of_window(
     Parameters that were not fitted keep their values and errors. The range is that of the window.
     If the dependence on the peak velocity, or on the current, has been determined and agrees with
     the window, the range also includes that of the running set. A window that is not a sine does
-    not change the lower end of a known range.
+    not change the lower end of a known range. An early fit, which scales the gain parameters of the
+    running set, keeps the range.
     """
     model = running.law
-    errors = running.standard_errors.copy()
-    observable = running.observable.copy()
+    errors, discrepancies = running.standard_errors.copy(), running.discrepancies.copy()
     places, found = model.fitted_errors(fit.scales, fit.whole_covariance)
+    made = replace(
+        running,
+        values=fit.parameters,
+        set_id=set_id,
+        source=fit.method,
+        nrmse=evidence.nrmse_after,
+        stamp_ns=stamp_ns,
+    )
+    if fit.method == EARLY_SOURCE:
+        fitted = np.full(errors.size, math.nan)
+        fitted[places] = found
+        changed, factor = model.strength_indices, abs(1.0 + evidence.force_change)
+        errors[changed] = np.hypot(errors[changed] * factor, fitted[changed])
+        discrepancies[changed] *= factor
+        return replace(
+            made,
+            standard_errors=errors,
+            discrepancies=discrepancies,
+            largest_force=float(np.fmax(window.largest_force, running.largest_force)),
+        )
     errors[places] = found
+    observable = running.observable.copy()
     observable[places] = np.isfinite(found)
-    discrepancies = running.discrepancies.copy()
     discrepancies[places] = math.nan
     if fit.discrepancy is not None:
         discrepancies[places] = model.fitted_errors(fit.scales, fit.discrepancy)[1]
@@ -138,55 +155,15 @@ def set_of_window(
         current_range = _wider(current_range, running.current_range)
     if any(known):
         # If the largest force over the running set's range is unknown, so is that of the new set.
-        unknown = math.isnan(running.largest_force)
-        largest_force = math.nan if unknown else max(largest_force, running.largest_force)
-    return ParameterSet(
-        values=fit.parameters,
+        largest_force = float(np.maximum(largest_force, running.largest_force))
+    return replace(
+        made,
         standard_errors=errors,
+        discrepancies=discrepancies,
         observable=observable,
-        set_id=set_id,
-        source=fit.method,
         peak_velocity_range=velocity_range,
         current_range=current_range,
-        nrmse=evidence.nrmse_after,
-        stamp_ns=stamp_ns,
-        model=model.name,
         largest_force=largest_force,
-        discrepancies=discrepancies,
-    )
-
-
-def set_of_change(
-    running: ParameterSet,
-    fit: WindowFit,
-    evidence: Evidence,
-    window: Window,
-    *,
-    set_id: str,
-    stamp_ns: int,
-) -> ParameterSet:
-    """The set after an early fit, which scales the gain parameters of the running set."""
-    model = running.law
-    errors = running.standard_errors.copy()
-    fitted = np.full(errors.size, math.nan)
-    places, found = model.fitted_errors(fit.scales, fit.covariance)
-    fitted[places] = found
-    # The other parameters keep their errors.
-    changed = model.strength_indices
-    factor = abs(1.0 + evidence.force_change)
-    errors[changed] = np.hypot(errors[changed] * factor, fitted[changed])
-    discrepancies = running.discrepancies.copy()
-    discrepancies[changed] *= factor
-    return replace(
-        running,
-        values=fit.parameters,
-        standard_errors=errors,
-        set_id=set_id,
-        source=fit.method,
-        nrmse=evidence.nrmse_after,
-        stamp_ns=stamp_ns,
-        largest_force=float(np.fmax(window.largest_force, running.largest_force)),
-        discrepancies=discrepancies,
     )
 
 

@@ -13,8 +13,8 @@ from mr_damper_ros.models.parameter_set import ParameterError, ParameterSet, Spo
 from mr_damper_ros.models.plausibility import check_plausible
 from mr_damper_ros.processes.files import FolderLock, LockHeldError, write_text
 
-_PLAIN, _WITH_MEMORY = 1, 2
-"""Versions of the files: a set alone, and a set with the memory of its tracker."""
+_WITH_MEMORY = 2
+"""Version of a file with the memory of its tracker; that of a set alone is one less."""
 
 _HEADER = re.compile(r"# mr_damper_ros parameters, version ([1-9]\d{0,8}), sha256 ([0-9a-f]{64})\n")
 
@@ -23,9 +23,8 @@ _NAME = re.compile(r"[A-Za-z0-9_][A-Za-z0-9_.-]{0,99}")
 _MEMORY_LINE = "\n# memory "
 """Start of the last line, which is a comment in YAML."""
 
-_SET_LIMIT = 1 << 16
 _FILE_LIMIT = 1 << 26
-"""Limits in bytes of a parameter set and of a file with memory, far above any real size."""
+"""Limit in bytes of a file with memory, far above any real size; a set alone has a thousandth."""
 
 
 _ASIDE, _READ = "aside", "aside-read"
@@ -79,7 +78,7 @@ class StateDirectory:
             check_plausible(parameters)
         except ParameterError as error:
             raise StateError(f"{parameters.set_id} is not kept: {error}") from error
-        version, body = _PLAIN, parameters.to_yaml()
+        version, body = _WITH_MEMORY - 1, parameters.to_yaml()
         if memory:
             version, body = _WITH_MEMORY, f"{body.rstrip()}{_MEMORY_LINE}{memory}\n"
         text = f"# mr_damper_ros parameters, version {version}, sha256 {_digest(body)}\n{body}"
@@ -192,7 +191,7 @@ def _read(path: Path) -> tuple[ParameterSet, str]:
     text = _text(path)
     body = _checked(text, path)
     own_set, _, memory = body.partition(_MEMORY_LINE)
-    if len(own_set) > _SET_LIMIT:
+    if len(own_set) > _FILE_LIMIT >> 10:
         raise StateError(f"{path} is too big for a parameter file: give another one")
     try:
         parameters = ParameterSet.from_yaml(own_set)

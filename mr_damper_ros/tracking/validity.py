@@ -61,15 +61,10 @@ class DoubtKind(IntEnum):
     @property
     def grave(self) -> bool:
         """Whether the code indicates a fault of the rig or the parameters, not missing data."""
-        return self in _GRAVE
-
-
-_GRAVE = frozenset(
-    {
-        *(DoubtKind.NOT_FINITE, DoubtKind.TOO_LARGE, DoubtKind.SENSOR),
-        *(DoubtKind.DRIVING, DoubtKind.WRONG, DoubtKind.REFUSED),
-    }
-)
+        kinds = DoubtKind
+        return self in (kinds.NOT_FINITE, kinds.TOO_LARGE, kinds.SENSOR) or (
+            self in (kinds.DRIVING, kinds.WRONG, kinds.REFUSED)
+        )
 
 
 @dataclass(frozen=True)

@@ -21,14 +21,12 @@ from mr_damper_ros.tracking.screening import part_at_rest, rests_too_long
 _HOLD_BACK = 0.05
 """Seconds for which blocks out of order wait for the missing ones; windows are not urgent."""
 
-_WAIT_FOR_CURRENT = 64
-"""Largest number of complete windows that wait for their current."""
-
 _GROWTH = 1.25
 """Factor by which a window without a full cycle is extended at each trial."""
 
-_POINTS = 64
-"""Number of averaged points per window length in the search for a cycle in a longer window."""
+ENOUGH_POINTS = 64
+"""Number of points that show a cycle; a longer window is searched for one with as many averaged
+points per window length."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -266,7 +264,7 @@ class WindowAssembler:
         if holds_cycle(self._samples(end - length, end)[0]):
             return length
         most = min(end - (self._end - self._rows.count), longest)
-        size = max(length // _POINTS, 1)
+        size = max(length // ENOUGH_POINTS, 1)
         points = averages(self._samples(end - most // size * size, end)[0], most // size)
         speed = np.diff(points)
         reach = float(length)
@@ -317,7 +315,9 @@ class WindowAssembler:
                 self._replacing = False
             current = self._current.at(window.start_ns, window.period, window.force.size)
             ready.append(replace(window, current=current))
-        most = _WAIT_FOR_CURRENT * (self._settings.looks + 1)
+        # Windows wait for their current no longer than the longest window lasts.
+        hops = math.ceil(self._longest / self._settings.hop)
+        most = hops * (self._settings.looks + 1)
         if len(self._waiting) > most:
             del self._waiting[:-most]
             self._events.append("windows are dropped, because no supply current arrives for them")
