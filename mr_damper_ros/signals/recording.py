@@ -23,7 +23,7 @@ LARGEST_MOTION = 0.5
 _LARGEST_SPEED = 5.0
 LARGEST_FORCE = 1e6
 LARGEST_CURRENT = 50.0
-_TEMPERATURES = (-60.0, 250.0)
+TEMPERATURES = (-60.0, 250.0)
 _PERIODS = (1e-6, 0.1)
 
 
@@ -153,7 +153,7 @@ class Recording:
             return f"the current reaches {current:.3g} A: is it in milliamperes?"
         if self.temperature is not None:
             low, high = float(np.min(self.temperature)), float(np.max(self.temperature))
-            if low < _TEMPERATURES[0] or high > _TEMPERATURES[1]:
+            if low < TEMPERATURES[0] or high > TEMPERATURES[1]:
                 return f"the temperature lies between {low:.4g} and {high:.4g} °C: is it in kelvin?"
         return ""
 

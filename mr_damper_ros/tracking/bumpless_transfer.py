@@ -21,6 +21,7 @@ from mr_damper_ros.models.parameter_set import ParameterSet
 from mr_damper_ros.models.quantities import State
 from mr_damper_ros.signals.arrays import Array, span_of
 from mr_damper_ros.tracking.validity import NO_DOUBT, Doubt, DoubtKind
+from mr_damper_ros.tracking.window_assembler import WindowSettings
 
 FADES = 0.05
 """Seconds until the difference has faded to zero. The force of a damper does not change faster, and
@@ -30,7 +31,7 @@ _KEPT = 10.0 * FADES
 """Seconds of motion over which a state is recomputed: 280 time constants of the lags identified so
 far. The memory of a hysteresis fades with the distance travelled, so its law may need more."""
 
-_LONGEST_KEPT = 30.0
+_LONGEST_KEPT = WindowSettings.longest_window
 """Largest number of seconds over which a state is recomputed, even if the damper hardly moves."""
 
 _TOGETHER = 500

@@ -27,6 +27,7 @@ from mr_damper_ros.kinematics.window import Window
 from mr_damper_ros.models.force_model import Model
 from mr_damper_ros.models.misfit import WindowProblem
 from mr_damper_ros.signals.arrays import NORMAL_MEDIAN, Array
+from mr_damper_ros.signals.recording import TEMPERATURES
 from mr_damper_ros.tracking.cusum import ScaleFit
 from mr_damper_ros.tracking.operating_point import (
     MOST_WINDOWS,
@@ -208,10 +209,6 @@ def _alike(one: Array, other: Array) -> bool:
         return usable and bool(one @ other > _ALIKE * sizes)
 
 
-_LARGEST = 1e6
-"""Limit of the magnitude of a temperature [°C] and of a force scale [1]."""
-
-
 @dataclass(frozen=True)
 class FluidTemperature:
     """Temperature [°C] with its standard error [K]; NaN if unknown."""
@@ -335,7 +332,9 @@ def can_be_seen(seen: Array) -> bool:
 
     A thermometer without a sensor reports 9.9e37 °C, the value that SCPI defines for NaN.
     """
-    return bool(np.all(np.abs(seen) < _LARGEST) and np.all(seen[:, 1:] > 0.0))
+    low, high = TEMPERATURES
+    possible = (low <= seen[:, 0]) & (seen[:, 0] <= high)
+    return bool(possible.all() and np.isfinite(seen).all() and np.all(seen[:, 1:] > 0.0))
 
 
 def with_temperature(

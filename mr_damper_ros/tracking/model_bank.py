@@ -30,6 +30,7 @@ from mr_damper_ros.models.parameter_set import (
 )
 from mr_damper_ros.signals.arrays import Array, RollingRows
 from mr_damper_ros.signals.blocks import NANOSECONDS
+from mr_damper_ros.tracking.bumpless_transfer import FADES
 from mr_damper_ros.tracking.operating_point import SAME_SPEED
 
 _SAME_TIME = 1.5
@@ -44,7 +45,7 @@ _RECENT_NS = 60 * NANOSECONDS
 """Largest age of a set in the schedule. A heating damper may change by a quarter in ten minutes,
 and so by a fortieth in this time."""
 
-_JUDGED = 0.1
+_JUDGED = 2.0 * FADES
 """Seconds over which a set is judged, or the same fraction of a half-cycle if that is longer. The
 force of a set settles for twice this time before, and two searches are half of it apart."""
 
