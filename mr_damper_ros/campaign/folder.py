@@ -152,18 +152,11 @@ def read_campaign_runs(folder: Path) -> list[MadeRun]:
 
 def _read_run(path: Path) -> MadeRun:
     recordings = read_bag(path)
-    run = planned_run_of(recordings[0])
-    if len(recordings) != 1 or run is None:
-        raise ValueError(f"{path} is not a run of a campaign: move it elsewhere")
-    return run, recordings[0]
-
-
-def planned_run_of(recording: Recording) -> PlannedRun | None:
-    """The run of a recording; None if it is not stated."""
     try:
-        return PlannedRun.from_document(json.loads(recording.details[_RUN]))
-    except (KeyError, ValueError, TypeError):
-        return None
+        (recording,) = recordings
+        return PlannedRun.from_document(json.loads(recording.details[_RUN])), recording
+    except (KeyError, ValueError, TypeError) as error:
+        raise ValueError(f"{path} is not a run of a campaign: move it elsewhere") from error
 
 
 def read_steps(folder: Path) -> list[CampaignStep]:
