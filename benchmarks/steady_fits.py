@@ -5,7 +5,10 @@ The cost is the processor time of one thread.
 
 from __future__ import annotations
 
+import os
 import statistics
+import subprocess
+import sys
 import time
 from collections.abc import Callable, Sequence
 from functools import partial
@@ -295,6 +298,43 @@ def global_figures(generations: int = GENERATIONS, repetitions: int = 10) -> Mea
         ),
         "global_s": seconds,
     }
+
+
+_VARIABLES = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
+
+_SCRIPT = """
+import sys, time
+sys.path[:] = {path!r}
+import mr_damper_ros as mr
+from benchmarks.steady_fits import clean_runs
+runs = clean_runs()[::{every}]
+began = time.process_time()
+mr.identify(*runs, model="sigmoid_lag", generations={generations})
+print(time.process_time() - began)
+"""
+
+
+def thread_figures(every: int = 3, generations: int = 100) -> Measured:
+    """Identify in a fresh process without the environment variables of BLAS, and in one with them.
+
+    A user calls ``mr.identify`` in Python without setting variables. The default threads of the
+    libraries must not cost more than a single thread.
+    """
+    others = {name: value for name, value in os.environ.items() if name not in _VARIABLES}
+    script = _SCRIPT.format(path=sys.path, every=every, generations=generations)
+    taken, single = (
+        float(
+            subprocess.run(
+                [sys.executable, "-c", script],
+                env={**others, **variables},
+                capture_output=True,
+                text=True,
+                check=True,
+            ).stdout
+        )
+        for variables in ({}, dict.fromkeys(_VARIABLES, "1"))
+    )
+    return {"threads_cpu_ratio": (taken / single, f"{taken:.1f} s against {single:.1f} s.")}
 
 
 # -- the inverse -----------------------------------------------------------------------------------

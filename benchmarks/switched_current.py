@@ -15,8 +15,6 @@ from typing import NamedTuple
 import numpy as np
 
 from benchmarks.figure import Measured
-from benchmarks.foreign_laws import LAWS as FOREIGN_LAWS
-from benchmarks.foreign_laws import ForeignDamper
 from benchmarks.other_dampers import DAMPERS, random_motion
 from benchmarks.stream_trial import StreamTrial, TrialResult, TrialSettings
 from mr_damper_ros.api.replay import replay
@@ -66,9 +64,9 @@ _BLOCK = 20
 
 
 class SwitchedStream(NamedTuple):
-    """A damper (a set or the name of a foreign law), the identified law, motion and current."""
+    """A damper, the identified law, the motion and the current schedule."""
 
-    damper: ParameterSet | str
+    damper: ParameterSet
     model: str
     motion: str
     current: str
@@ -76,8 +74,7 @@ class SwitchedStream(NamedTuple):
     @property
     def name(self) -> str:
         """The case in words."""
-        damper = self.damper if isinstance(self.damper, str) else self.damper.set_id
-        return f"{damper} by {self.model}, {self.motion}, {self.current}"
+        return f"{self.damper.set_id} by {self.model}, {self.motion}, {self.current}"
 
 
 CASES = (
@@ -88,12 +85,6 @@ CASES = (
     ),
     SwitchedStream(DAMPERS["modified_bouc_wen"], "sigmoid_lag", "sine", "switched"),
     SwitchedStream(DAMPERS["modified_bouc_wen"], "sigmoid_lag", "random", "clipped"),
-)
-
-FOREIGN_CASES = tuple(
-    SwitchedStream(law, "sigmoid", motion, current)
-    for law in ("herschel_bulkley", "gas_bouc_wen")
-    for motion, current in (("sine", "switched"), ("random", "clipped"))
 )
 
 
@@ -123,9 +114,8 @@ def streamed(case: SwitchedStream, duration: float, seed: int = 0) -> TrialResul
     settings = TrialSettings(
         seed=seed, block_size=_BLOCK, tracker=TrackerSettings(model=case.model)
     )
-    damper = case.damper
     trial = StreamTrial(
-        damper if isinstance(damper, ParameterSet) else ForeignDamper(FOREIGN_LAWS[damper](1.0)),
+        case.damper,
         excitation(case.motion, duration, seed),
         schedule(case.current, duration, seed),
         settings=settings,
@@ -215,11 +205,9 @@ def figures(duration: float = 45.0, count: int = len(CASES)) -> Measured:
     results = [streamed(case, duration) for case in cases]
     errors = [error(result, result.predicted) for result in results]
     drift = drift_errors(3.0 * duration)
-    foreign = [judged_good(streamed(case, duration)) for case in FOREIGN_CASES[:count]]
     names = "; ".join(case.name for case in cases)
     return {
         "switched_accepted": ([100.0 * judged_good(result) for result in results], names),
-        "switched_foreign_accepted": [100.0 * each for each in foreign],
         "switched_nrmse": [100.0 * each for each in errors],
         "switched_nrmse_ratio": [
             each / error(result, predicted(result, off_line(case, result)))

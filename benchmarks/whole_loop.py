@@ -15,6 +15,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from benchmarks.figure import PROCESSES, Measured, in_processes
+from benchmarks.foreign_laws import LAWS, ForeignDamper
 from benchmarks.other_dampers import DAMPERS as OTHER_DAMPERS
 from benchmarks.other_dampers import random_motion
 from mr_damper_ros.api.replay import replay
@@ -23,6 +24,7 @@ from mr_damper_ros.control.linear_plant import IsoRoad, QuarterCar
 from mr_damper_ros.control.semi_active import SuspensionSettings, controller_of
 from mr_damper_ros.emulation.commanded_rig import ForceChoice, commanded
 from mr_damper_ros.emulation.emulator import (
+    CurrentSchedule,
     Damper,
     EmulatedDamper,
     EmulatedRig,
@@ -33,6 +35,7 @@ from mr_damper_ros.emulation.emulator import (
 from mr_damper_ros.emulation.motions import Excitation, SineMotion
 from mr_damper_ros.emulation.plant_rig import HIGHEST_CURRENT, HOT_FORCE, PlantRig, invented_damper
 from mr_damper_ros.models.parameter_set import ParameterSet
+from mr_damper_ros.models.published import THESIS_28_CELSIUS
 from mr_damper_ros.rig.sources.emulated_source import moment_of
 from mr_damper_ros.signals.arrays import Array
 from mr_damper_ros.signals.blocks import RigBlock
@@ -180,6 +183,80 @@ def drops(falls: Array) -> float:
     return float(np.count_nonzero(np.diff(falls) > 0.0)) / (falls.size * BLOCK * PERIOD)
 
 
+# -- an emulated rig under a switched current ------------------------------------------------------
+
+SWITCHED = 60.0
+SWITCHED_SEEDS = range(20)
+
+_PERIODS = (0.2, 1.0)
+"""Time [s] for which each current holds."""
+
+THESIS = ParameterSet(THESIS_28_CELSIUS, set_id="thesis", peak_velocity_range=(0.0, 1.0))
+
+
+DAMPERS: dict[str, Callable[[], Damper]] = {
+    "sigmoid": lambda: EmulatedDamper(THESIS),
+    "sigmoid_lag": lambda: EmulatedDamper(invented_damper(LAG)),
+    "herschel_bulkley": lambda: ForeignDamper(LAWS["herschel_bulkley"](1.0)),
+    "gas_bouc_wen": lambda: ForeignDamper(LAWS["gas_bouc_wen"](1.0)),
+}
+"""Runs under a switched current; the identifier uses its default law, sigmoid."""
+
+MOTIONS: dict[str, Callable[[int], Excitation]] = {
+    "sine 1 Hz": lambda _: SineMotion(0.005, 1.0),
+    "random 0.5-3 Hz": lambda seed: random_motion(0.004, 0.5, 3.0, SWITCHED, seed=seed),
+}
+
+
+_OF_WINDOWS = ("nelder_mead", "least_squares", "force_scale", "recursive", "unscented", "")
+"""Methods of reports on single windows; the other methods search in all windows."""
+
+
+@dataclass(frozen=True)
+class Switched:
+    """Result of a run under a switched current.
+
+    ``confirmed`` is a fraction of the windows [1]. ``stuck`` means that no window of the last third
+    was confirmed. ``nrmse`` is that of the valid force in the last third, and ``valid`` the
+    fraction of valid samples there [1].
+    """
+
+    name: str
+    confirmed: float
+    stuck: bool
+    nrmse: float
+    valid: float
+
+
+def switched(seed: int, duration: float = SWITCHED) -> Switched:
+    """Identify from a cold start while the current switches; the seed sets the other conditions."""
+    damper = list(DAMPERS)[seed % len(DAMPERS)]
+    motion = list(MOTIONS)[seed // len(DAMPERS) % len(MOTIONS)]
+    rng = np.random.default_rng(seed)
+    times = np.concatenate([[0.0], np.cumsum(rng.uniform(*_PERIODS, round(2.0 * duration)))])
+    levels = rng.uniform(0.0, 1.5, times.size)
+    rig = EmulatedRig(
+        DAMPERS[damper](),
+        MOTIONS[motion](seed),
+        CurrentSchedule(times.tolist(), levels.tolist()),
+        settings=RigSettings(displacement_noise=1e-6, seed=seed),
+    )
+    said = replay(rig.record(duration))
+    windows = [each for each in said.reports if each.sample_count and each.method in _OF_WINDOWS]
+    late = said.time > 2.0 / 3.0 * duration
+    right = said.valid & late
+    end_ns = said.start_ns + 2.0 / 3.0 * duration * 1e9
+    last = [report.confirms for report in windows if report.stamp_ns > end_ns]
+    error = (said.predicted - said.measured)[right]
+    return Switched(
+        f"seed {seed}: {damper}, {motion}",
+        float(np.mean([report.confirms for report in windows])),
+        not any(last),
+        float(np.sqrt(np.mean(error**2)) / np.std(said.measured[late])) if right.any() else np.nan,
+        float(np.mean(said.valid[late])),
+    )
+
+
 # -- what the measured force does to the current ---------------------------------------------------
 
 FOLLOWED = 24.0
@@ -310,14 +387,16 @@ _FEW = 0.5
 def figures(
     roads: Sequence[str] = ROADS,
     seeds: Sequence[int] = SEEDS,
+    switched_seeds: Sequence[int] = SWITCHED_SEEDS,
     names: Sequence[str] = tuple(CASES),
     processes: int = PROCESSES,
 ) -> Measured:
     """Validity, error and smoothness of the loop; prints each run."""
     drives = in_processes(_driven, [(road, seed) for road in roads for seed in seeds], processes)
+    runs = in_processes(switched, switched_seeds, processes)
     needed = dict.fromkeys((*names, *_TRACKED))
     pairs = dict(zip(needed, in_processes(_pair, list(needed), processes), strict=True))
-    print(*drives, *pairs.items(), sep="\n", file=sys.stderr)
+    print(*drives, *runs, *pairs.items(), sep="\n", file=sys.stderr)
     ratios = {
         name: (pairs[name][0].reversals + _FEW) / (pairs[name][1].reversals + _FEW)
         for name in names
@@ -325,11 +404,17 @@ def figures(
     worst = max(ratios, key=lambda name: ratios[name])
     least = min(drives, key=lambda each: each.valid)
     far = max(drives, key=lambda each: each.nrmse / each.exact)
+    poor = min(runs, key=lambda each: each.confirmed)
     cold, hot, hot_fixed = (pairs[name][0].late for name in _TRACKED)
     return {
         "loop_valid_percent": (100.0 * least.valid, f"Road {least.road}, seed {least.seed}."),
         "loop_nrmse_ratio": (far.nrmse / far.exact, f"Road {far.road}, seed {far.seed}."),
         "loop_drops": max(each.drops for each in drives),
+        "loop_confirmed_percent": (
+            100.0 * poor.confirmed,
+            f"{poor.name}; median {100.0 * float(np.median([r.confirmed for r in runs])):.0f} %.",
+        ),
+        "loop_stuck": (float(sum(each.stuck for each in runs)), f"Of {len(runs)}."),
         "controller_reversals_ratio": (
             ratios[worst],
             f"{worst}; " + ", ".join(f"{name} {each:.2f}" for name, each in ratios.items()),
