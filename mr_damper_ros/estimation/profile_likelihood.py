@@ -18,6 +18,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import ArrayLike
 from scipy.special import chdtri
 
 from mr_damper_ros.estimation.covariance import (
@@ -48,6 +49,9 @@ from mr_damper_ros.processes.process_pool import ProcessPool, Tell
 from mr_damper_ros.signals.arrays import Array
 
 CONFIDENCE = 0.95
+
+_BOUND = math.sqrt(float(chdtri(1, 1.0 - CONFIDENCE)))
+"""Root of the likelihood ratio at the ends of an interval."""
 
 _WANTED_RISE = 0.5
 """Intended increase of the root of the likelihood ratio from value to value."""
@@ -106,53 +110,46 @@ class ProfileLikelihood:
     ) -> None:
         self._model = model
         self._misfit = misfit
-        self._names = model.parameter_names
         self._ranges = ranges
+        self._observable = observable
         self._should_stop = should_stop
         self._start = np.array(parameters, dtype=float)
-        jacobian = misfit.jacobian(self._start)
+        jacobian, residual = misfit.jacobian(self._start), misfit.residual(self._start)
         self._spans = parameter_spans(model, jacobian, self._start, ranges)
-        self._seen = np.flatnonzero(observable)
-        residual = misfit.residual(self._start)
-        self._length = max(correlation_length(residual), 1)
-        self._errors, self._shrinkage = self._curvatures(jacobian[:, self._seen], residual)
-
-    def _curvatures(self, jacobian: Array, residual: Array) -> tuple[Array, Array]:
-        """Standard errors (q,) of the observable parameters; white-noise over full variances."""
-        if not self._seen.size:
-            return np.empty(0), np.empty(0)
-        covariance = least_squares_covariance(jacobian, residual, prior=self._misfit.prior)
-        variances = np.diag(covariance)
-        freedom = max(residual.size - self._seen.size, 1)
-        white = np.diag(normal_inverse(jacobian)) * float(residual @ residual) / freedom
-        return np.sqrt(variances), white / variances
+        # Standard errors (p,), and the variances for white noise over those of the residual.
+        self._errors = np.full(self._start.size, math.nan)
+        self._shrinkage = np.full(self._start.size, 1.0 / max(correlation_length(residual), 1))
+        self._freedom = max(misfit.sample_count - int(np.sum(observable)), 1)
+        if np.any(observable):
+            seen = jacobian[:, observable]
+            variances = np.diag(least_squares_covariance(seen, residual, prior=misfit.prior))
+            freedom = max(residual.size - variances.size, 1)
+            white = np.diag(normal_inverse(seen)) * float(residual @ residual) / freedom
+            known = np.isfinite(variances)
+            places = np.flatnonzero(observable)[known]
+            self._errors[places] = np.sqrt(variances[known])
+            self._shrinkage[places] = white[known] / variances[known]
+        self._top_current = max(float(np.max(np.abs(w.current))) for w in misfit.windows)
 
     def of(self, name: str) -> Profile:
         """Profile of one parameter; raises ValueError if the law has no parameter of this name."""
-        if name not in self._names:
+        names = self._model.parameter_names
+        if name not in names:
             raise ValueError(
-                f"there is no parameter '{name}' to profile: use one of {', '.join(self._names)}"
+                f"there is no parameter '{name}' to profile: use one of {', '.join(names)}"
             )
-        place = self._names.index(name)
-        seen = np.flatnonzero(self._seen == place)
-        shrinkage, step = 1.0 / self._length, _BLIND_STEP * float(self._spans[place])
-        if seen.size and np.isfinite(self._errors[seen[0]]):
-            shrinkage = float(self._shrinkage[seen[0]])
-            step = _FIRST_STEP * float(self._errors[seen[0]])
-        walk = _Walk(
-            self._model,
-            self._misfit,
-            self._start,
-            self._spans,
-            name,
-            self._seen,
-            self._should_stop,
-        )
-        scale = shrinkage * max(self._misfit.sample_count - self._seen.size, 1)
+        place = names.index(name)
+        scale = self._freedom * float(self._shrinkage[place])
+        step = _FIRST_STEP * float(self._errors[place])
+        if math.isnan(step):
+            step = _BLIND_STEP * float(self._spans[place])
         low, high = self._limits(name, place)
-        walk.go(step, high, scale)
-        walk.go(-step, low, scale)
-        return walk.profile(name, scale)
+        # Visited sets and their costs. The given parameters need not be at the minimum over the
+        # other parameters.
+        visited = [self._refitted(place, [self._refitted(place, [self._start])[0]])]
+        self._walk(visited, place, step, high, scale)
+        self._walk(visited, place, -step, low, scale)
+        return self._profile(visited, place, scale)
 
     def _limits(self, name: str, place: int) -> tuple[float, float]:
         value, span = float(self._start[place]), float(self._spans[place])
@@ -163,105 +160,83 @@ class ProfileLikelihood:
             max(high, value + span), parameter.high
         )
 
-
-class _Walk:
-    """Fits of all other parameters at the visited values of one parameter."""
-
-    def __init__(
-        self,
-        model: Model,
-        misfit: Misfit,
-        start: Array,
-        spans: Array,
-        name: str,
-        seen: np.ndarray,
-        should_stop: Callable[[], bool] | None,
-    ) -> None:
-        self._model = model
-        self._misfit = misfit
-        self._place = model.parameter_names.index(name)
-        self._places = [place for place in range(start.size) if place != self._place]
-        self._spans = spans
-        self._linear = frozenset(model.linear) - {name}
-        self._held = np.isin(np.arange(start.size), [*seen, self._place])
-        self._top_current = max(float(np.max(np.abs(w.current))) for w in misfit.windows)
-        self._should_stop = should_stop
-        self._sets: list[Array] = []
-        self._costs: list[float] = []
-        self._visit([start])
-        # The given parameters need not be at the minimum over the other parameters.
-        self._visit([self._sets[0]])
-
-    def _visit(self, starts: Sequence[Array], enough: float = math.inf) -> float:
-        """Refit the others from the starts, best first, until the cost is at most ``enough``."""
+    def _refitted(
+        self, place: int, starts: Sequence[Array], enough: float = math.inf
+    ) -> tuple[Array, float]:
+        """The best set with the others refitted, and its cost; ends at a cost of ``enough``."""
         best, least = starts[0], math.inf
+        others = [other for other in range(self._start.size) if other != place]
         for values in sorted(starts, key=self._cost):
             # A weak prior keeps flat directions at their start.
-            others = Posterior(self._misfit, values, self._places, Prior(values, self._spans))
-            search = LocalSearch(others, others.start, self._should_stop)
-            search.try_out(others.start)
+            problem = Posterior(self._misfit, values, others, Prior(values, self._spans))
+            search = LocalSearch(problem, problem.start, self._should_stop)
+            search.try_out(problem.start)
             search.least_squares(tolerance=_TOLERANCE)
-            found = others.parameters(search.best)
+            found = problem.parameters(search.best)
             cost = self._cost(found)
             if cost < least:
                 best, least = found, cost
             if least <= enough:
                 break
-        self._sets.append(best)
-        self._costs.append(least)
-        return least
+        return best, least
 
     def _cost(self, parameters: Array) -> float:
         residual = self._misfit.residual(parameters)
         return float(residual @ residual)
 
-    def _adapted(self, values: Array, reference: Array) -> Array:
-        return adapted(self._model, self._misfit.windows, reference, values, self._linear)
+    def _starts(self, before: Array, here: Array, place: int, target: float) -> list[Array]:
+        """Starts with the parameter at its target.
 
-    def _root(self, cost: float, scale: float) -> float:
-        """Root of the likelihood ratio at a cost."""
-        least = min(self._costs)
-        return math.sqrt(max(scale * (cost - least) / least, 0.0)) if least > 0.0 else math.inf
+        They are an extrapolation of the last step, the present parameters, and these with the
+        linear parameters refitted.
+        """
+        value, moved = float(here[place]), float(here[place] - before[place])
+        ahead = here + (here - before) * ((target - value) / moved if moved else 0.0)
+        plain = np.array(here)
+        ahead[place] = plain[place] = target
+        held = self._observable | (np.arange(here.size) == place)
+        soft = self._model.softened(plain, held, self._top_current)
+        linear = frozenset(self._model.linear) - {self._model.parameter_names[place]}
+        windows = self._misfit.windows
+        return [
+            ahead,
+            plain,
+            *(adapted(self._model, windows, here, s, linear) for s in (plain, soft)),
+        ]
 
-    def go(self, step: float, limit: float, scale: float) -> None:
+    def _walk(
+        self,
+        visited: list[tuple[Array, float]],
+        place: int,
+        step: float,
+        limit: float,
+        scale: float,
+    ) -> None:
         """Step away from the minimum until the ratio exceeds its quantile, or to ``limit``."""
-        bound = math.sqrt(float(chdtri(1, 1.0 - CONFIDENCE)))
-        here = before = self._sets[0]
-        root = self._root(self._costs[0], scale)
+        here = before = visited[0][0]
+        root = _roots([cost for _, cost in visited], scale)[0]
         for _ in range(_MOST_STEPS):
-            value = float(here[self._place])
-            if root > bound or value == limit:
+            value = float(here[place])
+            if root > _BOUND or value == limit:
                 return
             target = min(value + step, limit) if step > 0.0 else max(value + step, limit)
-            moved = float(value - before[self._place])
-            # The starts are an extrapolation of the last step, the present parameters, and these
-            # with the linear parameters refitted.
-            ahead = here + (here - before) * ((target - value) / moved if moved else 0.0)
-            plain = np.array(here)
-            ahead[self._place] = plain[self._place] = target
-            soft = self._model.softened(plain, self._held, self._top_current)
-            starts = [ahead, plain, *(self._adapted(s, here) for s in (plain, soft))]
-            enough = min(self._costs) * (1.0 + bound**2 / scale)
-            rise = self._root(self._visit(starts, enough), scale) - root
-            before, here, root = here, self._sets[-1], root + rise
-            step *= min(max(_WANTED_RISE / max(rise, 1e-9), 0.5), 3.0)
+            enough = min(cost for _, cost in visited) * (1.0 + _BOUND**2 / scale)
+            visited.append(self._refitted(place, self._starts(before, here, place, target), enough))
+            last, root = root, _roots([cost for _, cost in visited], scale)[-1]
+            before, here = here, visited[-1][0]
+            step *= min(max(_WANTED_RISE / max(root - last, 1e-9), 0.5), 3.0)
 
-    def profile(self, name: str, scale: float) -> Profile:
-        order = np.argsort([values[self._place] for values in self._sets], kind="stable")
-        values = np.array([self._sets[k][self._place] for k in order])
-        costs = np.array([self._costs[k] for k in order])
-        values, first = np.unique(values, return_index=True)
-        costs = np.minimum.reduceat(costs, first)
-        least = float(costs.min())
-        ratio = scale * (costs - least) / least if least > 0.0 else np.where(costs > 0, math.inf, 0)
-        best = int(np.argmin(costs))
-        roots = np.sqrt(ratio)
+    def _profile(self, visited: Sequence[tuple[Array, float]], place: int, scale: float) -> Profile:
+        ordered = sorted(visited, key=lambda each: float(each[0][place]))
+        values, first = np.unique([each[place] for each, _ in ordered], return_index=True)
+        roots = _roots(np.minimum.reduceat([cost for _, cost in ordered], first), scale)
+        best = int(np.argmin(roots))
         return Profile(
-            name=name,
+            name=self._model.parameter_names[place],
             values=values,
-            ratio=ratio,
+            ratio=roots**2,
             best=float(values[best]),
-            lowest=self._sets[int(np.argmin(self._costs))],
+            lowest=min(visited, key=lambda each: each[1])[0],
             interval=(
                 _crossing(values[best::-1], roots[best::-1], -math.inf),
                 _crossing(values[best:], roots[best:], math.inf),
@@ -269,14 +244,22 @@ class _Walk:
         )
 
 
+def _roots(costs: ArrayLike, scale: float) -> Array:
+    """Roots (m,) of the likelihood ratios at these costs (m,)."""
+    every = np.asarray(costs, dtype=float)
+    rise = every - every.min()
+    # Without noise every rise is infinitely unlikely.
+    least = max(float(every.min()), np.finfo(float).tiny)
+    return np.asarray(np.sqrt(scale * rise / least))
+
+
 def _crossing(values: Array, roots: Array, otherwise: float) -> float:
     """Value at which the root of the ratio crosses its quantile, by linear interpolation."""
-    bound = math.sqrt(float(chdtri(1, 1.0 - CONFIDENCE)))
-    beyond = np.flatnonzero(roots > bound)
+    beyond = np.flatnonzero(roots > _BOUND)
     if not beyond.size:
         return otherwise
     last = int(beyond[0])
-    part = (bound - roots[last - 1]) / (roots[last] - roots[last - 1])
+    part = (_BOUND - roots[last - 1]) / (roots[last] - roots[last - 1])
     return float(values[last - 1] + part * (values[last] - values[last - 1]))
 
 
