@@ -24,13 +24,17 @@ import numpy as np
 
 from mr_damper_ros.kinematics.window import Window
 from mr_damper_ros.models.misfit import PriorRows
+from mr_damper_ros.models.quantities import SAME_CURRENT
 from mr_damper_ros.signals.arrays import Array
 
-_DETERMINED = 1e-10
+DETERMINED = 1e-10
 """Relative singular value below which the data do not determine a direction."""
 
 _FEWEST_BLOCKS = 20
 """Smallest number of block sums for a usable covariance estimate."""
+
+SIGNIFICANT = 4.0
+"""A power is significant if it exceeds the noise power by this many standard errors."""
 
 _WHITE = 3.0
 """A residual counts as white if its lag-1 autocorrelation is within this many standard errors of 0.
@@ -65,7 +69,7 @@ def normal_inverse(jacobian: Array) -> Array:
     safe = np.where(lengths > 0.0, lengths, 1.0)
     triangular = triangular_factor(jacobian) / safe
     _, singular, vt = np.linalg.svd(triangular, full_matrices=False)
-    determined = singular > _DETERMINED * max(float(singular[0]), 1e-300)
+    determined = singular > DETERMINED * max(float(singular[0]), 1e-300)
     inverse = np.asarray((vt[determined].T / singular[determined] ** 2) @ vt[determined])
     inverse = inverse / np.outer(safe, safe)
     lost = np.any(np.abs(vt[~determined]) > 1e-3, axis=0) | (lengths == 0.0)
@@ -241,9 +245,6 @@ class NoiseModel:
 _LEAST_PART = 0.25
 """Smallest part of a second cycle that is needed to separate model error from noise."""
 
-SIGNIFICANT = 4.0
-"""A power is significant if it exceeds the noise power by this many standard errors."""
-
 _ORDERS_PER_CYCLE = 4
 
 _MOST_TAKEN = 0.5
@@ -359,13 +360,10 @@ def _of_misfit(over_cycle: Array) -> Array:
 
 
 SAME_MOTION = 0.1
-"""Largest relative difference of root mean squares at which two motions count as the same."""
+"""Largest relative difference of speeds, or of root mean squares, of the same motion."""
 
-SAME_CURRENT = 0.05
-"""Largest difference of current [A] at which two motions count as the same."""
-
-_FEWEST_MOTIONS = 3
-"""Smallest number of motions that gives an estimate of the scatter."""
+FEWEST_MOTIONS = 3
+"""Smallest number of motions that shows how much differs between motions."""
 
 _LEAST_NOISE = 0.1
 """Lower limit of the estimated noise variance, relative to white noise; lower estimates are chance.
@@ -415,7 +413,7 @@ def discrepancy_between(
     numbers = np.unique(motions)
     lengths = np.linalg.norm(jacobian, axis=0)
     known = (np.diag(covariance) > 0.0) & (lengths > 0.0)
-    if numbers.size < _FEWEST_MOTIONS or not np.any(known):
+    if numbers.size < FEWEST_MOTIONS or not np.any(known):
         return unknown
     block, lengths = np.ix_(known, known), lengths[known]
     triangular = triangular_factor(jacobian[:, known] / lengths)

@@ -17,7 +17,7 @@ STRATEGIES = ("rand1bin", "best1bin", "currenttobest1bin", "rand2bin")
 """SciPy's names of the schemes in table 3 of the thesis, all with binomial crossover: rand/1,
 best/1, x + F (x_best - x + x_1 - x_2), which the thesis calls rand-to-best/2, and rand/2."""
 
-_WORST = 1e150  # SciPy squares the value
+_WORST = 0.1 * math.sqrt(np.finfo(float).max)  # SciPy squares the value
 _REPORT_PERIOD = 0.2
 
 

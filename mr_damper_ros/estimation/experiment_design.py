@@ -27,7 +27,6 @@ from mr_damper_ros.estimation.covariance import SIGNIFICANT, correlation_length,
 from mr_damper_ros.estimation.global_search import Posterior, Prior, adapted
 from mr_damper_ros.estimation.local_search import LocalSearch
 from mr_damper_ros.estimation.observability import (
-    SMALLEST_SHARE,
     SURE,
     noise_level,
     operating_points_within,
@@ -36,6 +35,7 @@ from mr_damper_ros.estimation.observability import (
 from mr_damper_ros.estimation.planned_run import (
     PHASES,
     SETTLING,
+    STAIRS,
     ForceGoal,
     MachineLimits,
     PlannedRun,
@@ -49,15 +49,8 @@ from mr_damper_ros.kinematics.periodic_motion import MotionKind, PeriodicMotion
 from mr_damper_ros.kinematics.window import Window
 from mr_damper_ros.models.force_model import Model
 from mr_damper_ros.models.misfit import Misfit
-from mr_damper_ros.models.quantities import LoopReading
+from mr_damper_ros.models.quantities import NOTICED, LoopReading
 from mr_damper_ros.signals.arrays import Array
-
-FEW = 256
-"""Number of samples that represents a window in a search."""
-
-_MOST_STEPS = 40
-"""Largest number of steps in the search for the most probable parameters, which starts near them.
-"""
 
 _DRAWS = 200
 """Number of draws from the plausible range for the prior, and from the sets that may be true."""
@@ -84,7 +77,7 @@ _NORM = 8.0
 """Order of the norm over the points that replaces their maximum: a single run often does not change
 the maximum itself."""
 
-_PARTS = 12
+_PARTS = math.lcm(*STAIRS)
 """Number of parts of a motion other than a sine; every staircase has a whole number of them."""
 
 _FEW_PHASES = 4
@@ -266,7 +259,7 @@ def window_information(
     """Fisher information (p, p) of the samples of windows with noise ``noise`` [N] each."""
     total = np.zeros((parameters.size, parameters.size))
     for window, sigma in zip(windows, noise, strict=True):
-        few = window.thinned(FEW)
+        few = window.thinned(4 * PHASES)
         jacobian = Misfit(model, [few], [sigma]).jacobian(parameters)
         total += (window.sample_count / few.sample_count) * (jacobian.T @ jacobian)
     return total
@@ -288,7 +281,7 @@ def most_probable(
         Misfit(model, windows, equal.tolist()), start, range(start.size), prior, 1.0
     )
     search = LocalSearch(problem, problem.start)
-    search.least_squares(most_steps=_MOST_STEPS)
+    search.least_squares(most_steps=model.effort.most_steps)
     return problem.parameters(search.best)
 
 
@@ -439,7 +432,7 @@ class RunPlanner:
         gradient = self._cycles.gradient(parameters).reshape(-1, parameters.size)
         lengths = np.sqrt(np.mean(gradient**2, axis=0))
         force = float(np.sqrt(np.mean(self._cycles.force(parameters) ** 2)))
-        change = SMALLEST_SHARE * force / np.where(lengths > 0.0, lengths, np.inf)
+        change = NOTICED * force / np.where(lengths > 0.0, lengths, np.inf)
         widths = np.maximum(np.abs(parameters), change)
         for place, name in enumerate(self.model.parameter_names):
             if name in draws[0]:
@@ -457,7 +450,7 @@ class RunPlanner:
         prior, first = self.prior(parameters), self._noise(windows, parameters)
         count = max(3 * _SETS // len(windows), 3)
         starts = [parameters, *open_sets(self.model, windows, parameters, (), self._top, count)]
-        few = [window.thinned(FEW) for window in windows]
+        few = [window.thinned(4 * PHASES) for window in windows]
         sizes = np.array([window.sample_count for window in windows], dtype=float)
         found = []
         for values in starts:

@@ -43,7 +43,7 @@ from mr_damper_ros.kinematics.motion import DataError
 from mr_damper_ros.kinematics.window import Window, holds_cycle
 from mr_damper_ros.models.force_model import Model
 from mr_damper_ros.models.misfit import Misfit, PriorRows
-from mr_damper_ros.models.quantities import CoefficientTable
+from mr_damper_ros.models.quantities import NOTICED, CoefficientTable
 from mr_damper_ros.signals.arrays import Array
 
 
@@ -149,15 +149,14 @@ class Posterior:
 
 # -- separate fit of each window -----------------------------------------------------------------
 
-SEARCH_SAMPLES = 8000
-_FEWEST_SEARCH_SAMPLES = 250
-"""Total number of samples in a search, which thins the windows, and the smallest number for one
-window. The last search uses all samples."""
+_SEARCH_SAMPLES = 8000
+FEW_SAMPLES = 250
+"""Total number of samples or steps in a search, which thins the windows, and the number that
+represents one window. The last search uses all samples."""
 
-_SEARCH_STEPS = 12000
 _PIECE = 600
-"""Total number of steps for a law with memory, and the length of a piece. A piece holds about three
-cycles, and the effect of the unknown past ends within the first."""
+"""Length of a piece of a window in steps, for a law with memory. A piece holds about three cycles,
+and the effect of the unknown past ends within the first."""
 
 _SEPARATE = 1e-3
 """Relative decrease of the sum of squares below which the separate fit of a window ends."""
@@ -176,14 +175,14 @@ class Excerpts:
     """
 
     def __init__(self, model: Model, windows: Sequence[Window]) -> None:
-        most = max(SEARCH_SAMPLES // len(windows), _FEWEST_SEARCH_SAMPLES)
-        count = max(_SEARCH_STEPS // _PIECE // len(windows), 1)
+        most = max(_SEARCH_SAMPLES // len(windows), FEW_SAMPLES)
+        count = max(_SEARCH_SAMPLES // _PIECE // len(windows), 1)
         self.few: list[Window] = []
         self.stretches: list[Window] = []
         owners = []
         for place, window in enumerate(windows):
             pairs = _pieces(model, window, count)
-            fewest = max(most // len(pairs), _FEWEST_SEARCH_SAMPLES)
+            fewest = max(most // len(pairs), FEW_SAMPLES)
             for stretch, piece in pairs:
                 self.stretches.append(stretch.thinned(fewest))
                 same = piece is stretch
@@ -364,11 +363,8 @@ def levelled(pooled: Misfit, levels: LevelPrior | None) -> Misfit:
 
 # -- the search ----------------------------------------------------------------------------------
 
-_EVOLUTION_SAMPLES = 200
-"""Samples per window when differential evolution evaluates thousands of sets."""
-
-_AS_GOOD = 1.02
-"""The windows accept a restriction that increases the mean square by at most this factor."""
+AS_GOOD = 1.02
+"""A set is as good as another one if its mean square is at most this factor higher."""
 
 _MEANINGLESS = 0.01
 """A search ends when a step reduces the misfit by less than this many times the noise variance,
@@ -387,9 +383,6 @@ then two standard deviations from the middle."""
 
 _ON_BOUND = 1e-3
 """A parameter closer to a bound than this part of its prior width counts as being on the bound."""
-
-_NOTICED = 0.1
-"""A scale near zero is known if its standard error changes the force by less than this part."""
 
 _POOR = 4.0
 """Mean square of the weighted residual (twice the noise RMSE) above which further starts are tried.
@@ -682,7 +675,7 @@ class GlobalSearch:
                     # A few rough steps show whether the windows agree.
                     trial = self._rough(trial, others)
                     left = self.pooled.mean_square(trial)
-                    if not left <= _AS_GOOD * self.pooled.mean_square(self.best):
+                    if not left <= AS_GOOD * self.pooled.mean_square(self.best):
                         continue
                     self.best = self._most_probable(self.pooled, trial, others)
                 held |= asked
@@ -707,7 +700,7 @@ class GlobalSearch:
         force = float(np.linalg.norm(factor[:, strong] @ (values[places] / width)[strong]))
         lengths = np.linalg.norm(factor, axis=0)
         own = np.abs(values[places]) / width
-        own = np.maximum(own, _NOTICED * force / np.where(lengths > 0.0, lengths, np.inf))
+        own = np.maximum(own, NOTICED * force / np.where(lengths > 0.0, lengths, np.inf))
         shapes = np.array([name in self._ranges for name in names])
         known = errors < np.where(shapes, math.sqrt(0.5), np.minimum(own, math.sqrt(0.5)))
         return frozenset(name for name, told in zip(names, known, strict=True) if told)
@@ -814,7 +807,7 @@ class GlobalSearch:
                 strict=True,
             )
         ]
-        few = [window.thinned(_EVOLUTION_SAMPLES) for window in self.windows]
+        few = [window.thinned(FEW_SAMPLES) for window in self.windows]
         misfit = self._separate.misfit(few)
 
         def cost(individuals: Array) -> Array:

@@ -17,6 +17,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from mr_damper_ros.estimation.covariance import FEWEST_MOTIONS, SAME_MOTION
 from mr_damper_ros.estimation.differential_evolution import (
     EvolutionSettings,
     GlobalProgress,
@@ -33,17 +34,11 @@ from mr_damper_ros.processes.process_pool import ProcessPool, Tell
 from mr_damper_ros.signals.arrays import Array
 
 MOST_FOLDS = 5
-FEWEST_FOLDS = 3
-_FEWEST_RUNS = 5
-
 _PREDICTS = 0.3
 """Largest NRMSE on validation samples at which a law predicts the force."""
 
 _UNNOTICED = 0.01
 """Negligible increase of the error relative to that of the best law."""
-
-_SAME_MOTION = 1.1
-"""Largest ratio of peak velocities at which runs count as the same motion."""
 
 _SHORTEST_SEGMENT = 200
 """Smallest number of samples in a segment of a run."""
@@ -195,9 +190,9 @@ def folds(runs: Sequence[Sequence[Window]]) -> tuple[str, list[Fold]]:
     """
     windows = [window for run in runs for window in run]
     motions = _motions(runs)
-    if len(motions) >= FEWEST_FOLDS:
+    if len(motions) >= FEWEST_MOTIONS:
         return "motions", _folds_of_groups(windows, motions)
-    if len(runs) >= _FEWEST_RUNS:
+    if len(runs) >= MOST_FOLDS:
         return "runs", _folds_of_groups(windows, [[run] for run in runs])
     return "segments", _folds_of_segments(windows)
 
@@ -207,7 +202,7 @@ def _motions(runs: Sequence[Sequence[Window]]) -> list[list[Sequence[Window]]]:
     motions: list[list[Sequence[Window]]] = []
     lowest = 0.0
     for speed, run in sorted(((_speed(run), run) for run in runs), key=lambda pair: pair[0]):
-        if not motions or speed > _SAME_MOTION * lowest:
+        if not motions or speed > (1.0 + SAME_MOTION) * lowest:
             motions.append([])
             lowest = speed
         motions[-1].append(run)
@@ -235,10 +230,10 @@ def _folds_of_segments(windows: Sequence[Window]) -> list[Fold]:
     """Folds that each leave out one segment of every window."""
     shortest = min(window.sample_count for window in windows)
     count = min(MOST_FOLDS, shortest // _SHORTEST_SEGMENT)
-    if count < FEWEST_FOLDS:
+    if count < FEWEST_MOTIONS:
         raise ValueError(
-            f"a comparison of laws needs {_FEWEST_RUNS} runs, or runs of "
-            f"{FEWEST_FOLDS * _SHORTEST_SEGMENT} samples that parts can be left out of, and the "
+            f"a comparison of laws needs {MOST_FOLDS} runs, or runs of "
+            f"{FEWEST_MOTIONS * _SHORTEST_SEGMENT} samples that parts can be left out of, and the "
             f"shortest stretch has {shortest}: give more or longer runs, or name the law"
         )
     result = []

@@ -15,11 +15,8 @@ from typing import Generic, Protocol, TypeVar
 import numpy as np
 
 from mr_damper_ros.estimation.covariance import triangular_factor
+from mr_damper_ros.models.formulas import LIMIT
 from mr_damper_ros.signals.arrays import Array
-
-_SIMPLEX_TOLERANCE = 1.0
-"""Size of the simplex in standard errors at which Nelder-Mead stops. It is then near the minimum,
-which least squares locates exactly."""
 
 _FAR = 30.0
 """Nelder-Mead restarts with new axes if it has moved by more standard errors than this."""
@@ -31,14 +28,8 @@ HUBER = 1.345
 
 MOST_STEPS = 300
 
-_MINPACK_LIMIT, _TRUST_REGION_LIMIT = 5, 0
-"""Status codes of the two solvers when they reach their limit of evaluations."""
-
-_LAST_DIGITS = 1.5e-8
-"""Relative tolerance of MINPACK: half of the digits of double precision."""
-
-_BEYOND = 1e100
-"""Larger derivatives would overflow when squared and summed."""
+_LAST_DIGITS = math.sqrt(np.finfo(float).eps)
+"""Relative tolerance: half of the digits of double precision."""
 
 _MARGIN = 1e-3
 """Smallest distance of a start from a bound, relative to the value."""
@@ -131,14 +122,16 @@ class LocalSearch(Generic[P]):
             def cost(steps: Array, centre: Array = centre, axes: Array = axes) -> float:
                 return self.try_out(centre + axes @ steps)
 
+            # The simplex stops at the size of a standard error, near the minimum; least squares
+            # locates it exactly.
             result = optimize.minimize(
                 cost,
                 simplex[0],
                 method="Nelder-Mead",
                 options={
                     "initial_simplex": simplex,
-                    "xatol": _SIMPLEX_TOLERANCE,
-                    "fatol": _SIMPLEX_TOLERANCE * noise_power,
+                    "xatol": 1.0,
+                    "fatol": noise_power,
                     "maxfev": 300 * centre.size,
                 },
             )
@@ -174,7 +167,7 @@ class LocalSearch(Generic[P]):
             self.try_out(self.best)
         bounds = self.problem.bounds
         if bounds is None:
-            found, *_, status = optimize.leastsq(
+            found, _, counts, *_ = optimize.leastsq(
                 residual,
                 self.best,
                 Dfun=jacobian,
@@ -183,7 +176,7 @@ class LocalSearch(Generic[P]):
                 xtol=_LAST_DIGITS,
                 maxfev=most_steps,
             )
-            self.exhausted = status == _MINPACK_LIMIT
+            self.exhausted = counts["nfev"] >= most_steps
         elif math.isfinite(self.best_cost):
             result = optimize.least_squares(
                 residual,
@@ -196,7 +189,7 @@ class LocalSearch(Generic[P]):
                 max_nfev=most_steps,
             )
             found = result.x
-            self.exhausted = result.status == _TRUST_REGION_LIMIT
+            self.exhausted = result.nfev >= most_steps
         else:
             return
         if weights is not None:
@@ -223,7 +216,7 @@ class LocalSearch(Generic[P]):
 
 def _without_overflow(jacobian: Array) -> Array:
     """The Jacobian limited to values that do not overflow, as they occur far from any damper."""
-    return np.where(np.abs(jacobian) < _BEYOND, jacobian, 0.0)
+    return np.where(np.abs(jacobian) < LIMIT, jacobian, 0.0)
 
 
 def _inside(values: Array, low: Array, high: Array) -> Array:

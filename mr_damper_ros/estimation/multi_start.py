@@ -26,7 +26,7 @@ from mr_damper_ros.estimation.global_fit import (
     GlobalFit,
     identify_global,
 )
-from mr_damper_ros.estimation.global_search import Candidate
+from mr_damper_ros.estimation.global_search import AS_GOOD, Candidate
 from mr_damper_ros.estimation.record_levels import LevelPrior
 from mr_damper_ros.kinematics.window import Window
 from mr_damper_ros.models import MODELS
@@ -34,9 +34,6 @@ from mr_damper_ros.models.force_model import Model
 from mr_damper_ros.models.parameter_set import ParameterError, ParameterSet
 from mr_damper_ros.processes.process_pool import ProcessPool, Tell
 from mr_damper_ros.signals.arrays import Array
-
-_AS_GOOD = 1.01
-"""Searches whose cost is at most this factor above the lowest count as equally good."""
 
 _VERSION = 3
 
@@ -63,9 +60,9 @@ class MultiStart:
 
     @property
     def as_good(self) -> tuple[int, ...]:
-        """Seeds whose cost is within 1 % of the best."""
+        """Seeds whose cost is within 2 % of the best."""
         least = self.best.cost
-        return tuple(seed for seed, fit in self.fits.items() if fit.cost <= _AS_GOOD * least)
+        return tuple(seed for seed, fit in self.fits.items() if fit.cost <= AS_GOOD * least)
 
     @property
     def spread(self) -> Array:
@@ -82,15 +79,26 @@ class MultiStart:
 
 @dataclass(frozen=True, eq=False)
 class _Search:
-    """One search as a task for a process."""
+    """One search as a task for a process; the arguments are those of :func:`identify_global`."""
 
     model: str
     windows: tuple[Window, ...]
     start: Array
     settings: EvolutionSettings
     method: str
-    known: Array | None
     levels: LevelPrior | None
+    known: Array | None = None
+
+    @property
+    def digest(self) -> str:
+        """A number for everything but the seed and the known set."""
+        with_levels = () if self.levels is None else (self.levels,)
+        asked = (self.model, replace(self.settings, seed=0), self.method, *with_levels)
+        digest = hashlib.sha256(repr(asked).encode())
+        parts = ((w.motion.displacement, w.force, w.current) for w in self.windows)
+        for array in (self.start, *(array for part in parts for array in part)):
+            digest.update(np.ascontiguousarray(array, dtype=float).tobytes())
+        return digest.hexdigest()
 
 
 def _run(search: _Search, tell: Tell) -> GlobalFit:
@@ -122,31 +130,44 @@ class SearchRecord:
         method: str,
         levels: LevelPrior | None = None,
     ) -> None:
-        self._digest = _digest(model, windows, start, settings, method, levels)
-        self._levels = levels
+        values = np.asarray(start, float)
+        self.search = _Search(model.name, tuple(windows), values, settings, method, levels)
         self.fits: dict[int, GlobalFit] = {}
 
     def is_finished(self, seed: int) -> bool:
         """Whether the search from this seed is complete."""
         return seed in self.fits and not self.fits[seed].stopped
 
+    def search_from(self, seed: int) -> _Search:
+        """The search from a seed, continued from its result so far."""
+        before = self.fits.get(seed)
+        known = None if before is None else before.parameter_set.values
+        return replace(self.search, settings=replace(self.search.settings, seed=seed), known=known)
+
+    def add(self, seed: int, fit: GlobalFit) -> None:
+        """Add a result; an earlier one stays if it is better."""
+        before = self.fits.get(seed)
+        if before is not None and before.cost < fit.cost:
+            fit = replace(before, success=fit.success, message=fit.message, stopped=fit.stopped)
+        self.fits[seed] = fit
+
     def document(self) -> dict[str, Any]:
         """The whole record for JSON."""
         found = {str(seed): _to_document(fit) for seed, fit in self.fits.items()}
-        return {"version": _VERSION, "search": self._digest, "found": found}
+        return {"version": _VERSION, "search": self.search.digest, "found": found}
 
     def take(self, document: Any) -> None:
         """Load the output of :meth:`document`; raises SearchRecordError if it is unusable."""
         try:
             if document["version"] != _VERSION:
                 raise SearchRecordError("it was written by another version: begin a new one")
-            if document["search"] != self._digest:
+            if document["search"] != self.search.digest:
                 raise SearchRecordError(
                     "it is of another search (other bags, start, model, method or settings): "
                     "begin a new one, or search as then"
                 )
             fits = {
-                int(seed): _from_document(fit, self._levels)
+                int(seed): _from_document(fit, self.search.levels)
                 for seed, fit in document["found"].items()
             }
         except (KeyError, TypeError, AttributeError, ParameterError) as error:
@@ -178,88 +199,48 @@ def identify_from_seeds(
     """
     if count < 1:
         raise ValueError(f"starts is {count}: at least 1 is needed")
-    record = record or SearchRecord(model, windows, start, settings, method, levels)
+    results = record or SearchRecord(model, windows, start, settings, method, levels)
     seeds = [settings.seed + place for place in range(count)]
-    missing = [seed for seed in seeds if not record.is_finished(seed)]
-    tasks = []
-    for seed in missing:
-        before = record.fits.get(seed)
-        known = None if before is None else before.parameter_set.values
-        seeded = replace(settings, seed=seed)
-        values = np.asarray(start, float)
-        tasks.append(_Search(model.name, tuple(windows), values, seeded, method, known, levels))
+    missing = [seed for seed in seeds if not results.is_finished(seed)]
+    began, parts = time.monotonic(), dict[int, float]()
 
     def done(place: int, fit: GlobalFit) -> None:
-        before = record.fits.get(missing[place])
-        if before is not None and before.cost < fit.cost:
-            fit = replace(before, success=fit.success, message=fit.message, stopped=fit.stopped)
-        record.fits[missing[place]] = fit
+        results.add(missing[place], fit)
         if keep is not None:
-            keep(record)
+            keep(results)
 
-    follow = _Follower(report, len(tasks))
-    (processes or ProcessPool()).map(_run, tasks, follow if report else None, done)
-    return MultiStart({seed: record.fits[seed] for seed in seeds if seed in record.fits})
-
-
-class _Follower:
-    """Combines the progress of several searches."""
-
-    def __init__(self, report: Report | None, count: int) -> None:
-        self._report = report
-        self._count = count
-        self._began = time.monotonic()
-        self._parts: dict[int, float] = {}
-
-    def __call__(self, place: int, progress: GlobalProgress) -> bool:
-        assert self._report is not None
-        if self._count > 1:
-            self._parts[place] = progress.generation / max(progress.generations, 1)
-            done = sum(self._parts.values()) / self._count
-            gone = time.monotonic() - self._began
+    def follow(place: int, progress: GlobalProgress) -> bool:
+        """Combine the progress of several searches."""
+        assert report is not None
+        if len(missing) > 1:
+            parts[place] = progress.generation / max(progress.generations, 1)
+            part, gone = sum(parts.values()) / len(missing), time.monotonic() - began
             progress = replace(
                 progress,
-                stage=f"search {place + 1} of {self._count}, {progress.stage}",
-                time_left=gone * (1.0 - done) / done if done > 0.0 else progress.time_left,
+                stage=f"search {place + 1} of {len(missing)}, {progress.stage}",
+                time_left=gone * (1.0 - part) / part if part > 0.0 else progress.time_left,
             )
-        return self._report(progress)
+        return report(progress)
+
+    tasks = [results.search_from(seed) for seed in missing]
+    (processes or ProcessPool()).map(_run, tasks, follow if report else None, done)
+    return MultiStart({seed: results.fits[seed] for seed in seeds if seed in results.fits})
 
 
-def _digest(
-    model: Model,
-    windows: Sequence[Window],
-    start: Array,
-    settings: EvolutionSettings,
-    method: str,
-    levels: LevelPrior | None,
-) -> str:
-    with_levels = () if levels is None else (levels,)
-    asked = (model.name, replace(settings, seed=0), method, *with_levels)
-    digest = hashlib.sha256(repr(asked).encode())
-    for array in (start, *(a for w in windows for a in _arrays(w))):
-        digest.update(np.ascontiguousarray(array, dtype=float).tobytes())
-    return digest.hexdigest()
-
-
-def _arrays(window: Window) -> tuple[Array, ...]:
-    return window.motion.displacement, window.force, window.current
+_ARRAYS = ("covariance", "discrepancy", "nrmse", "noise")
+_PLAIN = ("evaluations", "success", "message", "stopped", "cost")
+"""Fields of a fit that a record holds as they are."""
 
 
 def _to_document(fit: GlobalFit) -> dict[str, Any]:
+    # JSON has no NaN.
+    arrays = {name: np.array(getattr(fit, name), dtype=object) for name in _ARRAYS}
+    for array in arrays.values():
+        array[np.isnan(array.astype(float))] = None
     return {
         "set": fit.parameter_set.to_yaml(),
-        "covariance": fit.covariance.tolist(),
-        "discrepancy": [
-            [None if math.isnan(value) else value for value in row]
-            for row in fit.discrepancy.tolist()
-        ],
-        "nrmse": fit.nrmse.tolist(),
-        "evaluations": fit.evaluations,
-        "success": fit.success,
-        "message": fit.message,
-        "stopped": fit.stopped,
-        "noise": fit.noise.tolist(),
-        "cost": fit.cost,
+        **{name: a.tolist() for name, a in arrays.items()},
+        **{name: getattr(fit, name) for name in _PLAIN},
         "candidates": [
             {"origin": c.origin, "parameters": c.parameters.tolist(), "cost": c.cost}
             for c in fit.candidates
@@ -271,22 +252,17 @@ def _to_document(fit: GlobalFit) -> dict[str, Any]:
 def _from_document(document: dict[str, Any], levels: LevelPrior | None) -> GlobalFit:
     if levels is not None:
         levels = replace(levels, counted_samples=float(document["counted_samples"]))
-    covariance = np.array(document["covariance"])
-    unknown = np.full_like(covariance, math.nan)  # older records have no discrepancy
+    # Older records have no discrepancy.
+    unknown = np.full_like(document["covariance"], math.nan, dtype=float)
+    given = {"discrepancy": unknown} | {n: document[n] for n in _ARRAYS if n in document}
+    fields: dict[str, Any] = {n: np.array(values, dtype=float) for n, values in given.items()}
+    fields |= {name: document[name] for name in _PLAIN}
     return GlobalFit(
         parameter_set=ParameterSet.from_yaml(document["set"]),
-        covariance=covariance,
-        discrepancy=np.array(document.get("discrepancy", unknown), dtype=float),
-        nrmse=np.array(document["nrmse"]),
-        evaluations=int(document["evaluations"]),
-        success=bool(document["success"]),
-        message=str(document["message"]),
-        stopped=bool(document["stopped"]),
-        noise=np.array(document["noise"]),
-        cost=float(document["cost"]),
         candidates=tuple(
             Candidate(c["origin"], np.array(c["parameters"]), float(c["cost"]))
             for c in document["candidates"]
         ),
         levels=levels,
+        **fields,
     )

@@ -20,12 +20,14 @@ from dataclasses import dataclass
 import numpy as np
 
 from mr_damper_ros.estimation.covariance import (
+    DETERMINED,
     correlation_length,
     triangular_factor,
 )
 from mr_damper_ros.kinematics.window import Window
 from mr_damper_ros.models.force_model import Model
 from mr_damper_ros.models.misfit import Misfit
+from mr_damper_ros.models.quantities import NOTICED
 from mr_damper_ros.signals.arrays import Array
 
 _DIFFERENT_VELOCITY = 1.2
@@ -94,9 +96,6 @@ def _count_different(currents: Sequence[float]) -> int:
     return count
 
 
-SMALLEST_SHARE = 0.1
-"""The span of a scale near zero is the change that alters the force by this part."""
-
 _NEGLIGIBLE = 0.05
 """The message omits parameters that move by less than this part of the largest move and change the
 force by less than this part of the largest change."""
@@ -108,12 +107,6 @@ _AS_A_PRODUCT = 0.1
 
 _LEADS_BY = 0.1
 """Relative move of the leading parameter in the message."""
-
-_BEYOND_PERCENT = 10.0
-"""Relative moves larger than this are stated in the unit of the parameter."""
-
-_ROUNDING = 1e-10
-"""Relative change of the residual below which a move counts as unobservable."""
 
 _PREFER_SHAPE = 1e2
 """Preference for a shape parameter over a scale as the leading parameter of a combination. Below a
@@ -180,7 +173,7 @@ def parameter_spans(
     strength = model.strength_indices
     force = float(np.linalg.norm(jacobian[:, strength] @ parameters[strength]))
     spans = np.maximum(
-        np.abs(parameters), SMALLEST_SHARE * force / np.where(lengths > 0.0, lengths, np.inf)
+        np.abs(parameters), NOTICED * force / np.where(lengths > 0.0, lengths, np.inf)
     )
     for place, name in enumerate(model.parameter_names):
         if name in ranges:
@@ -219,7 +212,7 @@ def determination(model: Model, jacobian: Array, spans: Array, parameters: Array
 
 def _condition(singular: Array) -> float:
     largest, smallest = float(singular[0]), float(singular[-1])
-    return largest / smallest if smallest > _ROUNDING * largest else math.inf
+    return largest / smallest if smallest > DETERMINED * largest else math.inf
 
 
 def _combinations(
@@ -255,12 +248,12 @@ def _combinations(
         order = [lead, *(place for place in np.argsort(-np.abs(move)) if place != lead)]
         change = np.abs(move) * lengths
         told = (np.abs(move) >= _NEGLIGIBLE) | (
-            change > max(_NEGLIGIBLE * change.max(), _ROUNDING * largest)
+            change > max(_NEGLIGIBLE * change.max(), DETERMINED * largest)
         )
         told[lead] = True
         weights = {names[k]: float(move[k]) for k in order if told[k]}
         noticed = float(np.linalg.norm(triangular @ move))
-        error = 1.0 / noticed if noticed > _ROUNDING * largest else math.inf
+        error = 1.0 / noticed if noticed > DETERMINED * largest else math.inf
         moves = {names[k]: (values[k], move[k] * spans[k]) for k in order if told[k]}
         combinations.append(Combination(weights, error, _words(moves, model.units)))
     return tuple(combinations)
@@ -294,7 +287,7 @@ def _words(moves: Mapping[str, tuple[float, float]], units: Mapping[str, str]) -
 
 def _change(name: str, move: float, value: float, unit: str) -> str:
     part = move / value if value else math.inf
-    if abs(part) > _BEYOND_PERCENT:
+    if abs(part) > 1.0:
         way = "rises" if move > 0.0 else "falls"
         return f"{name} {way} by {abs(move):.2g}{'' if unit == '1' else f' {unit}'}"
     # For a negative value, growth means a larger magnitude.

@@ -16,6 +16,7 @@ import numpy as np
 from mr_damper_ros.kinematics.peak_velocity import peak_velocity_of_period
 from mr_damper_ros.kinematics.periodic_motion import MotionKind, PeriodicMotion
 from mr_damper_ros.kinematics.window import Window
+from mr_damper_ros.models.quantities import SAME_CURRENT
 from mr_damper_ros.signals.arrays import Array
 from mr_damper_ros.signals.recording import Recording
 
@@ -25,11 +26,6 @@ _MOST_HARMONICS = 100.0
 SETTLING = 0.1
 """Time [s] after a current step that is excluded, because coil current and force are still
 changing."""
-
-_CURRENT_STEP = 0.05
-"""A current that differs from that of its stretch by more than this [A] has not been stepped yet.
-"""
-
 
 PHASES = 64
 """Number of samples of the cycle that represents an operating point."""
@@ -253,7 +249,7 @@ def _motion(run: PlannedRun) -> PeriodicMotion:
 def _settled(part: slice, recording: Recording) -> slice:
     """Samples of a stretch without those before the supply reached its current."""
     current = recording.current[part]
-    off = np.abs(current - np.median(current)) > _CURRENT_STEP
+    off = np.abs(current - np.median(current)) > SAME_CURRENT
     late = np.flatnonzero(off[: current.size // 2])
     if not late.size:
         return part
@@ -267,7 +263,7 @@ _RANDOM_BAND = (0.25, 2.0)
 """Frequency band of a random motion, relative to the sine of the same amplitude and peak velocity.
 """
 
-_STAIRS = (2, 3, 4, 6)
+STAIRS = (2, 3, 4, 6)
 """Number of currents of a staircase."""
 
 
@@ -278,7 +274,7 @@ def first_run(goal: ForceGoal, limits: MachineLimits) -> PlannedRun:
     """
     low, high = goal.current
     half = 0.5 * (low + min(high, limits.current))
-    counts = (1, *_STAIRS[:-1]) if limits.steps and half > low else (1,)
+    counts = (1, *STAIRS[:-1]) if limits.steps and half > low else (1,)
     stairs = [tuple(np.linspace(low, half, count).tolist()) for count in counts]
     runs = [
         run for part in _AMPLITUDES for run in _sines(limits, part, goal.peak_velocity[0], stairs)
@@ -313,9 +309,9 @@ def candidate_runs(goal: ForceGoal, limits: MachineLimits) -> list[PlannedRun]:
 def _stairs(goal: ForceGoal, limits: MachineLimits) -> list[tuple[float, ...]]:
     """Currents of the candidate runs: single ones, or several if the machine can step them."""
     bottom, top = goal.current[0], min(goal.current[1], limits.current)
-    currents = list(map(round_to, np.unique(np.linspace(bottom, top, max(_STAIRS)))))
+    currents = list(map(round_to, np.unique(np.linspace(bottom, top, max(STAIRS)))))
     strides = [currents[s::d] for s in range(len(currents)) for d in range(1, len(currents))]
-    counts = _STAIRS if limits.steps else ()
+    counts = STAIRS if limits.steps else ()
     several = [tuple(each[:count]) for count in counts for each in strides if len(each) >= count]
     return list(dict.fromkeys([*((current,) for current in currents), *several]))
 

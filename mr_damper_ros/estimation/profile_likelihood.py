@@ -13,7 +13,6 @@ so that its curvature at the minimum agrees with the covariance for autocorrelat
 from __future__ import annotations
 
 import math
-import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
@@ -28,7 +27,7 @@ from mr_damper_ros.estimation.covariance import (
 )
 from mr_damper_ros.estimation.differential_evolution import (
     EvolutionSettings,
-    GlobalProgress,
+    ProgressClock,
     Report,
 )
 from mr_damper_ros.estimation.global_fit import GlobalFit, identify_global
@@ -57,16 +56,9 @@ _WANTED_RISE = 0.5
 """Intended increase of the root of the likelihood ratio from value to value."""
 
 _MOST_STEPS = 30
-_FIRST_STEP = 0.5
-"""First step in standard errors; without a standard error it is ``_BLIND_STEP`` of a span."""
 
 _BLIND_STEP = 0.01
-_FARTHEST = 1e3
-"""Largest distance in spans for a parameter without a plausible range."""
-
-_TOLERANCE = 1e-7
-"""Relative decrease of the sum of squares below which the fit of the other parameters has
-converged."""
+"""First step in spans without a standard error."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -140,7 +132,7 @@ class ProfileLikelihood:
             )
         place = names.index(name)
         scale = self._freedom * float(self._shrinkage[place])
-        step = _FIRST_STEP * float(self._errors[place])
+        step = _WANTED_RISE * float(self._errors[place])
         if math.isnan(step):
             step = _BLIND_STEP * float(self._spans[place])
         low, high = self._limits(name, place)
@@ -153,7 +145,7 @@ class ProfileLikelihood:
 
     def _limits(self, name: str, place: int) -> tuple[float, float]:
         value, span = float(self._start[place]), float(self._spans[place])
-        low, high = self._ranges.get(name, (value - _FARTHEST * span, value + _FARTHEST * span))
+        low, high = self._ranges.get(name, (-math.inf, math.inf))
         # A start value may lie outside the range that is plausible for these data.
         parameter = self._model.parameters[place]
         return max(min(low, value - span), parameter.low), min(
@@ -171,7 +163,7 @@ class ProfileLikelihood:
             problem = Posterior(self._misfit, values, others, Prior(values, self._spans))
             search = LocalSearch(problem, problem.start, self._should_stop)
             search.try_out(problem.start)
-            search.least_squares(tolerance=_TOLERANCE)
+            search.least_squares(tolerance=self._model.effort.tolerance)
             found = problem.parameters(search.best)
             cost = self._cost(found)
             if cost < least:
@@ -263,12 +255,6 @@ def _crossing(values: Array, roots: Array, otherwise: float) -> float:
     return float(values[last - 1] + part * (values[last] - values[last - 1]))
 
 
-_MOST_RESTARTS = 3
-"""Largest number of restarts of a fit from a lower minimum that a profile revealed."""
-
-_POLL = 0.2
-"""Interval [s] between checks whether a profile is to be stopped."""
-
 _Ranges = Mapping[str, tuple[float, float]]
 
 
@@ -322,11 +308,11 @@ def profiled(
     again from the lower minimum that the profile revealed. Raises ValueError for a name that the
     law does not have.
     """
-    for restarts in range(_MOST_RESTARTS + 1):
+    while True:
         found = profiles_of(fit, windows, names, processes, report)
         values, misfit = fit.parameter_set.as_dict(), search_misfit(fit, windows)
         lower = [each.lowest for each in found if not each.contains(values[each.name])]
-        if not lower or restarts == _MOST_RESTARTS:
+        if not lower:
             break
         start = min(lower, key=misfit.mean_square)
         again = identify_global(
@@ -347,19 +333,15 @@ def profiled(
 
 def _profile(task: tuple[ParameterSet, Misfit, _Ranges, str], tell: Tell) -> Profile | None:
     found, misfit, ranges, name = task
-    told = time.monotonic()
-    stopped = False
-
-    def should_stop() -> bool:
-        nonlocal told, stopped
-        if time.monotonic() - told > _POLL:
-            told = time.monotonic()
-            stopped = not tell(GlobalProgress(f"profile of {name}", 0, 1, math.nan, math.nan))
-        return stopped
-
+    clock = ProgressClock(1, tell)
     try:
         return ProfileLikelihood(
-            found.law, misfit, found.values, found.observable, ranges, should_stop
+            found.law,
+            misfit,
+            found.values,
+            found.observable,
+            ranges,
+            lambda: clock.poll(f"profile of {name}", math.nan),
         ).of(name)
     except StopRequestedError:
         return None

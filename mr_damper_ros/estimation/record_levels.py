@@ -35,9 +35,6 @@ from mr_damper_ros.signals.arrays import Array
 _ZERO_SPREAD = 0.3
 """Standard deviation of the offset relative to that of the force of the smallest record."""
 
-_NEXT_TO_NOTHING = 1e-6
-"""Number of counted samples if the force overflows."""
-
 _FREE = 1.0 - 1e-9
 """Standard deviation of the gain that leaves gain and offset practically free."""
 
@@ -201,7 +198,7 @@ def counted_samples(pooled: Misfit, prior: LevelPrior, parameters: Array) -> flo
     """
     without = LevelledProblem(pooled, replace(prior, spread=_FREE, counted_samples=math.inf))
     noise = noise_level(without, parameters)
-    return max(pooled.sample_count / max(noise * noise, 1.0), _NEXT_TO_NOTHING)
+    return max(pooled.sample_count / max(noise * noise, 1.0), float(np.finfo(float).eps))
 
 
 def _damped(each: _Whitened, values: Array) -> Array:

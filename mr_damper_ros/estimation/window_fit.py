@@ -45,7 +45,6 @@ variance."""
 _HOPELESS = 1000.0
 """A start whose sum of squares exceeds that of the best start by this factor is not refined."""
 
-
 _CONTRADICTED = 1e-3
 """Significance level below which a change contradicts the running set."""
 

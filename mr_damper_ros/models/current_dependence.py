@@ -34,6 +34,7 @@ from mr_damper_ros.models.first_order_lag import (
 )
 from mr_damper_ros.models.force_model import CurrentResponse, Model, WindowForces
 from mr_damper_ros.models.quantities import (
+    DIFFERENCE,
     CoefficientTable,
     LawSearch,
     LoopReading,
@@ -43,7 +44,7 @@ from mr_damper_ros.models.quantities import (
 )
 from mr_damper_ros.signals.arrays import Array
 
-_GROWTH = 100.0
+LARGEST_GROWTH = 100.0
 """Largest plausible ratio of growth of a coefficient over the current range."""
 
 _FAINTEST = 0.01
@@ -255,7 +256,7 @@ class CurrentDependentModel(Model):
         readings = [LoopReading.of(window) for window in windows]
         ranges = {COIL: (0.0, PLAUSIBLE_COIL)}
         for coefficient in self.at_one_current:
-            size = _GROWTH
+            size = LARGEST_GROWTH
             if not coefficient.grows:
                 size *= max(reading.size(coefficient.unit) for reading in readings)
             for order, parameter in enumerate(coefficient.dependence, start=1):
@@ -389,10 +390,6 @@ class _DifferentiatedForces(WindowForces):
         return [law.window_derivatives(window, parameters, columns) for window in self.windows]
 
 
-_STEP_OF_COIL = 1e-6
-"""Step [s] of the difference with respect to the coil's time constant."""
-
-
 class Along(NamedTuple):
     """Input of the sensitivity equations: motion, coefficients (n,) each, and their derivatives.
 
@@ -420,9 +417,9 @@ def along(
         motion, current = motion.part(twice), current[twice]
     tau, late = float(parameters[-1]), current
     if float(np.ptp(current)) > 0.0:
-        constants = np.array([tau, tau + _STEP_OF_COIL])
+        constants = np.array([tau, tau + DIFFERENCE])
         late, later = coil_current(current, constants, history.period, None)
-        chain = model.dependences(parameters, late, (later - late) / _STEP_OF_COIL)
+        chain = model.dependences(parameters, late, (later - late) / DIFFERENCE)
     else:
         chain = model.dependences(parameters, current[:1], np.zeros(1))
     values = model.coefficients_along(parameters, late)

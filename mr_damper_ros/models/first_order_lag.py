@@ -15,11 +15,8 @@ from typing import NamedTuple
 import numpy as np
 
 from mr_damper_ros.kinematics.window import Window
-from mr_damper_ros.models.quantities import Parameter
+from mr_damper_ros.models.quantities import SETTLING, Parameter
 from mr_damper_ros.signals.arrays import Array
-
-SETTLING = 7.0
-"""Number of time constants after which the initial value has decayed to a thousandth."""
 
 _SHORTEST, _LONGEST = 1e-9, 1e9
 """Limits of the time constant in sample periods; beyond them it has the effect of the limit."""
@@ -183,12 +180,10 @@ COIL = "coil_time_constant"
 PLAUSIBLE_COIL = 0.2
 """Largest plausible time constant of a coil [s]."""
 
-_SLOWEST_COIL = 1.0
-
 
 def coil_parameter() -> Parameter:
     """The parameter of the lag: the last one of a law, 0 if omitted."""
-    return Parameter(COIL, "s", 0.0, _SLOWEST_COIL, currents=2, default=0.0)
+    return Parameter(COIL, "s", 0.0, 1.0, currents=2, default=0.0)
 
 
 def coil_current(

@@ -21,6 +21,9 @@ from mr_damper_ros.kinematics.window import Window
 from mr_damper_ros.models.formulas import WrittenLaw
 from mr_damper_ros.models.machine_code import as_machine_code
 from mr_damper_ros.models.quantities import (
+    DIFFERENCE,
+    FORGOTTEN,
+    NOTICED,
     CoefficientTable,
     LawSearch,
     LoopReading,
@@ -30,15 +33,6 @@ from mr_damper_ros.models.quantities import (
     State,
 )
 from mr_damper_ros.signals.arrays import Array
-
-_FORGOTTEN = 0.01
-"""A start has no more effect if it changes the force by less than this part of the force span."""
-
-_STEP = 1e-6
-"""Step of a finite difference, relative to the size of the parameter."""
-
-_SMALLEST = 0.1
-"""Lower limit of the size of a parameter for a difference, relative to its typical size."""
 
 _USUAL_RUN = LoopReading(1000.0, 0.0, 2.0 * np.pi * 1.0 * 5e-3, 5e-3)
 """A typical run: 1 kN, 5 mm, 1 Hz."""
@@ -236,7 +230,7 @@ class Model(ABC):
         along = parameters, history.motion, history.current, history.period
         first, state = self.follow(*along, None)
         second, _ = self.follow(*along, state)
-        differs = np.abs(first - second) > _FORGOTTEN * float(np.ptp(first))
+        differs = np.abs(first - second) > FORGOTTEN * float(np.ptp(first))
         # The true past may differ more than these two starts.
         count = 2 * int(np.max(np.flatnonzero(differs), initial=-1) + 1)
         return ~history.unsettled(count * history.period)
@@ -407,7 +401,7 @@ class WindowForces:
     def derivatives(self, parameters: Array, columns: Sequence[int]) -> list[Array]:
         """Derivatives (n, c) of the force of each window, for parameters (p,), at c places."""
         values, places = parameters[columns], np.arange(len(columns))
-        steps = _STEP * np.maximum(np.abs(values), _SMALLEST * self._sizes[columns])
+        steps = DIFFERENCE * np.maximum(np.abs(values), NOTICED * self._sizes[columns])
         steps = np.where(values + steps > self.model.bounds[1][columns], -steps, steps)
         moved = np.tile(parameters, (len(columns) + 1, 1))
         moved[1 + places, columns] += steps

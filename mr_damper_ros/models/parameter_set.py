@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike
 from mr_damper_ros.kinematics.motion import Motion, MotionSample
 from mr_damper_ros.kinematics.window import Window
 from mr_damper_ros.models import MODELS, Model
-from mr_damper_ros.models.quantities import State
+from mr_damper_ros.models.quantities import SAME_CURRENT, State
 from mr_damper_ros.processes.files import write_text
 from mr_damper_ros.signals.arrays import Array
 from mr_damper_ros.signals.blocks import fits_a_stamp
@@ -49,10 +49,6 @@ class SpokenError(ValueError):
 
     def __init__(self, sentence: str) -> None:
         super().__init__(sentence.encode("utf-8", "backslashreplace").decode("utf-8"))
-
-
-_ONE_CURRENT = 0.05
-"""Largest difference of currents [A] that count as one current."""
 
 
 class ParameterError(SpokenError):
@@ -259,7 +255,7 @@ class ParameterSet:
     def doubt_over_current(self) -> str:
         """Why the set is not valid at other currents, in words; empty if it is."""
         low, high = self.current_range
-        if not (math.isfinite(low) and high - low <= _ONE_CURRENT):
+        if not (math.isfinite(low) and high - low <= SAME_CURRENT):
             return ""
         return (
             f"set {self.set_id} was identified at {0.5 * (low + high):.3g} A only: its force at "

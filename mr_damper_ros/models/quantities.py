@@ -12,6 +12,22 @@ import numpy as np
 from mr_damper_ros.kinematics.window import Window
 from mr_damper_ros.signals.arrays import Array
 
+NOTICED = 0.1
+"""A change of the force by this part is noticed. It sets the size of a parameter near zero."""
+
+FORGOTTEN = 0.01
+"""A past has no more effect if it changes the force by less than this part of the force span."""
+
+SETTLING = 7.0
+"""Number of time constants, or of travels at full yield, after which a transient has decayed to a
+thousandth."""
+
+SAME_CURRENT = 0.05
+"""Largest difference of currents [A] that count as one current."""
+
+DIFFERENCE = 1e-6
+"""Step of a finite difference, relative to the size of a parameter, or in seconds."""
+
 _OUTERMOST = 0.98
 """Quantile of speed and displacement that is used as the maximum."""
 
@@ -117,10 +133,6 @@ _RELATIVE_ERROR = 0.05
 _OPEN = 1e3
 """Standard error of an undetermined coefficient, relative to its size."""
 
-_NOTHING = 1e-100
-"""Smallest size of a coefficient, so that the weight of a coefficient that is always zero is
-finite."""
-
 LawSearch = Callable[[Callable[[Array], Array], Sequence[tuple[float, float]], Array, str], Array]
 """Minimises a function that maps individuals (u, s) to (s,) within bounds, from a start (u,).
 
@@ -150,6 +162,6 @@ class CoefficientTable:
         values, errors = self.coefficients[:, column], self.errors[:, column]
         known = errors <= np.abs(values)
         usual = float(np.sqrt(np.mean(values[known if known.any() else slice(None)] ** 2)))
-        floor = _RELATIVE_ERROR * max(usual, _NOTHING)
+        floor = _RELATIVE_ERROR * max(usual, float(np.finfo(float).tiny))
         errors = np.where(np.isnan(errors), _OPEN * np.maximum(floor, np.abs(values)), errors)
         return 1.0 / np.sqrt(errors**2 + floor**2 + (_RELATIVE_ERROR * values) ** 2)

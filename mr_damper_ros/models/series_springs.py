@@ -40,7 +40,7 @@ from mr_damper_ros.models.current_dependence import (
 )
 from mr_damper_ros.models.first_order_lag import coil_unsettled, few_in_coil
 from mr_damper_ros.models.machine_code import as_machine_code, run_loop, runs_machine_code
-from mr_damper_ros.models.quantities import LoopReading, State
+from mr_damper_ros.models.quantities import FORGOTTEN, SETTLING, LoopReading, State
 from mr_damper_ros.signals.arrays import Array
 
 _GAMMA = 1.0 - math.sqrt(0.5)
@@ -186,13 +186,6 @@ def flow_of(strength: float, width: float, held: float, load: float, guess: floa
     return sign * flow
 
 
-_FORGOTTEN = 0.01
-"""The past has no more effect if it changes the force by less than this part of the force span."""
-
-_SETTLED = 7.0
-"""Travel after which a reversal has no effect, in deflections of the softer spring at yield."""
-
-
 class SeriesSprings(DifferentiatedModel):
     """Two parallel paths of spring and yield, one with a damper, and the gas parallel to them."""
 
@@ -281,9 +274,12 @@ class SeriesSprings(DifferentiatedModel):
         return (first, second), (gas, offset)
 
     def memory_length(self, parameters: Array, current: float) -> float:
-        """A multiple of the deflection of the softer spring at its yield force."""
+        """A multiple of the deflection of the softer spring at its yield force.
+
+        After this travel a reversal has no effect.
+        """
         f_y, *_, share, softer, _, _ = self.coefficients_at(parameters, 0.0, current)[:, 0]
-        return float(_SETTLED * share * f_y / softer)
+        return float(SETTLING * share * f_y / softer)
 
     def starts_at_one_current(self, reading: LoopReading) -> Array:
         """A narrow or wide yield, with a small or large share on the softer spring."""
@@ -319,7 +315,7 @@ class SeriesSprings(DifferentiatedModel):
             state = tuple(np.array(part) for part in parts)
             force, _ = self.follow(parameters, motion, history.current, history.period, state)
             forces.append(force)
-        apart = np.abs(forces[0] - forces[1]) > _FORGOTTEN * float(np.ptp(forces[0]))
+        apart = np.abs(forces[0] - forces[1]) > FORGOTTEN * float(np.ptp(forces[0]))
         count = int(np.max(np.flatnonzero(apart), initial=-1) + 1)
         unknown = history.unsettled(count * history.period)
         return ~(unknown | coil_unsettled(window, float(parameters[-1])))

@@ -20,7 +20,6 @@ from typing import NamedTuple
 
 import numpy as np
 
-from mr_damper_ros.estimation.covariance import SAME_CURRENT
 from mr_damper_ros.kinematics.motion import Motion
 from mr_damper_ros.models.parameter_set import (
     EARLY_SOURCE,
@@ -28,6 +27,7 @@ from mr_damper_ros.models.parameter_set import (
     LONGEST_NAME,
     ParameterSet,
 )
+from mr_damper_ros.models.quantities import SAME_CURRENT
 from mr_damper_ros.signals.arrays import Array, RollingRows
 from mr_damper_ros.signals.blocks import NANOSECONDS
 from mr_damper_ros.tracking.bumpless_transfer import FADES

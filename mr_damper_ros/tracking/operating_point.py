@@ -16,10 +16,11 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from mr_damper_ros.estimation.covariance import SAME_CURRENT, SAME_MOTION
+from mr_damper_ros.estimation.covariance import SAME_MOTION
 from mr_damper_ros.estimation.window_fit import WindowFit
 from mr_damper_ros.kinematics.peak_velocity import MEMORY
 from mr_damper_ros.kinematics.window import Window
+from mr_damper_ros.models.quantities import SAME_CURRENT
 from mr_damper_ros.signals.arrays import Array
 from mr_damper_ros.signals.blocks import NANOSECONDS
 

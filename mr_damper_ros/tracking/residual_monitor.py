@@ -17,8 +17,8 @@ from itertools import compress, product
 
 import numpy as np
 
-from mr_damper_ros.estimation.covariance import SAME_CURRENT
 from mr_damper_ros.kinematics.peak_velocity import HALF_CYCLES
+from mr_damper_ros.models.quantities import SAME_CURRENT
 from mr_damper_ros.signals.arrays import Array, Mask, span_of, white_noise
 from mr_damper_ros.tracking.operating_point import RECENT
 from mr_damper_ros.tracking.screening import DRIVING

@@ -7,10 +7,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from mr_damper_ros.estimation.covariance import SAME_CURRENT, SAME_MOTION
+from mr_damper_ros.estimation.covariance import SAME_MOTION
 from mr_damper_ros.estimation.window_fit import WindowFit
 from mr_damper_ros.kinematics.window import Window
 from mr_damper_ros.models.parameter_set import EARLY_SOURCE, ParameterSet
+from mr_damper_ros.models.quantities import SAME_CURRENT
 from mr_damper_ros.signals.arrays import Array
 from mr_damper_ros.tracking.acceptance import SAME_FORCE, Evidence
 from mr_damper_ros.tracking.operating_point import (

@@ -28,7 +28,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from mr_damper_ros.kinematics.peak_velocity import peak_velocity
-from mr_damper_ros.models.formulas import Formulas, columns, gradient, staged
+from mr_damper_ros.models.formulas import LIMIT, Formulas, columns, gradient, staged
 from mr_damper_ros.signals.arrays import Array
 
 PARAMETER_NAMES = (
@@ -91,9 +91,6 @@ LAW: Formulas = (*COEFFICIENTS, *FORCE)
 _INDEX = {name: position for position, name in enumerate(PARAMETER_NAMES)}
 
 SCALE_INDICES = np.array([_INDEX[name] for name in SCALE_PARAMETER_NAMES])
-
-LARGEST_VELOCITY = 1e100
-"""Velocity [m/s] above which its square would overflow."""
 
 
 class Coefficients(NamedTuple):
@@ -295,7 +292,7 @@ def sine_force(
 
     Raises ValueError if the last axis of ``parameters`` does not have length sixteen.
     """
-    v = np.clip(np.asarray(velocity, dtype=float), -LARGEST_VELOCITY, LARGEST_VELOCITY)
+    v = np.clip(np.asarray(velocity, dtype=float), -LIMIT, LIMIT)
     v_m = peak_velocity(displacement, v, acceleration)
     coefficients = operating_point_coefficients(parameters, v_m, current)
     return force_from_coefficients(coefficients, v, acceleration)

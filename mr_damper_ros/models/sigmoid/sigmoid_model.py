@@ -26,10 +26,10 @@ from numpy.typing import ArrayLike
 
 from mr_damper_ros.kinematics.motion import Motion
 from mr_damper_ros.kinematics.window import Window
+from mr_damper_ros.models.current_dependence import LARGEST_GROWTH
 from mr_damper_ros.models.first_order_lag import (
     COIL,
     PLAUSIBLE_COIL,
-    SETTLING,
     coil_parameter,
     coil_unsettled,
 )
@@ -37,6 +37,7 @@ from mr_damper_ros.models.force_model import CurrentResponse, Model
 from mr_damper_ros.models.formulas import WrittenLaw, gradient, staged
 from mr_damper_ros.models.published import LITERATURE
 from mr_damper_ros.models.quantities import (
+    SETTLING,
     CoefficientTable,
     LawSearch,
     LoopReading,
@@ -100,9 +101,6 @@ _SIXTEEN = tuple(
 
 _LITERATURE_PEAK_VELOCITY = 2.0 * math.pi * 1.0 * 2.5e-3
 """Peak velocity [m/s] of the test for the set from the literature: 1 Hz, 2.5 mm, at 0 A."""
-
-_GAIN_RANGE = 100.0
-"""Plausible range of k2 and k3, the largest factor of the current on a coefficient."""
 
 _SOFT = 2.0
 """Slope of a smooth step over the current, times the largest current."""
@@ -472,7 +470,7 @@ class SigmoidModel(Model):
         self, windows: Sequence[Window], top_velocity: float, top_current: float
     ) -> dict[str, tuple[float, float]]:
         """Ranges of the nine shape parameters."""
-        gains = dict.fromkeys(("k2", "k3"), (-_GAIN_RANGE, _GAIN_RANGE))
+        gains = dict.fromkeys(("k2", "k3"), (-LARGEST_GROWTH, LARGEST_GROWTH))
         return {**shape_bounds(top_velocity, top_current), **gains}
 
     def typical_sizes(self, windows: Sequence[Window]) -> Array:

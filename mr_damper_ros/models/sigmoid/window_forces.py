@@ -12,6 +12,7 @@ from mr_damper_ros.kinematics.motion import Motion
 from mr_damper_ros.kinematics.window import MotionHistory, Window
 from mr_damper_ros.models.first_order_lag import FirstOrderLag, in_coil
 from mr_damper_ros.models.force_model import Model, WindowForces
+from mr_damper_ros.models.quantities import DIFFERENCE
 from mr_damper_ros.models.sigmoid.following import (
     EXTENDED_NAMES,
     SIGMOID_COUNT,
@@ -56,9 +57,6 @@ _SCALED = {place: coefficient for coefficient, place in enumerate(SCALE_INDICES.
 
 _COMPLIANCE, _STIFFNESS, _OFFSET, _COIL = range(SIGMOID_COUNT, len(EXTENDED_NAMES))
 
-_STEP_OF_COIL = 1e-6
-"""Step [s] of the difference for the derivative with respect to the coil's time constant."""
-
 
 class SigmoidForces(WindowForces):
     """Window forces for parameters of shape (16,) or (20,)."""
@@ -94,10 +92,10 @@ class SigmoidForces(WindowForces):
         found = settled._without_lag_of_coil(_without_coil(parameters), columns)
         if _COIL in columns:
             place = list(columns).index(_COIL)
-            changed = parameters + np.eye(parameters.size)[_COIL] * _STEP_OF_COIL
+            changed = parameters + np.eye(parameters.size)[_COIL] * DIFFERENCE
             pairs = zip(found, self.forces(changed), self.forces(parameters), strict=True)
             for derivatives, later, force in pairs:
-                derivatives[:, place] = (later - force) / _STEP_OF_COIL
+                derivatives[:, place] = (later - force) / DIFFERENCE
         return found
 
     def _without_lag_of_coil(self, parameters: Array, columns: Sequence[int]) -> list[Array]:
