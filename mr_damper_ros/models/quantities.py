@@ -10,6 +10,7 @@ from typing import NamedTuple
 import numpy as np
 
 from mr_damper_ros.kinematics.window import Window
+from mr_damper_ros.models.formulas import LIMIT
 from mr_damper_ros.signals.arrays import Array
 
 NOTICED = 0.1
@@ -162,6 +163,7 @@ class CoefficientTable:
         values, errors = self.coefficients[:, column], self.errors[:, column]
         known = errors <= np.abs(values)
         usual = float(np.sqrt(np.mean(values[known if known.any() else slice(None)] ** 2)))
-        floor = _RELATIVE_ERROR * max(usual, float(np.finfo(float).tiny))
+        # The weight of a coefficient that is always zero is finite, and so is its square.
+        floor = _RELATIVE_ERROR * max(usual, 1.0 / LIMIT)
         errors = np.where(np.isnan(errors), _OPEN * np.maximum(floor, np.abs(values)), errors)
         return 1.0 / np.sqrt(errors**2 + floor**2 + (_RELATIVE_ERROR * values) ** 2)
