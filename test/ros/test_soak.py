@@ -34,9 +34,10 @@ def test_a_node_ends_cleanly_whenever_it_is_interrupted() -> None:
 
 
 def test_a_stream_at_speed_leaves_no_errors_and_no_leak() -> None:
-    data_hours = 25.0 * load.RATE / 3600.0
+    data_hours = 50.0 * load.RATE / 3600.0
     growth, errors = load.soak(data_hours, 0.4 * data_hours)
     assert errors == []
     assert sorted(growth) == ["bridge", "identifier", "model", "worker"]
-    # MB that a node may grow by in the last fifteen seconds; a leak of the blocks would be 4.
-    assert max(growth.values()) < 2.5, growth
+    # MB that a node may grow by in the last half minute; a leak of the blocks would be 8, and the
+    # windows that wait in the identifier make it vary by 3.
+    assert max(growth.values()) < 5.0, growth
