@@ -160,9 +160,12 @@ _DWELL = 0.4
 hundredth of its amplitude for a tenth of a half-cycle. After a drop to a tenth of the previous
 amplitude, it stays within that limit for a third of a half-cycle."""
 
-_SHORTEST, _SLOW = 0.1, 2.0
-"""Shortest rest [s], since noise and the delay of an observer take some hundredths of a second. In
-slow motion, a rest is detected after the second time [s]."""
+_SHORTEST = 0.1
+"""Shortest rest [s]. Noise and the delay of an observer take some hundredths of a second."""
+
+_SLOW, _SLOW_DWELL = 2.0, 0.16
+"""In slow motion, a rest is detected after this time [s], but not before this fraction of a
+half-cycle, which a slow sine stays at its dead centre at most."""
 
 
 class MotionCentre:
@@ -188,26 +191,16 @@ class MotionCentre:
         # Displacement [m] when it last moved, and the number of samples since then.
         self._anchor, self._still = math.nan, 0
         self.reversals = 0
-
-    @property
-    def half_cycle(self) -> float:
-        """Time [s] between the last two reversals; NaN before the second."""
-        return self._half_cycles[-1] if len(self._turns) > 1 else math.nan
-
-    @property
-    def usual_half_cycle(self) -> float:
+        self.half_cycle = math.nan
+        self.usual_half_cycle = math.nan
         """Longest of the latest half-cycles [s]; NaN before the first."""
-        return max(self._half_cycles[1 - _REVERSALS :], default=math.nan)
-
-    @property
-    def _half_cycles(self) -> list[float]:
-        return [(b - a) * self._period for (a, _), (b, _) in pairwise(self._turns)]
 
     @property
     def resting(self) -> bool:
         """Whether the displacement has hardly changed for longer than a reversal takes."""
         half_cycle = self.usual_half_cycle
-        return self._still * self._period > max(_SHORTEST, min(_DWELL * half_cycle, _SLOW))
+        longest = min(_DWELL * half_cycle, max(_SLOW, _SLOW_DWELL * half_cycle))
+        return self._still * self._period > max(_SHORTEST, longest)
 
     def follow(self, displacement: Array) -> float:
         """Centre [m] after these samples of shape (n,), n >= 1."""
@@ -236,6 +229,10 @@ class MotionCentre:
             self._turns.append((self._count, extreme))
         while len(self._turns) > _REVERSALS and self._turns[0][0] < self._count - self._memory:
             self._turns.popleft()
+        latest = [count for count, _ in self._turns][-_REVERSALS:]
+        half_cycles = [(end - begin) * self._period for begin, end in pairwise(latest)]
+        self.half_cycle = half_cycles[-1] if half_cycles else math.nan
+        self.usual_half_cycle = max(half_cycles, default=math.nan)
         self._low = min((place for _, place in self._turns), default=math.inf)
         self._high = max((place for _, place in self._turns), default=-math.inf)
         self._bottom = self._top = value

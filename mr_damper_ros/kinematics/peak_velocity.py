@@ -103,7 +103,9 @@ class PeakVelocity:
 
         An overshoot of the settling observer must not be stored, so the result is the speed there.
         """
-        first = max(velocity.size - settled, 0)
+        first = velocity.size - settled
+        if first <= 0:
+            return self.follow(velocity, acceleration)
         later = self.follow(velocity[first:], acceleration[first:])
         return np.concatenate([np.abs(velocity[:first]), later])
 

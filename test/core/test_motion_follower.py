@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from mr_damper_ros.kinematics.motion_follower import MotionFollower
+from mr_damper_ros.kinematics.motion_follower import MotionCentre, MotionFollower
 from mr_damper_ros.kinematics.observer import CausalDifferentiator
 from mr_damper_ros.models.parameter_set import ParameterSet
 from mr_damper_ros.signals.arrays import Array
@@ -99,3 +99,15 @@ def test_a_rest_is_one_for_as_long_as_it_lasts() -> None:
     assert not any(resting[100:150])
     assert all(resting[175:349])
     assert not any(resting[360:])
+
+
+def test_a_sine_of_many_seconds_does_not_rest_at_its_dead_centres() -> None:
+    # It stays within a hundredth of its amplitude for 2.3 to 2.7 s there.
+    centre, time = MotionCentre(10.0, 0.05), np.arange(0.0, 200.0, 0.05)
+    displacement = 0.01 * np.sin(2.0 * np.pi * 0.02 * time)
+    resting = []
+    for value in displacement:
+        centre.follow(np.array([value]))
+        resting.append(centre.resting)
+    known = time > 100.0  # after two cycles
+    assert not np.any(np.array(resting)[known])
