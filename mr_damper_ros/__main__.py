@@ -1,6 +1,6 @@
-"""``python -m mr_damper_ros PROGRAM ...``: a program whose name means something else in a shell.
+"""Run any program of the package as ``python -m mr_damper_ros PROGRAM ...``.
 
-``export`` is a word of the shell, and ``watch`` a program of most systems.
+Two of their names mean something else in a shell: ``export`` and ``watch``.
 """
 
 from __future__ import annotations

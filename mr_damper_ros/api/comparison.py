@@ -103,7 +103,7 @@ class ComparedRun:
 
     @property
     def row(self) -> tuple[Cell, ...]:
-        """Name and error of the run for :data:`RUN_COLUMNS`."""
+        """Table row of the run, with the columns of :data:`RUN_COLUMNS`."""
         error = self.error
         return self.name, error.rmse, f"{error.nrmse:.2%}", f"{error.r2:.4f}", error.count
 
@@ -153,7 +153,7 @@ _LEGEND = 0.06
 
 _MEASURED = {"color": "0.65", "linestyle": "none", "marker": ".", "markersize": 3.0}
 _PREDICTED = {"color": "#8f1023", "linewidth": 1.2}
-"""Light dots and a dark line, which also differ without colour."""
+"""Light dots and a dark line can be told apart in black and white."""
 
 
 def comparison_figure(comparison: Comparison, title: str = "") -> Figure:
@@ -339,7 +339,7 @@ def _remark(found: ParameterSet, run: MeasuredRun) -> str:
     low, high = found.peak_velocity_range
     more = current_allowance(found.current_range, _MARGINS.current_margin)
     remarks = [
-        f"{name} {_span(values)} {unit}, and the set is for {known[0]:.3g} to {known[1]:.3g} {unit}"
+        f"{name} {_span(values)} {unit}, but the set holds for {_span(known)} {unit}"
         for name, values, known, margins, unit in (
             (
                 "peak velocity",

@@ -41,9 +41,9 @@ from mr_damper_ros.tracking.operating_point import KnownPoints
 class Estimate:
     """A value with its standard error, both in ``unit``; an unknown standard error is NaN.
 
-    ``observable``: whether the data determine the value; otherwise, it is the start value.
-    ``discrepancy``: the part of the standard error that is caused by model error, NaN if it is
-    unknown; this error becomes visible only with a different motion. ``only_with``: names of the
+    ``observable``: whether the data determine the value; if not, it is the start value.
+    ``discrepancy``: the part of the standard error that is caused by model error, NaN if unknown;
+    model error shows only in a different motion. ``only_with``: names of the
     parameters that the data determine only jointly with this one, for example as a product. Such a
     value has no standard error of its own.
     """
@@ -90,12 +90,12 @@ def parameter_estimates(
     }
 
 
-_SURELY = 2.0
-"""Number of standard errors below zero from which a negative coefficient is reported."""
+_SIGNIFICANT = 2.0
+"""A negative coefficient is reported if it lies this many standard errors below zero."""
 
 
 def negative_slopes(runs: Mapping[str, Estimates], found: ParameterSet) -> list[str]:
-    """Remarks on negative stiffnesses and viscous slopes; ``runs``: coefficients by run."""
+    """Remarks on negative stiffnesses and viscous slopes in the coefficients of each run."""
     entries: dict[str, list[tuple[str, Estimate]]] = {}
     for run, estimates in runs.items():
         for name, entry in estimates.items():
@@ -106,18 +106,19 @@ def negative_slopes(runs: Mapping[str, Estimates], found: ParameterSet) -> list[
             entries[name] = [("", replace(entry, meaning="stiffness"))]
     remarks = []
     for name, each in entries.items():
-        below = [(where, e) for where, e in each if e.value < -_SURELY * e.standard_error]
+        below = [(where, e) for where, e in each if e.value < -_SIGNIFICANT * e.standard_error]
         if below:
             where, worst = min(below, key=lambda one: one[1].value)
             remarks.append(
-                f"the {worst.meaning} {name} is negative, {worst}{where}: the law follows the "
-                "runs with it, but no damper has one, so distrust the force beyond them"
+                f"the {worst.meaning} {name} is negative ({worst}){where}: it fits the runs, but "
+                "no damper has a negative one, so do not trust the force outside the range of "
+                "the runs"
             )
     return remarks
 
 
 def estimates_table(heading: str, estimates: Estimates) -> Grid:
-    """The table of estimates; ``heading`` names the column of the names."""
+    """The table of estimates; ``heading`` is the heading of its first column, the names."""
     rows = [
         (name, f"{entry.value:.6g}", _error(entry), _discrepancy(entry), entry.unit, entry.meaning)
         for name, entry in estimates.items()
@@ -145,7 +146,7 @@ _MOST_PARTNERS = 2
 """Largest number of jointly determined parameters that a table names."""
 
 _CYCLES = 2.0
-"""Cycles per piece; if the motion has no frequency, a piece lasts ``_DURATION`` seconds."""
+"""Cycles per piece; in a motion without a single frequency a piece lasts ``_DURATION`` seconds."""
 
 _DURATION = 4.0
 _SAMPLES = 500
@@ -156,7 +157,7 @@ _STEADY_CURRENT = 0.02
 
 
 def temperature_maps(runs: Sequence[MeasuredRun], found: ParameterSet) -> list[TemperatureMap]:
-    """Temperature maps from all runs, for each operating point at which they determine a map.
+    """The temperature maps of all operating points for which the runs contain enough data.
 
     ``found`` is the set identified from the runs. Each run is cut into pieces of a few cycles. A
     window fit of each piece gives its force scale. Pieces that cannot be fitted are ignored.
@@ -190,8 +191,8 @@ def _pieces(window: Window, celsius: Array) -> Iterator[tuple[Window, float]]:
             yield window.part(place).thinned(_SAMPLES), float(np.mean(celsius[place]))
 
 
-_MEASURE = "in residuals of the runs fitted one by one"
-"""Unit of the square root of the cost of a search."""
+_MEASURE = "RMS residual relative to separate fits of the runs"
+"""Meaning of the square root of the cost of a search."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -224,7 +225,7 @@ def determination_of(fit: GlobalFit, windows: Sequence[Window]) -> Determination
 def determined(
     fit: GlobalFit, windows: Sequence[Window], rig: RigRange, result: Determination
 ) -> Findings:
-    """The determined parameters, and runs within the range of the rig that determine more."""
+    """The determined parameters, and runs within the range of the rig that would determine more."""
     found = fit.parameter_set
     misfit = search_misfit(fit, windows)
     noise = float(np.median(fit.noise))
@@ -263,7 +264,7 @@ def profiles(fit: GlobalFit, found: Sequence[Profile]) -> Findings:
     lines, document = [], {}
     for p in found:
         line = (
-            f"profile of {p.name}: least at {p.best:.6g}, 95 % interval {p.interval[0]:.6g} to "
+            f"profile of {p.name}: minimum at {p.best:.6g}, 95 % interval {p.interval[0]:.6g} to "
             f"{p.interval[1]:.6g}"
         )
         if not p.contains(values[p.name]):
@@ -284,19 +285,19 @@ def searches(found: MultiStart) -> Findings:
     names = best.parameter_set.law.parameter_names
     lines = []
     if best.candidates:
-        left = "; ".join(f"{math.sqrt(c.cost):.3g} ({c.origin})" for c in best.candidates)
-        lines.append(f"local searches left, {_MEASURE}: {left}")
+        costs_left = "; ".join(f"{math.sqrt(c.cost):.3g} ({c.origin})" for c in best.candidates)
+        lines.append(f"local searches, {_MEASURE}: {costs_left}")
     if len(found.fits) > 1:
         costs = [fit.cost for fit in found.fits.values()]
         lines.append(
-            f"{len(costs)} searches left {math.sqrt(min(costs)):.6g} to "
-            f"{math.sqrt(max(costs)):.6g}, {_MEASURE}; {len(found.as_good)} of them are as good "
-            "as the best"
+            f"{len(costs)} searches, {_MEASURE}: {math.sqrt(min(costs)):.6g} to "
+            f"{math.sqrt(max(costs)):.6g}; {len(found.as_good)} of them are as good as the best"
         )
         if len(found.as_good) > 1:
             widest = int(np.argmax(spread))
             lines.append(
-                f"these differ by up to {spread[widest]:.2g} standard errors ({names[widest]})"
+                f"the parameters of these searches differ by up to {spread[widest]:.2g} standard "
+                f"errors ({names[widest]})"
             )
     entries = [
         {
@@ -330,7 +331,7 @@ def temperatures(maps: Sequence[TemperatureMap]) -> Findings:
         lines.append(
             f"at {speed:.3g} m/s and {current:.3g} A the force changes by "
             f"{found.slope(middle):+.2%} per kelvin, from {found.low:.3g} to {found.high:.3g} °C; "
-            f"it tells the temperature to {kelvin:.2g} K"
+            f"the temperature can be computed from the force to within {kelvin:.2g} K"
         )
         points = [(c, found.scale(c)) for c in np.linspace(found.low, found.high, 9).tolist()]
         entries.append(

@@ -67,7 +67,7 @@ LARGEST_RUN_NRMSE = 0.3
 
 
 AUTO = "auto"
-"""Value of ``model`` that lets the runs decide on the law."""
+"""Value of ``model`` for which the law is chosen by cross-validation."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -76,7 +76,7 @@ class FittedRun(ComparedRun):
 
     ``operating_point``: representative peak velocity [m/s] and current [A] of the run;
     ``coefficients``: the coefficients of the law at this point, by name; ``level``: gain and offset
-    of the run, None without ``level_per_record``. The ``error`` does not include the level.
+    of the run, None without ``level_per_record``. The ``error`` is that of the set without them.
     """
 
     measured: MeasuredRun
@@ -203,8 +203,8 @@ class Identification(ComparedRuns):
         where = f"{name} and {len(others)} more" if others else name
         return (
             f"{ended}, but THE SET EXPLAINS TOO LITTLE OF THE FORCE of {where}: NRMSE {worst:.1%}, "
-            f"where {LARGEST_RUN_NRMSE:.0%} is the most; are columns, units, signs and currents "
-            "right, and are all runs of one damper?"
+            f"above the limit of {LARGEST_RUN_NRMSE:.0%}; check columns, units, signs and "
+            "currents, and whether all runs are of one damper"
         )
 
     @one_thread()
@@ -216,9 +216,9 @@ class Identification(ComparedRuns):
         Parameters
         ----------
         top_velocity
-            Largest peak velocity [m/s] of a recommended run. Default: that of the present runs.
+            Largest peak velocity [m/s] of a recommended run. Default: the largest in these runs.
         top_current
-            Largest current [A] of a recommended run. Default: that of the present runs.
+            Largest current [A] of a recommended run. Default: the largest in these runs.
         """
         windows = self._windows
         done = RigRange.of_windows(windows)
@@ -233,9 +233,9 @@ class Identification(ComparedRuns):
     def profile(self, *names: str, workers: int = 1, report: Report | None = None) -> Findings:
         """Profile likelihood of the named parameters, with 95 % intervals.
 
-        If an interval does not contain the identified value, there is a lower minimum, from which
-        ``identify(..., profile=names)`` searches again. Raises ValueError if the model has no
-        parameter of a given name.
+        If an interval does not contain the identified value, the search has missed a lower minimum;
+        ``identify(..., profile=names)`` continues from there. Raises ValueError if the model has
+        no parameter of a given name.
         """
         windows, fit = self._windows, self.searches.best
         with ProcessPool(workers) as processes:
@@ -282,7 +282,7 @@ class Identification(ComparedRuns):
         if len(self.runs) == 1 and self.coefficients:
             speed, current = self.runs[0].operating_point
             blocks += [
-                f"the loop at a peak velocity of {speed:.4g} m/s and {current:.4g} A:",
+                f"coefficients at a peak velocity of {speed:.4g} m/s and {current:.4g} A:",
                 estimates_table("coefficient", self.coefficients),
                 "",
             ]
@@ -292,7 +292,7 @@ class Identification(ComparedRuns):
             rows = [run.row + run.level_row for run in self.runs]
         blocks += [estimates_table("parameter", self.parameters), "", Grid(columns, rows)]
         if self.mass is not None:
-            blocks.append(f"without the inertia of {self.mass} between load cell and damper")
+            blocks.append(f"inertia subtracted: {self.mass} between load cell and damper")
         blocks.append(
             f"{self.method}: {self.evaluations} evaluations in {self.duration:.2f} s, "
             f"{self.message}"
@@ -368,14 +368,14 @@ def identify(
         Parameters for which to compute the profile likelihood. If the minimum of a profile lies far
         from the identified value, the search starts again from the minimum.
     level_per_record
-        Standard deviation about 1, such as 0.1, of a gain for each run; each run then also has an
-        offset. Temperature, filling and the zero of the load cell then do not distort the law.
+        Expected standard deviation of the gains about 1, such as 0.1. Each run then has a gain and
+        an offset, so that temperature, filling and load-cell zero do not distort the law.
 
         0: no gains and offsets.
     mass
         Moving mass [kg] between load cell and damper, whose inertia the measured force includes.
     fit_mass
-        Identify this mass, too, which needs more than a single sine.
+        Identify this mass as well. A single sine does not suffice for that.
     report
         Called with the progress. If it returns False, the search stops with the best result so
         far.
@@ -528,7 +528,7 @@ def _resume(record: SearchRecord, path: Path) -> None:
         record.take(json.loads(path.read_text(encoding="utf-8")))
     except ValueError as error:
         detail = (
-            error if isinstance(error, SearchRecordError) else "it is not the record of a search"
+            error if isinstance(error, SearchRecordError) else "it holds no progress of a search"
         )
         raise ValueError(f"cannot resume from {path}: {detail}") from error
 

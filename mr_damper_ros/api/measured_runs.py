@@ -31,7 +31,7 @@ RunSource = str | os.PathLike[str] | Recording | Iterable["RunSource"]
 RunArrays = tuple[ArrayLike | None, ArrayLike | None, ArrayLike | None, float | None]
 """Displacement [m], force [N] and current [A] of a run, and the sample period [s]."""
 
-_REMEDY = "accept_doubtful, --accept-doubtful: use it anyway"
+_REMEDY = "to use it anyway, give accept_doubtful=True or --accept-doubtful"
 
 _LIMITS = Screening(minimum_amplitude=1e-6, current_tolerance=2.0 * LARGEST_CURRENT)
 
@@ -40,7 +40,7 @@ _LIMITS = Screening(minimum_amplitude=1e-6, current_tolerance=2.0 * LARGEST_CURR
 class MeasuredRun:
     """One run of a damper, checked and ready for identification.
 
-    ``windows``: one per section without gaps; ``starts``: their times [s] after the first sample;
+    ``windows``: one per section without gaps; ``starts``: the start time [s] of each window;
     ``temperatures``: the temperature (n,) [°C] of the samples of each window, None if it was not
     measured; ``provenance``: the origin of the data according to the recording; ``remarks``:
     possible problems of the run.
@@ -210,15 +210,15 @@ _MOST = 3
 
 
 def remarks_on(runs: Sequence[MeasuredRun]) -> tuple[str, ...]:
-    """Possible problems of the runs, their currents and the processing of their forces."""
+    """The remarks of the runs, and remarks on inconsistent currents and on smoothed forces."""
     return (
         *(remark for run in runs for remark in run.remarks),
         *_current_remarks(runs),
-        *_averages(runs),
+        *_smoothing_remarks(runs),
     )
 
 
-def _averages(runs: Sequence[MeasuredRun]) -> list[str]:
+def _smoothing_remarks(runs: Sequence[MeasuredRun]) -> list[str]:
     """A remark on runs whose force was smoothed by a moving average."""
     counts = {run.name: find_average(run.longest.force) for run in runs}
     named = [f"{name} ({count} samples)" for name, count in counts.items() if count > 1]

@@ -193,8 +193,8 @@ def replay(
 ) -> Replay:
     """Replay a recording, or the messages of a bag, through the engine of the nodes.
 
-    ``parameters``: the initial set, or its file, as the launch argument of that name; without it,
-    there is no initial set. ``identify``: if False, the model node works alone with ``parameters``.
+    ``parameters``: the initial set or its file, like the launch argument ``parameters``; None:
+    no initial set. ``identify``: if False, only the model node runs, with ``parameters``.
     ``settings``: the settings of the nodes. ``block_size``: samples per block of a recording; a bag
     is replayed in its own blocks.
 

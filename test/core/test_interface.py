@@ -133,7 +133,7 @@ def test_the_result_tells_coefficients_and_parameters_with_their_errors(
     assert ">f_t</td>" in result._repr_html_()
     inside, outside = mr.validate(result.parameter_set, ONE_RUN, ANOTHER).runs
     assert inside.remark == ""
-    assert outside.remark == "OUT OF RANGE: current 0.5 A, and the set is for 1.5 to 1.5 A"
+    assert outside.remark == "OUT OF RANGE: current 0.5 A, but the set holds for 1.5 A"
 
 
 def test_terminal_file_and_document_tell_one_nrmse(

@@ -309,7 +309,7 @@ def test_the_searches_and_their_spread_are_told(
     best = min(document["searches"], key=lambda search: search["cost"])
     assert document["parameters"] == best["parameters"]
     assert set(document["spread"]) == set(document["parameters"])
-    assert "2 searches left " in said
+    assert "2 searches, RMS residual " in said
 
 
 @pytest.mark.parametrize("text", ["", "no JSON", "{}", '{"version": 9, "search": "x"}'])
