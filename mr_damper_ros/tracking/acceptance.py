@@ -28,31 +28,32 @@ from mr_damper_ros.tracking.operating_point import (
 )
 
 CHUNKS = 40
-_HELD_BACK_EVERY = 4
-"""A window is cut into this many chunks; every fourth is validation data. A chunk has at least one
-sample, so fewer new samples than chunks decide nothing."""
+_VALIDATION_EVERY = 4
+"""A window is divided into 40 chunks, and every fourth chunk is validation data. A chunk has at
+least one sample, so fewer than 40 new samples cannot replace the running set."""
 
-BEYOND_CHANCE = 2.5
+SIGNIFICANT_LEAD = 2.5
 """Smallest lead, in standard errors, with which a new set replaces the running set.
 
-A lead that is pure chance exceeds this value once in 160 windows. Here it does so more rarely,
-because the noise in a new fit increases its error on the validation samples.
+If both sets are equally good, the lead exceeds this value in one window of 160. For a new fit this
+is rarer still, because its noise increases its error on the validation samples.
 """
 
 
-HARDLY = 0.03
-"""Largest excess of NRMSE over the running set for a set that covers more operating points."""
+LARGEST_EXCESS = 0.03
+"""A set that covers more operating points may have an NRMSE higher than the running set's by this.
+"""
 
-_MAY_LOSE = 0.5
-"""Largest loss of a window set at the other operating points, relative to its gain in its own
-window. A window set is fitted to that window alone (``foreign_worse_sets``)."""
+_LARGEST_LOSS = 0.5
+"""Largest increase of a window set's mean square error at the other operating points, relative to
+its decrease in the window. A window set is fitted to that window alone (``foreign_worse_sets``)."""
 
-STILL_GOOD = 0.3
+GOOD_NRMSE = 0.3
 """Up to this NRMSE the running set counts as good, and replacing it is a risk."""
 
-WORTH_WHILE = 0.9
-"""A good set is replaced if the new NRMSE is less than this multiple of its own. A set that is
-equally good at the tested operating points may be worse at others (``foreign_worse_sets``)."""
+WORTHWHILE_RATIO = 0.9
+"""A good set is replaced only by a set with an NRMSE below this multiple of its NRMSE. A set that
+is equally good at the tested operating points may be worse at others (``foreign_worse_sets``)."""
 
 
 @dataclass(frozen=True)
@@ -60,11 +61,11 @@ class Evidence:
     """Errors of the running and the new set on the validation samples of a window.
 
     ``nrmse_before`` and ``nrmse_after`` are the errors of the running and the new set, RMSE over
-    standard deviation of the force; ``rmse_after`` [N] is that of the new set. ``force_change`` is
-    the relative change of the force from the running to the new set in the motion of the window.
-    ``lead`` is the lead of the new set on samples that neither set was fitted to, in standard
-    errors. ``shape_change`` [1] is the part of the new set's force that is not proportional to the
-    running set's. ``loss`` [1] is the increase of the mean square error, summed over the other
+    standard deviation of the force; ``rmse_after`` [N] is the RMSE of the new set. ``force_change``
+    is the relative change of the force from the running to the new set in the window. ``lead`` is
+    the lead of the new set on samples that neither set was fitted to, in standard errors.
+    ``shape_change`` [1] is the part of the new set's force that is not proportional to the force of
+    the running set. ``loss`` [1] is the increase of the mean square error, summed over the other
     recent operating points, divided by its decrease in this window. ``nrmse_elsewhere`` is the
     NRMSE of the running set at these other points. ``recent`` is the NRMSE of the running and the
     new set at the recent operating points, for a global identification.
@@ -83,12 +84,12 @@ class Evidence:
     @property
     def better(self) -> bool:
         """Whether the new set predicts significantly better than the running set."""
-        return self.nrmse_after < self.nrmse_before and self.lead > BEYOND_CHANCE
+        return self.nrmse_after < self.nrmse_before and self.lead > SIGNIFICANT_LEAD
 
     @property
     def loses_elsewhere(self) -> bool:
-        """Whether the running set is good at the other points and the new one much worse there."""
-        return self.loss > _MAY_LOSE and self.nrmse_elsewhere <= STILL_GOOD
+        """Whether the new set is much worse at other points where the running set is good."""
+        return self.loss > _LARGEST_LOSS and self.nrmse_elsewhere <= GOOD_NRMSE
 
 
 @dataclass(frozen=True)
@@ -96,9 +97,8 @@ class Lead:
     """Lead of a new force over an old one on samples that neither set was fitted to.
 
     ``gain`` is half the decrease of the sum of squared errors. ``chance`` is the standard deviation
-    of ``gain`` if both forces are equally good. Both are in units of the noise variance. The
-    difference of two sums of squares is linear in the noise. The autocorrelation of the noise is
-    estimated from the residual.
+    of ``gain`` if both forces are equally good; it includes the autocorrelation of the noise, which
+    is estimated from the residual. Both are in units of the noise variance.
     """
 
     gain: float
@@ -132,12 +132,12 @@ def held_back_samples(count: int, fresh: int | None = None) -> np.ndarray:
 
     ``fresh`` is the number of samples at the end that the running set was not fitted to. If there
     are fewer than :data:`CHUNKS`, as with a hop of a few samples, the chunks are spread over all
-    samples. The validation samples then decide nothing, see :func:`evidence_of`.
+    samples; :func:`evidence_of` then finds no lead.
     """
     judged = count if fresh is None or not CHUNKS <= fresh < count else fresh
     chunk = np.arange(judged) * CHUNKS // max(judged, 1)
     held_back = np.zeros(count, dtype=bool)
-    held_back[count - judged :] = chunk % _HELD_BACK_EVERY == _HELD_BACK_EVERY - 1
+    held_back[count - judged :] = chunk % _VALIDATION_EVERY == _VALIDATION_EVERY - 1
     return held_back
 
 
@@ -197,8 +197,8 @@ def evidence_of(
 def turns_gradually(found: ParameterSet, window: Window) -> bool:
     """Whether a set reproduces a window better with gradual reversals; see ``law_turning``.
 
-    The prediction also selects the branch rule by the measured force, so the acceptance test
-    evaluates a set as it is used.
+    The prediction selects the branch rule by the measured force. The acceptance test does the same,
+    so it evaluates a set as it will be used.
     """
     jumping, gradual = found.law, found.law.continuous
     if gradual is jumping:
@@ -222,17 +222,17 @@ def rival_wins(
 ) -> bool:
     """Whether a rival set predicts the last ``fresh`` samples of a window better.
 
-    Neither set was fitted to these samples. A rival with a wider current range is accepted up to an
-    excess of :data:`HARDLY` in NRMSE. A window that the rival predicts with more than
-    ``maximum_nrmse`` does not confirm it. ``elsewhere`` is as in :func:`evidence_of`.
+    Neither set was fitted to these samples. The NRMSE of a rival with a wider current range may be
+    higher by :data:`LARGEST_EXCESS`. An NRMSE above ``maximum_nrmse`` never confirms the rival.
+    ``elsewhere`` is as in :func:`evidence_of`.
     """
     judges = np.arange(window.sample_count) >= window.sample_count - fresh
     found = evidence_of(running, rival, window, judges, fresh=fresh, elsewhere=elsewhere)
     lows, highs = zip(rival.current_range, running.current_range, strict=True)
     if highs[0] - lows[0] > highs[1] - lows[1]:
-        allowed = found.nrmse_before + HARDLY
+        allowed = found.nrmse_before + LARGEST_EXCESS
     else:
-        allowed = WORTH_WHILE * found.nrmse_before
+        allowed = WORTHWHILE_RATIO * found.nrmse_before
     return found.nrmse_after <= min(allowed, maximum_nrmse) and not found.loses_elsewhere
 
 
@@ -253,23 +253,23 @@ def _mean_square(found: ParameterSet, windows: Sequence[Window]) -> float:
     return error if math.isfinite(error) else math.inf
 
 
-_OTHER_SHAPE = 0.2
-"""A larger shape change, relative to the force, must be confirmed by the next window if the running
-set has been identified at this operating point (``foreign_worse_sets``). Temperature and wear do
-not cause it between two windows of one steady motion; a delay between the sensors does."""
+_LARGE_SHAPE_CHANGE = 0.2
+"""A larger shape change [1] must be confirmed by the next window if the running set has been
+identified at this operating point (``foreign_worse_sets``). Between two windows of one steady
+motion, temperature and wear do not change the shape as much; a delay between the sensors does."""
 
 SAME_FORCE = 0.1
-"""Up to this relative change of the force it is the same force, and the law of the running set also
-holds where it has not been identified. If the running set has been identified at this operating
-point and the residual stays large, another force is attributed to a sensor, unless the new set is
-worth while."""
+"""Largest relative change of a force that counts as unchanged. If the force at a new operating
+point is unchanged, the running set also holds there. If the force has changed where the running set
+was identified, and the residual stays large, a sensor is at fault unless the new set predicts much
+better."""
 
 
 class Verdict(IntEnum):
-    """Result of the acceptance test; the numbers are those of the message FitReport."""
+    """Result of the acceptance test; the numbers are constants of the message FitReport."""
 
     ACCEPTED = 1
-    """The new set predicts better and is in use."""
+    """The new set predicts better and is now in use."""
     ACCEPTED_EARLY = 2
     """The force changed suddenly; an early fit to a few samples updated the running set."""
     NO_BETTER = 3
@@ -296,7 +296,7 @@ class Verdict(IntEnum):
 
     @property
     def confirms(self) -> bool:
-        """Whether the window confirms the set that is in use after the test."""
+        """Whether the samples of the window agree with the set that is in use after the test."""
         return self.accepted or self is Verdict.NO_BETTER
 
 
@@ -365,10 +365,9 @@ class AcceptanceSettings(CheckedSettings):
 class Experience:
     """Records of earlier windows, which the acceptance test uses and updates.
 
-    ``points`` holds a record for each operating point. ``residuals`` are those of the newest good
-    windows. ``refused_for_residual`` counts the windows rejected in a row for their residual since
-    then. ``level`` is the running set's force relative to the first accepted force; 1 means
-    unchanged.
+    ``points`` holds a record for each operating point. ``residuals`` are the residuals of the
+    newest good windows. ``refused_for_residual`` counts the windows that were rejected in a row for
+    their residual. ``level`` is the running set's force relative to the first accepted force.
     """
 
     points: KnownPoints = field(default_factory=KnownPoints)
@@ -381,10 +380,10 @@ class Gatekeeper:
     """The acceptance test: accepts or rejects new sets by the records of earlier windows."""
 
     _PATIENCE = 4
-    """After this many rejections in a row for the residual, the residual baseline starts anew."""
+    """After this many rejections in a row for the residual, the residual baseline is reset."""
     _PATIENCE_WHERE_KNOWN = 12
-    """The same number where the running set has been identified. A faulty sensor is usually
-    repaired within that time."""
+    """Such number of rejections at an operating point where the running set has been identified. A
+    faulty sensor is usually repaired within that time."""
 
     def __init__(self, settings: AcceptanceSettings, known: Experience | None = None) -> None:
         self._settings = settings
@@ -402,8 +401,8 @@ class Gatekeeper:
     ) -> Judgement:
         """Judge the set of a window, and update the records if the window is good.
 
-        ``force`` is the size and the operating point of the window's force; None leaves them
-        unchecked. ``holds`` says whether the running set has been identified at the operating point
+        ``force`` is the size and the operating point of the window's force; with None they are not
+        checked. ``holds`` says whether the running set has been identified at the operating point
         of the window, ``same_motion`` whether several windows in a row had this motion, and
         ``one_point`` whether the current is constant, so that the residual belongs to one operating
         point. ``objection`` returns the reason why the set is implausible, or an empty text; it is
@@ -417,7 +416,7 @@ class Gatekeeper:
             or self._disturbance(evidence, point, holds=holds)
             or self._comparison(evidence, force, holds=holds, is_first=is_first)
         )
-        # An unconfirmed set is in use once the next window confirms it.
+        # The next window puts an unconfirmed set into use.
         usable = judgement.verdict.accepted or judgement.verdict is Verdict.UNCONFIRMED
         if usable and (sentence := objection()):
             judgement = Judgement(Verdict.POOR_FIT, sentence)
@@ -436,7 +435,7 @@ class Gatekeeper:
     def judge_global(
         self, evidence: Evidence, objection: Callable[[], str] = str, *, tentative: bool = False
     ) -> Judgement:
-        """Judge the set of a global identification; the records stay as they are.
+        """Judge the set of a global identification; the records do not change.
 
         ``objection`` is as in :meth:`judge`. If ``tentative`` and the running set is still good,
         the next window must confirm the new set.
@@ -448,19 +447,19 @@ class Gatekeeper:
                 "one set for all operating points leaves an NRMSE of "
                 f"{evidence.nrmse_after:.0%}, more than maximum_nrmse ({maximum:.0%})",
             )
-        worth_while = evidence.nrmse_after < WORTH_WHILE * evidence.nrmse_before
-        if not (worth_while and evidence.lead > BEYOND_CHANCE):
+        worth_while = evidence.nrmse_after < WORTHWHILE_RATIO * evidence.nrmse_before
+        if not (worth_while and evidence.lead > SIGNIFICANT_LEAD):
             return Judgement(Verdict.NO_BETTER, "the running set predicts the reservoir as well")
         before, after = evidence.recent
-        if after > before + HARDLY:
+        if after > before + LARGEST_EXCESS:
             return Judgement(
                 Verdict.NO_BETTER,
-                f"one set for all operating points leaves a recent NRMSE of {after:.0%}, the "
-                f"running set {before:.0%}",
+                f"at the recent operating points the new set leaves an NRMSE of {after:.0%}, the "
+                f"running set one of {before:.0%}",
             )
         if sentence := objection():
             return Judgement(Verdict.POOR_FIT, sentence)
-        if tentative and before <= STILL_GOOD:
+        if tentative and before <= GOOD_NRMSE:
             return Judgement(
                 Verdict.UNCONFIRMED,
                 "the set for all operating points must be confirmed by the next window",
@@ -470,8 +469,8 @@ class Gatekeeper:
     def may_be_early(self, evidence: Evidence) -> bool:
         """Whether a fit to a few samples after a sudden change may replace the running set.
 
-        Its residual must agree with the residual baseline, it must predict better, and it must need
-        no confirmation. The records stay as they are; the next window is judged as usual.
+        Its residual must agree with the residual baseline, it must predict better, and its change
+        of force must be within the step limit. The records do not change.
         """
         limit, level = self._settings.change_limit, self.known.level * (1.0 + evidence.force_change)
         return bool(
@@ -496,10 +495,10 @@ class Gatekeeper:
     def _refusal(
         self, evidence: Evidence, force: KnownForce | None, *, holds: bool, same_motion: bool
     ) -> Judgement | None:
-        """Refuse a fit with too large an error, and a force that is impossible for this damper."""
+        """Reject a fit with too large an error, and a force that is impossible for this damper."""
         maximum, limit = self._settings.maximum_nrmse, self._settings.change_limit
         if not math.isfinite(evidence.nrmse_after):
-            return Judgement(Verdict.POOR_FIT, "the fit has no finite error: the window is refused")
+            return Judgement(Verdict.POOR_FIT, "the error of the fit is not finite")
         if evidence.nrmse_after > maximum:
             return Judgement(
                 Verdict.POOR_FIT,
@@ -507,12 +506,12 @@ class Gatekeeper:
                 f"({maximum:.0%})",
             )
         beyond = ""
-        if same_motion and evidence.shape_change > _OTHER_SHAPE:
+        if same_motion and evidence.shape_change > _LARGE_SHAPE_CHANGE:
             beyond = (
                 f"the shape of the force changed by {evidence.shape_change:.0%} in the same motion"
             )
         elif force is not None:
-            # Where the running set has been identified, it gives the first force at a new point.
+            # Where the running set has been identified, the first accepted force follows from it.
             expected = self.known.level * (1.0 + evidence.force_change) if holds else math.nan
             objection = self.known.points.objection(force, limit, expected)
             beyond = f"{objection}, more than change_limit ({limit:g}) allows" if objection else ""
@@ -526,26 +525,27 @@ class Gatekeeper:
     def _disturbance(
         self, evidence: Evidence, point: OperatingPoint | None, *, holds: bool
     ) -> Judgement | None:
-        """Refuse a window whose residual is far above the residual baseline, unless it lasts."""
+        """Reject a window with a residual far above the baseline, unless such residuals persist."""
         known, before, after = self.known, evidence.nrmse_before, evidence.nrmse_after
         excess = excess_residual(known.residuals, evidence.rmse_after, after, point)
         if excess <= self._settings.residual_factor:
             known.refused_for_residual = 0
             return None
         known.refused_for_residual += 1
-        # The force is known here, so a sensor has changed rather than the damper.
+        # The force at this operating point is known, so a sensor has changed rather than the
+        # damper.
         doubtful = (
-            holds and abs(evidence.force_change) > SAME_FORCE and WORTH_WHILE * before < after
+            holds and abs(evidence.force_change) > SAME_FORCE and WORTHWHILE_RATIO * before < after
         )
         patience = self._PATIENCE_WHERE_KNOWN if holds else self._PATIENCE
         if known.refused_for_residual > patience and not doubtful:
-            # The larger residual has lasted: the rig itself has become noisier.
+            # The residual has stayed large: the rig itself has become noisier.
             known.residuals, known.refused_for_residual = (), 0
             return None
         sentence = f"the residual is {excess:.1f} times the residual baseline: "
-        if before <= 0.5 * STILL_GOOD:
+        if before <= 0.5 * GOOD_NRMSE:
             # The baseline depends on the motions and currents of earlier windows.
-            sentence += f"the running set, with an NRMSE of {before:.0%}, stays in use"
+            sentence += f"the running set stays in use, because its NRMSE is only {before:.0%}"
             return Judgement(Verdict.NO_BETTER, sentence, usual=False)
         return Judgement(Verdict.DISTURBED, sentence + "a disturbance or a sensor fault")
 
@@ -561,17 +561,19 @@ class Gatekeeper:
         if evidence.loses_elsewhere:
             return Judgement(
                 Verdict.NO_BETTER,
-                "the new set loses more at the other recent operating points than it gains here",
+                "the error of the new set is smaller in this window, but much larger at the other "
+                "recent operating points",
             )
         change, surprise = evidence.force_change, ""
         if force is not None and not holds:
-            # The running set does not give the earlier force here; the first accepted force does.
+            # The earlier force at this point follows from the first accepted force, not from the
+            # running set.
             here = self.known.points.known_force(force.operating_point)
             if here is not None:
                 change = min(change, force.size / (here.size * self.known.level) - 1.0, key=abs)
         if abs(change) > self._settings.step_limit:
             surprise = f"the force changed by {change:+.0%} at once"
-        elif holds and evidence.shape_change > _OTHER_SHAPE:
+        elif holds and evidence.shape_change > _LARGE_SHAPE_CHANGE:
             surprise = f"the shape of the force changed by {evidence.shape_change:.0%} at once"
         if is_first or not surprise:
             return ACCEPTED

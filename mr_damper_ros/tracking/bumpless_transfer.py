@@ -1,10 +1,10 @@
 """Bumpless transfer: force of the set in use, without a step when another set takes over.
 
-Two sets never give exactly the same force. Nor does one set that restarts from another state. The
-damper makes no such step, and a controller would react to it. Therefore the new force starts at the
-force of the previous set, and the difference fades to zero. The state of the law (a lag, a
-hysteresis) is recomputed with the new set over the recent motion. It then has the value that it
-would have if the new set had been in use all the time.
+Two sets never give exactly the same force, and neither does a set whose law restarts from a
+different state. The damper makes no such step, and a controller would react to it. The new force
+therefore starts at the force of the previous set, and the difference fades to zero. The state of
+the law (a lag, a hysteresis) is recomputed with the new set over the recent motion. It then has the
+value that it would have if the new set had been in use all the time.
 """
 
 from __future__ import annotations
@@ -23,20 +23,20 @@ from mr_damper_ros.signals.arrays import Array, span_of
 from mr_damper_ros.tracking.validity import NO_DOUBT, Doubt, DoubtKind
 from mr_damper_ros.tracking.window_assembler import WindowSettings
 
-FADES = 0.05
-"""Seconds until the difference has faded to zero. The force of a damper does not change faster, and
-half-cycles in use are not shorter."""
+FADE_TIME = 0.05
+"""Seconds in which the difference fades to zero. The force of a damper does not change faster, and
+half-cycles are not shorter than this in practice."""
 
-_KEPT = 10.0 * FADES
-"""Seconds of motion over which a state is recomputed: 280 time constants of the lags identified so
-far. The memory of a hysteresis fades with the distance travelled, so its law may need more."""
+_KEPT_TIME = 10.0 * FADE_TIME
+"""Seconds of motion over which a state is recomputed: 280 time constants of the lags identified in
+recordings. The memory of a hysteresis fades with the distance travelled, so its law may need more.
+"""
 
-_LONGEST_KEPT = WindowSettings.longest_window
+_LONGEST_KEPT_TIME = WindowSettings.longest_window
 """Largest number of seconds over which a state is recomputed, even if the damper hardly moves."""
 
-_TOGETHER = 500
-"""Samples that are recomputed at once. Sample by sample, half a minute of motion would take ten
-seconds."""
+_BATCH = 500
+"""Number of samples recomputed at once. One at a time, half a minute of motion would take 10 s."""
 
 
 class _Block(NamedTuple):
@@ -66,8 +66,8 @@ class ForceInUse:
         self._count, self._way, self._known = 0, 0.0, 0
         # The distance [m] to keep, and the range of currents [A] for which it was computed.
         self._way_kept, self._way_of = 0.0, (math.inf, -math.inf)
-        # The previous set, its branch rule and the state of its law: its force is where the next
-        # samples start.
+        # The previous set, its branch rule and the state of its law; its force is the starting
+        # value of the next samples.
         self._left: tuple[ParameterSet, bool, State] | None = None
         # The initial difference [N], the samples until it is zero, and its contribution [N] to the
         # last samples.
@@ -87,9 +87,9 @@ class ForceInUse:
     ) -> None:
         """Use this set from the next sample on.
 
-        With ``fade`` the force starts at that of the previous set; without it the force steps. With
-        ``restart`` the state of the law is discarded and recomputed from the samples whose force
-        was known.
+        With ``fade`` the force starts at the force of the previous set; otherwise the force steps.
+        With ``restart`` the state of the law is discarded and recomputed from the samples whose
+        force was known.
         """
         before = self.parameters
         if not fade:
@@ -121,7 +121,7 @@ class ForceInUse:
         self.state = state
         while blocks:
             several = [blocks.popleft()]
-            while blocks and sum(block.current.size for block in several) < _TOGETHER:
+            while blocks and sum(block.current.size for block in several) < _BATCH:
                 several.append(blocks.popleft())
             motion = Motion.joined([block.motion for block in several])
             self._of_set(motion, np.concatenate([block.current for block in several]))
@@ -139,10 +139,10 @@ class ForceInUse:
             before, gradual, state = left
             first = motion.part(slice(0, 1)), current[:1], self._period
             went_on = float(before.follow(*first, state, gradual=gradual)[0][0])
-            still = self._difference * self._fading * self._period / FADES
+            still = self._difference * self._fading * self._period / FADE_TIME
             self._difference = went_on + still - float(force[0])
             usable = math.isfinite(went_on) and not abs(went_on) > largest
-            self._fading = round(FADES / self._period) if usable else 0
+            self._fading = round(FADE_TIME / self._period) if usable else 0
         return force
 
     def blended(self, force: Array) -> Array:
@@ -150,7 +150,7 @@ class ForceInUse:
         if self._fading == 0:
             self._part = np.zeros(0)
             return force
-        left = np.maximum(self._fading - np.arange(force.size), 0) * (self._period / FADES)
+        left = np.maximum(self._fading - np.arange(force.size), 0) * (self._period / FADE_TIME)
         self._fading = max(self._fading - force.size, 0)
         self._part = self._difference * left
         return np.asarray(force + self._part)
@@ -173,7 +173,7 @@ class ForceInUse:
         )
 
     def _of_set(self, motion: Motion, current: Array) -> Array:
-        """Force of the set at the next samples, which are kept as far as they are needed."""
+        """Force of the set at the next samples. Stores the samples and drops those not needed."""
         parameters, before, way = self.parameters, self.state, 0.0
         assert parameters is not None
         force, self.state = parameters.follow(
@@ -181,7 +181,7 @@ class ForceInUse:
         )
         if parameters.law.remembers:
             way = float(np.abs(motion.velocity).sum()) * self._period
-            # The longest memory at all currents so far, because they may return.
+            # The longest memory at any current so far, because each of them may return.
             low, high = self._way_of
             lowest, highest = span_of(current)
             for amperes in {lowest, highest}:
@@ -203,4 +203,4 @@ class ForceInUse:
         """Whether the blocks after the oldest suffice to recompute the state."""
         duration = (self._count - oldest.current.size) * self._period
         moved_enough = self._way - oldest.way >= self._way_kept
-        return duration >= _LONGEST_KEPT or (duration >= _KEPT and moved_enough)
+        return duration >= _LONGEST_KEPT_TIME or (duration >= _KEPT_TIME and moved_enough)

@@ -1,8 +1,8 @@
 """Change detection: a two-sided CUSUM detects a sudden change of the force between two windows.
 
-It sums the log-likelihood ratio of a force that has changed by some percent to one that has not,
-block by block of samples (Page, Biometrika 41, 1954). In the units of the sum, a typical block of
-noise has a standard deviation of 1.
+It sums, over blocks of samples, the logarithm of a likelihood ratio: that of a force changed by a
+few percent to that of an unchanged force (Page, Biometrika 41, 1954). The sum is scaled so that the
+noise of a typical block has a standard deviation of 1.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ false alarms are rarer.
 """
 
 _EXCURSION = 2.0
-"""The threshold is at least this multiple of the largest sum in the fitted window itself."""
+"""The threshold is at least this multiple of the largest sum within the fitted window."""
 
 
 @dataclass(frozen=True)
@@ -64,7 +64,7 @@ class ChangeWatch:
         operating_point: tuple[float, float],
         smallest_change: float,
     ) -> ChangeWatch:
-        """Start after a window: forces (n,) [N], ``predicted`` by the set fitted to the window.
+        """Start after a window: its measured force (n,) [N] and the force of the set fitted to it.
 
         If the law is not exact, its residual oscillates with the motion. The threshold is then
         above the sums that this oscillation causes.
@@ -131,9 +131,9 @@ class ChangeWatch:
 def change_point(predicted: Array, measured: Array, fewest: int) -> int:
     """Index at which a change of the force scale explains the samples (n,) best.
 
-    The least-squares model has two parts: the running set before the index, and the running set
-    times the best factor from the index on. The second part has at least ``fewest`` samples. The
-    CUSUM itself determines the start of a change only to within a block.
+    The least-squares model is the force of the running set before the index, and this force times
+    the best factor from the index on. The second part has at least ``fewest`` samples. The CUSUM
+    alone locates the start of a change only to within a block.
     """
 
     def to_the_end(products: Array) -> Array:
@@ -141,7 +141,7 @@ def change_point(predicted: Array, measured: Array, fewest: int) -> int:
 
     power = to_the_end(predicted * predicted)
     explained = to_the_end(predicted * measured) ** 2 / np.maximum(power, 1e-300)
-    # Decrease of the squared error through a change at each index.
+    # Decrease of the squared error if the change is at each index.
     gain = explained - power - 2.0 * to_the_end(predicted * (measured - predicted))
     return int(np.argmax(gain[: max(predicted.size - fewest, 0) + 1]))
 
@@ -162,7 +162,7 @@ def fit_scale(predicted: Array, measured: Array) -> ScaleFit:
     """
     power = float(predicted @ predicted)
     if power == 0.0:
-        raise ValueError("the predicted force is zero: no factor on it can be found")
+        raise ValueError("the predicted force is zero, so its scale cannot be fitted")
     factor = float(predicted @ measured) / power
     residual = measured - factor * predicted
     noise = float(residual @ residual) / max(predicted.size - 1, 1)

@@ -1,4 +1,4 @@
-"""The engine: samples and supply currents in; windows, verdicts, sets and the predicted force out.
+"""The engine: turns samples and supply currents into verdicts, parameter sets and predicted force.
 
 It uses neither ROS nor a clock. The stamps of the data drive it, so its results depend on the data
 and the settings alone. It connects the :class:`Identifier` of the identifier node with the
@@ -58,8 +58,8 @@ class EngineSettings(CheckedSettings):
 class Engine:
     """Identifies a damper and predicts its force from one stream.
 
-    ``start`` is the initial set; None takes the start set of the law in the settings, which is
-    valid nowhere. With ``identify`` False no windows are fitted and only the prediction runs. Jobs
+    ``start`` is the initial set; with None the law starts from default values, and their force is
+    never valid. With ``identify`` False no windows are fitted and only the prediction runs. Jobs
     run in this process; their outcomes take effect after the delays in the settings.
 
     Raises ParameterError if the set belongs to a law other than that of the settings.
@@ -90,7 +90,7 @@ class Engine:
 
     @property
     def tracker(self) -> WindowTracker:
-        """The tracker, with the running set and all that has been learnt."""
+        """The tracker, with the running set and its records."""
         return self.identifier.tracker
 
     def _seconds_until_outcome(self, job: Job) -> float:
@@ -128,8 +128,9 @@ class Engine:
     ) -> Iterator[tuple[SampleBlock, Prediction]]:
         """Process a stream, and yield each block with its prediction.
 
-        With ``live`` each block arrives at the stamp of its last sample, and ages are judged.
-        Otherwise the stamps are those of a recording. At the end, waiting jobs are completed.
+        With ``live`` each block arrives at the stamp of its last sample, and the age of samples,
+        current and parameters is checked; without it, the stream is a recording. At the end,
+        waiting jobs are completed.
         """
         for item in stream:
             if isinstance(item, SampleBlock):
@@ -147,7 +148,7 @@ class Engine:
             self._take_outcomes()
 
     def take_publications(self) -> list[Publication]:
-        """Return the reports and sets that took effect since the last call, in their order."""
+        """Return the reports and sets that took effect since the last call, oldest first."""
         published, self._published = self._published, []
         return published
 

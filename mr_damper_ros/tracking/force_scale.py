@@ -5,9 +5,9 @@ The force scales of the windows at one operating point are fitted over the measu
     ln s(T) = c0 + c1 z + c2 z²,   z = (T - centre) / half of the span
 
 With c1 alone this is an exponential law, which approximates Arrhenius' law of the viscosity over
-some ten kelvin. c2 is included if Schwarz' criterion selects it. A map must be monotonic. It is
-valid only within the range of measured temperatures. Parameters are never interpolated, because
-sets of different temperatures may belong to different local minima.
+some tens of kelvin. c2 is included if Schwarz' criterion selects it. A map must be monotonic, and
+holds only within the range of measured temperatures. Parameters are never interpolated between
+temperatures, because sets may belong to different local minima.
 """
 
 from __future__ import annotations
@@ -37,21 +37,21 @@ from mr_damper_ros.tracking.operating_point import (
     nearest_same,
 )
 
-_ALIKE = 0.5
+_SMALLEST_CORRELATION = 0.5
 """Smallest correlation with the baseline's force at which a force scale is computed."""
 
 _FEWEST_WINDOWS = 8
-"""Smallest number of windows for a map, and of differences between windows for their scatter."""
+"""Smallest number of windows for a map, and of differences between windows to estimate a scatter.
+"""
 
 
 @dataclass(frozen=True)
 class ForceScale:
-    """Force relative to the baseline, 1 = unchanged; NaN without a baseline.
+    """Force relative to the baseline (1: unchanged); NaN without a baseline.
 
     ``standard_error`` is the scatter between windows of the same motion. ``discrepancy`` is the
-    model error: the additional change with another motion or law; NaN if unknown. ``misfit`` is the
-    root mean square error of the scaled baseline, relative to that of the force, in any motion
-    other than a steady sine; otherwise NaN.
+    model error: the additional error in a different motion; NaN if unknown. ``misfit`` is the RMS
+    error of the scaled baseline relative to the RMS force; NaN in a steady sine.
     """
 
     value: float = math.nan
@@ -61,7 +61,7 @@ class ForceScale:
 
 
 @dataclass(frozen=True)
-class SeenScale:
+class WindowScale:
     """A force scale in a motion other than a steady sine, and the stamps of its window."""
 
     start_ns: int
@@ -71,22 +71,21 @@ class SeenScale:
 
 
 def widened(
-    scale: ForceScale, seen: tuple[SeenScale, ...], start_ns: int, end_ns: int
-) -> tuple[ForceScale, tuple[SeenScale, ...]]:
-    """The scale with a standard error that includes its scatter, and the scales so far.
+    scale: ForceScale, seen: tuple[WindowScale, ...], start_ns: int, end_ns: int
+) -> tuple[ForceScale, tuple[WindowScale, ...]]:
+    """The scale with its standard error increased by the scatter, and the extended list of scales.
 
-    With a constant damper the scale still varies with the motion. This scatter is learnt from
-    window to window. The model error depends on the motion and may last longer than a window, so a
-    single window does not show the error of its scale. Differences between windows without common
-    samples do. The standard errors are widened until they agree with the median of these
-    differences (the ratio of Birge, Physical Review 40, 1932). The median is robust against a
-    sudden change of the damper.
+    Because of model error, the scale varies with the motion even if the damper does not change. A
+    single window does not show this scatter; the differences between windows without common samples
+    do. The standard errors are increased until they agree with the median of these differences
+    (Birge ratio, Physical Review 40, 1932). The median is robust against a sudden change of the
+    damper.
     """
     if not (math.isfinite(scale.misfit) and scale.standard_error > 0.0):
         return scale, seen
     if seen and start_ns < seen[-1].start_ns:
         seen = ()  # the clock was set back
-    seen = (*seen, SeenScale(start_ns, end_ns, scale.value, scale.standard_error))[-MOST_WINDOWS:]
+    seen = (*seen, WindowScale(start_ns, end_ns, scale.value, scale.standard_error))[-MOST_WINDOWS:]
     squares = _squares(seen)
     if len(squares) < _FEWEST_WINDOWS:
         # Until the scatter is known, the whole misfit counts as error.
@@ -95,8 +94,8 @@ def widened(
     return replace(scale, standard_error=max(ratio, 1.0) * scale.standard_error), seen
 
 
-def _squares(seen: Sequence[SeenScale]) -> list[float]:
-    """Squared differences of neighbours without common samples, divided by their variance."""
+def _squares(seen: Sequence[WindowScale]) -> list[float]:
+    """Squared differences of successive scales without common samples, over their variance."""
     squares = []
     for place, later in enumerate(seen):
         before = [each for each in seen[:place] if each.end_ns <= later.start_ns]
@@ -111,11 +110,11 @@ def force_scale(
 ) -> ForceScale:
     """Least-squares scale that maps the force of the baseline onto that of a window.
 
-    In a steady sine the force predicted by the window's fit is compared with the baseline's, so
-    that the model error, which is in both, cancels. The standard error is that of the fit from
-    window to window. The error of the baseline is common to all reports and is omitted. In any
-    other motion a fit adapts to the motion of its window, so the measured force is compared with
-    the oldest baseline at this current; see :func:`widened` for the error. ``baselines`` holds the
+    In a steady sine the force of the window's fit is compared with the force of the baseline, so
+    that their common model error cancels. The standard error is that of the window's fit; the error
+    of the baseline is the same in all reports and is omitted. In any other motion a fit adapts to
+    the motion of its window, so the measured force is compared with the force of the oldest
+    baseline at this current; see :func:`widened` for the standard error. ``baselines`` holds the
     first accepted fit of each operating point, oldest first.
     """
     steady = window.motion.sine is not None
@@ -144,7 +143,7 @@ def baseline_at(baselines: Sequence[WindowFit], point: OperatingPoint) -> Window
 
 
 def _at_current(baselines: Sequence[WindowFit], point: OperatingPoint) -> WindowFit | None:
-    """The oldest baseline at the current of an operating point, for any motion, or None."""
+    """The oldest baseline at the current of an operating point, at any speed; None without one."""
     speed, _ = point
     for fit in baselines:
         if nearest_same([(speed, fit.operating_point[1])], point) == 0:
@@ -155,7 +154,7 @@ def _at_current(baselines: Sequence[WindowFit], point: OperatingPoint) -> Window
 def _measured_scale(reference: Array, measured: Array) -> ForceScale:
     """Least-squares scale that maps the baseline's force (n,) [N] onto the measured force."""
     power = float(reference @ reference)
-    if not _alike(reference, measured):
+    if not _are_proportional(reference, measured):
         return ForceScale()
     value = float(measured @ reference) / power
     noise = NoiseModel.of(measured - value * reference)
@@ -164,11 +163,11 @@ def _measured_scale(reference: Array, measured: Array) -> ForceScale:
     return ForceScale(value, math.sqrt(max(variance, 0.0)), misfit, misfit)
 
 
-def with_strength(
+def with_gain(
     model: Model, window: Window, start: Array, found: ScaleFit, method: str
 ) -> WindowFit:
-    """Parameters ``start`` (p,) with scaled gain parameters, in the form of a window fit."""
-    # A window fit leaves these gain parameters fixed, so they are scaled here.
+    """Parameters ``start`` (p,) with their gain parameters scaled, as a window fit."""
+    # A window fit holds these gain parameters fixed, so they are scaled here.
     rest = np.setdiff1d(model.strength_indices, model.free_indices)
     start = start.copy()
     start[rest] *= found.factor
@@ -192,7 +191,7 @@ def scale_between(
     is ``covariance`` (k, k).
     """
     power = float(reference @ reference)
-    if not _alike(reference, present):
+    if not _are_proportional(reference, present):
         return ForceScale()
     # An unknown that the samples do not determine has no effect on the force.
     determined = ~np.isnan(np.diag(covariance))
@@ -201,12 +200,12 @@ def scale_between(
     return ForceScale(float(present @ reference) / power, math.sqrt(max(variance, 0.0)))
 
 
-def _alike(one: Array, other: Array) -> bool:
-    """Whether two forces (n,) [N] are roughly proportional; another damper's force is not."""
+def _are_proportional(one: Array, other: Array) -> bool:
+    """Whether two forces (n,) [N] are roughly proportional, as forces of one damper are."""
     with np.errstate(over="ignore", invalid="ignore"):
         sizes = np.linalg.norm(one) * np.linalg.norm(other)
         usable = bool(sizes > 0.0 and np.square(one @ one) < math.inf)
-        return usable and bool(one @ other > _ALIKE * sizes)
+        return usable and bool(one @ other > _SMALLEST_CORRELATION * sizes)
 
 
 @dataclass(frozen=True)
@@ -222,7 +221,7 @@ class TemperatureMap:
     """Force scale over temperature at one operating point (peak velocity [m/s], current [A]).
 
     ``curve`` is ln s over the temperature [°C]; its domain is the range of temperatures from which
-    it was identified. ``windows`` is the number of windows. ``covariance`` (k, k) is that of its k
+    it was identified. ``windows`` is the number of windows. ``covariance`` (k, k) belongs to its k
     coefficients over z. ``scatter`` is the standard deviation of ln s about the curve.
     """
 
@@ -261,8 +260,8 @@ class TemperatureMap:
     def temperature(self, scale: ForceScale) -> FluidTemperature:
         """Temperature that corresponds to a force scale; NaN if the map contains none.
 
-        The standard error combines that of the map with the standard error of the scale or the
-        scatter of the scales about the map, whichever is larger.
+        The standard error combines the error of the map with either the standard error of the scale
+        or the scatter of the scales about the map, whichever is larger.
         """
         if not scale.value > 0.0:
             return FluidTemperature()
@@ -293,11 +292,11 @@ def _basis(curve: Polynomial, celsius: float | Array) -> Array:
 def fit_temperature_map(
     operating_point: OperatingPoint, celsius: Array, scales: Array, errors: Array
 ) -> TemperatureMap | None:
-    """Fit a map to the temperatures [°C] and force scales of windows, with their standard errors.
+    """Fit a map to the temperatures [°C], force scales and standard ``errors`` of windows.
 
-    Arrays have shape (n,), in the order of time. Returns None if they do not identify a map: with
-    fewer than eight windows, without a monotonic curve, or if the force determines the temperature
-    no better than to a quarter of the measured range.
+    Arrays have shape (n,), in the order of time. Returns None with fewer than eight windows, if the
+    curve is not monotonic, or if the standard error of a temperature computed from the force
+    exceeds a quarter of the measured range.
     """
     good = np.isfinite(celsius) & np.isfinite(errors) & (scales > 0.0) & (errors > 0.0)
     celsius, scales, errors = celsius[good], scales[good], errors[good]
@@ -327,7 +326,7 @@ def fit_temperature_map(
     return found
 
 
-def can_be_seen(seen: Array) -> bool:
+def is_plausible(seen: Array) -> bool:
     """Whether rows (n, 3) of temperature [°C], force scale and its error are plausible.
 
     A thermometer without a sensor reports 9.9e37 °C, the value that SCPI defines for NaN.
@@ -342,11 +341,11 @@ def with_temperature(
 ) -> KnownPoints:
     """The records with the temperature [°C] and the force scale of a window added, if plausible.
 
-    All force scales of one operating point must refer to the same baseline. If there are too many,
-    pairs of neighbouring temperature are averaged.
+    All force scales of one operating point must refer to the same baseline. If there are too many
+    entries, those with neighbouring temperatures are averaged in pairs.
     """
     row = np.array([[celsius, scale.value, scale.standard_error]])
-    if not can_be_seen(row):
+    if not is_plausible(row):
         return known
     seen = np.concatenate([known.at(point).temperatures, row])
     return known.noted(point, temperatures=_paired(seen) if len(seen) > 4 * MOST_WINDOWS else seen)
@@ -358,7 +357,7 @@ def temperature_map(known: PointRecord) -> TemperatureMap | None:
 
 
 def _paired(seen: Array) -> Array:
-    """Average rows (n, 3) in pairs of neighbouring temperature; the two ends stay."""
+    """Average rows (n, 3) with neighbouring temperatures in pairs; the first and last row stay."""
     ordered = seen[np.argsort(seen[:, 0], kind="stable")]
     inner = ordered[1:-1]
     count = len(inner) // 2 * 2

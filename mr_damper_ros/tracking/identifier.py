@@ -1,4 +1,4 @@
-"""Identification of a stream: windows are cut, fitted in a worker, judged and stored on disk.
+"""Identification from a stream: windows are cut, fitted in a worker and judged; sets are stored.
 
 This is the identifier node without ROS. It takes samples and returns events when polled. The worker
 runs one job at a time, windows in the order of their data. Each job is created after the previous
@@ -55,7 +55,7 @@ class PipelineSettings(CheckedSettings):
 
 @dataclass(frozen=True, eq=False)
 class Search:
-    """A requested global identification, or with ``settings`` None one that fell due."""
+    """A global identification: requested with ``settings``, or due without (``settings`` None)."""
 
     settings: EvolutionSettings | None = None
 
@@ -109,7 +109,7 @@ class Identifier:
         self._settings = settings
         self._windows: deque[RawWindow] = deque()
         self._searches: deque[Search] = deque()
-        # The job in the worker, its task number there, and its search (None for a window).
+        # The job in the worker, its task number, and its search (None for a window).
         self._job: Job | None = None
         self._number = 0
         self._search: Search | None = None
@@ -121,7 +121,7 @@ class Identifier:
 
     @property
     def waiting_windows(self) -> int:
-        """Number of windows that wait for the worker, without change checks."""
+        """Number of windows that wait for the worker, not counting change checks."""
         return sum(not window.look for window in self._windows)
 
     @property
@@ -239,7 +239,7 @@ class Identifier:
         return self._outbox.take_all()
 
     def reset(self) -> str:
-        """Return to the initial set; returns why this is not stored on disk, empty if it is.
+        """Return to the initial set; returns why it could not be stored on disk, empty if it was.
 
         Waiting windows are discarded.
         """
@@ -251,7 +251,7 @@ class Identifier:
         return self.state.keep_now()
 
     def replace(self, parameters: ParameterSet) -> str:
-        """Use this set from now on; returns why it is not stored on disk, empty if it is.
+        """Use this set from now on; returns why it could not be stored on disk, empty if it was.
 
         The window in the worker is fitted again, starting from this set.
         """
@@ -267,5 +267,5 @@ class Identifier:
             self.worker.cancel()
 
     def close(self) -> None:
-        """Write what waits for the disk, and end."""
+        """Write the states that wait for the disk, and end."""
         self.state.close()

@@ -44,7 +44,7 @@ from mr_damper_ros.tracking.acceptance import (
     rival_wins,
 )
 from mr_damper_ros.tracking.cusum import ChangeWatch, change_point, fit_scale
-from mr_damper_ros.tracking.force_scale import force_scale, with_strength
+from mr_damper_ros.tracking.force_scale import force_scale, with_gain
 from mr_damper_ros.tracking.operating_point import (
     MOST_SAMPLES,
     Kept,
@@ -71,38 +71,38 @@ from mr_damper_ros.tracking.screening import (
 )
 from mr_damper_ros.tracking.window_assembler import ENOUGH_POINTS, RawWindow
 
-_ASTRAY = 2.0
-"""The filter has diverged if the error on the validation samples exceeds this multiple of the
-expected noise."""
+_DIVERGED = 2.0
+"""The filter has diverged if the RMSE of the validation samples exceeds this multiple of the noise
+that the filter expects."""
 
 _MOST_INTERVALS = 6
 """Largest number of intervals into which a continuous range of currents is divided."""
 
 _LEAST_SPEED = 0.2
-"""A part counts as an operating point if it has as many samples as show a cycle, and an RMS speed
-of at least this fraction of the window's."""
+"""A part of a window counts as an operating point if it has ``ENOUGH_POINTS`` samples and an RMS
+speed of at least this fraction of the window's RMS speed."""
 
-_AS_WELL = 1.25
-_BESIDES = 0.01
-"""The law explains the parts if its error is at most ``_AS_WELL`` times that of their own fits, or
-if the additional error is at most ``_BESIDES`` of the force."""
+_EXPLAINED_RATIO = 1.25
+_EXPLAINED_PART = 0.01
+"""One set explains the parts if its error is at most ``_EXPLAINED_RATIO`` times the error of
+separate fits, or if the additional error is at most ``_EXPLAINED_PART`` of the force."""
 
 
 @dataclass(frozen=True, eq=False)
 class Job:
     """A task for the worker, starting from the ``running`` set.
 
-    A window fit and a change check have ``raw`` samples. Their ``windows`` are those at the
-    operating points of the last seconds before them; ``baselines`` are those of the force scale.
-    ``state`` is the state of the recursive filter and ``watch`` that of the change detection; None
-    if they do not run. Samples stamped before ``changed_ns`` precede the last sudden change of the
-    damper.
+    A window fit and a change check have ``raw`` samples; their ``windows`` are the newest ones at
+    the recent operating points, and ``baselines`` the baselines of the force scale. ``state`` is
+    the state of the recursive filter and ``watch`` that of the change detection; None if they do
+    not run. Samples stamped before ``changed_ns`` precede the last sudden change of the damper.
 
-    A search has the settings ``evolution``. Its ``windows`` are those of the reservoir, up to
+    A search has the settings ``evolution``. Its ``windows`` are all in the reservoir, up to
     ``stamp_ns``; the last ``recent`` of them are at the recent operating points. ``asked`` is True
-    for a requested search and False for one that fell due.
+    for a requested search and False for a periodic one.
 
-    ``rival`` is a set that this window must confirm. ``number`` is part of the name of a new set.
+    ``rival`` is a set that the window must confirm. ``number`` becomes part of the name of a new
+    set.
     """
 
     running: ParameterSet
@@ -136,7 +136,7 @@ class Job:
         """Number of samples of the window that the running set was not fitted to."""
         raw = self.samples
         fresh = round((raw.end_ns - self.running.stamp_ns) / (raw.period * NANOSECONDS))
-        # A set stamped later than the window (the clock was set back) shares no samples with it.
+        # A set stamped after the window (the clock was set back) shares no samples with it.
         return fresh if fresh >= 0 else raw.force.size
 
 
@@ -144,8 +144,8 @@ class Job:
 class PartsByCurrent:
     """Errors of separate fits to the parts of a window, each at about one current.
 
-    ``rmse`` [N] and ``nrmse`` are the errors of all parts together. ``explained`` says whether the
-    error of one set for all parts is hardly larger.
+    ``rmse`` [N] and ``nrmse`` are the errors over all parts. ``explained`` says whether one set for
+    all parts fits almost as well.
     """
 
     rmse: float
@@ -155,15 +155,15 @@ class PartsByCurrent:
 
 @dataclass(frozen=True, eq=False)
 class Outcome:
-    """Result of a job; ``refusal`` says why nothing was fitted, None if something was.
+    """Result of a job; ``refusal`` says why nothing was fitted, None after a fit.
 
-    ``report`` holds the figures of the job; the tracker adds the verdict. ``found`` is the new set,
-    ``fit`` the fit of a window, ``force`` the size of its force, and ``motion`` its motion.
-    ``kept`` is the window thinned for the reservoir, or its parts if the current changes; empty for
-    a change check. It is returned because computing the motion of a window again would take longer
-    than transferring it. ``parts`` holds the errors of separate fits to these parts; None if the
+    ``report`` holds the figures of the job; the tracker adds the verdict. ``found`` is the new set.
+    ``fit``, ``force`` and ``motion`` belong to a window: its fit, the size of its force, and its
+    motion. ``kept`` is the window thinned for the reservoir, or its parts if the current changes;
+    empty for a change check. The worker returns it because sending the motion takes less time than
+    computing it again. ``parts`` holds the errors of separate fits to these parts; None if the
     current is constant. ``rival_wins`` says whether the rival of the job predicts the window
-    better; if so, the rest of the outcome is relative to the rival. It is None without a rival.
+    better, None without a rival; if it does, the evidence compares the new set with the rival.
     ``message`` says how a search ended. ``duration`` [s] is the duration of the job.
     """
 
@@ -184,7 +184,7 @@ class Outcome:
 
 
 def blank_report(job: Job) -> Report:
-    """The report on a job from which nothing was found."""
+    """The report on a job without a result."""
     raw, model = job.raw, job.running.law
     if raw is None:
         # Linear laws are solved by least squares; the others need a search.
@@ -237,7 +237,7 @@ def _errors(covariance: Array) -> Array:
     return np.sqrt(np.maximum(np.diag(covariance), 0.0))
 
 
-# A search tries parameters whose force overflows; they are judged by whether it is finite.
+# A search also tries parameters whose force overflows, and rejects them.
 @np.errstate(over="ignore", divide="ignore", invalid="ignore")
 def run(job: Job, control: Control | None = None) -> Outcome:
     """Run a job; faults of the data and failures are returned as a refusal.
@@ -307,8 +307,8 @@ def _fit(job: Job, control: Control | None) -> Outcome:
 def _followed(job: Job, window: Window) -> Outcome | None:
     """Run the recursive filter over the samples of a window that it has not used yet.
 
-    None after a jump in time or to another operating point, and if the filter has diverged, as it
-    may from a poorly determined state. A window fit must then restart the filter.
+    Returns None after a jump in time or to another operating point, and if the filter has diverged,
+    for example from a poorly determined state. A window fit then restarts the filter.
     """
     raw, options, state = job.samples, job.options, job.state
     if state is None or not state.stamp_ns < raw.end_ns:
@@ -324,7 +324,7 @@ def _followed(job: Job, window: Window) -> Outcome | None:
     held_back = held_back_samples(new.sample_count, job.fresh)
     follower.take_in(~held_back)
     evidence = _evidence(job, new, follower.as_fit(problem).parameters, held_back)
-    if evidence.rmse_after > _ASTRAY * follower.noise_level:
+    if evidence.rmse_after > _DIVERGED * follower.noise_level:
         return None
     follower.take_in(held_back)
     fit = follower.as_fit(WindowProblem(job.running.law, window, job.running.values))
@@ -336,9 +336,8 @@ TRACKERS: dict[str, Callable[[Job, Window], Outcome | None] | None] = {
     METHOD: _followed,
     "unscented": _followed,
 }
-"""Tracking methods by name. A function continues from the state of a job and returns its outcome,
-or None to request a window fit. With None as the entry, every window is fitted. A new method is one
-more entry."""
+"""Tracking methods by name. The function of a method continues from the state of a job and returns
+its outcome, or None to request a window fit. If the entry is None, every window is fitted."""
 
 
 @dataclass(frozen=True)
@@ -347,17 +346,17 @@ class FitOptions(CheckedSettings):
 
     smallest_change: float = option(
         0.02,
-        "Relative change of the force that triggers an early fit (see looks). False alarms "
-        "occur at intervals of hours if the force is close to its noise, and practically "
-        "never otherwise.",
+        "Relative change of the force that triggers an early fit (see looks). If the force is "
+        "hardly larger than its noise, a false alarm occurs every few hours; otherwise false "
+        "alarms practically never occur.",
         minimum=0.001,
         maximum=1.0,
     )
     tracker: str = option(
         "window",
         "Tracking method: window (each window is fitted on its own) or recursive (an extended "
-        "Kalman filter, which uses every sample once and starts from the fit of a window; "
-        "unscented is an earlier name of it).",
+        "Kalman filter, which uses every sample once and starts from the fit of a window; its "
+        "earlier name unscented is still accepted).",
         choices=tuple(TRACKERS),
     )
     drift_rate: float = option(
@@ -467,11 +466,11 @@ def _outcome(
 def parts_by_current(model: Model, window: Window, tolerance: float) -> list[Window]:
     """Parts of a window within which the current is about constant.
 
-    The window itself is the only part if its current is constant. Each part is an operating point,
-    independent of the law's dependence on the current. Levels of the current more than
-    ``tolerance`` [A] apart become separate parts. A continuous range is divided into equal
-    intervals. If the force of the ``model`` at the start of the window depends on the unknown past,
-    samples there do not count towards the smallest size of a part.
+    If the current is constant, the window itself is the only part. Levels of the current more than
+    ``tolerance`` [A] apart become separate parts; a continuous range is divided into equal
+    intervals. Each part is an operating point, whose fit does not depend on the law's dependence on
+    the current. Samples at the start of the window at which the force of the ``model`` depends on
+    the unknown past do not count towards the smallest size of a part.
     """
     if float(np.ptp(window.current)) <= tolerance:
         return [window]
@@ -504,13 +503,15 @@ def _edges(current: Array, tolerance: float) -> Array:
 
 
 def judge_parts(window: Window, parts: Sequence[Window], found: ParameterSet) -> PartsByCurrent:
-    """Compare the errors of one set in the parts of a window with those of separate fits."""
+    """Compare the error of one set for all parts of a window with the error of separate fits."""
     few = [found.held(part.thinned(MOST_SAMPLES // 2)) for part in parts]
     own = [fit_window(found.law, part, found.values, method="least_squares") for part in few]
     alone = _pooled([fit.rmse for fit in own], parts)
     together = _pooled([error_of_set(found, [part]).rmse for part in few], parts)
     spread = float(np.std(window.force))
-    explained = together <= max(_AS_WELL * alone, math.hypot(alone, _BESIDES * spread))
+    explained = together <= max(
+        _EXPLAINED_RATIO * alone, math.hypot(alone, _EXPLAINED_PART * spread)
+    )
     return PartsByCurrent(alone, alone / spread, explained)
 
 
@@ -535,7 +536,7 @@ def _look(job: Job, window: Window) -> Outcome:
     here = window.part(newest).operating_point
     if nearest_same([watch.operating_point], here) is None:
         return Outcome(watch=watch.quiet())
-    # The peak velocity is held within the range of the running set, as in its own prediction.
+    # The peak velocity is limited to the range of the running set, as in a prediction.
     held = job.running.held(window)
     predicted = model.window_force(held, job.running.values)
     watch = watch.follow(predicted[newest], window.force[newest])
@@ -562,7 +563,7 @@ def _look(job: Job, window: Window) -> Outcome:
     scale = fit_scale(own, measured)
     if not scale.factor > 0.0 or np.ptp(changed.force) == 0.0:
         return Outcome(watch=watch)  # only a failed sensor gives such a force
-    fit = with_strength(model, changed, job.running.values, scale, EARLY_SOURCE)
+    fit = with_gain(model, changed, job.running.values, scale, EARLY_SOURCE)
     state = job.state
     if state is not None:
         strength = WindowProblem(model, changed, job.running.values).strength

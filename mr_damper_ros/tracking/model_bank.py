@@ -1,15 +1,14 @@
 """The model bank: the known sets of a damper, and the choice among them by motion and current.
 
-A set fitted to one window holds at the peak velocity and the current of that window, and often
-nowhere else. Therefore the previous sets are kept. If the motion or the current returns to the
-range of one of them, this set is used at once, without waiting for the identification. The measured
-force selects among the candidates. It also shows whether the force of this damper jumps at
-reversals.
+A set fitted to one window often holds only at the peak velocity and current of that window. The
+bank therefore keeps previous sets. If the motion or the current returns to the range of a previous
+set, this set is used at once, without waiting for the identification. The measured force selects
+among several candidates, and also shows whether the force of this damper jumps at reversals.
 
-A current schedule selects the set for a new current. A window at one current corrects the force at
-that current only. If the current changes to a value that no window of the set in use had, the set
-of the newest windows at that current takes over. Without such a set, the set for all operating
-points takes over, multiplied by the ratio of the damper's present force to that of this set.
+A current schedule selects the set for a new current, because a window at one current corrects the
+force at that current only. If the current changes to a value that no window of the set in use had,
+the set of the newest windows at the new value takes over. Without such a set, the set for all
+operating points takes over, scaled to the present force of the damper.
 """
 
 from __future__ import annotations
@@ -30,38 +29,38 @@ from mr_damper_ros.models.parameter_set import (
 from mr_damper_ros.models.quantities import SAME_CURRENT
 from mr_damper_ros.signals.arrays import Array, RollingRows
 from mr_damper_ros.signals.blocks import NANOSECONDS
-from mr_damper_ros.tracking.bumpless_transfer import FADES
+from mr_damper_ros.tracking.bumpless_transfer import FADE_TIME
 from mr_damper_ros.tracking.operating_point import SAME_SPEED
 
 _SAME_TIME = 1.5
 """A set replaces another with the same range of peak velocities if the half-cycles of their motions
 are within this factor."""
 
-_MOST = 8
-"""Largest number of sets in the bank, each of which a search tries; the schedule has twice as many
-currents."""
+_MOST_SETS = 8
+"""Largest number of sets in the bank; a search tries all of them. The schedule has at most twice as
+many currents."""
 
 _RECENT_NS = 60 * NANOSECONDS
-"""Largest age of a set in the schedule. A heating damper may change by a quarter in ten minutes,
-and so by a fortieth in this time."""
+"""Largest age of a set in the schedule. The force of a heating damper may change by a quarter in
+ten minutes, that is by a fortieth in this time."""
 
-_JUDGED = 2.0 * FADES
-"""Seconds over which a set is judged, or the same fraction of a half-cycle if that is longer. The
-force of a set settles for twice this time before, and two searches are half of it apart."""
+_JUDGED_TIME = 2.0 * FADE_TIME
+"""A set is judged over this time [s], or over this fraction of a half-cycle if that is longer.
+Before that, its law settles for twice this time. Searches are at least half this time apart."""
 
 _TURNING_EVERY = 5.0
 """Seconds between two comparisons of the branch rules."""
 
-_BETTER = 0.6
+_BETTER_RATIO = 0.6
 """A set replaces a wrong one if its error is below this multiple of the wrong one's."""
 
-_KEPT = 0.5
-"""A single cycle is weak evidence for a branch rule. The evidence, the logarithm of the ratio of
-two errors, is limited to twice the value that changes the rule. Earlier evidence is multiplied by
-this factor at each further comparison."""
+_EVIDENCE_DECAY = 0.5
+"""Factor on earlier evidence for a branch rule at each new comparison. The evidence is the
+logarithm of the ratio of the errors of the two rules. A single cycle is weak evidence, so it counts
+at most twice the value that changes the rule."""
 
 _MOST_TRIED = 2000
-"""Largest number of samples that a set is tried on; twenty times as many are kept."""
+"""Largest number of samples on which a set is tried. Twenty times as many are kept, and thinned."""
 
 Span = tuple[float, float]
 """The lowest and the highest current [A] of one window, or of several."""
@@ -72,8 +71,8 @@ class KnownSet:
     """A set, and the stamp up to which it fits the samples (None: the set does not age).
 
     ``half_cycle`` [s] is that of the motion when the set arrived, NaN if unknown. ``currents`` is
-    the current range of the windows that the set fits; a set of unknown range (None) counts for all
-    currents. ``whole`` marks a set for all operating points, as opposed to a window set.
+    the current range of the windows that the set fits; None (unknown) counts as all currents.
+    ``whole`` marks a set for all operating points, as opposed to a window set.
     """
 
     parameters: ParameterSet
@@ -83,7 +82,7 @@ class KnownSet:
     whole: bool = False
 
     def replaces(self, other: KnownSet) -> bool:
-        """Whether the set is for the same motions and currents as another."""
+        """Whether the set is for the same motions and currents as the ``other`` set."""
         if max(self.half_cycle, other.half_cycle) > _SAME_TIME * min(
             self.half_cycle, other.half_cycle
         ):
@@ -96,7 +95,7 @@ class KnownSet:
         )
 
     def covers(self, other: KnownSet) -> bool:
-        """Whether the current range of the set includes that of another."""
+        """Whether the current range of the set includes the range of the ``other`` set."""
         return all(
             within(current, self.parameters.current_range)
             for current in other.parameters.current_range
@@ -119,7 +118,7 @@ class KnownSet:
         return self.currents is None or within(current, self.currents)
 
     def confirmed(self, set_id: str, stamp_ns: int, currents: Span | None) -> KnownSet:
-        """Return the set as confirmed by a window of these currents, if it has this name."""
+        """Return the set, confirmed by a window of these currents if its name is ``set_id``."""
         if self.parameters.set_id != set_id:
             return self
         # A set that does not age gets no stamp.
@@ -128,7 +127,7 @@ class KnownSet:
 
 
 def within(current: float, span: Span) -> bool:
-    """Whether a current [A] lies in a range, to within the tolerance for the same current."""
+    """Whether a current [A] lies in a range, widened by the tolerance of equal currents."""
     return span[0] - SAME_CURRENT <= current <= span[1] + SAME_CURRENT
 
 
@@ -142,9 +141,9 @@ def _joined(one: Span | None, other: Span | None) -> Span | None:
 def force_ratio(present: Array, whole: Array) -> float:
     """Force scale of the present set relative to the set for all operating points, (n,) [N].
 
-    The scale is applied at a new current. If the law does not follow the force exactly, its error
-    differs at each current. Therefore the scale is reduced towards 1 by the part of the force that
-    no scale explains.
+    The scale will be applied at another current, where the model error is different. It is
+    therefore moved towards 1, the more the less a single factor explains the difference between the
+    two forces.
     """
     power = float(whole @ whole)
     if not power > 0.0:
@@ -160,7 +159,7 @@ def force_ratio(present: Array, whole: Array) -> float:
 def _times_force(whole: ParameterSet, factor: float, present: ParameterSet) -> ParameterSet:
     """The set for all operating points, with its force multiplied by ``factor``.
 
-    Its peak velocity range is that of the ``present`` set if this includes its own.
+    It gets the peak velocity range of the ``present`` set if this range is wider than its own.
     """
     values, errors = whole.values.copy(), whole.standard_errors.copy()
     strength = whole.law.strength_indices
@@ -196,8 +195,8 @@ class JudgedSamples(NamedTuple):
         along = self.motion, self.current, self.period
         return known.parameters.follow(*along, gradual=gradual)[0]
 
-    def left_by(self, force: Array, part: slice = slice(None)) -> Array:
-        """Residual [N] of a ``force`` (n,) [N], at the measured samples of a part."""
+    def residual_of(self, force: Array, part: slice = slice(None)) -> Array:
+        """Residual [N] of a ``force`` (n,) [N] at the samples of ``part`` with a measured force."""
         measured = self.measured[part]
         return np.asarray((force[part] - measured)[~np.isnan(measured)])
 
@@ -213,8 +212,8 @@ class ModelBank:
     """Keeps the sets that were in use, and the newest samples.
 
     ``margin`` is the relative margin by which the peak velocity may leave the range of a set.
-    ``gradual`` says whether the branch of the hysteresis follows the velocity near reversals.
-    ``measured`` says whether the force is measured.
+    ``gradual`` is the branch rule: whether the branch of the hysteresis follows the velocity near
+    reversals. ``measured`` says whether the force is measured.
     """
 
     def __init__(self, margin: float, *, gradual: bool, measured: bool = True) -> None:
@@ -237,11 +236,11 @@ class ModelBank:
         self._at_currents: list[KnownSet] = []
         self._whole: KnownSet | None = None
         # The present current [A], the newest set of the identification, and whether the schedule
-        # has replaced it by another set.
+        # has replaced that set.
         self._current = math.nan
         self._found: KnownSet | None = None
         self._scheduled = False
-        # The report that a set fits a window may arrive before the set itself.
+        # The last confirmation; it may arrive before the set itself.
         self._reported: tuple[str, Span | None] = ("", None)
 
     @property
@@ -252,10 +251,10 @@ class ModelBank:
     # Arriving sets
 
     def confirm(self, set_id: str, stamp_ns: int, currents: Span | None) -> bool:
-        """Note that the set of this name fits the samples of a window up to the stamp.
+        """Note that the set with this name fits a window that ends at the stamp.
 
         ``currents`` is the lowest and the highest current [A] in the window, None if unknown.
-        Returns whether the set takes over from a set chosen by the schedule.
+        Returns whether the set replaces the set chosen by the schedule.
         """
         self._reported = set_id, currents
         self._sets = [each.confirmed(set_id, stamp_ns, currents) for each in self._sets]
@@ -274,11 +273,11 @@ class ModelBank:
     ) -> None:
         """Add a set and use it, unless the schedule has a better set for the present current.
 
-        Stamp and ``half_cycle`` are those of :class:`KnownSet`; a set without a stamp was loaded by
-        a user. A loaded set clears the bank, as does a set that is not newer than those in the bank
-        or belongs to another law; the loaded set itself stays. A set that was never identified does
-        not replace a loaded set. A set for fewer currents replaces the loaded set only if the force
-        of the loaded set is wrong.
+        ``stamp_ns`` and ``half_cycle`` are as in :class:`KnownSet`; a set without a stamp was
+        loaded by a user. A loaded set clears the bank. A set that is not newer than the bank, or
+        belongs to another law, clears it except for the loaded set. A set that was never identified
+        does not replace a loaded set. A set for fewer currents than the loaded set replaces it only
+        if its force is wrong.
         """
         given = self._given
         if given is not None and not parameters.has_evidence:
@@ -298,7 +297,7 @@ class ModelBank:
         whole = searched and parameters.law.knows_currents(parameters.observable)
         reported_id, currents = self._reported
         if whole:
-            # The set serves all currents, but the schedule may have a better one for the next.
+            # The set holds at all currents, but the schedule may have a better one for another.
             currents = None if math.isnan(self._current) else (self._current, self._current)
         elif reported_id != parameters.set_id:
             currents = None
@@ -307,7 +306,7 @@ class ModelBank:
             self._given = found if parameters.has_evidence else None
         elif self._is_given(self.present) and not found.covers(self._sets[0]):
             others = [each for each in self._sets[1:] if not found.replaces(each)]
-            self._sets = [self._sets[0], found, *others][:_MOST]
+            self._sets = [self._sets[0], found, *others][:_MOST_SETS]
             return
         self._found = found
         if whole:
@@ -319,7 +318,7 @@ class ModelBank:
             self._confirm_at(found, currents)
         if self._sets and self._scheduled and not self._takes_over(found):
             self._sets.insert(1, found)
-            del self._sets[_MOST:]
+            del self._sets[_MOST_SETS:]
         else:
             self._take(found)
 
@@ -336,7 +335,7 @@ class ModelBank:
         return given is not None and known is not None and known.parameters is given.parameters
 
     def _forget(self, given: KnownSet | None) -> None:
-        """Clear the bank, except for the set loaded by a user, which is then in use."""
+        """Clear the bank, and use the set loaded by a user if there is one."""
         self._sets = [] if given is None else [given]
         self._given, self._found = given, None
         self._scheduled = False
@@ -352,9 +351,9 @@ class ModelBank:
 
     def _take(self, chosen: KnownSet) -> None:
         others = [each for each in self._sets if not chosen.replaces(each)]
-        self._sets = [chosen, *others][:_MOST]
+        self._sets = [chosen, *others][:_MOST_SETS]
         if self._given is not None and not any(map(self._is_given, self._sets)):
-            self._sets[_MOST - 1 :] = [self._given]
+            self._sets[_MOST_SETS - 1 :] = [self._given]
         self._scheduled = False
 
     # The current schedule
@@ -364,7 +363,7 @@ class ModelBank:
         low, high = currents
         if high - low <= 2.0 * SAME_CURRENT:
             others = [each for each in self._at_currents if not each.fits_at(0.5 * (low + high))]
-            self._at_currents = [replace(known, currents=currents), *others][: 2 * _MOST]
+            self._at_currents = [replace(known, currents=currents), *others][: 2 * _MOST_SETS]
 
     def follow_current(self, current: float, now_ns: int) -> None:
         """Apply the current schedule to a current [A] at the samples up to a stamp."""
@@ -382,7 +381,7 @@ class ModelBank:
         if chosen is None or not self._holds_after(chosen, before, current):
             chosen = self._whole_now(current)
         if chosen is None:
-            # No other set is known, so the law of the present set gives the force.
+            # No other set is known, so the present set also gives the force at the new current.
             self.use(self._sets[0])
             return
         self._take(chosen)
@@ -391,7 +390,7 @@ class ModelBank:
     def _holds_after(self, chosen: KnownSet, before: float, current: float) -> bool:
         """Whether a set holds for the present motion and ``current`` [A].
 
-        A law with memory must also hold at the current ``before`` the change.
+        With a law that has memory, it must also hold at the current ``before`` the change.
         """
         speed = math.nan
         if self._rows.count:
@@ -430,10 +429,10 @@ class ModelBank:
         newest = self._newest()
         elsewhere = np.flatnonzero(np.abs(newest.current - self._current) > SAME_CURRENT)
         judged = slice(int(elsewhere[-1]) + 1 if elsewhere.size else 0, None)
-        if newest.current[judged].size * newest.period < _JUDGED:
+        if newest.current[judged].size * newest.period < _JUDGED_TIME:
             return False
         new, used = (
-            _root_mean_square(newest.left_by(newest.force_of(each, self.gradual), judged))
+            _root_mean_square(newest.residual_of(newest.force_of(each, self.gradual), judged))
             for each in (found, self._sets[0])
         )
         if new < used:
@@ -444,7 +443,7 @@ class ModelBank:
     # Choice by the measured force
 
     def forget_samples(self) -> None:
-        """Discard the samples; the next samples do not continue from them."""
+        """Discard the samples, because the next samples do not continue from them."""
         self._rows.keep(0)
 
     def follow(
@@ -470,7 +469,7 @@ class ModelBank:
             measured = np.concatenate([np.full(bridged, math.nan), measured[bridged:]])
         along = motion.displacement, motion.velocity, motion.acceleration, motion.peak_velocity
         self._rows.add((*along, current, predicted, measured), count)
-        span = max(2.0 * self._half_cycle, self._judged + 2.0 * _JUDGED) / period
+        span = max(2.0 * self._half_cycle, self._judged + 2.0 * _JUDGED_TIME) / period
         self._rows.keep(max(int(min(span, 20 * _MOST_TRIED)), count))
 
     def _newest(self, time: float = math.inf) -> JudgedSamples:
@@ -484,8 +483,8 @@ class ModelBank:
 
     def search_is_due(self) -> bool:
         """Whether to search for another set now; searches are limited in rate."""
-        enough = self._rows.count * self._period >= _JUDGED
-        if not enough or self._since_search < 0.5 * _JUDGED:
+        enough = self._rows.count * self._period >= _JUDGED_TIME
+        if not enough or self._since_search < 0.5 * _JUDGED_TIME:
             return False
         self._since_search = 0.0
         return True
@@ -500,33 +499,32 @@ class ModelBank:
     def better(self, allowed: float, *, wrong: bool) -> Choice | None:
         """The set that reproduces the newest forces within an ``allowed`` error [N], or None.
 
-        ``wrong`` says that the force of the present set is wrong; otherwise the set is only outside
-        its range. With ``wrong`` the present set is also tried, restarted from a new state.
-        ``allowed`` is infinite if no force is measured; the result is then the set last used for
-        this motion.
+        ``wrong`` says that the force of the present set is wrong, not only outside its range. In
+        this case the present set is also tried, restarted from a new state. ``allowed`` is infinite
+        if no force is measured; the result is then the set last used for this motion.
         """
-        newest = self._newest(self._judged + 2.0 * _JUDGED)
+        newest = self._newest(self._judged + 2.0 * _JUDGED_TIME)
         judged = slice(-max(round(self._judged / newest.period), 1), None)
         speed = float(np.median(newest.motion.peak_velocity[judged]))
         current = float(newest.current[-1])
         candidates = [each for each in self._sets[1:] if each.is_for(speed, current, self._margin)]
         if math.isinf(allowed):
             return Choice(candidates[0], math.nan) if candidates else None
-        limit = _root_mean_square(newest.left_by(newest.predicted, judged))
-        limit *= _BETTER if wrong else 1.0
+        limit = _root_mean_square(newest.residual_of(newest.predicted, judged))
+        limit *= _BETTER_RATIO if wrong else 1.0
         best = None
         for each in (self._sets[0], *candidates) if wrong else candidates:
-            left = newest.left_by(newest.force_of(each, self.gradual), judged)
+            left = newest.residual_of(newest.force_of(each, self.gradual), judged)
             error = _root_mean_square(left)
             if error < limit and float(np.max(np.abs(left))) <= allowed:
                 best, limit = Choice(each, error), error
         return best
 
-    def turned_otherwise(self) -> Choice | None:
+    def with_other_branch_rule(self) -> Choice | None:
         """The present set, if the other branch rule fits the newest cycle better; else None.
 
-        The other rule is used from now on. None also with less than a half-cycle of samples, or if
-        the law has a single branch rule.
+        The other rule is used from now on. Returns None also if there is less than a half-cycle of
+        samples, or if the law has a single branch rule.
         """
         present = self._sets[0]
         law = present.parameters.law
@@ -534,12 +532,12 @@ class ModelBank:
             return None
         newest = self._newest()
         errors = [
-            max(_root_mean_square(newest.left_by(newest.force_of(present, gradual))), 1e-9)
+            max(_root_mean_square(newest.residual_of(newest.force_of(present, gradual))), 1e-9)
             for gradual in (False, True)
         ]
-        decides = -math.log(_BETTER)
+        decides = -math.log(_BETTER_RATIO)
         shown = float(np.clip(math.log(errors[0] / errors[1]), -2.0 * decides, 2.0 * decides))
-        self._turning = _KEPT * self._turning + shown
+        self._turning = _EVIDENCE_DECAY * self._turning + shown
         if not (-self._turning if self.gradual else self._turning) > decides:
             return None
         self.gradual = not self.gradual
@@ -548,7 +546,7 @@ class ModelBank:
     @property
     def _judged(self) -> float:
         """Time [s] over which a set is judged."""
-        return max(_JUDGED, _JUDGED * self._half_cycle)
+        return max(_JUDGED_TIME, _JUDGED_TIME * self._half_cycle)
 
 
 def _root_mean_square(values: Array) -> float:

@@ -1,9 +1,9 @@
 """Records of a damper, one for each operating point (peak velocity, current).
 
-This module defines which operating points count as the same. A record holds the first accepted fit
-(the baseline of the force scale); the size of its force, which shows whether a later force can be
-of the same damper; the measured temperatures with their force scales; and the newest good window,
-for the global identification.
+This module also defines when two operating points count as the same. A record holds the first
+accepted fit, which is the baseline of the force scale; the size of its force, by which later forces
+are judged to belong to the same damper or not; the measured temperatures with their force scales;
+and the newest good window, for the global identification.
 """
 
 from __future__ import annotations
@@ -32,20 +32,20 @@ SAME_SPEED = 1.0 + SAME_MOTION
 and their currents by at most :data:`SAME_CURRENT` [A]."""
 
 _COMPARABLE = (4.0, 2.0)
-"""Forces and residuals are comparable within these multiples of the tolerances: a speed higher by
-half, and 0.1 A. In random motion the peak velocity varies by as much from window to window; with a
-tighter tolerance every window would be a new point."""
+"""Forces and residuals are compared within these multiples of the tolerances: 1.5 times the speed,
+and 0.1 A. In random motion the peak velocity varies by as much from window to window; with tighter
+tolerances every window would be a new point."""
 
 MOST_SAMPLES = 500
 MOST_WINDOWS = 100
 """At most this many windows are kept, one per operating point, thinned to this many samples."""
 
 RECENT = MEMORY
-"""Seconds for which an operating point counts as recent. A set must serve at all recent points."""
+"""Seconds for which an operating point counts as recent. A set must hold at all recent points."""
 
 _OTHER_CURRENT = 30.0
-"""At another current the force may differ by this factor, the range of these dampers. At another
-speed it is between unchanged and proportional to the speed."""
+"""Largest factor between the forces of such dampers at two currents. At two speeds the force is
+between unchanged and proportional to the speed."""
 
 
 def nearest_same(points: Sequence[OperatingPoint], wanted: OperatingPoint) -> int | None:
@@ -71,7 +71,7 @@ def _nearest(
 
 
 def _apart(one: OperatingPoint, other: OperatingPoint) -> tuple[float, float]:
-    """Differences of two points in speed and in current, in units of the tolerances."""
+    """Differences of two points in speed and current, as multiples of the tolerances."""
     ratio = math.log(max(one[0], 1e-9) / max(other[0], 1e-9))
     return abs(ratio) / math.log(SAME_SPEED), abs(one[1] - other[1]) / SAME_CURRENT
 
@@ -86,9 +86,8 @@ class Kept(NamedTuple):
 def thinned_to_keep(window: Window, *, with_past: bool, parts: int = 1) -> Kept:
     """A window thinned to a few hundred samples, to be kept.
 
-    If the window is one of several ``parts``, fewer samples are kept, at least a quarter. The
-    motion between the samples is kept only with ``with_past``; a law without memory does not need
-    it.
+    For one of several ``parts`` of a window fewer samples are kept, down to a quarter of the usual
+    number. ``with_past`` also keeps the motion between the samples, for a law with memory.
     """
     few = window.thinned(MOST_SAMPLES // min(parts, 4))
     kept = few if with_past else Window(few.motion, few.force, few.current)
@@ -198,7 +197,7 @@ class KnownPoints:
         return known
 
     def without_temperatures(self) -> KnownPoints:
-        """Return the records without temperatures, which belong to the earlier force."""
+        """Return the records without their temperatures, because the force has changed since."""
         none = PointRecord((0.0, 0.0)).temperatures
         return KnownPoints(tuple(replace(each, temperatures=none) for each in self.records))
 
@@ -229,28 +228,30 @@ class KnownPoints:
         if here is not None:
             expected = found.size / here.size
         if not math.isnan(expected) and not 1.0 / limit <= expected <= limit:
-            return f"the force is {expected:.3g} times the first one"
+            return f"the force is {expected:.3g} times the first accepted force"
         for known in self._forces:
             ratio = found.peak_velocity / known.peak_velocity
             _, current = _apart(found.operating_point, known.operating_point)
             besides = limit * (_OTHER_CURRENT if current > _COMPARABLE[1] else 1.0)
             low, high = min(1.0, ratio) / besides, max(1.0, ratio) * besides
             if found.size > high * known.size or found.largest > high * known.largest:
-                return f"the force reaches {found.largest:.3g} N, at first {known.largest:.3g} N"
+                return (
+                    f"the force reaches {found.largest:.3g} N, but {known.largest:.3g} N at first"
+                )
             if found.size < low * known.size:
                 return (
-                    f"the standard deviation of the force is {found.size:.3g} N, at first "
-                    f"{known.size:.3g} N"
+                    f"the standard deviation of the force is {found.size:.3g} N, but "
+                    f"{known.size:.3g} N at first"
                 )
         return ""
 
 
 _NO_NOISE = 1e-4
-"""No load cell reaches a smaller NRMSE; smaller values count as equal."""
+"""Lower limit of a baseline NRMSE; no load cell reaches a smaller one."""
 
 _ELSEWHERE = 0.05
-"""Smallest baseline NRMSE at an operating point where the law has not been fitted. For the records
-of a commercial damper the median there is 0.08."""
+"""Smallest baseline NRMSE at an operating point where the law has not been fitted; for the records
+of a commercial damper the median is 0.08."""
 
 Residual = tuple[float, ...]
 """RMSE [N] and NRMSE of a good window; also peak velocity [m/s] and current [A] if the current is

@@ -53,10 +53,10 @@ from mr_damper_ros.tracking.validity import (
 class Prediction:
     """Predicted force [N], shape (n,), of the block's samples.
 
-    ``doubts`` (n,) holds the reason code (:class:`DoubtKind`) of each sample; ``doubt`` is that of
-    the newest invalid sample. ``velocity`` [m/s], shape (n,), is the estimated velocity, NaN if
-    there is none. ``motion`` and ``current`` [A], a float if it is constant, are the inputs of the
-    newest samples; None if there was no force.
+    ``doubts`` (n,) holds the reason code (:class:`DoubtKind`) of each sample; ``doubt`` is the
+    reason of the newest invalid sample. ``velocity`` [m/s], shape (n,), is the estimated velocity,
+    NaN if unknown. ``motion`` and ``current`` [A] (a float if constant) are the inputs of the
+    newest samples; None without a force.
     """
 
     start_ns: int
@@ -133,7 +133,7 @@ class Prediction:
         return self.doubt.sentence
 
     def at_its_samples(self, values: Array) -> Array:
-        """The last n of the values (m,) of a block, which are those at the predicted samples."""
+        """The last n of the values (m,) of a block: the values at the predicted samples."""
         return values[-self.force.size :]
 
     def of_arrived(self, placed: Placed) -> Prediction:
@@ -178,13 +178,13 @@ class PredictorSettings(ValiditySettings):
     )
 
 
-_TOGETHER = 0.01
-"""Seconds of samples that are predicted at once. A longer block is split into parts of this length,
-and each part uses the set and the current learnt from the previous one. A long block is therefore
-predicted as well as several short ones."""
+_PART_TIME = 0.01
+"""Longest time [s] that is predicted at once. A longer block is split into parts of this length,
+and each part uses what was learnt from the previous part. A long block is therefore predicted as
+well as several short ones."""
 
-_OF_THE_SET = (DoubtKind.WRONG, DoubtKind.DRIVING, DoubtKind.OUT_OF_RANGE, DoubtKind.TOO_LARGE)
-"""Reason codes that another set may remove."""
+_SET_AT_FAULT = (DoubtKind.WRONG, DoubtKind.DRIVING, DoubtKind.OUT_OF_RANGE, DoubtKind.TOO_LARGE)
+"""Reason codes for which another set is tried."""
 
 
 class ForcePredictor:
@@ -203,13 +203,13 @@ class ForcePredictor:
         self.freshness = Freshness(settings.max_age)
         """The age of the samples."""
         self._refused = RefusedWindows()
-        # These three follow one motion. They restart with the first block and after a gap.
+        # These three restart with the first block and after a gap in the motion.
         self._motion: MotionFollower | None = None
         self._force = ForceInUse(math.inf)
         self._monitor = ResidualMonitor(math.inf, settings.maximum_error)
         # Number of reversals of the motion when the state of the law was initialised.
         self._begun_at = 0
-        # The rest of the work on the newest samples.
+        # The work on the newest samples that is left for later.
         self._unlearned: Callable[[], None] | None = None
         self._newest_doubt = NO_DOUBT
         self.tried = -math.inf
@@ -223,12 +223,12 @@ class ForcePredictor:
 
     @property
     def gradual(self) -> bool:
-        """Whether the force is predicted without jumps at reversals."""
+        """Whether the predicted force has no jumps at reversals."""
         return self._bank.gradual
 
     @property
     def memory(self) -> State | None:
-        """State of the law after the last block; the coil current is last, if it has a lag."""
+        """State of the law after the last block; its last value is the coil current, if it lags."""
         return self._force.state
 
     # Inputs other than samples
@@ -237,9 +237,9 @@ class ForcePredictor:
         """Predict with this set from the next block on, unless the bank has a better one.
 
         ``confirmed_ns`` is the stamp of the last sample that the set is known to fit; None for a
-        set that does not age, such as one loaded by a user. A set without a stamp takes effect at
-        once, any other by bumpless transfer. :meth:`ModelBank.add` describes which sets replace a
-        loaded set. The state of the law is recomputed.
+        set that does not age, such as one loaded by a user. A set with a stamp takes effect by
+        bumpless transfer, a set without one at once. :meth:`ModelBank.add` describes which sets
+        replace a loaded set. The state of the law is recomputed.
         """
         self._refused.forget()
         if self._bank.is_in_use(parameters):
@@ -277,10 +277,10 @@ class ForcePredictor:
     # Learning from the last block
 
     def catch_up(self) -> None:
-        """Learn from the last block what later predictions need.
+        """Update everything that later predictions need from the last block.
 
-        This takes longer than a prediction, so call it after the prediction is published. If it is
-        not called, the next :meth:`predict` does the necessary part, with the same results.
+        This takes longer than a prediction, so call it after publishing. If it is not called, the
+        next :meth:`predict` does it first; the results are the same.
         """
         self._finish_learning()
         if self._motion is not None:
@@ -320,13 +320,13 @@ class ForcePredictor:
         )
         kind = self._newest_doubt.kind
         choice: Choice | None = None
-        if kind in _OF_THE_SET and self._bank.search_is_due():
+        if kind in _SET_AT_FAULT and self._bank.search_is_due():
             wrong = kind in (DoubtKind.WRONG, DoubtKind.DRIVING)
             choice = self._bank.better(self._monitor.allowed, wrong=wrong)
             if choice is None and wrong:
-                choice = self._bank.turned_otherwise()
+                choice = self._bank.with_other_branch_rule()
         elif self._bank.turning_is_due():
-            choice = self._bank.turned_otherwise()
+            choice = self._bank.with_other_branch_rule()
         if choice is not None:
             self._bank.use(choice.chosen)
             self._force.use(
@@ -354,8 +354,8 @@ class ForcePredictor:
         lost_sight = self._motion is not None and self._motion.lost_sight(bridged * whole.period)
         if self._motion is None or verdict.restarts or lost_sight:
             self._begin(whole.period)
-        together = max(round(_TOGETHER / whole.period), 1)
-        # Bridged samples belong to the first part.
+        together = max(round(_PART_TIME / whole.period), 1)
+        # The samples that bridge a gap belong to the first part.
         ends = [*range(bridged + together, whole.sample_count, together), whole.sample_count]
         parts = [
             self._predict(
@@ -392,7 +392,7 @@ class ForcePredictor:
         parameters = self.parameters
         assert parameters is not None
         if parameters is not self._force.parameters:
-            # A change of the current changes the force itself, so there is no bumpless transfer.
+            # The change of current itself makes the force step, so nothing is faded.
             self._use_present(fade=False)
         if self._force.state is None:
             self._begun_at = self._motion.reversals
@@ -426,7 +426,7 @@ class ForcePredictor:
     def _doubts(
         self, block: SampleBlock, bridged: int, motion: Motion, current: Array, force: Array
     ) -> list[Doubt]:
-        """The reasons why the force of a set is invalid; those of the motion come first."""
+        """The reasons why the force of a set is invalid, beginning with reasons of the motion."""
         follower, monitor = self._motion, self._monitor
         assert follower is not None
         settling = doubt_of_motion(follower)
@@ -444,7 +444,7 @@ class ForcePredictor:
             bridged=bridged,
         )
         if settling:
-            # While the motion does not determine the force, the force does not test the set.
+            # While the motion does not determine the force, a wrong force does not refute the set.
             if not measured or any(measured):
                 monitor.forget_moment()
             self._bank.forget_samples()
@@ -459,8 +459,8 @@ class ForcePredictor:
         doubts = [
             *doubts_of_age(self._current, present.confirmed_ns, block.end_ns, settings, live=live)
         ]
-        # A force that agreed with the measured force for a cycle is valid, even outside the
-        # identified range and after rejected windows.
+        # If the predicted force has agreed with the measured force for a cycle, it is valid even
+        # outside the identified range and after rejected windows.
         if monitor.holds:
             doubts += by_force
         else:

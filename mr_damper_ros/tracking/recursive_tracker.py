@@ -24,8 +24,8 @@ from mr_damper_ros.signals.blocks import NANOSECONDS
 METHOD = "recursive"
 
 _STEPS = 3
-"""Gauss-Newton steps. They reach the minimum to 1e-3 standard errors after a change of the force by
-a quarter."""
+"""Number of Gauss-Newton steps. After a change of the force by a quarter, they reach the minimum to
+within 1e-3 standard errors."""
 
 _SURPRISE = 3.09
 """Normal deviate that a window's squared innovation exceeds once in 1000 windows."""
@@ -53,7 +53,7 @@ class FilterState:
 
 
 class RecursiveFilter:
-    """Updates the state with the samples of one window; ``stamp_ns`` is that of its last sample.
+    """Updates the state with the samples of one window, which ends at ``stamp_ns``.
 
     ``problem`` is the window problem of these samples. ``drift_rate`` [1/sqrt(s)]: in one second
     the random walk of each unknown changes the force by this fraction of its root mean square. The
@@ -97,7 +97,7 @@ class RecursiveFilter:
 
     @property
     def state(self) -> FilterState:
-        """The state after the updates so far."""
+        """The state after all updates."""
         point = self._problem.window.operating_point
         return FilterState(self._mean, self._root @ self._root.T, self._stamp_ns, point)
 
@@ -125,15 +125,16 @@ class RecursiveFilter:
 def _noise(jacobian: Array, residual: Array, robust: bool) -> Array:
     """Standard deviation [N] (n,) of the noise, estimated from a residual (n,).
 
-    ``jacobian`` (n, f) holds the derivatives by the unknowns. The part of the residual in its span
-    is removed. ``robust`` increases the noise at outliers.
+    ``jacobian`` (n, f) holds the derivatives of the force by the unknowns. The part of the residual
+    that a change of the unknowns can explain is removed first. ``robust`` increases the noise at
+    outliers.
     """
     count, unknowns = jacobian.shape
     lengths = np.linalg.norm(jacobian, axis=0)
     basis = np.linalg.qr(jacobian / np.where(lengths > 0.0, lengths, 1.0))[0]
     unexplained = residual - basis @ (basis.T @ residual)
     variance = float(unexplained @ unexplained) / max(count - unknowns, 1)
-    # Correlated noise averages out more slowly, so it counts as larger noise.
+    # Correlated noise averages out more slowly; it is replaced by larger white noise.
     honest = np.diag(least_squares_covariance(jacobian, unexplained))
     white = variance * np.diag(normal_inverse(jacobian))
     known = np.isfinite(honest) & (white > 0.0)
@@ -148,10 +149,10 @@ def _noise(jacobian: Array, residual: Array, robust: bool) -> Array:
 
 
 def _fading(jacobian: Array, residual: Array) -> float:
-    """Factor on the covariance after a sudden change, when the window contradicts the state.
+    """Factor on the covariance if the window contradicts the state, as after a sudden change.
 
-    ``jacobian`` (n, f) and ``residual`` (n,) are in units of standard deviations. While the state
-    is right, the squared innovation follows a chi-square distribution with f degrees of freedom
+    ``jacobian`` (n, f) and ``residual`` (n,) are in units of standard deviations. If the state is
+    right, the squared innovation follows a chi-squared distribution with f degrees of freedom
     (quantile by Wilson and Hilferty, Proceedings of the National Academy of Sciences 17, 1931).
     """
     values, vectors = np.linalg.eigh(jacobian.T @ jacobian)

@@ -14,11 +14,11 @@ from mr_damper_ros.tracking.force_scale import FluidTemperature, ForceScale
 
 @dataclass(frozen=True, eq=False)
 class WindowVerdict:
-    """The part of a report that the force prediction needs; stamps are those of samples.
+    """The part of a report that the force prediction needs, with stamps of samples.
 
     ``set_id`` names the set in use after the report. ``confirms`` says whether the samples up to
-    ``stamp_ns`` fit this set. ``nrmse_before`` is the error of the previously used set in the
-    window, NaN if unknown.
+    ``stamp_ns`` fit this set. ``nrmse_before`` is the error in the window of the set used so far,
+    NaN if unknown.
     """
 
     window_start_ns: int
@@ -33,10 +33,10 @@ class WindowVerdict:
 class Report(WindowVerdict):
     """Outcome of one window or one global identification, as published; SI units, NaN = unknown.
 
-    ``reason`` states the ``verdict`` in words. ``temperature`` is the measured temperature.
-    Without a measurement, ``fluid`` is the temperature estimated from the force, once a map of
-    force over temperature has been learnt at the operating point. ``coefficient_errors`` are the
-    standard errors from window to window; ``coefficient_discrepancies`` are the model errors.
+    ``reason`` explains the ``verdict`` in words. ``temperature`` [°C] is the measured temperature.
+    If it is not measured, ``fluid`` is the temperature estimated from the force, once the operating
+    point has a temperature map. ``coefficient_errors`` are the standard errors from window to
+    window; ``coefficient_discrepancies`` are the model errors.
     """
 
     verdict: Verdict = Verdict.FAILED

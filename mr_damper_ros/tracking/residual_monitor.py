@@ -2,9 +2,9 @@
 
 :class:`ForceStatistics` holds the peak, the noise and the power of the measured force over the
 recent cycles. :class:`ResidualMonitor` decides when the predicted force is wrong. It monitors two
-errors, both relative to the peak. The error of each sample shows at once that the force is wrong at
-this sample. The root mean square over a half-cycle shows that the parameters are wrong; all samples
-are then invalid until it falls again.
+errors, both relative to the peak. The error of a sample makes that sample invalid at once. The root
+mean square error over a half-cycle shows that the parameters are wrong; while it is too large, all
+samples are invalid.
 """
 
 from __future__ import annotations
@@ -21,35 +21,35 @@ from mr_damper_ros.kinematics.peak_velocity import HALF_CYCLES
 from mr_damper_ros.models.quantities import SAME_CURRENT
 from mr_damper_ros.signals.arrays import Array, Mask, span_of, white_noise
 from mr_damper_ros.tracking.operating_point import RECENT
-from mr_damper_ros.tracking.screening import DRIVING
+from mr_damper_ros.tracking.screening import NEGATIVE_POWER
 from mr_damper_ros.tracking.validity import NO_DOUBT, Doubt, DoubtKind
 
 _SHORTEST_MEMORY = 2.0
 _LONGEST_MEMORY = 120.0
-"""The memory covers as many half-cycles as that of the peak velocity, limited to these times [s].
-If the motion is not steady, the peak is that of the recent operating points, or of a cycle if that
-is longer: eight half-cycles could all be small, or include an earlier motion. The power is averaged
-over half of them, in which a spring returns its energy."""
+"""The memory covers ``HALF_CYCLES`` half-cycles, limited to these times [s]. If the motion is not
+steady, these may all be small or belong to an earlier motion; the peak then covers ``RECENT``
+seconds, or a cycle if that is longer. The power is averaged over half of the half-cycles, in which
+a spring returns its energy."""
 
 _SHORTEST = 0.2
-"""Shortest half-cycle [s] over which the root mean square error is computed. A force that is
-constant for twice this time counts as a fault: in fast motion the estimated half-cycle is too
-inaccurate to set it."""
+"""Shortest time [s] over which the root mean square error is computed. Twice this time is the
+shortest for which a constant force counts as a fault, because the half-cycle of a fast motion is
+estimated too inaccurately to be used."""
 
-_WILD = 20
-"""The span excludes one sample in this many at either end, because it may be an outlier."""
+_OUTLIER_EVERY = 20
+"""The span excludes the highest and the lowest one in this many samples as possible outliers."""
 
 _FEWEST = 4
-"""Up to this number of samples the span includes all samples."""
+"""The span of this many samples or fewer excludes none."""
 
 _STRETCHES = 32
 _LONGEST_STRETCH = 0.25
 """The memory is divided into this many stretches, each no longer than this time [s]."""
 
 _PRELOAD = 0.5
-"""The middle of the span counts towards the peak up to this fraction of half the span, as from gas
-pressure. A larger value comes from a load cell that was not zeroed; it must not hide the damper's
-force."""
+"""The offset of the force, which gas pressure causes, counts towards the peak up to this fraction
+of half the span. A larger offset is that of a load cell that was not zeroed, and must not enlarge
+the peak."""
 
 
 @dataclass(frozen=True)
@@ -70,7 +70,7 @@ class _Stretch:
     settled: bool
 
     def had(self, current: float) -> bool:
-        """Whether the whole force of the stretch belongs to this current [A]."""
+        """Whether the current was this one [A] during the stretch and the one before."""
         return self.settled and all(abs(end - current) <= SAME_CURRENT for end in self.currents)
 
 
@@ -79,11 +79,11 @@ class ForceStatistics:
 
     ``peak`` and ``centre`` [N] are the largest magnitude of the measured force and the middle of
     its span, without outliers; NaN before the first stretch. If the motion is not steady, they
-    cover ten seconds or a cycle. The force at another current counts for at most ten seconds, and
-    no longer than until the present current has lasted for a cycle.
-    ``noise`` [N] is the standard deviation of the white part of the measured force. ``stuck`` says
-    that the measured force has been constant for a half-cycle. ``measured_drives`` and
-    ``predicted_drives`` say that the measured or predicted force is not dissipative.
+    cover the longer of ten seconds and a cycle. Forces at other currents count for at most ten
+    seconds, and only until the present current has lasted for a cycle. ``noise`` [N] is the
+    standard deviation of the white part of the measured force. ``stuck`` says that the measured
+    force has been constant for a half-cycle. ``measured_drives`` and ``predicted_drives`` say that
+    the measured or predicted force is not dissipative.
     """
 
     def __init__(self, period: float) -> None:
@@ -125,7 +125,7 @@ class ForceStatistics:
             self._finish(half_cycle, steady)
 
     def forget_predicted(self) -> None:
-        """Discard the predicted forces so far, which belong to other parameters."""
+        """Discard the predicted forces, because they belong to other parameters."""
         self.predicted_drives = False
         self._parts = [(np.zeros(f.size), f, v) for _, f, v in self._parts]
         for stretch in self._past:
@@ -143,7 +143,7 @@ class ForceStatistics:
         if not np.isfinite(predicted).all():
             predicted = np.zeros(count)
         rows = np.stack((velocity, measured, predicted))
-        wild = max(count // _WILD, 1) if count > _FEWEST else 0
+        wild = max(count // _OUTLIER_EVERY, 1) if count > _FEWEST else 0
         bottom, top = np.partition(measured, (wild, count - 1 - wild))[[wild, -1 - wild]].tolist()
         rows[1] = measured.clip(bottom, top)
         with np.errstate(over="ignore", invalid="ignore"):
@@ -210,33 +210,34 @@ class ForceStatistics:
             products = sums[:, 1:] - np.outer(sums[:, 0], sums[:, 0]) / count
             sizes = np.sqrt(np.maximum(np.diag(products), 0.0))
             if sizes[0] > 0.0:
-                self.measured_drives = bool(products[0, 1] < -DRIVING * sizes[0] * sizes[1])
-                self.predicted_drives = bool(products[0, 2] < -DRIVING * sizes[0] * sizes[2])
+                self.measured_drives = bool(products[0, 1] < -NEGATIVE_POWER * sizes[0] * sizes[1])
+                self.predicted_drives = bool(products[0, 2] < -NEGATIVE_POWER * sizes[0] * sizes[2])
 
 
-_SEEN = 0.98
-"""Fraction of the limit that the error of a sample may reach, because the peak is uncertain."""
+_USED_PART = 0.98
+"""Fraction of the limit that is used for the error of a sample, because the peak is uncertain."""
 
-_CHANCE = 3.0
-"""Standard deviations of the noise by which this limit is reduced, because noise may hide an error
-of that size."""
+_HIDDEN_SIGMAS = 3.0
+"""Number of standard deviations of the noise by which this limit is reduced, because noise may hide
+that much of an error."""
 
-_SAMPLE, _RARE = 0.68, 2.0
-"""Limit with much noise: this fraction of the limit plus this many standard deviations. Noise alone
-then rarely makes a force invalid, and only for single samples."""
+_NOISY_PART, _NOISY_SIGMAS = 0.68, 2.0
+"""With much noise the limit is this fraction of the nominal limit plus this many standard
+deviations, so that noise alone rarely makes a force invalid, and only at single samples."""
 
-_MOST_REMEMBERED = 1.5
-"""Each error enters the root mean square with at most this multiple of its limit, so that a burst
-is forgotten."""
+_LARGEST_ENTRY = 1.5
+"""Each error enters the root mean square with at most this multiple of its limit, so that the
+effect of a burst ends soon."""
 
-_BACK = 0.9
-"""Fraction of either limit below which the error must fall again."""
+_RECOVERED = 0.9
+"""An error must fall below this fraction of its limit before the force is valid again."""
 
-_CALM, _CALM_PART, _AS_LONG = 0.02, 0.1, 0.125
-"""A wrong force is valid again after the shortest of three times in which the error is small: the
-first value [s], the second value times the half-cycle, and the third value times the time for which
-it was wrong. If the error jumps by more than the peak between two samples, the measured samples
-count as outliers until the error is small again, for at most the first value [s]."""
+_CALM_TIME, _CALM_PART, _WRONG_PART = 0.02, 0.1, 0.125
+"""A wrong force is valid again once the error has been small for the shortest of three times: the
+first value [s], the second value times the half-cycle, and the third value times the time during
+which the force was wrong. If the error jumps by more than the peak between two samples, the
+measured samples count as outliers until the error is small again, for at most the first value [s].
+"""
 
 _MOST_NOISE = 0.1
 """Limit of the noise estimate, relative to the peak."""
@@ -258,9 +259,9 @@ class ResidualMonitor:
         self._wrong = False
         # The error [N] of the last sample, and the number of outliers in a row.
         self._error, self._wild_for = 0.0, 0
-        self._longest_wild = max(round(_CALM / period), 1)
+        self._longest_wild = max(round(_CALM_TIME / period), 1)
         # Samples with a small error until the force is valid again, and the largest such number.
-        self._wait, self._calm = 0.0, _CALM / period
+        self._wait, self._calm = 0.0, _CALM_TIME / period
         # Seconds for which the forces have been compared without interruption.
         self._compared = 0.0
         self._cycle_known = False
@@ -269,8 +270,8 @@ class ResidualMonitor:
     def holds(self) -> bool:
         """Whether the predicted force has agreed with the measured force over the last cycle.
 
-        In slow motion the time of two windows suffices. A short error counts only while it lasts,
-        and by its contribution to the root mean square.
+        In slow motion four seconds suffice. A short error counts only while it lasts, and through
+        the root mean square.
         """
         enough = 2.0 * min(self._time, _SHORTEST_MEMORY)
         return self._cycle_known and self._compared >= enough and not (self._wrong or self._wait)
@@ -297,7 +298,7 @@ class ResidualMonitor:
         self._recent.forget_predicted()
 
     def forget_moment(self) -> None:
-        """Restart the comparison after samples whose force was unknown or was not judged."""
+        """Restart the comparison after samples whose force was unknown or not compared."""
         self._square = self._compared = self._error = 0.0
         self._wrong, self._wait, self._wild_for = False, 0.0, 0
 
@@ -312,14 +313,14 @@ class ResidualMonitor:
         errors = predicted - measured
         sizes = np.abs(errors)
         if not float(sizes.max()) < math.inf:
-            return [Doubt(DoubtKind.WRONG, "the predicted force has no finite error")]
+            return [Doubt(DoubtKind.WRONG, "the error of the predicted force is not finite")]
         wrong, wild = self._wrong_samples(errors, sizes, measured, peak)
         self._follow(sizes if wild is None else sizes[~wild], peak)
         doubts = [self._doubt_of_sensor()]
         if wild is not None:
             sentence = (
                 f"the measured force jumps to {float(measured[wild][-1]):.4g} N at a peak of "
-                f"{peak:.3g} N: a loose contact, or a disturbance on the line of the load cell?"
+                f"{peak:.3g} N: check the load cell's cable for a loose contact or interference"
             )
             doubts.append(Doubt(DoubtKind.SENSOR, sentence, wild))
         if self._wrong or wrong is not None:
@@ -341,15 +342,15 @@ class ResidualMonitor:
         self._recent.add(forces, velocity, current, half_cycle, steady=steady)
         self._cycle_known = not math.isnan(half_cycle)
         if self._cycle_known:
-            self._calm = min(_CALM, _CALM_PART * half_cycle) / self._period
+            self._calm = min(_CALM_TIME, _CALM_PART * half_cycle) / self._period
             self._time = max(half_cycle, _SHORTEST)
 
     def _wrong_samples(
         self, errors: Array, sizes: Array, measured: Array, peak: float
     ) -> tuple[Mask | None, Mask | None]:
-        """Masks (n,) of the samples with too large an error, and of outliers; None without any.
+        """Masks (n,) of the samples with too large an error and of outliers; None if all are False.
 
-        ``errors`` [N] are predicted less ``measured`` [N]; ``sizes`` [N] are their magnitudes.
+        ``errors`` [N] are predicted minus ``measured`` force; ``sizes`` [N] are their magnitudes.
         """
         before, self._error = self._error, float(errors[-1])
         limit, noise = self._limit * peak, self._noise(peak)
@@ -360,7 +361,7 @@ class ResidualMonitor:
         largest = np.maximum(np.abs(measured - self._recent.centre), peak)
         begins, stays = (
             (sizes > self._allowed(part * self._limit * largest, noise)).tolist()
-            for part in (1.0, _BACK)
+            for part in (1.0, _RECOVERED)
         )
         jumps = (np.abs(np.diff(errors, prepend=before)) > peak).tolist()
         wrong, wild = np.zeros((2, sizes.size), dtype=bool)
@@ -371,7 +372,7 @@ class ResidualMonitor:
                 continue
             self._wild_for = 0
             if begin or (stay and self._wait):
-                self._wait = min(self._wait + _AS_LONG, self._calm)
+                self._wait = min(self._wait + _WRONG_PART, self._calm)
                 wrong[k] = True
             elif self._wait:
                 wrong[k] = self._wait >= 1.0
@@ -384,20 +385,22 @@ class ResidualMonitor:
         self._compared += count * self._period
         if count == 0:
             return
-        most = _MOST_REMEMBERED * self._limit * peak
+        most = _LARGEST_ENTRY * self._limit * peak
         if float(sizes.max()) > most:
             sizes = sizes.clip(0.0, most)
         square = (float(sizes @ sizes) / count - self._noise(peak) ** 2) / peak**2
         part = min(count * self._period / self._time, 1.0)
         self._square += part * (square - self._square)
-        lasting = self._limit * (_BACK if self._wrong else 1.0)
+        lasting = self._limit * (_RECOVERED if self._wrong else 1.0)
         self._wrong = self._square > lasting**2
 
     @staticmethod
     def _allowed(limit: Array | float, noise: float) -> Array:
         """Limit [N] of the error of a sample at this noise [N]."""
-        # Noise may hide a part of an error. Much noise may itself look like an error.
-        return np.maximum(_SEEN * limit - _CHANCE * noise, _SAMPLE * limit + _RARE * noise)
+        # Noise may hide part of an error; much noise may itself look like an error.
+        return np.maximum(
+            _USED_PART * limit - _HIDDEN_SIGMAS * noise, _NOISY_PART * limit + _NOISY_SIGMAS * noise
+        )
 
     def _noise(self, peak: float) -> float:
         return min(self._recent.noise, _MOST_NOISE * peak)
@@ -406,13 +409,13 @@ class ResidualMonitor:
         if self._wrong:
             return Doubt(
                 DoubtKind.WRONG,
-                f"the predicted force deviated by {math.sqrt(self._square):.0%} of the peak over "
-                f"the last half-cycle: valid again below {_BACK * self._limit:.0%}",
+                f"the RMS error of the predicted force was {math.sqrt(self._square):.0%} of the "
+                f"peak over the last half-cycle: valid again below {_RECOVERED * self._limit:.0%}",
             )
         return Doubt(
             DoubtKind.WRONG,
-            f"the predicted force deviates by {float(sizes[wrong].max()):.3g} N at a peak of the "
-            f"measured force of {peak:.3g} N: maximum_error is {self._limit:.0%}",
+            f"the error of the predicted force is {float(sizes[wrong].max()):.3g} N, with a peak "
+            f"of the measured force of {peak:.3g} N: maximum_error is {self._limit:.0%}",
             wrong,
         )
 

@@ -73,7 +73,7 @@ def known_force(fit: WindowFit, window: Window) -> KnownForce:
 
 
 def candidate(running: ParameterSet, values: Array, window: Window) -> ParameterSet:
-    """A set with the values (p,) fitted to a window, and the peak velocity range it would have."""
+    """A set with the values (p,) fitted to a window, and the peak velocity range it would get."""
     speeds = window.peak_velocity_range
     if running.law.knows_speeds(running.observable):
         speeds = _wider_speeds(running, speeds, window.motion.frequency)
@@ -85,7 +85,8 @@ def _wider_speeds(
 ) -> tuple[float, float]:
     """Peak velocity range [m/s] of the running set, extended by the range ``found`` of a window.
 
-    If ``frequency`` is NaN, the motion is not a sine, and the lower end of the range stays.
+    If ``frequency`` is NaN, the motion is not a sine, and the lower end of the range does not
+    change.
     """
     slowest = running.peak_velocity_range[0]
     if math.isnan(frequency):
@@ -103,13 +104,13 @@ def new_set(
     set_id: str,
     stamp_ns: int,
 ) -> ParameterSet:
-    """The set of a window fit; ``stamp_ns`` is that of the window's last sample.
+    """The set of a window fit; ``stamp_ns`` is the stamp of the window's last sample.
 
-    Parameters that were not fitted keep their values and errors. The range is that of the window.
-    If the dependence on the peak velocity, or on the current, has been determined and agrees with
-    the window, the range also includes that of the running set. A window that is not a sine does
-    not change the lower end of a known range. An early fit, which scales the gain parameters of the
-    running set, keeps the range.
+    Parameters that were not fitted keep their values and errors. The set holds in the range of the
+    window. If the dependence on the peak velocity, or on the current, has been determined and
+    agrees with the window, it also holds in the range of the running set. A window that is not a
+    sine does not change the lower end of a known range. An early fit, which only scales the gain
+    parameters of the running set, keeps its range.
     """
     model = running.law
     errors, discrepancies = running.standard_errors.copy(), running.discrepancies.copy()
@@ -155,7 +156,7 @@ def new_set(
     if known[1]:
         current_range = _wider(current_range, running.current_range)
     if any(known):
-        # If the largest force over the running set's range is unknown, so is that of the new set.
+        # If the largest force is unknown for the running set, it is also unknown for the new set.
         largest_force = float(np.maximum(largest_force, running.largest_force))
     return replace(
         made,

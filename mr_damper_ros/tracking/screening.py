@@ -12,43 +12,43 @@ from mr_damper_ros.signals.arrays import NOISE_SPAN, Array, Mask, white_noise
 from mr_damper_ros.signals.recording import LARGEST_CURRENT, LARGEST_FORCE, LARGEST_MOTION
 
 _CLIPPED = 0.02
-"""Fraction of the samples that a clipped signal has at its extreme, in stays of several samples."""
+"""Smallest fraction of samples at its extreme for which a signal counts as clipped."""
 
 _STUCK_PART = 0.05
-"""A force is stuck if it is constant to the last bit for this fraction of a window without a break,
-while the motion reverses and returns by this fraction of its span."""
+"""A force is stuck if it is exactly constant over this fraction of a window, while the motion
+reverses and returns by this fraction of its span."""
 
 _STUCK = (
-    "the force follows a motion that the displacement does not show: is the displacement sensor "
+    "the force changes as in a motion, but the displacement does not: is the displacement sensor "
     "stuck?"
 )
 
 _MOVING = 0.3
-"""The damper moves if the standard deviation of its force in a rest exceeds this fraction of that
-in the whole window, or if its force spans more than this fraction of the largest known force. The
-displacement is then at fault."""
+"""The damper moves during an apparent rest if the standard deviation of its force exceeds this
+fraction of the standard deviation in the whole window, or if its force spans more than this
+fraction of the largest known force. The displacement is then at fault."""
 
 _APPROACH = 8
-"""The approach to an extreme is measured over a quarter of the stay there, in two halves. A half is
-one in this many samples of the stay, at least two. A shorter stay is none."""
+"""A signal that stays at its extreme for n samples, at least this many, approached it over n / 4
+samples. The first and the second half of this approach, n / this many samples, are compared."""
 
-_EVEN_SPEED = 0.37
-"""The signal arrives at speed if more than this fraction of the approach lies in the second half.
-The fraction is a half at constant speed, and a quarter if the rod comes to rest."""
+_ARRIVAL_PART = 0.37
+"""A signal is clipped if it covers more than this fraction of the approach in the second half. It
+covers a half at constant speed, and a quarter if the rod comes to rest."""
 
-_DIGITS = 3.0
-"""Smallest approach, in steps of the finest digit."""
+_SMALLEST_APPROACH = 3.0
+"""Shortest approach that is judged, in steps of the finest digit."""
 
 _RESTING = 0.02
 _LONGEST_REST = 0.25
-"""The machine rests while its speed is below the first fraction of the top speed. A rest longer
-than the second fraction of a window makes the window unfit."""
+"""The machine rests while its speed is below the first fraction of the top speed. A window with a
+rest longer than the second fraction of the window is rejected."""
 
-_ROUGHER = 1.5
-"""If the mean frequency of the velocity exceeds that of the force by this factor, displacement and
-force are probably exchanged."""
+_EXCHANGED_RATIO = 1.5
+"""If the mean frequency of the velocity exceeds the mean frequency of the force by this factor,
+displacement and force are probably exchanged."""
 
-DRIVING = 0.1
+NEGATIVE_POWER = 0.1
 """If the correlation of force and velocity is below minus this value, one of the signs is wrong."""
 
 
@@ -65,8 +65,8 @@ class Screening(CheckedSettings):
     )
     current_tolerance: float = option(
         0.05,
-        "Largest change of the current [A] within a window that counts as one operating "
-        "point; otherwise the samples are grouped by current.",
+        "Largest change of the current [A] within a window of one operating point. With a larger "
+        "change the samples are grouped by current.",
         minimum=0.0,
         maximum=100.0,
     )
@@ -100,7 +100,7 @@ def fault_of_samples(displacement: Array, force: Array, current: Array, limits: 
 
 
 def fault_at_rest(displacement: Array, force: Array, largest_force: float) -> str:
-    """Why a machine cannot be at rest, in one sentence; empty if it can be, or if it moves.
+    """Why the force contradicts a rest of the machine, in one sentence; empty if it does not.
 
     Arrays have shape (n,), in m and N. ``largest_force`` [N] is the largest known force of the
     damper, NaN if unknown.
@@ -124,9 +124,9 @@ def lack_of_motion(displacement: Array, limits: Screening) -> str:
 
 
 def lack_of_cycle(displacement: Array, velocity: Array) -> str:
-    """Why motion of shape (n,) [m, m/s] is insufficient for a fit; empty if it is sufficient.
+    """Why a motion (n,) [m, m/s] does not suffice for a fit, in one sentence; empty if it does.
 
-    It is insufficient if the machine rests too long, or if the window contains less than a cycle.
+    It does not suffice if the machine rests too long or the window contains less than a cycle.
     """
     resting = part_at_rest(velocity)
     if rests_too_long(resting):
@@ -148,7 +148,7 @@ def part_at_rest(velocity: Array) -> float:
 
 
 def fault_of_rest(velocity: Array, force: Array) -> str:
-    """Why a machine cannot have rested within a window (n,) [m/s, N]; empty if it can."""
+    """Why the force contradicts a long rest within a window (n,) [m/s, N]; empty if it does not."""
     rest = _longest_rest(velocity)
     long = rests_too_long((rest.stop - rest.start) / velocity.size)
     if long and float(np.std(force[rest])) > _MOVING * float(np.std(force)):
@@ -172,7 +172,7 @@ def _longest(runs: list[slice]) -> slice:
 
 
 def rests_too_long(part: float) -> bool:
-    """Whether a rest of this fraction of a window makes the window unfit."""
+    """Whether a window with a rest of this fraction of its samples is rejected."""
     return part > _LONGEST_REST
 
 
@@ -183,11 +183,11 @@ def fault_of_sign(velocity: Array, force: Array) -> str:
     """
     centred = force - force.mean()
     power = float(centred @ velocity)
-    if power < -DRIVING * float(np.linalg.norm(centred) * np.linalg.norm(velocity)):
-        if _mean_frequency(velocity) > _ROUGHER * _mean_frequency(force):
+    if power < -NEGATIVE_POWER * float(np.linalg.norm(centred) * np.linalg.norm(velocity)):
+        if _mean_frequency(velocity) > _EXCHANGED_RATIO * _mean_frequency(force):
             return (
-                "displacement and force seem to be exchanged: the displacement is rougher than "
-                "the force"
+                "displacement and force seem to be exchanged: the displacement contains higher "
+                "frequencies than the force"
             )
         return (
             "the force is not dissipative: reverse the sign of the force or of the displacement "
@@ -211,20 +211,19 @@ def _is_stuck(displacement: Array, force: Array) -> bool:
 
 
 def _mean_frequency(values: Array) -> float:
-    """Power-weighted mean frequency of a signal (n,), in lines of the spectrum.
+    """Power-weighted mean frequency of a signal (n,), in cycles per window.
 
-    For the force of a damper it is about that of the velocity or higher, because the force
-    saturates.
+    The force of a damper saturates, so its mean frequency is about that of the velocity or higher.
     """
     power = np.abs(np.fft.rfft((values - values.mean()) * np.hanning(values.size))) ** 2
     return float(power @ np.arange(power.size)) / float(power.sum())
 
 
 def _is_clipped(array: Array) -> bool:
-    """Whether a signal is clipped: it stays at one of its extremes, and arrives there at speed.
+    """Whether a signal stays at one of its extremes and arrives there without slowing down.
 
-    A machine that rests at its dead centre approaches the extreme slowly. So does a sine with a
-    coarse resolution. Neither is clipped.
+    A machine that rests at a dead centre, or a sine with a coarse resolution, approaches its
+    extreme slowly and is not clipped.
     """
     steps = np.abs(np.diff(array))
     finest = float(np.min(steps[steps > 0.0], initial=np.inf))
@@ -251,4 +250,4 @@ def _arrives_at_speed(below: Array, stays: list[slice], finest: float) -> bool:
                 near += float(below[edge + way * reach])
                 far += float(below[edge + way * 2 * reach])
                 count += 1
-    return count > 0 and far > _DIGITS * finest * count and near > _EVEN_SPEED * far
+    return count > 0 and far > _SMALLEST_APPROACH * finest * count and near > _ARRIVAL_PART * far

@@ -14,7 +14,7 @@ from mr_damper_ros.models.plausibility import check_plausible
 from mr_damper_ros.processes.files import FolderLock, LockHeldError, write_text
 
 _WITH_MEMORY = 2
-"""Version of a file with the memory of its tracker; that of a set alone is one less."""
+"""Version of a file with the memory of its tracker; a file with a set alone has the version 1."""
 
 _HEADER = re.compile(r"# mr_damper_ros parameters, version ([1-9]\d{0,8}), sha256 ([0-9a-f]{64})\n")
 
@@ -24,7 +24,8 @@ _MEMORY_LINE = "\n# memory "
 """Start of the last line, which is a comment in YAML."""
 
 _FILE_LIMIT = 1 << 26
-"""Limit in bytes of a file with memory, far above any real size; a set alone has a thousandth."""
+"""Largest size in bytes of a file, far above a real file with memory; a set alone is far
+smaller."""
 
 
 _ASIDE, _READ = "aside", "aside-read"
@@ -58,12 +59,12 @@ class StateDirectory:
     def file(self, name: str) -> Path:
         """Path of the file of the set ``name``. Raises StateError if this is not a plain name."""
         if self._path is None:
-            raise StateError("nothing is kept on disk: set the parameter state_dir to a folder")
+            raise StateError("nothing is stored on disk: set the parameter state_dir to a folder")
         name = name.removesuffix(".yaml")
         if not _NAME.fullmatch(name):
             raise StateError(
                 f"the name {name[:100]!r} cannot be used: give one of letters, digits and _ . - "
-                "(it names a file inside state_dir)"
+                "(it becomes the name of a file in state_dir)"
             )
         return self._path / f"{name}.yaml"
 
@@ -77,7 +78,7 @@ class StateDirectory:
         try:
             check_plausible(parameters)
         except ParameterError as error:
-            raise StateError(f"{parameters.set_id} is not kept: {error}") from error
+            raise StateError(f"{parameters.set_id} is not stored: {error}") from error
         version, body = _WITH_MEMORY - 1, parameters.to_yaml()
         if memory:
             version, body = _WITH_MEMORY, f"{body.rstrip()}{_MEMORY_LINE}{memory}\n"
@@ -98,17 +99,17 @@ class StateDirectory:
     def load_with_memory(self, name: str) -> tuple[ParameterSet, str]:
         """The set stored under a name, and its memory.
 
-        The memory is empty if none was stored, or if the set was edited, because the two then no
-        longer match. Raises StateError as :meth:`load` does.
+        The memory is empty if none was stored, or if the set was edited and the memory no longer
+        matches. Raises StateError as :meth:`load` does.
         """
         path = self.file(name)
         if path.is_symlink() and os.path.dirname(os.path.realpath(path)) != os.path.realpath(
             path.parent
         ):
-            raise StateError(f"{path} is a link out of state_dir: copy the file there instead")
+            raise StateError(f"{path} is a link out of state_dir: replace it by a copy of the file")
         if not os.path.lexists(path):
             raise StateError(
-                f"there is no {path}: the names kept are {', '.join(self.names()) or '(none)'}"
+                f"there is no {path}: the stored names are {', '.join(self.names()) or '(none)'}"
             )
         parameters, memory = _read(path)
         try:
@@ -128,7 +129,7 @@ class StateDirectory:
             raise StateError(
                 f"{path} is in use by another node"
                 + (f" (process {error.holder})" if error.holder else "")
-                + ": give this one another name, namespace or state_dir"
+                + ": give this node another name, namespace or state_dir"
             ) from error
         except OSError as error:
             raise _unwritable(path, error) from error
@@ -192,7 +193,7 @@ def _read(path: Path) -> tuple[ParameterSet, str]:
     body = _checked(text, path)
     own_set, _, memory = body.partition(_MEMORY_LINE)
     if len(own_set) > _FILE_LIMIT >> 10:
-        raise StateError(f"{path} is too big for a parameter file: give another one")
+        raise StateError(f"{path} is too large for a parameter file: give another file")
     try:
         parameters = ParameterSet.from_yaml(own_set)
     except ParameterError as error:
@@ -206,9 +207,9 @@ def _text(path: Path) -> str:
         path = path.expanduser()
         status = path.stat()
         if not stat.S_ISREG(status.st_mode):
-            raise StateError(f"cannot read {path}: it is no file")
+            raise StateError(f"cannot read {path}: it is not a file")
         if status.st_size > _FILE_LIMIT:
-            raise StateError(f"{path} is too big for a parameter file: give another one")
+            raise StateError(f"{path} is too large for a parameter file: give another file")
         return path.read_text(encoding="utf-8")
     except UnicodeDecodeError as error:
         raise StateError(f"{path} is damaged: it is not text") from error
@@ -217,7 +218,7 @@ def _text(path: Path) -> str:
     except StateError:
         raise
     except (RuntimeError, ValueError) as error:  # a link to itself, an unknown user, a null byte
-        raise StateError(f"cannot read {str(path)!r}: it is no usable path") from error
+        raise StateError(f"cannot read {str(path)!r}: it is not a valid path") from error
 
 
 def _unwritable(path: Path, error: OSError) -> StateError:

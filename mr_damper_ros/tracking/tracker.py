@@ -1,4 +1,4 @@
-"""The tracker: running set, records and decisions, window by window.
+"""The tracker: the running set, its records, and the decisions on each window.
 
 ``WindowTracker`` creates the jobs (:mod:`jobs`), which may run in another process, and decides on
 their outcomes. Jobs are created one after another, each from the running set after the previous
@@ -20,7 +20,7 @@ from mr_damper_ros.processes.blas_threads import one_thread
 from mr_damper_ros.settings.option_table import group, option
 from mr_damper_ros.signals.blocks import NANOSECONDS
 from mr_damper_ros.tracking.acceptance import (
-    STILL_GOOD,
+    GOOD_NRMSE,
     Experience,
     Gatekeeper,
     Judgement,
@@ -31,7 +31,7 @@ from mr_damper_ros.tracking.cusum import ChangeWatch
 from mr_damper_ros.tracking.force_scale import (
     FluidTemperature,
     ForceScale,
-    SeenScale,
+    WindowScale,
     temperature_map,
     widened,
     with_temperature,
@@ -48,15 +48,16 @@ OF_THE_SET = "auto"
 
 
 _GROWTH = 1.5
-"""Growth of the number of operating points that makes another global identification worthwhile."""
+"""A global identification is due early if the number of operating points has grown by this factor.
+"""
 
 
 _SEVERAL = 3
-"""Number of windows of one motion that establish the shape of its force; also the first number of
-windows, unexplained by the law's dependence on the current, that triggers another search."""
+"""Number of windows of one motion after which the shape of its force is known; also the initial
+number of windows not explained by the law's dependence on the current that triggers a search."""
 
 _OF_SENSORS = (Verdict.FAULT_OF_DATA, Verdict.DISTURBED, Verdict.BEYOND_LIMITS)
-"""Verdicts that a sensor fault may cause. Such a window does not decide between two sets."""
+"""Verdicts that a sensor fault may cause. A window with such a verdict does not select a set."""
 
 
 @dataclass(frozen=True)
@@ -65,17 +66,17 @@ class TrackerSettings(FitOptions):
 
     model: str = option(
         OF_THE_SET,
-        f"Force law to identify; {OF_THE_SET}: that of the initial parameters, or "
-        f"{DEFAULT_MODEL} without any.",
+        f"Force law to identify; {OF_THE_SET}: the law of the initial parameters, or "
+        f"{DEFAULT_MODEL} without initial parameters.",
         choices=(OF_THE_SET, *MODELS),
     )
     global_period: int = option(
         20,
         "Number of good windows between two global identifications, with shorter intervals at "
-        "the start (after 1, 2, 3, 4, 6, 9 and so on); 0: never. It needs windows at two "
-        "operating points. It runs sooner if the dependence on current does not fit, and with "
-        "model sigmoid_lag after the first accepted window, because window fits do not "
-        "determine the lag.",
+        "the start (after 1, 2, 3, 4, 6, 9 and so on); 0: never. A global identification needs "
+        "windows at two operating points. It runs sooner if the dependence on current does not "
+        "fit, and with model sigmoid_lag after the first accepted window, because window fits do "
+        "not determine the lag.",
         minimum=0,
         maximum=1_000_000,
     )
@@ -125,7 +126,7 @@ class TrackerMemory(Experience):
     watch: ChangeWatch | None = None
     changed_ns: int = 0
     searched_points: int = 0
-    scales: tuple[SeenScale, ...] = ()
+    scales: tuple[WindowScale, ...] = ()
     global_patience: int = 1
     other_damper: bool = False
     motion: SteadyMotion = field(default_factory=SteadyMotion)
@@ -161,13 +162,13 @@ class WindowTracker:
         self._now.unexplained_patience = memory.unexplained_patience or _SEVERAL
         self._gatekeeper = Gatekeeper(self._settings.acceptance, self._now)
         self._seen_ns = 0
-        # Whether the law's dependence on the current fails to explain the newest window.
+        # Whether the law's dependence on the current does not explain the newest window.
         self._unexplained = False
         # A set of a search, or of a large sudden change, that the next window must confirm.
         self._rival: ParameterSet | None = None
 
     def resume(self, parameters: ParameterSet, memory: TrackerMemory) -> None:
-        """Continue from the state of another tracker, which may have had other settings.
+        """Continue from the state of a tracker, which may have had other settings.
 
         Raises ParameterError if the set belongs to another law.
         """
@@ -202,7 +203,7 @@ class WindowTracker:
         """Return to the initial set; baselines and reservoir are discarded."""
         self.parameters = self._initial
         self._start_again()
-        # A reset may mean that the damper was replaced.
+        # The damper may have been replaced.
         self._now.other_damper = True
 
     def replace(self, parameters: ParameterSet) -> None:
@@ -312,7 +313,7 @@ class WindowTracker:
         )
 
     def _judge_with_rival(self, job: Job, outcome: Outcome) -> Judgement:
-        """Judge a window; a rival that predicts it better is used from then on."""
+        """Judge a window. A rival that predicts the window better replaces the running set."""
         rival, running = job.rival, self.parameters
         if rival is None:
             return self._judge(job, outcome)
@@ -335,8 +336,8 @@ class WindowTracker:
         if found is None or fit is None or evidence is None or force is None:
             return outcome.refusal or fault_of_data("the window could not be fitted")
         if parts is not None and not parts.explained:
-            # The window's own residual contains the error of the law, so the residual of the parts
-            # is compared with the baseline, before the window changes the baseline.
+            # The residual of the whole window contains the error of the law, so the residual of its
+            # parts is compared with the baseline.
             self._unexplained = self._gatekeeper.is_usual(parts.rmse, parts.nrmse)
         judgement = self._gatekeeper.judge(
             evidence,
@@ -347,16 +348,16 @@ class WindowTracker:
             objection=partial(implausible, found),
         )
         if self._unexplained and judgement.verdict is Verdict.DISTURBED:
-            # The error is in the law, not in the samples, so a good running set is confirmed.
-            good = evidence.nrmse_before <= STILL_GOOD
+            # The law causes the error, not the samples, so a good running set is confirmed.
+            good = evidence.nrmse_before <= GOOD_NRMSE
             judgement = Judgement(
                 Verdict.NO_BETTER if good else Verdict.POOR_FIT,
-                "the dependence of the force on the current differs from the running set: the "
-                "window is used in the next global identification",
+                "the force depends on the current in a way that the running set does not describe: "
+                "the window is used in the next global identification",
                 usual=False,
             )
         if judgement.teaches:
-            # The records learn from every good window, the running set only from accepted ones.
+            # Every good window updates the records; only accepted ones change the running set.
             now.state = outcome.state
             now.watch = now.watch or outcome.watch
             now.motion = now.motion.followed_by(outcome.motion)
@@ -392,7 +393,7 @@ class WindowTracker:
     def _judge_look(self, job: Job, outcome: Outcome, *, paused: bool) -> Judgement | None:
         """Judge a change check; None unless an early fit is accepted.
 
-        ``paused`` says that it shares no samples with the window before it.
+        ``paused`` says that it shares no samples with the window before.
         """
         now, raw = self._now, job.samples
         now.watch = outcome.watch or now.watch
@@ -405,11 +406,11 @@ class WindowTracker:
         self.parameters = found
         self._gatekeeper.follow_change(evidence)
         now.state = outcome.state
-        # The residual of an inexact law oscillates, so the change detection restarts only with the
-        # next window.
+        # The residual of an inexact law oscillates, so the change detection stops until the next
+        # window.
         now.watch = None
         if not paused:
-            # Temperature does not change so fast, so its relation to the force has changed.
+            # The temperature does not change so fast; the temperature map has become wrong.
             now.points = self.points.without_temperatures()
         now.changed_ns = raw.end_ns - round((fit.sample_count - 1) * raw.period * NANOSECONDS)
         return Judgement(

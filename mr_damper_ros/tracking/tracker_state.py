@@ -25,7 +25,7 @@ from mr_damper_ros.models.force_model import Model
 from mr_damper_ros.models.parameter_set import ParameterError, ParameterSet
 from mr_damper_ros.processes.deferred import BackgroundWriter
 from mr_damper_ros.processes.files import FolderLock
-from mr_damper_ros.tracking.force_scale import can_be_seen
+from mr_damper_ros.tracking.force_scale import is_plausible
 from mr_damper_ros.tracking.operating_point import PointRecord, nearest_same
 from mr_damper_ros.tracking.state_directory import StateDirectory, StateError
 from mr_damper_ros.tracking.tracker import TrackerMemory, WindowTracker
@@ -65,12 +65,12 @@ def from_text(text: str, model: Model) -> TrackerMemory:
         raise StateError(f"the memory of the tracker cannot be used: {error}") from error
 
 
-_OF_EARLIER = ("baselines", "reservoir", "reservoir_points", "reservoir_stamps", "temperatures")
+_EARLIER_TABLES = ("baselines", "reservoir", "reservoir_points", "reservoir_stamps", "temperatures")
 
 
 def _with_records(data: dict[str, Any]) -> dict[str, Any]:
     """Convert the data of an earlier version, one table per kind of entry, to point records."""
-    fits, windows, points, stamps, temperatures = (data.get(name, []) for name in _OF_EARLIER)
+    fits, windows, points, stamps, temperatures = (data.get(name, []) for name in _EARLIER_TABLES)
     history = data.get("history", {})
     found = [(fit["operating_point"], {"baseline": fit}) for fit in fits]
     stamps = stamps or [0] * len(windows)
@@ -88,7 +88,7 @@ def _with_records(data: dict[str, Any]) -> dict[str, Any]:
             nothing = np.empty((0, 3))
             records.append({"point": point, "temperatures": _plain(nothing)})
         records[place] |= entries
-    gone = {*_OF_EARLIER, "history", "kept_ns"}
+    gone = {*_EARLIER_TABLES, "history", "kept_ns"}
     kept = {name: value for name, value in data.items() if name not in gone}
     names = ("residuals", "refused_for_residual", "level")
     kept |= {name: history[name] for name in names if name in history}
@@ -113,7 +113,7 @@ def _read(kind: type[T], data: Any, where: str) -> T:
     """Convert parsed JSON to a type; ``where`` names the value in errors (ValueError)."""
     value: Any
     origin, arguments = typing.get_origin(kind), typing.get_args(kind)
-    if origin in (types.UnionType, typing.Union):  # the only unions here are those with None
+    if origin in (types.UnionType, typing.Union):  # all unions here are optional types
         value = None if data is None else _read(arguments[0], data, where)
     elif origin is np.ndarray:
         value = _array(data, where)
@@ -126,23 +126,23 @@ def _read(kind: type[T], data: Any, where: str) -> T:
     elif type(data) is kind:
         value = data
     else:
-        raise ValueError(f"{where} is of a wrong type")
+        raise ValueError(f"{where} has the wrong type")
     return typing.cast("T", value)
 
 
 def _array(data: Any, where: str) -> np.ndarray:
     if not isinstance(data, dict) or data.keys() != {"shape", _DATA}:
-        raise ValueError(f"{where} is no array")
+        raise ValueError(f"{where} is not an array")
     shape = _read(tuple[int, ...], data["shape"], f"{where}.shape")
     values = np.frombuffer(base64.b64decode(_read(str, data[_DATA], where), validate=True), "<f8")
     if min(shape, default=0) < 0 or math.prod(shape) != values.size:
-        raise ValueError(f"{where} does not have its shape")
+        raise ValueError(f"the data of {where} do not match its shape")
     return values.astype(float).reshape(shape)
 
 
 def _tuple(arguments: tuple[Any, ...], data: Any, where: str) -> tuple[Any, ...]:
     if not isinstance(data, list):
-        raise ValueError(f"{where} is no list")
+        raise ValueError(f"{where} is not a list")
     if arguments[1:] == (Ellipsis,):
         arguments = arguments[:1] * len(data)
     if len(arguments) != len(data):
@@ -172,7 +172,7 @@ def check(memory: TrackerMemory, model: Model) -> TrackerMemory:
     """Return the memory unchanged; raises StateError if it contains impossible values."""
     for sound, what in _soundness(memory, len(model.parameters)):
         if not sound:
-            raise StateError(f"the memory of the tracker cannot be used: {what} cannot be")
+            raise StateError(f"the memory of the tracker contains an invalid {what}")
     return memory
 
 
@@ -183,75 +183,75 @@ def _soundness(memory: TrackerMemory, parameter_count: int) -> Iterator[tuple[bo
         *(memory.searched_points, memory.motion.windows, memory.global_patience - 1),
         *(memory.unexplained_windows, memory.unexplained_patience, memory.refused_for_residual),
     )
-    yield min(counts) >= 0, "a negative count"
+    yield min(counts) >= 0, "count"
     stamps = [memory.changed_ns, *(scale.start_ns for scale in memory.scales)]
     stamps += [scale.end_ns for scale in memory.scales]
     stamps += [number for record in records for number in (record.stamp_ns, record.number)]
     stamps += [] if state is None else [state.stamp_ns]
-    yield max(map(abs, stamps)) <= np.iinfo(np.int64).max, "such a stamp"
+    yield max(map(abs, stamps)) <= np.iinfo(np.int64).max, "stamp"
     for residual in memory.residuals:
         sound = len(residual) in (2, 4) and _finite(*residual)
-        yield sound and min(residual[:3]) >= 0.0, "such a residual"
-    yield 0.0 <= memory.level < math.inf, "such a level of the force"
+        yield sound and min(residual[:3]) >= 0.0, "residual"
+    yield 0.0 <= memory.level < math.inf, "force level"
     for scale in memory.scales:
         sound = _finite(scale.value, scale.standard_error) and scale.standard_error > 0.0
-        yield sound, "such a force scale"
+        yield sound, "force scale"
     points = [record.point for record in records]
     if state is not None:
-        yield _square(state.scales, state.covariance), "such a covariance"
-        yield _finite(*state.scales), "a value that is not finite"
+        yield _square(state.scales, state.covariance), "covariance"
+        yield _finite(*state.scales), "state of the filter"
         points.append(state.operating_point)
     if watch is not None:
         points.append(watch.operating_point)
         sizes = (watch.noise, watch.block_norm, watch.smallest_change, watch.threshold)
         sums = (watch.rising, watch.falling, watch.top, watch.rising_samples, watch.falling_samples)
-        yield min(*sizes, watch.block) > 0.0 and _finite(*sizes), "such a watch for changes"
-        yield min(sums) >= 0 and _finite(*sums), "such a sum"
-    yield _finite(*(number for point in points for number in point)), "such a point"
+        yield min(*sizes, watch.block) > 0.0 and _finite(*sizes), "state of the change detection"
+        yield min(sums) >= 0 and _finite(*sums), "sum of the change detection"
+    yield _finite(*(number for point in points for number in point)), "operating point"
     for record in records:
         yield from _record_soundness(record, parameter_count)
 
 
 def _record_soundness(record: PointRecord, parameter_count: int) -> Iterator[tuple[bool, str]]:
     seen, force, fit = record.temperatures, record.force, record.baseline
-    sound = seen.ndim == 2 and seen.shape[1] == 3 and can_be_seen(seen)
-    yield sound, "such a temperature or force scale"
+    sound = seen.ndim == 2 and seen.shape[1] == 3 and is_plausible(seen)
+    yield sound, "temperature or force scale"
     if force is not None:
         sizes = (force.peak_velocity, force.size, force.largest)
-        yield min(sizes) > 0.0 and _finite(*sizes, force.current), "such a known force"
+        yield min(sizes) > 0.0 and _finite(*sizes, force.current), "known force"
     if fit is not None:
-        yield fit.parameters.shape == (parameter_count,), "another number of parameters"
+        yield fit.parameters.shape == (parameter_count,), "number of parameters"
         for vector, matrix in (
             (fit.scales, fit.covariance),
             (fit.scales, fit.discrepancy),
             (fit.coefficients, fit.coefficient_covariance),
             (fit.coefficients, fit.coefficient_discrepancy),
         ):
-            yield matrix is None or _square(vector, matrix), "such a covariance"
+            yield matrix is None or _square(vector, matrix), "covariance"
         for array in (fit.parameters, fit.scales, fit.coefficients, fit.operating_point):
-            yield bool(np.all(np.isfinite(array))), "a value that is not finite"
+            yield bool(np.all(np.isfinite(array))), "value in a fit"
     if record.window is not None:
         yield from _window_soundness(record.window)
 
 
 def _window_soundness(window: Window) -> Iterator[tuple[bool, str]]:
     motion, shape = window.motion, window.force.shape
-    yield len(shape) == 1 and window.force.size > 0, "a window without samples"
+    yield len(shape) == 1 and window.force.size > 0, "window without samples"
     for array in (motion.displacement, motion.velocity, motion.acceleration, motion.peak_velocity):
-        yield array.shape == shape, "a window of unequal lengths"
-        yield bool(np.all(np.isfinite(array))), "a motion that is not finite"
-    yield bool(np.all(motion.peak_velocity >= 0.0)), "a negative speed"
-    yield math.isnan(window.period) or 0.0 < window.period < math.inf, "such a period"
+        yield array.shape == shape, "window: its arrays differ in length"
+        yield bool(np.all(np.isfinite(array))), "motion: it is not finite"
+    yield bool(np.all(motion.peak_velocity >= 0.0)), "peak velocity"
+    yield math.isnan(window.period) or 0.0 < window.period < math.inf, "sample period"
     places, whole = window.places, window.whole
     if whole is not None:
         yield from _window_soundness(whole)
     if places is None:
-        yield whole is None, "a part of a window without its places"
+        yield whole is None, "part of a window: it has no places"
     else:
         last = math.inf if whole is None else whole.sample_count - 1
-        yield places.shape == shape, "a window of unequal lengths"
-        yield bool(np.all((places >= 0.0) & (places <= last))), "such a place"
-        yield whole is not None or window.steady, "a part without the whole"
+        yield places.shape == shape, "window: its arrays differ in length"
+        yield bool(np.all((places >= 0.0) & (places <= last))), "place in a window"
+        yield whole is not None or window.steady, "part of a window: the whole is missing"
 
 
 def _finite(*values: float) -> bool:
@@ -269,7 +269,7 @@ DISK_PATIENCE = 1.0
 
 
 class TrackerState:
-    """Stores a tracker's state under its own name, in the folder of the user's stored sets.
+    """Stores a tracker's state under its own name, in the same folder as the sets of the user.
 
     ``set_aside`` is a message about unusable files that were set aside; empty once acknowledged.
     """
@@ -284,7 +284,7 @@ class TrackerState:
 
     @property
     def path(self) -> Path | None:
-        """The file of the tracker's own state; None if nothing is stored."""
+        """The file of the tracker's own state; None if state is not stored."""
         return self._directory.file(self._name) if self._directory.keeps else None
 
     @property
@@ -308,14 +308,14 @@ class TrackerState:
             return ""
         self._lock = self._directory.lock(self._name)
         if unread := self._directory.unread_asides(self._name):
-            self.set_aside = "what could not be used at an earlier start was set aside as " + (
+            self.set_aside = "at an earlier start, unusable files were set aside as " + (
                 ", ".join(map(str, unread))
             )
         is_kept = self._directory.file(self._name).exists()
         if not is_kept:
             self._directory.save(self._name, self._tracker.parameters)
         self._directory.remove_unfinished(self._name)
-        known = self._go_on() if is_kept else ""
+        known = self._resumed() if is_kept else ""
         self._writer = BackgroundWriter(self._write)
         return known
 
@@ -324,19 +324,19 @@ class TrackerState:
         parameters, memory = item
         self._directory.save(self._name, parameters, to_text(check(memory, parameters.law)))
 
-    def _go_on(self) -> str:
+    def _resumed(self) -> str:
         tracker = self._tracker
         try:
             parameters, memory = self._directory.load_with_memory(self._name)
             parameters.of_model(tracker.parameters.model)
         except (StateError, ParameterError) as error:
-            self._put_aside(str(error))
+            self._set_aside(str(error))
             return ""
         try:
             learnt = from_text(memory, parameters.law) if memory else None
         except StateError as error:
             tracker.replace(parameters)
-            self._put_aside(f"{error}; going on with {parameters.set_id} alone")
+            self._set_aside(f"{error}; continuing with {parameters.set_id} alone")
             with contextlib.suppress(StateError):
                 self._directory.save(self._name, parameters)
             return ""
@@ -349,7 +349,7 @@ class TrackerState:
             f"{len(learnt.points.windows)} windows"
         )
 
-    def _put_aside(self, why: str) -> None:
+    def _set_aside(self, why: str) -> None:
         try:
             why += f"; set aside as {self._directory.set_aside(self._name)}"
         except StateError as error:
@@ -373,12 +373,12 @@ class TrackerState:
             self._writer.keep((self._tracker.parameters, self._tracker.memory))
 
     def keep_now(self) -> str:
-        """Write the state and wait for the disk; returns a fault in words, or an empty text."""
+        """Write the state and wait for the disk; returns why this failed, or an empty text."""
         self.keep()
         if self._writer is None:
             return ""
         if not self._writer.wait(DISK_PATIENCE):
-            return f"state_dir takes more than {DISK_PATIENCE:g} s to be written"
+            return f"writing to state_dir takes more than {DISK_PATIENCE:g} s"
         return self._writer.fault
 
     def save(self, name: str) -> Path:
@@ -391,8 +391,8 @@ class TrackerState:
         if path != self._directory.file(self._name):
             if self._directory.is_of_a_node(name):
                 raise StateError(
-                    f"{path} is the state of another node, which would go on with it: give another "
-                    "name"
+                    f"{path} is the state of another node, which would continue from it: give "
+                    "another name"
                 )
             return self._directory.save(name, self._tracker.parameters)
         fault = self.keep_now()
@@ -409,7 +409,7 @@ class TrackerState:
         return found.of_model(self._tracker.parameters.model)
 
     def close(self) -> None:
-        """Write what waits for the disk, release the lock and end."""
+        """Write the states that wait for the disk, release the lock and end."""
         if self._writer is not None:
             self._writer.close(DISK_PATIENCE)
         if self._lock is not None:

@@ -19,17 +19,17 @@ from mr_damper_ros.models.parameter_set import ParameterSet
 from mr_damper_ros.settings.option_table import CheckedSettings, option
 from mr_damper_ros.signals.arrays import Array, Mask, span_of
 from mr_damper_ros.signals.blocks import NANOSECONDS, ZeroOrderHold
-from mr_damper_ros.tracking.acceptance import STILL_GOOD, Verdict
+from mr_damper_ros.tracking.acceptance import GOOD_NRMSE, Verdict
 
 Codes = NDArray[np.uint8]
 """A :class:`DoubtKind` for each sample."""
 
 CURRENT_READING = 0.02
-"""Variation of a supply's reading of a constant current [A]."""
+"""Variation [A] of a supply's reading while its current is constant."""
 
 
 class DoubtKind(IntEnum):
-    """Reason code of an invalid force; the numbers are those of the message PredictedForce."""
+    """Reason code of an invalid force; the numbers are constants of the message PredictedForce."""
 
     NONE = 0
     """The force is valid."""
@@ -83,7 +83,7 @@ class Doubt:
         return self.kind is not DoubtKind.NONE
 
     def after(self, count: int) -> Doubt:
-        """Return the doubt with ``count`` unaffected samples put before the mask."""
+        """Return the doubt with its mask preceded by ``count`` unaffected samples."""
         if self.at is None or count == 0:
             return self
         return replace(self, at=np.concatenate([np.zeros(count, dtype=bool), self.at]))
@@ -124,47 +124,47 @@ class ValiditySettings(CheckedSettings):
     )
     current_timeout: float = option(
         1.0,
-        "Age of the supply current [s] after which the force is invalid; also the largest "
-        "time by which its stamp may be ahead of the samples. Set it to a few periods of the "
-        "current's topic.",
+        "Age of the supply current [s] after which the force is invalid; also the longest time "
+        "by which the stamp of a current may be ahead of the samples. Set it to a few periods of "
+        "the topic of the current.",
         minimum=0.0,
         maximum=3600.0,
     )
     parameters_timeout: float = option(
         600.0,
         "Time [s] without a confirming window, by the stamps of the data, after which the "
-        "force is invalid: the identifier has ended, or rejects its input. The thesis' damper "
-        "loses a quarter of its force in ten minutes as it heats up. 0: no limit; parameters "
-        "from parameter_file have none.",
+        "force is invalid, because the identifier has ended or rejects its input. The damper of "
+        "the thesis loses a quarter of its force in ten minutes as it heats up. 0: no limit. "
+        "Parameters from parameter_file have no limit.",
         minimum=0.0,
         maximum=1e9,
     )
     velocity_margin: float = option(
         0.25,
-        "Relative margin of the peak velocity beyond the identified range, outside which the "
-        "force is invalid: 0.25 is 25 %.",
+        "Margin by which the peak velocity may leave the identified range before the force is "
+        "invalid, relative to the end of the range: 0.25 is 25 %.",
         minimum=0.0,
         maximum=100.0,
     )
     current_margin: float = option(
         0.1,
-        "Margin of the current beyond the identified range, as a fraction of its width, "
-        f"outside which the force is invalid; {CURRENT_READING} A are always allowed.",
+        "Margin by which the current may leave the identified range before the force is invalid, "
+        f"as a fraction of the width of the range; {CURRENT_READING} A are always allowed.",
         minimum=0.0,
         maximum=100.0,
     )
     force_margin: float = option(
         0.3,
-        "Relative margin beyond the largest measured force of this damper, above which the "
-        "force is invalid.",
+        "Margin by which the force may exceed the largest measured force of this damper before "
+        "it is invalid, relative to that force.",
         minimum=0.0,
         maximum=1e6,
     )
     maximum_error: float = option(
         0.2,
-        "Error of the predicted force relative to the recent peak of the measured force, "
-        "above which the force is invalid: of a sample, and the root mean square over a "
-        "half-cycle. 0: the measured force is ignored, for a rig without a load cell.",
+        "Largest error of a valid force, relative to the recent peak of the measured force. It "
+        "limits the error of each sample and the root mean square error over a half-cycle. 0: the "
+        "measured force is ignored, for a rig without a load cell.",
         minimum=0.0,
         maximum=100.0,
     )
@@ -173,7 +173,7 @@ class ValiditySettings(CheckedSettings):
 def current_allowance(current_range: tuple[float, float], margin: float) -> float:
     """Margin [A] of the current beyond the identified range [A], ``margin`` times its width.
 
-    It is at least :data:`CURRENT_READING`, which applies to a set for a single current.
+    It is at least :data:`CURRENT_READING`, so that a set for a single current has a margin.
     """
     low, high = current_range
     return max(margin * (high - low), CURRENT_READING)
@@ -192,9 +192,9 @@ def doubt_of_missing(
         sentence = "no supply current yet: is it published on supply/current?"
     else:
         sentence = (
-            "no supply current for these samples yet: the newest is stamped "
-            f"{(last - start_ns) / NANOSECONDS:.3g} s after their start; are both stamped by one "
-            "clock?"
+            "no supply current for these samples yet: the newest one is stamped "
+            f"{(last - start_ns) / NANOSECONDS:.3g} s after the first sample; are currents and "
+            "samples stamped by the same clock?"
         )
     return Doubt(DoubtKind.MISSING, sentence)
 
@@ -252,7 +252,7 @@ def doubts_of_age(
         yield Doubt(
             DoubtKind.OUTDATED,
             f"the supply current is stamped {ahead:.1f} s after the samples: are both stamped by "
-            "one clock?",
+            "the same clock?",
         )
     if confirmed_ns is None or settings.parameters_timeout == 0.0:
         return
@@ -266,8 +266,8 @@ def doubts_of_age(
     elif live and -age > timeout:
         yield Doubt(
             DoubtKind.OUTDATED,
-            f"the parameters are stamped {-age:.1f} s after the samples, so that their age is not "
-            "known: was the clock set back?",
+            f"the parameters are stamped {-age:.1f} s after the samples, so their age is unknown: "
+            "was the clock set back?",
         )
 
 
@@ -325,19 +325,18 @@ def middle(values: Array) -> float:
 
 
 _LIVE = 60.0
-"""Stamps within this many seconds of the clock are those of a running machine."""
+"""If stamps are within this many seconds of the clock, the samples come from a running machine."""
 
 
 class Freshness:
     """Monitors the age of the samples of a stream from a running machine.
 
-    The stamps of a played recording are those of the original measurement, and give no age. A
-    stream therefore counts as live once its stamps have been within a minute of the clock. It stays
-    live until the stamps jump back, so that an overloaded computer does not turn it into a
-    recording.
+    A played recording has the stamps of the original measurement, which give no age. A stream
+    therefore counts as live once its stamps have been within a minute of the clock. It stays live
+    until the stamps jump back, so that it also counts as live on an overloaded computer.
 
     ``max_age`` [s] is the limit; with 0 there is no limit and no stream counts as live. ``age`` [s]
-    is that of the last samples, NaN if they are not live.
+    is the age of the last samples, NaN if they are not live.
     """
 
     def __init__(self, max_age: float) -> None:
@@ -371,10 +370,10 @@ class Freshness:
         return Doubt(
             DoubtKind.OUTDATED,
             f"the samples are {age:.2f} s old, and max_age is {self._max_age:g} s: is the "
-            "computer overloaded, or its clock not that of the samples?"
+            "computer overloaded, or does its clock differ from the clock of the samples?"
             if age > 0.0
             else f"the samples are stamped {-age:.2f} s in the future: are the clocks of the "
-            "computers set alike? for a replay set max_age to 0",
+            "computers synchronised? for a replay set max_age to 0",
         )
 
 
@@ -383,12 +382,13 @@ _DISTRUST = {
     Verdict.POOR_FIT: "no parameters fit the samples",
     Verdict.DISTURBED: "the residual is far above the residual baseline",
     Verdict.UNCONFIRMED: "the force has changed too much at once",
-    Verdict.BEYOND_LIMITS: "the force differs too much from the first one",
+    Verdict.BEYOND_LIMITS: "the force differs too much from the first accepted force",
 }
 """Verdicts that count as rejections of a window, in words."""
 
 _IN_A_ROW = 2
-"""Number of windows rejected in a row that makes the force invalid; a passing fault spoils one."""
+"""Number of windows rejected in a row that makes the force invalid; a short fault spoils only one.
+"""
 
 
 class RefusedWindows:
@@ -408,14 +408,14 @@ class RefusedWindows:
 
     def follow(self, verdict: int, nrmse_before: float, *, confirms: bool) -> None:
         """Process a report: its verdict, and the NRMSE of the set in use (NaN if unknown)."""
-        if confirms or nrmse_before < STILL_GOOD:
+        if confirms or nrmse_before < GOOD_NRMSE:
             self.forget()
         elif verdict in _DISTRUST:
             self._refused += 1
             self._doubt = Doubt(
                 DoubtKind.REFUSED,
-                f"the identifier has refused {self._refused} windows in a row: "
-                f"{_DISTRUST[Verdict(verdict)]}; its reports on damper/fit_report say more",
+                f"the identifier has rejected {self._refused} windows in a row: "
+                f"{_DISTRUST[Verdict(verdict)]}; see its reports on damper/fit_report",
             )
 
     def forget(self) -> None:

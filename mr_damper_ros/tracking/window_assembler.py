@@ -19,14 +19,14 @@ from mr_damper_ros.signals.uniform_grid import GridSettings, Placed, UniformGrid
 from mr_damper_ros.tracking.screening import part_at_rest, rests_too_long
 
 _HOLD_BACK = 0.05
-"""Seconds for which blocks out of order wait for the missing ones; windows are not urgent."""
+"""Seconds for which blocks out of order wait for missing blocks; windows are not urgent."""
 
 _GROWTH = 1.25
 """Factor by which a window without a full cycle is extended at each trial."""
 
 ENOUGH_POINTS = 64
-"""Number of points that show a cycle; a longer window is searched for one with as many averaged
-points per window length."""
+"""Number of points needed to detect a cycle. The search for a cycle in a longer window averages the
+displacement to as many points per usual window length."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -34,8 +34,8 @@ class RawWindow:
     """Samples of one window: arrays of shape (n,), SI units; ``temperature`` [°C], NaN if unknown.
 
     ``peak_velocity`` [m/s] is estimated from the whole stream; None if there is only the window.
-    ``look`` is 0 for a window to be fitted. For a change check it is the number of newest samples
-    that are compared with the running set; such a window is cut early. ``force_after`` [sample
+    ``look`` is 0 for a window to be fitted. For a change check, which is cut between two windows,
+    it is the number of newest samples to compare with the running set. ``force_after`` [sample
     periods] is the delay from each sample to the measurement of its force; None if there is no
     delay.
     """
@@ -63,8 +63,8 @@ class WindowSettings(CheckedSettings):
     window: float = option(
         2.0,
         "Length of a window [s]. Longer windows give smaller standard errors and track drift "
-        "more slowly. If it contains less than a cycle of the motion (2 s suffice from 0.5 Hz "
-        "on), the window is extended into the past.",
+        "more slowly. A window with less than a cycle of the motion is extended into the past "
+        "(2 s suffice from 0.5 Hz on).",
         minimum=0.01,
         maximum=3600.0,
     )
@@ -85,16 +85,16 @@ class WindowSettings(CheckedSettings):
     centre_memory: float = option(
         MEMORY,
         "Time [s] over which the peak velocity is estimated; it must cover a whole cycle. "
-        "Keep it equal to `centre_memory` of model and controller, so that a set is used at "
-        "the peak velocities at which it was identified.",
+        "Keep it equal to `centre_memory` of model and controller, so that all of them compute "
+        "the same peak velocity.",
         minimum=0.01,
         maximum=3600.0,
     )
     looks: int = option(
         3,
         "Number of change checks per hop, which compare the newest samples with the set in "
-        "use. After a sudden change of the force, such as a leak, its scale is fitted at "
-        "once, and later windows exclude the samples before the change. 0: never; changes are "
+        "use. After a sudden change of the force, such as a leak, the force scale is fitted at "
+        "once, and later windows exclude the samples before the change. 0: no checks; a change is "
         "then detected at the end of a window.",
         minimum=0,
         maximum=1000,
@@ -115,9 +115,9 @@ class WindowAssembler:
     If these seconds do not contain a cycle of the motion, the window is extended into the past
     until it does, up to ``longest_window`` seconds. An extended window uses every third, fifth, ...
     force, so that it has at most three times the usual number of samples. Its displacement is
-    averaged around each of these samples. The next extended window follows when the same fraction
-    of it is new as of a usual window. Windows in between, and windows without a cycle at any
-    length, are returned with the usual length, and are rejected later.
+    averaged around each of these samples. The next extended window follows once the usual fraction
+    of its samples is new. Windows in between, and windows without a cycle at any length, have the
+    usual length and are rejected later.
 
     A window is returned once the current is known for all of it, that is, once a value stamped at
     or after its last sample has arrived. Its content therefore does not depend on the order in
@@ -145,15 +145,15 @@ class WindowAssembler:
     def _empty(self) -> None:
         # The newest samples: displacement, force, peak velocity, delay of the force [samples], and
         # the stamp [ns] relative to that of the first sample. A sample's count is its number since
-        # the first.
+        # the first one.
         self._rows = RollingRows(5)
         self._begin_ns: int | None = None
         self._end = 0
         # Count of the first sample of the present window.
         self._start = 0
-        # Count of the end of the newest window with a cycle.
+        # Count at which the newest window with a cycle ends.
         self._newest = 0
-        # Part of the hop: 0 if the next window is to be fitted, else a change check.
+        # Part of the hop: 0 if the next window is to be fitted, otherwise it is a change check.
         self._part = 0
 
     @property
@@ -209,7 +209,7 @@ class WindowAssembler:
         force, after = placed.measured or (block.force, 0.0)
         if self._begin_ns is None:
             self._begin_ns = block.start_ns
-        # Stamps start from that of each block, because the real sample rate differs from the
+        # Each block restarts from its own stamp, because the real sample rate differs from the
         # nominal one and the error must not accumulate.
         stamps = np.rint(np.arange(block.sample_count) * (block.period * NANOSECONDS))
         stamps += block.start_ns - self._begin_ns
@@ -255,12 +255,12 @@ class WindowAssembler:
             self._rows.keep(max(self._end - (self._start + length - longest), 0))
 
     def _samples(self, start: int, stop: int) -> Array:
-        """The rows of the samples with these counts: a view, valid until samples are added."""
+        """The samples with these counts, as columns of a view; it is valid until the next block."""
         first = self._end - self._rows.count
         return self._rows.newest[:, start - first : stop - first]
 
     def _reach(self, end: int, length: int, longest: int) -> int:
-        """Number of samples before ``end`` that contain a cycle, at least ``length``, or 0."""
+        """Number of samples up to ``end`` that hold a cycle, at least ``length``, or else 0."""
         if holds_cycle(self._samples(end - length, end)[0]):
             return length
         most = min(end - (self._end - self._rows.count), longest)
@@ -306,7 +306,7 @@ class WindowAssembler:
             window = self._waiting.pop(0)
             if not self._current.known_from(window.start_ns):
                 self._events.append(
-                    "the supply current is unknown at the start of a window: the window is left out"
+                    "the supply current is unknown at the start of a window: the window is omitted"
                 )
                 self._replacing = self._replacing or not window.look
                 continue
@@ -315,7 +315,7 @@ class WindowAssembler:
                 self._replacing = False
             current = self._current.at(window.start_ns, window.period, window.force.size)
             ready.append(replace(window, current=current))
-        # Windows wait for their current no longer than the longest window lasts.
+        # A window waits for its current at most as long as the longest window lasts.
         hops = math.ceil(self._longest / self._settings.hop)
         most = hops * (self._settings.looks + 1)
         if len(self._waiting) > most:

@@ -14,7 +14,7 @@ from mr_damper_ros.models import MODELS
 from mr_damper_ros.models.parameter_set import ParameterSet
 from mr_damper_ros.signals.arrays import Array
 from mr_damper_ros.signals.blocks import NANOSECONDS, SampleBlock
-from mr_damper_ros.tracking.bumpless_transfer import FADES, ForceInUse
+from mr_damper_ros.tracking.bumpless_transfer import FADE_TIME, ForceInUse
 from mr_damper_ros.tracking.predictor import ForcePredictor, Prediction, PredictorSettings
 
 LAWS = ("sigmoid", "modified_bouc_wen")
@@ -24,7 +24,7 @@ CHANGED = 333
 
 BLOCK = 10
 RUN = known.run(current=1.0, samples=6000, seed=None)
-FADED = round(FADES / known.PERIOD)
+FADED = round(FADE_TIME / known.PERIOD)
 
 
 def set_of(model: str, factor: float = 1.0) -> ParameterSet:

@@ -11,7 +11,7 @@ from scipy.signal import lfilter
 from benchmarks import honest_errors
 from mr_damper_ros.estimation.covariance import NoiseModel, error_covariances
 from mr_damper_ros.signals.arrays import Array
-from mr_damper_ros.tracking.force_scale import ForceScale, SeenScale, widened
+from mr_damper_ros.tracking.force_scale import ForceScale, WindowScale, widened
 
 N, CYCLE = 2000, 800.0
 
@@ -73,7 +73,7 @@ def test_the_integrated_time_is_that_of_the_noise(memory: float) -> None:
 
 @pytest.mark.parametrize("widening", [0.5, 1.0, 3.0])
 def test_an_irregular_scale_is_as_uncertain_as_it_scatters(widening: float) -> None:
-    seen: tuple[SeenScale, ...] = ()
+    seen: tuple[WindowScale, ...] = ()
     rng, found = np.random.default_rng(1), []
     for k in range(60):
         scale = ForceScale(1.0 + widening * 0.01 * rng.standard_normal(), 0.01, 0.1)

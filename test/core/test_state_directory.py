@@ -98,10 +98,10 @@ def test_without_a_folder_nothing_is_kept() -> None:
 
 def test_a_missing_set_is_named_with_those_that_exist(tmp_path: Path) -> None:
     state = StateDirectory(tmp_path)
-    with pytest.raises(StateError, match=r"there is no .*warm.yaml: the names kept are \(none\)"):
+    with pytest.raises(StateError, match=r"there is no .*warm.yaml: the stored names are \(none\)"):
         state.load("warm")
     state.save("cold", SET)
-    with pytest.raises(StateError, match="the names kept are cold"):
+    with pytest.raises(StateError, match="the stored names are cold"):
         state.load("warm")
 
 
@@ -150,7 +150,7 @@ def test_a_newer_version_is_not_guessed_at(tmp_path: Path) -> None:
         (b"", "no mapping 'parameters'"),
         (b"parameters: {f0: 1}", "is missing"),
         (b"!!python/object/apply:os.system ['false']", "not valid YAML"),
-        (b" " * (1 << 21), "too big"),
+        (b" " * (1 << 21), "too large"),
     ],
 )
 def test_other_files_are_refused_in_a_sentence(

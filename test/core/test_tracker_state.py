@@ -128,7 +128,7 @@ def test_a_set_that_the_next_start_would_refuse_is_not_kept(tmp_path: Path) -> N
     tracker, state = taught(tmp_path)
     good = (tmp_path / "identifier.yaml").read_bytes()
     tracker.parameters = ParameterSet(-known.weaker(0.8), set_id="driving", nrmse=5.0)
-    assert "driving is not kept: the parameters state an nrmse of 5" in state.keep_now()
+    assert "driving is not stored: the parameters state an nrmse of 5" in state.keep_now()
     assert (tmp_path / "identifier.yaml").read_bytes() == good
     state.close()
 

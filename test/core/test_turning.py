@@ -42,7 +42,7 @@ def looked_at(*cycles: Array) -> list[bool]:
     found = []
     for measured in cycles:
         sets.follow(MOTION, CURRENT, (measured, measured), RUN.period, 0.5)
-        sets.turned_otherwise()
+        sets.with_other_branch_rule()
         found.append(sets.gradual)
     return found
 
