@@ -1,8 +1,8 @@
 """Supervised worker processes: long computations, while the node goes on receiving.
 
-A process is a fresh interpreter (nothing is forked: DDS threads do not survive a fork). It is not
-started by ``multiprocessing``, which would run the node's main script again in the child and load
-rclpy there. Tasks and answers are pickles over a private socket pair.
+A process is a fresh interpreter that loads only the module of its tasks
+(:mod:`mr_damper_ros.processes.child_process`). Tasks and answers are pickles over a private socket
+pair.
 
 - A worker that dies is detected at once and replaced; the interrupted task is tried once more. The
   same holds for a worker without a sign of life, because it is stopped or hangs in a call into C.
@@ -20,13 +20,12 @@ import os
 import pickle
 import queue
 import socket
-import struct
 import subprocess
 import threading
 import time
 from collections import deque
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from importlib import import_module
 from multiprocessing.connection import Connection
 from typing import Any
@@ -52,12 +51,6 @@ perhaps with the whole computer, has not read the signs of life."""
 
 _RESTART_PAUSE = 1.0
 """Seconds between two starts if the process does not even become ready."""
-
-_TASK, _STOP = b"t", b"s"
-"""First byte of a message to the worker; then follows the number of the task, and its pickled call
-for a new task."""
-
-_NUMBER = struct.Struct("<Q")
 
 
 @dataclass(frozen=True)
@@ -88,38 +81,55 @@ Outcome = Progress | Done | Failed
 
 
 class Control:
-    """The connection of a task in the worker to the node; its methods may be called often."""
+    """The connection of a task in the worker to the node; its methods may be called often.
 
-    def __init__(self, number: int, send: Callable[[Any], None], stopped: set[int]) -> None:
-        self._number = number
+    ``stopped`` holds the tickets of the tasks that should stop.
+    """
+
+    def __init__(self, ticket: int, send: Callable[[Any], None], stopped: set[int]) -> None:
+        self._ticket = ticket
         self._send = send
         self._stopped = stopped
 
     def should_stop(self) -> bool:
         """Whether the task should stop and return its present result."""
-        return self._number in self._stopped
+        return self._ticket in self._stopped
 
     def report(self, value: Any) -> bool:
         """Report any picklable value as a :class:`Progress`; False if the task should stop."""
-        self._send(("progress", self._number, value))
+        self._send(("progress", value))
         return not self.should_stop()
 
 
-class _Place:
-    """One worker process, with the threads that talk to it; it is replaced if it dies or hangs.
+@dataclass(eq=False)
+class _Task:
+    """A task of a worker: its number there, its ticket in the pool, and its pickled call."""
 
-    No method ever blocks. ``process_number`` counts the processes; ``ready`` tells whether the
-    present one has loaded its module.
+    number: int
+    ticket: int
+    call: bytes
+    budget: float
+    outcomes: list[Outcome] = field(default_factory=list)
+    notices: list[str] = field(default_factory=list)
+    retried: bool = False
+    stop_asked: float | None = None
+
+
+class _Place:
+    """One worker process and its task; the process is replaced if it dies or hangs.
+
+    No method ever blocks: threads talk to the process. ``ready`` tells whether it has loaded its
+    module.
     """
 
     def __init__(self, module: str) -> None:
         self._module = module
-        self.process_number = self.replaced = 0
+        self.task: _Task | None = None
+        self.replaced = 0
         self._checked_at = time.monotonic()
         self._start()
 
     def _start(self) -> None:
-        self.process_number += 1
         self.ready = False
         self._started, self._silence = time.monotonic(), 0.0
         ours, theirs = socket.socketpair()
@@ -136,28 +146,43 @@ class _Place:
         threading.Thread(
             target=_receive, args=(self._connection, self._sending, self._inbox), daemon=True
         ).start()
+        if self.task is not None:
+            self.run(self.task)
 
     @property
     def pid(self) -> int | None:
         """Id of the process; None while there is none."""
         return None if self._child is None else self._child.pid
 
-    def send(self, *messages: bytes) -> None:
-        """Send messages in a separate thread, because a stopped process does not read."""
+    def run(self, task: _Task) -> None:
+        """Run a task in the present process, or in the next one."""
+        self.task = task
+        # The time before the process is ready does not count towards the budget.
+        self._began = time.monotonic() if self.ready else math.inf
+        self._send((task.ticket, task.call))
+        if task.stop_asked is not None:
+            self.stop_task()
+
+    def stop_task(self) -> None:
+        """Ask the task to stop with its present result."""
+        if self.task is not None:
+            self._send((self.task.ticket, None))
+
+    def _send(self, message: Any) -> None:
+        """Send a message in a separate thread, because a stopped process does not read."""
         connection, sending = self._connection, self._sending
 
         def work() -> None:
             # A broken pipe means a dead worker, which the receiving thread reports.
             with sending, contextlib.suppress(OSError):
-                for message in messages:
-                    connection.send_bytes(message)
+                connection.send(message)
 
         threading.Thread(target=work, daemon=True).start()
 
-    def take_messages(self) -> list[Any]:
-        """The messages of the process since the last call.
+    def supervise(self, notices: list[str]) -> None:
+        """Pass on messages of the process, enforce the time budget, and replace a lost process.
 
-        ("lost", reason) is the last message of a process that had to be replaced.
+        ``notices`` receives sentences about a process without a task.
         """
         now = time.monotonic()
         self._silence += min(now - self._checked_at, _LONGEST_PAUSE)
@@ -165,27 +190,55 @@ class _Place:
         if self._child is None:
             if now >= self._started + _RESTART_PAUSE:
                 self._start()
-            return []
-        messages = []
-        with contextlib.suppress(queue.Empty):
-            while True:
-                messages.append(self._inbox.get_nowait())
-                self._silence = 0.0
-        self.ready = self.ready or ("ready",) in messages
-        why = ""
-        if _GONE in messages:
-            why = "the worker process died"
-        elif not self.ready and now - self._started > _START_LIMIT:
-            why = f"the worker did not start within {_START_LIMIT:g} s"
-        elif self.ready and self._silence > _SILENCE_LIMIT:
-            why = "the worker process hangs"
-        if why:
-            self.kill()
-            messages.append(("lost", why))
-        return messages
+            return
+        lost = ""
+        while not self._inbox.empty():
+            kind, *content = self._inbox.get_nowait()
+            self._silence = 0.0
+            if kind == "gone":
+                lost = "the worker process died"
+            elif kind == "ready":
+                self.ready, self._began = True, now
+            elif self.task is not None and content:
+                outcome = {"progress": Progress, "done": Done, "failed": Failed}[kind]
+                self.task.outcomes.append(outcome(self.task.number, content[0]))
+                self.task = self.task if kind == "progress" else None
+        if not lost and not self.ready and now - self._started > _START_LIMIT:
+            lost = f"the worker did not start within {_START_LIMIT:g} s"
+        elif not lost and self.ready and self._silence > _SILENCE_LIMIT:
+            lost = "the worker process hangs"
+        if lost:
+            self._lose(lost, notices)
+        elif self.task is not None:
+            self._check_time(self.task, now, notices)
 
-    def kill(self) -> None:
-        """Kill the process; :meth:`take_messages` starts the next one."""
+    def _check_time(self, task: _Task, now: float, notices: list[str]) -> None:
+        """Stop an overdue task, and kill the process of one that does not stop."""
+        over_budget = now - self._began > task.budget
+        if over_budget and task.stop_asked is None:
+            task.stop_asked = now
+            self.stop_task()
+        if task.stop_asked is not None and now > max(task.stop_asked, self._began) + _GRACE:
+            why = f"the task exceeded its {task.budget:g} s" if over_budget else "it was cancelled"
+            task.retried = True
+            self._lose(f"{why} and did not stop when asked to", notices)
+
+    def _lose(self, why: str, notices: list[str]) -> None:
+        """Kill the process; its task is tried once more in the next one."""
+        self._kill()
+        task = self.task
+        if task is None:
+            notices.append(f"{why}: the worker is replaced")
+            return
+        again = not task.retried and task.stop_asked is None
+        end = "starts again" if again else "is given up"
+        task.notices.append(f"{why}: the worker is replaced and its task {end}")
+        task.retried = True
+        if not again:
+            task.outcomes.append(Failed(task.number, why))
+            self.task = None
+
+    def _kill(self) -> None:
         child, self._child, self.ready = self._child, None, False
         if child is not None:
             self.replaced += 1
@@ -195,12 +248,8 @@ class _Place:
 
     def close(self) -> None:
         """End the process for good."""
-        self.kill()
+        self._kill()
         self._started = math.inf
-
-
-_GONE = ("gone",)
-"""The last message of all: the connection has ended."""
 
 
 def _receive(connection: Connection, sending: threading.Lock, inbox: queue.SimpleQueue) -> None:
@@ -208,7 +257,7 @@ def _receive(connection: Connection, sending: threading.Lock, inbox: queue.Simpl
         while True:
             inbox.put(connection.recv())
     except Exception:  # closed, or half a message of a killed process
-        inbox.put(_GONE)
+        inbox.put(("gone",))
     finally:
         # Wait for a running send, which ends by itself: nothing reads it any more.
         with sending:
@@ -225,11 +274,10 @@ class WorkerPool:
 
     def __init__(self, module: str, count: int = 1) -> None:
         self._places = [_Place(module) for _ in range(count)]
-        self._free = deque(self._places)
-        self._waiting: deque[Worker] = deque()
-        self._notices: list[str] = []
-        self.tickets = itertools.count(1)
-        """Numbers for the tasks of all workers, unique in the pool."""
+        self._waiting: deque[_Task] = deque()
+        self._tickets = itertools.count(1)
+        self.notices: list[str] = []
+        """Sentences about processes without a task (deaths, replacements); a worker takes them."""
 
     @property
     def ready(self) -> bool:
@@ -241,11 +289,6 @@ class WorkerPool:
         """Number of processes replaced so far."""
         return sum(place.replaced for place in self._places)
 
-    @property
-    def pid(self) -> int | None:
-        """Id of the next free process; None if there is none."""
-        return self._next().pid if self._free else None
-
     def worker(self) -> Worker:
         """A worker that runs one task at a time in a process of this pool."""
         return Worker(self)
@@ -255,34 +298,24 @@ class WorkerPool:
         for place in self._places:
             place.close()
 
-    def queue(self, worker: Worker) -> None:
-        """Give the worker a process when its turn comes."""
-        self._waiting.append(worker)
+    def submit(self, number: int, call: bytes, budget: float) -> _Task:
+        """Run a pickled call in a process when its turn comes."""
+        task = _Task(number, next(self._tickets), call, budget)
+        self._waiting.append(task)
         self.supervise()
-
-    def release(self, place: _Place) -> None:
-        """Take back the process of a task that has ended."""
-        self._free.append(place)
-        self.supervise()
+        return task
 
     def supervise(self) -> None:
-        """Replace free processes that have died, and assign free ones to waiting workers."""
-        for place in self._free:
-            lost = [message[1] for message in place.take_messages() if message[0] == "lost"]
-            self._notices += [f"{why}: the worker is replaced" for why in lost]
-        while self._waiting and self._free:
-            place = self._next()
-            self._free.remove(place)
-            self._waiting.popleft().take(place)
+        """Supervise all processes, and assign free ones to waiting tasks, ready ones first."""
+        for place in self._places:
+            place.supervise(self.notices)
+        while self._waiting and (place := self.place_of(None)) is not None:
+            place.run(self._waiting.popleft())
 
-    def take_notices(self) -> list[str]:
-        """Sentences about free processes (deaths, replacements) since the last call."""
-        notices, self._notices = self._notices, []
-        return notices
-
-    def _next(self) -> _Place:
-        """The first ready process; without one, a process that is still starting."""
-        return next((place for place in self._free if place.ready), self._free[0])
+    def place_of(self, task: _Task | None) -> _Place | None:
+        """The process of a task, or the next free one; None if there is none."""
+        places = [place for place in self._places if place.task is task]
+        return min(places, key=lambda place: not place.ready, default=None)
 
 
 class Worker:
@@ -294,26 +327,19 @@ class Worker:
 
     def __init__(self, pool: WorkerPool) -> None:
         self._pool = pool
-        self._place: _Place | None = None
-        self._notices: list[str] = []
+        self._task: _Task | None = None
         self._number = 0
-        self._ticket = b""
-        self._task: bytes | None = None
-        self._budget = math.inf
-        self._retried = False
-        self._sent_to = 0  # number of the process that received the task
-        self._started: float | None = None  # start time of the task, in a process that is ready
-        self._stop_asked: float | None = None
+        self._notices: list[str] = []
 
     @property
     def busy(self) -> bool:
-        """Whether a task has been submitted and has not yet ended."""
+        """Whether a task has been submitted whose end :meth:`poll` has not yet returned."""
         return self._task is not None
 
     @property
     def waits(self) -> bool:
         """Whether a task waits for a process."""
-        return self.busy and self._place is None
+        return self._task is not None and self._pool.place_of(self._task) is None
 
     @property
     def ready(self) -> bool:
@@ -328,7 +354,8 @@ class Worker:
     @property
     def pid(self) -> int | None:
         """Id of the process for the task, or of the next free one; None if there is none."""
-        return (self._place or self._pool).pid
+        place = self._pool.place_of(self._task) or self._pool.place_of(None)
+        return None if place is None else place.pid
 
     def submit(self, function: Callable[..., Any], *args: Any, budget: float = math.inf) -> int:
         """Start ``function(*args, control)`` in a process and return the task's number.
@@ -340,95 +367,34 @@ class Worker:
         if self.busy:
             raise RuntimeError("the worker is busy: wait for its task to end")
         self._number += 1
-        self._ticket = _NUMBER.pack(next(self._pool.tickets))
-        self._task = _TASK + self._ticket + pickle.dumps((function, args), -1)
-        self._budget, self._retried = budget, False
-        self._started = self._stop_asked = None
-        self._pool.queue(self)
+        self._task = self._pool.submit(self._number, pickle.dumps((function, args), -1), budget)
         return self._number
-
-    def take(self, place: _Place) -> None:
-        """Run the task in this process."""
-        self._place = place
-        self._send(place)
-
-    def _send(self, place: _Place) -> None:
-        """Send the task to the process, if there is one."""
-        if self._task is None or place.pid is None:
-            return
-        self._sent_to = place.process_number
-        self._started = time.monotonic() if place.ready else None
-        stop = () if self._stop_asked is None else (_STOP + self._ticket,)
-        place.send(self._task, *stop)
 
     def cancel(self) -> None:
         """Ask the task to stop with its present result; :meth:`poll` still returns it."""
-        if self.busy and self._stop_asked is None:
-            self._stop_asked = time.monotonic()
-            if self._place is not None and self._place.pid is not None:
-                self._place.send(_STOP + self._ticket)
+        if self._task is not None and self._task.stop_asked is None:
+            self._task.stop_asked = time.monotonic()
+            place = self._pool.place_of(self._task)
+            if place is not None:
+                place.stop_task()
 
     def poll(self) -> list[Outcome]:
         """Return the outcomes since the last call, and end overdue tasks. Never blocks."""
         self._pool.supervise()
-        self._notices += self._pool.take_notices()
-        place = self._place
-        if place is None:
+        if self._task is None:
             return []
-        outcomes: list[Outcome] = []
-        for kind, *content in place.take_messages():
-            if kind == "lost":
-                outcomes += self._lost(content[0])
-            elif kind == "ready":
-                self._started = time.monotonic()
-            elif content and self.busy and content[0] == _NUMBER.unpack(self._ticket)[0]:
-                if kind == "progress":
-                    outcomes.append(Progress(self._number, content[1]))
-                    continue
-                self._task = None
-                outcomes.append((Done if kind == "done" else Failed)(self._number, content[1]))
-        if self._sent_to != place.process_number:
-            self._send(place)
-        outcomes += self._overdue(place)
-        if not self.busy:
-            self._place = None
-            self._pool.release(place)
+        outcomes, self._task.outcomes = self._task.outcomes, []
+        self._notices += self._task.notices
+        self._task.notices = []
+        if outcomes and not isinstance(outcomes[-1], Progress):
+            self._task = None
         return outcomes
 
     def take_notices(self) -> list[str]:
         """Sentences about the processes (deaths, replacements) since the last call."""
-        notices, self._notices = self._notices, []
+        notices = self._notices + self._pool.notices
+        self._notices, self._pool.notices = [], []
         return notices
-
-    def _overdue(self, place: _Place) -> list[Outcome]:
-        now = time.monotonic()
-        if self._task is None or self._started is None:
-            return []
-        over_budget = now - self._started > self._budget
-        if over_budget:
-            self.cancel()
-        if self._stop_asked is None or now <= max(self._stop_asked, self._started) + _GRACE:
-            return []
-        place.kill()
-        why = f"the task exceeded its {self._budget:g} s" if over_budget else "it was cancelled"
-        return self._lost(f"{why} and did not stop when asked to", retry=False)
-
-    def _lost(self, why: str, *, retry: bool = True) -> list[Outcome]:
-        """Try the task once more in the next process, otherwise give it up."""
-        self._started = None
-        if self._task is None:
-            self._notices.append(f"{why}: the worker is replaced")
-            return []
-        again = retry and not self._retried and self._stop_asked is None
-        self._notices.append(
-            f"{why}: the worker is replaced and its task "
-            + ("starts again" if again else "is given up")
-        )
-        if again:
-            self._retried = True
-            return []
-        self._task = None
-        return [Failed(self._number, why)]
 
 
 def serve(descriptor: str, module: str) -> None:
@@ -436,18 +402,17 @@ def serve(descriptor: str, module: str) -> None:
     import_module(module)
     keep_one_thread(with_scipy=False)  # the module has loaded all libraries of its tasks
     connection = Connection(int(descriptor))
-    tasks: queue.SimpleQueue[tuple[int, memoryview]] = queue.SimpleQueue()
+    tasks: queue.SimpleQueue[tuple[int, bytes]] = queue.SimpleQueue()
     stopped: set[int] = set()
 
     def receive() -> None:
         with contextlib.suppress(EOFError, OSError):
             while True:
-                message = connection.recv_bytes()
-                (number,) = _NUMBER.unpack_from(message, 1)
-                if message[:1] == _STOP:
-                    stopped.add(number)
+                ticket, call = connection.recv()
+                if call is None:
+                    stopped.add(ticket)
                 else:
-                    tasks.put((number, memoryview(message)[1 + _NUMBER.size :]))
+                    tasks.put((ticket, call))
         os._exit(0)
 
     sending = threading.Lock()
@@ -467,16 +432,16 @@ def serve(descriptor: str, module: str) -> None:
     for work in (receive, beat):
         threading.Thread(target=work, daemon=True).start()
     while True:
-        number, call = tasks.get()
-        send(_answer(number, call, Control(number, send, stopped)))
+        ticket, call = tasks.get()
+        send(_answer(call, Control(ticket, send, stopped)))
 
 
-def _answer(number: int, call: memoryview, control: Control) -> bytes:
+def _answer(call: bytes, control: Control) -> bytes:
     try:
         function, args = pickle.loads(call)
-        return pickle.dumps(("done", number, function(*args, control)), -1)
+        return pickle.dumps(("done", function(*args, control)), -1)
     except Exception as error:
-        return pickle.dumps(("failed", number, f"{type(error).__name__}: {error}"))
+        return pickle.dumps(("failed", f"{type(error).__name__}: {error}"))
 
 
 class InlineWorker:
