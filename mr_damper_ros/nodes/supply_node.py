@@ -7,7 +7,6 @@ output on. By default it does both at the start. The output is off whenever the 
 from __future__ import annotations
 
 import math
-import time
 from collections.abc import Collection
 from dataclasses import dataclass
 
@@ -30,7 +29,7 @@ from mr_damper_ros.rig.supplies.scpi_link import (
     ScpiLink,
     connect,
 )
-from mr_damper_ros.rig.supplies.supply import ScpiSupply, SupplyDriver, SupplyThread, read_profile
+from mr_damper_ros.rig.supplies.supply import ScpiSupply, SupplyDrive, read_profile
 from mr_damper_ros.settings.option_table import group, option
 
 _EMULATED = "emulated"
@@ -136,7 +135,7 @@ class SupplyNode(ManagedNode):
             changed=self._apply,
             configured=lambda: self._supply is not None,
         )
-        self._drive: SupplyThread | None = None
+        self._drive: SupplyDrive | None = None
         self._commander = CurrentCommander(CommandSettings())
         self._by_hand = self.parameters.values.current
         self._commands: CurrentCommands | None = None
@@ -195,32 +194,23 @@ class SupplyNode(ManagedNode):
             self.get_logger().error(f"not switched on: {self._drive.failure}; {_NOT_OFF}")
             return TransitionCallbackReturn.FAILURE
         self._commander = CurrentCommander(values.commands, self._by_hand)
-        driver = SupplyDriver(self._supply, self._commander, values.tolerance)
-        try:
-            try:
-                driver.start(time.monotonic())
-            except LinkLostError:
-                # The instrument may be reachable again.
-                self._supply.open()
-                driver.start(time.monotonic())
-        except (ValueError, OSError) as error:
-            if self._supply.switched_on:  # output on, zero current
-                self._drive = self._thread(driver, str(error))
-            return self._fail("the supply cannot be switched on", error)
-        self._problem, self._by_hand = "", 0.0
-        self._drive = self._thread(driver)
-        self._commands = CurrentCommands(self, self._commander, self._drive.wake)
-        return TransitionCallbackReturn.SUCCESS
-
-    def _thread(self, driver: SupplyDriver, failure: str = "") -> SupplyThread:
-        return SupplyThread(
-            driver,
-            period=1.0 / self.parameters.values.rate,
+        drive = SupplyDrive(
+            self._supply,
+            self._commander,
+            tolerance=values.tolerance,
+            period=1.0 / values.rate,
             clock_ns=lambda: int(self.get_clock().now().nanoseconds),
             publish=self._publish_current,
             log_error=self.get_logger().error,
-            failure=failure,
         )
+        try:
+            drive.start()
+        except (ValueError, OSError) as error:
+            self._drive = None if drive.finished else drive
+            return self._fail("the supply cannot be switched on", error)
+        self._drive, self._problem, self._by_hand = drive, "", 0.0
+        self._commands = CurrentCommands(self, self._commander, drive.wake)
+        return TransitionCallbackReturn.SUCCESS
 
     def _stop(self) -> None:
         if self._commands is not None:
@@ -287,10 +277,9 @@ class SupplyNode(ManagedNode):
         if drive is None:
             level = ERROR if self._problem else WARN
             return Finding(level, self._problem or "not active: the output is off", values)
-        state = drive.driver
-        values["complaints"] = state.complaints
-        if state.last_complaint:
-            return Finding(WARN, f"the supply complains: {state.last_complaint}", values)
+        values["complaints"] = drive.complaints
+        if drive.last_complaint:
+            return Finding(WARN, f"the supply complains: {drive.last_complaint}", values)
         if math.isnan(supply.watchdog):
             sentence = "on; no watchdog: if this process or the link dies, the current stays on"
             return Finding(WARN, sentence, values)
@@ -301,7 +290,7 @@ class SupplyNode(ManagedNode):
     def _find_current(self) -> Finding:
         if self._drive is None or self._commands is None:
             return Finding(WARN, "no current: the output is off")
-        state = self._drive.driver
+        state = self._drive
         found = self._commands.finding()
         values = {**found.values, "set [A]": state.given, "measured [A]": state.measured}
         if state.deviates:

@@ -178,14 +178,12 @@ _AT_ONCE = 64
 class Workforce:
     """An executor that belongs to the caller, and the properties of its workers.
 
-    ``at_once`` is the number of tasks submitted at a time. ``shares_folders`` tells whether the
-    workers see the folders of this process. ``breaks_with`` are the exceptions of a future if its
-    worker and all others have died. ``loses_with`` are those if workers have repeatedly died with
-    this one task.
+    ``at_once`` is the number of tasks submitted at a time. ``breaks_with`` are the exceptions of a
+    future if its worker and all others have died. ``loses_with`` are those if workers have
+    repeatedly died with this one task.
     """
 
     at_once = _AT_ONCE
-    shares_folders = False
     breaks_with: tuple[type[Exception], ...] = ()
     loses_with: tuple[type[Exception], ...] = ()
 
@@ -206,7 +204,6 @@ class LocalProcesses(Workforce):
     Raises ValueError for a count below one.
     """
 
-    shares_folders = True
     breaks_with = (BrokenExecutor,)
 
     def __init__(self, count: int) -> None:
@@ -347,23 +344,17 @@ def finish(
     the next time. A task whose process dies repeatedly is given up and passed to ``lost``. Raises
     WorkersError if the workers cannot run tasks at all, and OSError if a result cannot be written.
     """
-    shared = results if workforce.shares_folders else None
-    call = partial(_call_and_keep, function, shared, final)
+    call = partial(_with_one_thread, function)
     waiting, suspects = deque(tasks), deque[KeptTask]()
     losses: Counter[str] = Counter()
     under_way: dict[Future[Document], KeptTask] = {}
 
     def submit(source: deque[KeptTask]) -> None:
-        under_way[executor.submit(call, source[0])] = source[0]
+        under_way[executor.submit(call, source[0].argument)] = source[0]
         source.popleft()
 
     def repeat_or_give_up(task: KeptTask) -> None:
         """Treat a task that was interrupted by the death of its process."""
-        # The task may have stored its document before its process could report it.
-        document = results.kept(task)
-        if document is not None:
-            finished(task, document)
-            return
         losses[task.name] += 1
         if losses[task.name] >= _GIVEN_UP:
             lost(task)
@@ -397,7 +388,7 @@ def finish(
                         f"the workers cannot do the tasks: {type(error).__name__}: {error}"
                     ) from error
                 else:
-                    if not workforce.shares_folders and final(document):
+                    if final(document):
                         results.keep(task, document)
                     finished(task, document)
                 del under_way[future]
@@ -412,18 +403,9 @@ def finish(
         workforce.end()
 
 
-def _call_and_keep(
-    function: Callable[[Any], Document],
-    results: ResultFolder | None,
-    final: Callable[[Document], bool],
-    task: KeptTask,
-) -> Document:
-    """Run the task in a worker, and store its document if the folder is shared."""
+def _with_one_thread(function: Callable[[Any], Document], argument: Any) -> Document:
     with one_thread():  # the process may belong to another program
-        document = function(task.argument)
-    if results is not None and final(document):
-        results.keep(task, document)
-    return document
+        return function(argument)
 
 
 def fingerprint(content: Mapping[str, Any]) -> str:

@@ -79,6 +79,9 @@ class Failed:
 
 Outcome = Progress | Done | Failed
 
+_OUTCOMES: dict[str, type[Outcome]] = {"progress": Progress, "done": Done, "failed": Failed}
+"""Outcomes by the first word of a message from the worker."""
+
 
 class Control:
     """The connection of a task in the worker to the node; its methods may be called often.
@@ -200,8 +203,7 @@ class _Place:
             elif kind == "ready":
                 self.ready, self._began = True, now
             elif self.task is not None and content:
-                outcome = {"progress": Progress, "done": Done, "failed": Failed}[kind]
-                self.task.outcomes.append(outcome(self.task.number, content[0]))
+                self.task.outcomes.append(_OUTCOMES[kind](self.task.number, content[0]))
                 self.task = self.task if kind == "progress" else None
         if not lost and not self.ready and now - self._started > _START_LIMIT:
             lost = f"the worker did not start within {_START_LIMIT:g} s"
@@ -309,8 +311,8 @@ class WorkerPool:
         """Supervise all processes, and assign free ones to waiting tasks, ready ones first."""
         for place in self._places:
             place.supervise(self.notices)
-        while self._waiting and (place := self.place_of(None)) is not None:
-            place.run(self._waiting.popleft())
+        while self._waiting and (free := self.place_of(None)) is not None:
+            free.run(self._waiting.popleft())
 
     def place_of(self, task: _Task | None) -> _Place | None:
         """The process of a task, or the next free one; None if there is none."""

@@ -27,10 +27,9 @@ from mr_damper_ros.rig.supplies.scpi_link import (
 from mr_damper_ros.rig.supplies.supply import (
     ProfileError,
     ScpiSupply,
-    SupplyDriver,
+    SupplyDrive,
     SupplyError,
     SupplyProfile,
-    SupplyThread,
     read_profile,
 )
 
@@ -374,22 +373,6 @@ def test_pyvisa_reaches_the_same_instrument_over_a_serial_line(
     supply.close()
 
 
-# --- driving it ---------------------------------------------------------------------------------
-
-
-def driven(instrument: EmulatedInstrument) -> tuple[SupplyDriver, CurrentCommander]:
-    supply = ScpiSupply(
-        lambda _: EmulatedLink(instrument),
-        read_profile("emulated"),
-        voltage=12.0,
-        watchdog=0.5,
-        timeout=TIMEOUT,
-    )
-    supply.open()
-    made = CurrentCommander(CommandSettings(largest_current=20.0))
-    return SupplyDriver(supply, made, tolerance=0.05), made
-
-
 # --- in a thread of its own ---------------------------------------------------------------------
 
 
@@ -401,15 +384,21 @@ def live() -> Iterator[InstrumentServer]:
     serving.close()
 
 
-def in_thread(server: InstrumentServer, said: list[str], current: float = 1.0) -> SupplyThread:
+def in_thread(server: InstrumentServer, said: list[str], current: float = 1.0) -> SupplyDrive:
     """A supply without a watchdog, driven by hand."""
     supply = supply_at(server.address, "scpi")
     supply.open()
-    driver = SupplyDriver(supply, CurrentCommander(CommandSettings(), current), tolerance=0.05)
-    driver.start(time.monotonic())
-    return SupplyThread(
-        driver, period=0.02, clock_ns=time.time_ns, publish=lambda *_: None, log_error=said.append
+    drive = SupplyDrive(
+        supply,
+        CurrentCommander(CommandSettings(), current),
+        tolerance=0.05,
+        period=0.02,
+        clock_ns=time.time_ns,
+        publish=lambda *_: None,
+        log_error=said.append,
     )
+    drive.start()
+    return drive
 
 
 def gives_current(server: InstrumentServer) -> None:

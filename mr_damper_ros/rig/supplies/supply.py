@@ -275,57 +275,6 @@ _SETTLING = 1.0
 of the instrument's queue of errors."""
 
 
-class SupplyDriver:
-    """A supply that follows commands; times are seconds of one steady clock.
-
-    ``given`` and ``measured`` are currents [A]; the supply ``deviates`` if they differ by more than
-    the ``tolerance`` [A] for longer than the settling time. Errors of the supply pass through: the
-    caller must then switch it off.
-    """
-
-    def __init__(self, supply: ScpiSupply, commander: CurrentCommander, tolerance: float) -> None:
-        self.supply = supply
-        self._commander = commander
-        self._tolerance = tolerance
-        self._agreed = math.inf
-        self._asked = -math.inf
-        self.given, self.measured = 0.0, math.nan
-        self.deviates = False
-        self.complaints = 0
-        self.last_complaint = ""
-        self.wait = commander.wait
-
-    def start(self, now: float) -> None:
-        """Switch on, at zero current."""
-        self._agreed = now
-        self.supply.switch_on()
-        self._commander.start(now)
-
-    def obey(self, now: float) -> None:
-        """Set the present commanded current."""
-        self.given = self._commander.step(now)
-        self.supply.give(self.given)
-
-    def read(self, now: float) -> float:
-        """Read the measured current [A]."""
-        self.measured = self.supply.measured()
-        if abs(self.measured - self.given) <= self._tolerance:
-            self._agreed = now
-        self.deviates = now - self._agreed > _SETTLING
-        return self.measured
-
-    def check(self, now: float) -> None:
-        """Read the next error of the instrument: regularly, and at once while there are more."""
-        if now - self._asked < _SETTLING:
-            return
-        complaint = self.supply.next_error()
-        if complaint:
-            self.complaints += 1
-            self.last_complaint = complaint
-        else:
-            self._asked = now
-
-
 _STOP = 3.0
 """Time limit [s] for a supply to switch off and confirm it; the process has ten seconds to end."""
 
@@ -336,39 +285,67 @@ _RESCUE = 0.5
 """Seconds between two attempts to switch off a supply that does not answer."""
 
 
-class SupplyThread:
-    """Drives a supply that is on, and switches it off at the end or after an error.
+class SupplyDrive:
+    """A supply that follows commands in its own thread, and is switched off at the end or an error.
 
-    If the instrument does not answer, the thread repeats the command to switch off over a new link,
-    until the instrument confirms it or :meth:`end` is called. ``failure`` is the reason, as a
-    sentence, why the supply is no longer driven. If it is given at the start, the supply is only
-    switched off. ``publish`` receives each measured current [A] after its time [ns] on the clock
-    ``clock_ns``; ``log_error`` receives error messages.
+    ``given`` and ``measured`` are currents [A]; the supply ``deviates`` if they differ by more than
+    the ``tolerance`` [A] for longer than the settling time. If the instrument does not answer, the
+    thread repeats the command to switch off over a new link, until the instrument confirms it or
+    :meth:`end` is called. ``failure`` is the reason, as a sentence, why the supply is no longer
+    driven. ``publish`` receives each measured current [A], every ``period`` [s], after its time
+    [ns] on the clock ``clock_ns``; ``log_error`` receives error messages.
     """
 
     def __init__(
         self,
-        driver: SupplyDriver,
+        supply: ScpiSupply,
+        commander: CurrentCommander,
         *,
+        tolerance: float,
         period: float,
         clock_ns: Callable[[], int],
         publish: Callable[[int, float], None],
         log_error: Callable[[str], object],
-        failure: str = "",
     ) -> None:
-        self.driver = driver
-        self.failure = failure
-        self._supply = driver.supply
+        self._supply = supply
+        self._commander = commander
+        self._tolerance = tolerance
         self._period = period
         self._clock_ns = clock_ns
         self._publish = publish
         self._log_error = log_error
+        self.given, self.measured = 0.0, math.nan
+        self.deviates = False
+        self.complaints = 0
+        self.last_complaint = self.failure = ""
+        self._checked = -math.inf
         self._stopping = False
         self._deadline = math.inf
         self._woken = threading.Event()
         self._ended = threading.Event()
         self._thread = threading.Thread(target=self._run, name="supply", daemon=True)
-        self._thread.start()
+
+    def start(self) -> None:
+        """Switch on at zero current, then follow the commands.
+
+        Raises LinkLostError and SupplyError. If the output may be on then, the thread runs, and
+        only switches it off.
+        """
+        try:
+            try:
+                self._supply.switch_on()
+            except LinkLostError:
+                # The instrument may be reachable again.
+                self._supply.open()
+                self._supply.switch_on()
+        except (ValueError, OSError) as error:
+            self.failure = str(error)
+            raise
+        finally:
+            if self._supply.switched_on:
+                self._agreed = time.monotonic()
+                self._commander.start(self._agreed)
+                self._thread.start()
 
     @property
     def finished(self) -> bool:
@@ -423,16 +400,37 @@ class SupplyThread:
         while not self._stopping:
             self._woken.clear()
             now = time.monotonic()
-            self.driver.obey(now)
+            self._obey(now)
             if now >= due:
                 asked_ns = self._clock_ns()
-                measured = self.driver.read(now)
-                self._publish((asked_ns + self._clock_ns()) // 2, measured)
+                self._measure(now)
+                self._publish((asked_ns + self._clock_ns()) // 2, self.measured)
                 # The answer may have taken long.
-                self.driver.obey(time.monotonic())
-                self.driver.check(now)
+                self._obey(time.monotonic())
+                self._check(now)
                 due = max(due + self._period, time.monotonic())
             now = time.monotonic()
-            self._woken.wait(max(min(due - now, self.driver.wait(now)), 0.0))
-        self.driver.given = 0.0
+            self._woken.wait(max(min(due - now, self._commander.wait(now)), 0.0))
+        self.given = 0.0
         self._supply.switch_off()
+
+    def _obey(self, now: float) -> None:
+        self.given = self._commander.step(now)
+        self._supply.give(self.given)
+
+    def _measure(self, now: float) -> None:
+        self.measured = self._supply.measured()
+        if abs(self.measured - self.given) <= self._tolerance:
+            self._agreed = now
+        self.deviates = now - self._agreed > _SETTLING
+
+    def _check(self, now: float) -> None:
+        """Read the next error of the instrument: regularly, and at once while there are more."""
+        if now - self._checked < _SETTLING:
+            return
+        complaint = self._supply.next_error()
+        if complaint:
+            self.complaints += 1
+            self.last_complaint = complaint
+        else:
+            self._checked = now
