@@ -4,9 +4,9 @@ A task is a picklable function of one picklable argument, and depends on nothing
 computes with one BLAS thread, because sums depend on the number of threads: the results agree to
 the last digit.
 
-Results may be stored (:func:`finish`), each in its own file as soon as it is complete. A stored
-result is never computed again, however the program ended: a file is written completely or not at
-all. Such a task returns a JSON document and raises no exception; a failure is part of its document.
+Results may be stored (:func:`finish`), each in its own file, written completely or not at all, as
+soon as it is complete. A stored result is never computed again. Such a task returns a JSON document
+and raises no exception; a failure is part of its document.
 """
 
 from __future__ import annotations
@@ -52,6 +52,12 @@ _PATIENCE = 0.05
 """Seconds between two checks for progress of the processes."""
 
 
+def _checked(count: int) -> int:
+    if count < 1:
+        raise ValueError(f"workers is {count}: at least 1 is needed")
+    return count
+
+
 class ProcessPool(AbstractContextManager):
     """A context with ``count`` processes, started when there are tasks for them.
 
@@ -60,9 +66,7 @@ class ProcessPool(AbstractContextManager):
     """
 
     def __init__(self, count: int = 1) -> None:
-        if count < 1:
-            raise ValueError(f"workers is {count}: at least 1 is needed")
-        self.count = 1 if multiprocessing.current_process().daemon else count
+        self.count = 1 if multiprocessing.current_process().daemon else _checked(count)
         self._pool: ProcessPoolExecutor | None = None
 
     def __exit__(self, *_: object) -> None:
@@ -112,28 +116,22 @@ class ProcessPool(AbstractContextManager):
                 for future in finished:
                     if not future.cancelled():
                         keep(numbered[future], future.result())
-                for index, news in self._news():
-                    if not self._stop.is_set() and not tell(index, news):
+                while not self._progress.empty():
+                    if not tell(*self._progress.get()) and not self._stop.is_set():
                         self._end(waiting)
-        except BaseException:
+        finally:
             self._end(waiting)
-            while waiting:
+            while waiting:  # after an exception; a process whose progress is not read cannot end
                 waiting = wait(waiting, timeout=_PATIENCE).not_done
-                # A process whose progress is not read cannot end.
-                self._news()
-            raise
+                while not self._progress.empty():
+                    self._progress.get()
         return results
 
     def _end(self, waiting: set[Future[Any]]) -> None:
-        self._stop.set()
+        if waiting:
+            self._stop.set()
         for future in waiting:
             future.cancel()
-
-    def _news(self) -> list[tuple[int, Any]]:
-        news = []
-        while not self._progress.empty():
-            news.append(self._progress.get())
-        return news
 
     def _started(self) -> ProcessPoolExecutor:
         if self._pool is None:
@@ -207,11 +205,8 @@ class LocalProcesses(Workforce):
     breaks_with = (BrokenExecutor,)
 
     def __init__(self, count: int) -> None:
-        if count < 1:
-            raise ValueError(f"workers is {count}: at least 1 is needed")
+        self._count = _checked(count)
         self.at_once = _AHEAD * count
-        self._count = count
-        self._context = child_process.FreshContext()
         self._pool: ProcessPoolExecutor | None = None
 
     def start(self) -> Executor:
@@ -254,13 +249,9 @@ class DaskCluster(Workforce):
         if threads == 0:
             self._client.close()
             raise OSError(f"the Dask scheduler at {address} has no workers: start some")
+        super().__init__(self._client.get_executor(pure=False))
         self.at_once = _AHEAD * threads
         self.loses_with = (KilledWorker,)
-
-    def start(self) -> Executor:
-        """Return the executor of the cluster."""
-        executor: Executor = self._client.get_executor(pure=False)
-        return executor
 
     def end(self) -> None:
         """Leave the cluster; it drops the tasks of this process."""
@@ -309,11 +300,9 @@ class ResultFolder:
         """The stored document of a task, None if the task must be run."""
         try:
             found = json.loads(self.path(task.name).read_text(encoding="utf-8"))
-        except (OSError, ValueError):
+            document = found["document"] if found["fingerprint"] == task.fingerprint else None
+        except (OSError, ValueError, TypeError, KeyError):
             return None
-        if not isinstance(found, dict) or found.get("fingerprint") != task.fingerprint:
-            return None
-        document = found.get("document")
         return document if isinstance(document, dict) else None
 
     def keep(self, task: KeptTask, document: Document) -> None:
@@ -344,42 +333,28 @@ def finish(
     the next time. A task whose process dies repeatedly is given up and passed to ``lost``. Raises
     WorkersError if the workers cannot run tasks at all, and OSError if a result cannot be written.
     """
-    call = partial(_with_one_thread, function)
     waiting, suspects = deque(tasks), deque[KeptTask]()
-    losses: Counter[str] = Counter()
+    deaths: Counter[str] = Counter()
     under_way: dict[Future[Document], KeptTask] = {}
-
-    def submit(source: deque[KeptTask]) -> None:
-        under_way[executor.submit(call, source[0].argument)] = source[0]
-        source.popleft()
-
-    def repeat_or_give_up(task: KeptTask) -> None:
-        """Treat a task that was interrupted by the death of its process."""
-        losses[task.name] += 1
-        if losses[task.name] >= _GIVEN_UP:
-            lost(task)
-        elif losses[task.name] >= _SUSPECT:
-            suspects.append(task)
-        else:
-            waiting.appendleft(task)
-
     executor = workforce.start()
     try:
         while waiting or suspects or under_way:
-            broken = []
+            broken = False
             try:
                 while waiting and len(under_way) < workforce.at_once:
-                    submit(waiting)
+                    future = executor.submit(_with_one_thread, function, waiting[0].argument)
+                    under_way[future] = waiting.popleft()
                 if suspects and not under_way:
-                    submit(suspects)
-            except workforce.breaks_with as error:
-                broken.append(error)
+                    future = executor.submit(_with_one_thread, function, suspects[0].argument)
+                    under_way[future] = suspects.popleft()
+            except workforce.breaks_with:
+                broken = True
             for future in wait(under_way, return_when=FIRST_COMPLETED).done if under_way else ():
                 task = under_way[future]
                 try:
                     document = future.result()
-                except workforce.breaks_with as error:
-                    broken.append(error)
+                except workforce.breaks_with:
+                    broken = True
                     continue
                 except workforce.loses_with:
                     lost(task)
@@ -394,7 +369,13 @@ def finish(
                 del under_way[future]
             if broken:
                 for task in under_way.values():
-                    repeat_or_give_up(task)
+                    deaths[task.name] += 1
+                    if deaths[task.name] >= _GIVEN_UP:
+                        lost(task)
+                    elif deaths[task.name] >= _SUSPECT:
+                        suspects.append(task)
+                    else:
+                        waiting.appendleft(task)
                 under_way.clear()
                 executor = workforce.start()
     finally:
