@@ -1,17 +1,18 @@
 """Standard errors of least-squares estimates under noise, correlated noise and model error.
 
-*White noise* gives the textbook covariance. *Correlated noise* gives a larger one, because the
-samples within a correlation length count as one. The noise is described by an autoregressive model.
-Schwarz' criterion selects its order, and Burg's method estimates its coefficients ("Maximum entropy
-spectral analysis", 1967).
+*White noise* gives the textbook covariance. *Correlated noise* gives a larger covariance, because
+the samples within a correlation length count as one. The noise is described by an autoregressive
+model. Schwarz' criterion selects its order, and Burg's method estimates its coefficients ("Maximum
+entropy spectral analysis", 1967).
 
 Model error is not noise. *Repeatability* is the scatter of the estimates between windows of the
 same motion. *Discrepancy* is the change of the estimates under a different motion or a different
 law. In a steady sine the model error repeats in every cycle. The difference between samples one
-cycle apart therefore contains only noise. In any other single motion the two cannot be separated,
-and the whole residual counts as noise. With windows of several motions, each motion biases the
-parameters differently. The discrepancy is then the scatter of the scores between motions, corrected
-for the part that the fit has absorbed (Bell and McCaffrey, Survey Methodology 28, 2002).
+cycle apart therefore contains only noise. In any other single motion, noise and model error cannot
+be separated, and the whole residual counts as noise. With windows of several motions, each motion
+biases the parameters differently. The discrepancy is then the scatter of the scores (Jacobian times
+residual) between motions, corrected for the part that the fit has absorbed (Bell and McCaffrey,
+Survey Methodology 28, 2002).
 """
 
 from __future__ import annotations
@@ -31,7 +32,7 @@ DETERMINED = 1e-10
 """Relative singular value below which the data do not determine a direction."""
 
 _FEWEST_BLOCKS = 20
-"""Smallest number of block sums for a usable covariance estimate."""
+"""Smallest number of blocks of samples for a usable covariance estimate."""
 
 SIGNIFICANT = 4.0
 """A power is significant if it exceeds the noise power by this many standard errors."""
@@ -47,10 +48,9 @@ _CHUNK = 4096
 def triangular_factor(matrix: Array) -> Array:
     """Factor R (min(n, p), p) of the QR decomposition of a matrix (n, p), up to signs of rows.
 
-    R is small and has the same singular values and right singular vectors as the matrix. A long
-    matrix is factorised in chunks, and then the factors together. This is four times as fast for
-    200 000 rows (Demmel, Grigori, Hoemmen and Langou, SIAM Journal on Scientific Computing 34,
-    2012).
+    R has the same singular values and right singular vectors as the matrix. A long matrix is
+    factorised in chunks, and then their stacked factors; for 200 000 rows this is four times as
+    fast (Demmel, Grigori, Hoemmen and Langou, SIAM Journal on Scientific Computing 34, 2012).
     """
     if matrix.shape[0] > _CHUNK:
         chunks = np.array_split(matrix, math.ceil(matrix.shape[0] / _CHUNK))
@@ -61,9 +61,8 @@ def triangular_factor(matrix: Array) -> Array:
 def normal_inverse(jacobian: Array) -> Array:
     """Inverse of JᵀJ for a Jacobian of shape (n, p), shape (p, p).
 
-    The columns are scaled first, so that the result does not depend on the units. Directions that
-    the data do not determine have infinite variance: each parameter with a component in such a
-    direction is NaN.
+    The columns are scaled first, so that the result does not depend on the units. If the data do
+    not determine a direction, each parameter with a component in this direction is NaN.
     """
     lengths = np.linalg.norm(jacobian, axis=0)
     safe = np.where(lengths > 0.0, lengths, 1.0)
@@ -88,10 +87,10 @@ def least_squares_covariance(
 
     ``jacobian`` (n, p) and ``residual`` (n,) are unweighted; ``weights`` (n,) multiply the squared
     residuals. A white residual gives s² (JᵀWJ)⁻¹, with s² from n - p degrees of freedom. An
-    autocorrelated residual is typical where model error rather than sensor noise limits the fit. It
-    gives the sandwich estimate, with the scores summed over blocks longer than the correlation
-    length (Liang and Zeger, Biometrika 73, 1986). ``prior``: rows that are not samples. Parameters
-    that the data do not determine are NaN.
+    autocorrelated residual, which model error typically causes, gives the sandwich estimate, with
+    the scores summed over blocks longer than the correlation length (Liang and Zeger, Biometrika
+    73, 1986). ``prior``: rows that are not samples. Parameters that the data do not determine are
+    NaN.
     """
     if weights is not None:
         root = np.sqrt(weights)
@@ -107,7 +106,7 @@ def least_squares_covariance(
     white = float(residual @ residual) / freedom
     if length == 0 and prior is None:
         return np.asarray(white * bread)
-    # Keep undetermined parameters from making the others NaN.
+    # Undetermined parameters must not make the others NaN.
     lost = np.isnan(bread)
     bread = np.where(lost, 0.0, bread)
     if length == 0:
@@ -149,7 +148,7 @@ def correlation_length(residual: Array) -> int:
 def without_negative_variance(covariance: Array) -> Array:
     """The covariance (f, f), with negative variances caused by rounding set to zero.
 
-    Rounding causes them where the relative standard errors of the unknowns differ greatly.
+    This happens if the relative standard errors of the unknowns differ greatly.
     """
     variances = np.diagonal(covariance)
     if not np.any(variances < 0.0):
@@ -162,10 +161,10 @@ def without_negative_variance(covariance: Array) -> Array:
 _HIGHEST_ORDER = 24
 
 _PATIENCE = 8
-"""The search for the order ends after this many higher orders without improvement."""
+"""The search for the best order ends after this many orders without improvement."""
 
 _SAMPLES_PER_ORDER = 10
-"""The order for n samples is at most n divided by this."""
+"""The order for n samples is at most n divided by this number."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -219,7 +218,7 @@ class NoiseModel:
     def integrated_time(self) -> float:
         """Integrated autocorrelation time [samples]; 1 for white noise.
 
-        The mean of n samples has the variance of the mean of n / (this number) independent samples.
+        The mean of n samples has the same variance as the mean of n / (this time) independent ones.
         """
         if self.white or self.variance == 0.0:
             return 1.0
@@ -243,14 +242,14 @@ class NoiseModel:
 
 
 _LEAST_PART = 0.25
-"""Smallest part of a second cycle that is needed to separate model error from noise."""
+"""Smallest fraction of a second cycle that a window needs to separate model error from noise."""
 
 _ORDERS_PER_CYCLE = 4
 
 _MOST_TAKEN = 0.5
 
 _DRAWS = 8
-"""Number of parts of a cycle in which the model error counts as independent."""
+"""Number of parts of a cycle with independent model errors."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -275,7 +274,7 @@ def samples_per_cycle(window: Window) -> float:
 def error_covariances(
     jacobian: Array, residual: Array, cycle: float = math.nan, weights: Array | None = None
 ) -> ErrorCovariances:
-    """Standard errors of least-squares unknowns: Jacobian (n, f) and residual (n,) of samples.
+    """Covariances of least-squares unknowns from the Jacobian (n, f) and residual (n,) of samples.
 
     The samples are uniform. ``cycle`` is the number of samples per cycle of a steady motion, NaN
     for any other motion. ``weights`` (n,) multiply the squared residuals.
@@ -284,7 +283,7 @@ def error_covariances(
         root = np.sqrt(weights)
         jacobian, residual = jacobian * root[:, np.newaxis], residual * root
     bread = normal_inverse(jacobian)
-    # Keep undetermined parameters from making the others NaN.
+    # Undetermined parameters must not make the others NaN.
     lost = np.isnan(bread)
     bread = np.where(lost, 0.0, bread)
 
@@ -296,7 +295,7 @@ def error_covariances(
     if split is None:
         noise = NoiseModel.of(residual)
         scores = noise.score_covariance(jacobian)
-        # The fit absorbs noise; it absorbs more of correlated noise than unknowns / samples.
+        # The fit absorbs more of correlated noise than of white noise (unknowns / samples).
         taken = float(np.sum(bread * scores)) / max(count * noise.variance, 1e-300)
         all_of_it = spread(scores) / max(1.0 - taken, _MOST_TAKEN)
         steady = math.isfinite(cycle)
@@ -339,7 +338,7 @@ def _split(
 
 
 def _of_phase(over_cycle: Array, count: int, cycle: float) -> Array:
-    """Covariance from the model error in a window of incomplete cycles that may begin at any phase.
+    """Covariance from model error, if the window has incomplete cycles and begins at any phase.
 
     ``over_cycle`` (m, f): score of one sample at each position of the cycle.
     """
@@ -360,26 +359,25 @@ def _of_misfit(over_cycle: Array) -> Array:
 
 
 SAME_MOTION = 0.1
-"""Largest relative difference of speeds, or of root mean squares, of the same motion."""
+"""Motions count as the same if their speeds, or RMS values, differ by at most this fraction."""
 
 FEWEST_MOTIONS = 3
-"""Smallest number of motions that shows how much differs between motions."""
+"""Smallest number of motions from which the scatter between motions is estimated."""
 
 _LEAST_NOISE = 0.1
-"""Lower limit of the estimated noise variance, relative to white noise; lower estimates are chance.
-"""
+"""Lower limit of the noise variance, relative to white noise; a lower estimate is due to chance."""
 
-_ALONE = 1e-6
-"""A direction rests on one motion alone if the others contribute less than this part of its
+_ONE_MOTION = 1e-6
+"""A direction is determined by one motion alone if all others contribute less than this part of the
 information."""
 
-_PART = 0.01
-"""A parameter is unknown if an unknown direction makes up more than this part of its standard
-error."""
+_UNKNOWN_PART = 0.01
+"""If a direction determined by one motion alone contributes more than this part of a parameter's
+standard error, the discrepancy of the parameter is unknown."""
 
 
 def motion_numbers(windows: Sequence[Window]) -> np.ndarray:
-    """Number of the motion and current of each window, from 0: shape (k,)."""
+    """A number (k,) for each window, from 0; windows of equal motion and current share it."""
     seen: list[Array] = []
     numbers = []
     for window in windows:
@@ -404,10 +402,9 @@ def discrepancy_between(
 ) -> Array:
     """Covariance (f, f) from the scatter between motions in excess of ``covariance`` (f, f).
 
-    ``jacobian`` (n, f) and ``residual`` (n,) are those at the minimum; ``motions`` (n,) is the
+    ``jacobian`` (n, f) and ``residual`` (n,) are taken at the minimum; ``motions`` (n,) is the
     number of the motion of each row. The result is zero if noise explains the scatter. It is NaN
-    for a parameter that a single motion determines, and for all parameters with fewer than three
-    motions.
+    for a parameter that only one motion determines; with fewer than three motions it is all NaN.
     """
     unknown = np.full_like(covariance, math.nan)
     numbers = np.unique(motions)
@@ -417,7 +414,7 @@ def discrepancy_between(
         return unknown
     block, lengths = np.ix_(known, known), lengths[known]
     triangular = triangular_factor(jacobian[:, known] / lengths)
-    # In these coordinates the information of all rows together is the identity matrix.
+    # In these coordinates the information of all rows is the identity matrix.
     to_parameters = np.linalg.inv(triangular) / lengths[:, np.newaxis]
     noise = triangular * lengths @ covariance[block] @ (triangular * lengths).T
     scatter, chance = np.zeros_like(noise), 0.0
@@ -427,14 +424,16 @@ def discrepancy_between(
         rows = motions == number
         own = jacobian[np.ix_(rows, known)] @ to_parameters
         shares, axes = np.linalg.eigh(own.T @ own)
-        only = shares > 1.0 - _ALONE
-        alone |= np.any(np.abs(to_parameters @ axes[:, only]) > _PART * errors[:, None], axis=1)
-        taken = np.where(only, 0.0, 1.0 / np.sqrt(np.maximum(1.0 - shares, _ALONE)))
+        only = shares > 1.0 - _ONE_MOTION
+        alone |= np.any(
+            np.abs(to_parameters @ axes[:, only]) > _UNKNOWN_PART * errors[:, None], axis=1
+        )
+        taken = np.where(only, 0.0, 1.0 / np.sqrt(np.maximum(1.0 - shares, _ONE_MOTION)))
         scores = taken * (axes.T @ (own.T @ residual[rows]))
         scatter += np.outer(axes @ scores, axes @ scores)
         chance += 2.0 * float(np.sum(shares**2))
     white = float(residual @ residual) / residual.size
-    factor = to_parameters @ _beyond(scatter, noise, white, math.sqrt(chance))
+    factor = to_parameters @ _excess_root(scatter, noise, white, math.sqrt(chance))
     excess = factor @ factor.T
     excess[alone, :] = math.nan
     excess[:, alone] = math.nan
@@ -442,11 +441,11 @@ def discrepancy_between(
     return unknown
 
 
-def _beyond(scatter: Array, noise: Array, white: float, chance: float) -> Array:
+def _excess_root(scatter: Array, noise: Array, white: float, chance: float) -> Array:
     """Root (f, f) of the excess of ``scatter`` over ``noise``; zero if chance explains all of it.
 
     ``white`` is the noise variance under the assumption of white noise; ``chance`` is the standard
-    deviation of the sum of the scatter's variances relative to the noise's.
+    deviation of the trace of the scatter in units of the noise.
     """
     variances, vectors = np.linalg.eigh(noise)
     root = vectors * np.sqrt(np.maximum(variances, _LEAST_NOISE * white))

@@ -14,8 +14,8 @@ from mr_damper_ros.settings.option_table import CheckedSettings, option
 from mr_damper_ros.signals.arrays import Array
 
 STRATEGIES = ("rand1bin", "best1bin", "currenttobest1bin", "rand2bin")
-"""SciPy's names of the schemes in table 3 of the thesis, all with binomial crossover: rand/1,
-best/1, x + F (x_best - x + x_1 - x_2), which the thesis calls rand-to-best/2, and rand/2."""
+"""SciPy's names of the four schemes in table 3 of the thesis, all with binomial crossover: rand/1;
+best/1; x + F (x_best - x + x_1 - x_2), there called rand-to-best/2; rand/2."""
 
 _WORST = 0.1 * math.sqrt(np.finfo(float).max)  # SciPy squares the value
 _REPORT_PERIOD = 0.2
@@ -41,8 +41,8 @@ class EvolutionSettings(CheckedSettings):
     )
     recombination: float = option(
         0.8,
-        "Crossover probability CR, between 0 and 1: the fraction of an individual that is "
-        "exchanged at once.",
+        "Crossover probability CR, between 0 and 1: the expected fraction of an individual that "
+        "is replaced at once.",
         minimum=0.0,
         maximum=1.0,
     )
@@ -63,7 +63,7 @@ class EvolutionSettings(CheckedSettings):
 
 @dataclass(frozen=True)
 class GlobalProgress:
-    """Progress of a long search; ``best_cost`` is the best cost of the present ``stage`` [1].
+    """Progress of a long search; ``best_cost`` [1] is the best cost in the present ``stage``.
 
     ``time_left`` [s] is the estimated remaining time of the whole search. Both are NaN if unknown.
     """
@@ -88,7 +88,7 @@ class ProgressClock:
         self._done = 0
         self._report = report
         self._last_report = time.monotonic()
-        # The time per generation is constant within a stage only.
+        # The time per generation differs between stages.
         self._stage = ""
         self._stage_began = self._last_report
         self._stage_done = 0
@@ -163,7 +163,7 @@ def evolve(
     from scipy.optimize import differential_evolution  # here: see mr_damper_ros.entry_points
 
     low, high = (np.array(side, dtype=float) for side in zip(*bounds, strict=True))
-    # Scaling by the bounds rounds, and SciPy refuses a start that rounding puts outside the bounds.
+    # SciPy rejects a start outside the bounds, even if only rounding has put it there.
     margin = 1e-9 * (high - low)
     result = differential_evolution(
         safe_cost,

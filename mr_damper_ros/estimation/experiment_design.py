@@ -1,17 +1,17 @@
 """Accuracy of the force over an operating range, and the runs that would improve it.
 
 The law is linearised about a parameter set. The Fisher information of the samples, with the
-plausible range of dampers as prior information, gives the covariance of the parameters, and with it
-the standard error of the force at every phase of a cycle. An uncertain parameter counts only as far
-as it affects the force. The repeatable part of the residual is model error, not noise. The largest
-relative model error in the windows also counts between the windows and beyond them.
+plausible range of dampers as prior information, gives the covariance of the parameters, and from it
+follows the standard error of the force at every phase of a cycle. An uncertain parameter counts
+only as far as it affects the force. The repeatable part of the residual is model error, not noise.
+The largest relative model error in the windows is also assumed between and beyond the windows.
 
 Among the runs within the limits of the machine, the plan selects the run that is expected to reduce
 the worst error of the force most (G-optimality: Pukelsheim, "Optimal design of experiments", 1993),
-or the run that determines all parameters together best (D-optimality). The law is nonlinear. The
-value of a run is therefore averaged over sets that fit the present data equally well and differ in
-the parameters that the data do not determine (Chaloner and Verdinelli, "Bayesian experimental
-design: a review", Statistical Science 10, 1995).
+or the run that determines all parameters together best (D-optimality). Because the law is
+nonlinear, the value of a run is averaged over sets that fit the present data equally well but
+differ in the parameters that the data do not determine (Chaloner and Verdinelli, "Bayesian
+experimental design: a review", Statistical Science 10, 1995).
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from enum import Enum
 import numpy as np
 
 from mr_damper_ros.estimation.covariance import SIGNIFICANT, correlation_length, samples_per_cycle
-from mr_damper_ros.estimation.global_search import Posterior, Prior, adapted
+from mr_damper_ros.estimation.global_search import Posterior, Prior, with_linear_refitted
 from mr_damper_ros.estimation.local_search import LocalSearch
 from mr_damper_ros.estimation.observability import (
     SURE,
@@ -53,41 +53,42 @@ from mr_damper_ros.models.quantities import NOTICED, LoopReading
 from mr_damper_ros.signals.arrays import Array
 
 _DRAWS = 200
-"""Number of draws from the plausible range for the prior, and from the sets that may be true."""
+"""Number of random draws: of shape parameters for the prior, and of parameters for the errors."""
 
 _FEWEST_IN_PART = 8
 """Smallest number of samples in a part of a cycle, needed to estimate the noise."""
 
 _BETWEEN = 1.35
-"""Factor on the model error between the windows and beyond. For eleven laws other than the true
-one, the true worst error is then at most 1.3 to 1.44 times the stated error in 90 % of the cases.
-"""
+"""Factor on the model error between and beyond the windows. With it, for eleven laws that differ
+from the damper, the true worst error is at most 1.3 to 1.44 times the stated error in 90 % of the
+cases."""
 
 _NEAR = 0.1
-"""Distance, relative to the range, below which windows count equally near to a point."""
+"""Windows closer to a point than this, relative to the range, count as equally near."""
 
 _SETS = 8
-"""Number of sets that represent the undetermined parameters, and least number of fits of windows in
-the search for the most probable set."""
+"""Number of sets that represent the undetermined parameters. The search for the most probable set
+makes at least this many fits of windows."""
 
 _ROUNDS = 4
-"""Largest number of rounds that alternate between set and noise."""
+"""Largest number of rounds, in each of which the set and then the noise is estimated."""
 
 _NORM = 8.0
-"""Order of the norm over the points that replaces their maximum: a single run often does not change
-the maximum itself."""
+"""Order of the norm that replaces the maximum over the points, because a single run often does not
+change the maximum."""
 
 _PARTS = math.lcm(*STAIRS)
-"""Number of parts of a motion other than a sine; every staircase has a whole number of them."""
+"""Number of parts into which a motion other than a sine is divided; the steps of every staircase
+contain a whole number of parts."""
 
 _FEW_PHASES = 4
-"""Stride over the phases of a cycle when runs are compared."""
+"""When runs are compared, every fourth phase of a cycle is used."""
 
 _FASTER = 5.0
 """Largest peak velocity of the next run relative to the fastest run so far."""
 
 _CURRENT_STEP = 0.5
-"""Largest increase of the current beyond the largest so far, as a part of the range."""
+"""Largest increase of the current beyond the largest current so far, as a part of the range."""
 
 _MARGIN = 1.1
 """Safety factor on the force limit while the force of a run is uncertain."""
@@ -97,7 +98,7 @@ _LOOK_AHEAD = 12
 
 
 class Cycles:
-    """Force over many cycles at once and its gradient, for any parameter set of a model."""
+    """Force over many cycles at once, and its gradient, for any parameter set of a model."""
 
     def __init__(self, model: Model, cycles: Sequence[Window]) -> None:
         self.count = len(cycles)
@@ -120,14 +121,13 @@ class Cycles:
 
 @dataclass(frozen=True, eq=False)
 class PointErrors:
-    """Relative standard error (k,) of the force at each point: the largest of its cycle.
+    """Relative standard error (k,) of the force at each point: the largest within its cycle.
 
-    ``worst`` is the median of the worst error over all points and phases. If the errors at many
-    points are independent, it exceeds each of the standard errors. If one direction of the
-    parameters dominates, the errors at all points are proportional, and it is the median of one
-    error, down to 0.67 of the largest standard error. ``bound`` is the 95 % quantile of the worst
-    error; NaN: unknown. All of these include the model error, which is ``model_error`` at the worst
-    point.
+    ``worst`` is the median and ``bound`` the 95 % quantile (NaN: unknown) of the worst error over
+    all points and phases. If the errors at many points are independent, ``worst`` exceeds every
+    standard error. If they are proportional, because one direction of the parameters dominates, it
+    may be as low as 0.67 of the largest standard error. All include the model error, which is
+    ``model_error`` at the worst point.
     """
 
     points: Sequence[tuple[float, float]]
@@ -143,7 +143,7 @@ class PointErrors:
         if not math.isnan(self.bound):
             known += f", and {self.bound:.2%} with 95 % confidence"
         if self.model_error > 0.0:
-            known += f" ({self.model_error:.2%} that the law does not follow)"
+            known += f" (of this, {self.model_error:.2%} is model error)"
         return known
 
     @property
@@ -157,7 +157,7 @@ def point_errors(
 ) -> PointErrors:
     """Errors at the points of a goal; ``gradient`` (k, phases, p) is relative.
 
-    ``information`` (p, p) includes the prior; ``model_errors`` (k,) are relative, too.
+    ``information`` (p, p) includes the prior; ``model_errors`` (k,) are also relative.
     """
     flat = gradient.reshape(-1, gradient.shape[-1])
     draws = np.random.default_rng(0).standard_normal((_DRAWS, flat.shape[1]))
@@ -176,7 +176,7 @@ def point_errors(
 def cycle_errors(gradient: Array, information: Array) -> Array:
     """Largest standard error of each cycle (m, k), for many information matrices (m, p, p).
 
-    ``gradient`` (k, phases, p) may be relative; the errors are then relative, too.
+    If ``gradient`` (k, phases, p) is relative, so are the errors.
     """
     count, phases, size = gradient.shape
     flat = gradient.reshape(-1, size)
@@ -211,7 +211,7 @@ def model_error(model: Model, window: Window, parameters: Array) -> float:
     power = float(np.sum(counts * means**2)) / max(variance, 1e-300)
     if power <= parts + SIGNIFICANT * math.sqrt(2.0 * parts):
         return 0.0
-    # Wiener filter: each mean is reduced by the noise's share of the scatter of all means.
+    # Wiener filter: the means are reduced by the share of noise in their scatter.
     noise = variance / counts
     signal = max(float(np.mean(means**2) - np.mean(noise)), 0.0)
     largest = float(np.max(np.abs(means) * signal / (signal + noise)))
@@ -238,8 +238,8 @@ def open_sets(
 ) -> list[Array]:
     """Sets (p,) that agree with the windows and differ in the shape parameters not in ``known``.
 
-    The linear parameters follow from the coefficients of the windows. ``top``: peak velocity [m/s]
-    and current [A] of the range. None if all shape parameters are known.
+    The linear parameters follow from the coefficients of the windows. ``top``: largest peak
+    velocity [m/s] and current [A]. The list is empty if all shape parameters are known.
     """
     rng, unknown = np.random.default_rng(0), set(model.shape_names).difference(known)
     solved = frozenset(model.linear) - unknown
@@ -249,14 +249,14 @@ def open_sets(
         for name, value in model.draw_shape(rng, *top).items():
             if name in unknown:
                 values[model.parameter_names.index(name)] = value
-        sets.append(adapted(model, windows, parameters, values, solved))
+        sets.append(with_linear_refitted(model, windows, parameters, values, solved))
     return sets
 
 
 def window_information(
     model: Model, windows: Iterable[Window], noise: Iterable[float], parameters: Array
 ) -> Array:
-    """Fisher information (p, p) of the samples of windows with noise ``noise`` [N] each."""
+    """Fisher information (p, p) of the samples of windows, each with its own ``noise`` [N]."""
     total = np.zeros((parameters.size, parameters.size))
     for window, sigma in zip(windows, noise, strict=True):
         few = window.thinned(4 * PHASES)
@@ -271,10 +271,10 @@ def most_probable(
     """The most probable parameters (p,), from ``start`` (p,).
 
     All parameters are free. Weakly determined parameters move as far as the data support, and
-    undetermined ones stay. Holding weakly determined parameters would give standard errors that are
-    too small.
+    undetermined ones do not move. If weakly determined parameters were held, the standard errors
+    would be too small.
     """
-    # A misfit weighs its windows equally; here every sample counts by its noise.
+    # A misfit weights all windows equally; here every sample is weighted by its noise.
     sizes = np.array([window.sample_count for window in windows])
     equal = np.asarray(noise) * np.sqrt(sizes.mean() / sizes)
     problem = Posterior(
@@ -286,7 +286,7 @@ def most_probable(
 
 
 @dataclass(frozen=True)
-class _Look:
+class _Piece:
     """A cycle, or a ``part`` of another motion of this ``duration`` [s], at one current."""
 
     motion: PeriodicMotion
@@ -295,8 +295,8 @@ class _Look:
     duration: float = 0.0
 
     @classmethod
-    def of(cls, run: PlannedRun, place: int) -> list[_Look]:
-        """The looks at a stretch of a run."""
+    def of(cls, run: PlannedRun, place: int) -> list[_Piece]:
+        """The pieces that represent a stretch of a run."""
         if run.kind is MotionKind.SINE:
             return [cls(run.motion, run.currents[place])]
         each = _PARTS // len(run.currents)
@@ -304,11 +304,11 @@ class _Look:
         return [cls(run.motion, run.currents[place], part, run.duration) for part in parts]
 
     def window(self) -> Window:
-        """A window of the stretch, without a force."""
+        """A window of the piece; its force is zero."""
         motion = self.motion
         if motion.kind is MotionKind.SINE:
             return steady_cycle(motion.amplitude, motion.frequency, self.current)
-        # The peak velocity needs as many samples per shortest cycle as a sine.
+        # As for a sine, the peak velocity needs ``PHASES`` samples per shortest cycle.
         stride = math.ceil(motion.highest_frequency * self.duration / _PARTS)
         size = stride * PHASES
         period = self.duration / (size * _PARTS)
@@ -323,24 +323,24 @@ class _Look:
 class CandidateRuns:
     """The information from each of many ``runs`` and their load on the machine.
 
-    Both depend only on the motion and the current of a stretch, so each pair is evaluated once.
+    Both depend only on the motion and current of the pieces, so each piece is evaluated once.
     """
 
     def __init__(self, model: Model, runs: Sequence[PlannedRun], sample_rate: float) -> None:
         self.runs = list(runs)
-        looks: dict[_Look, int] = {}
+        pieces: dict[_Piece, int] = {}
         rows, columns, seconds, settled = [], [], [], []
         for row, run in enumerate(self.runs):
             for place in range(len(run.currents)):
-                each = _Look.of(run, place)
+                each = _Piece.of(run, place)
                 rows += [row] * len(each)
-                columns += [looks.setdefault(look, len(looks)) for look in each]
+                columns += [pieces.setdefault(look, len(pieces)) for look in each]
                 seconds += [run.stretch / len(each)] * len(each)
                 settled += [(run.stretch - SETTLING * (place > 0)) / len(each)] * len(each)
-        self._time, self._samples = np.zeros((2, len(self.runs), len(looks)))
+        self._time, self._samples = np.zeros((2, len(self.runs), len(pieces)))
         np.add.at(self._time, (rows, columns), seconds)
         np.add.at(self._samples, (rows, columns), sample_rate * np.array(settled))
-        windows = [look.window() for look in looks]
+        windows = [look.window() for look in pieces]
         self._cycles = Cycles(model, windows)
         self._velocity = np.array([window.motion.velocity for window in windows])
         self._steady = np.array([run.kind is MotionKind.SINE for run in self.runs])
@@ -348,7 +348,7 @@ class CandidateRuns:
     def gains(self, parameters: Array, noise: float, broad_noise: float) -> Array:
         """Information (m, p, p) that each run would add.
 
-        ``noise`` [N] is white; ``broad_noise`` [N] applies to motions other than a sine.
+        ``noise`` [N] is the noise in a sine, ``broad_noise`` [N] in any other motion.
         """
         jacobian = self._cycles.gradient(parameters)
         of_sample = np.einsum("knp,knq->kpq", jacobian, jacobian) / PHASES
@@ -379,8 +379,8 @@ class Plan:
 
     ``now``: errors at the points of the goal; ``expected``: worst error [1] after the run;
     ``runs_left``: number of runs until the goal is met, None if it is unknown or the goal cannot be
-    met; ``reason``: why the goal is met or cannot be met, or that the law prevents it, in words. A
-    run may help even if the goal cannot be met.
+    met; ``reason``: why the goal is met or cannot be met, in words. A run may help even if the goal
+    cannot be met.
     """
 
     state: PlanState
@@ -402,7 +402,7 @@ class RunPlanner:
         self.goal = goal
         self.limits = limits
         self._cycles = Cycles(model, goal.cycles())
-        # A range of no current gives no scale for drawing shape parameters.
+        # Shape parameters are drawn relative to the current range, which must not be zero.
         self._top = goal.peak_velocity[1], max(goal.current[1], 1e-6)
         self.candidates = candidate_runs(goal, limits)
         self._candidates = CandidateRuns(model, self.candidates, limits.sample_rate)
@@ -412,20 +412,21 @@ class RunPlanner:
         goal, limits = self.goal, self.limits
         if goal.peak_velocity[1] > limits.peak_velocity:
             return (
-                f"the goal reaches to {goal.peak_velocity[1]:g} m/s and the machine to "
+                f"the goal includes {goal.peak_velocity[1]:g} m/s, but the machine reaches only "
                 f"{limits.peak_velocity:g} m/s"
             )
         if goal.current[1] > limits.current:
             return (
-                f"the goal reaches to {goal.current[1]:g} A and the supply to {limits.current:g} A"
+                f"the goal includes {goal.current[1]:g} A, but the supply reaches only "
+                f"{limits.current:g} A"
             )
         return "" if self.candidates else "no run within the limits of the machine holds a cycle"
 
     def prior(self, parameters: Array) -> Prior:
-        """What is known of any damper before the first run, at ``parameters`` (p,).
+        """The prior for any damper before the first run, centred on ``parameters`` (p,).
 
-        Shape parameters have the scatter of plausible draws. A scale parameter has a standard
-        deviation of its own size, plus the change that makes a tenth of the force.
+        A shape parameter has the scatter of plausible values. The standard deviation of a scale
+        parameter is its own size, or the change that changes the force by a tenth if that is more.
         """
         rng = np.random.default_rng(0)
         draws = [self.model.draw_shape(rng, *self._top) for _ in range(_DRAWS)]
@@ -437,7 +438,7 @@ class RunPlanner:
         for place, name in enumerate(self.model.parameter_names):
             if name in draws[0]:
                 values = np.array([draw[name] for draw in draws])
-                # The set may lie outside the draws: its distance from them adds to the scatter.
+                # The centre may lie outside the draws; its distance from them adds to the scatter.
                 widths[place] = np.hypot(np.std(values), np.mean(values) - parameters[place])
         return Prior(parameters, np.maximum(widths, 1e-12))
 
@@ -477,7 +478,7 @@ class RunPlanner:
         return prior + window_information(self.model, windows, noise, parameters)
 
     def _model_errors(self, windows: Sequence[Window], parameters: Array) -> Array:
-        """Model errors (k,) at the points of the goal: mean over the windows, mainly near ones."""
+        """Model errors (k,) at the points of the goal: a mean that weights near windows most."""
         goal, squares = self.goal, [model_error(self.model, w, parameters) ** 2 for w in windows]
         low, high = goal.peak_velocity
         sizes = np.array([max(math.log(high / low), 1e-9), max(np.ptp(goal.current), 1e-9)])
@@ -535,12 +536,13 @@ class RunPlanner:
         left, expected, reached = self._look_ahead(windows, parameters, noise, best)
         if now.model_error > self.goal.error:
             reason = (
-                f"the law {self.model.name} itself leaves {now.model_error:.2%} of the force, "
-                f"where {self.goal.error:.2%} is wanted, and no run changes that: choose another "
-                "model (choose_law compares them on the runs made), or a larger error"
+                f"the model error of the law {self.model.name} is {now.model_error:.2%} of the "
+                f"force, more than the goal of {self.goal.error:.2%}, and no run can reduce it: "
+                "choose another model (choose_law compares them on the recorded runs), or a larger "
+                "error"
             )
         state = PlanState.RUN
-        # With undetermined laws the number of runs cannot be predicted.
+        # While shape parameters are undetermined, the number of runs cannot be predicted.
         if left is None and len(sets) == 1:
             state = PlanState.OUT_OF_REACH
             reason = reason or (
@@ -550,7 +552,7 @@ class RunPlanner:
         return Plan(state, now, self.candidates[best], expected, left, reason)
 
     def allowed(self, windows: Sequence[Window], sets: Sequence[Array]) -> np.ndarray:
-        """Candidates (m,) within the limits for all sets, without a leap in speed or current."""
+        """Mask (m,) of runs within the limits for all sets, without a leap in speed or current."""
         fastest = max(window.motion.peak_velocity.max() for window in windows)
         highest = max(window.current.max() for window in windows)
         low, high = self.goal.current
@@ -615,7 +617,7 @@ class RigRange:
                     "it must be positive"
                 )
         if not 0.0 <= self.current < math.inf:
-            raise ValueError(f"the rig's largest current is {self.current}: give it in ampere")
+            raise ValueError(f"the rig's largest current is {self.current}: give it in amperes")
 
     @classmethod
     def of_windows(cls, windows: Sequence[Window]) -> RigRange:
@@ -629,7 +631,7 @@ class RigRange:
 class ExtraRun:
     """A recommended run: ``amplitude`` [m], ``frequency`` [Hz], ``current`` [A].
 
-    ``determines``: the parameters that it would determine after the runs advised before it.
+    ``determines``: the parameters that it would determine in addition to the runs before it.
     ``worst_error``: the largest standard error after the run in spans (see :mod:`observability`); 1
     if only the plausible range is known.
     """
@@ -645,7 +647,7 @@ class ExtraRun:
         """The recommendation in words."""
         gain = f"it would determine {', '.join(self.determines)}"
         if not self.determines:
-            gain = "it would determine nothing alone, but the next run needs it"
+            gain = "alone it would determine nothing, but together with the next run it would"
         return (
             f"run {1e3 * self.amplitude:.3g} mm at {self.frequency:.3g} Hz "
             f"with {self.current:.3g} A: {gain}"
@@ -662,8 +664,8 @@ def extra_runs(
 ) -> tuple[ExtraRun, ...]:
     """Recommended runs in order; empty if all parameters are determined or no run would help.
 
-    ``misfit`` is that of the present windows. ``noise`` [N] is the expected residual of a new run
-    of the same length. ``parameters`` (p,) is the present set, ``observable`` (p,) marks its
+    ``misfit`` is the misfit of the present windows. ``noise`` [N] is the expected residual of a new
+    run of the same length. ``parameters`` (p,) is the present set, ``observable`` (p,) marks its
     determined parameters. A run determines a shape parameter if it reduces the standard error below
     a quarter of the span for most of the sets that may be true.
     """
@@ -696,7 +698,7 @@ def extra_runs(
     gains *= np.outer(spans, spans)
     advised: list[ExtraRun] = []
     useful = 0
-    # The laws need no more runs than currents.
+    # A current dependence needs at most one run for each current.
     for _ in range(max(parameter.currents for parameter in model.parameters)):
         if not missing.any():
             break

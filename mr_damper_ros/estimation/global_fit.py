@@ -34,24 +34,23 @@ from mr_damper_ros.signals.error_sums import ErrorSums, pooled
 GLOBAL_METHODS = (GLOBAL_SOURCE, "nelder_mead", "least_squares", "differential_evolution")
 
 _MOST_ROUNDS = 3
-"""Largest number of updates of the sample count that the record levels are based on."""
+"""Largest number of updates of the sample count that sets the weight of the record levels."""
 
 _SETTLED = 0.3
-"""Change of the logarithm of this count below which the updates end."""
+"""The updates end when the logarithm of this count changes by less."""
 
 
 @dataclass(frozen=True, eq=False)
 class GlobalFit:
     """Result of a global identification.
 
-    ``covariance`` (p, p) is that of the parameters, zero for held parameters. ``discrepancy`` (p,
-    p) is the part of it that comes from model error, NaN if it is unknown (:mod:`covariance`).
-    ``nrmse`` (k,): RMSE/std of the force of each window. ``message``: how the search ended.
-    ``noise`` (k,) [N]: RMSE of the separate fit of each window. ``cost``: mean square over all
-    samples of the residual in units of this noise; it is 1 if only noise is left. ``candidates``:
-    results of the local searches from which the set was selected. ``stopped``: whether the search
-    was stopped before its end. ``levels``: the prior of the record levels, None without record
-    levels.
+    ``covariance`` (p, p) belongs to the parameters and is zero for held ones. ``discrepancy`` (p,
+    p) is the part of it that comes from model error, NaN if unknown (:mod:`covariance`). ``nrmse``
+    (k,): RMSE/std of the force of each window. ``message``: how the search ended. ``noise`` (k,)
+    [N]: RMSE of the separate fit of each window. ``cost``: mean square of the residual over all
+    samples in units of this noise; it is 1 if only noise is left. ``candidates``: results of the
+    local searches from which the set was selected. ``stopped``: whether the search was stopped
+    before its end. ``levels``: the prior of the record levels, None without record levels.
     """
 
     parameter_set: ParameterSet
@@ -110,15 +109,15 @@ def identify_global(
     """Identify one parameter set from all windows.
 
     ``start`` (p,) holds the values that undetermined parameters keep. If the windows cannot be
-    fitted with such a value, the parameter takes that of :meth:`Model.without_dependence`. A
+    fitted with this value, the parameter gets the value of :meth:`Model.without_dependence`. A
     parameter that would leave its bounds is held at the bound and counts as undetermined.
-    ``method``: "global" is that of :mod:`global_search`; "nelder_mead" and "least_squares" search
-    on the samples, starting from the laws; "differential_evolution" searches on the samples over
-    all free parameters at once, like the thesis. ``report`` receives the progress and may stop the
-    search, which then returns the best set so far with ``success`` False. ``known`` (p,): the
-    result of an earlier search, used as an additional start. ``levels``: each record has its own
-    gain and offset. In this case a search without levels comes first, because the number of samples
-    that count for the levels follows from the residual of an approximate set.
+    ``method``: "global" is described in :mod:`global_search`; "nelder_mead" and "least_squares"
+    search on the samples, starting from its laws of the coefficients; "differential_evolution"
+    searches on the samples over all free parameters at once, like the thesis. ``report`` receives
+    the progress and may stop the search, which then returns the best set so far with ``success``
+    False. ``known`` (p,): the result of an earlier search, used as an additional start. ``levels``:
+    each record has its own gain and offset. A search without levels then comes first, because the
+    weight of their prior follows from the residual of an approximate set.
 
     Raises DataError if there are no windows or a force is constant, ValueError for an unknown
     method.
@@ -193,8 +192,8 @@ def set_of(search: GlobalSearch, errors: Array, discrepancies: Array, name: str)
     """The best set of a search; ``errors`` and ``discrepancies`` (p,), NaN for held parameters."""
     windows, observable = search.windows, np.isfinite(errors)
     speeds = np.concatenate([window.motion.peak_velocity for window in windows])
-    # Between the measured currents the law is arbitrary unless the data determine its current
-    # dependence.
+    # Unless the data determine the current dependence, the law is arbitrary between the measured
+    # currents.
     known = windows if search.model.knows_currents(observable) else windows[-1:]
     currents = np.concatenate([window.current for window in known])
     return ParameterSet(
@@ -212,7 +211,7 @@ def set_of(search: GlobalSearch, errors: Array, discrepancies: Array, name: str)
 
 
 def _errors(search: GlobalSearch, misfit: Misfit, places: Sequence[int]) -> tuple[Array, Array]:
-    """Covariance (f, f) of the parameters at some places, and the discrepancy in it."""
+    """Covariance (f, f) of the parameters at these places, and the discrepancy in it."""
     if len(misfit.windows) == 1 and misfit.prior is None:
         jacobian = misfit.jacobian(search.best, places)
         residual = misfit.residual(search.best)

@@ -1,18 +1,17 @@
 """The most probable parameter set of a model for many windows.
 
-1. Least squares estimates the coefficients of each window separately, without any dependence on
-   velocity or current within the window. The residual of this fit is the noise of the window.
-2. The laws over operating points are fitted to these coefficients, by linear least squares where
-   they are linear and by differential evolution otherwise.
+1. Least squares estimates the coefficients of each window separately, as constants within the
+   window. The residual of this fit is the noise of the window.
+2. The laws of the coefficients over peak velocity and current are fitted to these values, by linear
+   least squares where they are linear and by differential evolution otherwise.
 3. From the result and a few other starts, least squares on the samples estimates all parameters
    that the windows can separate. A prior describes the plausible range and size of the parameters
    as stated by the model. The samples within a correlation length count as one.
 
-The posterior tells which parameters the windows determine: those for which the data contain more
-information than the prior. If the model contains a simpler law as a special case, the search of
-that law comes first and gives one of the starts. If the windows share a parameter besides the
-coefficients, such as a compliance, or if the current varies within a window, the windows are fitted
-once more with the parameters found so far.
+The windows determine a parameter if the data contain more information on it than the prior. If the
+model contains a simpler law as a special case, the search of that law comes first and gives one of
+the starts. If the windows share a parameter besides the coefficients, such as a compliance, or if
+the current varies within a window, step 1 is repeated with the parameters found so far.
 """
 
 from __future__ import annotations
@@ -47,7 +46,7 @@ from mr_damper_ros.models.quantities import NOTICED, CoefficientTable
 from mr_damper_ros.signals.arrays import Array
 
 
-def adapted(
+def with_linear_refitted(
     model: Model,
     windows: Sequence[Window],
     reference: Array,
@@ -56,8 +55,8 @@ def adapted(
 ) -> Array:
     """The set ``changed`` (p,) with its linear parameters refitted to the force of ``reference``.
 
-    ``linear`` names the parameters that may change among those that are linear in the laws. They
-    are solved for at the operating points of the windows.
+    ``linear`` names the linear parameters that may change. Least squares at the operating points of
+    the windows gives their values.
     """
     speeds, currents = np.array([window.operating_point for window in windows]).T
     coefficients = model.coefficients_at(reference, speeds, currents).T
@@ -78,12 +77,12 @@ def no_search(
 # -- the prior and the posterior -----------------------------------------------------------------
 
 _RIDGE = 1e-4
-"""Weight of a weak prior that only keeps flat directions bounded, relative to the misfit."""
+"""Relative weight of a weak prior that only keeps undetermined directions bounded."""
 
 
 @dataclass(frozen=True, eq=False)
 class Prior:
-    """The plausible range of dampers: mean ``centre`` (p,), standard deviation ``width`` (p,)."""
+    """The plausible range of dampers: a mean (``centre``) and a deviation (``width``), (p,)."""
 
     centre: Array
     width: Array
@@ -93,9 +92,9 @@ class Posterior:
     """Residual of a pooled problem followed by that of the prior, for unknowns (f,).
 
     The unknowns are the parameters at ``places``, each in units of the width of its prior. All
-    other parameters keep their ``values`` (p,). ``noise`` [1] is the standard deviation of one
-    independent sample of the residual and sets the weight of the prior; None gives a negligible
-    weight.
+    other parameters keep their ``values`` (p,). ``noise`` [1], the standard deviation of one
+    independent sample of the residual, sets the weight of the prior; with None the weight is
+    negligible.
     """
 
     def __init__(
@@ -151,8 +150,8 @@ class Posterior:
 
 _SEARCH_SAMPLES = 8000
 FEW_SAMPLES = 250
-"""Total number of samples or steps in a search, which thins the windows, and the number that
-represents one window. The last search uses all samples."""
+"""A search thins the windows to this total number of samples or steps, or represents each window by
+the second number. The last search uses all samples."""
 
 _PIECE = 600
 """Length of a piece of a window in steps, for a law with memory. A piece holds about three cycles,
@@ -164,14 +163,14 @@ _SEPARATE = 1e-3
 _STAGE = "each run by itself"
 
 _OTHER_DIRECTION = 0.1
-"""A window with less than this part of its samples in one direction does not show the reversal."""
+"""A window with less than this part of its samples in one direction of motion is one-sided."""
 
 
 class Excerpts:
     """Reduced windows for a search: thinned, or cut into pieces for a law with memory.
 
-    ``few`` are the pieces, ``stretches`` the parts of the windows that they represent, ``owners``
-    the indices of their windows.
+    Piece k is ``few[k]``; it represents ``stretches[k]``, a part of the window with index
+    ``owners[k]``.
     """
 
     def __init__(self, model: Model, windows: Sequence[Window]) -> None:
@@ -194,7 +193,7 @@ class Excerpts:
     def misfit(
         self, noise: Array, levels: LevelPrior | None = None, known: Array | None = None
     ) -> Misfit:
-        """Misfit of one set to the pieces; ``noise`` (k,) [N] is that of the windows."""
+        """Misfit of one set to the pieces; ``noise`` (k,) [N] is the noise of each window."""
         pooled = Misfit(self._model, self.few, noise[self.owners].tolist(), known)
         return levelled(pooled, None if levels is None else levels.of_pieces(self.owners))
 
@@ -243,9 +242,9 @@ class SeparateFits:
     def fit(self, start: Array, known: Array | None = None) -> None:
         """Fit each window from ``start``; with varying current also from ``known``.
 
-        The force of a window with varying current can only be fitted with its current dependence;
-        the better of the two fits is kept. Raises StopRequestedError when the clock stops the fits;
-        earlier results are then kept.
+        A window with varying current needs the current dependence of ``known``; the better of the
+        two fits is kept. Raises StopRequestedError when the clock stops the fits; earlier results
+        are then kept.
         """
         found: list[WindowFit] = []
         scales = self._model.unknown_indices
@@ -254,7 +253,7 @@ class SeparateFits:
             for other in found:
                 starts.append(start.copy())
                 starts[-1][scales] = other.parameters[scales]
-            # Start from the best of the results so far, without a further search for starts.
+            # Start from the best result so far; other starts are not tried.
             left = [self._model.window_force(few, each) - few.force for each in starts]
             fit = self._fit(few, starts[int(np.argmin(np.linalg.norm(left, axis=-1)))])
             if known is not None and current_varies(few):
@@ -272,7 +271,7 @@ class SeparateFits:
         self.pooled = self._excerpts.misfit(noise, self._levels)
 
     def share(self, other: SeparateFits, owners: Sequence[int]) -> None:
-        """Take over the fits and the noise of other windows, the ``owners`` of these by index."""
+        """Copy fits and noise from ``other``; window k gets those of its window ``owners[k]``."""
         pairs = zip(other.fits, other._excerpts.owners, strict=True)
         self.fits = [fit for fit, owner in pairs if owner in owners]
         self.weigh(other.noise[list(owners)])
@@ -299,7 +298,7 @@ class SeparateFits:
     def _noise(self) -> Array:
         """RMSE [N] of the fits of each window (k,), with a lower limit for one-sided windows.
 
-        Nearly any law fits a part of a stroke, so the RMSE of such a window underestimates the
+        Nearly any law fits a part of a stroke, so the RMSE of a one-sided window underestimates the
         model error.
         """
         squares, sizes, one_sided = [], [], []
@@ -327,8 +326,8 @@ class SeparateFits:
     def without_search(self, start: Array) -> list[Array]:
         """Approximate parameters (p,) from the windows that were fitted before a stop.
 
-        They are those of one window, and the laws over all windows with only the linear parameters
-        fitted.
+        Returned are the parameters of one window, and those of the laws over all windows with only
+        the linear parameters fitted.
         """
         fitted = [fit for fit in self.fits if fit.success] or self.fits[:1]
         if not fitted:
@@ -349,7 +348,7 @@ def _table(fits: Sequence[WindowFit]) -> CoefficientTable:
         peak_velocity=np.array(speeds),
         current=np.array(currents),
         coefficients=np.array([fit.coefficients for fit in fits]),
-        # Rounding makes the variance of a hardly determined coefficient negative.
+        # Rounding may make the variance of a weakly determined coefficient negative.
         errors=np.sqrt(
             np.array([np.diag(fit.coefficient_covariance).clip(min=0.0) for fit in fits])
         ),
@@ -364,32 +363,31 @@ def levelled(pooled: Misfit, levels: LevelPrior | None) -> Misfit:
 # -- the search ----------------------------------------------------------------------------------
 
 AS_GOOD = 1.02
-"""A set is as good as another one if its mean square is at most this factor higher."""
+"""Two sets are equally good if their mean squares differ by at most this factor."""
 
-_MEANINGLESS = 0.01
-"""A search ends when a step reduces the misfit by less than this many times the noise variance,
-which corresponds to a tenth of a standard error."""
+_NEGLIGIBLE_STEP = 0.01
+"""A search ends when a step reduces the sum of squares by less than this multiple of the noise
+variance, which corresponds to a step of a tenth of a standard error."""
 
 _SMALLEST = 0.05
-"""Lower limit of the size of a scale in the prior, relative to its typical size."""
+"""Lower limit of the prior standard deviation of a scale, relative to its typical size."""
 
 _WIDE = 3.0
 """Prior standard deviation of a scale about zero, relative to its median size in the separate fits.
 """
 
 _PLAUSIBLE = 0.25
-"""Prior standard deviation of a shape parameter relative to its plausible range, whose ends are
-then two standard deviations from the middle."""
+"""Prior standard deviation of a shape parameter relative to its plausible range. The ends of the
+range are then two standard deviations from its middle."""
 
 _ON_BOUND = 1e-3
 """A parameter closer to a bound than this part of its prior width counts as being on the bound."""
 
 _POOR = 4.0
-"""Mean square of the weighted residual (twice the noise RMSE) above which further starts are tried.
-"""
+"""Further starts are tried above this mean square of the weighted residual (twice the noise)."""
 
 _MOST_OWN = 4
-"""Number of separate fits that are then used as starts."""
+"""Number of separate fits that serve as further starts."""
 
 _HOPELESS = 30.0
 """A start whose misfit exceeds the best one by this factor is skipped."""
@@ -412,9 +410,9 @@ class Candidate:
 class GlobalSearch:
     """The steps of a global identification, and the best parameters (p,) so far.
 
-    ``free``: before the search, the parameters that the windows may separate; after the search,
-    those that the windows determine. The other parameters keep their start values, or describe no
-    dependence on velocity and current, if the windows allow it.
+    ``free``: before the search, the parameters that the windows may separate; after the search, the
+    parameters that they determine. If the windows allow it, the other parameters have their start
+    values, or values that describe no dependence on velocity and current.
     """
 
     def __init__(
@@ -445,8 +443,8 @@ class GlobalSearch:
         self.free = varied_parameters(model, *operating_points_within(windows))
         self._ranges = parameter_ranges(model, windows)
         self._separate = SeparateFits(model, windows, clock, levels)
-        # Parameters that one run determines besides the coefficients, such as a compliance, and the
-        # effect of a current that varies within a run are known only after a first search.
+        # Parameters that one run determines besides the coefficients (such as a compliance), and
+        # the effect of a current that varies within a run, are known only after a first search.
         self._again = bool(model.common_names) or any(map(current_varies, windows))
         self._evaluations = 0
         self._tolerance = 0.0
@@ -457,7 +455,7 @@ class GlobalSearch:
 
     @property
     def evaluations(self) -> int:
-        """Number of evaluations of the force or of its cheaper substitutes so far."""
+        """Number of evaluations of the force, or of cheaper approximations, so far."""
         return self._evaluations + self._separate.evaluations
 
     @property
@@ -491,14 +489,13 @@ class GlobalSearch:
         """Select the best known set after a search was stopped."""
         others = [self._start, *self._separate.without_search(self._neutral)]
         self.best = min((self.best, *others), key=self.pooled.mean_square)
-        self.free = self._told(self.pooled)
+        self.free = self._determined(self.pooled)
 
     def refit(self, whole: GlobalSearch, owners: Sequence[int]) -> None:
         """Fit the windows from the result of a finished search, without searching for starts.
 
-        Each window is a window of ``whole`` or a part of one, whose index is in ``owners``. Its
-        noise and its separate fits are reused. Raises StopRequestedError when the report stops the
-        search.
+        Window k is the window ``owners[k]`` of ``whole``, or a part of it, and reuses its noise and
+        separate fits. Raises StopRequestedError when the report stops the search.
         """
         self._tolerance = _SEPARATE
         self._separate.share(whole._separate, owners)
@@ -625,8 +622,8 @@ class GlobalSearch:
         least = min(candidate.cost for candidate in found)
         cycles = any(holds_cycle(window.motion.displacement) for window in self.windows)
         if least > _POOR and not cycles and method != "differential_evolution":
-            # With parts of strokes, the separate fit of one window may be a better start than the
-            # laws.
+            # If windows hold only parts of strokes, the separate fit of one of them may be a better
+            # start than the laws.
             scales = self.free.intersection(self.model.linear)
             own = [self._least_squares(self.pooled, fit.parameters, scales) for fit in self.fits]
             for start in sorted(own, key=self.pooled.mean_square)[:_MOST_OWN]:
@@ -640,24 +637,24 @@ class GlobalSearch:
         self.shortcoming = ""
         if self.pooled.mean_square(self.best) > by_laws:
             self.shortcoming = (
-                "differential evolution ended in a poorer minimum than method global: allow "
+                "differential evolution ended in a poorer minimum than a fit of the laws: allow "
                 "more generations, or use method global"
             )
 
     def _finish(self) -> None:
         """Reset undetermined parameters to the start, then search once with all samples."""
-        open_ = frozenset(self.model.parameter_names) - self._told(self.pooled)
-        # Holding a parameter may make others undetermined, so repeat. A parameter that cannot be
-        # reset is determined by the windows.
-        while returned := self._returned(open_):
+        open_ = frozenset(self.model.parameter_names) - self._determined(self.pooled)
+        # Holding a parameter may make others undetermined, so repeat. If the misfit does not allow
+        # a parameter to be reset, the windows determine it.
+        while returned := self._reset(open_):
             self.free -= returned
-            open_ = self.free - self._told(self.pooled)
+            open_ = self.free - self._determined(self.pooled)
         self.best = self._most_probable(self.whole_misfit(), self.best, self.free)
 
-    def _returned(self, names: frozenset[str]) -> frozenset[str]:
+    def _reset(self, names: frozenset[str]) -> frozenset[str]:
         """The parameters among ``names`` that were reset to the start or to no dependence.
 
-        They are reset all together, law by law or one by one, as far as the windows agree.
+        They are reset all together, law by law, or one by one, if the misfit hardly increases.
         """
         held: frozenset[str] = frozenset()
         laws = [names.intersection(law) for law in self.model.shape_groups]
@@ -671,8 +668,8 @@ class GlobalSearch:
                     trial, others = self.best.copy(), self.free - held - asked
                     trial[places] = target[places]
                     linear = others.intersection(self.model.linear)
-                    trial = adapted(self.model, self.windows, self.best, trial, linear)
-                    # A few rough steps show whether the windows agree.
+                    trial = with_linear_refitted(self.model, self.windows, self.best, trial, linear)
+                    # A few rough steps show whether the misfit increases.
                     trial = self._rough(trial, others)
                     left = self.pooled.mean_square(trial)
                     if not left <= AS_GOOD * self.pooled.mean_square(self.best):
@@ -681,11 +678,11 @@ class GlobalSearch:
                 held |= asked
         return held
 
-    def _told(self, misfit: Misfit) -> frozenset[str]:
+    def _determined(self, misfit: Misfit) -> frozenset[str]:
         """The free parameters for which the windows contain more information than the prior.
 
-        A scale must also be known to its own size, or to the size that changes the force by a
-        tenth. The other parameters keep their current values for now.
+        The standard error of a scale must also be below its own size, or below the size that
+        changes the force by a tenth.
         """
         names = [name for name in self.model.parameter_names if name in self.free]
         places, values = self.model.places(names), self.best
@@ -706,15 +703,16 @@ class GlobalSearch:
         return frozenset(name for name, told in zip(names, known, strict=True) if told)
 
     def posterior(self, misfit: Misfit, places: Sequence[int]) -> Posterior:
-        """Posterior of the parameters at some places, linearised about the best set."""
+        """Posterior of the parameters at these places, linearised about the best set."""
         noise = noise_level(misfit, self.best)
         return Posterior(misfit, self.best, places, self._prior(), noise)
 
     def _most_probable(self, pooled: Misfit, start: Array, names: frozenset[str]) -> Array:
-        """The most probable parameters (p,) over the named ones.
+        """The most probable parameters (p,); only the named ones are free.
 
-        The optimum may lie on a bound, which the search only approaches. A parameter on a bound
-        stays there unless the misfit decreases towards the inside.
+        If the optimum lies on a bound, the search only approaches it. A parameter that comes close
+        to a bound is therefore set to the bound. It stays there unless the misfit decreases towards
+        the inside.
         """
         low, high = self.model.bounds
         every = np.array(self.model.parameter_names)
@@ -779,7 +777,7 @@ class GlobalSearch:
             else:
                 independent = residual.size / max(correlation_length(residual), 1)
                 search.least_squares(
-                    tolerance=tolerance or self._tolerance or _MEANINGLESS / independent,
+                    tolerance=tolerance or self._tolerance or _NEGLIGIBLE_STEP / independent,
                     most_steps=most_steps,
                 )
         except StopRequestedError:

@@ -1,12 +1,12 @@
-"""Selects the force law that the data support by cross-validation over motions.
+"""Choice of the force law by cross-validation over motions.
 
-Runs of about the same peak velocity are left out together, at all their currents. With fewer than
-three motions, single runs are left out. With fewer than five runs, segments of all runs are left
-out, because otherwise too few runs would remain to determine the current dependence. Among the laws
-whose error exceeds the lowest one by no more than one standard error of the difference, or by a
-negligible amount, the law with the fewest parameters is selected (one-standard-error rule: Breiman
-et al., Classification and Regression Trees, 1984, section 3.4.3). The rule uses the differences
-between laws, because some motions are difficult for every law.
+Runs of about the same peak velocity, at all currents, are one motion and are left out together.
+With fewer than three motions, single runs are left out. With fewer than five runs, segments of all
+runs are left out, because the remaining runs would be too few to determine the current dependence.
+A law is acceptable if its error exceeds the lowest error by at most one standard error of the
+difference, or by a negligible amount. The acceptable law with the fewest parameters is chosen
+(one-standard-error rule: Breiman et al., Classification and Regression Trees, 1984, section 3.4.3).
+The rule uses differences between laws, because some motions are difficult for every law.
 """
 
 from __future__ import annotations
@@ -35,10 +35,10 @@ from mr_damper_ros.signals.arrays import Array
 
 MOST_FOLDS = 5
 _PREDICTS = 0.3
-"""Largest NRMSE on validation samples at which a law predicts the force."""
+"""Largest NRMSE on the validation samples of a law that predicts the force."""
 
-_UNNOTICED = 0.01
-"""Negligible increase of the error relative to that of the best law."""
+_NEGLIGIBLE = 0.01
+"""Negligible increase of the error, relative to the error of the best law."""
 
 _SHORTEST_SEGMENT = 200
 """Smallest number of samples in a segment of a run."""
@@ -48,7 +48,7 @@ _SHORTEST_SEGMENT = 200
 class Fold:
     """Training windows, and the validation samples as slices of windows.
 
-    ``owners``: index of the window that each training window is or is a part of.
+    Training window k is the window ``owners[k]`` or a part of it.
     """
 
     training: tuple[Window, ...]
@@ -107,14 +107,14 @@ class LawChoice:
 
     def _is_as_good(self, trial: LawTrial) -> bool:
         behind, error = trial.behind(self.best)
-        return behind <= max(error, _UNNOTICED * self.best.nrmse)
+        return behind <= max(error, _NEGLIGIBLE * self.best.nrmse)
 
     def __str__(self) -> str:
         count = len(self.best.errors)
         lines = [
-            f"NRMSE on {self.left_out} that were left out ({count} parts, each predicted by the "
-            "set of the others):",
-            f"{'law':<22} {'parameters':>10} {'NRMSE':>8} {'behind the best':>20}",
+            f"NRMSE on {self.left_out} that were left out ({count} folds, each predicted from the "
+            "others):",
+            f"{'law':<22} {'parameters':>10} {'NRMSE':>8} {'above the best':>20}",
         ]
         for trial in self.trials:
             name = f"{trial.model:<22} {trial.parameter_count:>10}"
@@ -127,22 +127,22 @@ class LawChoice:
         lines.append(self._verdict())
         if self.sinusoids:
             lines.append(
-                "All motions are sinusoids, which do not tell how a law follows any other motion: "
-                "where the damper is to be used in one, give such a run, too."
+                "All motions are sinusoids, which do not show how well a law predicts other "
+                "motions: if the damper will be used in other motions, add such a run."
             )
         return "\n".join(lines)
 
     def _verdict(self) -> str:
         if self.best.nrmse > _PREDICTS:
             return (
-                f"NO LAW PREDICTS WHAT WAS LEFT OUT: {self.chosen.model} is taken, but the choice "
-                "says little; give runs at more amplitudes, frequencies and currents."
+                f"NO LAW PREDICTS WHAT WAS LEFT OUT: {self.chosen.model} is used, but the choice "
+                "is uncertain; add runs at more amplitudes, frequencies and currents."
             )
         if self.chosen is self.best:
             return f"The data support {self.best.model}."
         return (
-            f"The data support {self.chosen.model}: {self.best.model}, with more parameters, is "
-            "not better by more than one standard error, or not by anything that counts."
+            f"The data support {self.chosen.model}: the advantage of {self.best.model}, which has "
+            "more parameters, is within one standard error, or negligible."
         )
 
 
@@ -166,7 +166,7 @@ def cross_validate(
     windows = tuple(window for run in runs for window in run)
     asked = settings or EvolutionSettings()
     tasks = [_Trial(known_model(name).name, windows, parts, asked) for name in models]
-    follow = _told_to(report, len(tasks)) if report is not None else None
+    follow = _progress_callback(report, len(tasks)) if report is not None else None
     found = (processes or ProcessPool()).map(_left_out_errors, tasks, follow)
     trials = [
         LawTrial(name, errors)
@@ -232,9 +232,9 @@ def _folds_of_segments(windows: Sequence[Window]) -> list[Fold]:
     count = min(MOST_FOLDS, shortest // _SHORTEST_SEGMENT)
     if count < FEWEST_MOTIONS:
         raise ValueError(
-            f"a comparison of laws needs {MOST_FOLDS} runs, or runs of "
-            f"{FEWEST_MOTIONS * _SHORTEST_SEGMENT} samples that parts can be left out of, and the "
-            f"shortest stretch has {shortest}: give more or longer runs, or name the law"
+            f"a comparison of laws needs {MOST_FOLDS} runs, or runs without gaps of "
+            f"{FEWEST_MOTIONS * _SHORTEST_SEGMENT} samples; the shortest has {shortest}: give more "
+            "or longer runs, or name the law"
         )
     result = []
     for place in range(count):
@@ -305,13 +305,13 @@ def _error_left_out(search: GlobalSearch, fold: Fold) -> float:
     return error if math.isfinite(error) else math.inf
 
 
-def _told_to(report: Report, count: int) -> Callable[[int, tuple[str, float]], bool]:
+def _progress_callback(report: Report, count: int) -> Callable[[int, tuple[str, float]], bool]:
     done: dict[int, float] = {}
 
-    def hear(place: int, news: tuple[str, float]) -> bool:
+    def follow_fold(place: int, news: tuple[str, float]) -> bool:
         model, part = news
         done[place] = part
         stage = f"comparing laws, {model}, {sum(done.values()) / count:.0%} done"
         return report(GlobalProgress(stage, 0, 0, math.inf, math.inf))
 
-    return hear
+    return follow_fold

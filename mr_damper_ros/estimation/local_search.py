@@ -39,8 +39,8 @@ class Ending(Enum):
     """The reason why a search ended, in words."""
 
     CONVERGED = "converged"
-    STOPPED = "stopped before it converged: this is the best so far"
-    EXHAUSTED = "ended at its limit of steps before it converged: this is the best so far"
+    STOPPED = "stopped before it converged: this is the best result so far"
+    EXHAUSTED = "reached its limit of steps before it converged: this is the best result so far"
 
 
 class Problem(Protocol):
@@ -58,7 +58,7 @@ class Problem(Protocol):
 
 
 class StopRequestedError(Exception):
-    """Raised when the caller stops a search, which keeps its best unknowns so far."""
+    """Raised when the caller stops a search; the search keeps its best unknowns so far."""
 
 
 P = TypeVar("P", bound=Problem)
@@ -69,7 +69,7 @@ class LocalSearch(Generic[P]):
     """A problem, its best unknowns so far and the number of evaluations.
 
     ``should_stop`` is called at every evaluation; if it returns True, StopRequestedError is raised.
-    ``exhausted``: whether the latest least squares reached its limit of steps.
+    ``exhausted``: whether the latest least-squares search reached its limit of steps.
     """
 
     def __init__(
@@ -94,7 +94,7 @@ class LocalSearch(Generic[P]):
         return self.problem.residual(unknowns)
 
     def try_out(self, unknowns: Array) -> float:
-        """Evaluate the sum of squares; the unknowns become the best if it is the lowest."""
+        """Evaluate the sum of squares; if it is the lowest so far, the unknowns are the best."""
         residual = self.residual(unknowns)
         with np.errstate(over="ignore"):  # a cost that overflows is never accepted
             cost = float(residual @ residual)
@@ -215,7 +215,7 @@ class LocalSearch(Generic[P]):
 
 
 def _without_overflow(jacobian: Array) -> Array:
-    """The Jacobian limited to values that do not overflow, as they occur far from any damper."""
+    """The Jacobian with values that cannot overflow; large ones occur far from any damper."""
     return np.where(np.abs(jacobian) < LIMIT, jacobian, 0.0)
 
 

@@ -1,9 +1,8 @@
 """Global identification from several seeds: the best result, its reproducibility, and a record.
 
 Each seed is a separate search (:mod:`global_search`), so the searches can run in any number of
-processes. A record keeps the results: finished searches are not repeated, and a search that was
-stopped continues with its earlier result as a start. The cost after a continuation is therefore
-never higher than before.
+processes. A record stores the results. Finished searches are not repeated; a search that was
+stopped continues with its earlier result as a start, so its cost is never higher than before.
 """
 
 from __future__ import annotations
@@ -91,7 +90,7 @@ class _Search:
 
     @property
     def digest(self) -> str:
-        """A number for everything but the seed and the known set."""
+        """A digest of all arguments except the seed and the known set."""
         with_levels = () if self.levels is None else (self.levels,)
         asked = (self.model, replace(self.settings, seed=0), self.method, *with_levels)
         digest = hashlib.sha256(repr(asked).encode())
@@ -163,15 +162,15 @@ class SearchRecord:
                 raise SearchRecordError("it was written by another version: begin a new one")
             if document["search"] != self.search.digest:
                 raise SearchRecordError(
-                    "it is of another search (other bags, start, model, method or settings): "
-                    "begin a new one, or search as then"
+                    "it belongs to a search with other bags, start, model, method or settings: "
+                    "begin a new one, or repeat that search"
                 )
             fits = {
                 int(seed): _from_document(fit, self.search.levels)
                 for seed, fit in document["found"].items()
             }
         except (KeyError, TypeError, AttributeError, ParameterError) as error:
-            raise SearchRecordError("it is not the record of a search: begin a new one") from error
+            raise SearchRecordError("it holds no progress of a search: begin a new one") from error
         self.fits.update(fits)
 
 
@@ -229,7 +228,7 @@ def identify_from_seeds(
 
 _ARRAYS = ("covariance", "discrepancy", "nrmse", "noise")
 _PLAIN = ("evaluations", "success", "message", "stopped", "cost")
-"""Fields of a fit that a record holds as they are."""
+"""Fields of a fit that a record stores unchanged."""
 
 
 def _to_document(fit: GlobalFit) -> dict[str, Any]:

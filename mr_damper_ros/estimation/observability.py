@@ -1,8 +1,9 @@
 """Observability: the parameters of a model, and their combinations, that samples determine.
 
 There are two criteria. *Excitation*: a law over current needs as many different currents as it has
-unknowns, and a law over peak velocity needs at least two. *Information*: the Jacobian at the
-solution shows how far each parameter can move without a significant increase of the misfit.
+unknowns, and a law over peak velocity needs at least two peak velocities. *Information*: the
+Jacobian at the solution shows how far each parameter can move without a significant increase of the
+misfit.
 
 All changes are measured in *spans*. The span of a shape parameter is its plausible range; the span
 of a scale is its own size. In these units the singular values of the Jacobian are the inverse
@@ -37,7 +38,7 @@ _DIFFERENT_CURRENT = 0.02
 """Smallest distance of two different currents [A]."""
 
 _SHARES = np.array([0.1, 0.3, 0.5, 0.7, 0.9])
-"""Fractions of the travelled distance at which a varying current is sampled, sorted by current."""
+"""Quantiles of a varying current, weighted by travelled distance, that represent the current."""
 
 SURE = 0.25
 """A shape parameter is determined if its standard error is below this part of its range."""
@@ -97,20 +98,21 @@ def _count_different(currents: Sequence[float]) -> int:
 
 
 _NEGLIGIBLE = 0.05
-"""The message omits parameters that move by less than this part of the largest move and change the
-force by less than this part of the largest change."""
+"""A message omits a parameter if its move is below this part of the largest move and its change of
+the force below this part of the largest change."""
 
 _MOST_WORDS = 5
 
 _AS_A_PRODUCT = 0.1
-"""Two parameters are known as a product or a ratio if their relative moves agree within this."""
+"""Two parameters are known only as a product or a ratio if the magnitudes of their relative moves
+agree within this part."""
 
 _LEADS_BY = 0.1
-"""Relative move of the leading parameter in the message."""
+"""Relative move of the leading parameter that a message describes."""
 
 _PREFER_SHAPE = 1e2
-"""Preference for a shape parameter over a scale as the leading parameter of a combination. Below a
-hundredth the shape parameter does not lead, or one direction would be reported several times."""
+"""Factor by which a shape parameter is preferred to a scale as the leading parameter of a
+combination. With a larger factor, one direction would be reported several times."""
 
 
 @dataclass(frozen=True)
@@ -118,9 +120,9 @@ class Combination:
     """A direction in which parameters may move together while the force hardly changes.
 
     ``weights``: move of each parameter by name in spans; the largest is 1, and the leading
-    parameter comes first. ``standard_error``: that of the move in spans; infinite if the samples
-    contain no information about it. ``words``: the uncertainty in words, as in "f0 and k2 only as a
-    product".
+    parameter comes first. ``standard_error``: standard error of this move in spans; infinite if the
+    samples contain no information about it. ``words``: the uncertainty in words, for example "f0
+    and k2 only as a product".
     """
 
     weights: Mapping[str, float]
@@ -147,8 +149,8 @@ class Determination:
     def partners(self, errors: Mapping[str, float]) -> dict[str, tuple[str, ...]]:
         """Parameters that are known only together with others, and these others.
 
-        ``errors``: standard errors by name, valid if all other parameters are held. In an
-        undetermined combination a parameter may move by more than its own standard error.
+                ``errors``: standard errors by name, valid if all other parameters are held. In an
+        undetermined combination a parameter may move by more than this standard error.
         """
         found: dict[str, tuple[str, ...]] = {}
         for combination in self.open:
@@ -169,7 +171,7 @@ def parameter_spans(
     ranges of the shape parameters.
     """
     lengths = np.linalg.norm(jacobian, axis=0)
-    # The force is linear in the gain parameters together.
+    # The force is proportional to the gain parameters together.
     strength = model.strength_indices
     force = float(np.linalg.norm(jacobian[:, strength] @ parameters[strength]))
     spans = np.maximum(
@@ -182,9 +184,9 @@ def parameter_spans(
 
 
 def noise_level(misfit: Misfit, parameters: Array) -> float:
-    """Standard deviation [1] by which the Jacobian of the residual is divided.
+    """Standard deviation [1] of the residual, by which its Jacobian is divided.
 
-    Correlated samples count as one, so that model error is not averaged out like noise.
+    It is larger for a correlated residual, so that model error does not average out like noise.
     """
     residual = misfit.residual(parameters)
     variance = float(np.mean(residual**2)) * max(correlation_length(residual), 1)
@@ -224,8 +226,8 @@ def _combinations(
 ) -> tuple[Combination, ...]:
     """A basis of the rows (d, p) in which each vector has a different leading parameter.
 
-    It results from Gauss-Jordan elimination with complete pivoting. Singular vectors would mix
-    unrelated parameters.
+    It is computed by Gauss-Jordan elimination with complete pivoting, because singular vectors
+    would mix unrelated parameters.
     """
     names, (values, spans) = model.parameter_names, values_and_spans
     basis = np.array(directions)
@@ -260,7 +262,7 @@ def _combinations(
 
 
 def _words(moves: Mapping[str, tuple[float, float]], units: Mapping[str, str]) -> str:
-    """The uncertainty in words, from value and move of each parameter, the leading one first."""
+    """The uncertainty in words, from (value, move) of each parameter, the leading one first."""
     lead, *others = moves
     if not others:
         return lead
@@ -273,7 +275,7 @@ def _words(moves: Mapping[str, tuple[float, float]], units: Mapping[str, str]) -
             return f"{lead} and {others[0]} only as a ratio"
     _, move = moves[lead]
     step = _LEADS_BY if math.isinf(relative[lead]) else _LEADS_BY / abs(relative[lead])
-    # Limit the move to the plausible range; the linearisation does not hold beyond it.
+    # The linearisation does not hold beyond the plausible range, so the move is limited to it.
     step = math.copysign(min(step, 1.0), move)
     changes = [
         _change(name, step * moves[name][1], moves[name][0], units[name])

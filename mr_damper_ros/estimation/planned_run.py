@@ -21,7 +21,7 @@ from mr_damper_ros.signals.arrays import Array
 from mr_damper_ros.signals.recording import Recording
 
 _MOST_HARMONICS = 100.0
-"""Largest number of harmonics of a random motion; in a longer run the motion repeats."""
+"""Largest number of harmonics of a random motion; with more time, the motion repeats."""
 
 SETTLING = 0.1
 """Time [s] after a current step that is excluded, because coil current and force are still
@@ -33,10 +33,11 @@ PHASES = 64
 
 @dataclass(frozen=True)
 class ForceGoal:
-    """Goal: a relative standard ``error`` of the force at the worst point over the given ranges.
+    """Goal: a relative standard ``error`` of the force at the worst point of the given ranges.
 
-    ``peak_velocity`` [m/s] and ``current`` [A] are pairs (low, high). The error is relative to the
-    largest force of the cycle at the same point. The cycles have the given ``amplitude`` [m].
+    ``peak_velocity`` [m/s] and ``current`` [A] are pairs (low, high), divided into ``speeds`` and
+    ``currents`` points. The error is relative to the largest force in a cycle of ``amplitude`` [m]
+    at the same point.
 
     Raises ValueError for an impossible goal.
     """
@@ -51,7 +52,7 @@ class ForceGoal:
     def __post_init__(self) -> None:
         if not 0.0 < self.error < 1.0:
             raise ValueError(
-                f"the error to be reached is {self.error}: give a part of the force between 0 and 1"
+                f"the error of the goal is {self.error}: give a fraction of the force, 0 to 1"
             )
         low, high = self.peak_velocity
         if not 0.0 < low <= high < math.inf:
@@ -62,8 +63,8 @@ class ForceGoal:
         low, high = self.current
         if not 0.0 <= low <= high < math.inf:
             raise ValueError(
-                f"the currents of the goal are {low:g} to {high:g} A: none may be negative, the "
-                "lower comes first"
+                f"the currents of the goal are {low:g} to {high:g} A: they must not be negative, "
+                "the lower first"
             )
 
     @property
@@ -74,7 +75,7 @@ class ForceGoal:
         return [(v, i) for v in speeds.tolist() for i in currents.tolist()]
 
     def cycles(self) -> list[Window]:
-        """A cycle at each point; its force is zero and has no effect."""
+        """A cycle at each point; its force is zero and is not used."""
         return [
             steady_cycle(self.amplitude, v / (2.0 * math.pi * self.amplitude), i)
             for v, i in self.points
@@ -82,10 +83,10 @@ class ForceGoal:
 
 
 def steady_cycle(amplitude: float, frequency: float, current: float) -> Window:
-    """One cycle of a sine [m], [Hz] at a current [A]; its force is zero."""
+    """One cycle of a sine (amplitude [m], frequency [Hz]) at a current [A]; its force is zero."""
     period = 1.0 / (frequency * PHASES)
-    # The samples avoid the reversals by half a sample, because rounding would decide the sign of
-    # the acceleration there.
+    # Samples are half a period away from the reversals, where rounding would decide the sign of the
+    # acceleration.
     phase = 2.0 * math.pi * (np.arange(PHASES) + 0.5) / PHASES
     return Window.from_samples(amplitude * np.sin(phase), np.zeros(PHASES), current, period)
 
@@ -96,9 +97,8 @@ class MachineLimits:
 
     ``amplitude`` [m] about the centre, ``peak_velocity`` [m/s], ``force`` [N], ``current`` [A],
     ``duration`` [s], ``heat`` [J] that the damper may absorb, frequencies (low, high) [Hz],
-    ``sample_rate`` [Hz]. ``steps``: whether the current can be stepped within a run, which an
-    operator cannot do by hand. ``motions``: the available motions; a machine set by hand makes only
-    sines.
+    ``sample_rate`` [Hz]. ``steps``: whether the current can be stepped within a run, which is not
+    possible by hand. ``motions``: the available motions; a machine set by hand makes only sines.
 
     Raises ValueError for impossible values.
     """
@@ -127,7 +127,7 @@ class MachineLimits:
                     "must be positive"
                 )
         if not 0.0 <= self.current < math.inf:
-            raise ValueError(f"the machine's largest current is {self.current}: give it in ampere")
+            raise ValueError(f"the machine's largest current is {self.current}: give it in amperes")
         if not 0.0 < self.frequency[0] < self.frequency[1]:
             raise ValueError(
                 f"the machine's frequencies are {self.frequency[0]:g} to {self.frequency[1]:g} Hz: "
@@ -136,7 +136,7 @@ class MachineLimits:
 
 
 def motions_of(words: Iterable[str]) -> tuple[MotionKind, ...]:
-    """The named motions without repetition. Raises ValueError for an unknown name."""
+    """The motions of these names, each once. Raises ValueError for an unknown name."""
     known = {kind.value: kind for kind in MotionKind}
     found = dict.fromkeys(words)
     for word in found:
@@ -202,7 +202,7 @@ class PlannedRun:
         return np.asarray(self.currents)[np.clip(step, 0, len(self.currents) - 1)]
 
     def parts(self, period: float) -> list[slice]:
-        """Samples of each stretch in a recording of this period [s], without settling times."""
+        """Samples of each current in a recording with this sample period [s], without settling."""
         count = round(self.stretch / period)
         settling = round(SETTLING / period)
         return [
@@ -211,7 +211,7 @@ class PlannedRun:
         ]
 
     def windows(self, recording: Recording) -> list[Window]:
-        """A window of each stretch of a recording of the run, at the median measured current."""
+        """A window for each current in a recording of the run, at the median measured current."""
         parts = [_settled(part, recording) for part in self.parts(recording.period)]
         currents = [float(np.median(recording.current[part])) for part in parts]
         displacement, force = recording.displacement, recording.force
@@ -228,7 +228,7 @@ class PlannedRun:
 
 
 def with_motion_before(period: Window) -> Window:
-    """A window of one period of a motion in progress, with the corresponding peak velocity."""
+    """A window of one period of a motion that has lasted for longer, with its peak velocity."""
     motion = period.motion
     if motion.sine is not None:
         return period
@@ -247,7 +247,7 @@ def _motion(run: PlannedRun) -> PeriodicMotion:
 
 
 def _settled(part: slice, recording: Recording) -> slice:
-    """Samples of a stretch without those before the supply reached its current."""
+    """Samples of a stretch from the time at which the supply reached its current."""
     current = recording.current[part]
     off = np.abs(current - np.median(current)) > SAME_CURRENT
     late = np.flatnonzero(off[: current.size // 2])
@@ -281,16 +281,16 @@ def first_run(goal: ForceGoal, limits: MachineLimits) -> PlannedRun:
     ]
     if not runs:
         raise ValueError(
-            f"the machine cannot make a run of {limits.duration:g} s at a peak velocity of "
-            f"{goal.peak_velocity[0]:g} m/s that holds a cycle: allow longer runs"
+            f"a run of {limits.duration:g} s at a peak velocity of {goal.peak_velocity[0]:g} m/s "
+            "does not hold a cycle: allow longer runs"
         )
     return max(runs, key=lambda run: len(run.currents))
 
 
 def candidate_runs(goal: ForceGoal, limits: MachineLimits) -> list[PlannedRun]:
-    """All runs within the limits of the machine that a plan selects from.
+    """The runs within the limits of the machine from which a plan selects.
 
-    Motions other than a sine reach the larger peak velocities only, at the larger amplitudes.
+    Motions other than a sine are only offered at the larger peak velocities and amplitudes.
     """
     low, high = goal.peak_velocity
     top = min(high, limits.peak_velocity)
@@ -319,7 +319,7 @@ def _stairs(goal: ForceGoal, limits: MachineLimits) -> list[tuple[float, ...]]:
 def _sines(
     limits: MachineLimits, part: float, speed: float, stairs: Sequence[tuple[float, ...]]
 ) -> list[PlannedRun]:
-    """Sines of an amplitude and a peak velocity within the limits, in round numbers."""
+    """Sines of ``part`` of the amplitude, with a peak ``speed`` [m/s], within the limits."""
     amplitude = _rounded(part * limits.amplitude, math.floor)
     frequency = _rounded(speed / (2.0 * math.pi * amplitude), math.floor)
     if not limits.frequency[0] <= frequency <= limits.frequency[1]:
@@ -346,7 +346,7 @@ def _broad_run(
             excess = run.motion.growing_velocity / speeds[1]
             if excess <= 1.0:
                 return run
-            # A sweep loses its fastest part; a random motion gets a smaller amplitude.
+            # If it is too fast, a sweep ends earlier and a random motion gets a smaller amplitude.
             if kind is MotionKind.SWEEP:
                 high = 0.99 * high / excess
             else:
@@ -381,7 +381,7 @@ def round_to(value: float, digits: int = 3) -> float:
 
 
 def _rounded(value: float, way: Callable[[float], int], digits: int = 2) -> float:
-    """The value rounded down or up to this number of digits, as for upper or lower limits."""
+    """The value rounded by ``way`` (floor or ceil) to this number of digits."""
     unit = 10.0 ** (math.floor(math.log10(value)) + 1 - digits)
-    # Rounding errors of the quotient are no digit.
+    # A rounding error of the quotient must not count as a digit.
     return round_to(way(round(value / unit, 9)) * unit, 6)

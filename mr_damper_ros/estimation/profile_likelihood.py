@@ -1,12 +1,12 @@
 """Profile likelihood of a parameter: the misfit over its values, all others refitted.
 
-It shows intervals that are not symmetric and parameters that the data do not bound, both of which a
-standard error cannot show. Bates and Watts, "Nonlinear Regression Analysis and Its Applications",
-1988, chapter 6; Raue et al., Bioinformatics 25, 2009. If a profile reveals a lower minimum, the fit
-starts again from there.
+Unlike a standard error, it shows intervals that are not symmetric and parameters that the data do
+not bound. See Bates and Watts, "Nonlinear Regression Analysis and Its Applications", 1988, chapter
+6, and Raue et al., Bioinformatics 25, 2009. If a profile reveals a lower minimum, the fit starts
+again from there.
 
-The interval is that of the likelihood ratio. If the residual is autocorrelated, the ratio is scaled
-so that its curvature at the minimum agrees with the covariance for autocorrelated residuals
+The interval follows from the likelihood ratio. If the residual is autocorrelated, the ratio is
+scaled so that its curvature at the minimum agrees with the covariance for autocorrelated residuals
 (Chandler and Bate, Biometrika 94, 2007).
 """
 
@@ -35,7 +35,7 @@ from mr_damper_ros.estimation.global_search import (
     Excerpts,
     Posterior,
     Prior,
-    adapted,
+    with_linear_refitted,
 )
 from mr_damper_ros.estimation.local_search import LocalSearch, StopRequestedError
 from mr_damper_ros.estimation.observability import parameter_ranges, parameter_spans
@@ -53,12 +53,12 @@ _BOUND = math.sqrt(float(chdtri(1, 1.0 - CONFIDENCE)))
 """Root of the likelihood ratio at the ends of an interval."""
 
 _WANTED_RISE = 0.5
-"""Intended increase of the root of the likelihood ratio from value to value."""
+"""Intended increase of the root of the likelihood ratio in one step."""
 
 _MOST_STEPS = 30
 
 _BLIND_STEP = 0.01
-"""First step in spans without a standard error."""
+"""First step, in spans, if there is no standard error."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -108,7 +108,7 @@ class ProfileLikelihood:
         self._start = np.array(parameters, dtype=float)
         jacobian, residual = misfit.jacobian(self._start), misfit.residual(self._start)
         self._spans = parameter_spans(model, jacobian, self._start, ranges)
-        # Standard errors (p,), and the variances for white noise over those of the residual.
+        # Standard errors (p,), and the ratio of the variances for white noise to the actual ones.
         self._errors = np.full(self._start.size, math.nan)
         self._shrinkage = np.full(self._start.size, 1.0 / max(correlation_length(residual), 1))
         self._freedom = max(misfit.sample_count - int(np.sum(observable)), 1)
@@ -136,8 +136,8 @@ class ProfileLikelihood:
         if math.isnan(step):
             step = _BLIND_STEP * float(self._spans[place])
         low, high = self._limits(name, place)
-        # Visited sets and their costs. The given parameters need not be at the minimum over the
-        # other parameters.
+        # Visited sets and their costs. The given parameters may not be at the minimum over the
+        # other parameters, so they are refitted first.
         visited = [self._refitted(place, [self._refitted(place, [self._start])[0]])]
         self._walk(visited, place, step, high, scale)
         self._walk(visited, place, -step, low, scale)
@@ -146,7 +146,7 @@ class ProfileLikelihood:
     def _limits(self, name: str, place: int) -> tuple[float, float]:
         value, span = float(self._start[place]), float(self._spans[place])
         low, high = self._ranges.get(name, (-math.inf, math.inf))
-        # A start value may lie outside the range that is plausible for these data.
+        # The value itself may lie outside the range that is plausible for these data.
         parameter = self._model.parameters[place]
         return max(min(low, value - span), parameter.low), min(
             max(high, value + span), parameter.high
@@ -155,7 +155,7 @@ class ProfileLikelihood:
     def _refitted(
         self, place: int, starts: Sequence[Array], enough: float = math.inf
     ) -> tuple[Array, float]:
-        """The best set with the others refitted, and its cost; ends at a cost of ``enough``."""
+        """The best set with all other parameters refitted, and its cost; ends below ``enough``."""
         best, least = starts[0], math.inf
         others = [other for other in range(self._start.size) if other != place]
         for values in sorted(starts, key=self._cost):
@@ -179,8 +179,8 @@ class ProfileLikelihood:
     def _starts(self, before: Array, here: Array, place: int, target: float) -> list[Array]:
         """Starts with the parameter at its target.
 
-        They are an extrapolation of the last step, the present parameters, and these with the
-        linear parameters refitted.
+        They are an extrapolation of the last step, the present parameters, and the present
+        parameters with the linear ones refitted.
         """
         value, moved = float(here[place]), float(here[place] - before[place])
         ahead = here + (here - before) * ((target - value) / moved if moved else 0.0)
@@ -193,7 +193,7 @@ class ProfileLikelihood:
         return [
             ahead,
             plain,
-            *(adapted(self._model, windows, here, s, linear) for s in (plain, soft)),
+            *(with_linear_refitted(self._model, windows, here, s, linear) for s in (plain, soft)),
         ]
 
     def _walk(
@@ -240,7 +240,7 @@ def _roots(costs: ArrayLike, scale: float) -> Array:
     """Roots (m,) of the likelihood ratios at these costs (m,)."""
     every = np.asarray(costs, dtype=float)
     rise = every - every.min()
-    # Without noise every rise is infinitely unlikely.
+    # Without noise, any increase of the cost is infinitely unlikely.
     least = max(float(every.min()), np.finfo(float).tiny)
     return np.asarray(np.sqrt(scale * rise / least))
 
@@ -265,7 +265,7 @@ def search_misfit(fit: GlobalFit, windows: Sequence[Window]) -> Misfit:
 
 
 def record_levels(fit: GlobalFit, windows: Sequence[Window]) -> list[Level]:
-    """Level of each record in order of its number; empty without record levels."""
+    """Gain and offset of each record, in order of its number; empty without record levels."""
     misfit = search_misfit(fit, windows)
     if not isinstance(misfit, LevelledProblem):
         return []
@@ -279,7 +279,7 @@ def profiles_of(
     processes: ProcessPool,
     report: Report | None = None,
 ) -> list[Profile]:
-    """Profile likelihoods of the named parameters; after a stop, those not begun are omitted.
+    """Profile likelihoods of the named parameters; a stop omits the profiles not begun.
 
     Raises ValueError for a name that the law does not have.
     """
@@ -304,9 +304,8 @@ def profiled(
 ) -> tuple[GlobalFit, list[Profile]]:
     """Profiles of the named parameters, and the fit that they belong to.
 
-    The fit differs from the given one if a value lies outside its own interval. The fit then starts
-    again from the lower minimum that the profile revealed. Raises ValueError for a name that the
-    law does not have.
+    If a value lies outside its own interval, the fit is repeated from the lower minimum that the
+    profile revealed. Raises ValueError for a name that the law does not have.
     """
     while True:
         found = profiles_of(fit, windows, names, processes, report)

@@ -1,22 +1,23 @@
-"""Random effects: gain and offset per record, which would otherwise distort the shape of a law.
+"""Random effects: a gain and an offset for each record, so that they do not distort the law.
 
 Temperature, filling and wear of a damper differ between records, and the load cell is zeroed for
 each record. The measured force of a record is s F + z, with the force F of the law. The gain s and
 the offset z are unknown and normally distributed about 1 and 0. The standard deviation of s is
-given; that of z is a part of the smallest record's force. The offset does not depend on the
-current: an offset that grows with the force belongs to the damper and must be part of the law. The
-problem is linear in s and z, so they are integrated out. The search minimises the misfit at their
-most probable values, with the prior included (a linear mixed model: Laird and Ware, Biometrics 38,
-1982). Let r be the residual and X = U S V' the effect of gain and offset in units of their standard
-deviations. Then only U'r is damped, by 1 / sqrt(1 + S²). It gets two rows of its own after those of
-the record, so that each record counts as one draw in the standard errors.
+given; the standard deviation of z is a fraction of the force of the weakest record. The offset does
+not depend on the current: an offset that grows with the force belongs to the damper and must be
+part of the law. The problem is linear in s and z, so they are integrated out: the search minimises
+the misfit at their most probable values, with the prior included (a linear mixed model: Laird and
+Ware, Biometrics 38, 1982). Let r be the residual and X = U S V' the effect of gain and offset in
+units of their standard deviations. Then only U'r is reduced, by the factor 1 / sqrt(1 + S²). It
+gets two rows of its own after the rows of the record, so that each record counts as one draw in the
+standard errors.
 
-Model error is not noise: thousands of samples of the same model error contain no more information
-about gain and offset than a few samples. If all of them counted, they would outweigh any prior.
-Gain and offset would then take any value that reduces the misfit, down to a law with a fraction of
-the damper's force. The prior is therefore weighted against the variance of the misfit times the
-correlation length (:func:`counted_samples`). This needs an approximate set, which a search without
-record levels gives.
+Thousands of samples with the same model error contain no more information about gain and offset
+than a few samples. If all of them counted, they would outweigh any prior, and gain and offset would
+take any value that reduces the misfit, even one that makes the law a fraction of the damper's
+force. The weight of the prior therefore follows from the variance of the misfit times its
+correlation length (:func:`counted_samples`), for an approximate set from a search without record
+levels.
 """
 
 from __future__ import annotations
@@ -33,10 +34,10 @@ from mr_damper_ros.models.misfit import Misfit, PriorRows
 from mr_damper_ros.signals.arrays import Array
 
 _ZERO_SPREAD = 0.3
-"""Standard deviation of the offset relative to that of the force of the smallest record."""
+"""Standard deviation of the offset, relative to the standard deviation of the weakest record."""
 
 _FREE = 1.0 - 1e-9
-"""Standard deviation of the gain that leaves gain and offset practically free."""
+"""Standard deviation of the gain with which gain and offset are practically free."""
 
 USUAL_SPREAD = 0.1
 """Default standard deviation [1] of the gain between records."""
@@ -44,11 +45,11 @@ USUAL_SPREAD = 0.1
 
 @dataclass(frozen=True)
 class LevelPrior:
-    """``records``: record number of each window; ``spread``: standard deviation of gain [1].
+    """``records``: record number of each window; ``spread``: standard deviation of the gain [1].
 
-    ``counted_samples``: number of independent samples with the noise of the misfit that contain as
-    much information about gain and offset as all samples with their model error; infinite without
-    model error. Raises ValueError unless the spread is between 0 and 1.
+    ``counted_samples``: number of independent samples that would contain as much information about
+    gain and offset as all samples with their model error; infinite without model error. Raises
+    ValueError unless the spread is between 0 and 1.
     """
 
     records: tuple[int, ...]
@@ -80,7 +81,7 @@ class Level(NamedTuple):
 
 
 class _Whitened(NamedTuple):
-    """One record: its rows, U (n, 2), S (2,), and V (2, 2) scaled back to gain and offset."""
+    """One record: its rows, U (n, 2), S (2,), and V (2, 2) in units of gain and offset."""
 
     rows: np.ndarray
     left: Array
@@ -91,8 +92,8 @@ class _Whitened(NamedTuple):
 class LevelledProblem(Misfit):
     """A pooled problem with gain and offset per record integrated out; see :class:`Misfit`.
 
-    Two rows for gain and offset follow the rows of each record. The Jacobian is that of the sum of
-    squares: its gradient is exact, its curvature is that of the Gauss-Newton approximation.
+    Two rows for gain and offset follow the rows of each record. With the Jacobian, the gradient of
+    the sum of squares is exact, and its curvature is the Gauss-Newton approximation.
     """
 
     def __init__(self, pooled: Misfit, prior: LevelPrior) -> None:
@@ -156,7 +157,7 @@ class LevelledProblem(Misfit):
         for each in self._whitened(plain):
             scale, zero = _levels(each, plain)
             given = self._noise**2 * each.right**2 @ (1.0 / (1.0 + each.sizes**2))
-            # The uncertainty of the parameters adds to that of gain and offset.
+            # The uncertainty of the parameters adds to the uncertainty of gain and offset.
             by_parameters = _levels(each, derivatives)
             moved = by_parameters @ covariance[np.ix_(varied, varied)]
             errors = np.sqrt(given + np.sum(moved * by_parameters, axis=1))
@@ -192,9 +193,9 @@ class LevelledProblem(Misfit):
 
 
 def counted_samples(pooled: Misfit, prior: LevelPrior, parameters: Array) -> float:
-    """The counted samples of a prior, for an approximate set with parameters (p,).
+    """``counted_samples`` of a prior, for an approximate set with parameters (p,).
 
-    They follow from the residual after fitting gain and offset without a prior.
+    The number follows from the residual after a fit of gain and offset without a prior.
     """
     without = LevelledProblem(pooled, replace(prior, spread=_FREE, counted_samples=math.inf))
     noise = noise_level(without, parameters)
@@ -202,7 +203,7 @@ def counted_samples(pooled: Misfit, prior: LevelPrior, parameters: Array) -> flo
 
 
 def _damped(each: _Whitened, values: Array) -> Array:
-    """Rows (n, ...) of a record without the effect of gain and offset, then its two damped rows."""
+    """Rows (n, ...) of a record without the effect of gain and offset, then its two extra rows."""
     along = each.left.T @ values
     damping = 1.0 / np.sqrt(1.0 + each.sizes**2)
     return np.concatenate((values - each.left @ along, (damping * along.T).T))

@@ -4,13 +4,13 @@ Nelder-Mead is SciPy's, the method of MATLAB's fminsearch that the thesis uses. 
 refines the minimum and gives the Jacobian for the covariance.
 
 In a steady sine a window determines its unknowns to a fraction of a percent. In random motion a
-window may contain only two strokes, and the model error is correlated over much of it. Some
-combinations of the unknowns are then practically undetermined, and a fit of the window alone gives
-arbitrary values for them. They must keep their values, and so must an unknown with little effect in
-the window, such as the viscous slope of a direction in which the motion is slow. The fit is
-therefore the most probable set given the window and the running set. The samples are weighted by
-the residual of the best fit and by their correlation length. The prior allows changes of the
-unknowns from window to window as large as those of a damper.
+window may contain only two strokes, and the model error is correlated over much of the window. Some
+combinations of the unknowns are then practically undetermined, and so is an unknown with little
+effect in the window, such as the viscous slope of a direction in which the motion is slow. A fit of
+the window alone would give them arbitrary values. The fit is therefore the most probable set given
+the window and the running set, so that they keep their values. The samples are weighted by the
+residual of the best fit and by their correlation length. The prior allows changes of the unknowns
+as large as a damper changes from window to window.
 """
 
 from __future__ import annotations
@@ -48,16 +48,17 @@ _HOPELESS = 1000.0
 _CONTRADICTED = 1e-3
 """Significance level below which a change contradicts the running set."""
 
-_MORE_LEFT = 1.25
-"""The running set is also rejected if it increases the residual of a sine by this factor."""
+_WORSE_RATIO = 1.25
+"""In a sine, the window also contradicts the running set if the prior increases the residual by
+this factor."""
 
 _MOST_DOUBLINGS = 10
 
-WANDER = 0.03
-"""Standard deviation of the relative change of force that one scale causes between two windows [1].
+DRIFT_PER_WINDOW = 0.03
+"""Standard deviation [1] of the relative change of force between two windows, for each unknown.
 
-Heating changes the force by less within a window (thesis: 26 % in ten minutes). After a sudden
-change, when the window contradicts the running set, larger changes are allowed.
+Heating changes the force by less (thesis: 26 % in ten minutes). After a sudden change, when the
+window contradicts the running set, larger changes are allowed.
 """
 
 
@@ -66,7 +67,7 @@ class WindowPrior:
     """The prior of a window: the running set with parameters (p,).
 
     ``fastest`` [m/s] is the largest peak velocity of its range, infinite if unknown. The effect of
-    an unknown on the force is evaluated in the window and in a sine of this peak velocity.
+    an unknown on the force is evaluated in the window, and in a sine of this peak velocity.
     """
 
     parameters: Array
@@ -78,13 +79,13 @@ class WindowFit:
     """Result of the fit of one window.
 
     ``scales`` (f,) are the unknowns of the model's window problem: the seven scales of the sigmoid
-    law, or for another law the parameters that one run determines. Their ``covariance`` (f, f) is
-    that of the repeatability from window to window of the same motion. ``discrepancy`` (f, f) is
-    the covariance from model error, if it is known (see :mod:`covariance`). ``parameters`` (p,) are
-    all parameters. ``coefficients`` (c,) and their covariances ``coefficient_covariance`` and
+    law, or for another law the parameters that one run determines. Their ``covariance`` (f, f)
+    describes the scatter between windows of the same motion, and ``discrepancy`` (f, f) the model
+    error, None if unknown (see :mod:`covariance`). ``parameters`` (p,) are all parameters.
+    ``coefficients`` (c,) and their covariances ``coefficient_covariance`` and
     ``coefficient_discrepancy`` (c, c) hold at ``operating_point`` (peak velocity [m/s], current
-    [A]); they are empty for a model without coefficients. ``rmse`` [N] is that over the
-    ``sample_count`` samples with a known past; ``nrmse`` = RMSE/std of the force.
+    [A]); they are empty for a model without coefficients. ``rmse`` [N] covers the ``sample_count``
+    samples with a known past; ``nrmse`` = RMSE/std of the force.
     """
 
     scales: Array
@@ -105,7 +106,7 @@ class WindowFit:
 
     @property
     def whole_covariance(self) -> Array:
-        """Covariance (f, f) of both kinds of error, as far as they are known."""
+        """Covariance (f, f) of both kinds of error together, without an unknown discrepancy."""
         if self.discrepancy is None:
             return self.covariance
         return np.asarray(self.covariance + self.discrepancy)
@@ -124,13 +125,13 @@ def fit_window(
 ) -> WindowFit:
     """Fit the unknowns that one window determines, from the parameters ``start`` of shape (p,).
 
-    If the residual of the start exceeds a quarter of the force variance, starts that the model
-    derives from the window are tried, too. ``robust`` limits the influence of outliers (Huber's
-    weights). ``prior`` adds a prior to the samples. It must agree with the start in all parameters
-    that a window does not determine. If the window determines the unknowns, the prior has little
-    effect. ``tolerance``: relative decrease of the sum of squares at which the search ends, by
-    default that of the model. ``should_stop`` is called at every evaluation; if it returns True,
-    the best fit so far is returned with ``success`` False.
+    If the mean square residual of the start exceeds a quarter of the force variance, starts that
+    the model derives from the window are also tried. ``robust`` limits the influence of outliers
+    (Huber's weights). ``prior`` adds a prior to the samples. It must agree with the start in all
+    parameters that a window does not determine. If the window determines the unknowns, the prior
+    has little effect. ``tolerance``: relative decrease of the sum of squares at which the search
+    ends, by default that of the model. ``should_stop`` is called at every evaluation; if it returns
+    True, the best fit so far is returned with ``success`` False.
 
     Raises DataError for a constant force, ValueError for an unknown method.
     """
@@ -139,10 +140,10 @@ def fit_window(
     spread = float(np.std(window.force))
     if spread == 0.0:
         raise DataError("the force does not change: there is nothing to identify")
-    contest = _Contest(model, window, should_stop)
+    contest = _StartSelection(model, window, should_stop)
     cycle = samples_per_cycle(window)
     weights = np.ones(window.sample_count)
-    weighed: _Weighed | None = None
+    with_prior: _PriorProblem | None = None
     ending = Ending.CONVERGED
     try:
         search = contest.enter(start)
@@ -153,8 +154,8 @@ def fit_window(
         if method == "nelder_mead":
             search.nelder_mead()
         if prior is not None:
-            weighed = _Weighed.of(model, window, prior, cycle)
-        if weighed is None:
+            with_prior = _PriorProblem.of(model, window, prior, cycle)
+        if with_prior is None:
             search.least_squares(
                 tolerance=tolerance or effort.tolerance, most_steps=effort.most_steps
             )
@@ -163,14 +164,14 @@ def fit_window(
                 weights = search.reweighted_least_squares()
                 unknowns = search.best
         else:
-            unknowns, exhausted = weighed.most_probable(search, robust=robust)
+            unknowns, exhausted = with_prior.most_probable(search, robust=robust)
         if exhausted:
             ending = Ending.EXHAUSTED
     except StopRequestedError:
         ending = Ending.STOPPED
-        problem, unknowns, weighed = contest.best.problem, contest.best.best, None
-    if weighed is not None:
-        problem, errors = weighed.problem, weighed.errors_at(unknowns)
+        problem, unknowns, with_prior = contest.best.problem, contest.best.best, None
+    if with_prior is not None:
+        problem, errors = with_prior.problem, with_prior.errors_at(unknowns)
     else:
         settled = problem.settled
         jacobian, residual = problem.jacobian(unknowns), problem.residual(unknowns)
@@ -225,8 +226,8 @@ def fit_of(
     )
 
 
-class _Contest:
-    """Searches from several starts, of which the best one continues."""
+class _StartSelection:
+    """Searches from several starts; the best one continues."""
 
     def __init__(
         self, model: Model, window: Window, should_stop: Callable[[], bool] | None
@@ -237,7 +238,7 @@ class _Contest:
         self._searches: list[LocalSearch[WindowProblem]] = []
 
     def enter(self, parameters: Array) -> LocalSearch[WindowProblem]:
-        """A search from parameters (p,) with its start evaluated."""
+        """Add a search from parameters (p,), and evaluate its start."""
         return self._enter(WindowProblem(self._model, self._window, parameters))
 
     def _enter(self, problem: WindowProblem) -> LocalSearch[WindowProblem]:
@@ -249,7 +250,7 @@ class _Contest:
     def settle(self) -> LocalSearch[WindowProblem]:
         """Refine the first start and the best window-based starts for a few steps; return the best.
 
-        The cost of the starts alone does not show which of them leads to the lowest minimum.
+        The costs of the starts alone do not show which of them leads to the lowest minimum.
         """
         first = self._searches[0]
         cold = [self._enter(first.problem.restarted(s)) for s in first.problem.cold_starts()]
@@ -283,7 +284,7 @@ def _mean_square(search: LocalSearch[WindowProblem]) -> float:
     return search.best_cost / max(int(np.count_nonzero(search.problem.settled)), 1)
 
 
-class _Weighed:
+class _PriorProblem:
     """Residual of a window followed by that of the prior, in the unit of the samples' noise.
 
     ``width`` (f,): prior standard deviation of the unknowns; ``noise`` [N]: standard deviation of
@@ -299,10 +300,12 @@ class _Weighed:
         self._noise = 0.0
 
     @classmethod
-    def of(cls, model: Model, window: Window, prior: WindowPrior, cycle: float) -> _Weighed | None:
+    def of(
+        cls, model: Model, window: Window, prior: WindowPrior, cycle: float
+    ) -> _PriorProblem | None:
         """The weighted problem; None if the force of the running set is zero."""
         running = WindowProblem(model, window, prior.parameters)
-        width = running.usual_change(WANDER, prior.fastest)
+        width = running.usual_change(DRIFT_PER_WINDOW, prior.fastest)
         return cls(running, width, cycle) if np.isfinite(width).all() else None
 
     def residual(self, unknowns: Array) -> Array:
@@ -320,7 +323,7 @@ class _Weighed:
         """Unknowns (f,), and whether the last search was exhausted.
 
         The weight of the samples follows from the residual of their best fit, so ``search`` first
-        goes to the minimum without the prior.
+        finds the minimum without the prior.
         """
         from scipy.special import chdtri  # here: see mr_damper_ros.entry_points
 
@@ -331,26 +334,26 @@ class _Weighed:
         at_best = float(np.linalg.norm(self.problem.residual(search.best)))
         self._errors, self._noise = self._at_best(search.best)
         for _ in range(_MOST_DOUBLINGS):
-            weighed = search.of(self, search.best)
+            with_prior = search.of(self, search.best)
             for start in (self._known, search.best):
-                weighed.try_out(start)
-            weighed.least_squares()
+                with_prior.try_out(start)
+            with_prior.least_squares()
             if robust:
-                weighed.reweighted_least_squares()
-            unknowns = weighed.best
+                with_prior.reweighted_least_squares()
+            unknowns = with_prior.best
             usual = float(np.sum(((unknowns - self._known) / self._width) ** 2)) <= most
             left = float(np.linalg.norm(self.problem.residual(unknowns)))
-            # In random motion a smaller residual is no evidence, because a fit without prior
-            # follows model error.
+            # In random motion a smaller residual proves nothing, because a fit without a prior
+            # follows the model error.
             steady = self.problem.window.motion.sine is not None
-            if usual and not (steady and left > _MORE_LEFT * at_best):
+            if usual and not (steady and left > _WORSE_RATIO * at_best):
                 break
             # The damper has changed by more than usual, so the prior is widened.
             self._width = 2.0 * self._width
-        return unknowns, weighed.exhausted
+        return unknowns, with_prior.exhausted
 
     def _at_best(self, unknowns: Array) -> tuple[ErrorCovariances, float]:
-        """Standard errors of the fit (f,) to the samples alone, and the noise [N]."""
+        """Covariances of the fit (f,) to the samples alone, and the noise [N]."""
         problem, settled = self.problem, self.problem.settled
         jacobian, left = problem.jacobian(unknowns), problem.residual(unknowns)
         errors = error_covariances(jacobian[settled], left[settled], self._cycle)
@@ -361,15 +364,15 @@ class _Weighed:
             ratio = np.median(whole[known] / white[known]) if known.any() else np.mean(left**2)
             return errors, math.sqrt(max(float(ratio), 0.0))
         length = max(correlation_length(left), 1)
-        # Few independent samples: correct the noise for the degrees of freedom of the fit.
+        # With few independent samples, the noise is corrected for the degrees of freedom.
         freedom = max(left.size / length - self._width.size, 1.0)
         return errors, float(np.sqrt(np.sum(left**2) / freedom))
 
     def errors_at(self, unknowns: Array) -> ErrorCovariances:
         """The errors of the most probable unknowns (f,).
 
-        Errors of the window enter with the factor ``gain``. The rest is the error of the running
-        set, which is the same from window to window and has the covariance of the prior.
+        Errors of the window enter with the matrix ``gain``. The rest is the error of the running
+        set, which does not change from window to window and has the covariance of the prior.
         """
         errors = self._errors
         jacobian = self.problem.jacobian(unknowns)
@@ -380,7 +383,7 @@ class _Weighed:
         units = np.outer(self._width, self._width)
 
         def scaled_by_gain(covariance: Array) -> Array:
-            # Undetermined directions of the window have no gain, so their NaN values count as zero.
+            # Directions that the window does not determine have no gain, so NaN counts as zero.
             return gain @ np.nan_to_num(covariance / units) @ gain.T
 
         return ErrorCovariances(

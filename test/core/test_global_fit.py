@@ -265,7 +265,7 @@ def test_a_stop_returns_something_better_than_a_poor_start(after: int) -> None:
     fit = identify_global(SIGMOID, SMALL, LITERATURE, QUICK, report)
     assert count == after, "it was asked again after it had said stop"
     assert not fit.success
-    assert "best so far" in fit.message
+    assert "best result so far" in fit.message
     # Mean square over that of the start, whose errors are some 9000 times the noise.
     assert mean_square(SMALL, fit.parameter_set.values) < 1e-4 * mean_square(SMALL, LITERATURE)
 

@@ -115,5 +115,5 @@ OTHER = {
 
 @pytest.mark.parametrize("name", OTHER)
 def test_a_record_of_another_search_is_refused(name: str) -> None:
-    with pytest.raises(SearchRecordError, match="it is of another search"):
+    with pytest.raises(SearchRecordError, match="it belongs to a search with other bags"):
         empty().take(OTHER[name].document())

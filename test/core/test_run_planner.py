@@ -143,15 +143,15 @@ def test_a_law_that_does_not_fit_is_named_as_the_reason() -> None:
     wrong = [with_third_harmonic(window, MISFIT) for window in windows(*RUNS)]
     plan = RunPlanner(LAW, goal, LIMITS).next(wrong, known.PLAUSIBLE, EVERY)
     assert plan.state is PlanState.OUT_OF_REACH
-    assert plan.reason.startswith("the law sigmoid itself leaves ")
+    assert plan.reason.startswith("the model error of the law sigmoid is ")
     assert "choose another model (choose_law" in plan.reason
 
 
 @pytest.mark.parametrize(
     ("limits", "sentence"),
     [
-        (replace(LIMITS, peak_velocity=0.1), "the machine to 0.1 m/s"),
-        (replace(LIMITS, current=1.0), "the supply to 1 A"),
+        (replace(LIMITS, peak_velocity=0.1), "the machine reaches only 0.1 m/s"),
+        (replace(LIMITS, current=1.0), "the supply reaches only 1 A"),
         (replace(LIMITS, force=100.0), "may leave the limits of force or heat"),
         (replace(LIMITS, heat=1e-3), "may leave the limits of force or heat"),
     ],
@@ -185,9 +185,9 @@ def test_the_next_run_helps_within_the_limits(planner: RunPlanner) -> None:
 @pytest.mark.parametrize(
     ("change", "sentence"),
     [
-        ({"error": 0.0}, "between 0 and 1"),
+        ({"error": 0.0}, "fraction of the force"),
         ({"peak_velocity": (0.2, 0.1)}, "the lower first"),
-        ({"current": (-1.0, 1.0)}, "none may be negative"),
+        ({"current": (-1.0, 1.0)}, "must not be negative"),
     ],
 )
 def test_a_goal_that_cannot_be_meant_is_refused(change: dict[str, object], sentence: str) -> None:
@@ -233,4 +233,4 @@ def test_the_program_says_when_a_goal_is_out_of_reach(
     mr.write_bag(tmp_path / "run", perform(RUNS[1]))
     code = plan_run.main([str(tmp_path / "run"), *PROGRAM, "--top-current", "1"])
     assert code == plan_run.OUT_OF_REACH
-    assert "the supply to 1 A" in capsys.readouterr().out
+    assert "the supply reaches only 1 A" in capsys.readouterr().out

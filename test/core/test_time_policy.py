@@ -164,4 +164,4 @@ def test_a_current_from_a_clock_far_ahead_is_told() -> None:
     made.add_current(BLOCKS[0].start_ns + 60 * NANOSECONDS, 1.0)
     prediction = made.predict(BLOCKS[0])
     assert not prediction.valid
-    assert "stamped 60 s after their start" in prediction.reason
+    assert "stamped 60 s after the first sample" in prediction.reason

@@ -165,7 +165,7 @@ BAD_WINDOWS = {
     spike: "",
     current_step: "times the residual baseline: the running set",
     clipped: "the force is clipped",
-    stopped: "the force follows a motion that the displacement does not show",
+    stopped: "the force changes as in a motion, but the displacement does not",
     millimetres: "is it in millimetres",
     reversed_force: "",
     not_a_number: "the force holds NaN",

@@ -147,7 +147,7 @@ def test_what_cannot_be_is_refused_or_does_no_harm(path: tuple[Any, ...], wrong:
         ("[" * 100_000, "nested too deeply"),
         ("null", "does not have the entries"),
         ('{"windows": 1' + "0" * 5000 + "}", "cannot be used"),
-        ('{"windows": -1}', "a negative count"),
+        ('{"windows": -1}', "an invalid count"),
         ('{"future": 1}', "does not have the entries"),
     ],
 )
@@ -166,5 +166,5 @@ def test_a_place_beyond_the_window_is_refused() -> None:
     window = Window.from_samples(time**2, time, 1.0, 1e-3).part(slice(None, None, 2))
     wrong = dataclasses.replace(window, places=np.asarray(window.places) + 2.0)
     memory = TrackerMemory(KnownPoints().with_window(Kept(wrong, window.operating_point)))
-    with pytest.raises(StateError, match="such a place"):
+    with pytest.raises(StateError, match="an invalid place"):
         from_text(to_text(memory), SIGMOID)

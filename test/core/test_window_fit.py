@@ -219,7 +219,7 @@ def test_a_stop_returns_the_best_so_far_and_says_so() -> None:
 
     fit = fit_window(SIGMOID, run.window, LITERATURE, should_stop=after_fifty)
     assert not fit.success
-    assert "best so far" in fit.message
+    assert "best result so far" in fit.message
     assert fit.evaluations == 50
     # NRMSE: the start's is 39, that of a constant force 1.
     assert fit.nrmse < 0.5, "fifty evaluations must have led somewhere"

@@ -395,7 +395,7 @@ def test_a_global_identification_on_demand(
     best = result(endless)
     assert best.status == GoalStatus.STATUS_CANCELED
     assert best.result.success
-    assert "best so far" in best.result.message
+    assert "best result so far" in best.result.message
     assert len(best.result.parameters.values) == 16
 
 
