@@ -229,7 +229,7 @@ class BridgeNode(ManagedNode):
             }
             self._sender = PacedSender(self, values.pacing, topics)
         except (ValueError, OSError) as error:
-            failed = self._fail("the source cannot be opened", _in_words(error))
+            failed = self._fail("the source cannot be opened", error)
             self._close()
             return failed
         self._problem = ""
@@ -244,9 +244,9 @@ class BridgeNode(ManagedNode):
         values = self.parameters.values
         made = self._source.blocks(self.get_clock().now().nanoseconds)
         blocks = aligned(made, values.force_lateness)
-        paced = self._as_they_come if self._source.live else self._paced
+        due = self._due(self._sender, blocks, live=self._source.live)
         self._sent = 0
-        self._sender.start(partial(self._send, self._sender, paced(self._sender, blocks)))
+        self._sender.start(partial(self._send, self._sender, due))
         return TransitionCallbackReturn.SUCCESS
 
     def _stop(self) -> None:
@@ -308,28 +308,23 @@ class BridgeNode(ManagedNode):
         sender.state = "the recording is at its end: nothing more comes"
         self.get_logger().info(f"end of the recording: {self._sent} samples were sent")
 
-    def _as_they_come(self, sender: PacedSender, blocks: Iterator[RigBlock]) -> Iterator[RigBlock]:
-        """Yield the blocks of a live source with their own stamps."""
-        for block in blocks:
-            if sender.stopped:
-                return
-            if block.sample_count:
-                yield block
+    def _due(
+        self, sender: PacedSender, blocks: Iterator[RigBlock], *, live: bool
+    ) -> Iterator[RigBlock]:
+        """Yield the blocks of a live source as they come, others when their last sample is due.
 
-    def _paced(self, sender: PacedSender, blocks: Iterator[RigBlock]) -> Iterator[RigBlock]:
-        """Yield the blocks of any other source when their last sample is due, with new stamps.
-
-        The first sample is taken once everything is ready to send it. If sending is held up for
-        longer than the sender can catch up, the stamps pause, too.
+        Live blocks have their own stamps. For others, the first sample is taken once everything is
+        ready to send it. If sending is held up for longer than the sender can catch up, the stamps
+        pause, too.
         """
-        later_ns: int | None = None
+        later_ns = 0 if live else None
         for made in blocks:
             if later_ns is None and made.sample_count > 0:
                 # The first sample is taken now, but is sent with the last sample of its block.
                 first_ns = made.due_ns - (_last_stamp(made) - made.start_ns)
                 later_ns = self.get_clock().now().nanoseconds - first_ns
                 sender.begin(first_ns)
-            if sender.stopped or not sender.wait_until(made.due_ns):
+            if sender.stopped or not (live or sender.wait_until(made.due_ns)):
                 return
             if made.sample_count and later_ns is not None:
                 yield replace(made, start_ns=made.start_ns + later_ns + sender.left_out_ns)
@@ -362,12 +357,6 @@ class BridgeNode(ManagedNode):
 
 def _last_stamp(block: RigBlock) -> int:
     return block.stamp_ns(block.sample_count - 1)
-
-
-def _in_words(error: Exception) -> str:
-    if isinstance(error, OSError) and error.filename:
-        return f"{error.filename}: {error.strerror}"
-    return str(error)
 
 
 def main() -> int:

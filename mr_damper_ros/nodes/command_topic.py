@@ -18,9 +18,6 @@ from mr_damper_ros.nodes.messages import to_nanoseconds
 from mr_damper_ros.rig.commander import Commander, CurrentCommander, MotionCommander, Origin
 from mr_damper_ros.signals.blocks import NANOSECONDS
 
-_DEPTH = 10
-"""Queue length: only the newest command matters."""
-
 
 class CommandTopic(ABC):
     """Passes the commands of a topic to a commander, and reports on them."""
@@ -36,7 +33,7 @@ class CommandTopic(ABC):
         self._refusal = ""
         self._reported = 0
         self._subscription = quality.subscription(
-            node, self.kind, self.topic, self._take, quality.stream(_DEPTH)
+            node, self.kind, self.topic, self._take, quality.newest()
         )
 
     def close(self) -> None:

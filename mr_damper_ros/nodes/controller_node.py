@@ -38,9 +38,6 @@ computer with a free core stays below this age."""
 _LAST_COMMAND = 1.0
 """Time limit [s] for the supply to receive the last command."""
 
-_NEWEST = 1
-"""Queue length: only the newest desired force matters."""
-
 
 @dataclass(frozen=True)
 class ControllerParameters(SetOptions):
@@ -102,12 +99,9 @@ class ControllerNode(BlockNode[ControllerParameters, Command]):
         self._refused_force = ""
         self._command = quality.publisher(self, CurrentCommand, COMMAND_TOPIC)
         quality.subscription(
-            self, DesiredForce, DEMAND_TOPIC, self._take_desired_force, quality.stream(_NEWEST)
+            self, DesiredForce, DEMAND_TOPIC, self._take_desired_force, quality.newest()
         )
-        self._listen(
-            self._controller.predictor,
-            options.control.predictor.max_age,
-        )
+        self._listen(self._controller.predictor, options.control.predictor.max_age)
         self._watchdog = self.create_timer(
             0.5 * options.samples_timeout,
             self._watch,

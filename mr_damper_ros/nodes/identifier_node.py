@@ -86,6 +86,8 @@ class IdentifierParameters(ParameterTable):
     frame_id: str = option("damper", "Frame of the published messages, x along the damper's rod.")
 
 
+_NOTHING_WRONG = "there was nothing to acknowledge"
+
 _POLL_PERIOD = 0.02
 """Seconds between two polls of the worker.
 
@@ -124,11 +126,12 @@ class IdentifierNode(Node):
             "temperature",
             lambda message: self._identifier.add_temperature(message.temperature),
         )
+        state = self._identifier.state
         for kind, name, act in (
             (SaveParameters, "save_parameters", self._save),
             (LoadParameters, "load_parameters", self._load),
-            (Trigger, "reset", self._reset),
-            (Trigger, "acknowledge", self._acknowledge),
+            (Trigger, "reset", lambda _: self._switch(self._identifier.reset)),
+            (Trigger, "acknowledge", lambda _: state.acknowledge() or _NOTHING_WRONG),
         ):
             self.create_service(kind, f"~/{name}", partial(_answer, act))
         self._goals = SearchGoals(
@@ -241,12 +244,6 @@ class IdentifierNode(Node):
     def _load(self, request: Any) -> str:
         parameters = self._identifier.state.load(request.name)
         return self._switch(lambda: self._identifier.replace(parameters))
-
-    def _reset(self, _: Any) -> str:
-        return self._switch(self._identifier.reset)
-
-    def _acknowledge(self, _: Any) -> str:
-        return self._identifier.state.acknowledge() or "there was nothing to acknowledge"
 
     def _switch(self, to_another_set: Callable[[], str]) -> str:
         """Publish pending results of the set in use, then put the other set in use."""

@@ -47,6 +47,8 @@ class ManagedNode(LifecycleNode):
 
     def _fail(self, what: str, error: object) -> TransitionCallbackReturn:
         """Store the problem, and log it unless the node is just starting."""
+        if isinstance(error, OSError) and error.filename:
+            error = f"{error.filename}: {error.strerror}"
         self._problem = f"{what}: {error}"
         if not self._starting:
             self.get_logger().error(self._problem)

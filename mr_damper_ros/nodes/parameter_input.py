@@ -26,10 +26,6 @@ REPORT_TOPIC = "damper/fit_report"
 _UNKNOWN = "_NODE_NAME_UNKNOWN_"
 """Part of the name that the graph shows for a node whose name is not yet known."""
 
-_REPORTS = 10
-"""Queue length for reports: only the newest matter."""
-
-
 _SHOWN = 100
 """Shown characters of a name: a message may hold a megabyte of them."""
 
@@ -100,9 +96,7 @@ class ParameterInput:
             self._given = given.set_id
             use(given, None)
         node.create_subscription(DamperParameters, PARAMETERS_TOPIC, self._take, quality.latched())
-        quality.subscription(
-            node, FitReport, REPORT_TOPIC, self._take_report, quality.stream(_REPORTS)
-        )
+        quality.subscription(node, FitReport, REPORT_TOPIC, self._take_report, quality.newest())
 
     def _objection(self, topic: str, claimed: str) -> str:
         """Reason to ignore a message that names ``claimed`` as its node; empty if there is none."""

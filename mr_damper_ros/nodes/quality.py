@@ -36,6 +36,11 @@ def stream(depth: int = STREAM_DEPTH) -> QoSProfile:
     )
 
 
+def newest() -> QoSProfile:
+    """Reliable, for a stream of which only the newest messages matter."""
+    return stream(10)
+
+
 def lossless() -> QoSProfile:
     """For a subscriber that must receive every message at any rate.
 

@@ -27,9 +27,6 @@ from mr_damper_ros.signals.blocks import NANOSECONDS
 _LONGEST_STEP = 0.1
 """Longest time [s] between two messages from which an acceleration is computed."""
 
-_MOTIONS = 1
-"""Queue length for motions: only the newest matters."""
-
 
 @dataclass(frozen=True)
 class SuspensionParameters(ParameterTable):
@@ -62,9 +59,7 @@ class SuspensionNode(Node):
         # Velocity of the body [m/s] and its stamp.
         self._body = math.nan, 0
         self._demand = quality.publisher(self, DesiredForce, DEMAND_TOPIC)
-        quality.subscription(
-            self, JointState, SUSPENSION_TOPIC, self._take, quality.stream(_MOTIONS)
-        )
+        quality.subscription(self, JointState, SUSPENSION_TOPIC, self._take, quality.newest())
         self._diagnostics = Diagnostics(self, {"force": self._finding})
         name = self._options.control.function or self._options.control.controller
         self.get_logger().info(

@@ -1,4 +1,4 @@
-"""Random motion with its exact velocity and acceleration."""
+"""Motions with their exact velocity and acceleration: random, and a rounded triangle."""
 
 from __future__ import annotations
 
@@ -39,3 +39,27 @@ class BandLimitedRandom:
             cosine @ (self._rates**2 * self._cosines)
         )
         return Kinematics(motion, velocity, acceleration)
+
+
+class RoundedTriangle:
+    """asin(s sin x) / asin(s) of 5 mm at 3 Hz: a sine for s = 0, a triangle for s = 1."""
+
+    centre = 0.0
+
+    def __init__(self, s: float) -> None:
+        self._s = s
+
+    def at(self, time: Array) -> Kinematics:
+        """Kinematics at the times [s], shape (n,)."""
+        s, rate = self._s, 6.0 * np.pi
+        scale = 5e-3 / math.asin(s)
+        sine, cosine = np.sin(rate * time), np.cos(rate * time)
+        root = np.sqrt(1.0 - (s * sine) ** 2)
+        return Kinematics(
+            scale * np.arcsin(s * sine),
+            scale * rate * s * cosine / root,
+            -scale * rate**2 * s * (1.0 - s * s) * sine / root**3,
+        )
+
+
+ROUNDED_TRIANGLE = RoundedTriangle(0.95)

@@ -10,10 +10,9 @@ import numpy as np
 import pytest
 from hypothesis import assume, given
 from hypothesis import strategies as st
-from random_motion import BandLimitedRandom
+from random_motion import ROUNDED_TRIANGLE, BandLimitedRandom
 from scipy.signal import savgol_filter, sawtooth
 
-from mr_damper_ros.emulation.motions import SineMotion
 from mr_damper_ros.kinematics.motion import fit_sine, window_motion
 from mr_damper_ros.kinematics.observer import CausalDifferentiator
 from mr_damper_ros.signals.arrays import Array
@@ -148,7 +147,6 @@ def test_a_window_that_cannot_be_used_is_refused(u: Array, period: float, senten
 # -- smoothing differentiator ----------------------------------------------------------------
 
 
-ROUNDED_TRIANGLE = SineMotion(5e-3, 3.0, triangularity=0.95)
 RANDOM = BandLimitedRandom(rms=3e-3, low=0.2, high=4.0, seed=4)
 
 MOTIONS = {"triangle": ROUNDED_TRIANGLE, "random": RANDOM}
