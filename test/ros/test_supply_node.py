@@ -26,6 +26,7 @@ COMMAND = "supply/current_command"
 
 @pytest.fixture
 def server() -> Iterator[InstrumentServer]:
+    """Asked for before ``start``: a node that ends waits for answers while there is a server."""
     serving = InstrumentServer(EmulatedInstrument())
     yield serving
     serving.close()
@@ -55,11 +56,11 @@ class Commander:
 
 
 @pytest.fixture
-def supply(start: Any, server: InstrumentServer) -> Any:
-    return start_supply(start, server)
+def supply(server: InstrumentServer, start: Any) -> Any:
+    return start_supply(server, start)
 
 
-def start_supply(start: Any, server: InstrumentServer, **parameters: object) -> Any:
+def start_supply(server: InstrumentServer, start: Any, **parameters: object) -> Any:
     given: dict[str, object] = {"profile": "emulated", "command_timeout": 0.3, "watchdog": 0.5}
     return start("supply", address=server.address, rate=50.0, **{**given, **parameters})
 
@@ -116,9 +117,9 @@ def test_two_that_command_are_an_error(
 
 
 def test_a_current_set_by_hand_is_limited_and_counts_after_a_time_out(
-    start: Any, server: InstrumentServer, listener: Listener
+    server: InstrumentServer, start: Any, listener: Listener
 ) -> None:
-    start_supply(start, server, current=0.5)
+    start_supply(server, start, current=0.5)
     Commander(listener).send(1.2)
     listener.until(gives(server, 1.2), "the commanded current")
     listener.until(gives(server, 0.0), "no current after the time-out")
@@ -131,9 +132,9 @@ def test_a_current_set_by_hand_is_limited_and_counts_after_a_time_out(
 
 
 def test_the_output_is_on_only_while_the_node_is_active(
-    start: Any, server: InstrumentServer, listener: Listener
+    server: InstrumentServer, start: Any, listener: Listener
 ) -> None:
-    node = start_supply(start, server, autostart=False, current=0.5)
+    node = start_supply(server, start, autostart=False, current=0.5)
     listener.until(lambda: state_of(listener) == State.PRIMARY_STATE_UNCONFIGURED, "the node")
     assert change(listener, Transition.TRANSITION_CONFIGURE)
     assert server.instrument.is_off
@@ -152,9 +153,9 @@ def test_the_output_is_on_only_while_the_node_is_active(
 
 
 def test_a_current_of_before_comes_back_neither_with_activation_nor_with_configuration(
-    start: Any, server: InstrumentServer, listener: Listener
+    server: InstrumentServer, start: Any, listener: Listener
 ) -> None:
-    start_supply(start, server, current=0.5)
+    start_supply(server, start, current=0.5)
     listener.until(gives(server, 0.5), "the current")
     for transitions in (
         [Transition.TRANSITION_DEACTIVATE, Transition.TRANSITION_ACTIVATE],
@@ -175,9 +176,9 @@ def test_a_current_of_before_comes_back_neither_with_activation_nor_with_configu
 
 
 def test_after_a_cut_link_the_output_goes_off_over_a_new_one_and_stays_off(
-    start: Any, server: InstrumentServer, listener: Listener
+    server: InstrumentServer, start: Any, listener: Listener
 ) -> None:
-    start_supply(start, server, profile="scpi", current=0.7)  # it has no watchdog
+    start_supply(server, start, profile="scpi", current=0.7)  # it has no watchdog
     listener.until(gives(server, 0.7), "the current")
     server.cut()
     listener.until(off(server), "no current")
@@ -190,9 +191,9 @@ def test_after_a_cut_link_the_output_goes_off_over_a_new_one_and_stays_off(
 
 @pytest.mark.parametrize("trouble", ["deaf", "silent"])
 def test_an_instrument_that_is_not_reached_switches_off_by_itself_and_the_node_says_so(
-    start: Any, server: InstrumentServer, listener: Listener, trouble: str
+    server: InstrumentServer, start: Any, listener: Listener, trouble: str
 ) -> None:
-    node = start_supply(start, server, current=0.7, link_timeout=0.2)
+    node = start_supply(server, start, current=0.7, link_timeout=0.2)
     listener.until(gives(server, 0.7), "the current")
     setattr(server, trouble, True)
     listener.until(off(server), "no current")
@@ -205,9 +206,9 @@ def test_an_instrument_that_is_not_reached_switches_off_by_itself_and_the_node_s
 
 @pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGSTOP])
 def test_where_the_node_is_gone_or_frozen_the_watchdog_switches_off(
-    start: Any, server: InstrumentServer, listener: Listener, number: signal.Signals
+    server: InstrumentServer, start: Any, listener: Listener, number: signal.Signals
 ) -> None:
-    node = start_supply(start, server, current=0.7)
+    node = start_supply(server, start, current=0.7)
     listener.until(gives(server, 0.7), "the current")
     node.send_signal(number)
     listener.until(off(server), "no current")

@@ -39,7 +39,7 @@ def test_the_documented_loop_controls_a_car_while_its_damper_is_identified(
         listener.wait_for_publishers(topic)
     start("bridge", source="quarter_car", quarter_car__road="C", rate=0.6, wait_for_subscribers=4)
     listener.until(
-        lambda: sum(len(p.force) * p.period for p in predictions) > 9.0, "a drive", patience=120.0
+        lambda: sum(len(p.force) * p.period for p in predictions) > 7.0, "a drive", patience=120.0
     )
     # Seconds of driving after which motion and peak velocity are known.
     late = [p for p in predictions if seconds(p) > seconds(predictions[0]) + 5.0]
