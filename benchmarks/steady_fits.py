@@ -56,8 +56,8 @@ from mr_damper_ros.models.sigmoid.sigmoid_model import shape_bounds
 from mr_damper_ros.signals.arrays import Array
 from mr_damper_ros.signals.recording import Recording
 from studies.recordings import window_of
-from studies.thesis.nelder_mead import fminsearch
 from studies.thesis.published_runs import DISPLACEMENT_NOISE, PHASE, synthesise
+from studies.thesis.searches import fminsearch
 
 _LAW = MODELS["sigmoid"]
 

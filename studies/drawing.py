@@ -1,8 +1,11 @@
-"""Shared drawing and tables of the studies: line styles, labels of panels, heads of tables."""
+"""Shared drawing and tables of the studies: line styles, panels, bars, heads of tables."""
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
+
+import numpy as np
 
 from mr_damper_ros.report.document import DASHES, INK, MARKS
 
@@ -19,6 +22,27 @@ def name_axes(axes: Any, across: str, up: str) -> None:
         axis.set_xlabel(across)
     for axis in axes[:, 0]:
         axis.set_ylabel(up)
+
+
+def draw_rows(axes: Any, time: Any, rows: Iterable[Any], label: str, **style: Any) -> None:
+    """Draw each of the ``rows`` over the time in a panel of its own, one below the other."""
+    for axis, row in zip(axes[:, 0], rows, strict=False):
+        axis.plot(time, row, label=label, **style)
+
+
+def name_rows(axes: Any, *labels: str, time: str = "time (s)") -> None:
+    """Label panels that lie one below the other."""
+    for axis, label in zip(axes[:, 0], labels, strict=True):
+        axis.set(ylabel=label)
+    axes[-1, 0].set(xlabel=time)
+
+
+def bars(axis: Any, series: Mapping[str, Sequence[float]], colours: Sequence[str] = INK) -> None:
+    """Bars of several series side by side, in groups at 0, 1, 2 ..."""
+    width = 0.8 / len(series)
+    for place, (label, values) in enumerate(series.items()):
+        offsets = np.arange(len(values)) + (place - 0.5 * (len(series) - 1)) * width
+        axis.bar(offsets, values, width, color=colours[place], label=label)
 
 
 def heads(text: str) -> tuple[str, ...]:

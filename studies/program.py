@@ -1,80 +1,160 @@
-"""Shared parts of the studies: options, progress and the final page."""
+"""The frame of every study: options, tasks in processes, stored results, and the final page."""
 
 from __future__ import annotations
 
 import argparse
+import hashlib
 import json
 import os
 import sys
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import lru_cache, partial
 from pathlib import Path
-from typing import TypeVar
+from typing import Any
 
+import numpy as np
+import scipy
+
+import mr_damper_ros
 from mr_damper_ros.processes.blas_threads import one_thread
 from mr_damper_ros.processes.files import write_text
 from mr_damper_ros.processes.process_pool import ProcessPool, Tell
 from mr_damper_ros.report.document import Chapter, styled, write_report
 from mr_damper_ros.tools.console import run_tool
 
-Task = TypeVar("Task")
-Result = TypeVar("Result")
 Say = Callable[[str], None]
+Task = dict[str, Any]
+
+_FOLDERS = (Path(mr_damper_ros.__file__).parent, Path(__file__).parent)
+"""Code on which the results depend."""
+
+_ABOVE = ("nodes", "tools")
+"""Subpackages on which no result depends."""
+
+RUNS, QUICK_RUNS = 100, 10
+"""Repetitions of random searches."""
 
 
-@dataclass(frozen=True)
-class Study:
-    """A study whose ``build`` computes the selected parts and returns the page of the report.
+@dataclass
+class Campaign:
+    """One call of a study: its options, and the processes for its tasks.
 
-    ``quick`` describes what the short variant leaves out. ``add_options`` declares further options.
+    ``folder`` receives all output. ``quick`` asks for fewer evaluations and cases. ``runs`` is the
+    number of repetitions of random methods (0: the default). Raises ValueError for values out of
+    range.
     """
 
-    name: str
-    description: str
-    parts: Sequence[str]
-    quick: str
-    build: Callable[[argparse.Namespace, Say], Path]
-    add_options: Callable[[argparse.ArgumentParser], None] = lambda parser: None
+    folder: Path
+    workers: int = 1
+    quick: bool = False
+    seed: int = 0
+    runs: int = 0
+    say: Say = lambda text: None
 
-    def main(self, arguments: Sequence[str]) -> int:
-        """Run the study with these command-line arguments; returns the exit code."""
-        return run_tool(self._parser(), self._run, arguments)
+    def __post_init__(self) -> None:
+        self.runs = self.runs or (QUICK_RUNS if self.quick else RUNS)
+        for name, least in (("runs", 2), ("workers", 1), ("seed", 0)):
+            if getattr(self, name) < least:
+                raise ValueError(f"{name} is {getattr(self, name)}: at least {least} is needed")
 
-    def _parser(self) -> argparse.ArgumentParser:
-        parser = argparse.ArgumentParser(prog=f"studies {self.name}", description=self.description)
-        parser.add_argument(
-            "--only",
-            choices=self.parts,
-            nargs="+",
-            default=self.parts,
-            help="only these parts of the report",
-        )
-        parser.add_argument("--quick", action="store_true", help=f"{self.quick}: a first look")
-        parser.add_argument(
-            "--workers",
-            type=int,
-            default=len(os.sched_getaffinity(0)),
-            help="processes; the results do not depend on it (default: one per core)",
-        )
-        parser.add_argument(
-            "--output",
-            type=Path,
-            default=Path("build", self.name),
-            metavar="FOLDER",
-            help="where report.html, figures and tables go (default %(default)s)",
-        )
-        self.add_options(parser)
-        return parser
+    def seeds(self, purpose: int, count: int = 0) -> list[list[int]]:
+        """Independent seeds (as entropy lists) for ``count`` runs of one purpose."""
+        root = np.random.SeedSequence([self.seed, purpose])
+        children = root.spawn(count or self.runs)
+        return [[int(x) for x in child.generate_state(4)] for child in children]
 
-    @one_thread()
-    def _run(self, options: argparse.Namespace) -> int:
-        began = time.monotonic()
-        page = self.build(options, _say)
-        if sys.stderr.isatty():
-            sys.stderr.write("\r\033[K")
-        print(f"{page} written in {time.monotonic() - began:.0f} s")
-        return 0
+    def each(self, name: str, function: Callable[..., Any], tasks: Sequence[Task]) -> list[Any]:
+        """``function(**task)`` for every task, in order, whatever the number of processes."""
+        return self._computed(name, function, tasks, len(tasks), lambda place, result: None)
+
+    def each_kept(
+        self, name: str, function: Callable[..., Any], tasks: Sequence[Task]
+    ) -> list[Any]:
+        """The same for JSON values, which are stored line by line as they come.
+
+        They are used again while neither the tasks nor the code have changed.
+        """
+        keys = [json.dumps(task, sort_keys=True) for task in tasks]
+        path = self.folder / "data" / f"{name}-{_code_digest()}.jsonl"
+        known = _read(path)
+        missing = [place for place, key in enumerate(keys) if key not in known]
+        if not missing:
+            return [known[key] for key in keys]
+        path.parent.mkdir(parents=True, exist_ok=True)
+        with path.open("a", encoding="utf-8") as file:
+            file.write("\n")  # begin after the incomplete line of a killed campaign
+
+            def keep(place: int, result: Any) -> None:
+                key = keys[missing[place]]
+                # A JSON round trip makes new and stored results equal.
+                known[key] = json.loads(json.dumps(result))
+                file.write(json.dumps([key, result]) + "\n")
+                file.flush()
+
+            chosen = [tasks[place] for place in missing]
+            try:
+                self._computed(name, function, chosen, len(tasks), keep)
+            except KeyboardInterrupt:
+                self.say("what is done is kept: call again to go on")
+                raise
+        return [known[key] for key in keys]
+
+    def _computed(
+        self,
+        name: str,
+        function: Callable[..., Any],
+        tasks: Sequence[Task],
+        total: int,
+        keep: Callable[[int, Any], None],
+    ) -> list[Any]:
+        count = total - len(tasks)
+
+        def done(place: int, result: Any) -> None:
+            nonlocal count
+            count += 1
+            keep(place, result)
+            # About ten lines for a log.
+            if count == total or count % max(len(tasks) // 10, 1) == 0:
+                self.say(f"{name}: {count} of {total}")
+
+        with ProcessPool(self.workers) as processes:
+            return processes.map(partial(_call, function), tasks, done=done)
+
+
+def _call(function: Callable[..., Any], task: Task, tell: Tell) -> Any:
+    return function(**task)
+
+
+def _read(path: Path) -> dict[str, Any]:
+    known: dict[str, Any] = {}
+    for line in path.read_text("utf-8").splitlines() if path.exists() else []:
+        try:
+            key, result = json.loads(line)
+        except ValueError:
+            continue  # empty, or incomplete
+        known[key] = result
+    return known
+
+
+def code_files() -> list[Path]:
+    """The files of code and tables on which the results depend."""
+    return [
+        path
+        for folder in _FOLDERS
+        for path in sorted(folder.rglob("*"))
+        if path.suffix in (".py", ".csv") and path.relative_to(folder).parts[0] not in _ABOVE
+    ]
+
+
+@lru_cache(maxsize=1)
+def _code_digest() -> str:
+    """Digest of the code on which the results depend, taken when the program starts."""
+    digest = hashlib.sha256(f"{sys.version} {np.__version__} {scipy.__version__}".encode())
+    for path in code_files():
+        digest.update(path.name.encode() + path.read_bytes())
+    return digest.hexdigest()[:12]
 
 
 @dataclass(frozen=True)
@@ -83,73 +163,88 @@ class Part:
 
     chapters: Sequence[Chapter]
     headlines: Sequence[str]
-    figures: Mapping[str, object]
+    figures: Mapping[str, object] | None = None
 
 
-Make = Callable[[ProcessPool, bool, Say], Part]
-"""Function that computes a part from the processes, the choice of the quick variant, and a function
-that reports progress."""
+@dataclass(frozen=True)
+class Study:
+    """A study whose ``parts`` are functions that compute a part of its report.
 
-
-def write_parts(
-    options: argparse.Namespace,
-    say: Say,
-    name: str,
-    title: str,
-    notice: str,
-    makes: Mapping[str, Make],
-) -> Path:
-    """Compute the selected parts and write ``report.html`` and ``<name>.json``.
-
-    Returns the page.
+    ``notice`` returns the paragraph above the report. ``quick`` describes what the short variant
+    leaves out; ``random`` adds the options of random searches.
     """
-    document: dict[str, object] = {"quick": options.quick}
-    parts: list[Part] = []
-    with ProcessPool(options.workers) as pool, styled():
-        for part, make in makes.items():
-            if part in options.only:
-                say(f"{part} ...")
-                parts.append(make(pool, options.quick, say))
-                if parts[-1].figures:
-                    document[part] = parts[-1].figures
-        page = write_report(
-            options.output,
-            title,
-            notice,
-            [sentence for part in parts for sentence in part.headlines],
-            [chapter for part in parts for chapter in part.chapters],
+
+    name: str
+    description: str
+    title: str
+    notice: Callable[[Campaign], str]
+    parts: Mapping[str, Callable[[Campaign], Part]]
+    quick: str
+    random: bool = False
+
+    def main(self, arguments: Sequence[str]) -> int:
+        """Run the study with these command-line arguments; returns the exit code."""
+        return run_tool(self._parser(), self._run, arguments)
+
+    def _parser(self) -> argparse.ArgumentParser:
+        parser = argparse.ArgumentParser(prog=f"studies {self.name}", description=self.description)
+        add = parser.add_argument
+        names = tuple(self.parts)
+        add("--only", choices=names, nargs="+", default=names, help="only these parts")
+        add("--quick", action="store_true", help=f"{self.quick}: a first look")
+        workers = "processes; the results do not depend on it (default: one per core)"
+        add("--workers", type=int, default=len(os.sched_getaffinity(0)), help=workers)
+        add(
+            "--output",
+            type=Path,
+            default=Path("build", self.name),
+            metavar="FOLDER",
+            help="where report.html, figures and tables go (default %(default)s)",
         )
-    text = json.dumps(document, indent=2, allow_nan=False)
-    write_text(options.output / f"{name}.json", text + "\n")
-    return page
+        if self.random:
+            runs = f"repetitions of random searches (default {RUNS}, quick {QUICK_RUNS})"
+            add("--runs", type=int, default=0, help=runs)
+            add("--seed", type=int, default=0, help="of the random numbers (default 0)")
+        return parser
+
+    @one_thread()
+    def _run(self, options: argparse.Namespace) -> int:
+        began = time.monotonic()
+        given = vars(options)
+        chances = {name: given[name] for name in ("runs", "seed") if name in given}
+        campaign = Campaign(options.output, options.workers, options.quick, say=_say, **chances)
+        page = self._write(campaign, options.only)
+        if sys.stderr.isatty():
+            sys.stderr.write("\r\033[K")
+        print(f"{page} written in {time.monotonic() - began:.0f} s")
+        return 0
+
+    def _write(self, campaign: Campaign, only: Sequence[str]) -> Path:
+        """Write ``report.html`` and, if parts have figures, ``<name>.json``; returns the page."""
+        document: dict[str, object] = {}
+        notice = self.notice(campaign)
+        parts: list[Part] = []
+        with styled():
+            for name, make in self.parts.items():
+                if name in only:
+                    campaign.say(f"{name} ...")
+                    parts.append(make(campaign))
+                    if parts[-1].figures:
+                        document[name] = parts[-1].figures
+            page = write_report(
+                campaign.folder,
+                self.title,
+                notice,
+                [sentence for part in parts for sentence in part.headlines],
+                [chapter for part in parts for chapter in part.chapters],
+            )
+        if document:
+            text = json.dumps({"quick": campaign.quick, **document}, indent=2, allow_nan=False)
+            write_text(campaign.folder / f"{self.name}.json", text + "\n")
+        return page
 
 
 def _say(text: str) -> None:
     """Progress display: a single updated line on a terminal, separate lines elsewhere."""
     sys.stderr.write(f"\r{text}\033[K" if sys.stderr.isatty() else f"{text}\n")
     sys.stderr.flush()
-
-
-def each_result(
-    pool: ProcessPool,
-    function: Callable[[Task], Result],
-    tasks: Sequence[Task],
-    name: str,
-    say: Say,
-) -> dict[Task, Result]:
-    """Results by their tasks."""
-    count = 0
-
-    def done(_: int, __: Result) -> None:
-        nonlocal count
-        count += 1
-        say(f"{name}: {count} of {len(tasks)}")
-
-    work = [(function, task) for task in tasks]
-    results = pool.map(_call, work, done=done)
-    return {task: result for task, result in zip(tasks, results, strict=True) if result is not None}
-
-
-def _call(work: tuple[Callable[[Task], Result], Task], tell: Tell) -> Result:
-    function, task = work
-    return function(task)

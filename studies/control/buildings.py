@@ -6,10 +6,9 @@ reads the absolute accelerations of the floors.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
 from functools import cache
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -19,30 +18,17 @@ from mr_damper_ros.control.semi_active import regulator_gain
 from mr_damper_ros.emulation.commanded_rig import Choice, ForceChoice, commanded
 from mr_damper_ros.emulation.emulator import EmulatedDamper, RigSettings, SupplySetpoint
 from mr_damper_ros.emulation.plant_rig import PlantRig
-from mr_damper_ros.report.document import (
-    DASHES,
-    GREY,
-    INK,
-    Chapter,
-    Picture,
-    Table,
-    Text,
-    legend_above,
-    panels,
-)
+from mr_damper_ros.report import document
+from mr_damper_ros.report.document import DASHES, GREY, INK, Chapter, Picture, Table, Text, panels
 from mr_damper_ros.signals.arrays import Array
 from mr_damper_ros.signals.blocks import RigBlock
 from mr_damper_ros.tracking.predictor import PredictorSettings
-from studies.control.ground_motion import (
-    NEAR_FAULT,
-    REHEARSAL,
-    SUBDUCTION,
-    GroundMotion,
-    el_centro,
-)
+from studies.control import ground_motion
+from studies.control.ground_motion import GroundMotion
 from studies.control.recorded_damper import recorded_damper
 from studies.control.shear_building import BUILDINGS, STOREYS, ShearBuilding, StateEstimator
-from studies.drawing import heads
+from studies.drawing import bars, draw_rows, heads, name_rows
+from studies.program import Campaign, Part
 from studies.recordings import rms
 
 DAMPERS = 4
@@ -62,16 +48,10 @@ WEIGHTED = "weighted inverse"
 STRATEGIES = (OFF, ON, BANG_BANG, INVERSE, WEIGHTED)
 
 EARTHQUAKES: dict[str, Callable[[], GroundMotion]] = {
-    "El Centro 1940": el_centro,
-    "near fault (invented)": NEAR_FAULT.motion,
-    "subduction (invented)": SUBDUCTION.motion,
-    "rehearsal (invented)": REHEARSAL.motion,
+    "El Centro 1940": ground_motion.el_centro,
+    "near fault (invented)": ground_motion.NEAR_FAULT.motion,
+    "subduction (invented)": ground_motion.SUBDUCTION.motion,
 }
-JUDGED = tuple(EARTHQUAKES)[:3]
-"""Ground motions of the evaluation; the remaining one serves to select weights."""
-
-_AUTHORS_WEIGHT, _AUTHORS_EFFORT = 1e13, 1.0
-"""Weights of the roof displacement and of the force."""
 
 _DISTURBANCE, _NOISE = 0.1, 5e-4
 """Settings of the authors' Kalman filter."""
@@ -84,8 +64,11 @@ REVERSAL = 0.05
 """Smallest change back [A] that counts as a reversal of the current."""
 
 
-@dataclass(frozen=True)
-class OutputWeights:
+LAG = 0.01
+"""Time constant [s] of the coils."""
+
+
+class OutputWeights(NamedTuple):
     """Weights of the squares of roof displacement, roof acceleration and force."""
 
     displacement: float
@@ -93,83 +76,55 @@ class OutputWeights:
     force: float
 
 
-CHOSEN = OutputWeights(displacement=1e13, acceleration=1e5, force=0.01)
-"""Weights of :data:`WEIGHTED`: the best of five candidates on the rehearsal in building I."""
+_AUTHORS = OutputWeights(displacement=1e13, acceleration=0.0, force=1.0)
+
+_CHOSEN = OutputWeights(displacement=1e13, acceleration=1e5, force=0.01)
+"""Weights of :data:`WEIGHTED`: the best of five candidates, in building I under another invented
+earthquake, that of ``Shaking("rehearsal, invented", 0.35, 2.5, 0.6, 4.0, 8.0, 4.0, seed=7)``."""
 
 
-@dataclass(frozen=True)
-class BuildingRun:
-    """A controller in a building under an earthquake, with the time constant of the coils [s].
+def simulate(
+    strategy: str, building: str, earthquake: str, lag: float, longest: float | None
+) -> dict[str, Any]:
+    """Task: simulate a building with coils of this time constant [s].
 
-    At most the first ``longest`` seconds of the earthquake are simulated.
+    At most the first ``longest`` seconds of the earthquake are simulated. Returns RMS and peak of
+    the roof's ``displacement`` (``farthest``) [m] and absolute ``acceleration`` (``highest``)
+    [m/s²], the ``reversals`` of the commanded current a second, and the RMS ``force`` of all
+    dampers [N]. ``series`` (4, n), 10 ms apart: time [s], displacement, acceleration, coil current.
     """
-
-    strategy: str
-    building: str
-    earthquake: str
-    coil_time_constant: float
-    weights: OutputWeights = CHOSEN
-    longest: float = math.inf
-
-
-@dataclass(frozen=True)
-class BuildingResult:
-    """RMS and peak of the roof's displacement [m] and absolute acceleration [m/s²].
-
-    ``reversals`` are those of the commanded current a second, ``force`` [N] the RMS of all dampers.
-    ``series`` (4, n), 10 ms apart: time [s], displacement, acceleration, current of the coil.
-    """
-
-    displacement: float
-    acceleration: float
-    farthest: float
-    highest: float
-    reversals: float
-    force: float
-    doubted: float
-    series: Array = field(repr=False)
-
-
-def simulate(task: BuildingRun) -> BuildingResult:
-    """Simulate the building."""
-    building, ground = BUILDINGS[task.building], _ground(task.earthquake)
-    start = HIGHEST_CURRENT if task.strategy == ON else 0.0
-    supply = SupplySetpoint(start)
+    frame, ground = BUILDINGS[building], _ground(earthquake)
+    supply = SupplySetpoint(HIGHEST_CURRENT if strategy == ON else 0.0)
+    dampers = 0 if strategy == UNCONTROLLED else DAMPERS
     rig = PlantRig(
-        EmulatedDamper(recorded_damper(task.coil_time_constant), built_in=True),
-        building.plant,
+        EmulatedDamper(recorded_damper(lag), built_in=True),
+        frame.plant,
         ground,
         supply.schedule,
         settings=RigSettings(displacement_noise=1e-6),
-        coil_time_constant=task.coil_time_constant,
-        dampers=0 if task.strategy == UNCONTROLLED else DAMPERS,
+        coil_time_constant=lag,
+        dampers=dampers,
     )
-    choose, block = _choice(task, rig, building)
-    rows, doubted, blocks = [], 0, 0
-    commands = []
-    duration = min(ground.duration, task.longest)
+    choose, block = _choice(strategy, lag, rig, frame)
+    rows, commands = [], []
+    duration = ground.duration if longest is None else min(ground.duration, longest)
     for done in commanded(rig, supply, choose, block, duration):
         motion = done.motion
-        total = (0 if task.strategy == UNCONTROLLED else DAMPERS) * motion.force
-        roof = _absolute(building, motion.states, total)[:, -1]
-        rows.append(np.stack([motion.states[:, STOREYS - 1], roof, total, motion.coil]))
+        total = dampers * motion.force
+        roof = _absolute(frame, motion.states, total)[:, -1]
+        rows.append([motion.states[:, STOREYS - 1], roof, total, motion.coil])
         commands.append(done.current)
-        blocks += 1
-        if isinstance(choose, ForceChoice) and choose.last is not None:
-            doubted += bool(choose.last.doubt)
-    every = np.concatenate(rows, axis=1)
-    displacement, acceleration, force, _ = every
-    time = rig.settings.period * np.arange(1, every.shape[1] + 1)
-    return BuildingResult(
-        displacement=rms(displacement),
-        acceleration=rms(acceleration),
-        farthest=float(np.max(np.abs(displacement))),
-        highest=float(np.max(np.abs(acceleration))),
-        reversals=reversals(np.array(commands)) / duration,
-        force=rms(force),
-        doubted=doubted / blocks,
-        series=np.stack([time, displacement, acceleration, every[3]])[:, ::10],
-    )
+    displacement, acceleration, force, coil = np.concatenate(rows, axis=1)
+    time = rig.settings.period * np.arange(1, coil.size + 1)
+    return {
+        "displacement": rms(displacement),
+        "acceleration": rms(acceleration),
+        "farthest": float(np.max(np.abs(displacement))),
+        "highest": float(np.max(np.abs(acceleration))),
+        "reversals": reversals(np.array(commands)) / duration,
+        "force": rms(force),
+        "series": np.stack([time, displacement, acceleration, coil])[:, ::10],
+    }
 
 
 def reversals(current: Array, least: float = REVERSAL) -> int:
@@ -197,19 +152,16 @@ def _absolute(building: ShearBuilding, states: Array, force: Array) -> Array:
     return states @ building.dynamics[STOREYS:].T + np.outer(force, building.by_force[STOREYS:])
 
 
-def _choice(task: BuildingRun, rig: PlantRig, building: ShearBuilding) -> tuple[Choice, int]:
+def _choice(
+    strategy: str, lag: float, rig: PlantRig, building: ShearBuilding
+) -> tuple[Choice, int]:
     """Function that chooses the current, and the number of samples between its calls."""
-    if task.strategy in (UNCONTROLLED, OFF):
-        return lambda _: 0.0, _BLOCK
-    if task.strategy == ON:
-        return lambda _: HIGHEST_CURRENT, _BLOCK
-    weights = (
-        task.weights
-        if task.strategy == WEIGHTED
-        else OutputWeights(_AUTHORS_WEIGHT, 0.0, _AUTHORS_EFFORT)
-    )
+    if strategy in (UNCONTROLLED, OFF, ON):
+        held = HIGHEST_CURRENT if strategy == ON else 0.0
+        return lambda _: held, _BLOCK
+    weights = _CHOSEN if strategy == WEIGHTED else _AUTHORS
     observed = _Observed(rig, building, weights)
-    if task.strategy == BANG_BANG:
+    if strategy == BANG_BANG:
 
         def switch(measured: RigBlock) -> float:
             wanted = observed(measured)
@@ -226,7 +178,7 @@ def _choice(task: BuildingRun, rig: PlantRig, building: ShearBuilding) -> tuple[
         predictor=PredictorSettings(velocity_margin=100.0),
     )
     controller = ForceController(settings)
-    controller.predictor.set_parameters(recorded_damper(task.coil_time_constant))
+    controller.predictor.set_parameters(recorded_damper(lag))
     return ForceChoice(controller, lambda measured: observed(measured) / DAMPERS), _BLOCK
 
 
@@ -264,26 +216,7 @@ class _Observed:
         return -float(self._gain @ states)
 
 
-Case = tuple[str, str]
-"""A building and an earthquake."""
-
-
-@dataclass(frozen=True)
-class Buildings:
-    """Results by controller, building, earthquake and lag of the coils."""
-
-    results: Mapping[BuildingRun, BuildingResult]
-    longest: float
-
-    def of(self, strategy: str, case: Case, lag: float) -> BuildingResult:
-        """The result of a run."""
-        return self.results[BuildingRun(strategy, *case, lag, longest=self.longest)]
-
-
-LAG = 0.01
-"""Time constant [s] of the coils."""
-
-CASES = tuple((building, earthquake) for building in BUILDINGS for earthquake in JUDGED)
+CASES = tuple((building, earthquake) for building in BUILDINGS for earthquake in EARTHQUAKES)
 
 _RECREATED = {OFF: (66.5, 67.1), ON: (29.2, 51.7), BANG_BANG: (29.9, 47.9)}
 """Displacement and acceleration [%] that other authors reproduced: building I, El Centro, without
@@ -291,66 +224,60 @@ coil lag, with the benchmark authors' set of the damper."""
 
 _SHOWN = ("I", "El Centro 1940")
 
+Buildings = Mapping[tuple[str, tuple[str, str], float], Any]
+"""Results of :func:`simulate` by controller, building and earthquake, and lag of the coils."""
 
-def tasks(longest: float) -> list[BuildingRun]:
-    """Results of the chapter, for a limited duration of each earthquake."""
-    every = [
-        BuildingRun(strategy, building, earthquake, LAG, longest=longest)
-        for building, earthquake in CASES
-        for strategy in (UNCONTROLLED, *STRATEGIES)
+
+def buildings_part(campaign: Campaign) -> Part:
+    """All buildings and earthquakes, and the chapter on them."""
+    keys = [(each, case, LAG) for case in CASES for each in (UNCONTROLLED, *STRATEGIES)]
+    keys += [(strategy, _SHOWN, 0.0) for strategy in STRATEGIES]
+    longest = 6.0 if campaign.quick else None
+    tasks = [
+        {"strategy": each, "building": b, "earthquake": e, "lag": lag, "longest": longest}
+        for each, (b, e), lag in keys
     ]
-    return [
-        *every,
-        *(BuildingRun(strategy, *_SHOWN, 0.0, longest=longest) for strategy in STRATEGIES),
-    ]
-
-
-def parts(found: Buildings, strategy: str, case: Case, lag: float) -> tuple[float, float]:
-    """RMS of the roof's displacement and acceleration, in percent of those without dampers."""
-    free = found.of(UNCONTROLLED, case, LAG)
-    held = found.of(strategy, case, lag)
-    return (
-        100.0 * held.displacement / free.displacement,
-        100.0 * held.acceleration / free.acceleration,
-    )
-
-
-def cases_won(found: Buildings, strategy: str = WEIGHTED) -> int:
-    """Cases in which a controller is better than passive-on and bang-bang in both criteria."""
-    return sum(
+    found = dict(zip(keys, campaign.each("earthquakes", simulate, tasks), strict=True))
+    won = sum(
         all(
             own < other
             for against in (ON, BANG_BANG)
             for own, other in zip(
-                parts(found, strategy, case, LAG), parts(found, against, case, LAG), strict=True
+                _parts(found, WEIGHTED, case, LAG)[:2],
+                _parts(found, against, case, LAG)[:2],
+                strict=True,
             )
         )
         for case in CASES
     )
+    fastest = max(found[WEIGHTED, case, LAG]["reversals"] for case in CASES)
+    told = (
+        "the weighted inverse is better than passive-on and bang-bang in both RMS criteria in "
+        f"{won} of {len(CASES)} cases, with at most {fastest:.0f} reversals of the current a "
+        "second."
+    )
+    figures = {"cases": len(CASES), "won": won, "reversals_per_second": fastest}
+    return Part([_chapter(found)], [told], figures)
 
 
-def building_chapter(found: Buildings) -> Chapter:
+def _parts(found: Buildings, strategy: str, case: tuple[str, str], lag: float) -> list[float]:
+    """RMS and peaks of the roof's motion and acceleration, in percent of those without dampers."""
+    free, held = found[UNCONTROLLED, case, LAG], found[strategy, case, lag]
+    names = ("displacement", "acceleration", "farthest", "highest")
+    return [100.0 * held[name] / free[name] for name in names]
+
+
+def _chapter(found: Buildings) -> Chapter:
     """The nine cases."""
-    rows = []
+    rows, compared = [], []
     for case in CASES:
         for strategy in STRATEGIES:
-            result = found.of(strategy, case, LAG)
-            free = found.of(UNCONTROLLED, case, LAG)
-            rows.append(
-                (
-                    *case,
-                    strategy,
-                    *parts(found, strategy, case, LAG),
-                    100.0 * result.farthest / free.farthest,
-                    100.0 * result.highest / free.highest,
-                    1e-3 * result.force,
-                    result.reversals,
-                )
-            )
-    compared = []
+            result = found[strategy, case, LAG]
+            parts = _parts(found, strategy, case, LAG)
+            rows.append((*case, strategy, *parts, 1e-3 * result["force"], result["reversals"]))
     for strategy in STRATEGIES:
         known = _RECREATED.get(strategy, (None, None))
-        compared.append((strategy, *parts(found, strategy, _SHOWN, 0.0), *known))
+        compared.append((strategy, *_parts(found, strategy, _SHOWN, 0.0)[:2], *known))
     return Chapter(
         "buildings",
         "Buildings in earthquakes",
@@ -381,7 +308,7 @@ def building_chapter(found: Buildings) -> Chapter:
                 "should be larger than it is, else none, every millisecond. Both inverses command "
                 "the current for the wanted force every 5 ms, as the node does. The weighted one "
                 "weighs the roof's acceleration too "
-                f"({CHOSEN.displacement:.0e} x², {CHOSEN.acceleration:.0e} a², {CHOSEN.force:g} "
+                f"({_CHOSEN.displacement:.0e} x², {_CHOSEN.acceleration:.0e} a², {_CHOSEN.force:g} "
                 "F²), by the best of five sets of weights that were tried on another invented "
                 "earthquake; where the motion is not known both inverses are stiff. A current has "
                 f"turned where it goes back by more than {REVERSAL:g} A."
@@ -419,38 +346,32 @@ def building_chapter(found: Buildings) -> Chapter:
 
 def _bars(found: Buildings) -> object:
     figure, axes = panels(2, 1, 6.6, 4.6, sharex=True)
-    width = 0.8 / len(STRATEGIES)
-    for place, strategy in enumerate(STRATEGIES):
-        values = np.array([parts(found, strategy, case, LAG) for case in CASES])
-        offsets = np.arange(len(CASES)) + (place - 0.5 * (len(STRATEGIES) - 1)) * width
-        for row in range(2):
-            axes[row, 0].bar(offsets, values[:, row], width, color=INK[place], label=strategy)
-    axes[0, 0].set(ylabel="displacement (%)")
-    axes[1, 0].set(ylabel="acceleration (%)")
+    for row, quantity in enumerate(("displacement", "acceleration")):
+        series = {
+            strategy: [_parts(found, strategy, case, LAG)[row] for case in CASES]
+            for strategy in STRATEGIES
+        }
+        bars(axes[row, 0], series)
+        axes[row, 0].set(ylabel=f"{quantity} (%)")
     labels = [f"{building}\n{earthquake.split(' (')[0]}" for building, earthquake in CASES]
     axes[1, 0].set_xticks(range(len(CASES)), labels, fontsize=6.5)
-    legend_above(figure, axes[0, 0], 3)
+    document.legend_above(figure, axes[0, 0], 3)
     return figure
 
 
 def _histories(found: Buildings) -> object:
     figure, axes = panels(3, 1, 6.6, 4.6, sharex=True)
-    shown = (UNCONTROLLED, ON, BANG_BANG, WEIGHTED)
-    for place, strategy in enumerate(shown):
-        time, displacement, acceleration, current = found.of(strategy, _SHOWN, LAG).series
-        chosen = (time > 1.0) & (time < 6.0)
+    for place, strategy in enumerate((UNCONTROLLED, ON, BANG_BANG, WEIGHTED)):
+        time, displacement, *others = found[strategy, _SHOWN, LAG]["series"]
         free = strategy == UNCONTROLLED
         style = {
             "color": GREY if free else INK[place - 1],
             "linestyle": "-" if free else DASHES[place - 1],
             "linewidth": 0.8,
         }
-        axes[0, 0].plot(time[chosen], 1e3 * displacement[chosen], label=strategy, **style)
-        axes[1, 0].plot(time[chosen], acceleration[chosen], **style)
-        if not free:
-            axes[2, 0].plot(time[chosen], current[chosen], **style)
-    axes[0, 0].set(ylabel="roof (mm)")
-    axes[1, 0].set(ylabel="roof (m/s²)")
-    axes[2, 0].set(ylabel="coil (A)", xlabel="time (s)")
-    legend_above(figure, axes[0, 0], 4)
+        chosen = (time > 1.0) & (time < 6.0)
+        rows = [row[chosen] for row in (1e3 * displacement, *others)]
+        draw_rows(axes, time[chosen], rows[:2] if free else rows, strategy, **style)
+    name_rows(axes, "roof (mm)", "roof (m/s²)", "coil (A)")
+    document.legend_above(figure, axes[0, 0], 4)
     return figure

@@ -99,6 +99,3 @@ NEAR_FAULT = Shaking("near fault, invented", 0.83, 1.8, 0.35, 3.0, 5.0, 4.0, see
 
 SUBDUCTION = Shaking("subduction, invented", 0.55, 3.5, 0.45, 8.0, 12.0, 6.0, seed=2010)
 """A motion similar to Maule: long and faster, shortened to its strong part."""
-
-REHEARSAL = Shaking("rehearsal, invented", 0.35, 2.5, 0.6, 4.0, 8.0, 4.0, seed=7)
-"""The motion for the selection of weights; it is not among the evaluated motions."""

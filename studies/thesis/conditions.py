@@ -34,7 +34,7 @@ from mr_damper_ros.report.document import (
 )
 from mr_damper_ros.signals.arrays import Array
 from studies.drawing import heads, name_axes
-from studies.thesis.campaign import Campaign
+from studies.program import Campaign
 from studies.thesis.errata import METHOD_TITLES, disagreement, find_errata
 from studies.thesis.runs import coefficients, loop, title, window
 
@@ -89,8 +89,8 @@ def identify(name: str, seed: int) -> dict[str, Any]:
 def identified(campaign: Campaign) -> dict[str, Any]:
     """Result of :func:`identify` by condition."""
     names = [condition.name for condition in CONDITIONS]
-    tasks = [{"name": name, "seed": campaign.settings.seed} for name in names]
-    return dict(zip(names, campaign.each("conditions", identify, tasks), strict=True))
+    tasks = [{"name": name, "seed": campaign.seed} for name in names]
+    return dict(zip(names, campaign.each_kept("conditions", identify, tasks), strict=True))
 
 
 def compute(campaign: Campaign) -> dict[str, Any]:

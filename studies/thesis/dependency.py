@@ -20,8 +20,8 @@ from mr_damper_ros.models.sigmoid.law import PARAMETER_NAMES
 from mr_damper_ros.report.document import Block, Picture, Table, Text, panels
 from mr_damper_ros.signals.arrays import Array
 from studies.drawing import line
+from studies.program import Campaign
 from studies.thesis import facts
-from studies.thesis.campaign import Campaign
 from studies.thesis.compared import Compared, comparison
 from studies.thesis.conditions import identified
 from studies.thesis.errata import sound_conditions

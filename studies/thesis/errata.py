@@ -32,8 +32,8 @@ from mr_damper_ros.models.sigmoid.law import PARAMETER_NAMES, operating_point_co
 from mr_damper_ros.report.document import Block, Picture, Table, Text, panels
 from mr_damper_ros.signals.arrays import Array
 from studies.drawing import heads, line
+from studies.program import Campaign
 from studies.thesis import facts
-from studies.thesis.campaign import Campaign
 from studies.thesis.runs import loop, title
 
 Row = tuple[Condition, str]

@@ -18,12 +18,12 @@ from mr_damper_ros.models.sigmoid.law import PARAMETER_NAMES
 from mr_damper_ros.report.document import GREY, INK, Block, Picture, Table, Text, panels
 from mr_damper_ros.signals.arrays import Array
 from studies.drawing import line
+from studies.program import Campaign
 from studies.thesis import facts
-from studies.thesis.campaign import Campaign
 from studies.thesis.compared import Compared, comparison
-from studies.thesis.nelder_mead import fminsearch
 from studies.thesis.published_runs import DISPLACEMENT_NOISE
 from studies.thesis.runs import recording, window
+from studies.thesis.searches import fminsearch
 
 CONDITION = "2.5mm_1Hz_0.0A"
 
@@ -112,8 +112,8 @@ def identify(name: str, seed: int) -> dict[str, Any]:
 
 def compute(campaign: Campaign) -> dict[str, Any]:
     """Data of the section."""
-    task = {"name": CONDITION, "seed": campaign.settings.seed}
-    (data,) = campaign.each("force_error", identify, [task])
+    task = {"name": CONDITION, "seed": campaign.seed}
+    (data,) = campaign.each_kept("force_error", identify, [task])
     return dict(data)
 
 

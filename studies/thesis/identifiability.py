@@ -18,8 +18,8 @@ from mr_damper_ros.models.published import find, parameters
 from mr_damper_ros.models.sigmoid.law import COEFFICIENT_NAMES, PARAMETER_NAMES
 from mr_damper_ros.report.document import GREY, INK, MARKS, Block, Picture, Table, Text, panels
 from mr_damper_ros.signals.arrays import Array
+from studies.program import Campaign
 from studies.thesis import facts, one_set
-from studies.thesis.campaign import Campaign
 from studies.thesis.runs import coefficients, cycle
 
 CONDITION = "5.0mm_1Hz_1.5A"
@@ -54,29 +54,28 @@ def descents(noise_seed: int, seeds: list[list[int]]) -> list[dict[str, Any]]:
 
 def compute(campaign: Campaign) -> dict[str, Any]:
     """Data of the section."""
-    settings = campaign.settings
     whole = one_set.identified(campaign)
     names, values = whole["names"], np.array(whole["laws"]["sigmoid"]["parameters"])
-    seeds = campaign.seeds(settings.runs, 5)
+    seeds = campaign.seeds(5)
     parts = [seeds[k : k + _STARTS_PER_TASK] for k in range(0, len(seeds), _STARTS_PER_TASK)]
-    tasks = [{"noise_seed": settings.seed, "seeds": part} for part in parts]
-    fits = [fit for part in campaign.each("descents", descents, tasks) for fit in part]
+    tasks = [{"noise_seed": campaign.seed, "seeds": part} for part in parts]
+    fits = [fit for part in campaign.each_kept("descents", descents, tasks) for fit in part]
 
     truth = parameters(find(CONDITION))
-    single = scaled_jacobian(CONDITION, settings.seed, truth)
+    single = scaled_jacobian(CONDITION, campaign.seed, truth)
     _, one, directions = np.linalg.svd(single, full_matrices=False)
-    pooled = np.vstack([scaled_jacobian(name, settings.seed, values) for name in names])
+    pooled = np.vstack([scaled_jacobian(name, campaign.seed, values) for name in names])
     together = np.linalg.svd(pooled, compute_uv=False)
 
     floor = min(fit["rmse"] for fit in fits)
     good = np.array([fit["parameters"] for fit in fits if fit["rmse"] < 1.02 * floor])
-    misfit = cycle(CONDITION, settings.seed)
+    misfit = cycle(CONDITION, campaign.seed)
     steady = coefficients(good, misfit.peak_velocity, misfit.current)
     return {
         "singular_one": one.tolist(),
         "singular_all": together.tolist(),
         "directions": directions.tolist(),
-        "walks": _walks(settings.seed, truth, directions),
+        "walks": _walks(campaign.seed, truth, directions),
         "floor": floor,
         "starts": len(fits),
         "good": good.tolist(),

@@ -11,23 +11,15 @@ import numpy as np
 
 from mr_damper_ros.models.published import LITERATURE, PUBLISHED_METHODS, find, parameters
 from mr_damper_ros.models.sigmoid.law import PARAMETER_NAMES
-from mr_damper_ros.report.document import (
-    INK,
-    Block,
-    Picture,
-    Table,
-    Text,
-    legend_above,
-    panels,
-)
+from mr_damper_ros.report import document
+from mr_damper_ros.report.document import INK, Block, Picture, Table, Text, panels
 from mr_damper_ros.signals.arrays import Array
-from studies.drawing import heads, line
+from studies.drawing import bars, heads, line
+from studies.program import Campaign
 from studies.thesis import facts
-from studies.thesis.campaign import Campaign
-from studies.thesis.de import evolve
 from studies.thesis.errata import METHOD_TITLES
-from studies.thesis.nelder_mead import fminsearch
 from studies.thesis.runs import cycle, loop
+from studies.thesis.searches import evolve, fminsearch
 
 CONDITIONS = tuple(f"2.5mm_1Hz_{current:.1f}A" for current in (0.0, 0.5, 1.0, 1.5))
 CURRENTS = tuple(find(name).current for name in CONDITIONS)
@@ -52,17 +44,14 @@ def identify(name: str, noise_seed: int, seed: list[int], generations: int) -> d
         np.random.default_rng(seed),
         generations=generations,
     )
+
+    def found(best: Array, cost: float, evaluations: int) -> dict[str, Any]:
+        residual = _percent(cost, misfit.power)
+        return {"parameters": best.tolist(), "residual": residual, "evaluations": evaluations}
+
     return {
-        "nelder_mead": {
-            "parameters": simplex.tolist(),
-            "residual": _percent(cost, misfit.power),
-            "evaluations": count,
-        },
-        "differential_evolution": {
-            "parameters": evolved.best.tolist(),
-            "residual": _percent(evolved.cost, misfit.power),
-            "evaluations": evolved.evaluations,
-        },
+        "nelder_mead": found(simplex, cost, count),
+        "differential_evolution": found(evolved.best, evolved.cost, evolved.evaluations),
         "floor": _percent(float(misfit.costs(published)), misfit.power),
         "published": {
             method: _percent(float(misfit.costs(parameters(find(name), method))), misfit.power)
@@ -78,12 +67,11 @@ def _percent(cost: float, power: float) -> float:
 
 def compute(campaign: Campaign) -> dict[str, Any]:
     """Data of the section."""
-    settings = campaign.settings
     tasks = [
-        {"name": name, "noise_seed": settings.seed, "seed": seed, "generations": 500}
-        for name, seed in zip(CONDITIONS, campaign.seeds(len(CONDITIONS), 3), strict=True)
+        {"name": name, "noise_seed": campaign.seed, "seed": seed, "generations": 500}
+        for name, seed in zip(CONDITIONS, campaign.seeds(3, len(CONDITIONS)), strict=True)
     ]
-    results = campaign.each("two_methods", identify, tasks)
+    results = campaign.each_kept("two_methods", identify, tasks)
     return dict(zip(CONDITIONS, results, strict=True))
 
 
@@ -102,35 +90,23 @@ def headline(data: dict[str, Any]) -> str:
 
 def show(data: dict[str, Any]) -> list[Block]:
     """Text, tables and figures of the section."""
-    rows = []
-    for name in CONDITIONS:
-        part = data[name]
-        rows.append(
-            (
-                f"{find(name).current:.1f} A",
-                part["floor"],
-                part["nelder_mead"]["residual"],
-                part["differential_evolution"]["residual"],
-                part["published"]["differential_evolution"],
-                part["nelder_mead"]["evaluations"],
-                part["differential_evolution"]["evaluations"],
-            )
-        )
-    first = data[CONDITIONS[0]]
-    evolved = first["differential_evolution"]["parameters"]
-    named = find(CONDITIONS[0])
-    literature = [
+    rows: list[tuple[Any, ...]] = [
         (
-            name,
-            float(LITERATURE[k]),
-            float(parameters(named)[k]),
-            first["nelder_mead"]["parameters"][k],
-            float(parameters(named, PUBLISHED_METHODS[1])[k]),
-            evolved[k],
-            float(facts.METHODS_APART[k]),
-            abs(first["nelder_mead"]["parameters"][k] - evolved[k]),
+            f"{find(name).current:.1f} A",
+            part["floor"],
+            *(part[method]["residual"] for method in PUBLISHED_METHODS),
+            part["published"]["differential_evolution"],
+            *(part[method]["evaluations"] for method in PUBLISHED_METHODS),
         )
-        for k, name in enumerate(PARAMETER_NAMES)
+        for name, part in data.items()
+    ]
+    first = dict(_sets(data, CONDITIONS[0]))
+    simplex, evolved = first["NM, ours"], first["DE, ours"]
+    apart = np.stack([LITERATURE, *first.values(), facts.METHODS_APART, np.abs(simplex - evolved)])
+    order = [0, 1, 3, 2, 4, 5, 6]
+    literature: list[tuple[Any, ...]] = [
+        (name, *map(float, column))
+        for name, column in zip(PARAMETER_NAMES, apart[order].T, strict=True)
     ]
     return [
         Text(
@@ -170,18 +146,24 @@ def show(data: dict[str, Any]) -> list[Block]:
     ]
 
 
+def _sets(data: dict[str, Any], name: str) -> dict[str, Array]:
+    """Parameters (16,) of a condition by the wording of their origin."""
+    theirs = [parameters(find(name), method) for method in PUBLISHED_METHODS]
+    ours = [np.array(data[name][method]["parameters"]) for method in PUBLISHED_METHODS]
+    words = ("NM, thesis", "DE, thesis", "NM, ours", "DE, ours")
+    return dict(zip(words, theirs + ours, strict=True))
+
+
 def _residual_figure(data: dict[str, Any]) -> Picture:
     figure, axes = panels(1, 1, 5.0, 2.5)
     a = axes[0, 0]
-    x = np.arange(len(CONDITIONS))
-    series = (
-        ("noise", [data[n]["floor"] for n in CONDITIONS], "0.85"),
-        ("Nelder–Mead", [data[n]["nelder_mead"]["residual"] for n in CONDITIONS], "0.55"),
-        ("DE", [data[n]["differential_evolution"]["residual"] for n in CONDITIONS], "0.15"),
-    )
-    for number, (label, values, grey) in enumerate(series):
-        a.bar(x + 0.26 * (number - 1), values, 0.25, color=grey, label=label)
-    a.set_xticks(x, [f"{current:.1f}" for current in CURRENTS])
+    series = {
+        "noise": [data[n]["floor"] for n in CONDITIONS],
+        "Nelder–Mead": [data[n]["nelder_mead"]["residual"] for n in CONDITIONS],
+        "DE": [data[n]["differential_evolution"]["residual"] for n in CONDITIONS],
+    }
+    bars(a, series, ("0.85", "0.55", "0.15"))
+    a.set_xticks(range(len(CONDITIONS)), [f"{current:.1f}" for current in CURRENTS])
     a.set(xlabel="Current [A]", ylabel="Residual [%]")
     a.legend()
     return Picture("residuals", "Residuals of both methods, 2.5 mm, 1 Hz (thesis Fig. 55).", figure)
@@ -189,20 +171,15 @@ def _residual_figure(data: dict[str, Any]) -> Picture:
 
 def _literature_figure(data: dict[str, Any]) -> Picture:
     figure, axes = panels(1, 1, 6.8, 2.6)
-    a = axes[0, 0]
-    named, part = find(CONDITIONS[0]), data[CONDITIONS[0]]
-    sets: tuple[tuple[str, Array, str], ...] = (
-        ("NM, thesis", parameters(named), "0.85"),
-        ("NM, ours", np.array(part["nelder_mead"]["parameters"]), "0.6"),
-        ("DE, thesis", parameters(named, PUBLISHED_METHODS[1]), "0.35"),
-        ("DE, ours", np.array(part["differential_evolution"]["parameters"]), "0.0"),
-    )
-    x = np.arange(len(PARAMETER_NAMES))
-    for number, (label, values, grey) in enumerate(sets):
-        a.bar(x + 0.2 * (number - 1.5), values / LITERATURE, 0.2, color=grey, label=label)
+    a, sets = axes[0, 0], _sets(data, CONDITIONS[0])
+    series = {
+        name: (sets[name] / LITERATURE).tolist()
+        for name in ("NM, thesis", "NM, ours", "DE, thesis", "DE, ours")
+    }
+    bars(a, series, ("0.85", "0.6", "0.35", "0.0"))
     a.axhline(1.0, color=INK[1], lw=0.9)
     a.axhline(0.0, color="0.3", lw=0.6)
-    a.set_xticks(x, PARAMETER_NAMES)
+    a.set_xticks(range(len(PARAMETER_NAMES)), PARAMETER_NAMES)
     a.set_ylabel("Value over literature [1]")
     a.legend(loc="upper right", ncols=4)
     return Picture(
@@ -216,25 +193,17 @@ def _literature_figure(data: dict[str, Any]) -> Picture:
 
 def _evolution_figure(data: dict[str, Any]) -> Picture:
     figure, axes = panels(4, 4, 7.2, 6.2, sharex=True)
+    sets = [_sets(data, name) for name in CONDITIONS]
     for k, name in enumerate(PARAMETER_NAMES):
         a = axes.ravel()[k]
-        for number, (label, values) in enumerate(
-            (
-                ("NM, thesis", [parameters(find(n))[k] for n in CONDITIONS]),
-                ("DE, thesis", [parameters(find(n), PUBLISHED_METHODS[1])[k] for n in CONDITIONS]),
-                ("NM, ours", [data[n]["nelder_mead"]["parameters"][k] for n in CONDITIONS]),
-                (
-                    "DE, ours",
-                    [data[n]["differential_evolution"]["parameters"][k] for n in CONDITIONS],
-                ),
-            )
-        ):
+        for number, label in enumerate(sets[0]):
+            values = [each[label][k] for each in sets]
             a.plot(CURRENTS, values, ms=3, label=label, **line(number, marked=True))
         a.set_title(name)
         a.locator_params(axis="y", nbins=4)
     for a in axes[-1]:
         a.set_xlabel("Current [A]")
-    legend_above(figure, axes[0, 0], 4)
+    document.legend_above(figure, axes[0, 0], 4)
     return Picture(
         "parameters_over_current",
         "The sixteen parameters over the current, 2.5 mm, 1 Hz (thesis Fig. 53, 54), in the units "
@@ -246,20 +215,14 @@ def _evolution_figure(data: dict[str, Any]) -> Picture:
 
 def _loops_figure(data: dict[str, Any]) -> Picture:
     figure, axes = panels(1, 2, 6.6, 3.0, sharey=True)
-    for a, title in zip(axes[0], ("published sets", "our sets"), strict=True):
+    for a, kind in zip(axes[0], ("published sets", "our sets"), strict=True):
         for name in CONDITIONS[1:]:
-            condition = find(name)
-            for number, method in enumerate(PUBLISHED_METHODS):
-                theirs = parameters(condition, method)
-                ours = np.array(data[name][method]["parameters"])
-                turn = loop(theirs if title == "published sets" else ours, condition)
-                a.plot(
-                    turn.velocity,
-                    turn.force,
-                    label=METHOD_TITLES[method] if name == CONDITIONS[1] else None,
-                    **line(number),
-                )
-        a.set(title=title, xlabel="Velocity [m/s]")
+            sets = list(_sets(data, name).values())
+            for number, values in enumerate(sets[:2] if kind == "published sets" else sets[2:]):
+                turn = loop(values, find(name))
+                label = METHOD_TITLES[PUBLISHED_METHODS[number]] if name == CONDITIONS[1] else None
+                a.plot(turn.velocity, turn.force, label=label, **line(number))
+        a.set(title=kind, xlabel="Velocity [m/s]")
         a.locator_params(axis="x", nbins=5)
     axes[0, 0].set_ylabel("Force [N]")
     axes[0, 0].legend(loc="upper left")

@@ -12,10 +12,11 @@ from mr_damper_ros.estimation.window_fit import fit_window
 from mr_damper_ros.kinematics.window import Window
 from mr_damper_ros.models import MODELS
 from mr_damper_ros.report.document import GREY, INK, MARKS, Block, Picture, Table, Text, panels
+from studies import recordings
 from studies.drawing import name_axes
+from studies.program import Campaign
 from studies.recordings import processed, window_of
 from studies.thesis import facts
-from studies.thesis.campaign import Campaign, Settings
 from studies.thesis.errata import sound_conditions
 from studies.thesis.runs import title, window
 
@@ -79,27 +80,25 @@ def recorded(path: str) -> dict[str, Any]:
     return {"models": _judged(whole.thinned(SAMPLES), whole)}
 
 
-def records(settings: Settings) -> list[Path]:
+def records(campaign: Campaign) -> list[Path]:
     """Files of the real records; none where no recordings are given."""
-    if settings.recordings is None:
-        return []
-    paths = sorted(settings.recordings.glob("*.txt"))
-    return paths[::7] if settings.quick else paths
+    utfsm = recordings.folder()
+    paths = [] if utfsm is None else sorted((utfsm / "processed").glob("*.txt"))
+    return paths[::7] if campaign.quick else paths
 
 
 def compute(campaign: Campaign) -> dict[str, Any]:
     """Data of the section."""
-    settings = campaign.settings
     names = [condition.name for condition in sound_conditions()]
-    if settings.quick:
+    if campaign.quick:
         names = [name for name in names if name in _QUICK]
-    tasks = [{"name": name, "noise_seed": settings.seed} for name in names]
-    runs = dict(zip(names, campaign.each("models", resynthesised, tasks), strict=True))
+    tasks = [{"name": name, "noise_seed": campaign.seed} for name in names]
+    runs = dict(zip(names, campaign.each_kept("models", resynthesised, tasks), strict=True))
     data: dict[str, Any] = {"runs": runs, "records": None}
-    paths = records(settings)
+    paths = records(campaign)
     if paths:
         tasks = [{"path": str(path)} for path in paths]
-        results = campaign.each("models_recorded", recorded, tasks)
+        results = campaign.each_kept("models_recorded", recorded, tasks)
         data["records"] = dict(zip([path.stem for path in paths], results, strict=True))
     return data
 

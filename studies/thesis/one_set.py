@@ -29,9 +29,9 @@ from mr_damper_ros.report.document import (
     with_error,
 )
 from studies.drawing import heads, line
+from studies.program import Campaign
 from studies.recordings import processed, window_of
 from studies.thesis import model_table
-from studies.thesis.campaign import Campaign
 from studies.thesis.errata import sound_conditions
 from studies.thesis.runs import title, window
 
@@ -74,27 +74,26 @@ def _identify(windows: list[Window], law: str, generations: int) -> dict[str, An
 
 def identified(campaign: Campaign) -> dict[str, Any]:
     """Result of :func:`resynthesised` by law, and the names of the runs."""
-    settings = campaign.settings
     names = [condition.name for condition in sound_conditions()]
-    keep = _QUICK_KEPT if settings.quick else _KEPT
-    common = {"names": names, "noise_seed": settings.seed, "keep": keep, "generations": GENERATIONS}
-    fits = campaign.each("one_set", resynthesised, [{**common, "law": law} for law in LAWS])
+    keep = _QUICK_KEPT if campaign.quick else _KEPT
+    common = {"names": names, "noise_seed": campaign.seed, "keep": keep, "generations": GENERATIONS}
+    fits = campaign.each_kept("one_set", resynthesised, [{**common, "law": law} for law in LAWS])
     return {"names": names, "kept": keep, "laws": dict(zip(LAWS, fits, strict=True))}
 
 
 def compute(campaign: Campaign) -> dict[str, Any]:
     """Data of the section."""
     data: dict[str, Any] = {"runs": identified(campaign), "records": None}
-    paths = model_table.records(campaign.settings)
+    paths = model_table.records(campaign)
     if paths:
         given = [str(path) for path in paths]
         tasks = [{"paths": given, "law": law, "generations": GENERATIONS} for law in LAWS]
-        fits = campaign.each("one_set_recorded", recorded, tasks)
+        fits = campaign.each_kept("one_set_recorded", recorded, tasks)
         data["records"] = {
             "names": [path.stem for path in paths],
             "laws": dict(zip(LAWS, fits, strict=True)),
         }
-    data["seed"] = campaign.settings.seed
+    data["seed"] = campaign.seed
     data["each"] = _each(campaign)
     return data
 

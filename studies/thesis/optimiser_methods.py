@@ -19,9 +19,8 @@ from mr_damper_ros.models import MODELS
 from mr_damper_ros.models.sigmoid.law import PARAMETER_NAMES
 from mr_damper_ros.signals.arrays import Array
 from studies.thesis import facts
-from studies.thesis.de import STRATEGIES, evolve
-from studies.thesis.nelder_mead import fminsearch
 from studies.thesis.runs import CycleMisfit, window
+from studies.thesis.searches import STRATEGIES, evolve, fminsearch
 
 CONDITION = "5.0mm_1Hz_1.5A"
 POPULATION = 80

@@ -19,8 +19,8 @@ from mr_damper_ros.models.published import find, parameters
 from mr_damper_ros.report.document import DASHES, INK, MARKS, Block, Picture, Table, Text, panels
 from mr_damper_ros.signals.arrays import Array
 from studies.drawing import heads
+from studies.program import Campaign
 from studies.thesis import facts
-from studies.thesis.campaign import Campaign
 from studies.thesis.optimiser_methods import (
     CONDITION,
     METHODS,
@@ -103,18 +103,17 @@ def wilson(successes: int, count: int) -> tuple[float, float]:
 
 def compute(campaign: Campaign) -> dict[str, Any]:
     """Data of the section."""
-    settings = campaign.settings
-    budget = QUICK_BUDGET if settings.quick else BUDGET
+    budget = QUICK_BUDGET if campaign.quick else BUDGET
     names = available()
     # The same seeds for all methods: the same random starts.
-    seeds = campaign.seeds(settings.runs, 4)
+    seeds = campaign.seeds(4)
     tasks = [
-        {"method": name, "noise_seed": settings.seed, "seed": seed, "budget": budget}
+        {"method": name, "noise_seed": campaign.seed, "seed": seed, "budget": budget}
         for seed in seeds
         for name in names
     ]
-    results = campaign.each("optimisers", run, tasks)
-    data: dict[str, Any] = {"budget": budget, "runs": settings.runs, "methods": {}}
+    results = campaign.each_kept("optimisers", run, tasks)
+    data: dict[str, Any] = {"budget": budget, "runs": campaign.runs, "methods": {}}
     for place, name in enumerate(names):
         data["methods"][name] = summary(results[place :: len(names)])
     data["missing"] = [METHODS[name][0] for name in METHODS if name not in names]

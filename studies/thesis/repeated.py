@@ -17,10 +17,10 @@ from mr_damper_ros.models.sigmoid.law import (
 )
 from mr_damper_ros.report.document import GREY, INK, Block, Picture, Table, Text, panels
 from mr_damper_ros.signals.arrays import Array
+from studies.program import Campaign
 from studies.thesis import facts
-from studies.thesis.campaign import Campaign
-from studies.thesis.de import evolve
 from studies.thesis.runs import cycle, title
+from studies.thesis.searches import evolve
 
 AS_CAPTIONED = "5.0mm_1Hz_0.0A"
 AS_FOUND = "5.0mm_1Hz_1.5A"
@@ -69,25 +69,24 @@ def variance_distance(variance: Array) -> float:
 
 def compute(campaign: Campaign) -> dict[str, Any]:
     """Data of the section."""
-    settings = campaign.settings
-    data: dict[str, Any] = {"runs": settings.runs}
+    data: dict[str, Any] = {"runs": campaign.runs}
     tasks = [
-        {"name": name, "noise_seed": settings.seed, "seed": seed, "generations": GENERATIONS}
+        {"name": name, "noise_seed": campaign.seed, "seed": seed, "generations": GENERATIONS}
         for purpose, name in enumerate((AS_CAPTIONED, AS_FOUND), start=1)
-        for seed in campaign.seeds(settings.runs, purpose)
+        for seed in campaign.seeds(purpose)
     ]
-    results = campaign.each("repeated_evolution", run, tasks)
+    results = campaign.each_kept("repeated_evolution", run, tasks)
     for place, name in enumerate((AS_CAPTIONED, AS_FOUND)):
-        part = results[place * settings.runs : (place + 1) * settings.runs]
+        part = results[place * campaign.runs : (place + 1) * campaign.runs]
         sets = np.array([result["parameters"] for result in part])
-        misfit = cycle(name, settings.seed, PHASES)
+        misfit = cycle(name, campaign.seed, PHASES)
         data[name] = {
             "parameters": sets.tolist(),
             "rmse": [result["rmse"] for result in part],
             "spread": float(np.sqrt(misfit.power)),
             "statistics": statistics(sets),
             "variance_distance": variance_distance(sets.var(axis=0, ddof=1)),
-            "loops": _loops(sets, name, settings.seed).tolist(),
+            "loops": _loops(sets, name, campaign.seed).tolist(),
             "velocity": misfit.velocity.tolist(),
             "force": misfit.force.tolist(),
         }

@@ -23,8 +23,8 @@ from mr_damper_ros.report.document import (
     panels,
 )
 from studies.drawing import line, name_axes
+from studies.program import Campaign
 from studies.thesis import facts
-from studies.thesis.campaign import Campaign
 from studies.thesis.compared import Compared, comparison, percent
 from studies.thesis.runs import Loop, loop, window
 
@@ -48,7 +48,7 @@ def squared_change(condition: str, seed: int) -> dict[str, list[float]]:
 
 def compute(campaign: Campaign) -> dict[str, Any]:
     """Data of the section."""
-    seed = campaign.settings.seed
+    seed = campaign.seed
     return {name: squared_change(name, seed) for name in (CONDITION, WITH_CURRENT)}
 
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -18,22 +18,12 @@ from mr_damper_ros.kinematics.window import Window
 from mr_damper_ros.models import MODELS
 from mr_damper_ros.models.parameter_set import ParameterSet
 from mr_damper_ros.processes.files import json_ready
-from mr_damper_ros.report.document import (
-    GREY,
-    INK,
-    MARKS,
-    Cell,
-    Chapter,
-    Picture,
-    Table,
-    Text,
-    legend_above,
-    panels,
-    with_error,
-)
-from mr_damper_ros.signals.arrays import Array
+from mr_damper_ros.report import document
+from mr_damper_ros.report.document import GREY, INK, MARKS, Cell, Chapter, Picture, Table, Text
 from studies import earthquake, recordings
-from studies.drawing import line
+from studies.drawing import draw_rows, line, name_rows
+from studies.program import Campaign, Part, Task
+from studies.truth.extent import extent_of
 
 _RAW_COLUMNS = "time:0.005*s,-,force:980.665*N,displacement:10*mm"
 _RAW_CURRENTS = (0.0, 0.25, 0.5, 0.75, 1.0)
@@ -42,74 +32,28 @@ _SHOWN_EVERY = 5
 """Stride of the samples of an earthquake that are kept for drawing."""
 
 
-@dataclass(frozen=True)
-class RecordTrial:
-    """A law on the sinusoid records; ``left_out`` names a motion excluded from the identification.
-
-    ``every`` is the stride over the currents of a motion, which shortens the task.
-    """
-
-    utfsm: Path
-    law: str
-    left_out: str | None = None
-    every: int = 1
-
-
-@dataclass(frozen=True, eq=False)
-class RecordResult:
-    """The set; NRMSE [1] of the evaluated and of the raw records, by name; and the duration [s]."""
-
-    parameter_set: ParameterSet
-    nrmse: Mapping[str, float]
-    raw: Mapping[str, float]
-    seconds: float
-
-
-@dataclass(frozen=True)
-class EarthquakeTrial:
-    """An earthquake record at a current and a law, with or without the identifier.
-
-    ``longest`` [s] cuts the record short.
-    """
-
-    utfsm: Path
-    parameter_set: ParameterSet
-    current: float
-    follows: bool
-    longest: float
-
-
-@dataclass(frozen=True, eq=False)
-class EarthquakeResult:
-    """Fit [%]; time [s], measured and predicted force [N] of some samples, shape (n,) each."""
-
-    fit: float
-    time: Array
-    measured: Array
-    predicted: Array
-
-
-def judge_records(task: RecordTrial) -> RecordResult:
-    """Identify the law, and predict the evaluated records as the model node does.
+def judge_records(utfsm: Path, law: str, left_out: str | None, every: int) -> dict[str, Any]:
+    """Task: identify the law, and predict records as the model node does.
 
     If a motion is left out, its records are evaluated, and the peak velocity is held within the
     range of the others. Otherwise all records and the raw records of the logger are evaluated.
+    ``every`` is the stride over the currents of a motion. Returns the ``set``, the ``nrmse`` [1] of
+    the evaluated and of the ``raw`` records, by name, and the ``seconds`` of the identification.
     """
     motions = {
-        motion: windows[:: task.every]
-        for motion, windows in recordings.processed_motions(task.utfsm).items()
+        motion: windows[::every] for motion, windows in recordings.processed_motions(utfsm).items()
     }
     began = time.process_time()
-    found = set_without(motions, task.law, task.left_out)
+    found = set_without(motions, law, left_out)
     seconds = time.process_time() - began
-    judged = motions if task.left_out is None else {task.left_out: motions[task.left_out]}
+    judged = motions if left_out is None else {left_out: motions[left_out]}
     nrmse = {
         f"{motion}, {window.current[0]:g} A": error_of(found, window)
         for motion, windows in judged.items()
         for window in windows
     }
-    raw = {} if task.left_out is not None else _raw_errors(found, task.utfsm)
-    return RecordResult(found, nrmse, raw, seconds)
+    raw = {} if left_out is not None else _raw_errors(found, utfsm)
+    return {"set": found, "nrmse": nrmse, "raw": raw, "seconds": seconds}
 
 
 def set_without(
@@ -142,21 +86,21 @@ def _raw_errors(found: ParameterSet, utfsm: Path) -> dict[str, float]:
     return errors
 
 
-def judge_earthquake(task: EarthquakeTrial) -> EarthquakeResult:
-    """Predict the record block by block, its smoothing undone."""
-    place = earthquake.CURRENTS.index(task.current)
-    record = earthquake.unsmoothed_records(task.utfsm)[place]
-    if task.longest < record.force.size * record.period:
-        part = slice(0, round(task.longest / record.period))
-        record = recordings.cut(record, part)
-    force = earthquake.predicted(record, task.parameter_set, identify=task.follows)
-    shown = slice(None, None, _SHOWN_EVERY)
-    return EarthquakeResult(
-        earthquake.fit_percent(record, force),
-        np.asarray(record.period * np.arange(force.size), dtype=float)[shown],
-        record.force[shown],
-        force[shown],
-    )
+def judge_earthquake(
+    utfsm: Path, known: ParameterSet, current: float, follows: bool, longest: float
+) -> dict[str, Any]:
+    """Task: predict a record block by block, its smoothing undone, for at most ``longest`` [s].
+
+    ``follows`` says whether the identifier runs. Returns the ``fit`` [%] and ``series`` (3, n):
+    time [s], measured and predicted force [N] of some samples.
+    """
+    record = earthquake.unsmoothed_records(utfsm)[earthquake.CURRENTS.index(current)]
+    if longest < record.force.size * record.period:
+        record = recordings.cut(record, slice(0, round(longest / record.period)))
+    force = earthquake.predicted(record, known, identify=follows)
+    passed = record.period * np.arange(force.size)
+    series = np.stack([passed, record.force, force])[:, ::_SHOWN_EVERY]
+    return {"fit": earthquake.fit_percent(record, force), "series": series}
 
 
 def microseconds_per_sample(found: ParameterSet, window: Window) -> float:
@@ -181,95 +125,124 @@ _SHOWN = (10.0, 14.0)
 """Time range [s] of an earthquake that is drawn."""
 
 
-@dataclass(frozen=True)
-class Recorded:
-    """Results by law; earthquakes by law, current [A] and whether the identifier ran."""
+Laws = Mapping[str, Any]
+"""What :func:`judge_records` returns for each law, with ``left_out``: NRMSE [1] by record."""
 
-    one_set: Mapping[str, RecordResult]
-    left_out: Mapping[str, Mapping[str, float]]
-    earthquakes: Mapping[tuple[str, float, bool], EarthquakeResult]
-    microseconds: Mapping[str, float] = field(default_factory=dict)
-
-    @property
-    def currents(self) -> list[float]:
-        """Currents [A] of the earthquakes."""
-        return sorted({current for _, current, _ in self.earthquakes})
-
-    def fits(self, law: str, follows: bool) -> list[float | None]:
-        """Fit [%] of each earthquake; None if it was not computed."""
-        found = (self.earthquakes.get((law, current, follows)) for current in self.currents)
-        return [None if result is None else result.fit for result in found]
-
-    def static_mean(self, law: str) -> float:
-        """Mean fit [%] of the earthquakes with the sinusoid set alone; NaN if one is missing."""
-        fits = [math.nan if fit is None else fit for fit in self.fits(law, follows=False)]
-        return float(np.mean(fits)) if fits else math.nan
+Shaken = Mapping[tuple[str, float, bool], Any]
+"""Results of :func:`judge_earthquake` by law, current [A] and whether the identifier ran."""
 
 
-def headlines(found: Recorded) -> list[str]:
+def recordings_part(campaign: Campaign) -> Part:
+    """All laws on all recordings, and the chapters on them."""
+    utfsm = recordings.folder()
+    if utfsm is None:
+        return Part([], [])
+    extent = extent_of(campaign)
+    motions = [None, *recordings.processed_motions(utfsm)]
+    tasks = [
+        {"utfsm": utfsm, "law": law, "left_out": left_out, "every": extent.every}
+        for law in extent.laws
+        for left_out in motions
+    ]
+    judged = campaign.each("sinusoid records", judge_records, tasks)
+    found: dict[str, Any] = {}
+    for place, law in enumerate(extent.laws):
+        whole, *others = judged[place * len(motions) : (place + 1) * len(motions)]
+        left_out = {name: error for each in others for name, error in each["nrmse"].items()}
+        found[law] = {**whole, "left_out": left_out}
+    keys = [
+        (law, current, follows)
+        for follows in (False, True)
+        for law in extent.laws
+        if not follows or law in extent.online
+        for current in extent.currents
+    ]
+    common = {"utfsm": utfsm, "longest": extent.longest}
+    trials: list[Task] = [
+        {**common, "known": found[law]["set"], "current": current, "follows": follows}
+        for law, current, follows in keys
+    ]
+    shaken = dict(zip(keys, campaign.each("earthquakes", judge_earthquake, trials), strict=True))
+    window = recordings.processed_windows(utfsm)[0]
+    for result in found.values():
+        result["microseconds"] = microseconds_per_sample(result["set"], window)
+    chapters = [_sinusoids(found), _earthquakes(found, shaken), _parameters(found)]
+    return Part(chapters, _headlines(found, shaken), _figures(found, shaken))
+
+
+def _currents(shaken: Shaken) -> list[float]:
+    """Currents [A] of the earthquakes."""
+    return sorted({current for _, current, _ in shaken})
+
+
+def _fits(shaken: Shaken, law: str, follows: bool) -> list[float | None]:
+    """Fit [%] of each earthquake; None if it was not computed."""
+    found = (shaken.get((law, current, follows)) for current in _currents(shaken))
+    return [None if result is None else result["fit"] for result in found]
+
+
+def _static_mean(shaken: Shaken, law: str) -> float:
+    """Mean fit [%] of the earthquakes with the sinusoid set alone; NaN if one is missing."""
+    fits = [math.nan if fit is None else fit for fit in _fits(shaken, law, follows=False)]
+    return float(np.mean(fits)) if fits else math.nan
+
+
+def _headlines(found: Laws, shaken: Shaken) -> list[str]:
     """Summary sentences of the chapters."""
-    alone = {law: _median(result.nrmse) for law, result in found.one_set.items()}
-    unseen = {law: _median(errors) for law, errors in found.left_out.items()}
-    shaken = {law: found.static_mean(law) for law in found.one_set}
-    best, safest, steadiest = (
-        min(alone, key=lambda law: alone[law]),
-        min(unseen, key=lambda law: unseen[law]),
-        max(shaken, key=lambda law: shaken[law]),
+    alone, unseen = (
+        {law: _median(result[kind]) for law, result in found.items()}
+        for kind in ("nrmse", "left_out")
     )
+    means = {law: _static_mean(shaken, law) for law in found}
+    best, safest = (min(errors, key=errors.__getitem__) for errors in (alone, unseen))
+    steadiest = max(means, key=means.__getitem__)
     return [
         f"one set leaves {alone[best]:.1%} of the force ({best}, median over the records), and "
         f"{unseen[safest]:.1%} of motions that it has not seen ({safest}).",
-        f"the set of the sinusoids alone fits the earthquakes to {shaken[steadiest]:.1f} % in the "
+        f"the set of the sinusoids alone fits the earthquakes to {means[steadiest]:.1f} % in the "
         f"mean ({steadiest}).",
         "those of each law, with their errors.",
     ]
 
 
-def sinusoid_chapter(found: Recorded) -> Chapter:
+def _sinusoids(found: Laws) -> Chapter:
     """Results of every law on the sinusoid records."""
     rows: list[Sequence[Cell]] = []
-    for law, result in found.one_set.items():
-        errors, unseen = list(result.nrmse.values()), list(found.left_out[law].values())
+    for law, result in found.items():
+        errors, unseen = (list(result[kind].values()) for kind in ("nrmse", "left_out"))
         rows.append(
             (
-                law,
-                len(MODELS[law].parameters),
+                *(law, len(MODELS[law].parameters)),
                 *(100.0 * float(of(errors)) for of in (np.median, np.max)),
                 *(100.0 * float(of(unseen)) for of in (np.median, np.mean)),
-                100.0 * _median(result.raw),
-                result.seconds,
-                found.microseconds.get(law),
+                *(100.0 * _median(result["raw"]), result["seconds"], result["microseconds"]),
             )
         )
-    motions = list(dict.fromkeys(name.rpartition(",")[0] for name in _records(found)))
-    figure, axes = panels(2, 1, 6.8, 5.2, sharex=True)
-    places = np.arange(len(_records(found)))
-    for row, (title, errors_of) in enumerate(
-        (
-            ("one set for all", {law: result.nrmse for law, result in found.one_set.items()}),
-            ("its motion left out", found.left_out),
-        )
+    names = list(next(iter(found.values()))["nrmse"])
+    motions = [name.rpartition(",")[0] for name in names]
+    figure, axes = document.panels(2, 1, 6.8, 5.2, sharex=True)
+    places = np.arange(len(names))
+    for axis, kind, title in zip(
+        axes[:, 0],
+        ("nrmse", "left_out"),
+        ("one set for all", "its motion left out"),
+        strict=True,
     ):
-        for number, (law, errors_by_name) in enumerate(errors_of.items()):
-            values = [100.0 * errors_by_name.get(name, math.nan) for name in _records(found)]
-            axes[row, 0].plot(
-                places,
-                values,
-                color=INK[number % len(INK)],
-                marker=MARKS[number % len(MARKS)],
-                linestyle="none",
-                label=law,
-            )
-        axes[row, 0].set(ylabel=f"NRMSE (%), {title}", yscale="log")
-        axes[row, 0].yaxis.set_major_formatter("{x:g}")
-        axes[row, 0].yaxis.set_minor_formatter("{x:g}")
-    currents = [name.rpartition(",")[2].removesuffix(" A").strip() for name in _records(found)]
+        for number, (law, result) in enumerate(found.items()):
+            values = [100.0 * result[kind].get(name, math.nan) for name in names]
+            colour, mark = INK[number % len(INK)], MARKS[number % len(MARKS)]
+            axis.plot(places, values, color=colour, marker=mark, linestyle="none", label=law)
+        axis.set(ylabel=f"NRMSE (%), {title}", yscale="log")
+        axis.yaxis.set_major_formatter("{x:g}")
+        axis.yaxis.set_minor_formatter("{x:g}")
+        for place in places[1:]:
+            if motions[place] != motions[place - 1]:
+                axis.axvline(place - 0.5, color=GREY, linewidth=0.6)
+    currents = [name.rpartition(",")[2].removesuffix(" A").strip() for name in names]
     axes[1, 0].set_xticks(places, currents)
-    axes[1, 0].set_xlabel("current (A), motion by motion: " + ", ".join(map(_motion, motions)))
-    for edge in np.flatnonzero(np.diff([motions.index(_of(n)) for n in _records(found)])):
-        for row in (0, 1):
-            axes[row, 0].axvline(edge + 0.5, color=GREY, linewidth=0.6)
-    legend_above(figure, axes[0, 0], 4)
+    told = ", ".join(map(_motion, dict.fromkeys(motions)))
+    axes[1, 0].set_xlabel("current (A), motion by motion: " + told)
+    document.legend_above(figure, axes[0, 0], 4)
     return Chapter(
         "sinusoids",
         "Sinusoid records",
@@ -300,38 +273,33 @@ def sinusoid_chapter(found: Recorded) -> Chapter:
     )
 
 
-def earthquake_chapter(found: Recorded) -> Chapter:
+def _earthquakes(found: Laws, shaken: Shaken) -> Chapter:
     """Results of every law on the earthquakes."""
-    currents = found.currents
+    currents = _currents(shaken)
     rows: list[Sequence[Cell]] = [
         (
             law,
-            *found.fits(law, follows=False),
-            json_ready(found.static_mean(law)),
-            *found.fits(law, follows=True),
+            *_fits(shaken, law, follows=False),
+            json_ready(_static_mean(shaken, law)),
+            *_fits(shaken, law, follows=True),
         )
-        for law in found.one_set
+        for law in found
     ]
     middle = currents[len(currents) // 2]
-    best = max(found.one_set, key=lambda law: found.earthquakes[law, middle, False].fit)
-    static = found.earthquakes[best, middle, False]
-    online = found.earthquakes.get((best, middle, True))
-    figure, axes = panels(2, 1, 6.8, 4.2, sharex=True)
-    chosen = (static.time >= _SHOWN[0]) & (static.time < _SHOWN[1])
-    time = static.time[chosen]
-    axes[0, 0].plot(time, static.measured[chosen], color=GREY, linewidth=2.0, label="measured")
-    for place, (result, name) in enumerate(
-        ((static, "sinusoid set"), (online, "identifier running"))
-    ):
-        if result is not None:
-            style = line(place)
-            axes[0, 0].plot(time, result.predicted[chosen], label=name, **style)
-            left = result.predicted - result.measured
-            axes[1, 0].plot(time, left[chosen], **style)
-    axes[0, 0].set(ylabel="force (N)")
-    axes[1, 0].set(ylabel="left (N)", xlabel="time (s)")
-    legend_above(figure, axes[0, 0], 3)
-    heads = [f"{current:g} A" for current in currents]
+    best = max(found, key=lambda law: shaken[law, middle, False]["fit"])
+    figure, axes = document.panels(2, 1, 6.8, 4.2, sharex=True)
+    for place, name in enumerate(("sinusoid set", "identifier running")):
+        if (best, middle, bool(place)) in shaken:
+            series = shaken[best, middle, bool(place)]["series"]
+            passed, measured, predicted = series[
+                :, (series[0] >= _SHOWN[0]) & (series[0] < _SHOWN[1])
+            ]
+            if not place:
+                axes[0, 0].plot(passed, measured, color=GREY, linewidth=2.0, label="measured")
+            draw_rows(axes, passed, (predicted, predicted - measured), name, **line(place))
+    name_rows(axes, "force (N)", "left (N)")
+    document.legend_above(figure, axes[0, 0], 3)
+    named = [f"{current:g} A" for current in currents]
     return Chapter(
         "earthquakes",
         "Earthquake records",
@@ -349,9 +317,9 @@ def earthquake_chapter(found: Recorded) -> Chapter:
                 "Fit 1 − NRMSE in percent. –: not tried.",
                 (
                     "law",
-                    *(f"static, {head}" for head in heads),
+                    *(f"static, {current}" for current in named),
                     "mean",
-                    *(f"on-line, {head}" for head in heads),
+                    *(f"on-line, {current}" for current in named),
                 ),
                 rows,
             ),
@@ -364,7 +332,7 @@ def earthquake_chapter(found: Recorded) -> Chapter:
     )
 
 
-def parameter_chapter(found: Recorded) -> Chapter:
+def _parameters(found: Laws) -> Chapter:
     """The set of every law."""
     blocks: list[Text | Table] = [
         Text(
@@ -374,17 +342,17 @@ def parameter_chapter(found: Recorded) -> Chapter:
             "The records tell nothing of the coil's lag, since each is of one current."
         )
     ]
-    for law, result in found.one_set.items():
+    for law, result in found.items():
         rows = [
             (
                 name,
-                with_error(entry.value, entry.standard_error)
-                if _known(entry.observable, entry.standard_error)
+                document.with_error(entry.value, entry.standard_error)
+                if entry.observable and 0.0 < entry.standard_error < math.inf
                 else None,
                 entry.unit,
                 f"{entry.value:.6g}",
             )
-            for name, entry in parameter_estimates(result.parameter_set).items()
+            for name, entry in parameter_estimates(result["set"]).items()
         ]
         blocks.append(
             Table(
@@ -397,20 +365,20 @@ def parameter_chapter(found: Recorded) -> Chapter:
     return Chapter("parameters", "Parameters", blocks)
 
 
-def record_document(found: Recorded) -> dict[str, object]:
+def _figures(found: Laws, shaken: Shaken) -> dict[str, object]:
     """The figures of the recordings for the JSON file, law by law; NRMSE [1], fits [%]."""
     return {
         law: {
-            "one_set_nrmse": dict(result.nrmse),
-            "one_set_median": _median(result.nrmse),
-            "left_out_nrmse": dict(found.left_out[law]),
-            "left_out_median": _median(found.left_out[law]),
-            "raw_nrmse": dict(result.raw),
-            "earthquake_currents": found.currents,
-            "earthquake_static_fit": found.fits(law, follows=False),
-            "earthquake_online_fit": found.fits(law, follows=True),
-            "identification_s": result.seconds,
-            "us_per_sample": found.microseconds.get(law),
+            "one_set_nrmse": result["nrmse"],
+            "one_set_median": _median(result["nrmse"]),
+            "left_out_nrmse": result["left_out"],
+            "left_out_median": _median(result["left_out"]),
+            "raw_nrmse": result["raw"],
+            "earthquake_currents": _currents(shaken),
+            "earthquake_static_fit": _fits(shaken, law, follows=False),
+            "earthquake_online_fit": _fits(shaken, law, follows=True),
+            "identification_s": result["seconds"],
+            "us_per_sample": result["microseconds"],
             "parameters": {
                 name: {
                     "value": entry.value,
@@ -419,23 +387,11 @@ def record_document(found: Recorded) -> dict[str, object]:
                     "unit": entry.unit,
                     "observable": entry.observable,
                 }
-                for name, entry in parameter_estimates(result.parameter_set).items()
+                for name, entry in parameter_estimates(result["set"]).items()
             },
         }
-        for law, result in found.one_set.items()
+        for law, result in found.items()
     }
-
-
-def _known(observable: bool, error: float) -> bool:
-    return observable and math.isfinite(error) and error > 0.0
-
-
-def _records(found: Recorded) -> list[str]:
-    return list(next(iter(found.one_set.values())).nrmse)
-
-
-def _of(name: str) -> str:
-    return name.rpartition(",")[0]
 
 
 def _motion(name: str) -> str:

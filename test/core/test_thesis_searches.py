@@ -17,8 +17,8 @@ from mr_damper_ros.report.document import (
     with_error,
     write_report,
 )
+from studies.program import Campaign
 from studies.thesis import facts, identifiability, one_set, optimisers, sensitivity
-from studies.thesis.campaign import Campaign, Settings
 from studies.thesis.optimiser_methods import available
 
 
@@ -76,7 +76,7 @@ def test_values_with_errors(value, error, text):
 
 
 def test_report_needs_nothing_from_outside_and_shows_the_numbers(tmp_path):
-    data = sensitivity.compute(Campaign(Settings(tmp_path)))
+    data = sensitivity.compute(Campaign(tmp_path))
     with styled():
         blocks = [Text("a < b"), *sensitivity.show(data)]
         page = write_report(

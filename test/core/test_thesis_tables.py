@@ -7,8 +7,8 @@ from fresh_python import alone
 
 from mr_damper_ros.emulation.emulator import THESIS_FORCE_NOISE
 from mr_damper_ros.models.published import ROW_ERRATA, find
+from studies.program import Campaign, code_files
 from studies.thesis import dependency, errata, facts, force_error
-from studies.thesis.campaign import Campaign, Settings, code_files
 from studies.thesis.conditions import identified
 
 SOUND_AFTER_ALL = (find("7.5mm_3Hz_1.5A"), "nelder_mead")
@@ -41,7 +41,7 @@ TWO_DECIMALS = 0.005
 
 @pytest.fixture(scope="module")
 def campaign(tmp_path_factory):
-    return Campaign(Settings(tmp_path_factory.mktemp("thesis"), runs=2, quick=True))
+    return Campaign(tmp_path_factory.mktemp("thesis"), runs=2, quick=True)
 
 
 def test_results_are_kept_for_the_code_that_they_were_computed_with():

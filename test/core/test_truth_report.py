@@ -12,11 +12,11 @@ from scipy.io import savemat
 from scipy.signal import lfilter
 
 from mr_damper_ros.models import MODELS
+from studies.truth import extent
 from studies.truth import report as truth_report
 from studies.truth.hysteretic_oscillator import PERIOD, STEPS, TRUTH, multisine
-from studies.truth.report import TruthExtent
 
-TINY = TruthExtent(
+TINY = extent.Extent(
     laws=("bingham", "hyperbolic_tangent"),
     online=("bingham",),
     currents=(0.6,),
@@ -69,7 +69,7 @@ def write_recordings(folder: Path) -> None:
 
 @pytest.fixture
 def tiny(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(truth_report, "SHORT", TINY)
+    monkeypatch.setattr(extent, "SHORT", TINY)
 
 
 @pytest.mark.usefixtures("tiny")

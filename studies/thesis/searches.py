@@ -1,19 +1,40 @@
-"""Differential evolution as the thesis describes it, a whole generation at a time.
+"""The searches of the thesis over all sixteen parameters.
 
-Storn and Price, Journal of Global Optimization 11, 1997; thesis 2.7.2. Trial values beyond a bound
-are clipped to it. That the thesis did so is read off its tables 10 and 11: the variances of a0, I1,
-a3, a4 and k2 exceed that of a uniform distribution over the whole range, so most results lie on
-the bounds.
+Nelder-Mead as MATLAB's fminsearch does it (thesis appendix D), and differential evolution a whole
+generation at a time (Storn and Price, Journal of Global Optimization 11, 1997; thesis 2.7.2). Trial
+values beyond a bound are clipped to it. That the thesis did so is read off its tables 10 and 11:
+the variances of a0, I1, a3, a4 and k2 exceed that of a uniform distribution over the whole range,
+so most results lie on the bounds.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
+from scipy.optimize import minimize
 
 from mr_damper_ros.signals.arrays import Array
+
+
+def fminsearch(
+    cost: Callable[[Array], float], start: Array, evaluations: int | None = None
+) -> tuple[Array, float, int]:
+    """Best point (p,), its cost, evaluations; initial simplex and tolerances of MATLAB.
+
+    Without ``evaluations`` MATLAB's limit of 200 per unknown holds.
+    """
+    simplex = np.repeat(start[np.newaxis], start.size + 1, axis=0)
+    for place in range(start.size):
+        simplex[place + 1, place] = 1.05 * start[place] if start[place] != 0.0 else 0.00025
+    most = 200 * start.size if evaluations is None else evaluations
+    options = {"xatol": 1e-4, "fatol": 1e-4, "maxfev": most, "maxiter": most}
+    result = minimize(
+        cost, start, method="Nelder-Mead", options={"initial_simplex": simplex, **options}
+    )
+    return np.asarray(result.x), float(result.fun), int(result.nfev)
+
 
 STRATEGIES = ("rand/1", "best/1", "rand-to-best/2", "rand/2")
 """Mutation schemes by the names of the thesis' table 3."""
@@ -22,8 +43,7 @@ _MUTATION, _RECOMBINATION = 0.8, 0.8
 """Factor on differences F, and the probability CR that a value is the mutant's; thesis 2.7.2."""
 
 
-@dataclass(frozen=True, eq=False)
-class Evolved:
+class Evolved(NamedTuple):
     """Best individual (p,), its cost, the evaluations spent."""
 
     best: Array

@@ -1,0 +1,483 @@
+"""Performance of each controller in a quarter car on roads and over a bump.
+
+The controllers receive the true motion of body and wheel. The inverse of the known set computes the
+current of the damper from the measurements of a rig.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from functools import cache
+from typing import Any
+
+import numpy as np
+
+from mr_damper_ros.control.force_controller import ForceController, ForceControlSettings
+from mr_damper_ros.control.linear_plant import Bump, IsoRoad, QuarterCar
+from mr_damper_ros.control.semi_active import (
+    Controller,
+    Weights,
+    acceleration_driven,
+    groundhook,
+    hybrid,
+    linear_feedback,
+    mixed_skyhook_add,
+    optimal_gain,
+    skyhook,
+)
+from mr_damper_ros.emulation import plant_rig
+from mr_damper_ros.emulation.commanded_rig import Choice, ForceChoice, commanded
+from mr_damper_ros.emulation.emulator import (
+    EmulatedDamper,
+    RigSettings,
+    SupplySetpoint,
+    ThermalModel,
+)
+from mr_damper_ros.emulation.plant_rig import HIGHEST_CURRENT, PlantRig, invented_damper
+from mr_damper_ros.kinematics.motion import Motion
+from mr_damper_ros.models.parameter_set import ParameterSet
+from mr_damper_ros.report import document
+from mr_damper_ros.report.document import GREY, INK, MARKS, Chapter, Picture, Table, Text, panels
+from mr_damper_ros.rig.sources.emulated_source import moment_of
+from mr_damper_ros.tracking.engine import Engine
+from studies.drawing import bars, draw_rows, heads, line, name_rows
+from studies.program import Campaign, Part
+from studies.recordings import rms
+
+CAR = QuarterCar()
+STATIC_LOAD = (CAR.body + CAR.wheel) * 9.80665
+"""Static load of the tyre [N]."""
+
+SPEEDS = {"A": 30.0, "B": 25.0, "C": 20.0, "D": 15.0, "E": 10.0}
+"""Speed [m/s] on a road of each class; it is lower on worse roads."""
+
+BUMP = Bump(height=0.06, length=3.0, speed=8.0, start=3.0, road=IsoRoad("A", 8.0, seed=1))
+"""The bump follows a stretch of good road, so that the controller knows the motion by then."""
+BUMP_ROAD = "bump"
+
+BLOCK = 5
+SETTLED = 2.0
+"""Time [s] after the start from which results are evaluated."""
+
+OFF, ON = "passive-off", "passive-on"
+
+SOFT, HARD = 700.0, 4000.0
+"""Dampings [N s/m] between which ADD and SH-ADD switch."""
+
+CONTROLLERS: dict[str, Controller] = {
+    "skyhook": skyhook(2500.0),
+    "groundhook": groundhook(2500.0),
+    "hybrid": hybrid(3500.0, 0.6),
+    "ADD": acceleration_driven(SOFT, HARD),
+    "SH-ADD": mixed_skyhook_add(SOFT, HARD, 12.0),
+    "clipped-optimal": linear_feedback(optimal_gain(CAR, Weights())),
+}
+"""Controllers, each with the same settings on all roads; none was tuned to a road."""
+
+STRATEGIES = (OFF, ON, *CONTROLLERS)
+
+_CONSTANTS = {f"{current:g} A": current for current in (0.1, 0.2, 0.3, 0.4, 0.6)}
+"""Constant currents [A], which represent passive dampers of different hardness."""
+
+_HELD = {OFF: 0.0, ON: HIGHEST_CURRENT, **_CONSTANTS}
+
+LAG = 0.01
+"""Time constant [s] of the coil in drives with coil lag."""
+
+_ROAD = "C"
+"""The road of the figures."""
+
+_MOST_SHOWN = 200.0
+"""Bars by road, in percent of passive-off."""
+
+Drives = Mapping[tuple[str, str, float], Any]
+"""Results of :func:`drive` by controller, road and time constant of the coil [s]."""
+
+
+@cache
+def _surroundings(road: str) -> plant_rig.Surroundings:
+    return BUMP if road == BUMP_ROAD else IsoRoad(road, SPEEDS[road], 1)
+
+
+def car_rig(
+    road: str,
+    supply: SupplySetpoint,
+    coil_time_constant: float,
+    thermal: ThermalModel | None = None,
+) -> PlantRig:
+    """The car with the invented damper."""
+    return PlantRig(
+        EmulatedDamper(invented_damper(coil_time_constant), plant_rig.HOT_FORCE, built_in=True),
+        CAR.plant,
+        _surroundings(road),
+        supply.schedule,
+        settings=RigSettings(displacement_noise=1e-6),
+        thermal=thermal,
+        coil_time_constant=coil_time_constant,
+        substeps=2,
+    )
+
+
+def force_choice(
+    rig: PlantRig, known: ParameterSet, controller: Controller, engine: Engine | None = None
+) -> ForceChoice:
+    """The nodes `suspension` and `controller` in one object, with an engine that identifies."""
+    settings = ForceControlSettings(highest_current=HIGHEST_CURRENT)
+    choice = ForceChoice(ForceController(settings), lambda _: controller(moment_of(rig)), engine)
+    choice.controller.predictor.set_parameters(known)
+    return choice
+
+
+def drive(strategy: str, road: str, lag: float, duration: float) -> dict[str, Any]:
+    """Task: drive with a coil of this time constant [s], evaluated after the first seconds.
+
+    ``comfort`` is the RMS acceleration of the body [m/s²], ``holding`` the RMS deviation of the
+    tyre load from the static load, relative to it [1], and ``travel`` the RMS suspension stroke
+    [m]. ``power`` [W] is the power that the damper dissipates, and ``coil`` the mean square of its
+    current [A²]. ``met`` is the fraction of blocks with an attainable desired force. ``highest``
+    and ``furthest`` are the peaks of the body and of the suspension. ``series`` are samples (4, n)
+    5 ms apart: time [s], acceleration, load, current.
+    """
+    held = _HELD.get(strategy, 0.0)
+    supply = SupplySetpoint(held)
+    rig = car_rig(road, supply, lag)
+    choose: Choice = lambda _: held  # noqa: E731
+    if strategy in CONTROLLERS:
+        choose = force_choice(rig, invented_damper(lag), CONTROLLERS[strategy])
+    rows, met = [], []
+    for block in commanded(rig, supply, choose, BLOCK, duration):
+        motion = block.motion
+        power = motion.force * motion.velocity
+        load = CAR.tyre * motion.states[:, 2]
+        rows.append([motion.rates[:, 1], load, motion.states[:, 0], power, motion.coil])
+        if isinstance(choose, ForceChoice) and choose.last is not None:
+            met.append(choose.last.attainable and not choose.last.doubt)
+    every = np.concatenate(rows, axis=1)
+    time = rig.settings.period * np.arange(1, every.shape[1] + 1)
+    acceleration, load, travel, power, coil = every[:, round(SETTLED * rig.settings.sample_rate) :]
+    return {
+        "comfort": rms(acceleration),
+        "holding": rms(load) / STATIC_LOAD,
+        "travel": rms(travel - travel.mean()),
+        "power": float(np.mean(power)),
+        "coil": float(np.mean(coil**2)),
+        "met": float(np.mean(met)) if met else None,
+        "highest": float(np.max(np.abs(acceleration))),
+        "furthest": float(np.max(np.abs(travel))),
+        "series": np.stack([time, every[0], every[1], every[4]])[:, ::BLOCK],
+    }
+
+
+def roads_part(campaign: Campaign) -> Part:
+    """All drives, and the chapters on them."""
+    duration = 4.0 if campaign.quick else 12.0
+    keys = [(strategy, road, LAG) for road in (*SPEEDS, BUMP_ROAD) for strategy in STRATEGIES]
+    keys += [(strategy, road, 0.0) for road in ("A", "C", "E") for strategy in CONTROLLERS]
+    keys += [(name, _ROAD, 0.0) for name in _HELD]
+    tasks = [
+        {"strategy": strategy, "road": road, "lag": lag, "duration": duration}
+        for strategy, road, lag in keys
+    ]
+    drives = dict(zip(keys, campaign.each("drives", drive, tasks), strict=True))
+    best = {road: _best_on(drives, road) for road in SPEEDS}
+    name = best[_ROAD]
+    here, off, on = (drives[each, _ROAD, LAG] for each in (name, OFF, ON))
+    worst = max(
+        drives[each, _ROAD, LAG]["comfort"] / drives[each, _ROAD, 0.0]["comfort"]
+        for each in CONTROLLERS
+    )
+    bump, without = (drives[each, BUMP_ROAD, LAG] for each in (name, OFF))
+    chapters = [
+        _damper_chapter(),
+        _roads_chapter(drives, duration),
+        _bump_chapter(drives),
+        _lag_chapter(drives),
+    ]
+    told = [
+        "an invented damper whose truth is known, in a quarter car.",
+        f"on road C {name}, the best by comfort and holding together, gives {here['comfort']:.2f} "
+        f"m/s² and {here['holding']:.0%} of the tyre's load; passive-off {off['comfort']:.2f} and "
+        f"{off['holding']:.0%}, passive-on {on['comfort']:.2f} and {on['holding']:.0%}.",
+        f"over the bump the body's acceleration is {bump['comfort']:.2f} m/s² (RMS; "
+        f"{bump['highest']:.1f} at most) with {name}, {without['comfort']:.2f} "
+        f"({without['highest']:.1f}) with passive-off.",
+        f"a coil that lags by 10 ms costs at most {worst - 1.0:.0%} of comfort on road C.",
+    ]
+    against_passive = {
+        f"car_{quantity}_over_{passive.replace('-', '_')}": max(
+            drives[best[road], road, LAG][quantity] / drives[passive, road, LAG][quantity]
+            for road in SPEEDS
+        )
+        for quantity in ("comfort", "holding")
+        for passive in (OFF, ON)
+    }
+    return Part(chapters, told, {"best": best, "worst": against_passive})
+
+
+def _best_on(drives: Drives, road: str) -> str:
+    """The controller with the smallest sum of comfort and holding, each relative to passive-off."""
+    off = drives[OFF, road, LAG]
+
+    def cost(strategy: str) -> float:
+        found = drives[strategy, road, LAG]
+        return float(sum(found[each] / off[each] for each in ("comfort", "holding")))
+
+    return min(CONTROLLERS, key=cost)
+
+
+def _damper_chapter() -> Chapter:
+    """Description of the damper of the car."""
+    figure, axes = panels(1, 2, 6.6, 2.6)
+    known = invented_damper(0.0)
+    time = np.linspace(0.0, 2.0, 2000, endpoint=False)
+    amplitude, rate = 0.02, 2.0 * np.pi * 2.0
+    u, v = amplitude * np.sin(rate * time), amplitude * rate * np.cos(rate * time)
+    motion = Motion(u, v, -(rate**2) * u, np.full(time.size, amplitude * rate), sine=None)
+    late = slice(1000, None)
+    for place, current in enumerate((0.0, 0.2, 0.4, 0.8, HIGHEST_CURRENT)):
+        force = 1e-3 * known.law.force(known.values, motion, np.full(time.size, current), 1e-3)
+        axes[0, 0].plot(v[late], force[late], label=f"{current:g} A", **line(place))
+        axes[0, 1].plot(1e3 * u[late], force[late], **line(place))
+    axes[0, 0].set(xlabel="velocity (m/s)", ylabel="force (kN)")
+    axes[0, 1].set(xlabel="displacement (mm)")
+    document.legend_above(figure, axes[0, 0], 5)
+    return Chapter(
+        "damper",
+        "The damper and the car",
+        [
+            Text(
+                "The damper is an invented one, in the size of the one of the thesis, so that what "
+                "is known of it is the truth: the extended sigmoid law with a compliance, a gas "
+                f"spring and a coil, for 0 to {HIGHEST_CURRENT:g} A. It keeps 74 % of its force at "
+                "71 °C, as that of the thesis does. Its force is reckoned two thousand times a "
+                "second, measured a thousand times a second with 5.53 N of noise, and the current "
+                "is commanded every 5 ms."
+            ),
+            Text(
+                f"The car has a body of {CAR.body:.0f} kg and a wheel of {CAR.wheel:.0f} kg, a "
+                f"spring of {1e-3 * CAR.spring:.0f} kN/m and a tyre of {1e-3 * CAR.tyre:.0f} kN/m "
+                "(Savaresi et al., Semi-Active Suspension Control Design for Vehicles, 2010). Tyre "
+                "and spring are linear: the wheel does not leave the road, and nothing ends the "
+                "suspension's travel. The controllers are given the true motion of body and wheel; "
+                "no sensor of the car is in the study."
+            ),
+            Picture(
+                "damper",
+                "Force of the damper in a sine of 20 mm and 2 Hz, at five currents.",
+                figure,
+            ),
+        ],
+    )
+
+
+def _roads_chapter(drives: Drives, duration: float) -> Chapter:
+    """Comfort, road holding, travel and energy on roads of ISO 8608."""
+    rows = []
+    for road in SPEEDS:
+        off = drives[OFF, road, LAG]
+        for strategy in STRATEGIES:
+            found = drives[strategy, road, LAG]
+            rows.append(
+                (
+                    *(road, strategy, found["comfort"]),
+                    _percent(found["comfort"], off["comfort"]),
+                    100.0 * found["holding"],
+                    _percent(found["holding"], off["holding"]),
+                    *(1e3 * found["travel"], found["power"], found["coil"]),
+                    None if found["met"] is None else f"{100.0 * found['met']:.0f}",
+                )
+            )
+    table = Table(
+        "roads",
+        f"A coil that lags by {1e3 * LAG:.0f} ms. Comfort: RMS of the body's acceleration. Road "
+        "holding: RMS of the tyre's load about the static one, as a part of it. Travel: RMS of the "
+        "suspension's. Power: mean that the damper takes. Coil: mean square of its current. Met: "
+        "share of the time in which the wanted force could be had. The changes are against "
+        "passive-off on the same road.",
+        heads(
+            "road | controller | comfort (m/s²) | change (%) | holding (%) | change (%) | "
+            "travel (mm) | power (W) | coil (A²) | met (%)"
+        ),
+        rows,
+    )
+    speeds = ", ".join(f"{road} {speed:.0f} m/s" for road, speed in SPEEDS.items())
+    return Chapter(
+        "roads",
+        "Roads A to E",
+        [
+            Text(
+                "Each road is a sum of sines of random phases with the density of its class, "
+                f"the same for every controller; {speeds}. {duration - SETTLED:.0f} s "
+                f"count, after {SETTLED:.0f} in which the controller comes to know the motion. "
+                "Every controller has one setting for all roads, and none was tuned to a road."
+            ),
+            Picture(
+                "trade_off",
+                f"Comfort against road holding on road {_ROAD}; better is below and to "
+                "the left. The line is what constant currents give, from "
+                f"0 to {HIGHEST_CURRENT:g} A. Filled: coil without lag; open: {1e3 * LAG:.0f} ms.",
+                _trade_off(drives),
+            ),
+            Picture(
+                "by_road",
+                "Comfort, road holding and travel of the suspension on the five roads, against "
+                f"passive-off; coil lag {1e3 * LAG:.0f} ms. Bars that end at {_MOST_SHOWN:.0f} % "
+                "go beyond: the table has their numbers.",
+                _by_road(drives),
+            ),
+            Picture(
+                "spectra",
+                f"Density of the body's acceleration on road {_ROAD}, coil lag "
+                f"{1e3 * LAG:.0f} ms (Welch, stretches of 4 s).",
+                _spectra(drives),
+            ),
+            table,
+        ],
+    )
+
+
+def _bump_chapter(drives: Drives) -> Chapter:
+    """Peaks and time histories over the bump."""
+    over = {strategy: drives[strategy, BUMP_ROAD, LAG] for strategy in STRATEGIES}
+    rows = [
+        (
+            strategy,
+            found["highest"],
+            1e-3 * float(np.max(np.abs(found["series"][2]))),
+            1e3 * found["furthest"],
+            found["comfort"],
+        )
+        for strategy, found in over.items()
+    ]
+    figure, axes = panels(3, 1, 6.6, 4.6, sharex=True)
+    for place, strategy in enumerate(_shown(drives)):
+        time, acceleration, load, current = over[strategy]["series"]
+        chosen = (time > BUMP.start - 0.1) & (time < BUMP.start + 2.4)
+        shown = np.stack([acceleration, 1e-3 * load, current])[:, chosen]
+        draw_rows(axes, time[chosen] - BUMP.start, shown, strategy, **line(place))
+    name_rows(
+        *(axes, "acceleration (m/s²)", "tyre load (kN)", "current (A)"),
+        time="time since the bump (s)",
+    )
+    document.legend_above(figure, axes[0, 0], 4)
+    return Chapter(
+        "bump",
+        "A bump",
+        [
+            Text(
+                f"A cosine of {1e3 * BUMP.height:.0f} mm by {BUMP.length:g} m at {BUMP.speed:g} "
+                f"m/s, on a road of class A, {BUMP.start:g} s after the start. A controller "
+                "commands the safe current, 0 A, until the motion is known; the peaks are those "
+                f"from {SETTLED:g} s on."
+            ),
+            Picture("bump", f"Over the bump, coil lag {1e3 * LAG:.0f} ms.", figure),
+            Table(
+                "bump",
+                "Peaks of the body's acceleration, of the tyre's load about the static one and of "
+                "the suspension's travel; RMS of the acceleration.",
+                ("controller", "peak (m/s²)", "load (kN)", "travel (mm)", "RMS (m/s²)"),
+                rows,
+            ),
+        ],
+    )
+
+
+def _lag_chapter(drives: Drives) -> Chapter:
+    """Loss of performance caused by the lag of the coil."""
+    rows = []
+    for strategy in CONTROLLERS:
+        for road in ("A", "C", "E"):
+            quick, late = (drives[strategy, road, lag] for lag in (0.0, LAG))
+            cells: list[Any] = [strategy, road]
+            for name, factor in (("comfort", 1.0), ("holding", 100.0)):
+                cells += [factor * quick[name], factor * late[name]]
+                cells.append(_percent(late[name], quick[name]))
+            rows.append(cells)
+    return Chapter(
+        "lag",
+        "With and without lag of the coil",
+        [
+            Text(
+                "The current of the coil follows that of the supply with a first-order lag of "
+                f"{1e3 * LAG:.0f} ms, which the inverse knows and makes up for as far as the "
+                "limits of the supply let it."
+            ),
+            Table(
+                "lag",
+                "Without lag and with it.",
+                heads(
+                    "controller | road | comfort, none (m/s²) | 10 ms | change (%) | "
+                    "holding, none (%) | 10 ms | change (%)"
+                ),
+                rows,
+            ),
+        ],
+    )
+
+
+def _percent(value: float, reference: float) -> str:
+    return f"{100.0 * (value / reference - 1.0):+.1f}".replace("-", "−")
+
+
+def _trade_off(drives: Drives) -> object:
+    figure, axes = panels(1, 1, 4.8, 3.6)
+    axis = axes[0, 0]
+
+    def place_of(name: str, lag: float) -> tuple[float, float]:
+        found = drives[name, _ROAD, lag]
+        return found["comfort"], 100.0 * found["holding"]
+
+    places = np.array([place_of(name, 0.0) for name in (OFF, *_CONSTANTS, ON)])
+    axis.plot(*places.T, color=GREY, marker=".", label="constant currents")
+    for number, strategy in enumerate(CONTROLLERS):
+        style = {"linestyle": "", "marker": MARKS[number], "color": INK[number], "markersize": 5}
+        axis.plot(*place_of(strategy, 0.0), label=strategy, **style)
+        axis.plot(*place_of(strategy, LAG), markerfacecolor="white", **style)
+    for name, place, side, by in (
+        (OFF, places[0], "left", (6, -2)),
+        (ON, places[-1], "right", (-6, -3)),
+    ):
+        axis.annotate(name, place, xytext=by, textcoords="offset points", ha=side, fontsize=7.5)
+    axis.set(xlabel="RMS acceleration of the body (m/s²)", ylabel="RMS load of the tyre (%)")
+    axis.legend(fontsize=7)
+    return figure
+
+
+def _by_road(drives: Drives) -> object:
+    figure, axes = panels(3, 1, 6.6, 5.2, sharex=True)
+    for axis, (name, label) in zip(
+        axes[:, 0],
+        (("comfort", "acceleration (%)"), ("holding", "tyre load (%)"), ("travel", "travel (%)")),
+        strict=True,
+    ):
+        off = {road: drives[OFF, road, LAG][name] for road in SPEEDS}
+        series = {
+            strategy: [100.0 * drives[strategy, road, LAG][name] / off[road] for road in SPEEDS]
+            for strategy in STRATEGIES[1:]
+        }
+        bars(axis, series)
+        axis.axhline(100.0, color=GREY, linewidth=0.8)
+        axis.set(ylabel=label, ylim=(0.0, _MOST_SHOWN))
+    axes[-1, 0].set_xticks(range(len(SPEEDS)), [f"road {road}" for road in SPEEDS])
+    document.legend_above(figure, axes[0, 0], 4)
+    return figure
+
+
+def _spectra(drives: Drives) -> object:
+    from scipy.signal import welch
+
+    figure, axes = panels(1, 1, 5.6, 3.0)
+    for place, strategy in enumerate(_shown(drives)):
+        time, acceleration, _, _ = drives[strategy, _ROAD, LAG]["series"]
+        rate = 1.0 / (time[1] - time[0])
+        late = acceleration[time > SETTLED]
+        frequency, density = welch(late, rate, nperseg=min(round(4.0 * rate), late.size))
+        chosen = (frequency >= 0.4) & (frequency <= 30.0)
+        axes[0, 0].loglog(frequency[chosen], density[chosen], label=strategy, **line(place))
+    axes[0, 0].set(xlabel="frequency (Hz)", ylabel="density ((m/s²)²/Hz)")
+    axes[0, 0].legend()
+    return figure
+
+
+def _shown(drives: Drives) -> list[str]:
+    return list(dict.fromkeys((OFF, ON, "skyhook", _best_on(drives, _ROAD))))
