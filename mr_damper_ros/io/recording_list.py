@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from mr_damper_ros.io.records import read_record
-from mr_damper_ros.models.parameter_set import SpokenError
+from mr_damper_ros.models.parameter_set import UserError
 from mr_damper_ros.signals.recording import Recording
 
 RECORD_ENDINGS = frozenset(
@@ -25,7 +25,7 @@ _METADATA = "metadata.yaml"
 _PATTERN_SIGNS = frozenset("*?[")
 
 
-class ListError(SpokenError):
+class ListError(UserError):
     """Recordings that cannot be found or assigned; the message says what to change."""
 
 

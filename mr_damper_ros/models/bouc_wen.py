@@ -1,17 +1,17 @@
-"""The Bouc-Wen model and the modified one, integrated stably at any sample period.
+"""The Bouc-Wen and the modified Bouc-Wen model, integrated stably at any sample period.
 
-Spencer, Dyke, Sain and Carlson, J. Engineering Mechanics 123, 1997; thesis eq. 1-6. The published
-parameters A, beta, gamma and alpha are redundant by one: z and alpha can be scaled against each
-other (Ma, Zhang, Bockstedte, Foliente and Paevere, J. Applied Mechanics 71, 2004). Here |z| tends
-to 1, with the driving velocity w:
+Spencer, Dyke, Sain and Carlson, J. Engineering Mechanics 123, 1997; thesis eq. 1-6. One of the
+published parameters A, beta, gamma and alpha is redundant, because z and alpha can be scaled
+against each other (Ma, Zhang, Bockstedte, Foliente and Paevere, J. Applied Mechanics 71, 2004).
+Here z is scaled so that |z| tends to 1, with the driving velocity w:
 
     dz/dt = (w - |z|^n (share w + (1 - share) |w| sgn z)) / yield_length
 
 This gives A = 1/yield_length, beta = share A, gamma = (1 - share) A, and alpha is the force at full
 yield.
 
-A step is an exponential Rosenbrock-Euler step. It is of second order and exact for an equation
-linear in z. It keeps |z| at most 1, so it is stable for any period.
+The integration uses exponential Rosenbrock-Euler steps. They are of second order and exact for an
+equation linear in z. They keep |z| at most 1, so they are stable for any period.
 """
 
 from __future__ import annotations
@@ -28,11 +28,11 @@ from mr_damper_ros.models.current_dependence import (
     Coefficient,
     CurrentDependentModel,
     DifferentiatedModel,
-    accumulated,
-    along,
     at_samples,
-    driven,
+    excitation,
     integrated,
+    sensitivity_input,
+    solve_recursion,
 )
 from mr_damper_ros.models.force_model import Model
 from mr_damper_ros.models.machine_code import as_machine_code, run_loop
@@ -47,7 +47,7 @@ HYSTERESIS = (
 )
 """Coefficients of the hysteresis; force and yield length depend on the current."""
 
-_YIELDS = 10.0
+_SETTLING_TRAVEL = 10.0
 """Travel in yield lengths after which a hysteresis no longer depends on its initial state."""
 
 _STEEPEST = 60.0
@@ -57,10 +57,10 @@ _SMALL_RATE = 1e-4
 def memory_length(model: Model, parameters: Array, current: float) -> float:
     """Travel [m] after which the initial state of a hysteresis has no effect.
 
-    The memory of a hysteresis depends on travel, not on time.
+    A hysteresis forgets its past with travel, not with time.
     """
     place = model.coefficient_names.index("yield_length")
-    return _YIELDS * float(model.coefficients_at(parameters, 0.0, current)[place, 0])
+    return _SETTLING_TRAVEL * float(model.coefficients_at(parameters, 0.0, current)[place, 0])
 
 
 def relaxation(rate: float) -> float:
@@ -80,7 +80,7 @@ def hysteresis_step(
 ) -> float:
     """State z after one step at the velocity w; ``back`` is -dw/dz.
 
-    A run has thousands of steps, so the function uses comparisons instead of calls where it can.
+    A run has thousands of steps, so the function uses comparisons instead of calls where possible.
     """
     size, sign = (z, 1.0) if z > 0.0 else (-z, -1.0) if z < 0.0 else (0.0, 0.0)
     along = sign if w > 0.0 else -sign if w < 0.0 else 0.0
@@ -93,7 +93,8 @@ def hysteresis_step(
     elif x > 1.0:
         x = 1.0
     moved = z + period * gain * w * (math.expm1(x) / x if x != 0.0 else 1.0)
-    # The exact solution stays in this range; a step much longer than the yield could leave it.
+    # The exact solution stays in this range; a step much longer than the yield length could leave
+    # it.
     return 1.0 if moved > 1.0 else -1.0 if moved < -1.0 else moved
 
 
@@ -133,9 +134,10 @@ def follow_inner_point(
 ) -> tuple[float, float, float]:
     """Follow a hysteresis and a damper in series with another damper.
 
-    Fills the velocity (n,) [m/s] of the point between them and returns the last z, s and velocity.
-    ``numbers`` (n, 5): damping parallel to the hysteresis and sum of both dampings [N s/m], force
-    at full yield [N], ratio of a half step of s to its rate [s], yield length [m].
+    Fills the velocity (n,) [m/s] of the point between the two and returns the last z, s and
+    velocity, where s is the displacement of the rod relative to this point. ``numbers`` (n, 5):
+    damping parallel to the hysteresis and sum of both dampings [N s/m], force at full yield [N],
+    ratio of a half step of s to its rate [s], yield length [m].
     """
     for k in range(len(velocity)):
         v = velocity[k]
@@ -156,7 +158,7 @@ def follow_inner_point(
 
 
 class StepDerivatives(NamedTuple):
-    """Derivatives of a step: by the state before, the yield length, the share and the power.
+    """Derivatives of a step by the previous state, the yield length, the share and the power.
 
     Each has shape (n,); the first element belongs to the start at rest.
     """
@@ -249,18 +251,18 @@ class BoucWen(DifferentiatedModel):
         self, window: Window, parameters: Array, columns: Sequence[int]
     ) -> Array:
         """Derivatives (n, p) of :meth:`window_force` with respect to parameters ``columns``."""
-        motion, period, values, chain = along(self, window, parameters, columns)
+        motion, period, values, chain = sensitivity_input(self, window, parameters, columns)
         strength, length, share, power = values[3:]
         z = _yielded([length, share, power], motion, period, [math.nan, math.nan])
         steps = step_derivatives(z, motion.velocity, length, share, power, period)
-        added = driven(dict(enumerate(steps[1:], start=4)), chain)
-        result = chain[2] + strength[:, np.newaxis] * accumulated(steps.kept, added)
+        added = excitation(dict(enumerate(steps[1:], start=4)), chain)
+        result = chain[2] + strength[:, np.newaxis] * solve_recursion(steps.kept, added)
         for place, by in ((0, motion.velocity), (1, motion.displacement), (3, z)):
             result += by[:, np.newaxis] * chain[place]
         return at_samples(window, result)
 
     def starts_at_one_current(self, reading: LoopReading) -> Array:
-        """Mainly yield force, with a yield length of a twentieth or a fifth of the amplitude."""
+        """Starts of mainly yield force, with a yield length of 5 % or 20 % of the amplitude."""
         force, middle, speed, amplitude = reading
         return np.array(
             [
@@ -319,7 +321,7 @@ class ModifiedBoucWen(CurrentDependentModel):
         return memory_length(self, parameters, current)
 
     def starts_at_one_current(self, reading: LoopReading) -> Array:
-        """Mainly yield force, with a short or long yield length and a soft or stiff damper."""
+        """Starts of mainly yield force, with a short or long yield length, and soft or stiff."""
         force, middle, speed, amplitude = reading
         viscous = force / speed
         return np.array(

@@ -1,11 +1,11 @@
 """Extends laws for one current to all currents: each coefficient depends on the coil current.
 
-A coefficient that cannot be negative is multiplied, c (1 + c_1 i + c_2 i²). A damper that loses
-strength then loses the same fraction at every current. A coefficient of either sign is shifted, c +
-c_1 i + c_2 i². The literature uses linear or quadratic dependence (Spencer, Dyke, Sain and Carlson,
-1997; Kwok, Ha, Nguyen, Li and Samali, 2006). A cubic term is added where more currents show how a
-force saturates. A parameter file that contains only the coefficients of one current describes
-coefficients that do not depend on the current.
+A coefficient that cannot be negative is multiplied: c (1 + c_1 i + c_2 i²). If c decreases, the
+coefficient decreases by the same fraction at every current. A coefficient of either sign is
+shifted: c + c_1 i + c_2 i². The literature uses linear or quadratic dependence (Spencer, Dyke, Sain
+and Carlson, 1997; Kwok, Ha, Nguyen, Li and Samali, 2006). A cubic term describes a force that
+saturates. If a parameter file contains only the coefficients at one current, they do not depend on
+the current.
 
 The current is that of the coil, see :mod:`first_order_lag`.
 """
@@ -45,11 +45,10 @@ from mr_damper_ros.models.quantities import (
 from mr_damper_ros.signals.arrays import Array
 
 LARGEST_GROWTH = 100.0
-"""Largest plausible ratio of growth of a coefficient over the current range."""
+"""Largest plausible ratio of a coefficient's values over the current range."""
 
 _FAINTEST = 0.01
-"""Lower limit of a multiplied coefficient at zero current, relative to its mean over the currents.
-"""
+"""Lower limit of a multiplied coefficient at 0 A, relative to its mean over the currents."""
 
 _ORDER = (("", ""), ("_1", "/A"), ("_2", "/A²"), ("_3", "/A³"))
 
@@ -70,7 +69,7 @@ class Coefficient:
 
     @property
     def grows(self) -> bool:
-        """Whether the current multiplies it, because it cannot be negative, or shifts it."""
+        """Whether the current multiplies it; if not, the current shifts it."""
         return self.low >= 0.0
 
     @property
@@ -158,7 +157,7 @@ class CurrentDependentModel(Model):
         time_constant = parameters[..., -1]
         if self.remembers or not coil_shows(window, float(np.max(time_constant))):
             return super().window_force(window, parameters)
-        # The law has no memory, so only the current is followed through the history.
+        # The law has no memory; only the coil current depends on the history.
         history = window.history
         late = coil_current(history.current, time_constant, history.period, None)
         in_coil = np.moveaxis(history.at_samples(np.moveaxis(late, -1, 0)), 0, -1)
@@ -171,7 +170,7 @@ class CurrentDependentModel(Model):
         return super().settled(window, parameters) & ~coil_unsettled(window, coil)
 
     def needs_past(self, window: Window) -> bool:
-        """True if the law has memory, or if the coil may have: the current changes."""
+        """True if the law has memory, or if the current changes, which a coil may delay."""
         return self.remembers or not window.has_constant_current
 
     def number_at(self, values: Sequence[float], place: int, current: float) -> float:
@@ -188,7 +187,7 @@ class CurrentDependentModel(Model):
         """The coefficients, each (..., n or 1), at currents (n,) or (..., n)."""
         if np.all(current == current[..., :1]):
             current = current[..., :1]
-        if parameters.ndim == 1 and current.size == 1:  # scalar code, because windows ask often
+        if parameters.ndim == 1 and current.size == 1:  # scalar code for a frequent case
             values, one = parameters.tolist(), float(current.item())
             return [
                 np.full(current.shape, self.number_at(values, place, one))
@@ -292,7 +291,7 @@ class CurrentDependentModel(Model):
             basis = np.stack([fixed, *powers], axis=-1) * weights[:, np.newaxis]
             found = np.linalg.lstsq(basis, weights * target, rcond=None)[0]
             if coefficient.grows:
-                # A coefficient that is zero at zero current could not grow.
+                # A coefficient that is zero at 0 A could not grow with the current.
                 least = max(coefficient.low, _FAINTEST * float(np.mean(np.abs(target))), 1e-12)
                 found[0] = max(found[0], least)
                 found[1:] /= found[0]
@@ -302,7 +301,7 @@ class CurrentDependentModel(Model):
     def draw_shape(
         self, rng: np.random.Generator, top_velocity: float, top_current: float
     ) -> dict[str, float]:
-        """Growth by a small factor along a curve that is monotonic in the range."""
+        """Current dependences that are monotonic in the range, with a small ratio of the ends."""
         drawn = {}
         for coefficient in self.at_one_current:
             if not coefficient.grows:
@@ -345,7 +344,7 @@ def integrated(
     state: State | None,
     size: int,
 ) -> tuple[Array, State]:
-    """Integrate the sets one after the other; arrays are faster only above about thirty sets.
+    """Integrate sets one after the other, which is faster than arrays up to about thirty sets.
 
     The coefficients have shape (..., 1 or n). Returns the integrated quantity (..., n) and the
     state after it. At a start all ``size`` values of the state are NaN.
@@ -364,8 +363,8 @@ def integrated(
 class DifferentiatedModel(CurrentDependentModel):
     """A law with exact derivatives of its force.
 
-    For a law that is integrated sample by sample, differences would multiply the computation time
-    by the number of parameters.
+    Finite differences would multiply the computation time of a law that is integrated sample by
+    sample by the number of its parameters.
     """
 
     @abstractmethod
@@ -390,7 +389,7 @@ class _DifferentiatedForces(WindowForces):
         return [law.window_derivatives(window, parameters, columns) for window in self.windows]
 
 
-class Along(NamedTuple):
+class SensitivityInput(NamedTuple):
     """Input of the sensitivity equations: motion, coefficients (n,) each, and their derivatives.
 
     ``chain`` (c, n, p): derivatives of the coefficients with respect to the parameters; (c, 1, p)
@@ -403,10 +402,10 @@ class Along(NamedTuple):
     chain: Array
 
 
-def along(
+def sensitivity_input(
     model: CurrentDependentModel, window: Window, parameters: Array, columns: Sequence[int]
-) -> Along:
-    """Input of the sensitivity equations for a window's history; two periods of a steady cycle.
+) -> SensitivityInput:
+    """Input of the sensitivity equations over the history of a window (two cycles of a sine).
 
     The ``chain`` contains the p parameters at ``columns``.
     """
@@ -423,17 +422,17 @@ def along(
     else:
         chain = model.dependences(parameters, current[:1], np.zeros(1))
     values = model.coefficients_along(parameters, late)
-    return Along(motion, history.period, values, chain[..., list(columns)])
+    return SensitivityInput(motion, history.period, values, chain[..., list(columns)])
 
 
 def at_samples(window: Window, derivatives: Array) -> Array:
-    """Derivatives (n, p) at the samples, selected from those (m, p) along the history."""
+    """Derivatives (n, p) at the samples of a window, from derivatives (m, p) along its history."""
     history = window.history.coarse
     return history.at_samples(derivatives[-history.current.size :])
 
 
-def driven(by: Mapping[int, Array], chain: Array) -> Array:
-    """Excitation (n, p) of the sensitivity equations, from that (n,) of each coefficient."""
+def excitation(by: Mapping[int, Array], chain: Array) -> Array:
+    """Excitation (n, p) of the sensitivity equations; ``by``: that (n,) of each coefficient."""
     places = list(by)
     if chain.shape[1] == 1:
         # Columns are contiguous in memory, so each can be solved in place.
@@ -441,7 +440,7 @@ def driven(by: Mapping[int, Array], chain: Array) -> Array:
     return sum((by[place][:, np.newaxis] * chain[place] for place in places), np.zeros(()))
 
 
-def accumulated(kept: Array, added: Array) -> Array:
+def solve_recursion(kept: Array, added: Array) -> Array:
     """Solve y[k] = kept[k] y[k-1] + added[k] for columns (n, p), which may be overwritten."""
     from scipy.linalg.lapack import dtbtrs  # here: see mr_damper_ros.entry_points
 

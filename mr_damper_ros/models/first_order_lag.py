@@ -1,9 +1,9 @@
 """First-order lags of sampled signals, such as the lag of the coil current behind the supply.
 
-The time constant may change from sample to sample, like that of the compliance in series with the
-damper. The magnetic field, and with it the force, follows the current in the coil: du/dt = -eta (u
-- v) in Spencer, Dyke, Sain and Carlson (1997), with the time constant 1/eta. At constant current
-the lag of the coil has no effect.
+The time constant may change from sample to sample, as for a compliance in series with the damper.
+The magnetic field, and with it the force, follows the current in the coil: du/dt = -eta (u - v) in
+Spencer, Dyke, Sain and Carlson (1997), with the time constant 1/eta. At constant current the coil
+has no lag.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from mr_damper_ros.models.quantities import SETTLING, Parameter
 from mr_damper_ros.signals.arrays import Array
 
 _SHORTEST, _LONGEST = 1e-9, 1e9
-"""Limits of the time constant in sample periods; beyond them it has the effect of the limit."""
+"""Limits of the time constant in sample periods; other values are set to the nearest limit."""
 
 
 class _Weights(NamedTuple):
@@ -52,10 +52,10 @@ LagState = tuple[Array, Array, Array]
 class FirstOrderLag:
     """First-order lag of signals sampled every ``period`` [s], along their first axis.
 
-    ``time_constant`` (n,) [s] holds at the samples; between two samples their mean holds. The
-    result is exact at any period for a constant time constant and a signal that is linear between
-    samples. A time constant of 0 has no effect. The lag starts settled or continues from ``state``;
-    with ``periodic`` the n samples are one period of the signal.
+    ``time_constant`` (n,) [s] is given at the samples; between two samples their mean is used. The
+    result is exact at any period if the time constant is constant and the signal linear between
+    samples. With a time constant of 0 there is no lag. The lag starts settled or continues from
+    ``state``; with ``periodic`` the n samples are one period of the signal.
     """
 
     def __init__(
@@ -90,7 +90,7 @@ class FirstOrderLag:
     def derivative(
         self, values: Array, lagged: Array, of_values: Array, of_time_constant: Array
     ) -> Array:
-        """Derivatives (n, p) of the lagged signal from those of signal and time constant.
+        """Derivatives (n, p) of the lagged signal, from derivatives of signal and time constant.
 
         ``values`` (n,) is the signal; ``lagged`` (n,) is the output of :meth:`__call__`.
         """
@@ -102,7 +102,7 @@ class FirstOrderLag:
             - mean_slope * values
         )
         half = 0.5 * by_time_constant
-        # Columns are contiguous in memory. Each step depends on the previous sample, too.
+        # Columns are contiguous in memory. Each step also depends on the previous sample.
         driven = (of_values.T * self._now + of_time_constant.T * half).T
         driven[1:] += (of_values[:-1].T * self._before[1:] + of_time_constant[:-1].T * half[1:]).T
         driven[0] += self._before[0] * of_values[-1] + half[0] * of_time_constant[-1]
@@ -182,7 +182,7 @@ PLAUSIBLE_COIL = 0.2
 
 
 def coil_parameter() -> Parameter:
-    """The parameter of the lag: the last one of a law, 0 if omitted."""
+    """The parameter of the coil's lag, the last one of a law; it is 0 if a file omits it."""
     return Parameter(COIL, "s", 0.0, 1.0, currents=2, default=0.0)
 
 
@@ -191,11 +191,11 @@ def coil_current(
 ) -> Array:
     """Current [A] of the coil, shape (..., n), for the supply's current (n,).
 
-    ``time_constant`` (...) [s]; ``before``: current of supply and coil at the previous sample, None
-    for a start at which both are equal.
+    ``time_constant`` (...) [s]; ``before``: supply and coil current at the previous sample, None at
+    a start, where both are equal.
     """
     every = np.broadcast_to(current, (*time_constant.shape, current.size))
-    # Constant currents take this path, too, so that its libraries are loaded before a stream
+    # Constant currents are not an exception, so that all libraries are loaded before a stream
     # begins.
     constants = np.broadcast_to(time_constant[..., np.newaxis], every.shape)
     state = None if before is None else (*before, time_constant)
@@ -216,12 +216,12 @@ def few_in_coil(
 
 
 def coil_state(remembered: tuple[Array, ...]) -> tuple[Array, Array] | None:
-    """Supply and coil current in the state of a law; None if its coil has not lagged so far."""
+    """Supply and coil current in the state of a law; None if the state holds none."""
     return (remembered[0], remembered[1]) if remembered else None
 
 
 def coil_shows(window: Window, time_constant: float) -> bool:
-    """Whether this time constant [s] changes the current of a window with a known past."""
+    """Whether a coil with this time constant [s] changes the current within a window."""
     has_past = (window.whole or window).period > 0.0
     return time_constant > 0.0 and has_past and not window.has_constant_current
 

@@ -1,9 +1,9 @@
-"""The interface of all force models of MR dampers, with everything that follows from it.
+"""The interface of all force models of MR dampers.
 
 A model is one class in one file of this package. It states its parameters with units and bounds,
 its force and state, and the starts of a search. If necessary, it replaces the defaults for the fit
-of a window and for the laws over operating points. No code outside this package depends on the
-specific model. A stream computes the force of a continuing motion block by block.
+of a window and for the laws of the coefficients over operating points. No code outside this package
+depends on the specific model. A stream computes the force of a continuing motion block by block.
 """
 
 from __future__ import annotations
@@ -42,14 +42,14 @@ class Model(ABC):
     """A force law.
 
     ``parameters`` are in the order of every parameter array (p,). ``free_in_one_run`` names the
-    parameters that one run at one current determines (all if empty); the others keep the values of
-    a start. ``remembers``: whether the force depends on earlier samples. ``turning``: number of
+    parameters that one run at one current determines (all if empty); the others keep their start
+    values. ``remembers``: whether the force depends on earlier samples. ``turning``: number of
     leading arrays of the state that only matter near a reversal of the motion. ``strength`` names
-    the gain parameters, which scale with the strength of the damper; by default these are all
-    parameters with a force in their unit. ``effort``: search effort for a window.
-    ``coefficient_quantities``: the coefficients of the force at one operating point. ``linear``
-    names the parameters that enter the laws over operating points linearly; ``shape_groups`` lists
-    the shape parameters of each law.
+    the gain parameters, to which the force is proportional; by default these are all parameters
+    with a force in their unit. ``effort``: search effort for a window. ``coefficient_quantities``:
+    the coefficients of the force at one operating point. ``linear`` names the parameters that enter
+    the laws over operating points linearly; ``shape_groups`` lists the shape parameters of each
+    law.
     """
 
     name: ClassVar[str]
@@ -74,8 +74,8 @@ class Model(ABC):
     ) -> tuple[Array, State]:
         """Force (..., n) [N], and the state after the last sample.
 
-        For parameters (..., p), a motion and currents (n,) [A], the ``period`` [s] between samples
-        and the state after the previous sample.
+        ``parameters`` have shape (..., p), motion and ``current`` [A] shape (n,). ``period`` [s] is
+        the time between samples, ``state`` the state after the previous sample.
         """
 
     @abstractmethod
@@ -121,11 +121,11 @@ class Model(ABC):
         return None
 
     def to_simpler(self, values: Array) -> Array:
-        """The parameters of the simpler law closest to these (p,)."""
+        """The parameters with which the simpler law is closest to the law with ``values`` (p,)."""
         return values
 
     def from_simpler(self, simple: Array) -> Array:
-        """The set (p,) with the same force as these parameters of the simpler law."""
+        """The parameters (p,) with the same force as the simpler law with parameters ``simple``."""
         return simple
 
     def completed(self, values: Array) -> Array:
@@ -146,7 +146,7 @@ class Model(ABC):
 
     @property
     def common_names(self) -> tuple[str, ...]:
-        """Parameters besides the scales that one run determines; they are common to all runs."""
+        """Parameters that one run determines and all runs share; they are no scales."""
         return tuple(name for name in self.free_in_one_run if name not in self.scale_names)
 
     @property
@@ -167,7 +167,7 @@ class Model(ABC):
 
     @property
     def strength_indices(self) -> np.ndarray:
-        """Indices of the gain parameters, which scale with the strength of the damper."""
+        """Indices of the gain parameters."""
         names = self.strength or self.parameter_names
         forces = [p.name in names and p.unit.startswith("N") for p in self.parameters]
         return np.flatnonzero(forces)
@@ -175,7 +175,7 @@ class Model(ABC):
     def initial_values(self) -> tuple[Array, str, float]:
         """Default values (p,) for an unknown damper, their name and their peak velocity [m/s].
 
-        Unless the model has a better set, this is a set with zero force that is valid nowhere.
+        Unless the model has a better set, the force of this set is zero and never valid.
         """
         values = self.starts(_USUAL_RUN)[0]
         values[self.strength_indices] = 0.0
@@ -191,7 +191,7 @@ class Model(ABC):
     def force(
         self, parameters: ArrayLike, motion: Motion, current: ArrayLike, period: float
     ) -> Array:
-        """Force [N], shape (..., n), for parameters of shape (..., p), from a start.
+        """Force [N], shape (..., n), for parameters of shape (..., p), without a previous state.
 
         ``current`` [A] is a number or has shape (n,). Raises ValueError if the number of parameters
         is wrong or the period is not positive.
@@ -202,14 +202,14 @@ class Model(ABC):
         """A stream for samples ``period`` [s] apart; raises ValueError like :meth:`force`."""
         return ForceStream(self, period)
 
-    # A set may hold any finite values: an overflow, here and below, gives a large misfit.
+    # A set may hold any finite values. An overflow, here and below, gives a large misfit.
     @as_machine_code()
     @np.errstate(over="ignore", invalid="ignore")
     def window_force(self, window: Window, parameters: Array) -> Array:
         """Force [N] at the samples of a window, shape (..., n), for parameters (..., p)."""
         if not (self.remembers or self.turning):
             return self.force(parameters, window.motion, window.current, 1.0)
-        # The branch changes as fast as the law itself, so it needs the full sample rate.
+        # The branch changes as fast as the velocity, so it needs the full sample rate.
         history = window.history if self.turning else window.history.coarse
         along = parameters, history.motion, history.current, history.period
         force, state = self.follow(*along, None)
@@ -222,7 +222,7 @@ class Model(ABC):
     def settled(self, window: Window, parameters: Array | None) -> np.ndarray:
         """Mask (n,) of samples whose force does not depend on the time before the window.
 
-        For parameters (p,), or None if no set is known yet.
+        ``parameters`` (p,) are None if no set is known yet.
         """
         if parameters is None or not (self.remembers or self.turning) or window.history.periodic:
             return np.ones(window.sample_count, dtype=bool)
@@ -231,14 +231,14 @@ class Model(ABC):
         first, state = self.follow(*along, None)
         second, _ = self.follow(*along, state)
         differs = np.abs(first - second) > FORGOTTEN * float(np.ptp(first))
-        # The true past may differ more than these two starts.
+        # The true past may differ from these two starts.
         count = 2 * int(np.max(np.flatnonzero(differs), initial=-1) + 1)
         return ~history.unsettled(count * history.period)
 
     def memory_length(self, parameters: Array, current: float) -> float:
         """Travel [m] after which the past has no effect; 0 if the memory depends on time only.
 
-        For parameters (p,) at a current [A].
+        ``parameters`` have shape (p,); ``current`` is in A.
         """
         return 0.0
 
@@ -247,7 +247,7 @@ class Model(ABC):
         return self.remembers
 
     def lasting_force(self, window: Window, parameters: Array) -> Array:
-        """The part (n,) [N] of the force that remains when all gain parameters are zero."""
+        """The force (n,) [N] with all gain parameters set to zero."""
         weakest = parameters.copy()
         weakest[self.strength_indices] = 0.0
         return self.window_force(window, np.clip(weakest, *self.bounds))
@@ -290,14 +290,14 @@ class Model(ABC):
         return values
 
     def by_unknowns(self, unknowns: Array, derivatives: Array) -> Array:
-        """Derivatives (n, f) with respect to the unknowns (f,), from those for the parameters."""
+        """Derivatives (n, f) by the unknowns (f,), from the derivatives by their parameters."""
         return derivatives
 
     def fitted_errors(self, unknowns: Array, covariance: Array) -> tuple[np.ndarray, Array]:
         """Indices of the parameters that are fitted to a window, and their standard errors.
 
-        For unknowns (f,) with this ``covariance`` (f, f). NaN for a parameter that the window does
-        not determine.
+        ``covariance`` (f, f) belongs to the unknowns (f,). The standard error is NaN for a
+        parameter that the window does not determine.
         """
         return self.unknown_indices, np.sqrt(np.diag(covariance))
 
@@ -328,8 +328,8 @@ class Model(ABC):
     def without_dependence(self, parameters: Array, top_current: float) -> Array:
         """The set (p,) whose coefficients depend on neither peak velocity nor current.
 
-        It is chosen so that a search can introduce a smooth dependence on currents up to
-        ``top_current`` [A].
+        From this set, a search can introduce a smooth dependence on currents up to ``top_current``
+        [A].
         """
         values = np.array(parameters, dtype=float)
         values[self.places(self.shape_names)] = 0.0
@@ -339,9 +339,9 @@ class Model(ABC):
     def plausible_ranges(
         self, windows: Sequence[Window], top_velocity: float, top_current: float
     ) -> dict[str, tuple[float, float]]:
-        """Plausible ranges of the shape parameters for data up to a speed and a current.
+        """Plausible ranges of the shape parameters, by name.
 
-        ``top_velocity`` [m/s], ``top_current`` [A].
+        The data reach up to ``top_velocity`` [m/s] and ``top_current`` [A].
         """
 
     def typical_sizes(self, windows: Sequence[Window]) -> Array:
@@ -366,27 +366,27 @@ class Model(ABC):
         free: frozenset[str],
         search: LawSearch,
     ) -> Array:
-        """Parameters (p,) whose laws fit the table best; those not in ``free`` keep their values.
+        """Parameters (p,) whose laws fit the table best; only those in ``free`` leave the start.
 
         ``search`` minimises over the nonlinear parameters.
         """
 
     def softened(self, parameters: Array, held: np.ndarray, top_current: float) -> Array:
-        """The set (p,) with steep dependences made smooth for a search; ``held`` (p,) stay."""
+        """The set (p,) with steep dependences made smooth for a search, unless ``held`` (p,)."""
         return parameters
 
     @abstractmethod
     def draw_shape(
         self, rng: np.random.Generator, top_velocity: float, top_current: float
     ) -> dict[str, float]:
-        """Random plausible shape parameters for a damper run up to these limits [m/s], [A]."""
+        """Random plausible shape parameters for a damper used up to these limits [m/s], [A]."""
 
 
 class WindowForces:
     """Force of a law at the samples of windows, and its derivatives, for repeated evaluation.
 
-    The derivatives are forward differences for a law without exact ones; ``differences`` counts
-    their force evaluations.
+    For a law without exact derivatives they are forward differences; ``differences`` counts the
+    evaluations of the force for them.
     """
 
     def __init__(self, model: Model, windows: Sequence[Window]) -> None:
@@ -399,14 +399,14 @@ class WindowForces:
         return [self.model.window_force(window, parameters) for window in self.windows]
 
     def derivatives(self, parameters: Array, columns: Sequence[int]) -> list[Array]:
-        """Derivatives (n, c) of the force of each window, for parameters (p,), at c places."""
+        """Derivatives (n, c) of the force of each window by the parameters at c ``columns``."""
         values, places = parameters[columns], np.arange(len(columns))
         steps = DIFFERENCE * np.maximum(np.abs(values), NOTICED * self._sizes[columns])
         steps = np.where(values + steps > self.model.bounds[1][columns], -steps, steps)
         moved = np.tile(parameters, (len(columns) + 1, 1))
         moved[1 + places, columns] += steps
         found = []
-        # Windows are processed one by one, because all at once would multiply the memory.
+        # Windows are processed one by one, because all at once would need several times the memory.
         for window in self.windows:
             forces = self.model.window_force(window, moved)
             self.differences += len(moved)
@@ -421,9 +421,9 @@ class WindowForces:
 class CurrentResponse(ABC):
     """The force of one parameter set as a function of the coil current [A], for an inverse.
 
-    It does not include the coil's lag: the inverse gives the coil current, and the supply current
-    is computed separately. All samples are alternatives that follow the same ``state`` by
-    ``period`` [s]; for a law with memory, pass one sample.
+    It does not include the lag of the coil: the inverse gives the coil current, and the supply
+    current is computed separately. Each sample comes ``period`` [s] after the same ``state``; for a
+    law with memory, pass only one.
     """
 
     @abstractmethod
@@ -435,7 +435,7 @@ class CurrentResponse(ABC):
     def at(
         self, sample: MotionSample, period: float, state: State | None
     ) -> Callable[[float], float]:
-        """Force [N] of one sample at a current [A], in scalars."""
+        """A function that gives the force [N] of one sample at a current [A], in scalar code."""
         return lambda current: float(
             self.forces([sample], np.array([current]), period, state)[0, 0]
         )

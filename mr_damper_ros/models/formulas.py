@@ -1,4 +1,4 @@
-"""A law written once as formulas: differentiated, compiled, translated to other languages.
+"""Laws as formulas, which are differentiated, compiled, and translated to other languages.
 
 A formula is a name and a Python expression. It may contain numbers, inputs, earlier formulas, the
 operators ``+ - * / < >=`` and the functions ``exp``, ``tanh``, ``abs``, ``clip(x, low, high)``,
@@ -22,7 +22,7 @@ from mr_damper_ros.signals.arrays import Array
 Formulas = tuple[tuple[str, str], ...]
 
 LIMIT = 1e100
-"""Limit of ``sat``, chosen so that the product of a few quantities does not overflow."""
+"""Limit of ``sat``; the product of up to three such quantities does not overflow."""
 
 _SIGNS: dict[type, str] = {
     ast.Add: "+",
@@ -72,11 +72,11 @@ def staged(
 ) -> Callable[..., Any]:
     """Compile the formulas: ``staged(...)(*stages[0])(*stages[1])...`` returns the results.
 
-    ``stages`` names the inputs that become known together; an input may be the name of a formula.
-    Each part of an expression is computed at the first stage at which its inputs are known, so a
-    function kept from an earlier stage does not compute it again. Several results are returned as a
-    tuple. With ``arrays``, inputs broadcast, and each stage after the first has at least one array
-    input; otherwise all inputs are floats.
+    Each of the ``stages`` names inputs that become known together; an input may be the name of a
+    formula. Each part of an expression is computed at the first stage at which its inputs are
+    known. A function returned by an earlier stage can therefore be reused without computing this
+    part again. Several results are returned as a tuple. With ``arrays``, inputs broadcast, and each
+    stage after the first has at least one array input; otherwise all inputs are floats.
     """
     known = {name: stage for stage, names in enumerate(stages) for name in names}
     lines = [(name, _tree(text)) for name, text in _needed(formulas, results, known)]
@@ -86,7 +86,7 @@ def staged(
         writer.add(name, tree)
     source = writer.source(results)
     space = dict(writer.functions)
-    exec(compile(source, "<formulas>", "exec"), space)  # the package itself writes the formulas
+    exec(compile(source, "<formulas>", "exec"), space)  # formulas come only from this package
     made: Callable[..., Any] = space["stage_0"]
     return made
 
@@ -96,10 +96,10 @@ def gradient(
 ) -> Formulas:
     """The formulas with the derivatives of one result, named ``{result}_by_{input}``.
 
-    ``given`` inputs are independent of the others. Reverse-mode differentiation takes about as many
-    operations as the result itself, independent of the number of inputs. ``sat``, ``clip`` and
-    ``number`` are differentiated like the identity. Raises ValueError unless ``exp`` and ``tanh``
-    each form a whole formula, and for a function without derivative.
+    The inputs ``given`` do not depend on the inputs ``by``. Reverse-mode differentiation takes
+    about as many operations as the result itself, for any number of inputs. ``sat``, ``clip`` and
+    ``number`` are differentiated like the identity. Raises ValueError if ``exp`` or ``tanh`` is
+    only a part of a formula, and for a function without derivative.
     """
     lines = list(_needed(formulas, [result], dict.fromkeys((*by, *given), 0)))
     moving = set(by)
@@ -222,7 +222,7 @@ def _written(node: ast.expr, style: _Style, inner: Callable[[ast.expr, int], str
             return style.infix(type(comparison), inner(left, 0), inner(right, 0))
         case ast.Call(func=ast.Name(id=function), args=arguments):
             return style.call(function, [inner(argument, 0) for argument in arguments])
-    raise ValueError(f"{ast.unparse(node)} is no formula")
+    raise ValueError(f"{ast.unparse(node)} is not allowed in a formula")
 
 
 @dataclass(frozen=True)
@@ -263,7 +263,7 @@ class Language:
 
 
 class _Writer:
-    """Writes nested functions, one for each stage, each of which computes as much as it can."""
+    """Writes nested functions, one for each stage; each computes as much as its inputs allow."""
 
     functions: ClassVar[Mapping[str, Any]]
 
@@ -317,7 +317,7 @@ class _Writer:
         return f"part_{self._count}"
 
     def infix(self, operator: type, first: str, second: str) -> str:
-        """Two operands in brackets, independent of the precedence around them."""
+        """Two operands in brackets, whatever the precedence around them."""
         return f"({first} {_SIGNS[operator]} {second})"
 
     def call(self, function: str, arguments: Sequence[str]) -> str:

@@ -44,9 +44,9 @@ def run_loop(
     """Run ``loop(*given, *results, *numbers)``; return the filled results (n,) and its value.
 
     The first element of ``given`` has shape (n,). The loop receives lists, or arrays if it is
-    compiled; it may index them and take their length. ``called`` are the functions that it calls.
-    They must be in the same file, because the cache on disk does not detect a change in another
-    file.
+    compiled; it may index them and take their length. ``called`` are the functions that it calls,
+    which must be in the same file, because the cache on disk does not detect changes in other
+    files.
     """
     count = len(given[0])
     machine = machine_code(loop, called) if runs_machine_code() else None
@@ -84,8 +84,8 @@ def machine_code(loop: Loop, called: tuple[Loop, ...]) -> Loop | None:
 class _KeptLoop:
     """A loop that is compiled at its first call unless the disk cache contains it.
 
-    The cache may be damaged, for instance after a power failure, or the disk may be full. Numba
-    then raises exceptions of many types. The loop itself raises none.
+    If the cache is damaged, as after a power failure, or the disk is full, Numba raises exceptions
+    of many types. The loop itself raises none, so any exception comes from the cache.
     """
 
     def __init__(self, kept: Any, not_kept: Loop) -> None:
@@ -97,10 +97,10 @@ class _KeptLoop:
             try:
                 return self._kept(*arguments)
             except Exception:
-                return self._called_afresh(arguments)
+                return self._call_recompiled(arguments)
         return self._not_kept(*arguments)
 
-    def _called_afresh(self, arguments: tuple[Any, ...]) -> Any:
+    def _call_recompiled(self, arguments: tuple[Any, ...]) -> Any:
         try:
             self._kept.recompile()  # drops the cached version
             return self._kept(*arguments)

@@ -34,7 +34,7 @@ class Bingham(CurrentDependentModel):
         return np.asarray(f_y * np.sign(v) + c0 * v + f0), ()
 
     def starts_at_one_current(self, reading: LoopReading) -> Array:
-        """Mainly yield force."""
+        """One start of mainly yield force."""
         force, middle, speed, _ = reading
         return np.array([[0.8 * force, 0.2 * force / speed, middle]])
 
@@ -64,7 +64,7 @@ class HyperbolicTangent(CurrentDependentModel):
         return np.asarray(c * v + k * u + alpha * np.tanh(beta * v + delta * np.sign(u)) + f0), ()
 
     def starts_at_one_current(self, reading: LoopReading) -> Array:
-        """Different values of steepness and hysteresis."""
+        """Starts with different values of steepness and hysteresis."""
         force, middle, speed, _ = reading
         return np.array(
             [
@@ -104,7 +104,7 @@ class NonlinearBiviscous(CurrentDependentModel):
         return np.asarray(np.minimum(np.maximum(pre, c_post * v - f_y), c_post * v + f_y) + f0), ()
 
     def starts_at_one_current(self, reading: LoopReading) -> Array:
-        """Different slopes between the post-yield lines and different widths of the loop."""
+        """Starts with different slopes between the post-yield lines, and different loop widths."""
         force, middle, speed, _ = reading
         return np.array(
             [

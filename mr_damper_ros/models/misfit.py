@@ -18,7 +18,7 @@ from mr_damper_ros.signals.arrays import Array
 class PriorRows(NamedTuple):
     """Rows of a residual that are not samples: their mask (n,) and their variances (m,) [1].
 
-    Their variance is known a priori; the few rows are not used to estimate it.
+    These variances are known, not estimated from the rows.
     """
 
     rows: np.ndarray
@@ -28,12 +28,12 @@ class PriorRows(NamedTuple):
 class Misfit:
     """Weighted residual (n,) of windows, and its Jacobian (n, p), for parameters (p,).
 
-    All windows have the same weight, independent of their length. The samples of a window are
-    weighted by the RMSE of the separate fit of the window. If the residual is only sensor noise,
-    this is the maximum-likelihood weight. With model error it prevents one strong run from
+    All windows have the same weight, independent of their length. The residual of a window is
+    divided by the RMSE of its separate fit. If the residual is only sensor noise, this is the
+    maximum-likelihood weight; with model error, it prevents one run with large forces from
     dominating the others. Samples whose force still depends on the unknown past have no weight.
 
-    ``given``: the arguments it was made from; ``settled`` (n,): samples with a weight;
+    ``given``: the arguments of the constructor; ``settled`` (n,): samples with a weight;
     ``sample_weights`` (n,) [1/N]: their weights, 0 for other samples; ``sample_windows`` (n,):
     index of the window of each sample.
     """
@@ -49,8 +49,9 @@ class Misfit:
     ) -> None:
         """``noise`` [N]: RMSE of the separate fit of each window.
 
-        ``known`` (p,): a parameter set that tells which samples depend on the unknown past; None if
-        there is no set yet. ``forces``: those of the windows, if they exist already.
+        ``known`` (p,): a parameter set, by which the samples that depend on the unknown past are
+        excluded; None if there is no set yet. ``forces``: the forces of the windows, if they exist
+        already.
 
         Raises ValueError if there are no windows.
         """
@@ -109,7 +110,7 @@ class Misfit:
         return result.T
 
     def mean_square(self, parameters: Array) -> float:
-        """Mean of the squared weighted residual; it is 1 if only the noise is left."""
+        """Mean of the squared weighted residual; it is 1 if only noise is left."""
         return float(np.mean(np.square(self.residual(parameters))))
 
     def population_cost(self, parameters: Array) -> Array:
@@ -132,9 +133,9 @@ class WindowProblem:
         *,
         forces: WindowForces | None = None,
     ) -> None:
-        """The unknowns are the parameters that a window determines; the others keep ``parameters``.
+        """``parameters`` (p,) gives the values of all parameters that are no unknowns.
 
-        ``forces``: those of the window, if they exist already.
+        ``forces``: the forces of the window, if they exist already.
         """
         self.model = model
         self.window = window
@@ -184,11 +185,11 @@ class WindowProblem:
         return WindowProblem(self.model, self.window, parameters, forces=self._misfit.forces)
 
     def cold_starts(self) -> list[Array]:
-        """Start parameters (p,) derived from the window; parameters that are not unknowns stay."""
+        """Start parameters (p,) with unknowns derived from the window."""
         return self.model.cold_starts(self.window, self._given)
 
     def coefficients(self, unknowns: Array) -> tuple[Array, Array]:
-        """Operating-point coefficients (c,) and their derivatives (c, f); or empty arrays."""
+        """Operating-point coefficients (c,) and their derivatives (c, f); empty without any."""
         model, parameters = self.model, self.parameters(unknowns)
         values = model.coefficients_at(parameters, *self.window.operating_point)[:, 0]
         gradient = model.coefficient_gradient(parameters, *self.window.operating_point)

@@ -1,4 +1,4 @@
-"""An identified parameter set of a model with its uncertainty and range, and its YAML form."""
+"""A parameter set of a model with its uncertainty and its range, and its YAML form."""
 
 from __future__ import annotations
 
@@ -22,46 +22,46 @@ from mr_damper_ros.signals.arrays import Array
 from mr_damper_ros.signals.blocks import fits_a_stamp
 
 DEFAULT_MODEL = "sigmoid"
-"""Default law if a file names none."""
+"""The law of a parameter file that does not name one."""
 
 
 _ENTRIES = ("value", "unit", "standard_error", "discrepancy", "observable")
 """Keys that a file may contain for a parameter."""
 
 LONGEST_NAME = 200
-"""Largest number of characters of an id or a source; those of this package have about thirty."""
+"""Largest number of characters of an id or a source; this package creates about thirty."""
 
 GLOBAL_SOURCE, EARLY_SOURCE = "global", "force_scale"
-"""Sources of a set for all operating points, and of a set in which only the gain parameters were
-refitted early after a change of force."""
+"""Sources of a set: a global identification of all operating points, and an early fit, which scales
+only the gain parameters after a sudden change of force."""
 
 
 START_SOURCES = ("literature", "start")
-"""Sources of a start set, which is supported neither by samples nor by a user."""
+"""Sources of a start set, which neither samples nor a user support."""
 
 
-class SpokenError(ValueError):
+class UserError(ValueError):
     """A user error, whose message is a sentence that may also be sent in a ROS message.
 
-    Characters that cannot be encoded, such as half a surrogate pair in a file name, are written as
-    escape sequences, because they would end the node that sends the message.
+    Characters that cannot be encoded, such as half a surrogate pair in a file name, would end the
+    node that sends the message; they are written as escape sequences.
     """
 
     def __init__(self, sentence: str) -> None:
         super().__init__(sentence.encode("utf-8", "backslashreplace").decode("utf-8"))
 
 
-class ParameterError(SpokenError):
+class ParameterError(UserError):
     """A parameter set cannot be used; the message says what to change."""
 
 
 Moved = TypeVar("Moved", Motion, MotionSample, Window)
 
 _UNEVEN = 0.01
-"""Tolerance of the sample times relative to the period, for rounding in a file."""
+"""Largest deviation of a sample time, relative to the period, as by rounding in a file."""
 
 _UNKNOWN = np.empty(0)
-"""Placeholder for "NaN or False for all parameters" until the number of parameters is known."""
+"""Placeholder for NaN or False at all parameters, until the number of parameters is known."""
 
 
 def _unknown() -> Array:
@@ -74,17 +74,17 @@ class ParameterSet:
 
     ``values`` and ``standard_errors`` have shape (p,), in the order and the units of the parameters
     of ``model``, a name in ``MODELS``; an unknown standard error is NaN. ``discrepancies`` (p,) are
-    the part of the standard errors that comes from model error, NaN if unknown. The standard
-    deviation of a value from window to window of the same motion is the root of the difference of
-    the squares of both. ``observable`` (p,) marks the parameters that the data determined; the
-    others kept the value of the start. ``peak_velocity_range`` [m/s] and ``current_range`` [A] span
-    the data that were used; ``nrmse`` is RMSE/std of the force; ``stamp_ns`` is the time of the
-    last sample used. ``largest_force`` [N] is the largest force in these data, NaN if unknown.
+    the part of the standard errors that comes from model error, NaN if unknown. The square root of
+    standard_errors² - discrepancies² is the scatter between windows of the same motion.
+    ``observable`` (p,) marks the parameters that the data determined; the others kept their start
+    values. ``peak_velocity_range`` [m/s] and ``current_range`` [A] span the data that were used;
+    ``nrmse`` is RMSE/std of the force; ``stamp_ns`` is the time of the last sample used.
+    ``largest_force`` [N] is the largest force in these data, NaN if unknown.
 
     Raises ParameterError for an unknown model, wrong shapes, values that are not finite or out of
-    bounds, a reversed range, and a negative or infinite largest force. It is also raised if a
-    message cannot hold the set: id and source must be printable and have at most 200 characters,
-    and the stamp must be of a year up to 2038.
+    bounds, a reversed range, and a negative or infinite largest force. It is also raised if the set
+    does not fit into a message: id and source must be printable and have at most 200 characters,
+    and the stamp must be before January 2038.
     """
 
     values: Array
@@ -113,8 +113,8 @@ class ParameterSet:
             given = getattr(self, name)
             array = np.full(count, unknown) if given is _UNKNOWN else np.array(given, dtype=dtype)
             if array.ndim == 1:
-                # Parameters of the current dependence may be omitted at the end, because they have
-                # a default.
+                # Parameters with a default, such as a current dependence, may be omitted at the
+                # end.
                 complete = model.completed(array.astype(float))
                 if unknown is not None:
                     complete[array.size :] = unknown
@@ -122,7 +122,7 @@ class ParameterSet:
             if array.shape != (count,):
                 raise ParameterError(
                     f"{name} of model '{self.model}' must hold {count} numbers, one for each of "
-                    f"{', '.join(names)} (got shape {array.shape})"
+                    f"{', '.join(names)} (the shape is {array.shape})"
                 )
             array.flags.writeable = False
             object.__setattr__(self, name, array)
@@ -137,7 +137,9 @@ class ParameterSet:
                     f"parameter {name} is {value}: it must lie in {low:g} to {high:g}"
                 )
             if error < 0.0:
-                raise ParameterError(f"the standard error of {name} is {error}: it is negative")
+                raise ParameterError(
+                    f"the standard error of {name} is {error}: it must not be negative"
+                )
         for name, discrepancy in zip(names, self.discrepancies, strict=True):
             if discrepancy < 0.0:
                 raise ParameterError(f"the discrepancy of {name} is {discrepancy}: it is negative")
@@ -146,13 +148,13 @@ class ParameterSet:
                 raise ParameterError(f"{name} is [{low}, {high}]: give the lower bound first")
         if self.largest_force < 0.0 or math.isinf(self.largest_force):
             raise ParameterError(
-                f"largest_force is {self.largest_force}: give a size in newtons, or leave it out"
+                f"largest_force is {self.largest_force}: give a finite, non-negative force [N]"
             )
         for what, text in (("id", self.set_id), ("source", self.source)):
             check_name(what, text)
         if not fits_a_stamp(self.stamp_ns):
             raise ParameterError(
-                "the stamp_ns of the parameters is beyond what a stamp can hold (January 2038): "
+                "the stamp_ns of the parameters is after January 2038, which a stamp cannot hold: "
                 "give nanoseconds since 1970, or 0"
             )
 
@@ -166,7 +168,7 @@ class ParameterSet:
         return motion.held_within(*self.peak_velocity_range)
 
     def law_turning(self, *, gradual: bool) -> Model:
-        """The law with a continuous force at reversals if ``gradual``, otherwise with its jump."""
+        """The law; if ``gradual``, with a continuous force at reversals instead of its jump."""
         return self.law.continuous if gradual else self.law
 
     def follow(
@@ -180,8 +182,8 @@ class ParameterSet:
     ) -> tuple[Array, State]:
         """Force (n,) [N] of samples ``period`` [s] apart, and the state after them.
 
-        ``current`` [A] has shape (n,); ``state`` is that after the previous sample; ``gradual`` as
-        for :meth:`law_turning`.
+        ``current`` [A] has shape (n,); ``state`` is the state after the previous sample;
+        ``gradual`` is as in :meth:`law_turning`.
         """
         with np.errstate(over="ignore", invalid="ignore"):
             return self.law_turning(gradual=gradual).follow(
@@ -191,8 +193,8 @@ class ParameterSet:
     def window_force(self, window: Window, *, gradual: bool | None = False) -> Array:
         """Force (n,) [N] predicted at the samples of a window.
 
-        ``gradual`` as for :meth:`law_turning`. None means True except for a steady sine, whose
-        acceleration is free of noise.
+        ``gradual`` is as in :meth:`law_turning`; None means True, except for a steady sine, whose
+        acceleration has no noise.
         """
         law = self.law_turning(gradual=window.motion.sine is None if gradual is None else gradual)
         return law.window_force(self.held(window), self.values)
@@ -201,8 +203,8 @@ class ParameterSet:
         """Force (n,) [N] of the damper in a motion.
 
         ``time`` (n,) [s] is uniform, ``displacement`` (n,) [m] is positive in extension,
-        ``current`` [A] is a number or has shape (n,). The past is unknown, so a law with memory
-        starts with a transient.
+        ``current`` [A] is a number or has shape (n,). The force of a law with memory begins with a
+        transient, because the past is unknown.
 
         Raises ValueError for non-uniform times and for unusable samples.
 
@@ -217,14 +219,14 @@ class ParameterSet:
         if times.ndim != 1 or times.shape != moved.shape or times.size < 2:
             raise ValueError(
                 f"time has the shape {times.shape} and displacement {moved.shape}: give one "
-                "displacement for each time, two at least"
+                "displacement for each time, and at least two"
             )
         steps = np.diff(times)
         period = float(np.mean(steps))
         if not (period > 0.0 and np.max(np.abs(steps - period)) <= _UNEVEN * period):
             raise ValueError(
-                f"the times are from {np.min(steps):g} to {np.max(steps):g} s apart: give samples "
-                "in even steps"
+                f"the times are from {np.min(steps):g} to {np.max(steps):g} s apart: give uniform "
+                "samples"
             )
         window = Window.from_samples(moved, np.zeros_like(moved), amperes, period)
         return self.window_force(window, gradual=None)
@@ -235,10 +237,10 @@ class ParameterSet:
         return self.source not in START_SOURCES
 
     def as_given(self) -> ParameterSet:
-        """The set as stated by a user who gives its ranges but no observable parameters.
+        """The set as loaded by a user.
 
-        If no parameter is marked as observable, those that a run within the ranges determines are
-        marked. An unbounded range marks none.
+        If no parameter is marked as observable, the parameters that a run over the ranges of the
+        set would determine are marked. An unbounded range determines none.
         """
         if self.observable.any() or not self.has_evidence:
             return self
@@ -253,13 +255,13 @@ class ParameterSet:
 
     @property
     def doubt_over_current(self) -> str:
-        """Why the set is not valid at other currents, in words; empty if it is."""
+        """Why the set is not valid at several currents, in words; empty if it is."""
         low, high = self.current_range
         if not (math.isfinite(low) and high - low <= SAME_CURRENT):
             return ""
         return (
-            f"set {self.set_id} was identified at {0.5 * (low + high):.3g} A only: its force at "
-            "other currents, and so the current for a desired force, is not determined; "
+            f"set {self.set_id} was identified at {0.5 * (low + high):.3g} A only, so its force at "
+            "other currents is unknown, and no current can be computed for a desired force: "
             "identify it from runs at several currents"
         )
 
@@ -274,7 +276,7 @@ class ParameterSet:
         """Return the set; raises ParameterError if it is not of ``model``."""
         if self.model != model:
             raise ParameterError(
-                f"the parameters are those of model '{self.model}': give a set of model '{model}'"
+                f"the parameters belong to model '{self.model}': give a set of model '{model}'"
             )
         return self
 
@@ -349,9 +351,9 @@ class ParameterSet:
     def from_yaml(cls, text: str) -> ParameterSet:
         """Parameter set from text written by :meth:`to_yaml`, or by hand.
 
-        The shortest text is ``parameters`` with all names of the sigmoid law, each with a number or
-        a mapping with ``value``. Another law also needs its name as ``model``. The parameters of
-        the current dependence may be omitted; the law is then independent of the current.
+        The shortest text is a mapping ``parameters`` with all names of the sigmoid law, each with a
+        number or a mapping that contains ``value``. Any other law also needs its name as ``model``.
+        Without the parameters of the current dependence, the law is independent of the current.
 
         Raises ParameterError with one sentence that says what to change.
         """
@@ -364,14 +366,14 @@ class ParameterSet:
             detail = f": {problem}" if problem else ""
             raise ParameterError(f"the parameter file is not valid YAML{where}{detail}") from error
         except Exception as error:
-            # PyYAML raises various errors for a date that does not exist, !!int '', or many
+            # PyYAML raises various errors, as for a date that does not exist, !!int '', or many
             # brackets.
             raise ParameterError("the parameter file has an entry that YAML cannot read") from error
         try:
             return cls._from_document(document)
         except ParameterError:
             raise
-        except ValueError as error:  # Python refuses to print a number of 5000 digits
+        except ValueError as error:  # Python does not convert a number of 5000 digits to text
             raise ParameterError("the parameter file has an entry that cannot be used") from error
 
     @classmethod
@@ -388,7 +390,7 @@ class ParameterSet:
         if unknown:
             raise ParameterError(
                 f"the parameter file has unknown entries {', '.join(unknown)}: "
-                f"remove them (known are {', '.join(sorted(known))})"
+                f"remove them (the known entries are {', '.join(sorted(known))})"
             )
         model = document.get("model", DEFAULT_MODEL)
         law = known_model(model)
@@ -467,7 +469,7 @@ def known_model(name: Any) -> Model:
 
 
 class _UniqueKeyLoader(yaml.SafeLoader):
-    """A loader that rejects duplicate keys, of which YAML would silently use the last."""
+    """A loader that rejects duplicate keys; PyYAML would silently use the last of them."""
 
     def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Any, Any]:
         keys = [self.construct_object(key, deep=True) for key, _ in node.value]
@@ -481,7 +483,7 @@ class _UniqueKeyLoader(yaml.SafeLoader):
 
 def _number(value: Any, what: str) -> float:
     if isinstance(value, str):
-        # YAML 1.1 reads 1e5 as text, although most programs write numbers in this form.
+        # YAML 1.1 reads 1e5 as text, but most programs write numbers in this form.
         try:
             return float(value)
         except ValueError:
@@ -491,7 +493,7 @@ def _number(value: Any, what: str) -> float:
     try:
         return float(value)
     except OverflowError as error:
-        raise ParameterError(f"{what} is beyond what a number can hold") from error
+        raise ParameterError(f"{what} is too large for a number") from error
 
 
 def _or_nan(value: Any, what: str) -> float:
@@ -500,7 +502,7 @@ def _or_nan(value: Any, what: str) -> float:
 
 
 def _or_none(value: float) -> float | None:
-    """Write an optional number; the inverse of reading."""
+    """Write an optional number; NaN becomes null."""
     return None if math.isnan(value) else float(value)
 
 
@@ -511,7 +513,7 @@ def _range(value: Any, what: str) -> tuple[float, float]:
 
 
 def _shown(value: Any) -> str:
-    """A value as short text; a few characters of YAML can define endless lists."""
+    """A value as short text, because a few characters of YAML can define endless lists."""
     shortened = reprlib.Repr()
     shortened.maxlevel = 1
     return shortened.repr(value)
@@ -520,9 +522,9 @@ def _shown(value: Any) -> str:
 def start_set(model: str) -> ParameterSet:
     """A start set of the model.
 
-    For the sigmoid law it is the set from the literature; for the extended law it is the same set
-    without lag, stiffness and offset. For any other model it has zero force and is valid nowhere:
-    the fit of the first window then starts from values derived from that window.
+    For the sigmoid law it is the set from the literature; the extended law adds no lag, stiffness
+    or offset to it. For any other model, its force is zero and never valid, and the fit of the
+    first window starts from values derived from that window.
     """
     values, name, speed = MODELS[model].initial_values()
     return ParameterSet(

@@ -1,7 +1,7 @@
 """Plausibility checks of parameter sets from any source.
 
-Sets from files, messages, services and saved states pass the same checks: on the statistics that
-the set states, and on the force of its law over its stated range.
+Sets from files, messages, services and saved states pass the same checks: of the statistics that
+the set states, and of the force of its law over its stated range.
 """
 
 from __future__ import annotations
@@ -20,12 +20,12 @@ LARGEST_NRMSE = 1.0
 """Upper limit of the NRMSE; at 1 the error is as large as the spread of the force."""
 
 _EXCESS = 3.0
-"""Largest ratio of the law's force to the largest measured force during identification. The fastest
-motion and the largest current of the range need not have occurred together."""
+"""Largest ratio of the law's force to the largest force measured during identification. It exceeds
+1, because the fastest motion and the largest current may not have been measured together."""
 
-_DRIVES = 0.02
-"""Permitted negative work relative to that of a constant force, because a cycle has few samples. A
-law with the wrong sign returns most of the work."""
+_LARGEST_RETURN = 0.02
+"""Permitted negative work relative to the work of a constant force, because a cycle has few
+samples. A law with the wrong sign returns most of the work."""
 
 _USUAL_SPEEDS = (0.01, 0.03, 0.1, 0.3)
 """Peak velocities [m/s] for a law whose range is unbounded or empty."""
@@ -34,7 +34,8 @@ _USUAL_CURRENTS = (0.0, 0.5, 1.0, 2.0)
 """Currents [A] for a law whose range is unbounded."""
 
 _FREQUENCIES = (2.0, 0.5, 8.0)
-"""Frequencies [Hz], of which one must be plausible, because the range states no frequency."""
+"""Frequencies [Hz] that are tried, because the range states none; the law must be plausible at one.
+"""
 
 _SAMPLES = 32
 """Number of samples of a cycle."""
@@ -44,16 +45,16 @@ def check_plausible(parameters: ParameterSet) -> ParameterSet:
     """Return the set if it is plausible for a damper over its stated range.
 
     The force is computed over cycles at the smallest, middle and largest peak velocity and current
-    of the range. It must not exceed the plausible limit, nor three times the largest force stated
-    for the identification, and it must be dissipative. For an unbounded range some typical values
-    are checked, one of which must be plausible.
+    of the range. It must be dissipative, and must exceed neither the physical limit nor three times
+    the largest force of the identification. For an unbounded range, some typical values are
+    checked, and one of them must be plausible.
 
     Raises ParameterError if the set is not plausible.
     """
     if not (math.isnan(parameters.nrmse) or 0.0 <= parameters.nrmse <= LARGEST_NRMSE):
         raise ParameterError(
-            f"the parameters state an nrmse of {parameters.nrmse:.3g}, where it must lie in 0 to "
-            f"{LARGEST_NRMSE:g}: identify the damper again"
+            f"the parameters state an nrmse of {parameters.nrmse:.3g}, but it must be between 0 "
+            f"and {LARGEST_NRMSE:g}: identify the damper again"
         )
     speeds = _places(parameters.peak_velocity_range, _USUAL_SPEEDS, least=0.0)
     currents = _places(parameters.current_range, _USUAL_CURRENTS)
@@ -98,11 +99,11 @@ def _doubt(parameters: ParameterSet, speeds: _Places, currents: _Places, frequen
     limit = min(_EXCESS * parameters.largest_force, LARGEST_FORCE) if known else LARGEST_FORCE
     with np.errstate(invalid="ignore"):
         sizes = peaks <= limit
-        damping = works >= -_DRIVES * most
+        damping = works >= -_LARGEST_RETURN * most
     if speeds.all_count:
         # A law for random motion may be inaccurate at low speed, so the work is summed over speeds.
         with np.errstate(all="ignore"):
-            damping[:] = np.sum(works, axis=0) >= -_DRIVES * np.sum(most, axis=0)
+            damping[:] = np.sum(works, axis=0) >= -_LARGEST_RETURN * np.sum(most, axis=0)
     sound = _everywhere(sizes & damping, speeds, currents)
     if sound:
         return ""
@@ -110,7 +111,7 @@ def _doubt(parameters: ParameterSet, speeds: _Places, currents: _Places, frequen
         largest = float(np.max(np.where(np.isfinite(peaks), peaks, math.inf)))
         return (
             f"within their range the parameters give a force of {largest:.3g} N, more than the "
-            f"possible {limit:.3g} N: identify the damper again"
+            f"limit of {limit:.3g} N: identify the damper again"
         )
     return (
         "within their range the parameters give a force that is not dissipative: were the signs "

@@ -1,4 +1,4 @@
-"""Parameter sets published in the thesis: single ones, and those of its 34 conditions.
+"""Parameter sets published in the thesis: three single sets, and the sets of its 34 conditions.
 
 Source: D. M. D. da Silva, "Comparative study of optimization algorithms for parameter
 identification of the sigmoid model in MR dampers", University of Brasília, 2023. All are for a
@@ -40,13 +40,13 @@ THESIS_71_CELSIUS = np.array(
 )
 """Warm damper: 5 mm, 1 Hz, 1.5 A at 71 °C (tables 8 and 9, two decimals as printed).
 
-It is a different local minimum from the cold set, with other signs. Interpolate the forces of the
-two sets, not their parameters.
+It belongs to a different local minimum than the cold set, with different signs. Interpolate the
+forces of the two sets, not their parameters.
 """
 
 
 PUBLISHED_METHODS = ("nelder_mead", "differential_evolution")
-"""The two methods in the tables; simulated runs use the first."""
+"""The two methods in the tables; simulated runs use the first one."""
 
 
 class ConditionError(ValueError):
@@ -99,7 +99,7 @@ _COPIED = (
     "tables 31 and 32 (5.0 mm, 1.0 A) repeat tables 19 and 20 (5.0 mm, 0 A) digit for digit: "
     "these are not data for 1.0 A"
 )
-_MIRRORED = "the loop is the mirror image of the other method's, or far from it: a sign is lost"
+_MIRRORED = "the loop mirrors, or is far from, the loop of the other method: a sign is lost"
 
 ROW_ERRATA = {
     (_named(name), method): reason
@@ -112,13 +112,13 @@ ROW_ERRATA = {
         (
             "7.5mm_3Hz_1.5A",
             "nelder_mead",
-            "k4 is +0.1405 where every other row has it negative",
+            "k4 is +0.1405, but negative in every other row",
         ),
         ("7.5mm_3Hz_1.5A", "differential_evolution", _MIRRORED),
         (
             "2.5mm_5Hz_0.0A",
             "differential_evolution",
-            "the force peaks at 544 and -727 N against 134 and -170 N by the other method",
+            "the force peaks at 544 and -727 N, but at 134 and -170 N by the other method",
         ),
         ("7.5mm_5Hz_1.0A", "differential_evolution", _MIRRORED),
         (
@@ -141,8 +141,8 @@ ERRATA = {
 def is_clean(condition: Condition) -> bool:
     """Whether a run of the condition is suitable for comparisons: 30 of the 34 are.
 
-    Of the other four, 7.5 mm at 3 Hz and 1.5 A meets the criteria of the report, but the sign of
-    its k4 is doubtful. By these criteria 31 conditions are sound.
+    The report of the thesis counts 31 sound conditions: its criteria accept 7.5 mm at 3 Hz and
+    1.5 A, which is excluded here because of the doubtful sign of its k4.
     """
     return condition not in ERRATA
 

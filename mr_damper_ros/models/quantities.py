@@ -14,17 +14,17 @@ from mr_damper_ros.models.formulas import LIMIT
 from mr_damper_ros.signals.arrays import Array
 
 NOTICED = 0.1
-"""A change of the force by this part is noticed. It sets the size of a parameter near zero."""
+"""Relative change of the force that counts as noticeable; it sets the size of parameters near 0."""
 
 FORGOTTEN = 0.01
-"""A past has no more effect if it changes the force by less than this part of the force span."""
+"""The past counts as forgotten once it changes the force by less than this part of the force span.
+"""
 
 SETTLING = 7.0
-"""Number of time constants, or of travels at full yield, after which a transient has decayed to a
-thousandth."""
+"""Number of time constants, or of yield lengths, after which a transient has decayed to 0.1 %."""
 
 SAME_CURRENT = 0.05
-"""Largest difference of currents [A] that count as one current."""
+"""Largest difference [A] of currents that count as one current."""
 
 DIFFERENCE = 1e-6
 """Step of a finite difference, relative to the size of a parameter, or in seconds."""
@@ -68,8 +68,8 @@ class Quantity(NamedTuple):
 class LoopReading(NamedTuple):
     """Size of the force-displacement loop of a window, from which starts of a search are derived.
 
-    Half the span of the ``force`` [N] and its ``middle`` [N], the largest ``speed`` [m/s] and the
-    ``amplitude`` [m].
+    ``force`` [N] is half the span of the force and ``middle`` [N] its middle; ``speed`` [m/s] is
+    the largest speed, ``amplitude`` [m] that of the motion.
     """
 
     force: float
@@ -92,7 +92,7 @@ class LoopReading(NamedTuple):
 
     @property
     def frequency(self) -> float:
-        """Frequency [Hz] of a sine of this speed and amplitude."""
+        """Frequency [Hz] of a sine with this speed and amplitude."""
         return self.speed / (2.0 * math.pi * self.amplitude)
 
     def size(self, unit: str) -> float:
@@ -157,13 +157,13 @@ class CoefficientTable:
     def weights(self, column: int) -> Array:
         """Inverse standard deviations (k,) of one coefficient, model error included.
 
-        A window of less than a cycle may leave a coefficient undetermined with an arbitrary value.
-        The typical size is therefore that of the determined coefficients.
+        In a window of less than a cycle, a coefficient may be undetermined and have an arbitrary
+        value. The typical size is therefore taken from the determined coefficients.
         """
         values, errors = self.coefficients[:, column], self.errors[:, column]
         known = errors <= np.abs(values)
         usual = float(np.sqrt(np.mean(values[known if known.any() else slice(None)] ** 2)))
-        # The weight of a coefficient that is always zero is finite, and so is its square.
+        # The weight of a coefficient that is always zero must be finite, and so must its square.
         floor = _RELATIVE_ERROR * max(usual, 1.0 / LIMIT)
         errors = np.where(np.isnan(errors), _OPEN * np.maximum(floor, np.abs(values)), errors)
         return 1.0 / np.sqrt(errors**2 + floor**2 + (_RELATIVE_ERROR * values) ** 2)

@@ -1,4 +1,4 @@
-"""Yield and viscous flow in series with a spring, parallel to a softer spring with its own yield.
+"""Yield and viscous flow in series with a spring, parallel to a softer spring with a yield.
 
 The fluid flows at the velocity w, which differs from the velocity v of the rod because of the
 spring between them. The ``compliance`` of the extended law approximates this spring; here it is
@@ -6,11 +6,11 @@ integrated sample by sample:
 
     f tanh(w / w_y) + c w = F = k x,    dx/dt = v - w
 
-The spring keeps its deflection x when the current, and with it the stiffness, changes. The law does
-not need the peak velocity. A small motion has a rounder loop than a large one because of the travel
-since the reversal, not because of its speed. The law describes this by a part of the yield force on
-a softer spring: two parallel elements as in Iwan, J. Applied Mechanics 33, 1966, each with its own
-yield.
+When the current changes, and with it the stiffness, the spring keeps its deflection x. The law does
+not need the peak velocity. The loop of a small motion is rounder than that of a large motion
+because of the shorter travel since the reversal, not because of the speed. The law describes this
+by a part of the yield force on a softer spring: two parallel elements, each with its own yield, as
+in Iwan, J. Applied Mechanics 33, 1966.
 
 A step uses the two-stage method of second order with gamma = 1 - 1/sqrt(2) (Alexander, SIAM J.
 Numerical Analysis 14, 1977). The method is L-stable: it is stable at any period, and a spring that
@@ -32,11 +32,11 @@ from mr_damper_ros.kinematics.window import Window
 from mr_damper_ros.models.current_dependence import (
     Coefficient,
     DifferentiatedModel,
-    accumulated,
-    along,
     at_samples,
-    driven,
+    excitation,
     integrated,
+    sensitivity_input,
+    solve_recursion,
 )
 from mr_damper_ros.models.first_order_lag import coil_unsettled, few_in_coil
 from mr_damper_ros.models.machine_code import as_machine_code, run_loop, runs_machine_code
@@ -47,8 +47,8 @@ _GAMMA = 1.0 - math.sqrt(0.5)
 _REST = 1.0 - _GAMMA
 _AHEAD = _REST / _GAMMA
 _CLOSE = 4e-3
-"""Iteration ends when a step changes the flow by less than this part of the yield width.
-Convergence is cubic, so the next step would be smaller than about the cube of this."""
+"""The iteration ends when a step changes the flow by less than this part of the yield width.
+Because convergence is cubic, the next step would be smaller than about the cube of this part."""
 
 _MOST_BENT = 0.5
 """Limit of Halley's correction; with more curvature within a step, it is not reliable."""
@@ -85,7 +85,7 @@ class SpringPath(NamedTuple):
     def derivatives(self, velocity: Array, period: float) -> tuple[dict[str, Array], Array, Array]:
         """Derivatives (n,) of each step's force by the four coefficients, and by the force before.
 
-        The third result is the part (n,) [N] of the previous force that remains after a step.
+        The third result is the part (n,) [N] of the previous force that a step retains.
         """
         start = PathState(math.nan, math.nan, math.nan)
         _, (forces, early, flow) = self.follow(velocity, period, start)
@@ -104,8 +104,7 @@ class SpringPath(NamedTuple):
         kept[0] = 0.0
         added = {}
         for name in ("strength", "width", "damping"):
-            # Effect of the first stage: on the flow, and through it on the initial force of the
-            # second.
+            # The first stage affects the flow, and through it the initial force of the second.
             begin = far * first * by_both[0][name]
             added[name] = slopes[1] * second * begin + near * second * by_both[1][name]
             added[name][0] = by_both[1][name][0]
@@ -160,7 +159,7 @@ def follow_path(
 
 def flow_of(strength: float, width: float, held: float, load: float, guess: float) -> float:
     """Flow w [m/s] that solves strength tanh(w / width) + held w = load."""
-    # The left side is odd in w and concave for w > 0, so Newton steps from below increase.
+    # The left side is odd in w and concave for w > 0, so Newton steps from below stay below.
     sign = 1.0
     if load < 0.0:
         sign, load, guess = -1.0, -load, -guess
@@ -187,7 +186,7 @@ def flow_of(strength: float, width: float, held: float, load: float, guess: floa
 
 
 class SeriesSprings(DifferentiatedModel):
-    """Two parallel paths of spring and yield, one with a damper, and the gas parallel to them."""
+    """Two parallel paths of a spring and a yield, one with a damper, and a parallel gas spring."""
 
     name = "series_springs"
     title = "springs in series, solved"
@@ -276,13 +275,13 @@ class SeriesSprings(DifferentiatedModel):
     def memory_length(self, parameters: Array, current: float) -> float:
         """A multiple of the deflection of the softer spring at its yield force.
 
-        After this travel a reversal has no effect.
+        After this travel, a reversal no longer has an effect.
         """
         f_y, *_, share, softer, _, _ = self.coefficients_at(parameters, 0.0, current)[:, 0]
         return float(SETTLING * share * f_y / softer)
 
     def starts_at_one_current(self, reading: LoopReading) -> Array:
-        """A narrow or wide yield, with a small or large share on the softer spring."""
+        """Starts with a narrow or wide yield and a small or large share on the softer spring."""
         force, middle, speed, amplitude = reading
         soft = 3.0 * force / amplitude
         return np.array(
@@ -298,8 +297,8 @@ class SeriesSprings(DifferentiatedModel):
     def settled(self, window: Window, parameters: Array | None) -> np.ndarray:
         """Mask (n,) of samples at which the springs and the coil no longer depend on the past.
 
-        For any past, the force lies between two limits: the springs start with the full yield force
-        in either direction, at their lowest stiffness. The integration steps preserve this order.
+        Two solutions enclose the force for any past: their springs start at the full yield force in
+        either direction, with their lowest stiffness. The integration steps preserve the order.
         """
         if parameters is None or window.history.periodic:
             return np.ones(window.sample_count, dtype=bool)
@@ -326,16 +325,16 @@ class SeriesSprings(DifferentiatedModel):
         self, window: Window, parameters: Array, columns: Sequence[int]
     ) -> Array:
         """Derivatives (n, p) of :meth:`window_force` with respect to parameters ``columns``."""
-        motion, period, values, chain = along(self, window, parameters, columns)
+        motion, period, values, chain = sensitivity_input(self, window, parameters, columns)
         # Columns are contiguous in memory.
         result = (chain[6].T * motion.displacement + chain[7].T).T
         for spring, path, recursion, carried in self._derivatives_along(values, motion, period):
-            added = driven(path, chain)
+            added = excitation(path, chain)
             if chain.shape[1] > 1:
-                # A spring keeps its deflection while its stiffness changes, so its force changes.
+                # When the stiffness changes, a spring keeps its deflection, so its force changes.
                 stiffened = np.diff(chain[spring] / values[spring][:, np.newaxis], axis=0)
                 added[1:] += carried[1:, np.newaxis] * stiffened
-            result += accumulated(recursion, added)
+            result += solve_recursion(recursion, added)
         return at_samples(window, result)
 
     def _derivatives_along(

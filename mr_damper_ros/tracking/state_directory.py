@@ -9,7 +9,7 @@ import re
 import stat
 from pathlib import Path
 
-from mr_damper_ros.models.parameter_set import ParameterError, ParameterSet, SpokenError
+from mr_damper_ros.models.parameter_set import ParameterError, ParameterSet, UserError
 from mr_damper_ros.models.plausibility import check_plausible
 from mr_damper_ros.processes.files import FolderLock, LockHeldError, write_text
 
@@ -32,7 +32,7 @@ _ASIDE, _READ = "aside", "aside-read"
 """Suffixes of files that could not be used, before and after a user has acknowledged them."""
 
 
-class StateError(SpokenError):
+class StateError(UserError):
     """State that cannot be stored or read; the message says what to change."""
 
 

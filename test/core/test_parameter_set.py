@@ -133,7 +133,7 @@ FAULTS = {
     "range of nan": (by_hand(current_range=[math.nan, 1.0]), "give the lower bound first"),
     "negative force": (
         by_hand(largest_force=-1.0),
-        "largest_force is -1.0: give a size in newtons",
+        "largest_force is -1.0: give a finite, non-negative force",
     ),
 }
 
@@ -151,8 +151,11 @@ UNCAUGHT = {
     "a surrogate as a key": (by_hand() + '"\\ud800": 1\n', r"unknown entries \\ud800: remove"),
     "an id of two lines": (by_hand(id="a\nb"), "the id of .* printable characters"),
     "an endless source": (by_hand(source="a" * 201), "give at most 200 printable characters"),
-    "a stamp after 2038": (by_hand(stamp_ns=STAMP_LIMIT), "beyond what a stamp can hold"),
-    "a number of 5000 digits": (f"stamp_ns: 0x{'f' * 5000}\n{by_hand()}", "beyond what a stamp"),
+    "a stamp after 2038": (by_hand(stamp_ns=STAMP_LIMIT), "which a stamp cannot hold"),
+    "a number of 5000 digits": (
+        f"stamp_ns: 0x{'f' * 5000}\n{by_hand()}",
+        "which a stamp cannot hold",
+    ),
     "a flag of 5000 digits": (
         by_hand().replace("k6: 15", f"k6: {{value: 1.0, observable: 0x{'f' * 5000}}}"),
         "an entry that cannot be used",
@@ -198,7 +201,7 @@ def test_the_arrays_of_a_set_are_its_own_and_cannot_be_changed() -> None:
 def test_a_set_of_another_model_than_needed_is_refused() -> None:
     extended = ParameterSet(np.zeros(19), model="sigmoid_lag")
     assert extended.of_model("sigmoid_lag") is extended
-    with pytest.raises(ParameterError, match=r"those of model 'sigmoid_lag': give .* 'sigmoid'"):
+    with pytest.raises(ParameterError, match=r"belong to model 'sigmoid_lag': give .* 'sigmoid'"):
         extended.of_model("sigmoid")
 
 
@@ -213,7 +216,7 @@ def test_whatever_yaml_stumbles_over_is_one_error(text: str) -> None:
 
 @pytest.mark.parametrize(
     ("time", "sentence"),
-    [([0.0, 1.0, 3.0], "give samples in even steps"), ([0.0, 1.0], "one displacement for each")],
+    [([0.0, 1.0, 3.0], "give uniform samples"), ([0.0, 1.0], "one displacement for each")],
 )
 def test_times_that_do_not_fit_are_refused(time: list[float], sentence: str) -> None:
     found = ParameterSet(MODELS["sigmoid"].initial_values()[0])

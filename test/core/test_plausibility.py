@@ -23,7 +23,7 @@ GOOD = ParameterSet(
     THESIS_28_CELSIUS, peak_velocity_range=(0.03, 0.1), current_range=(0.0, 1.5), nrmse=0.1
 )
 DRIVES = "a force that is not dissipative"
-TOO_LARGE = "more than the possible 1e\\+06 N"
+TOO_LARGE = "more than the limit of 1e\\+06 N"
 
 
 def with_value(name: str, factor: float) -> np.ndarray:
@@ -67,13 +67,15 @@ def test_a_force_far_beyond_the_largest_measured_one_is_refused() -> None:
         if plausible:
             check_plausible(stated)
         else:
-            with pytest.raises(ParameterError, match="more than the possible 300 N"):
+            with pytest.raises(ParameterError, match="more than the limit of 300 N"):
                 check_plausible(stated)
 
 
 @pytest.mark.parametrize("nrmse", [5.0, -0.1, math.inf, np.nextafter(LARGEST_NRMSE, 2.0)])
 def test_a_set_that_owns_up_to_explaining_nothing_is_refused(nrmse: float) -> None:
-    with pytest.raises(ParameterError, match=r"state an nrmse of .*, where it must lie in 0 to 1"):
+    with pytest.raises(
+        ParameterError, match=r"state an nrmse of .*, but it must be between 0 and 1"
+    ):
         check_plausible(replace(GOOD, nrmse=nrmse))
 
 

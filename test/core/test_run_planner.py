@@ -135,7 +135,7 @@ def test_the_error_of_the_force_includes_what_the_law_does_not_follow(planner: R
     # In the short cycle at 0 A the noise adds to the largest of the means.
     assert now.model_error == pytest.approx(1.35 * MISFIT, rel=0.4)
     assert now.worst >= now.model_error
-    assert "that the law does not follow" in now.sentence
+    assert "is model error" in now.sentence
 
 
 def test_a_law_that_does_not_fit_is_named_as_the_reason() -> None:

@@ -137,7 +137,7 @@ def test_finite_inputs_give_a_finite_force_without_a_warning(
 
 
 def test_a_set_of_another_length_is_refused_by_name() -> None:
-    with pytest.raises(ValueError, match=r"length 16 \(got shape \(15,\)\).*f0, I0, I1"):
+    with pytest.raises(ValueError, match=r"length 16 \(the shape is \(15,\)\).*f0, I0, I1"):
         sine_force(np.zeros(15), 0.0, 0.0, 0.0, 0.0)
 
 

@@ -391,5 +391,5 @@ def test_a_set_that_the_model_would_refuse_is_not_taken() -> None:
     report = tracked.complete(job, dataclasses.replace(outcome, found=absurd))
     assert report is not None
     assert report.verdict is Verdict.POOR_FIT
-    assert "more than the possible" in report.reason
+    assert "more than the limit" in report.reason
     assert tracked.parameters is good

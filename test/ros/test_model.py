@@ -221,8 +221,8 @@ def test_what_is_missing_makes_the_force_invalid_with_the_reason(
         ("values", [float("nan")] * 16, "give a finite number"),
         ("values", [1.0], "must hold 16 numbers"),
         ("current_min", 9.0, "lower bound first"),
-        ("nrmse", 5.0, "state an nrmse of 5, where it must lie in 0 to 1"),
-        ("values", [-1e9, *TRUE_SET.values[1:]], "more than the possible 1e+06 N"),
+        ("nrmse", 5.0, "state an nrmse of 5, but it must be between 0 and 1"),
+        ("values", [-1e9, *TRUE_SET.values[1:]], "more than the limit of 1e+06 N"),
         ("values", [-TRUE_SET.values[0], *TRUE_SET.values[1:]], "a force that is not dissipative"),
         ("id", "two\nlines", "printable characters"),
         ("node", "x" * 1000, "the name of the node of the parameters is"),
@@ -248,7 +248,7 @@ def test_refused_parameters_are_reported_and_change_nothing(
     assert {pair.key: pair.value for pair in status.values}["from"] == "/test"
     for field, value, sentence in (
         ("model", "magic", "model 'magic' is unknown"),
-        ("values", [-1e9, *TRUE_SET.values[1:]], "more than the possible 1e+06 N"),
+        ("values", [-1e9, *TRUE_SET.values[1:]], "more than the limit of 1e+06 N"),
     ):
         bad = parameters_message(TRUE_SET, "damper", "/test")
         bad.id = "bad"

@@ -12,7 +12,7 @@ from mr_damper_ros.kinematics.observer import (
     possible_bandwidths,
     settling_samples,
 )
-from mr_damper_ros.models.parameter_set import ParameterSet, SpokenError
+from mr_damper_ros.models.parameter_set import ParameterSet, UserError
 from mr_damper_ros.settings.option_table import CheckedSettings, option
 from mr_damper_ros.signals.arrays import Array
 
@@ -20,7 +20,7 @@ _SATURATED, _BEYOND = 0.1, 1e4
 """Fraction of the test vectors with extreme values, and their factor."""
 
 
-class ExportError(SpokenError):
+class ExportError(UserError):
     """A set cannot be exported; the message gives the reason and what to change."""
 
 

@@ -1,9 +1,9 @@
-"""The sigmoid laws of a set: along a motion, block by block, and over the current at a sample.
+"""The force of the sigmoid laws along a motion, and at one sample as a function of the current.
 
 *Without the jump at a reversal.* The law shifts the velocity by sgn(a) v_h. The force therefore
 jumps from one branch to the other within a sample when the acceleration changes sign, and back and
-forth when noise dominates the acceleration. Measured forces do not jump. On a branch with negative
-v_h, the velocity of the law, v + sgn(a) v_h, is that of a body that follows v with a play of -v_h.
+forth when noise dominates the acceleration. Measured forces do not jump. With a negative v_h, the
+velocity v + sgn(a) v_h of the law is the velocity of a body that follows v with a play of -v_h.
 Without the jump this also holds at a reversal: the shift follows the velocity (a play operator;
 Visintin, Differential Models of Hysteresis, 1994),
 
@@ -13,7 +13,7 @@ The branch s depends on the path of the velocity, not on its rate. It agrees wit
 velocity has changed by 2 |v_h| after a reversal. It needs no additional parameter.
 
 *The extended law* adds a compliance, a stiffness and an offset. The fluid, the rod and the mounts
-are elastic. Such a spring in series with the damper (a Maxwell element) delays the force. With the
+are elastic; such a spring in series with the damper (a Maxwell element) delays the force. With the
 sigmoid force F_s,
 
     tau dF_l/dt + F_l = F_s,  tau = compliance * f_t tanh(alpha x / 2) / x,
@@ -22,8 +22,8 @@ sigmoid force F_s,
 where the fraction is the equivalent damping of the sigmoid at the velocity x. The lag is therefore
 long near a reversal, where the force is steep, and short while the fluid flows. It increases with
 the yield force, that is with the current. The force is F_l + stiffness u + offset, where stiffness
-and offset are those of the gas (thesis 3.2; the thesis adds 100 N to its records by hand).
-doc/extended_law.md describes the alternatives that were tried. The current is that of the coil, see
+and offset come from the gas (thesis 3.2; the thesis adds 100 N to its records by hand).
+doc/extended_law.md describes the alternatives that were tried. The current is the coil current, see
 :mod:`first_order_lag`. A parameter array of the extended law contains the sixteen parameters of the
 sigmoid law, the three of :data:`EXTENSION_NAMES` and the time constant of the coil.
 
@@ -131,7 +131,7 @@ class LagMemory(NamedTuple):
     constant: float
 
 
-def late_after(
+def lagged_after(
     force: float, damping: float, extension: Extension, period: float, before: LagMemory | None
 ) -> LagMemory:
     """State of the lag ``period`` [s] after ``before``; None starts without lag."""
@@ -158,8 +158,8 @@ BRANCH_MEMORY = 2
 """Number of arrays in the state without the jump: the last velocity [m/s] and the last branch."""
 
 FEW = 64
-"""Number of samples up to which scalar code is faster. NumPy takes a microsecond for each of a
-hundred operations, even on short arrays."""
+"""Number of samples up to which scalar code is faster. With NumPy, each of a hundred operations
+takes a microsecond even on short arrays."""
 
 _sample = staged(
     LAW,
@@ -196,7 +196,7 @@ def follow(
     acceleration = motion.acceleration
     if not jumps:
         branch, turning = branch_along(motion.velocity, acceleration, coefficients.v_h, state)
-        # The branch is now part of v_h, so the sign of the acceleration is set to 1.
+        # The branch is already a factor of v_h, so the sign of the acceleration is set to 1.
         coefficients = coefficients._replace(v_h=coefficients.v_h * branch)
         acceleration = np.ones(motion.velocity.size)
     if not extended:
@@ -244,7 +244,7 @@ def _follow_few(
         force, damping, branch = sample(v, v_m, branch, change)
         last = v
         if extension is not None:
-            late = late_after(force, damping, extension, period, late)
+            late = lagged_after(force, damping, extension, period, late)
             force = late.force + extension.gas(u)
         forces.append(force)
     remembered = (*(() if jumps else (last, branch)), *(late or ()), *supply)
@@ -276,8 +276,8 @@ def branch_along(
 ) -> tuple[Array, State]:
     """The branch s (..., n), from -1 to 1, along a velocity (n,), and the state after it.
 
-    ``half_width`` (..., n) [m/s] is v_h, of either sign. ``before`` is the previous state, which
-    may contain more. Without it the branch starts with the sign of the acceleration (n,).
+    ``half_width`` (..., n) [m/s] is v_h, of either sign. ``before`` is the previous state; values
+    after the branch are ignored. None starts with the sign of the acceleration (n,).
     """
     shape = np.broadcast_shapes(half_width.shape, velocity.shape)
     if before is None:
@@ -321,7 +321,7 @@ def _over_current(extended: bool) -> tuple[Callable[..., Any], Callable[..., Any
 
 
 class SigmoidCurrentResponse(CurrentResponse):
-    """Response of a set (16,) or (20,); motion terms are computed in scalars per sample."""
+    """Response of a set (16,) or (20,); motion terms are computed in scalar code."""
 
     def __init__(self, parameters: Array, *, jumps: bool) -> None:
         self._jumps = jumps
@@ -343,7 +343,7 @@ class SigmoidCurrentResponse(CurrentResponse):
 
         def late_force(current: float) -> float:
             force, damping = force_at(current)
-            return float(late_after(force, damping, extension, period, before).force + gas)
+            return float(lagged_after(force, damping, extension, period, before).force + gas)
 
         return late_force
 

@@ -1,14 +1,14 @@
 """The sigmoid force law of an MR damper as formulas, and the functions compiled from them.
 
-The law is that of Wang et al. (2004) in the form of the MATLAB routine ``mrf_sigmoid`` in D. M. D.
+The law of Wang et al. (2004) is used in the form of the MATLAB routine ``mrf_sigmoid`` in D. M. D.
 da Silva, "Comparative study of optimization algorithms for parameter identification of the sigmoid
 model in MR dampers", University of Brasília, 2023 (eq. 7-11 and appendix D). Where the typeset
 equations and the routine differ, the formulas follow the routine.
 :mod:`mr_damper_ros.models.formulas` describes the syntax of the formulas. The inputs are the
 sixteen parameters, the velocity ``v`` [m/s], the peak velocity ``v_m`` [m/s] of the present cycle
-and the coil current ``i`` [A]. The hysteresis is on a branch from -1 to 1: ``s`` is the branch
-before the velocity changed by ``change`` [m/s]. With zero change, s is the sign of the
-acceleration; :mod:`following` describes how s follows a motion.
+and the coil current ``i`` [A]. The branch of the hysteresis is a number from -1 to 1: ``s`` is the
+branch before the velocity changed by ``change`` [m/s]. For the original law, s is the sign of the
+acceleration and change is zero; :mod:`following` describes how s follows a motion.
 
 At one operating point, that is one peak velocity and one coil current, the force depends on only
 seven *operating-point coefficients* (:class:`.Coefficients`). Each of them is proportional to
@@ -44,7 +44,7 @@ SCALE_PARAMETER_NAMES = ("f0", "a0", "k1c", "k1e", "k4", "k6", "k5")
 """The scale parameter of each coefficient, in the order of :data:`COEFFICIENT_NAMES`."""
 
 NARROWEST = 1e-9
-"""Smallest width of the play [m/s]; a narrower one counts as zero."""
+"""Smallest width of the play [m/s]; a narrower play counts as zero."""
 
 COEFFICIENTS: Formulas = (
     ("growth", "exp(clip(a1 * v_m, -230.0, 230.0))"),
@@ -69,8 +69,8 @@ COEFFICIENTS: Formulas = (
 )
 """Yield force f_t [N], steepness alpha [s/m], viscous slopes k_c and k_e for velocity >= 0 and < 0
 [s/m], hysteresis velocity v_h [m/s], velocity offset v_d [m/s], force offset f_d [N]. The
-difference of two logistic functions of the current is written with tanh, which does not overflow.
-Only 0/0 gives NaN; it then stands for a steepness of zero."""
+difference of two logistic functions of the current is written with tanh, which does not overflow. A
+steepness of 0/0 counts as zero."""
 
 FORCE: Formulas = (
     ("viscous", "1.0 + where(v >= 0.0, k_c, k_e) * abs(v)"),
@@ -184,7 +184,7 @@ def _checked(parameters: ArrayLike) -> Array:
     if p.shape[-1:] != (len(PARAMETER_NAMES),):
         raise ValueError(
             f"parameters must have a last axis of length {len(PARAMETER_NAMES)} "
-            f"(got shape {p.shape}); the order is {', '.join(PARAMETER_NAMES)}"
+            f"(the shape is {p.shape}); the order is {', '.join(PARAMETER_NAMES)}"
         )
     return p
 
@@ -266,9 +266,9 @@ def coefficient_parameter_jacobian(
 
 
 def sign_of_pair(f_t: ArrayLike) -> Array:
-    """Sign that makes the yield force positive, to be multiplied with yield force and steepness.
+    """Sign by which yield force and steepness are multiplied, so that the yield force is positive.
 
-    The force does not change if both change sign together; the positive pair is the convention.
+    The force does not change if both change sign; a positive yield force is the convention.
     """
     return np.where(np.asarray(f_t) < 0.0, -1.0, 1.0)
 
@@ -282,8 +282,8 @@ def sine_force(
 ) -> Array:
     """Force [N] of the sixteen-parameter sigmoid law for a sine, as defined in the thesis.
 
-    The peak velocity v_m = sqrt(v² - a u) is that of a sine about its centre. For any other motion
-    use :meth:`Model.force`, which uses the peak velocity of
+    The peak velocity v_m = sqrt(v² - a u) is correct for a sine about its centre. For any other
+    motion use :meth:`Model.force`, with the peak velocity of
     :mod:`mr_damper_ros.kinematics.peak_velocity`.
 
     ``parameters`` has shape (..., 16); displacement [m], velocity [m/s], acceleration [m/s²] and

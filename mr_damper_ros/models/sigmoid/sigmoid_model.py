@@ -1,6 +1,6 @@
 """The sigmoid law as a model, and the dependence of its coefficients on peak velocity and current.
 
-The sixteen parameters form groups with no common unknown:
+The sixteen parameters form groups that share no unknown:
 
     f_t = f0 (1 + e^(a1 v)) (1 + k2 S(i; a2, I0))     f0 a1 k2 a2 I0
     alpha = a0 / (1 + k0 v)                           a0 k0
@@ -102,24 +102,24 @@ _SIXTEEN = tuple(
 _LITERATURE_PEAK_VELOCITY = 2.0 * math.pi * 1.0 * 2.5e-3
 """Peak velocity [m/s] of the test for the set from the literature: 1 Hz, 2.5 mm, at 0 A."""
 
-_SOFT = 2.0
-"""Slope of a smooth step over the current, times the largest current."""
+_SMOOTH_SLOPE = 2.0
+"""Slope [1/A] of a smooth step over the current, multiplied by the largest current."""
 
 _STEEPNESS = (2.0, 6.0, 20.0, 60.0)
 _HYSTERESIS = (0.0, -0.2, -0.4)
-"""Starts of a search: steepness times the largest velocity, and hysteresis velocity relative to it.
+"""Starts of a search: the steepness times, and the hysteresis velocity over, the largest velocity.
 """
 
 _K5 = PARAMETER_NAMES.index("k5")
-_LAST = SCALE_PARAMETER_NAMES.index("k5")
+_K5_SCALE = SCALE_PARAMETER_NAMES.index("k5")
 
 _USUAL_LAG = 0.02
-"""Usual upper limit [s] of the time constants of coil and fluid. Before they are known, samples
-within this transient at the start of a window are excluded."""
+"""Usual upper limit [s] of the time constants of coil and fluid. While they are unknown, samples in
+a transient with this time constant at the start of a window are excluded."""
 
 
 _EXPONENT_SPAN = 8.0
-"""Largest exponent of growth or decay over the velocity range: e^8, a ratio of 3000."""
+"""Largest exponent of growth or decay over the velocity range; e^8 is a ratio of 3000."""
 
 
 Values = Mapping[str, Array | float]
@@ -128,9 +128,9 @@ Values = Mapping[str, Array | float]
 class _Law(NamedTuple):
     """One group of parameters and the coefficients that they determine.
 
-    Each coefficient is scale (constant + gain step). For the first coefficient, ``constant`` is the
-    derivative with respect to its scale at zero gain, and ``step`` is the derivative with respect
-    to the gain at a scale of 1. ``gain`` is k2, k3 or empty.
+    Each coefficient is scale * (constant + gain * step). ``constant`` is the derivative of the
+    first coefficient by its scale at zero gain, and ``step`` its derivative by the gain at a scale
+    of 1. ``gain`` is k2, k3 or empty.
     """
 
     stage: str
@@ -211,9 +211,9 @@ def searched_laws(free: frozenset[str]) -> int:
 def shape_bounds(top_velocity: float, top_current: float) -> dict[str, tuple[float, float]]:
     """Search bounds of the nonlinear shape parameters.
 
-    They follow from the range of the data (peak velocity [m/s], current [A]), so they suit any
-    damper. The slopes a2, a3 are positive, because negative slopes give the same law with k2, k3
-    negative.
+    They follow from the range of the data (peak velocity [m/s], current [A]), so they hold for any
+    damper. The slopes a2 and a3 are positive, because a negative slope is the same as a negative k2
+    or k3.
     """
     v, i = max(top_velocity, 1e-12), max(top_current, 1e-12)
     exponent = (-_EXPONENT_SPAN / v, _EXPONENT_SPAN / v)
@@ -272,7 +272,7 @@ class _LawProblem:
 def _least_squares(basis: Array, target: Array) -> Array:
     """Factors (s, c) for the columns of a basis (s, c, k), fitted to a target (k,)."""
     gram = basis @ basis.swapaxes(1, 2)
-    # Slight damping keeps the solution finite if columns are equal or zero.
+    # Slight regularisation keeps the solution finite if columns are equal or zero.
     places = np.arange(basis.shape[1])
     gram[:, places, places] = gram[:, places, places] * (1.0 + 1e-9) + 1e-300
     return np.asarray(np.linalg.solve(gram, (basis @ target)[..., np.newaxis])[..., 0])
@@ -325,7 +325,7 @@ class SigmoidModel(Model):
         rough_tolerance=0.01,
         rough_steps=20,
     )
-    """The seven scales are well conditioned, so the start with the lowest cost is sufficient."""
+    """The seven scales are well conditioned, so only the start with the lowest cost is refined."""
 
     def __init__(self, *, jumps: bool = True) -> None:
         self._jumps = jumps
@@ -343,7 +343,7 @@ class SigmoidModel(Model):
         return type(self)(jumps=False) if self._jumps else self
 
     def current_response(self, parameters: Array) -> CurrentResponse:
-        """Force over the current, of which only two factors depend on the current."""
+        """Force over the current; only two factors in it depend on the current."""
         return SigmoidCurrentResponse(parameters, jumps=self._jumps)
 
     @property
@@ -352,7 +352,7 @@ class SigmoidModel(Model):
         return WrittenLaw(EXTENDED_NAMES, COEFFICIENTS, FORCE, COEFFICIENT_NAMES)
 
     def starts(self, reading: LoopReading) -> Array:
-        """Several values of steepness and hysteresis, no dependence on velocity or current."""
+        """Starts with several steepnesses and widths, without dependence on velocity or current."""
         starts = []
         for steepness, hysteresis in product(_STEEPNESS, _HYSTERESIS):
             # With a1 = 0, f_t is twice f0.
@@ -368,7 +368,7 @@ class SigmoidModel(Model):
         return np.array(starts)
 
     def cold_starts(self, window: Window, parameters: Array) -> list[Array]:
-        """Scales that give the coefficients of :meth:`starts` for the present shape parameters."""
+        """Starts with the present shape parameters, and the coefficients of :meth:`starts`."""
         speed = float(np.max(np.abs(window.motion.velocity)))
         reading = LoopReading.of(window)._replace(speed=speed)
         unit = parameters[:SIGMOID_COUNT].copy()
@@ -406,7 +406,7 @@ class SigmoidModel(Model):
     def unknowns(self, parameters: Array) -> Array:
         """The unknowns (7,) of parameters (p,)."""
         scales = parameters[SCALE_INDICES]
-        scales[_LAST] *= scales[0]
+        scales[_K5_SCALE] *= scales[0]
         return scales
 
     def with_unknowns(self, parameters: Array, unknowns: Array) -> Array:
@@ -414,26 +414,26 @@ class SigmoidModel(Model):
         values = np.empty((*unknowns.shape[:-1], parameters.size))
         values[...] = parameters
         values[..., SCALE_INDICES] = unknowns
-        values[..., _K5] = _over(unknowns[..., _LAST], unknowns[..., 0])
+        values[..., _K5] = _over(unknowns[..., _K5_SCALE], unknowns[..., 0])
         return values
 
     def by_unknowns(self, unknowns: Array, derivatives: Array) -> Array:
-        """Derivatives (n, 7) by the unknowns (7,), from those (n, 7) by the scales."""
+        """Derivatives (n, 7) by the unknowns (7,), from the derivatives (n, 7) by the scales."""
         found = derivatives.copy(order="K")
-        found[:, _LAST] *= _over(np.ones(()), unknowns[0])
-        found[:, 0] -= found[:, _LAST] * _over(unknowns[_LAST], unknowns[0])
+        found[:, _K5_SCALE] *= _over(np.ones(()), unknowns[0])
+        found[:, 0] -= found[:, _K5_SCALE] * _over(unknowns[_K5_SCALE], unknowns[0])
         return found
 
     def fitted_errors(self, unknowns: Array, covariance: Array) -> tuple[np.ndarray, Array]:
-        """Indices and standard errors (7,) of the scale parameters; of k5 to first order."""
+        """Indices and standard errors (7,) of the scale parameters; k5 is linearised."""
         errors = np.sqrt(np.diag(covariance))
-        f0, offset = unknowns[0], unknowns[_LAST]
+        f0, offset = unknowns[0], unknowns[_K5_SCALE]
         if f0 == 0.0:
-            errors[_LAST] = np.nan
+            errors[_K5_SCALE] = np.nan
         else:
             gradient = np.array([-offset / f0**2, 1.0 / f0])
-            variance = gradient @ covariance[np.ix_([0, _LAST], [0, _LAST])] @ gradient
-            errors[_LAST] = np.sqrt(np.maximum(variance, 0.0))  # rounding may make it negative
+            variance = gradient @ covariance[np.ix_([0, _K5_SCALE], [0, _K5_SCALE])] @ gradient
+            errors[_K5_SCALE] = np.sqrt(np.maximum(variance, 0.0))  # rounding may make it negative
         return SCALE_INDICES, errors
 
     def coefficients_at(
@@ -458,7 +458,7 @@ class SigmoidModel(Model):
     def without_dependence(self, parameters: Array, top_current: float) -> Array:
         """The set with the same scales; v_h and v_d remain proportional to the peak velocity.
 
-        If a search frees k2 or k3, the coefficient rises smoothly up to the top current and
+        If a search frees k2 or k3, the coefficient increases smoothly up to the top current and
         saturates above it.
         """
         values = np.array(parameters, dtype=float)
@@ -474,7 +474,7 @@ class SigmoidModel(Model):
         return {**shape_bounds(top_velocity, top_current), **gains}
 
     def typical_sizes(self, windows: Sequence[Window]) -> Array:
-        """One in each unit: the scales of a damper are larger or have little effect."""
+        """1 in each unit, because the scales of a damper are larger or have little effect."""
         return np.ones(len(self.parameters))
 
     def searched_laws(self, free: frozenset[str]) -> int:
@@ -496,13 +496,13 @@ class SigmoidModel(Model):
         """The set with steps over the current made smooth enough for a search."""
         steps = self.places(("a2", "a3"))
         values = np.array(parameters)
-        values[steps[~held[steps]]] = _SOFT / max(top_current, 1e-12)
+        values[steps[~held[steps]]] = _SMOOTH_SLOPE / max(top_current, 1e-12)
         return values
 
     def draw_shape(
         self, rng: np.random.Generator, top_velocity: float, top_current: float
     ) -> dict[str, float]:
-        """Random shape parameters that change coefficients by a small factor over the range."""
+        """Random shape parameters by which coefficients change by a small factor over the range."""
         drawn = {
             "a1": rng.uniform(-1.5, 1.5) / top_velocity,
             "k0": rng.uniform(0.0, 10.0) / top_velocity,
@@ -582,10 +582,10 @@ class ExtendedSigmoidModel(SigmoidModel):
     def plausible_ranges(
         self, windows: Sequence[Window], top_velocity: float, top_current: float
     ) -> dict[str, tuple[float, float]]:
-        """Ranges of the sigmoid law, and those of the extension for the data.
+        """Ranges of the parameters of the sigmoid law and of its extension.
 
-        The deflection of the compliance under the force is at most the amplitude of any window.
-        Stiffness and offset make at most the whole force in it.
+        In any window, the compliance deflects by at most the amplitude, and stiffness and offset
+        contribute at most the whole force.
         """
         forces = [float(np.max(np.abs(window.force))) for window in windows]
         stiffnesses = [

@@ -48,7 +48,7 @@ _DAMPING_BY = tuple(
     for coefficient, parameter in _FORCE_BY
     if COEFFICIENT_NAMES[coefficient] in ("f_t", "alpha", "v_h", "v_d")
 )
-"""The pairs for the coefficients that affect the damping."""
+"""The pairs whose coefficient affects the damping."""
 
 _SHAPE_INDICES = np.setdiff1d(np.arange(SIGMOID_COUNT), SCALE_INDICES)
 _F0, _K5 = (PARAMETER_NAMES.index(name) for name in ("f0", "k5"))
@@ -99,7 +99,7 @@ class SigmoidForces(WindowForces):
         return found
 
     def _without_lag_of_coil(self, parameters: Array, columns: Sequence[int]) -> list[Array]:
-        """Derivatives for a coil without lag; the column of the coil's time constant is zero."""
+        """Derivatives without the lag of the coil; the column of its time constant is zero."""
         sixteen = parameters[:SIGMOID_COUNT]
         lates = self._late_forces(parameters)
         of_sixteen = [place for place in columns if place < SIGMOID_COUNT]
@@ -123,7 +123,7 @@ class SigmoidForces(WindowForces):
 
     def _late_forces(self, parameters: Array) -> list[LateForce]:
         """Lagged force of each window, for parameters (20,)."""
-        # Cached, because a search asks for the Jacobian right after the residual.
+        # Cached, because a search evaluates the Jacobian right after the residual.
         if self._latest is None or self._latest[0] != parameters.tobytes():
             past = self._histories.along(parameters[:SIGMOID_COUNT])
             extension = extension_of(parameters)
@@ -139,7 +139,7 @@ class SigmoidForces(WindowForces):
         return not all(window.has_constant_current for window in self.windows)
 
     def _with_coil(self, time_constant: float) -> SigmoidForces:
-        """The forces with the coil current in place of the supply current, without further lag."""
+        """The forces of the windows with their current replaced by the coil current."""
         if self._in_coil is None or self._in_coil[0] != time_constant:
             windows = [in_coil(window, time_constant) for window in self.windows]
             self._in_coil = time_constant, SigmoidForces(self.model, windows)
@@ -151,7 +151,7 @@ class SigmoidForces(WindowForces):
 
     @cached_property
     def _between(self) -> _Motions:
-        """Motions of the windows with samples between those of their history."""
+        """Motions of the windows whose samples lie between the samples of their history."""
         few = [window for window in self.windows if not window.history.holds_samples]
         return _Motions([(window.motion, window.current) for window in few])
 
@@ -164,12 +164,12 @@ class SigmoidForces(WindowForces):
 class _Motions:
     """Sigmoid forces along several motions, by one evaluation of the laws.
 
-    Separate evaluations would add a third to the time of a search. Terms that depend only on the
+    Evaluating them separately would make a search a third slower. Terms that depend only on the
     shape parameters are cached, because fits of a window change only the scales.
     """
 
     def __init__(self, motions: Sequence[tuple[Motion, Array]]) -> None:
-        """Motion and current (n,) [A] of each; a steady motion is represented by one value."""
+        """Motion and current (n,) [A] of each motion; constant ones are stored as one value."""
         self._velocities = [motion.velocity for motion, _ in motions]
         self._branches = [np.sign(motion.acceleration) for motion, _ in motions]
         speeds, currents = [], []
@@ -182,7 +182,7 @@ class _Motions:
         self._places = [slice(*pair) for pair in pairwise(edges)]
         self._peak_velocity = np.concatenate([np.empty(0), *speeds])
         current = np.concatenate([np.empty(0), *currents])
-        # One value is sufficient if all are equal.
+        # If all values are equal, one of them suffices.
         self._current = current[:1] if np.all(current == current[:1]) else current
         self._kept: tuple[bytes, Array] | None = None
 
@@ -264,8 +264,8 @@ def _chain(
 ) -> Array:
     """Derivatives (c, n) along one motion with respect to the parameters at c places.
 
-    By the chain rule from ``outer`` (n, 7), the derivatives by the coefficients, and ``inner``,
-    those of the coefficients by the parameters, at the ``place`` of the motion.
+    They follow by the chain rule from ``outer`` (n, 7), the derivatives by the coefficients, and
+    ``inner``, the derivatives of the coefficients, of which ``place`` belongs to the motion.
     """
     rows = {parameter: row for row, parameter in enumerate(columns)}
     chosen = [(c, rows[p], inner[c, p][place]) for c, p in dependences if p in rows]
@@ -287,12 +287,12 @@ def _without_coil(parameters: Array) -> Array:
 class LateForce:
     """Lagged sigmoid force along a history, for one set of parameters.
 
-    The argument ``plain`` of a method returns the value of the sigmoid law at the samples of the
-    window. It is called only if these lie between the samples of the history.
+    The argument ``plain`` of a method returns the force of the sigmoid law, or its derivatives, at
+    the samples of the window. It is called only if these lie between samples of the history.
     """
 
     def __init__(self, history: MotionHistory, past: ForceAndDamping, extension: Extension) -> None:
-        """``past``, each of shape (m,), is that of the sigmoid law along the history."""
+        """``past``: force and damping (m,) of the sigmoid law along the history."""
         self._history, self._past, self._extension = history, past, extension
         constant = extension.time_constant(past.damping)
         self._lag = FirstOrderLag(constant, history.period, periodic=history.periodic)
@@ -306,7 +306,7 @@ class LateForce:
     def jacobian(self, by_sigmoid: ForceAndDamping, plain: Callable[[], Array]) -> Array:
         """Derivatives (n, p) of the force with respect to p parameters of the sigmoid law.
 
-        ``by_sigmoid``, each of shape (m, p), are those along the history.
+        ``by_sigmoid``: derivatives (m, p) of force and damping along the history.
         """
         by_constant = by_sigmoid.damping * self._by_damping[:, np.newaxis]
         late = self._lag.derivative(self._past.force, self._late, by_sigmoid.force, by_constant)
