@@ -27,8 +27,14 @@ def series(duration: float, every: float, size: float) -> Any:
 def driven(strategy: str, road: str, lag: float, duration: float) -> Any:
     size = invented(strategy + road)
     return {
-        "comfort": size, "holding": 0.3 * size, "travel": 0.01 * size, "power": 100.0,
-        "coil": 0.1, "met": 0.5, "highest": 3.0 * size, "furthest": 0.03,
+        "comfort": size,
+        "holding": 0.3 * size,
+        "travel": 0.01 * size,
+        "power": 100.0,
+        "coil": 0.1,
+        "met": 0.5,
+        "highest": 3.0 * size,
+        "furthest": 0.03,
         "series": series(6.0, 0.005, size),
     }
 

@@ -18,7 +18,6 @@ from scipy.io import savemat
 from mr_damper_ros.io.bag_reader import read_bag
 from mr_damper_ros.io.columns import UNITS, ColumnError, parse_columns
 from mr_damper_ros.io.records import read_record, read_runs
-from mr_damper_ros.processes.files import write_text
 from mr_damper_ros.tools import check_rig, import_record, watch
 from mr_damper_ros.tools.console import run_tool
 
@@ -442,14 +441,6 @@ def test_without_ros_a_program_that_needs_it_says_so(
     assert tool.main([]) == 2
     # The first import that fails is named; which one that is depends on what else is missing.
     assert "it needs ROS 2, and Python does not find " in capsys.readouterr().err
-
-
-def test_a_file_is_written_whole_or_not_at_all(tmp_path: Path) -> None:
-    write_text(tmp_path / "new" / "file", "whole")
-    with pytest.raises(UnicodeEncodeError):
-        write_text(tmp_path / "new" / "file", "half\ud800")
-    assert (tmp_path / "new" / "file").read_text() == "whole"
-    assert [entry.name for entry in (tmp_path / "new").iterdir()] == ["file"]
 
 
 # ---- recordings from a laboratory ----

@@ -1,25 +1,23 @@
-"""A source of one's own: one file, one line in the registry, and the bridge streams it."""
+"""Sources of samples in the bridge: one that streams rows, and one of another package."""
 
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
-from mr_damper_msgs.msg import MtsSamples
+from mr_damper_msgs.msg import MtsSamples, SupplyCurrent
 from support import Listener, installed_programs
 
 from mr_damper_ros.nodes.messages import from_field
 from mr_damper_ros.processes.programs import Program, node_arguments
 
 ONE_FILE = '''
-"""Lines of displacement [m], force [N] and current [A] from a named pipe, 1 ms apart."""
+"""Two samples 1 ms apart, and nothing after them."""
 
-import os
 import time
-from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -30,96 +28,82 @@ from mr_damper_ros.settings.option_table import ParameterTable, option
 
 
 @dataclass(frozen=True)
-class PipeOptions(ParameterTable):
-    path: str = option("", "Path of the pipe.")
+class PairOptions(ParameterTable):
     gain: float = option(1.0, "Factor on the force.", read_only=False)
 
     def objection(self) -> str:
-        return "" if self.path else "source is pipe, but pipe.path is empty: name a pipe"
+        return ""
 
 
-class PipeSource(Source):
-    options = PipeOptions
-    prefix = "pipe."
+class PairSource(Source):
+    options = PairOptions
+    prefix = "pair."
 
     def open(self) -> list[str]:
-        self._pipe = os.open(self.settings.path, os.O_RDONLY | os.O_NONBLOCK)
-        self._rest = b""
-        return [f"reading {self.settings.path}"]
+        return [f"two samples, times {self.settings.gain}"]
 
-    def blocks(self, start_ns: int) -> Iterator[RigBlock]:
-        sequence = 0
+    def blocks(self, start_ns):
+        force = self.settings.gain * np.array([1.0, 2.0])
+        yield RigBlock(start_ns, 0, 1e-3, np.zeros(2), force, np.ones(2), np.full(2, np.nan))
+        none = np.empty(0)
         while True:
-            rows = self._rows()
-            if rows.size == 0:
-                time.sleep(0.05)
-            yield RigBlock(
-                start_ns=start_ns + sequence * 1_000_000,
-                sequence=sequence,
-                period=1e-3,
-                displacement=rows[:, 0],
-                force=rows[:, 1] * self.settings.gain,
-                current=rows[:, 2],
-                temperature=np.full(len(rows), np.nan),
-            )
-            sequence += len(rows)
-
-    def _rows(self):
-        try:
-            data = self._rest + os.read(self._pipe, 65536)
-        except BlockingIOError:
-            data = self._rest
-        lines, _, self._rest = data.rpartition(b"\\n")
-        return np.array([line.split() for line in lines.splitlines()], dtype=float).reshape(-1, 3)
+            time.sleep(0.05)
+            yield RigBlock(start_ns, 2, 1e-3, none, none, none, none)
 
     def close(self) -> None:
-        os.close(self._pipe)
+        pass
 '''
 
-
-@pytest.fixture
-def pipe(tmp_path: Path) -> Iterator[tuple[Path, int]]:
-    path = tmp_path / "pipe"
-    os.mkfifo(path)
-    descriptor = os.open(path, os.O_RDWR)
-    yield path, descriptor
-    os.close(descriptor)
-
-
 ENTRY_POINTS = """[mr_damper_ros.sources]
-pipe = pipe_source:PipeSource
-broken = pipe_source:NoSuchSource
-wrong = pipe_source:PipeOptions
+pair = pair_source:PairSource
+broken = pair_source:NoSuchSource
+wrong = pair_source:PairOptions
 """
 
 
 @pytest.fixture
 def installed(tmp_path: Path) -> dict[str, str]:
     """The environment in which another package is installed, with a source as its entry point."""
-    (tmp_path / "pipe_source.py").write_text(ONE_FILE, encoding="utf-8")
-    folder = tmp_path / "pipe_source-1.0.dist-info"
+    (tmp_path / "pair_source.py").write_text(ONE_FILE, encoding="utf-8")
+    folder = tmp_path / "pair_source-1.0.dist-info"
     folder.mkdir()
     (folder / "METADATA").write_text(
-        "Metadata-Version: 2.1\nName: pipe-source\nVersion: 1.0\n", encoding="utf-8"
+        "Metadata-Version: 2.1\nName: pair-source\nVersion: 1.0\n", encoding="utf-8"
     )
     (folder / "entry_points.txt").write_text(ENTRY_POINTS, encoding="utf-8")
     return {"PYTHONPATH": os.pathsep.join([str(tmp_path), os.environ.get("PYTHONPATH", "")])}
 
 
 def test_a_source_of_another_package_comes_by_its_entry_point(
-    installed: dict[str, str], pipe: tuple[Path, int], listener: Listener
+    installed: dict[str, str], listener: Listener
 ) -> None:
     samples = listener.listen(MtsSamples, "mts/samples")
-    path, descriptor = pipe
     command = [str(installed_programs() / "bridge")]
-    parameters = {"source": "pipe", "pipe__path": path, "wait_for_subscribers": 1}
+    parameters = {"source": "pair", "pair__gain": 3.0, "wait_for_subscribers": 1}
     bridge = Program([*command, *node_arguments(parameters)], installed)
-    bridge.wait_for_log(f"reading {path}")
-    os.write(descriptor, b"0 1 0.5\n0 2 0.5\n")
+    bridge.wait_for_log("two samples, times 3.0")
     listener.until(lambda: sum(len(m.force) for m in samples) == 2, "two samples")
-    assert np.concatenate([from_field(m.force) for m in samples]).tolist() == [1.0, 2.0]
+    assert np.concatenate([from_field(m.force) for m in samples]).tolist() == [3.0, 6.0]
     assert bridge.stop() == 0, bridge.log
     # Those that are none are told, and hold up nothing.
     assert "the source broken cannot be loaded" in bridge.errors
     assert "the source wrong is no Source" in bridge.errors
     bridge.close()
+
+
+def test_rows_of_a_stream_come_on_the_topics(start: Any, listener: Listener) -> None:
+    samples = listener.listen(MtsSamples, "mts/samples")
+    current = listener.listen(SupplyCurrent, "supply/current")
+    columns = "time:us,displacement:mm,force:kN,current:mA"
+    start("bridge", source="stream", stream__address="simulated", stream__columns=columns)
+    listener.until(lambda: current and sum(len(m.force) for m in samples) >= 1000, "samples")
+    moved = np.concatenate([from_field(message.displacement) for message in samples])
+    pulled = np.concatenate([from_field(message.force) for message in samples])
+    # A sine of 5 mm and its velocity behind a hyperbolic tangent, 1 kN.
+    cosine = np.arctanh(np.clip(pulled / 1000.0, -0.99, 0.99)) / 3.0
+    right = np.abs(pulled) < 950.0
+    np.testing.assert_allclose(np.hypot(moved / 0.005, cosine)[right], 1.0, atol=1e-3)
+    assert samples[0].period == pytest.approx(1e-3, rel=1e-6)
+    assert {message.current for message in current} == {1.5}
+    found = listener.wait_for_finding("bridge: source", "")
+    assert {item.key: item.value for item in found.values}["connections"] == "1"
