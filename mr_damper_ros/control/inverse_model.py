@@ -12,7 +12,6 @@ from __future__ import annotations
 
 import math
 import warnings
-from bisect import bisect_right
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import NamedTuple
@@ -257,28 +256,19 @@ def _search(
     last: float | None,
 ) -> SampleInversion:
     """The inversion of one sample with these node forces [N]."""
-    rising = sorted(forces)
-    least, most = rising[0], rising[-1]
-    falling = rising[::-1]
-    winding = forces not in (rising, falling)
+    least, most = min(forces), max(forces)
     # Only an extremum between two nodes may attain this force.
     if wanted < least or wanted > most:
-        bend = _furthest_bend(force_at, nodes, forces, 1.0 if wanted > most else -1.0, winding)
+        bend = _furthest_bend(force_at, nodes, forces, 1.0 if wanted > most else -1.0)
         if bend is not None:
-            nodes, forces, winding = *bend, True
+            nodes, forces = bend
             least, most = min(forces), max(forces)
     span = most - least
     margin = _WITHIN * TOLERANCE * span
     aimed = min(max(wanted, least + margin), most - margin)
     floor = _ROUNDING * max(abs(least), abs(most))
     close = max(_CLOSE * TOLERANCE * span, floor)
-    if winding:
-        cell = _cell(nodes, [force > aimed for force in forces], last)
-    else:
-        below = bisect_right(rising, aimed)
-        cell = (below if forces == rising else len(nodes) - below) - 1
-        if not 0 < below < len(nodes):
-            cell = 0
+    cell = _cell(nodes, [force > aimed for force in forces], last)
     beside = slice(cell, cell + 2)
     current, force = _root(force_at, aimed, nodes[beside], forces[beside], close)
     attainable = abs(force - wanted) <= max(TOLERANCE * span, 2.0 * floor)
@@ -336,7 +326,7 @@ def _root(
 
 
 def _furthest_bend(
-    force_at: Force, nodes: list[float], forces: list[float], sign: float, winding: bool
+    force_at: Force, nodes: list[float], forces: list[float], sign: float
 ) -> tuple[list[float], list[float]] | None:
     """Nodes and forces, one node moved onto the largest maximum (or minimum, by ``sign``).
 
@@ -346,7 +336,7 @@ def _furthest_bend(
     last = len(heights) - 1
     bends = [
         place
-        for place in range(1, last if winding else 0)
+        for place in range(1, last)
         if heights[place - 1] < heights[place] >= heights[place + 1]
     ]
     # Next to the first or last node there is an extremum only if the force rises inwards.
