@@ -15,8 +15,6 @@ import math
 import os
 import sys
 from collections.abc import Callable
-from concurrent.futures import BrokenExecutor
-from concurrent.futures import TimeoutError as LateError
 from dataclasses import dataclass, field
 from datetime import date, time, timedelta
 from importlib import import_module
@@ -27,7 +25,7 @@ import numpy as np
 
 from mr_damper_ros.io.columns import Columns, RawTable, RecordError, too_long
 from mr_damper_ros.io.text_table import TextFile
-from mr_damper_ros.processes.process_pool import LocalProcesses
+from mr_damper_ros.processes.process_pool import ProcessLostError, run_apart
 from mr_damper_ros.signals.arrays import Array
 
 _BYTES_PER_SAMPLE = 150
@@ -159,22 +157,20 @@ def _confined(
     form: Format, path: Path, maximum_samples: int, variable: str | None
 ) -> list[Group] | str:
     """Read a file in a child process. Raises RecordError, and OSError if there is no file."""
-    child = LocalProcesses(1)
     try:
-        task = child.start().submit(_read, path, variable, maximum_samples)
-        content: list[Group] | str = task.result(form.time_limit)
+        content: list[Group] | str = run_apart(
+            __name__, _read, path, variable, maximum_samples, budget=form.time_limit
+        )
         return content
-    except LateError:
+    except TimeoutError:
         raise RecordError(
             f"{path.name} could not be read within {form.time_limit:g} s: save a part of it, or "
             "export it as CSV"
         ) from None
     except MemoryError:
         raise too_long(path.name, maximum_samples) from None
-    except BrokenExecutor:
+    except ProcessLostError:
         raise RecordError(_unreadable(form, path)) from None
-    finally:
-        child.end()
 
 
 def _unreadable(form: Format, path: Path) -> str:

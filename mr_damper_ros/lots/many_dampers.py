@@ -9,7 +9,7 @@ from collections import defaultdict
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from concurrent.futures import Executor
 from dataclasses import asdict, dataclass, replace
-from functools import cached_property, partial
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -33,12 +33,11 @@ from mr_damper_ros.lots.population import KnownDamper, Population
 from mr_damper_ros.models.parameter_set import DEFAULT_MODEL, ParameterSet
 from mr_damper_ros.processes.files import FolderLock, LockHeldError, write_text
 from mr_damper_ros.processes.process_pool import (
-    DaskCluster,
     KeptTask,
-    LocalProcesses,
     ProcessPool,
     ResultFolder,
     Workforce,
+    dask_cluster,
     file_stem,
     fingerprint,
     finish,
@@ -295,11 +294,9 @@ def identify_many(
             content = {"damper": name, "recordings": files}
             argument = DamperGroup(name, tuple(group), search, accept_doubtful, record_format)
             tasks.append(KeptTask(name, fingerprint(content), argument))
-        workforce: Callable[[], Workforce] = partial(LocalProcesses, workers)
-        if scheduler is not None:
-            workforce = partial(DaskCluster, scheduler)
-        elif executor is not None:
-            workforce = partial(Workforce, executor)
+        workforce: int | Workforce | str = workers if scheduler is None else scheduler
+        if executor is not None and scheduler is None:
+            workforce = Workforce(executor)
         documents, kept = _all_done(tasks, workforce, place, report)
     finally:
         lock.release()
@@ -343,7 +340,7 @@ def _check_options(folder: Path, wanted: dict[str, Any]) -> None:
 
 def _all_done(
     tasks: Sequence[KeptTask],
-    workforce: Callable[[], Workforce],
+    workforce: int | Workforce | str,
     folder: Path,
     report: Progress | None,
 ) -> tuple[dict[str, dict[str, Any]], int]:
@@ -370,7 +367,7 @@ def _all_done(
         finish(
             remaining,
             identify_group,
-            workforce(),
+            dask_cluster(workforce) if isinstance(workforce, str) else workforce,
             results,
             final=is_final,
             finished=finished,

@@ -13,30 +13,21 @@ from __future__ import annotations
 
 import hashlib
 import json
-import multiprocessing
-import os
+import math
 import re
-from collections import Counter, deque
+import time
+from collections import deque
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from concurrent.futures import (
-    FIRST_COMPLETED,
-    BrokenExecutor,
-    CancelledError,
-    Executor,
-    Future,
-    ProcessPoolExecutor,
-    wait,
-)
-from contextlib import AbstractContextManager
+from concurrent.futures import FIRST_COMPLETED, CancelledError, Executor, Future, wait
+from contextlib import AbstractContextManager, closing
 from dataclasses import dataclass
 from functools import partial
-from multiprocessing.queues import SimpleQueue
 from pathlib import Path
 from typing import Any, TypeVar
 
-from mr_damper_ros.processes import child_process
 from mr_damper_ros.processes.blas_threads import one_thread
 from mr_damper_ros.processes.files import write_text
+from mr_damper_ros.processes.worker import Control, Done, Failed, Outcome, Worker, WorkerPool
 
 Task = TypeVar("Task")
 Result = TypeVar("Result")
@@ -48,31 +39,34 @@ result soon."""
 Listen = Callable[[int, Any], bool]
 """Receives the index of a task and its progress; returning False stops all tasks."""
 
-_PATIENCE = 0.05
-"""Seconds between two checks for progress of the processes."""
+_PATIENCE = 0.01
+"""Seconds between two polls of the processes."""
+
+_LOADED = "scipy.linalg"
+"""Module with the BLAS of SciPy: a library that is loaded later would not be limited."""
 
 
-def _checked(count: int) -> int:
-    if count < 1:
-        raise ValueError(f"workers is {count}: at least 1 is needed")
-    return count
+class WorkersError(OSError):
+    """The workers cannot run any task; the message gives the reason."""
 
 
 class ProcessPool(AbstractContextManager):
     """A context with ``count`` processes, started when there are tasks for them.
 
-    With a count of one, or in a process that may not have children (a daemon of
-    ``multiprocessing``), the tasks run in this process. Raises ValueError for a count below one.
+    With a count of one, the tasks run in this process, unless they are to run ``apart`` from it.
+    Raises ValueError for a count below one.
     """
 
-    def __init__(self, count: int = 1) -> None:
-        self.count = 1 if multiprocessing.current_process().daemon else _checked(count)
-        self._pool: ProcessPoolExecutor | None = None
+    def __init__(self, count: int = 1, *, apart: bool = False) -> None:
+        if count < 1:
+            raise ValueError(f"workers is {count}: at least 1 is needed")
+        self.count = count
+        self._apart = apart
+        self._pool: WorkerPool | None = None
 
     def __exit__(self, *_: object) -> None:
         if self._pool is not None:
-            self._stop.set()
-            self._pool.shutdown(wait=True, cancel_futures=True)
+            self._pool.close()
 
     def map(
         self,
@@ -80,12 +74,14 @@ class ProcessPool(AbstractContextManager):
         tasks: Sequence[Task],
         listen: Listen | None = None,
         done: Callable[[int, Result], None] | None = None,
+        lost: Callable[[int], None] | None = None,
     ) -> list[Result | None]:
         """``function(task, tell)`` of every task, in order; None if a task was not started.
 
         ``listen`` receives the progress of the tasks and may stop them; running tasks then return
         their present results. ``done`` is called with each result as soon as it is complete, in any
-        order.
+        order. A task whose process dies repeatedly runs once more while no other does; then
+        ``lost`` receives its index. Raises WorkersError instead without ``lost``.
         """
         results: list[Result | None] = [None] * len(tasks)
         stopped = False
@@ -100,171 +96,130 @@ class ProcessPool(AbstractContextManager):
             if done is not None:
                 done(index, result)
 
-        if self.count == 1 or len(tasks) < 2:
+        if not self._apart and (self.count == 1 or len(tasks) < 2):
             for index, task in enumerate(tasks):
                 if not stopped:
                     with one_thread():
                         result = function(task, partial(tell, index))
                     keep(index, result)
             return results
-        pool = self._started()
-        numbered = {pool.submit(_call, function, t, index): index for index, t in enumerate(tasks)}
-        waiting = set(numbered)
+        waiting, suspects = deque(range(len(tasks))), deque[int]()
+        running: dict[Worker, int] = {}
+
+        def take(worker: Worker, index: int, outcome: Outcome) -> None:
+            if isinstance(outcome, Done):
+                keep(index, outcome.result)
+            elif not isinstance(outcome, Failed):
+                if not tell(index, outcome.value):
+                    for each in running:
+                        each.cancel()
+            elif outcome.error is not None:
+                raise outcome.error
+            elif lost is None:
+                raise WorkersError(f"a task cannot be done: {outcome.reason}")
+            elif index in suspected:
+                lost(index)
+            else:
+                suspected.add(index)
+                suspects.append(index)
+
+        suspected: set[int] = set()
+        idle = self._workers()
         try:
-            while waiting:
-                finished, waiting = wait(waiting, timeout=_PATIENCE)
-                for future in finished:
-                    if not future.cancelled():
-                        keep(numbered[future], future.result())
-                while not self._progress.empty():
-                    if not tell(*self._progress.get()) and not self._stop.is_set():
-                        self._end(waiting)
-        finally:
-            self._end(waiting)
-            while waiting:  # after an exception; a process whose progress is not read cannot end
-                waiting = wait(waiting, timeout=_PATIENCE).not_done
-                while not self._progress.empty():
-                    self._progress.get()
+            while running or ((waiting or suspects) and not stopped):
+                while idle and not stopped and (waiting or (suspects and not running)):
+                    worker = idle.pop()
+                    running[worker] = (waiting or suspects).popleft()
+                    worker.submit(_call, function, tasks[running[worker]])
+                for worker, index in list(running.items()):
+                    for outcome in worker.poll():
+                        take(worker, index, outcome)
+                    if not worker.busy:
+                        del running[worker]
+                        idle.append(worker)
+                time.sleep(_PATIENCE)
+        except BaseException:
+            self.__exit__()
+            self._pool = None
+            raise
         return results
 
-    def _end(self, waiting: set[Future[Any]]) -> None:
-        if waiting:
-            self._stop.set()
-        for future in waiting:
-            future.cancel()
-
-    def _started(self) -> ProcessPoolExecutor:
+    def _workers(self) -> list[Worker]:
         if self._pool is None:
-            context = multiprocessing.get_context("spawn")
-            self._stop = context.Event()
-            self._progress: SimpleQueue[tuple[int, Any]] = context.SimpleQueue()
-            channel = (os.getpid(), self._stop, self._progress)
-            self._pool = ProcessPoolExecutor(self.count, context, _begin, channel)
-        return self._pool
+            # A task may compute for long without asking whether to stop.
+            limits = {"grace": math.inf, "silence_limit": math.inf}
+            self._pool = WorkerPool(_LOADED, self.count, **limits)
+        return [self._pool.worker() for _ in range(self.count)]
 
 
-_channel: tuple[Any, SimpleQueue[tuple[int, Any]]] | None = None
-"""In a pool process: the stop event and the queue for progress."""
+def _call(function: Callable[[Any, Tell], Any], task: Any, control: Control) -> Any:
+    return function(task, control.report)
 
 
-def _begin(parent: int, stop: Any, progress: SimpleQueue[tuple[int, Any]]) -> None:
-    global _channel
-    _channel = stop, progress
-    child_process.compute_for(parent)
+class ProcessLostError(Exception):
+    """The process of a task died repeatedly."""
 
 
-def _call(function: Callable[[Task, Tell], Result], task: Task, index: int) -> Result:
-    assert _channel is not None
-    stop, progress = _channel
+def run_apart(module: str, function: Callable[..., Any], *args: Any, budget: float) -> Any:
+    """``function(*args)`` in a process of its own, which loads ``module`` before.
 
-    def tell(news: Any) -> bool:
-        if stop.is_set():
-            return False
-        progress.put((index, news))
-        return True
-
-    return function(task, tell)
-
-
-_AHEAD = 2
-"""Submitted tasks per process, so that no process waits for its next task."""
-
-_AT_ONCE = 64
-"""Number of tasks submitted at once to an executor of unknown size."""
+    Raises the exceptions of the function, TimeoutError after ``budget`` [s], and ProcessLostError.
+    """
+    with closing(WorkerPool(module, grace=0.0, silence_limit=math.inf)) as pool:
+        worker = pool.worker()
+        worker.submit(_without_control, function, *args, budget=budget)
+        while True:
+            for outcome in worker.poll():
+                if isinstance(outcome, Done):
+                    return outcome.result
+                if isinstance(outcome, Failed):
+                    raise outcome.error or ProcessLostError(outcome.reason)
+            time.sleep(_PATIENCE)
 
 
+def _without_control(function: Callable[..., Any], *args: Any) -> Any:
+    return function(*args[:-1])
+
+
+@dataclass(frozen=True)
 class Workforce:
-    """An executor that belongs to the caller, and the properties of its workers.
+    """An executor, and the properties of its workers.
 
-    ``at_once`` is the number of tasks submitted at a time. ``breaks_with`` are the exceptions of a
-    future if its worker and all others have died. ``loses_with`` are those if workers have
-    repeatedly died with this one task.
+    ``at_once`` is the number of tasks submitted at a time. ``loses_with`` are the exceptions of a
+    future if workers have repeatedly died with its task. ``end`` releases the executor.
     """
 
-    at_once = _AT_ONCE
-    breaks_with: tuple[type[Exception], ...] = ()
+    executor: Executor
+    at_once: int = 64
     loses_with: tuple[type[Exception], ...] = ()
-
-    def __init__(self, executor: Executor) -> None:
-        self._executor = executor
-
-    def start(self) -> Executor:
-        """Return the executor, or a new one if the previous one is broken."""
-        return self._executor
-
-    def end(self) -> None:
-        """Release the executor: its owner ends it."""
+    end: Callable[[], object] = lambda: None
 
 
-class LocalProcesses(Workforce):
-    """``count`` fresh processes on this machine, each with one BLAS thread.
-
-    Raises ValueError for a count below one.
-    """
-
-    breaks_with = (BrokenExecutor,)
-
-    def __init__(self, count: int) -> None:
-        self._count = _checked(count)
-        self.at_once = _AHEAD * count
-        self._pool: ProcessPoolExecutor | None = None
-
-    def start(self) -> Executor:
-        """Return a new executor whose processes die with this one."""
-        self.end()
-        self._context = child_process.FreshContext()
-        self._pool = ProcessPoolExecutor(
-            self._count, self._context, child_process.compute_for, (os.getpid(),)
-        )
-        return self._pool
-
-    def end(self) -> None:
-        """End the processes, even if they are busy."""
-        if self._pool is not None:
-            self._pool.shutdown(wait=False, cancel_futures=True)
-            for process in self._context.children:
-                process.kill()
-            self._pool = None
-
-
-class DaskCluster(Workforce):
+def dask_cluster(address: str) -> Workforce:
     """The workers of a running Dask cluster, found by the address of its scheduler.
 
     They need only this package and the paths of the recordings. Raises ValueError if Dask is not
     installed, and OSError if no scheduler answers or it has no workers.
     """
-
-    def __init__(self, address: str) -> None:
-        try:
-            from distributed import Client, KilledWorker
-        except ImportError as error:
-            raise ValueError(
-                "a scheduler was given, and Dask is not installed: install distributed"
-            ) from error
-        try:
-            self._client: Any = Client(address, set_as_default=False)
-        except OSError as error:
-            raise OSError(f"no Dask scheduler answers at {address}: is it running?") from error
-        threads = sum(self._client.nthreads().values())
-        if threads == 0:
-            self._client.close()
-            raise OSError(f"the Dask scheduler at {address} has no workers: start some")
-        super().__init__(self._client.get_executor(pure=False))
-        self.at_once = _AHEAD * threads
-        self.loses_with = (KilledWorker,)
-
-    def end(self) -> None:
-        """Leave the cluster; it drops the tasks of this process."""
-        self._client.close()
+    try:
+        from distributed import Client, KilledWorker
+    except ImportError as error:
+        raise ValueError(
+            "a scheduler was given, and Dask is not installed: install distributed"
+        ) from error
+    try:
+        client: Any = Client(address, set_as_default=False)
+    except OSError as error:
+        raise OSError(f"no Dask scheduler answers at {address}: is it running?") from error
+    threads = sum(client.nthreads().values())
+    if threads == 0:
+        client.close()
+        raise OSError(f"the Dask scheduler at {address} has no workers: start some")
+    # Two tasks for each thread, so that no worker waits for its next task.
+    return Workforce(client.get_executor(pure=False), 2 * threads, (KilledWorker,), client.close)
 
 
 Document = dict[str, Any]
-
-_SUSPECT = 2
-"""After so many deaths of processes while it was running, a task runs alone."""
-
-_GIVEN_UP = 4
-"""After so many deaths of processes while it was running, a task is given up."""
 
 _SLUG = 60
 """Largest number of characters of a task's name in the name of its file."""
@@ -280,10 +235,6 @@ class KeptTask:
     name: str
     fingerprint: str
     argument: Any
-
-
-class WorkersError(OSError):
-    """The workers cannot run any task; the message gives the reason."""
 
 
 class ResultFolder:
@@ -320,7 +271,7 @@ def file_stem(name: str) -> str:
 def finish(
     tasks: Iterable[KeptTask],
     function: Callable[[Any], Document],
-    workforce: Workforce,
+    workers: int | Workforce,
     results: ResultFolder,
     *,
     final: Callable[[Document], bool],
@@ -329,64 +280,62 @@ def finish(
 ) -> None:
     """Run the tasks and store their documents; ``finished`` receives each one at once.
 
-    If ``final`` returns False, a document is reported but not stored, so that its task runs again
-    the next time. A task whose process dies repeatedly is given up and passed to ``lost``. Raises
-    WorkersError if the workers cannot run tasks at all, and OSError if a result cannot be written.
+    ``workers`` is the number of processes on this machine, or a workforce elsewhere. If ``final``
+    returns False, a document is reported but not stored, so that its task runs again the next time.
+    A task whose process dies repeatedly is given up and passed to ``lost``. Raises WorkersError if
+    the workers cannot run tasks at all, and OSError if a result cannot be written.
     """
-    waiting, suspects = deque(tasks), deque[KeptTask]()
-    deaths: Counter[str] = Counter()
+    every = list(tasks)
+
+    def keep(task: KeptTask, document: Document) -> None:
+        if final(document):
+            results.keep(task, document)
+        finished(task, document)
+
+    if isinstance(workers, int):
+        with ProcessPool(workers, apart=True) as pool:
+            pool.map(
+                partial(_document, function),
+                [task.argument for task in every],
+                done=lambda index, document: keep(every[index], document),
+                lost=lambda index: lost(every[index]),
+            )
+        return
+    waiting = deque(every)
     under_way: dict[Future[Document], KeptTask] = {}
-    executor = workforce.start()
     try:
-        while waiting or suspects or under_way:
-            broken = False
-            try:
-                while waiting and len(under_way) < workforce.at_once:
-                    future = executor.submit(_with_one_thread, function, waiting[0].argument)
-                    under_way[future] = waiting.popleft()
-                if suspects and not under_way:
-                    future = executor.submit(_with_one_thread, function, suspects[0].argument)
-                    under_way[future] = suspects.popleft()
-            except workforce.breaks_with:
-                broken = True
-            for future in wait(under_way, return_when=FIRST_COMPLETED).done if under_way else ():
-                task = under_way[future]
+        while waiting or under_way:
+            while waiting and len(under_way) < workers.at_once:
+                future = workers.executor.submit(_document, function, waiting[0].argument)
+                under_way[future] = waiting.popleft()
+            for future in wait(under_way, return_when=FIRST_COMPLETED).done:
+                task = under_way.pop(future)
                 try:
                     document = future.result()
-                except workforce.breaks_with:
-                    broken = True
-                    continue
-                except workforce.loses_with:
+                except workers.loses_with:
                     lost(task)
+                    continue
                 except (Exception, CancelledError) as error:
-                    raise WorkersError(
-                        f"the workers cannot do the tasks: {type(error).__name__}: {error}"
-                    ) from error
-                else:
-                    if final(document):
-                        results.keep(task, document)
-                    finished(task, document)
-                del under_way[future]
-            if broken:
-                for task in under_way.values():
-                    deaths[task.name] += 1
-                    if deaths[task.name] >= _GIVEN_UP:
-                        lost(task)
-                    elif deaths[task.name] >= _SUSPECT:
-                        suspects.append(task)
-                    else:
-                        waiting.appendleft(task)
-                under_way.clear()
-                executor = workforce.start()
+                    raise _useless(error) from error
+                keep(task, document)
     finally:
         for future in under_way:
             future.cancel()
-        workforce.end()
+        workers.end()
 
 
-def _with_one_thread(function: Callable[[Any], Document], argument: Any) -> Document:
-    with one_thread():  # the process may belong to another program
-        return function(argument)
+def _useless(error: BaseException) -> WorkersError:
+    if isinstance(error, WorkersError):
+        return error
+    return WorkersError(f"the workers cannot do the tasks: {type(error).__name__}: {error}")
+
+
+def _document(function: Callable[[Any], Document], argument: Any, *_: Tell) -> Document:
+    try:
+        with one_thread():  # the process may belong to another program
+            return function(argument)
+    except Exception as error:
+        raise _useless(error) from error
 
 
 def fingerprint(content: Mapping[str, Any]) -> str:

@@ -71,10 +71,15 @@ class Done:
 
 @dataclass(frozen=True)
 class Failed:
-    """The task gave no result; ``reason`` is one sentence."""
+    """The task gave no result; ``reason`` is one sentence.
+
+    ``error`` is the exception of the task, a TimeoutError if it did not stop when asked to; None if
+    its process was lost.
+    """
 
     task: int
     reason: str
+    error: Exception | None = field(default=None, compare=False)
 
 
 Outcome = Progress | Done | Failed
@@ -125,8 +130,8 @@ class _Place:
     module.
     """
 
-    def __init__(self, module: str) -> None:
-        self._module = module
+    def __init__(self, module: str, grace: float, silence_limit: float) -> None:
+        self._module, self._grace, self._silence_limit = module, grace, silence_limit
         self.task: _Task | None = None
         self.replaced = 0
         self._checked_at = time.monotonic()
@@ -203,11 +208,11 @@ class _Place:
             elif kind == "ready":
                 self.ready, self._began = True, now
             elif self.task is not None and content:
-                self.task.outcomes.append(_OUTCOMES[kind](self.task.number, content[0]))
+                self.task.outcomes.append(_OUTCOMES[kind](self.task.number, *content))
                 self.task = self.task if kind == "progress" else None
         if not lost and not self.ready and now - self._started > _START_LIMIT:
             lost = f"the worker did not start within {_START_LIMIT:g} s"
-        elif not lost and self.ready and self._silence > _SILENCE_LIMIT:
+        elif not lost and self.ready and self._silence > self._silence_limit:
             lost = "the worker process hangs"
         if lost:
             self._lose(lost, notices)
@@ -220,12 +225,13 @@ class _Place:
         if over_budget and task.stop_asked is None:
             task.stop_asked = now
             self.stop_task()
-        if task.stop_asked is not None and now > max(task.stop_asked, self._began) + _GRACE:
+        if task.stop_asked is not None and now > max(task.stop_asked, self._began) + self._grace:
             why = f"the task exceeded its {task.budget:g} s" if over_budget else "it was cancelled"
             task.retried = True
-            self._lose(f"{why} and did not stop when asked to", notices)
+            late = TimeoutError(f"{why} and did not stop when asked to")
+            self._lose(str(late), notices, late)
 
-    def _lose(self, why: str, notices: list[str]) -> None:
+    def _lose(self, why: str, notices: list[str], error: Exception | None = None) -> None:
         """Kill the process; its task is tried once more in the next one."""
         self._kill()
         task = self.task
@@ -237,7 +243,7 @@ class _Place:
         task.notices.append(f"{why}: the worker is replaced and its task {end}")
         task.retried = True
         if not again:
-            task.outcomes.append(Failed(task.number, why))
+            task.outcomes.append(Failed(task.number, why, error))
             self.task = None
 
     def _kill(self) -> None:
@@ -272,10 +278,20 @@ class WorkerPool:
     ``module`` contains the tasks. Loading it takes seconds on a busy computer, and does not count
     towards the time budget of a task. A user of the pool gets a :meth:`worker` once and polls it,
     which also supervises all processes.
+
+    A process is killed if its task does not stop within ``grace`` [s] after it was asked to, or if
+    there is no sign of life for ``silence_limit`` [s].
     """
 
-    def __init__(self, module: str, count: int = 1) -> None:
-        self._places = [_Place(module) for _ in range(count)]
+    def __init__(
+        self,
+        module: str,
+        count: int = 1,
+        *,
+        grace: float = _GRACE,
+        silence_limit: float = _SILENCE_LIMIT,
+    ) -> None:
+        self._places = [_Place(module, grace, silence_limit) for _ in range(count)]
         self._waiting: deque[_Task] = deque()
         self._tickets = itertools.count(1)
         self.notices: list[str] = []
@@ -443,7 +459,13 @@ def _answer(call: bytes, control: Control) -> bytes:
         function, args = pickle.loads(call)
         return pickle.dumps(("done", function(*args, control)), -1)
     except Exception as error:
-        return pickle.dumps(("failed", f"{type(error).__name__}: {error}"))
+        reason = f"{type(error).__name__}: {error}"
+        try:
+            data = pickle.dumps(("failed", reason, error))
+            pickle.loads(data)  # not every exception can be built again
+        except Exception:
+            data = pickle.dumps(("failed", reason, RuntimeError(reason)))
+        return data
 
 
 class InlineWorker:
@@ -495,7 +517,7 @@ class InlineWorker:
             with one_thread():
                 self._outcome = Done(self._number, function(*args, control))
         except Exception as error:
-            self._outcome = Failed(self._number, f"{type(error).__name__}: {error}")
+            self._outcome = Failed(self._number, f"{type(error).__name__}: {error}", error)
         self.processor_time += time.process_time() - began
         self._due = self.now + self._latency(args[0])
         return self._number

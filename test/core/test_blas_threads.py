@@ -11,7 +11,7 @@ import pytest
 from threadpoolctl import ThreadpoolController
 
 from mr_damper_ros.processes.blas_threads import one_thread
-from mr_damper_ros.processes.process_pool import LocalProcesses, ProcessPool
+from mr_damper_ros.processes.process_pool import ProcessPool
 from mr_damper_ros.processes.worker import Done, InlineWorker
 
 PATIENCE = 60.0
@@ -70,7 +70,4 @@ def test_processes_of_pools_have_one_thread_and_the_environment_is_the_callers()
     before = dict(os.environ)
     with ProcessPool(2) as pool:
         assert pool.map(pool_tasks.threads, [1, 2]) == [1, 1]
-    own = LocalProcesses(1)
-    assert own.start().submit(pool_tasks.threads).result(PATIENCE) == 1
-    own.end()
     assert dict(os.environ) == before

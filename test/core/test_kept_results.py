@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import multiprocessing
-import os
 import signal
 import subprocess
 import sys
@@ -19,7 +17,6 @@ import pytest
 
 from mr_damper_ros.processes.process_pool import (
     KeptTask,
-    LocalProcesses,
     ResultFolder,
     WorkersError,
     Workforce,
@@ -43,14 +40,14 @@ class Work:
 
     def do(
         self,
-        workforce: Workforce,
+        workers: int | Workforce,
         function: Callable[..., dict[str, Any]] = pool_tasks.journalled,
         final: Callable[[dict[str, Any]], bool] = pool_tasks.always,
     ) -> None:
         finish(
             [task for task in self.tasks if self.results.kept(task) is None],
             function,
-            workforce,
+            workers,
             self.results,
             final=final,
             finished=lambda task, document: self.told.append(document["name"]),
@@ -74,12 +71,12 @@ def work(folder: Path, count: int = 6, seconds: float = 0.0) -> Work:
     return Work(folder, [f"task{number}" for number in range(count)], seconds)
 
 
-@pytest.mark.parametrize("workforce", [in_threads, lambda: LocalProcesses(2)], ids=["any", "own"])
+@pytest.mark.parametrize("workers", [in_threads, lambda: 1, lambda: 2], ids=["any", "1", "2"])
 def test_every_task_is_done_told_and_kept_once(
-    tmp_path: Path, workforce: Callable[[], Workforce]
+    tmp_path: Path, workers: Callable[[], int | Workforce]
 ) -> None:
     some = work(tmp_path)
-    some.do(workforce())
+    some.do(workers())
     names = {task.name for task in some.tasks}
     assert some.begun == Counter(names)
     assert some.kept == set(some.told) == names
@@ -96,20 +93,9 @@ def test_a_damaged_file_is_no_result(tmp_path: Path, text: str) -> None:
 
 def test_who_kills_every_process_is_given_up_alone(tmp_path: Path) -> None:
     some = Work(tmp_path, ["task0", "deadly1", "task2"])
-    some.do(LocalProcesses(2), pool_tasks.deadly)
+    some.do(2, pool_tasks.deadly)
     assert some.lost == ["deadly1"]
     assert some.kept == {"task0", "task2"}
-
-
-def test_ending_the_own_processes_leaves_others_alone() -> None:
-    other = multiprocessing.get_context("spawn").Process(target=time.sleep, args=(PATIENCE,))
-    other.start()
-    own = LocalProcesses(1)
-    assert own.start().submit(os.getpid).result(PATIENCE) != other.pid
-    own.end()
-    assert other.is_alive()
-    other.kill()
-    other.join()
 
 
 def test_workers_that_can_do_nothing_are_an_error(tmp_path: Path) -> None:
@@ -127,7 +113,7 @@ def test_an_interrupt_ends_the_processes_and_keeps_what_is_done(tmp_path: Path) 
         finish(
             some.tasks,
             pool_tasks.journalled,
-            LocalProcesses(2),
+            2,
             some.results,
             final=pool_tasks.always,
             finished=interrupt,
@@ -141,13 +127,12 @@ import sys
 sys.path[:] = {path!r}
 from pathlib import Path
 from mr_damper_ros.processes.process_pool import KeptTask, ResultFolder, finish
-from mr_damper_ros.processes.process_pool import LocalProcesses
 import pool_tasks
 
 if __name__ == "__main__":
     names = [f"task{{number}}" for number in range({count})]
     tasks = [KeptTask(n, "as it is", ({journal!r}, n, 0.1)) for n in names]
-    finish(tasks, pool_tasks.journalled, LocalProcesses(2), ResultFolder(Path({results!r})),
+    finish(tasks, pool_tasks.journalled, 2, ResultFolder(Path({results!r})),
            final=pool_tasks.always, finished=lambda *told: None, lost=print)
 """
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import multiprocessing
 from collections.abc import Iterator
 from typing import Any
 
@@ -55,19 +54,6 @@ def test_a_stop_ends_those_that_run_and_begins_no_other(count: int) -> None:
     begun = [result for result in results if result is not None]
     assert 1 <= len(begun) < 8
     assert set(begun) == {"stopped"}
-
-
-def test_a_daemon_does_the_tasks_itself(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setitem(
-        multiprocessing.current_process()._config,
-        "daemon",
-        True,  # type: ignore[attr-defined]
-    )
-    with ProcessPool(3) as several:
-        assert several.count == 1
-        assert several.map(pool_tasks.sum_of_seed, [1, 2]) == ProcessPool(1).map(
-            pool_tasks.sum_of_seed, [1, 2]
-        )
 
 
 def test_less_than_one_is_refused() -> None:
