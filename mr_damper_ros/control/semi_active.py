@@ -22,7 +22,7 @@ import numpy as np
 from mr_damper_ros.control.linear_plant import LinearPlant, QuarterCar
 from mr_damper_ros.settings.option_table import CheckedSettings, group, option
 from mr_damper_ros.signals.arrays import Array
-from mr_damper_ros.signals.blocks import Moment
+from mr_damper_ros.signals.blocks import SuspensionState
 
 
 def regulator_gain(
@@ -43,7 +43,7 @@ def regulator_gain(
     return np.asarray(np.linalg.solve(squares, column.T @ cost + crossed.T)[0])
 
 
-Controller = Callable[[Moment], float]
+Controller = Callable[[SuspensionState], float]
 
 
 def passive(damping: float) -> Controller:
@@ -81,7 +81,7 @@ def acceleration_driven(low: float, high: float) -> Controller:
     Savaresi, Silani and Bittanti, J. Dynamic Systems, Measurement and Control 127, 2005.
     """
 
-    def force(now: Moment) -> float:
+    def force(now: SuspensionState) -> float:
         return (high if now.acceleration * now.extension > 0.0 else low) * now.extension
 
     return force
@@ -93,7 +93,7 @@ def mixed_skyhook_add(low: float, high: float, crossover: float) -> Controller:
     Savaresi and Spelta, J. Dynamic Systems, Measurement and Control 129, 2007.
     """
 
-    def force(now: Moment) -> float:
+    def force(now: SuspensionState) -> float:
         fast = now.acceleration**2 > (crossover * now.body) ** 2
         driving = now.acceleration if fast else now.body
         return (high if driving * now.extension > 0.0 else low) * now.extension
@@ -102,10 +102,10 @@ def mixed_skyhook_add(low: float, high: float, crossover: float) -> Controller:
 
 
 def linear_feedback(gain: Array) -> Controller:
-    """Feedback of the states (apart, body, tyre, wheel), such as :func:`optimal_gain` gives."""
-    by_apart, by_body, by_tyre, by_wheel = gain.tolist()
+    """Feedback of the states (stroke, body, tyre, wheel), such as :func:`optimal_gain` gives."""
+    by_stroke, by_body, by_tyre, by_wheel = gain.tolist()
     return lambda now: (
-        -by_apart * now.apart - by_body * now.body - by_tyre * now.tyre - by_wheel * now.wheel
+        -by_stroke * now.stroke - by_body * now.body - by_tyre * now.tyre - by_wheel * now.wheel
     )
 
 
@@ -160,7 +160,7 @@ class SuspensionSettings(CheckedSettings):
     function: str = option(
         "",
         "Your own controller instead, as module:function. The function takes a "
-        "mr_damper_ros.control.semi_active.Moment and returns the desired force [N].",
+        "mr_damper_ros.control.semi_active.SuspensionState and returns the desired force [N].",
     )
     damping: float = option(
         2500.0,

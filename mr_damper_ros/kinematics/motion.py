@@ -20,18 +20,19 @@ from mr_damper_ros.kinematics.peak_velocity import peak_velocity_of_window
 from mr_damper_ros.signals.arrays import Array, noise_power, span_of, white_noise
 
 SINE_TOLERANCE = 2e-3
-"""A motion counts as a sine if the fit leaves less than this fraction of the amplitude [1] ...
+"""A motion counts as a sine if the residual of the fit is below this fraction of the amplitude [1]
+...
 
-A third harmonic of 0.2 % of the displacement is 0.6 % of the velocity: below the noise of the
-force in all published conditions. A larger distortion would bias the fit of the force.
+A third harmonic of 0.2 % of the displacement is 0.6 % of the velocity. In all published conditions
+its effect is below the noise of the force. A larger distortion would bias the fit of the force.
 """
 
 _NOISE_FACTOR = 1.2
-"""... or less than this many times the noise of the displacement. A larger factor would allow a
-distortion that shows in the force."""
+"""... or below this multiple of the noise of the displacement. A larger factor would allow a
+distortion that is visible in the force."""
 
 NO_SINE, _TRIED = 0.25, 3
-"""A motion is not a sine if the fit leaves more than this fraction of the amplitude after this many
+"""A motion is not a sine if the residual exceeds this fraction of the amplitude after this many
 corrections of the frequency."""
 
 _LARGEST_STEP, _MOST_STEPS = 0.1, 50
@@ -79,10 +80,10 @@ def refined_sine(
 ) -> tuple[float, Array, float]:
     """Least-squares sine by Gauss-Newton steps from an angular frequency ``omega`` [rad/s].
 
-    ``time`` [s] and ``values`` [m] have shape (n,). The number of ``steps`` is given, or the fit
-    converges, unless the residual shows that the motion is not a sine. Returns the angular
-    frequency, the weights (3,) of sine, cosine and offset [m], and the residual [m, root mean
-    square], which is infinite if the samples span less than half a cycle.
+    ``time`` [s] and ``values`` [m] have shape (n,). The fit takes ``steps`` steps. With None it
+    iterates until it converges, or until the residual shows that the motion is not a sine. Returns
+    the angular frequency, the weights (3,) of sine, cosine and offset [m], and the residual [m,
+    root mean square], which is infinite if the samples span less than half a cycle.
     """
     for step in range(1, (steps or _MOST_STEPS) + 1):
         angle = omega * time
@@ -152,9 +153,9 @@ class SavitzkyGolay:
         return self._offsets.size
 
     def squared_change(self, shorter: SavitzkyGolay | None = None) -> float:
-        """Noise power of the first derivative, or of its difference from that of a shorter filter.
+        """Power of the first derivative of white noise of power 1, one unit of time per sample.
 
-        The input is white noise of power 1 with one unit of time between samples.
+        With a ``shorter`` filter, the power of the difference of both derivatives.
         """
         weights = self._fit[1] / self._half
         if shorter is not None:
@@ -259,10 +260,10 @@ def _smooth(displacement: Array, period: float) -> tuple[Array, Array, Array]:
     """Displacement, velocity and acceleration from the filter with the least velocity error.
 
     The expected mean square error is the sum of the noise that the filter passes and its squared
-    bias. The bias is estimated from the difference between this filter and the previous one, which
-    is two thirds as long and therefore has a fifth of the bias: it is the power of that difference
-    in excess of noise. On emulated random motion with eight kinds of noise, the velocity error is
-    1.0 times that of the best length (median; at most 3.1 times).
+    bias. The previous filter is two thirds as long and has a fifth of the bias, so the squared bias
+    is estimated as the power of the difference between the two filters in excess of noise. In
+    emulated random motion with eight kinds of noise, the velocity error is 1.0 times the error with
+    the best length (median; at most 3.1 times).
     """
     noise = noise_power(displacement)
     length = _POLYNOMIAL_ORDER + 3
@@ -299,7 +300,7 @@ def window_motion(displacement: Array, period: float) -> Motion:
     """
     u = np.asarray(displacement, dtype=float)
     if u.ndim != 1 or u.size < 16:
-        raise DataError(f"a window needs at least 16 samples of displacement (got {u.size})")
+        raise DataError(f"a window needs at least 16 samples of displacement, but has {u.size}")
     if not (math.isfinite(period) and period > 0.0):
         raise ValueError(f"the sample period is {period} s: it must be positive")
     if not np.all(np.isfinite(u)):

@@ -1,8 +1,8 @@
 """Causal estimate of the motion from a stream of displacement, block by block.
 
 A sine fitted to the latest cycles follows steady sinusoidal motion. It gives velocity and
-acceleration without delay and nearly without noise, because it averages over a cycle of samples
-and an observer only over some milliseconds. As soon as the newest samples deviate from the sine by
+acceleration without delay and nearly without noise, because it averages over a whole cycle, while
+an observer averages over some milliseconds. As soon as the newest samples deviate from the sine by
 more than their noise, :mod:`mr_damper_ros.kinematics.observer` estimates the motion.
 """
 
@@ -28,22 +28,23 @@ _CYCLES = 1.5
 sooner."""
 
 _POINTS = 256
-"""The fit uses about this many samples, evenly thinned, so that its cost is independent of the
-sample rate. The newest of this number show the noise."""
+"""The fit uses about this many samples, thinned by a constant stride, so that its cost does not
+depend on the sample rate. The noise is estimated from the newest samples, as many as this."""
 
 _FITS_PER_CYCLE = 25
-"""More fits would not follow a steady sine better. With small blocks, they would cost more than all
-other work."""
+"""Number of fits per cycle. More fits would not follow a steady sine better, and with small blocks
+they would cost more than all other work."""
 
 _PATIENCE = 0.2
-"""Cycles to wait after a fit of a motion that is far from a sine: it takes as long as many
-predictions."""
+"""Cycles to wait after a fit shows that the motion is far from a sine, because a fit takes as long
+as many predictions."""
 
 _NOISE_FACTOR = 1.5
-"""Allowed residual in standard deviations of the noise, which so few samples show less exactly."""
+"""Allowed residual in standard deviations of the noise. It exceeds the factor for a window, because
+few samples give a less accurate estimate of the noise."""
 
 _LEAVING = 5.0
-"""A sample that deviates by more than this many times the allowed residual ends the sine."""
+"""A sample that deviates by more than this multiple of the allowed residual ends the sine."""
 
 
 class SineFollower:
@@ -77,8 +78,7 @@ class SineFollower:
     def motion_of(self, displacement: Array, unlearned: int) -> Motion | None:
         """Motion of samples (n,) that match the sine within their noise; None if they do not.
 
-        ``unlearned`` is the number of samples between the last one passed to :meth:`learn` and
-        these.
+        ``unlearned`` is the number of samples since the last one passed to :meth:`learn`.
         """
         if self._weights is None:
             return None
@@ -117,17 +117,17 @@ class SineFollower:
         if not is_new and self._since < cycle / _FITS_PER_CYCLE:
             return
         self._weights = None
-        # Samples from before the sine are left out, so the fit does not wait until they leave.
+        # Samples from before the sine are excluded from the fit.
         self._length = max(self._length + self._since, round(cycle))
         self._since = 0
         if samples.count < round(cycle):
-            # A change of the motion may have looked like a reversal of a slow motion. The next
-            # half-cycle gives a new initial frequency.
+            # A change of the motion may have been mistaken for a reversal of a slow motion. The
+            # next half-cycle gives a new initial frequency.
             self._omega = 0.0
             return
         recent = samples.newest[0, -min(self._length, round(_CYCLES * cycle)) :]
         stride = max(recent.size // _POINTS, 1)
-        # Time counts back from the newest sample, so the weights hold for a new frequency too.
+        # Time is relative to the newest sample, so the weights also hold for a new frequency.
         time: Array = self._period * np.arange(1.0 - recent.size, 1.0, stride)
         self._omega, weights, left = refined_sine(
             time, recent[::stride], self._omega, steps=None if is_new else 1
@@ -136,47 +136,48 @@ class SineFollower:
         if left <= self._allowed:
             self._weights = weights
         else:
-            # The frequency may be wrong: start again from the reversals.
+            # The frequency may be wrong; the next search starts from the reversals.
             self._omega = 0.0
             is_near = left <= NO_SINE * math.hypot(*weights[:2])
             self._wait = round(cycle / _FITS_PER_CYCLE if is_near else _PATIENCE * cycle)
 
 
 _REVERSALS = 5
-"""Number of reversals that are always remembered. The longest of the four half-cycles between them
-stands for the motion, because random motion reverses irregularly."""
+"""Number of reversals that are always stored. The longest of the four half-cycles between them
+represents the motion, because random motion reverses irregularly."""
 
 _LONGEST = 10
-"""The motion is learnt again after a stroke that lasts this many memories."""
+"""The centre is estimated anew after a stroke that lasts this many times the memory."""
 
 _SMALLEST_RETURN = 1e-4
 """A reversal counts once the motion has returned by this [m] and by a quarter of its span."""
 
 _STILL = 0.01
-"""A displacement that changes by less than this fraction of the amplitude counts as still ..."""
+"""If the displacement changes by less than this fraction of the amplitude, it counts as still
+..."""
 
 _DWELL = 0.4
-"""... and a rest is a still time longer than this fraction of a half-cycle. A sine stays within a
-hundredth of its amplitude for a tenth of a half-cycle. After a drop to a tenth of the previous
-amplitude, it stays within that limit for a third of a half-cycle."""
+"""... and if it is still for longer than this fraction of a half-cycle, the damper is at rest. A
+sine stays within a hundredth of its amplitude for a tenth of a half-cycle. If its amplitude drops
+to a tenth, it stays within a hundredth of the previous one for a third of a half-cycle."""
 
 _SHORTEST = 0.1
-"""Shortest rest [s]. Noise and the delay of an observer take some hundredths of a second."""
+"""Shortest rest [s]; noise and the delay of an observer may look like shorter ones."""
 
 _SLOW, _SLOW_DWELL = 2.0, 0.16
 """In slow motion, a rest is detected after this time [s], but not before this fraction of a
-half-cycle, which a slow sine stays at its dead centre at most."""
+half-cycle, the longest for which a slow sine stays at its dead centre."""
 
 
 class MotionCentre:
     """Middle of the span of the displacement over the last ``memory`` seconds.
 
-    It is exact for any steady motion. The span covers at least the latest five reversals. Between
+    For a steady motion it is exact. The span covers at least the latest five reversals. Between
     reversals only the lowest and highest value are stored.
 
     ``reversals`` counts the changes of direction. ``half_cycle`` [s] is the time between the last
-    two reversals, NaN before the second. ``resting`` is true when the displacement has hardly
-    changed for longer than a reversal of the latest motion takes.
+    two reversals, NaN before the second. ``resting`` is true if the displacement has hardly changed
+    for longer than a reversal of the latest motion takes.
     """
 
     def __init__(self, memory: float, period: float) -> None:
@@ -240,21 +241,21 @@ class MotionCentre:
 
 
 _REVERSALS_FOR_CENTRE = 3
-"""The centre of a motion is known after this many reversals. The stream may begin within a stroke,
-so the first reversal need not be an end of the steady motion."""
+"""Number of reversals after which the centre of a motion is known. More than two are needed,
+because the first may belong to a transition into the steady motion."""
 
 _LONGEST_GAP = 0.5
-"""Longest gap as a fraction of a half-cycle. A cubic across it has an error of 1.5 % of the
-amplitude."""
+"""Longest gap that is interpolated, as a fraction of a half-cycle. The error of the cubic is then
+1.5 % of the amplitude."""
 
 _HALF_CYCLES_FOR_PEAK = 4
-"""With fewer half-cycles, the angular frequency and the peak velocity are too uncertain."""
+"""Smallest number of half-cycles that give a usable angular frequency and peak velocity."""
 
 _NOISE_SPEED = 1e-4
-"""A sine with a peak velocity [m/s] below this is fitted to noise: the damper does not move."""
+"""A sine with a peak velocity [m/s] below this is a fit of noise, and the damper does not move."""
 
 _TOGETHER = 0.02
-"""Seconds of a steady sine that the observer and the fit process together: a hundred samples take
+"""Time [s] of a steady sine that the observer and the fit process at once; a hundred samples take
 no longer than one."""
 
 
@@ -265,9 +266,9 @@ class MotionFollower:
     bandwidth adapts to the motion and the noise. ``centre_memory`` [s] must hold a whole cycle of
     the motion.
 
-    :meth:`follow` does only the work that the motion of the block needs. :meth:`catch_up` does the
-    rest, which takes longer, and can run after the result is published. ``steady`` is true if the
-    last block continued the fitted sine.
+    :meth:`follow` computes only the motion of the block. :meth:`catch_up` updates the estimates,
+    which takes longer and can be done after the result is published. ``steady`` is true if the last
+    block continued the fitted sine.
     """
 
     def __init__(self, period: float, bandwidth: float, centre_memory: float) -> None:
@@ -291,15 +292,15 @@ class MotionFollower:
         return self._centre.reversals
 
     def lost_sight(self, gap: float) -> bool:
-        """Whether a gap [s] spans too much of a half-cycle for interpolation of the motion."""
+        """Whether a gap [s] is too long, relative to a half-cycle, to be interpolated."""
         return gap > _LONGEST_GAP * self._centre.half_cycle
 
     @property
     def resting(self) -> bool:
         """Whether the motion has come to rest.
 
-        A steady sine is slow at its dead centres but not at rest. A sine fitted to noise alone
-        counts as a rest.
+        A steady sine is never at rest, not even at its dead centres; but if the sine is a fit of
+        noise, the damper is at rest.
         """
         if self.steady and self._sine.peak_velocity > _NOISE_SPEED:
             return False
@@ -312,7 +313,7 @@ class MotionFollower:
 
     @property
     def usual_peak_velocity(self) -> float:
-        """Root mean square peak velocity [m/s] of the latest half-cycles that were observed."""
+        """Root mean square of the peak velocity [m/s] over the latest half-cycles observed."""
         return self._peak.root_mean_square
 
     @property
@@ -338,7 +339,7 @@ class MotionFollower:
         self.catch_up()
         motion = self._sine.motion_of(displacement, self._unlearned_count)
         if motion is None:
-            # The sine has ended: first pass its last samples to the observer.
+            # The sine has ended, so the observer first gets its last samples.
             self._learn()
         self.steady = motion is not None
         self._unlearned.append(displacement)

@@ -2,9 +2,9 @@
 
 The observer assumes a motion with piecewise constant jerk and has four equal poles at -w. It is the
 steady state of a Kalman filter with white snap. It follows a polynomial motion up to third order
-without delay or error. For a sinusoid, the relative error depends on the ratio of its frequency to
-the bandwidth: the error of the displacement is proportional to the fourth power of that ratio, that
-of the velocity to the third and that of the acceleration to the second.
+without delay or error. For a sinusoid, the relative errors of displacement, velocity and
+acceleration are proportional to the fourth, third and second power of the ratio of its frequency to
+the bandwidth.
 
 A wide bandwidth passes noise; a narrow one causes lag. If the displacement has white noise of
 standard deviation s_n, and the fourth derivative of the motion has a root mean square of s_4, the
@@ -13,8 +13,8 @@ error of the acceleration is
     e² = (6 s_4 / w²)² + g(w)² s_n²,
 
 where g(w) is the gain from noise to acceleration. :class:`AdaptiveObserver` chooses the bandwidth
-that minimises e. It depends on the ninth root of (s_4 / s_n)², so rough estimates of s_4 and s_n
-are enough.
+that minimises e. This bandwidth depends on the ninth root of (s_4 / s_n)², so rough estimates of
+s_4 and s_n suffice.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ from mr_damper_ros.signals.arrays import Array, noise_power
 
 _ORDER = 4
 _AT_ONCE = 64
-"""Samples that one matrix product processes."""
+"""Number of samples processed by one matrix product."""
 
 _SETTLING = 12.0
 """Time constants of the poles after which the initial transient has decayed to a thousandth."""
@@ -61,7 +61,7 @@ class CausalDifferentiator:
         self.reset()
 
     def tune(self, bandwidth: float) -> None:
-        """Change the bandwidth [Hz] and keep the state; ValueError as in the constructor."""
+        """Change the bandwidth [Hz], keeping the state; raises ValueError like the constructor."""
         lowest, highest = possible_bandwidths(self._period)
         if not lowest <= bandwidth <= highest:
             raise ValueError(
@@ -92,7 +92,7 @@ class CausalDifferentiator:
         if self.seen == 0:
             # The state is relative to the first sample, which avoids a step at the start.
             self._origin = float(displacement[0])
-        if displacement.size == 1:  # two thirds of the time of the general way
+        if displacement.size == 1:  # a fast path, which takes two thirds of the time
             self._state = state = self._closed @ self._state + self._gain * (
                 displacement[0] - self._origin
             )
@@ -167,7 +167,7 @@ def _observer(period: float, bandwidth: float) -> tuple[Array, Array]:
     """Matrices that give the states at the next m samples from the last state and the samples.
 
     The first, of shape (4, m, 4), multiplies the last state. The second, of shape (4, m, m),
-    multiplies the samples and is lower triangular in them.
+    multiplies the samples; each of its four matrices is lower triangular.
     """
     closed, gain = closed_loop(period, bandwidth)
     decays = np.empty((_ORDER, _AT_ONCE, _ORDER))
@@ -181,14 +181,14 @@ def _observer(period: float, bandwidth: float) -> tuple[Array, Array]:
 
 
 _STRETCH = 120
-"""Samples between two choices of the bandwidth."""
+"""Number of samples between two choices of the bandwidth."""
 
 _GROUP, _SURPRISE = 10, 6.0
-"""The bandwidth widens at once if the residual of a group of samples has this many times the
-expected power. White noise exceeds this once in 280 million groups. In 160 emulated starts from
-rest, at 200 and 1000 Hz, the velocity error of the first one and a half cycles is 4.4 and 2.2 % of
-the peak velocity (median). Groups of 5 with a factor of 8 give 3.4 and 1.7 %, but a block of ten
-then takes twice the time. Without this rule the errors are 9.7 and 7.4 %."""
+"""The bandwidth increases at once if the residual of a group of ten samples has six times the
+expected power, which occurs by chance once in 280 million groups of white noise. In 160 emulated
+starts from rest, at 200 and 1000 Hz, the velocity error of the first one and a half cycles is then
+4.4 and 2.2 % of the peak velocity (median), but 9.7 and 7.4 % without this rule. Groups of 5 with a
+factor of 8 give 3.4 and 1.7 %, but a block of ten samples takes twice the time."""
 
 _START, _NARROWEST = 40.0, 0.5
 """Initial and lowest bandwidth [Hz]."""
@@ -197,16 +197,16 @@ _NOTCH = math.sqrt(2.0)
 """Ratio of neighbouring bandwidths."""
 
 _BEHIND = 2
-"""Smallest number of bandwidth steps by which the second observer starts narrower."""
+"""Smallest number of bandwidth steps between the first and the narrower second observer."""
 
 _SHOWS = 2.0
-"""The motion is visible in a residual with more than this many times the power of the noise."""
+"""The motion is visible in a residual with more than this multiple of the power of the noise."""
 
 _FORGETTING = 0.93
-"""Factor by which the largest value decays after each stretch: to a half after ten stretches."""
+"""Factor on the largest recent change after each stretch; after ten stretches it has halved."""
 
 _NOISES = 9
-"""The noise is the median over this many stretches, so that a kink in the motion has no effect."""
+"""Number of stretches over which the noise is the median, so that a kink has no effect."""
 
 _JUMP, _SUDDEN = 8.0, 5.0
 """The sensor has jumped if the displacement changes between two samples by more than the first
@@ -218,20 +218,20 @@ class AdaptiveObserver:
     """Observer of samples ``period`` [s] apart that adapts its bandwidth to motion and noise.
 
     The noise is estimated from eighth differences, which remove almost all of the motion, and from
-    the steps of a digital sensor. The fourth derivative is estimated from the residual of a second,
-    narrower observer, which is s_4 / w⁴ plus noise. The second observer is made so narrow that the
-    motion is visible in its residual.
+    the steps of a digital sensor. The fourth derivative is estimated from the residual of a second
+    observer, which is s_4 / w⁴ plus noise. The bandwidth of this second observer is reduced until
+    the motion is visible in its residual.
 
-    The initial bandwidth is 40 Hz or the nearest that the period allows. Constant displacement is
-    ignored. The observer restarts after a jump of the sensor. The result does not depend on how the
-    stream is divided into blocks.
+    The initial bandwidth is 40 Hz, or the nearest one that the period allows. Constant displacement
+    is ignored. The observer restarts after a jump of the sensor. The result does not depend on how
+    the stream is divided into blocks.
     """
 
     def __init__(self, period: float) -> None:
         lowest, highest = possible_bandwidths(period)
         count = 1 + int(math.log(highest / max(lowest, min(_NARROWEST, highest)), _NOTCH))
         self._period = period
-        # Widest first.
+        # The highest bandwidth first.
         self._bandwidths = highest / _NOTCH ** np.arange(count)
         self._rates = 2.0 * math.pi * self._bandwidths
         gains = [noise_gains(period, float(bandwidth)) for bandwidth in self._bandwidths]
@@ -289,7 +289,7 @@ class AdaptiveObserver:
         return u, v, a
 
     def adapt(self) -> None:
-        """Choose the bandwidth if a choice is due; :meth:`follow` does this too."""
+        """Choose the bandwidth if a choice is due; :meth:`follow` also does this."""
         if self._count == _STRETCH:
             stretch = np.concatenate(self._stretch)
             self._begin_stretch()
@@ -309,7 +309,7 @@ class AdaptiveObserver:
                 self._observer.reset()
                 self._trial.reset()
                 self._begin_stretch()
-                # A motion that starts abruptly looks like a jump: no narrow bandwidth.
+                # A motion that starts abruptly looks like a jump, so the bandwidth must be high.
                 self._use(min(self._place, self._start))
             end = 1 + int(sudden[1:].argmax()) if sudden[1:].any() else changes.size
             displacement, changes = displacement[:end], changes[:end]
@@ -323,11 +323,11 @@ class AdaptiveObserver:
             self._observer.tune(self.bandwidth)
 
     def _noise(self, place: int) -> float:
-        """Power [m²] of the noise in the residual; no observer removes a sensor's steps."""
+        """Power [m²] of the noise in the residual, including the steps of a digital sensor."""
         return float(self._residual_gains[place] ** 2 * self._white + self._steps)
 
     def _widen_at_once(self) -> None:
-        """Widen the bandwidth if the residual of a group exceeds noise and known motion."""
+        """Increase the bandwidth if the residual of a group exceeds noise and known motion."""
         power, self._squares = self._squares / _GROUP, 0.0
         moved, self._moved = self._moved, False
         settling = settling_samples(self._period, self.bandwidth)
@@ -352,14 +352,14 @@ class AdaptiveObserver:
             return
         self._whites.append(noise_power(stretch, 8))
         self._white = float(np.median(self._whites))
-        # In slow motion the error of a digital sensor is not white, but uniform over its step.
+        # In slow motion the error of a digital sensor is not white; it varies over one step.
         moved = changes[changes > 0.0]
         self._steps = 0.0 if moved.size == changes.size else float(moved.min()) ** 2 / 12.0
         noise = self._noise(self._trial_place)
         bias = float(np.mean(residual**2)) - noise
         visible = bias > (_SHOWS - 1.0) * noise
         snap = self._rates[self._trial_place] ** 4 * math.sqrt(bias if visible else noise)
-        # Until the motion is visible, each stretch gives a better upper bound.
+        # Until the motion is visible, each stretch improves the upper bound.
         self._snap = max(snap, _FORGETTING * self._snap) if self._visible else snap
         self._visible = self._visible or visible
         if not visible:

@@ -1,24 +1,24 @@
 """Causal estimate of the peak velocity of any motion at each sample.
 
 The thesis defines v_m = sqrt(v² - a u), which equals 2 pi f A at every sample of a steady sine. In
-any other motion, it depends on the origin of the displacement u, and it is not real where the
-motion reverses on the far side of that origin. In a sine u = -a / w², with the angular frequency w.
-This module substitutes that expression for u. It estimates w from the latest half-cycles of the
+any other motion, it depends on the origin of the displacement u, and it is imaginary where the
+motion reverses before it reaches that origin. In a sine with the angular frequency w, u = -a / w².
+This module substitutes that expression for u, and estimates w from the latest half-cycles of the
 motion as w² = <a²> / <v²>, the mean frequency of the reversals of a random motion (Rice, Bell
 System Technical Journal 24, 1945). The result
 
     v_m = sqrt(v² + (a / w)²)
 
-is the peak velocity of the sine that has this frequency and passes through the present velocity and
-acceleration. It
+is the peak velocity of the sine with this frequency that has the present velocity and acceleration.
+It
 
 - equals 2 pi f A in a steady sine;
 - needs no centre of the motion;
-- measures the acceleration at a reversal, where the force of the damper changes its sign;
+- depends on the acceleration alone at a reversal, where the force of the damper changes its sign;
 - scales with the motion: the same motion at twice the speed has twice the peak velocity, as the
   law requires;
-- tolerates noise of the acceleration: the noise enters w as well, so the mean square of v_m is
-  twice that of v at any noise level.
+- tolerates noise of the acceleration: w contains the same noise, so the mean square of v_m is twice
+  the mean square of v at any noise level.
 """
 
 from __future__ import annotations
@@ -38,18 +38,19 @@ HALF_CYCLES = 8
 """Number of whole half-cycles before the present one that determine the angular frequency."""
 
 MEMORY = 10.0
-"""Longest half-cycle [s]: a rest is divided into half-cycles of this duration."""
+"""Longest half-cycle [s]; a longer rest is divided into half-cycles of this duration."""
 
 _TURNED = 0.25
-"""A half-cycle ends when the speed in the other direction reaches this fraction of the highest."""
+"""A half-cycle ends when the speed in the other direction reaches this part of the highest
+speed."""
 
 
 def peak_velocity(displacement: ArrayLike, velocity: ArrayLike, acceleration: ArrayLike) -> Array:
     """Peak velocity of the present cycle, sqrt(max(v² - a u, 0)) [m/s].
 
-    In sinusoidal motion it is constant and equal to 2 pi f A. Inputs broadcast. The displacement is
-    measured from the centre of the motion. This is the formula of the thesis; see
-    :class:`PeakVelocity` for a motion that is not a sine.
+    This is the formula of the thesis. In sinusoidal motion it is constant and equal to 2 pi f A;
+    for any other motion see :class:`PeakVelocity`. Inputs broadcast. The displacement is measured
+    from the centre of the motion.
     """
     # The sum of two products of these magnitudes does not overflow.
     largest = math.sqrt(0.5 * sys.float_info.max)
@@ -80,7 +81,7 @@ class PeakVelocity:
 
     def __init__(self, period: float, memory: float = MEMORY) -> None:
         self._longest = max(round(memory / period), 1)
-        # The half-cycle in which the stream began is not whole. It leaves after the next one.
+        # The half-cycle in which the stream began is not whole; the first whole one replaces it.
         self._finished: deque[_HalfCycle] = deque(maxlen=HALF_CYCLES)
         self._present = _HalfCycle()
         self._highest = 0.0
@@ -91,7 +92,7 @@ class PeakVelocity:
         self.root_mean_square = 0.0
         """Root mean square of the peak velocity [m/s] over the latest half-cycles."""
         self.half_cycles = 0
-        """Number of whole half-cycles behind the angular frequency, at most eight."""
+        """Number of whole half-cycles that determine the angular frequency, at most eight."""
         self.known_from: int | None = None
 
     def follow(self, velocity: Array, acceleration: Array) -> Array:
@@ -99,9 +100,10 @@ class PeakVelocity:
         return np.hypot(velocity, acceleration * self.time_scales(velocity, acceleration))
 
     def follow_settled(self, velocity: Array, acceleration: Array, settled: int) -> Array:
-        """As :meth:`follow`; the observer had settled for the last ``settled`` of the samples.
+        """As :meth:`follow`, for samples of which only the last ``settled`` ones have settled.
 
-        An overshoot of the settling observer must not be stored, so the result is the speed there.
+        The earlier ones may contain an overshoot of the observer, which must not be stored; their
+        peak velocity is set to the speed.
         """
         first = velocity.size - settled
         if first <= 0:
@@ -158,7 +160,7 @@ class PeakVelocity:
 class StreamPeakVelocity:
     """Peak velocity from a stream of displacement samples ``period`` [s] apart.
 
-    ``memory`` [s] as in :class:`PeakVelocity`.
+    ``memory`` [s] is as in :class:`PeakVelocity`.
     """
 
     def __init__(self, period: float, memory: float = MEMORY) -> None:
@@ -175,8 +177,8 @@ class StreamPeakVelocity:
 def peak_velocity_of_window(velocity: Array, acceleration: Array, period: float) -> Array:
     """Peak velocity [m/s] at samples (n,) of velocity and acceleration, ``period`` [s] apart.
 
-    Samples within the first eight half-cycles use the angular frequency at the end of these, or at
-    the end of the window if it holds fewer.
+    Samples within the first eight half-cycles use the angular frequency of these half-cycles, or of
+    the whole window if it holds fewer.
     """
     follower = PeakVelocity(period)
     time_scale = follower.time_scales(velocity, acceleration)

@@ -15,23 +15,24 @@ import numpy as np
 from mr_damper_ros.signals.arrays import Array
 
 _GROWTH_CYCLES = 2.0
-"""A sine grows over this many cycles. Its velocity then never exceeds that of the full sine."""
+"""Number of cycles over which a sine grows, so that its speed never exceeds that of the full sine.
+"""
 
 _STEEPEST = 1.875
-"""Largest slope of the smooth step with which a motion grows."""
+"""Largest slope [1] of the smooth step with which a motion grows."""
 
 _FEWEST = 4
 """Smallest number of harmonics of a random motion."""
 
 _MOST_CYCLES = 10_000.0
-"""Largest number of cycles of the highest frequency in a period. More cycles are a mistake in the
-options, and the motion would take long to compute."""
+"""Largest number of cycles of the highest frequency in a period. More cycles indicate a mistake in
+the options, and the motion would take long to compute."""
 
 _MOST_HARMONICS = 1000
 """Largest number of harmonics of a random motion."""
 
 _MOST_SEED = 9999
-"""Largest seed of a random motion; the third power in the phase is still exact."""
+"""Largest seed of a random motion, for which the third power in the phase is still exact."""
 
 _GRID = 64
 """Samples per shortest cycle in the search for the largest values of a random motion."""
@@ -93,7 +94,7 @@ class PeriodicMotion:
         if not self.highest_frequency > self.frequency:
             raise ValueError(
                 f"the motion goes from {self.frequency:g} to {self.highest_frequency:g} Hz: the "
-                "highest frequency must be above the lowest"
+                "second frequency must be higher"
             )
         is_random = self.kind is MotionKind.RANDOM
         harmonics = (self.highest_frequency - self.frequency) * self.period
@@ -102,7 +103,7 @@ class PeriodicMotion:
         ):
             raise ValueError(
                 f"a motion of up to {self.highest_frequency:g} Hz that repeats after "
-                f"{self.period:g} s has too many parts: let it repeat sooner"
+                f"{self.period:g} s has too many cycles: give a shorter period"
             )
         if not 0 <= self.seed <= _MOST_SEED:
             raise ValueError(f"the seed is {self.seed}: give 0 to {_MOST_SEED}")
@@ -171,7 +172,7 @@ class PeriodicMotion:
 
     @property
     def _mean_frequency(self) -> float:
-        """Mean frequency [Hz] of a swept sine with whole cycles; that of a sine does not change."""
+        """Mean frequency [Hz] of a sine, or of a swept sine adjusted to whole cycles."""
         if self.kind is MotionKind.SINE:
             return self.frequency
         cycles = math.floor(0.5 * (self.frequency + self.highest_frequency) * self.period + 1e-9)
@@ -212,7 +213,7 @@ class RepeatedMatch:
         )
 
     def left_of(self, displacement: Array) -> float:
-        """Relative root mean square error against the motion at the best starting phase.
+        """Root mean square error relative to the motion, at the best starting phase.
 
         The samples (n,) may have any offset and must last at least one period of the motion.
         """

@@ -12,7 +12,8 @@ from mr_damper_ros.kinematics.motion import DataError, Motion, Sine, window_moti
 from mr_damper_ros.signals.arrays import NOISE_SPAN, Array, white_noise
 
 _SAMPLES_PER_CYCLE = 1000
-"""Samples per cycle that resolve the steepest sigmoid, which rises within two degrees of it."""
+"""Samples per cycle that resolve the steepest sigmoid, which rises within two degrees of a
+cycle."""
 
 _FEWER_PER_CYCLE = 200
 """Samples per cycle that resolve a hysteresis, which yields over about a tenth of a cycle."""
@@ -25,9 +26,9 @@ LONGEST_SETTLING = 0.25
 class MotionHistory:
     """Motion and current (m,), ``period`` [s] apart, that underlie the n samples of a window.
 
-    ``places`` (n,) are the positions of the samples of the window, in samples of the history.
-    ``branch`` (n,) is the sign of their acceleration; the sigmoid force jumps where it changes.
-    ``periodic`` means that the history is one period of a motion that has always repeated.
+    ``places`` (n,) are the positions of the window's samples, in samples of the history. ``branch``
+    (n,) is the sign of the acceleration at them; the sigmoid force jumps where it changes.
+    ``periodic`` means that the history is one period of a motion that has repeated long enough.
     """
 
     motion: Motion
@@ -41,7 +42,7 @@ class MotionHistory:
     def of_sine(
         cls, sine: Sine, peak_velocity: float, current: float, time: Array
     ) -> MotionHistory:
-        """One cycle of a steady sine; ``time`` [s] gives the samples in the time of the sine."""
+        """One cycle of a steady sine; ``time`` [s] are the times of the window's samples."""
         count = _SAMPLES_PER_CYCLE
         period = 1.0 / (sine.frequency * count)
         cycle: Array = np.arange(count, dtype=float) * period
@@ -58,7 +59,7 @@ class MotionHistory:
 
     @property
     def holds_samples(self) -> bool:
-        """Whether the history contains all samples of the window, so none is interpolated."""
+        """Whether the history contains all samples of the window, so that none is interpolated."""
         return self._picked is not None
 
     @cached_property
@@ -68,14 +69,14 @@ class MotionHistory:
 
     @cached_property
     def _between(self) -> tuple[np.ndarray, np.ndarray, Array]:
-        """For each sample, the indices before and after it and the fraction of the step between."""
+        """For each sample, the history indices around it and its fraction of the step between."""
         count = self.current.size
         earlier = np.floor(self.places).astype(int)
         if not self.periodic:
             earlier = np.minimum(earlier, count - 2)
         share = np.minimum(self.places - earlier, 1.0)
         earlier, later = earlier % count, (earlier + 1) % count
-        # Across a jump, the value on the sample's own side of it is taken.
+        # At a jump of the force, the value on the same side as the sample is used.
         branch = np.sign(self.motion.acceleration)
         jumps = branch[earlier] != branch[later]
         share[jumps] = branch[later[jumps]] == self.branch[jumps]
@@ -102,7 +103,7 @@ class MotionHistory:
         if self.is_window:
             return values
         if self._picked is not None:
-            # This order follows the memory layout: derivatives are stored by columns.
+            # Derivatives are stored by columns, so they are also processed by columns.
             if values.ndim > 1 and values.flags.f_contiguous:
                 return np.take(values.T, self._picked, axis=-1).T
             return np.take(values, self._picked, axis=0)
@@ -113,8 +114,7 @@ class MotionHistory:
     def unsettled(self, duration: float) -> np.ndarray:
         """Mask (n,) of samples within ``duration`` [s] of the start, before which nothing is known.
 
-        The mask selects at most a quarter of the samples, even if all of them lie near the start of
-        the history.
+        At most a quarter of the samples is marked, even if more of them lie near the start.
         """
         if self.periodic:
             return np.zeros(self.places.size, dtype=bool)
@@ -125,7 +125,7 @@ class MotionHistory:
 def following_stride(
     motion: Motion, period: float, samples_per_cycle: int = _SAMPLES_PER_CYCLE
 ) -> int:
-    """Largest stride, in samples of a motion, that still resolves the motion in a history."""
+    """Largest stride, in samples of a motion, with ``samples_per_cycle`` samples in each cycle."""
     power = float(np.mean(motion.velocity**2))
     if power == 0.0:
         return 1
@@ -137,8 +137,8 @@ _TURN = 0.05
 """A return by this fraction of the span is a reversal of the motion ..."""
 
 _LARGEST_TURN = 0.25
-"""... if it exceeds the span of the noise. Motion near the sample rate cannot be distinguished from
-noise, so this fraction of the span is always enough."""
+"""... if it also exceeds the span of the noise. A return by this larger fraction always suffices,
+because motion near the sample rate cannot be distinguished from noise."""
 
 _EACH_WAY = 0.75
 """Fraction of the span that the strokes of each direction must cover in total."""
@@ -147,8 +147,8 @@ _WHOLE_STROKE = 0.5
 """Smallest fraction of the span that a whole stroke at the edge of the samples covers."""
 
 _SLOWER = 0.8
-"""A stroke that begins at a reversal is slow at first: its first third covers less than this
-fraction of the distance of its middle third."""
+"""A stroke that begins at a reversal is slow at first: the distance of its first third is below
+this fraction of the distance of its middle third."""
 
 _MOST_SAMPLES = 4096
 """Longer records are averaged to this many values."""
@@ -157,7 +157,7 @@ _FEWEST_SAMPLES = 8
 
 
 def averages(array: Array, most: int) -> Array:
-    """At most ``most`` averages over equal groups of samples (n,); an early remainder is cut."""
+    """At most ``most`` averages over equal groups of samples (n,); first samples may be omitted."""
     size = max(-(-array.size // most), 1)
     whole = array[array.size % size :]
     return whole.reshape(-1, size).mean(axis=1) if size > 1 else whole
@@ -166,7 +166,7 @@ def averages(array: Array, most: int) -> Array:
 def holds_cycle(displacement: Array) -> bool:
     """Whether a displacement (n,) reverses at both ends and moves far enough in both directions.
 
-    Such a motion shows the force at both signs of the velocity and of the acceleration.
+    Only such a motion contains both signs of the velocity with both signs of the acceleration.
     """
     u = averages(displacement, _MOST_SAMPLES)
     if u.size < _FEWEST_SAMPLES:
@@ -217,16 +217,16 @@ _FOLLOWS_CURRENT = 1e-3
 """Sample period [s] of a history that resolves how the coil follows a step of the current."""
 
 _ALL_BUT_SPIKES = 0.995
-"""Fraction of the samples that is assumed free of spikes. A window with more spikes is spoilt."""
+"""Fraction of the samples that is assumed free of spikes."""
 
 
 @dataclass(frozen=True)
 class Window:
     """Motion, force [N] and coil current [A] of a window; arrays of shape (n,).
 
-    Only a law with a lag needs the other fields. ``period`` [s] is the sample period. For a part of
-    a window, ``whole`` is the complete window and ``places`` (n,) are the positions of the samples,
-    in samples of the whole. A steady sine needs only the places.
+    Only a law with memory or lag needs the other fields. ``period`` [s] is the sample period. For a
+    part of a window, ``whole`` is the complete window and ``places`` (n,) are the positions of the
+    samples, in samples of the complete window. For a steady sine, ``whole`` is not needed.
 
     Raises DataError if a value is not finite and ValueError if lengths differ.
     """
@@ -259,8 +259,8 @@ class Window:
     ) -> Window:
         """Window of samples taken every ``period`` [s]; see :func:`window_motion` for errors.
 
-        ``peak_velocity`` (n,) [m/s] can be estimated from the samples before the window too. It
-        replaces the estimate from the window alone, unless the motion is a sine.
+        ``peak_velocity`` (n,) [m/s], which may use samples before the window, replaces the estimate
+        from the window alone, unless the motion is a sine.
         """
         motion = window_motion(displacement, period)
         if peak_velocity is not None and motion.sine is None:
@@ -270,7 +270,7 @@ class Window:
 
     @classmethod
     def of_sine(cls, peak_velocity: float, frequency: float, current: float) -> Window:
-        """One cycle of a steady sine [m/s, Hz] at a current [A] and zero force, for any law."""
+        """One cycle of a sine ([m/s], [Hz]) at a current [A], with zero force, for any law."""
         sine = Sine(peak_velocity / (2.0 * np.pi * frequency), frequency, 0.0, 0.0, 0.0)
         count = _FEWER_PER_CYCLE
         period = 1.0 / (frequency * count)
@@ -301,7 +301,7 @@ class Window:
         return Window(motion, self.force, current, self.period, places, whole)
 
     def stretch(self, begin: int, count: int) -> Window:
-        """The ``count`` samples of the whole from ``begin`` on, as a window without a past."""
+        """``count`` samples of the complete window from ``begin`` on, as a window with no past."""
         whole = self.whole or self
         part = slice(begin, begin + count)
         cut = Window(whole.motion.part(part), whole.force[part], whole.current[part], whole.period)
@@ -342,7 +342,7 @@ class Window:
 
     @cached_property
     def has_constant_current(self) -> bool:
-        """Whether the current is constant, including at samples that were left out."""
+        """Whether the current is constant, also at samples that a thinned window omits."""
         return float(np.ptp((self.whole or self).current)) == 0.0
 
     @cached_property
@@ -355,7 +355,7 @@ class Window:
         """History that underlies the samples; ValueError if the sample period is unknown."""
         whole = self.whole or self
         if not whole.period > 0.0:
-            raise ValueError("the sample period of the window is not known: a lag needs it")
+            raise ValueError("the sample period of the window is unknown, but a lag depends on it")
         places = self._places
         if self.steady and self.motion.sine is not None:
             peak_velocity, current = float(self.motion.peak_velocity[0]), float(self.current[0])
@@ -387,7 +387,7 @@ class Window:
         """Representative peak velocity [m/s] and current [A] of the window.
 
         The peak velocity is the root mean square over the samples, weighted by speed, so that rests
-        and reversals carry little weight. The current is the mean.
+        and reversals have little weight. The current is the mean.
         """
         weights = np.abs(self.motion.velocity)
         if not np.any(weights):

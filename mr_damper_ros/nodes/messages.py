@@ -24,9 +24,9 @@ from mr_damper_ros.models.parameter_set import ParameterError, ParameterSet, che
 from mr_damper_ros.signals.arrays import Array
 from mr_damper_ros.signals.blocks import (
     BlockError,
-    Moment,
     RigBlock,
     SampleBlock,
+    SuspensionState,
     check_live,
     fits_a_stamp,
 )
@@ -115,17 +115,17 @@ BODY, WHEEL, SUSPENSION, TYRE = "body", "wheel", "suspension", "tyre"
 """Names of the joints that describe the motion of a suspension."""
 
 
-def suspension_message(now: Moment, stamped: Header) -> JointState:
+def suspension_message(now: SuspensionState, stamped: Header) -> JointState:
     """The motion of a suspension as joint states; NaN if a joint lacks the value."""
     return JointState(
         header=stamped,
         name=[BODY, WHEEL, SUSPENSION, TYRE],
-        position=[math.nan, math.nan, now.apart, now.tyre],
+        position=[math.nan, math.nan, now.stroke, now.tyre],
         velocity=[now.body, now.wheel, now.extension, math.nan],
     )
 
 
-def suspension_moment(message: JointState, acceleration: float) -> Moment:
+def suspension_state(message: JointState, acceleration: float) -> SuspensionState:
     """The suspension state in a message, for this acceleration of the body [m/s²].
 
     Raises ValueError, with a sentence, if body or wheel have no velocity.
@@ -135,7 +135,7 @@ def suspension_moment(message: JointState, acceleration: float) -> Moment:
     missing = [name for name in (BODY, WHEEL) if not math.isfinite(velocity.get(name, math.nan))]
     if missing:
         raise ValueError(f"the motion has no velocity of the joint {' and '.join(missing)}")
-    return Moment(
+    return SuspensionState(
         velocity[BODY],
         velocity[WHEEL],
         acceleration,

@@ -16,7 +16,7 @@ from mr_damper_ros.nodes.diagnostics import OK, STALE, WARN, Diagnostics, Findin
 from mr_damper_ros.nodes.messages import (
     BODY,
     SUSPENSION_TOPIC,
-    suspension_moment,
+    suspension_state,
     to_nanoseconds,
 )
 from mr_damper_ros.nodes.node_parameters import ConfigurationError, NodeParameters
@@ -69,7 +69,7 @@ class SuspensionNode(Node):
 
     def _take(self, message: JointState) -> None:
         try:
-            now = suspension_moment(message, self._acceleration(message))
+            now = suspension_state(message, self._acceleration(message))
         except ValueError as error:
             self._give_up(str(error))
             return

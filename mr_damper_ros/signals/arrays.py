@@ -35,11 +35,11 @@ NORMAL_MEDIAN = NormalDist().inv_cdf(0.75)
 def noise_power(values: Array, order: int = 4) -> float:
     """Power of the white part of a signal (n,), n > order, from its differences of this order.
 
-    Almost nothing of a smooth signal remains in them. The mean includes bursts of noise and the
-    steps of a digital sensor, which a median would leave out.
+    The differences contain almost nothing of a smooth signal. Their mean square includes bursts of
+    noise and the steps of a digital sensor, which a median would exclude.
     """
     changes = np.diff(values, order)
-    # The differences of white noise have the squared binomial coefficients as their power.
+    # The power of differences of white noise is the sum of the squared binomial coefficients.
     return float(changes @ changes) / changes.size / math.comb(2 * order, order)
 
 
@@ -77,7 +77,7 @@ class RollingRows:
         """Add ``count`` columns, given as an array (count,) or one number for each row."""
         if self._end + count > self._table.shape[1]:
             kept = self.newest
-            # With twice the space needed, each column moves about once, however few are added.
+            # With twice the space needed, each column is moved about once.
             self._table = np.empty((len(kept), 2 * (self.count + count)))
             self._begin, self._end = 0, kept.shape[1]
             self.newest[:] = kept

@@ -17,12 +17,12 @@ from mr_damper_ros.signals.arrays import Array
 NANOSECONDS = 1_000_000_000
 
 LATE_NS = NANOSECONDS
-"""A stamp that is earlier by up to this time is delayed or repeated. If it is earlier by more, the
-clock was set back."""
+"""A stamp that is earlier than the last one by up to this time is delayed or repeated. If it is
+earlier by more, the clock was set back."""
 
 _LARGEST = 1e12
-"""Largest magnitude of a displacement [m] or force [N]. No machine reaches it, and its square does
-not overflow."""
+"""Largest magnitude of a displacement [m] or force [N]: no machine reaches it, and the square of
+this value does not overflow."""
 
 
 MOST_SAMPLES = 5000
@@ -40,7 +40,7 @@ class BlockError(ValueError):
 
 
 def check_live(block: SampleBlock) -> None:
-    """Raise BlockError if a block would take a node so long that its services could not answer.
+    """Raise BlockError if processing a block would block the services of a node for too long.
 
     These limits do not apply to files.
     """
@@ -52,8 +52,8 @@ def check_live(block: SampleBlock) -> None:
     shortest, longest = _LIVE_PERIODS
     if not shortest <= block.period <= longest:
         raise BlockError(
-            f"the sample period is {block.period:g} s: from {shortest:g} to {longest:g} s can be "
-            "used; is it in seconds?"
+            f"the sample period is {block.period:g} s: it must be {shortest:g} to {longest:g} s; "
+            "is it in seconds?"
         )
     duration = block.sample_count * block.period
     if duration > LONGEST_BLOCK:
@@ -120,7 +120,7 @@ class SampleBlock:
 
 
 def joined(blocks: Iterable[SampleBlock]) -> list[SampleBlock]:
-    """The same samples in as few blocks as possible: one for each uninterrupted series."""
+    """The same samples in as few blocks as possible, one for each uninterrupted series."""
     runs: list[list[SampleBlock]] = []
     for block in blocks:
         last = runs[-1][-1] if runs else None
@@ -152,18 +152,18 @@ def fits_a_stamp(nanoseconds: int) -> bool:
     return -STAMP_LIMIT <= nanoseconds < STAMP_LIMIT
 
 
-class Moment(NamedTuple):
+class SuspensionState(NamedTuple):
     """State of a suspension, upwards positive.
 
-    ``body`` and ``wheel`` are velocities [m/s] and ``acceleration`` [m/s²] is that of the body.
-    ``apart`` [m] is the suspension stroke and ``tyre`` [m] the distance between wheel and road,
+    ``body`` and ``wheel`` are their velocities [m/s]; ``acceleration`` [m/s²] belongs to the body.
+    ``stroke`` [m] is the suspension stroke and ``tyre`` [m] the distance between wheel and road,
     both relative to rest.
     """
 
     body: float
     wheel: float
     acceleration: float = 0.0
-    apart: float = 0.0
+    stroke: float = 0.0
     tyre: float = 0.0
 
     @property
@@ -177,8 +177,8 @@ class RigBlock:
     """Consecutive samples of a rig: ``displacement`` [m], ``force`` [N], ``current`` [A].
 
     Arrays have shape (n,) and their samples are ``period`` [s] apart. ``start_ns`` is the stamp of
-    sample 0 and ``sequence`` its index since the start. ``temperature`` [°C] has shape (n,) too. A
-    temperature that is unknown and a current that the supply does not report are NaN. ``ahead_ns``
+    sample 0 and ``sequence`` its index since the start. ``temperature`` [°C] also has shape (n,).
+    An unknown temperature is NaN, and so is a current that the supply does not report. ``ahead_ns``
     is the error of the sample clock (positive: ahead), and ``supply_ahead_ns`` the error of the
     supply clock relative to the sample clock. ``suspension`` is the suspension state at the last
     sample, or None if the damper is not in a suspension.
@@ -193,7 +193,7 @@ class RigBlock:
     temperature: Array
     ahead_ns: int = 0
     supply_ahead_ns: int = 0
-    suspension: Moment | None = None
+    suspension: SuspensionState | None = None
 
     @property
     def sample_count(self) -> int:
@@ -210,7 +210,7 @@ class RigBlock:
         return self.stamp_ns(max(self.sample_count - 1, 0)) - self.ahead_ns
 
     def without_samples(self) -> RigBlock:
-        """A block with the stamp of the last sample but no samples, as if none had been sent."""
+        """A block without samples, with the stamp of the last sample, as if none had been sent."""
         return replace(
             self,
             start_ns=self.stamp_ns(self.sample_count - 1),
@@ -225,8 +225,8 @@ _NONE: Array = np.empty(0)
 
 
 KEEP_CURRENT = 3600.0
-"""Duration [s] of the current values that a stream keeps. In fast playback of a bag, the current
-can arrive long before the samples that it belongs to."""
+"""Time [s] for which a stream keeps values of the current. When a bag is played fast, the current
+can arrive long before its samples."""
 
 
 class CurrentError(ValueError):
@@ -267,7 +267,7 @@ class ZeroOrderHold:
         self._values.insert(place, current)
         # One value older than the horizon stays, because it holds until the next.
         surplus = bisect_right(self._stamps, self._stamps[-1] - self._keep_ns) - 1
-        # Each drop moves the other values, so many are dropped at once.
+        # Dropping a value moves all others, so many are dropped at once.
         if 2 * surplus > len(self._stamps):
             del self._stamps[:surplus], self._values[:surplus]
 
@@ -295,7 +295,7 @@ class ZeroOrderHold:
         return self._stamps[following - 1], later
 
     def constant(self, start_ns: int, period: float, count: int) -> float | None:
-        """The value [A] if :meth:`at` gives the same for all these samples, otherwise None."""
+        """The value [A] if :meth:`at` gives the same value at all these samples, otherwise None."""
         following = bisect_right(self._stamps, start_ns) or 1
         if following < len(self._stamps):
             step = _first_sample(self._stamps[following] - start_ns, period)
@@ -314,8 +314,7 @@ class ZeroOrderHold:
     def at(self, start_ns: int, period: float, count: int) -> Array:
         """Current [A] at ``count`` samples from ``start_ns``, ``period`` [s] apart, shape (n,).
 
-        Samples before the first value get that value; :meth:`known_from` tells whether there are
-        any.
+        Samples before the first value get the first value; :meth:`known_from` detects them.
         """
         following = bisect_right(self._stamps, start_ns) or 1
         result = np.full(count, self._values[following - 1])

@@ -11,14 +11,14 @@ import numpy as np
 from mr_damper_ros.signals.blocks import NANOSECONDS
 
 _JITTER = 0.3
-"""Standard deviation of a stamp [sample periods], for a uniform error of ± half a period."""
+"""Standard deviation of a stamp [sample periods], for a uniform error within ± half a period."""
 
 _RATE = 0.02
-"""Initial standard deviation of the rate [1], because stated periods are rounded. Samples whose
-rate differs from the stated rate by more than this fraction cannot be used."""
+"""Initial standard deviation of the rate [1]; a stated period is rounded. If the rate of samples
+differs from the stated rate by more than this fraction, they are not used."""
 
 _MEMORY = 2.0
-"""Approximate duration [s] of the stamps that determine the present offset."""
+"""The stamps of about this time [s] determine the present offset."""
 
 _OUTLIER = 4.0
 """Errors of a stamp are clipped to this many standard deviations."""
@@ -68,13 +68,13 @@ _SECONDS = 60
 """Duration [s] of the arrivals to which the line is fitted."""
 
 _CHECKED = 5
-"""Duration [s] of arrivals from which their rate is known. Before, only the offset is estimated."""
+"""Time [s] of arrivals after which the rate is estimated; before that, only the offset is."""
 
 
 class ArrivalClock:
     """Estimates how far the clock of this computer is ahead of the clock of the stamps.
 
-    It fits a line through the least difference between arrival time and stamp in each second.
+    It fits a line to the smallest difference between arrival time and stamp in each second.
     """
 
     def __init__(self) -> None:
@@ -105,7 +105,7 @@ class ArrivalClock:
             self._draw()
 
     def ahead_ns(self, stamp_ns: int) -> int:
-        """Time [ns] that converts a stamp to the clock of this computer when added to it."""
+        """Time [ns] to add to a stamp to convert it to the clock of this computer."""
         rate, offset, base = self._line
         return round(offset + rate * (stamp_ns - base))
 
@@ -122,20 +122,20 @@ class ArrivalClock:
 
 
 _PAUSE_NS = 250_000_000
-"""A delay that stays above this value for a second is a pause of the source. Samples that are early
-by more were queued, or have a higher rate than stated."""
+"""If the delay of the samples exceeds this time for a second, the source has paused. If samples are
+early by more than this, they were queued, or their rate is higher than stated."""
 
 _SILENCE_NS = 2 * NANOSECONDS
-"""After an interval of this duration without a sample, a delay counts as a pause at once."""
+"""After this time without a sample, a delay counts as a pause at once."""
 
 _LATE, _MOST_LATE = 64, 16
-"""A count that goes back by at most the first number is a delayed sample. After the second number
-of such samples in a row, the count has restarted."""
+"""A count that goes back by at most the first number belongs to a delayed sample. After the second
+number of such samples in a row, the count has been restarted."""
 
 
 @dataclass
 class ArrivalCounts:
-    """Numbers of received samples and of those that could not be used, and of interruptions."""
+    """Numbers of received samples, of unusable samples and of interruptions."""
 
     received: int = 0
     lost: int = 0
@@ -149,7 +149,7 @@ class CountedTimes:
     """Indices and times [ns] of samples with a stated ``rate`` [Hz].
 
     ``counts`` is the number of samples after which the sender's sequence number returns to 0; it is
-    None for a sender without sequence numbers. With ``checks_rate``, samples are held back until
+    None for a sender without sequence numbers. With ``checks_rate``, samples are discarded until
     the rate has been checked, and as long as it is wrong.
     """
 
@@ -211,7 +211,7 @@ class CountedTimes:
         nominal_ns = round(self._index * self._period_ns)
         late_ns = arrival_ns - nominal_ns - self._clock.ahead_ns(nominal_ns)
         if self._arrival_ns is None or late_ns < -_PAUSE_NS:
-            # The first sample, or a wrong clock: the check of the rate starts again.
+            # After the first sample, or with a wrong clock, the check of the rate restarts.
             self._begin_clock(arrival_ns)
             self._checked_from = self._index
             late_ns = 0
@@ -249,14 +249,14 @@ class CountedTimes:
         self._count = count
         longest_ns = arrival_ns - self._arrival_ns + NANOSECONDS
         if forward == 0 or (forward > 1 and forward * self._period_ns > longest_ns):
-            # The count has advanced by more than the elapsed time allows: it has restarted.
+            # The count has advanced by more than the elapsed time allows, so it has been restarted.
             self.counts.recounts += 1
             return self._passed(arrival_ns)
         self.counts.lost += forward - 1
         return forward
 
     def _passed(self, arrival_ns: int) -> int:
-        """Samples since the last one, from the elapsed time; at least 1."""
+        """Number of samples since the last one according to the elapsed time; at least 1."""
         if self._arrival_ns is None:
             return 1
         return max(round((arrival_ns - self.time_ns(self._index)) / self._period_ns), 1)
@@ -266,7 +266,7 @@ class CountedTimes:
         self._second_ns, self._least_ns = arrival_ns, 0
 
     def _paused(self, arrival_ns: int, late_ns: int) -> bool:
-        """Whether the source has paused: the delay has grown, and not only for a burst."""
+        """Whether the source has paused: the delay has grown for longer than a burst lasts."""
         assert self._arrival_ns is not None
         if arrival_ns - self._arrival_ns > _SILENCE_NS and late_ns > _PAUSE_NS:
             self._second_ns, self._least_ns = arrival_ns, 0
@@ -277,7 +277,7 @@ class CountedTimes:
         paused = self._least_ns > _PAUSE_NS
         self._second_ns, self._least_ns = arrival_ns, 0 if paused else late_ns
         if paused:
-            # Without silence the rate may have changed, so its check starts again.
+            # Without a silence the rate may have changed, so its check restarts.
             self._checked_from = self._index
             self._clock = ArrivalClock()
         return paused

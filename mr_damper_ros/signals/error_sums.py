@@ -58,7 +58,7 @@ class ErrorSums:
             return math.nan
         mean_square = self.measured_square / self.count
         variance = mean_square - (self.measured / self.count) ** 2
-        # The variance of a constant is that of the rounding of the sums.
+        # For a constant measurement, the difference of the sums is only their rounding error.
         rounding = self.count * sys.float_info.epsilon * mean_square
         return math.sqrt(variance) if variance > rounding else 0.0
 
@@ -92,7 +92,7 @@ class RunningError:
         duration = measured.size * period
         self._blocks.append((duration, ErrorSums.of(predicted, measured)))
         self._duration += duration
-        # The remaining blocks must still span the memory, up to rounding.
+        # The remaining blocks must still span the memory.
         while self._duration - self._blocks[0][0] > (1.0 - 1e-9) * self._memory:
             self._duration -= self._blocks.popleft()[0]
 

@@ -1,10 +1,10 @@
 """Moving averages in recorded signals: detection by their spectral zeros, and exact inversion.
 
-The mean of the last n samples passes nothing at k / n of the sample rate. The spectrum of an
+The mean of the last n samples has no component at k / n of the sample rate. The spectrum of an
 averaged signal therefore has zeros at these frequencies, where the signal cannot be recovered. All
-other components can be recovered: y[k] - y[k-1] = (x[k] - x[k-n]) / n, so
-x[k] = x[k-n] + n (y[k] - y[k-1]). This requires the n samples before the record, which are known if
-the record begins at rest.
+other components can be recovered: y[k] - y[k-1] = (x[k] - x[k-n]) / n, so x[k] = x[k-n] + n (y[k] -
+y[k-1]). This requires the n samples before the record, which are known if the record begins at
+rest.
 """
 
 from __future__ import annotations
@@ -17,17 +17,18 @@ _ENOUGH = 32_768
 """Number of samples that are analysed, taken from the middle of a longer record."""
 
 _DEPTH = 1e-2
-"""Ratio of the power at the zeros to the power between them, below which the signal is averaged."""
+"""The signal is averaged if the ratio of the power at the zeros to the power between is below this.
+"""
 
 _SLOPE = 0.1
-"""The same ratio at the frequencies where an average passes half of the power."""
+"""Limit of the same ratio at the frequencies where an average passes half of the power."""
 
 _FEWEST_ROWS = 20
-"""Shortest record that begins in motion, in lengths of the average."""
+"""Shortest record that begins in motion, as a multiple of the length of the average."""
 
 _FEWEST_HOLES = 5
 _PERIODS = 40
-"""Shortest record in which the zeros are resolved, in lengths of the average."""
+"""Shortest record in which the zeros are resolved, as a multiple of the length of the average."""
 
 
 def undo_average(values: Array, count: int) -> Array:
@@ -43,10 +44,10 @@ def undo_average(values: Array, count: int) -> Array:
 def undo_average_in_motion(values: Array, count: int) -> Array:
     """Signal before averaging over ``count`` samples, for a record (n,) that begins in motion.
 
-    The ``count`` samples before the record are unknown, and they affect the whole result. They
-    correspond to the components that the average removes, at the frequencies k / count. The result
-    is defined to have no such components except the mean. A raised-cosine weight over the record
-    preserves the neighbouring frequencies. Raises ValueError if the record is too short.
+    The ``count`` samples before the record are unknown, but affect the whole result, by components
+    at the frequencies k / count, which the average removes. The result is defined to have no such
+    components except the mean. A raised-cosine weight over the record preserves the neighbouring
+    frequencies. Raises ValueError if the record is too short.
     """
     rows = values.size // count
     if rows < _FEWEST_ROWS:
@@ -80,10 +81,10 @@ def find_average(values: Array) -> int:
             np.maximum(power[np.rint(holes + part * spacing).astype(int)], 1e-300)
             for part in (0.0, 0.25, 0.5)
         )
-        # Most of the zeros must be present: at twice the true count, every other one is missing.
+        # Most of the zeros must be present; at twice the true count, every second one is missing.
         # An averaged signal also has the zeros of each divisor of its count, so the longest count
-        # wins. Half way up there must be power as well: otherwise the zeros are the gaps between
-        # the lines of a periodic signal.
+        # is chosen. Half way up there must be power; without it, the zeros are only the gaps
+        # between the lines of a periodic signal.
         deep = float(np.quantile(in_holes / between, 0.7)) < _DEPTH
         if deep and float(np.median(near / between)) > _SLOPE:
             return count

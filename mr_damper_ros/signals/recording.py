@@ -32,7 +32,7 @@ class RecordingError(ValueError):
 
 
 class NotFiniteError(RecordingError):
-    """A sample of a recording is not finite; holds the ``quantity`` and the index of the sample."""
+    """A sample of a recording is not finite; has its ``quantity`` and index (``sample``)."""
 
     def __init__(self, sentence: str, quantity: str, sample: int) -> None:
         super().__init__(sentence)
@@ -94,7 +94,7 @@ class Recording:
             index = int(np.argmin(finite))
             raise NotFiniteError(
                 f"the {name} of sample {index} of '{self.name}' is {array[index]}: "
-                "cut the recording before it or mend the value",
+                "cut the recording before it, or correct the value",
                 name,
                 index,
             )
@@ -145,9 +145,9 @@ class Recording:
             return f"the rod moves at {speed:.3g} m/s on average: is the unit of the time right?"
         force = float(np.max(np.abs(self.force)))
         if force > LARGEST_FORCE:
-            return f"the force reaches {force:.3g} N: give the unit of the force that fits"
+            return f"the force reaches {force:.3g} N: is the unit of the force right?"
         if np.ptp(self.force) == 0.0:
-            return f"the force is constant at {force:.3g} N: is it the right column?"
+            return f"the force is constant at {force:.3g} N: is this the right column?"
         current = float(np.max(np.abs(self.current)))
         if current > LARGEST_CURRENT:
             return f"the current reaches {current:.3g} A: is it in milliamperes?"
@@ -180,10 +180,10 @@ StreamItem = SampleBlock | CurrentReading | TemperatureReading
 
 
 def stream_of(recording: Recording, block_size: int = BLOCK_SIZE) -> Iterator[StreamItem]:
-    """The samples of a recording in blocks; each block follows the readings for its samples.
+    """The samples of a recording in blocks, each preceded by the readings for its samples.
 
-    The current has a reading at each change and at the last sample of each block. The temperature,
-    if it was measured, has one reading a block. Raises ValueError for a block size below 1.
+    There is a reading of the current at each change and at the last sample of each block, and one
+    reading of a measured temperature per block. Raises ValueError for a block size below 1.
     """
     if block_size < 1:
         raise ValueError(f"the block size is {block_size}: it must be at least 1")

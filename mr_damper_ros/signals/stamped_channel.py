@@ -19,41 +19,41 @@ V = TypeVar("V")
 """Type of a stamped value: a number, or all values measured at one time."""
 
 _MARGIN = 0.12
-"""A stamp may be off by half a period plus this fraction of a period, for errors of the clock."""
+"""A stamp may deviate by half a period plus this fraction of a period, for errors of the clock."""
 
 _WAITING = 3
-"""Number of samples that wait until later ones confirm their index; more wait if all are late."""
+"""Number of samples that wait until later ones confirm their index; if all are late, more wait."""
 
 _LONGEST = 1.0
 """After this time [s] without a stamp, the clock is too uncertain to count lost samples. A new
 clock is estimated once the stamps span this time."""
 
 _ENOUGH, _FEWEST = 256, 12
-"""Number of stamps from which a clock is estimated and later checked, and the smallest number for
-slow samples."""
+"""Number of stamps from which a clock is estimated, and with which it is checked; for slow samples
+the second number suffices."""
 
 _DOUBTFUL = 0.2
-"""Fraction of these stamps that may be too early or late before the clock is estimated again."""
+"""If more than this fraction of these stamps is too early or late, the clock is estimated again."""
 
 _STRETCH = 16
-"""Number of sample intervals whose duration is measured at once."""
+"""Number of successive sample intervals whose total duration is measured."""
 
 _GUESSES, _BEGINS = (0.1, 0.25, 0.5), (-0.4, 0.0, 0.4)
-"""Initial values that are tried: quantiles of these durations for the period, since the shortest
-contain no lost samples, and the mean delay of the first stamps in sample periods. With half a
-period of jitter and a twentieth of the samples lost, 36 of 40 streams are numbered correctly from
-the first second; with only one value of each, 25 are."""
+"""Initial values that are tried: for the period, quantiles of these durations, because the shortest
+durations contain no lost samples; for the mean delay of the first stamps, values in sample periods.
+With half a period of jitter and a twentieth of the samples lost, 36 of 40 streams are numbered
+correctly from the first second, but only 25 if one value of each is tried."""
 
 _FOLLOWS = (0.05, 0.001)
-"""Gains with which a tried clock follows the error of a stamp, in offset and rate. With twice the
-first and five times the second, 30 of those streams are numbered correctly."""
+"""Gains by which a tried clock corrects its offset and its rate for the error of a stamp. With
+twice the first and five times the second gain, only 30 of the 40 streams are numbered correctly."""
 
 _PATIENCE = 0.3
 """Longest time [s] that a sample of the leader waits for the follower."""
 
 
 @dataclass(frozen=True)
-class EvenSample(Generic[V]):
+class NumberedSample(Generic[V]):
     """A sample with its index, its estimated time [ns], its stamp [ns] and its value."""
 
     index: int
@@ -64,7 +64,7 @@ class EvenSample(Generic[V]):
 
 @dataclass
 class ChannelCounts:
-    """Numbers of received values and of those that could not be used, and of jumps back."""
+    """Numbers of received values, of unusable values and of jumps back in time."""
 
     received: int = 0
     repeated: int = 0
@@ -78,8 +78,8 @@ class StampedChannel(Generic[V]):
 
     A value is released when a stamp arrives that is ``hold_back`` [s] later, so that delayed values
     can be sorted in. The order restarts if the stamps are set back. The ``period`` [s] is estimated
-    from the first few hundred stamps and is NaN before. ``lost`` counts the skipped indices and
-    ``unclear`` the samples that were left out beside them because their index is uncertain.
+    from the first few hundred stamps and is NaN before. ``lost`` counts the skipped indices, and
+    ``unclear`` the samples omitted near them because their index is uncertain.
     """
 
     def __init__(self, hold_back: float) -> None:
@@ -94,11 +94,11 @@ class StampedChannel(Generic[V]):
         self._next = 0
         self._doubts: deque[bool] = deque(maxlen=_ENOUGH)
         # Samples and the delay of their stamps [sample periods].
-        self._waiting: list[tuple[EvenSample[V], float]] = []
+        self._waiting: list[tuple[NumberedSample[V], float]] = []
         self.lost = 0
         self.unclear = 0
 
-    def add(self, stamp_ns: int, arrival_ns: int, value: V) -> list[EvenSample[V]]:
+    def add(self, stamp_ns: int, arrival_ns: int, value: V) -> list[NumberedSample[V]]:
         """Add a value; returns the samples whose order and index are now certain."""
         counts, held = self.counts, self._held
         counts.received += 1
@@ -117,15 +117,15 @@ class StampedChannel(Generic[V]):
             counts.repeated += 1
             return []
         held.insert(place, (stamp_ns, value))
-        certain: list[EvenSample[V]] = []
+        certain: list[NumberedSample[V]] = []
         while held and held[-1][0] - held[0][0] >= self._hold_ns:
             self._released, value = held.pop(0)
             certain += self._number(self._released, value)
         return certain
 
-    def _number(self, stamp_ns: int, value: V) -> list[EvenSample[V]]:
+    def _number(self, stamp_ns: int, value: V) -> list[NumberedSample[V]]:
         """Number the next sample; returns the samples whose index is now certain."""
-        certain: list[EvenSample[V]] = []
+        certain: list[NumberedSample[V]] = []
         if self._clock is not None:
             late_ns = stamp_ns - self._clock.at(self._next)
             doubtful = sum(self._doubts) > _DOUBTFUL * _ENOUGH
@@ -143,7 +143,7 @@ class StampedChannel(Generic[V]):
             certain += self._begin()
         return certain
 
-    def _begin(self) -> list[EvenSample[V]]:
+    def _begin(self) -> list[NumberedSample[V]]:
         """Estimate the clock from the collected samples and number these samples."""
         begun, self._begun = self._begun, []
         self.period, numbers, first_ns = _count([stamp for stamp, _ in begun])
@@ -151,22 +151,22 @@ class StampedChannel(Generic[V]):
         pairs = [(self._next + int(n), stamp) for n, (stamp, _) in zip(numbers, begun, strict=True)]
         for index, stamp in (*pairs, *reversed(pairs)):
             clock.learn(index, stamp)
-        # A loss among the very first samples cannot be detected, so they are left out.
+        # A loss among the very first samples cannot be detected, so they are omitted.
         skipped = min(_STRETCH, len(begun) // 3)
         self._next += int(numbers[skipped])
-        certain: list[EvenSample[V]] = []
+        certain: list[NumberedSample[V]] = []
         for stamp_ns, value in begun[skipped:]:
             late = (stamp_ns - clock.at(self._next)) / (self.period * NANOSECONDS)
             certain += self._place(stamp_ns, value, late)
         return certain
 
-    def _place(self, stamp_ns: int, value: V, late: float) -> list[EvenSample[V]]:
+    def _place(self, stamp_ns: int, value: V, late: float) -> list[NumberedSample[V]]:
         clock, waiting = self._clock, self._waiting
         assert clock is not None
         most = 0.5 + _MARGIN
         self._doubts.append(abs(late) > most)
         if late > most:
-            # Late samples before a loss may belong before or after it: they are left out.
+            # The index of late samples near a loss is uncertain, so they are omitted.
             while waiting and waiting[-1][1] >= 0.5 - _MARGIN:
                 waiting.pop()
                 self.unclear += 1
@@ -181,23 +181,23 @@ class StampedChannel(Generic[V]):
             self.unclear += 1
             late += 1.0
         clock.learn(self._next, stamp_ns)
-        waiting.append((EvenSample(self._next, clock.at(self._next), stamp_ns, value), late))
+        waiting.append((NumberedSample(self._next, clock.at(self._next), stamp_ns, value), late))
         self._next += 1
-        # After an undetected loss, all stamps are late. One that is not late rules out a loss.
+        # After an undetected loss all stamps are late, so a stamp that is not late excludes a loss.
         if len(waiting) <= _WAITING or all(late >= 0.5 - _MARGIN for _, late in waiting):
             return []
         certain = waiting[:-_WAITING]
         del waiting[:-_WAITING]
-        # The clock has improved since these samples arrived.
+        # The clock has become more accurate since these samples arrived.
         return [replace(each, time_ns=clock.at(each.index)) for each, _ in certain]
 
 
 def _count(stamps_ns: list[int]) -> tuple[float, np.ndarray, int]:
     """Period [s] of samples with these stamps, their indices (n,), and the time of index 0 [ns].
 
-    Clocks with several initial values are tried. The one with the lowest cost wins. The cost
-    contains the remaining jitter and a penalty for each loss (as in the Bayesian information
-    criterion).
+    Clocks with several initial values are tried, and the one with the lowest cost is chosen. The
+    cost contains the remaining jitter and a penalty for each loss, as in the Bayesian information
+    criterion.
     """
     stamps: Array = (np.asarray(stamps_ns, dtype=np.int64) - stamps_ns[0]).astype(np.float64)
     stretch = min(_STRETCH, stamps.size // 3)
@@ -250,7 +250,7 @@ def _numbered(times: Array, follows: tuple[float, float] = (0.0, 0.0)) -> tuple[
 
 @dataclass(frozen=True, eq=False)
 class JoinedRun:
-    """Samples without a gap: index and time [ns] of the first, and the values (n,) of both."""
+    """Joined samples without a gap: index and time [ns] of the first, and values (n,) of both."""
 
     index: int
     start_ns: int
@@ -262,10 +262,10 @@ class ChannelJoin:
     """Joins the values of a follower channel to the samples of a leader channel.
 
     With ``own_clocks``, each channel is stamped by its own clock, and both are converted to the
-    clock of this computer by the arrival times of the messages. With ``sampled_at_stamps``, the
-    values were measured at the times of their stamps, and the values of the leader are interpolated
-    onto its uniform time grid too. ``without_partner`` counts the samples of the leader without a
-    value of the follower.
+    clock of this computer by the arrival times of the messages. With ``sampled_at_stamps``, values
+    were measured at the times of their stamps, so the values of the leader are also interpolated
+    onto its uniform time grid. ``without_partner`` counts the samples of the leader for which the
+    follower has no value.
     """
 
     def __init__(
@@ -279,9 +279,9 @@ class ChannelJoin:
         self.leader, self.follower = leader, follower
         self._own_clocks = own_clocks
         self._at_stamps = sampled_at_stamps
-        self._leading: deque[EvenSample[float]] = deque()
-        self._following: deque[EvenSample[float]] = deque()
-        self._last: list[EvenSample[float]] = []
+        self._leading: deque[NumberedSample[float]] = deque()
+        self._following: deque[NumberedSample[float]] = deque()
+        self._last: list[NumberedSample[float]] = []
         self.without_partner = 0
 
     def lead(self, stamp_ns: int, arrival_ns: int, value: float) -> None:
@@ -302,7 +302,7 @@ class ChannelJoin:
         times, values = self._table(self._following, base)
         if self._own_clocks:
             times += self.follower.clock.ahead_ns(base) - self.leader.clock.ahead_ns(base)
-        # The cubic needs two samples of the follower after a sample of the leader.
+        # The cubic needs two samples of the follower after the sample of the leader.
         ready = int(np.searchsorted(wanted, times[-2], side="right"))
         overdue = int(np.searchsorted(wanted, wanted[-1] - _PATIENCE * NANOSECONDS))
         count = max(ready, overdue)
@@ -339,11 +339,11 @@ class ChannelJoin:
 
     def _longest(self, channel: StampedChannel[float]) -> float:
         """Longest time [ns] between two neighbouring samples."""
-        # Two values sampled at their stamps may each be off by half a period.
+        # Each of two values sampled at their stamps may deviate by half a period.
         periods = 2.0 if self._at_stamps else 1.5 + _MARGIN
         return periods * channel.period * NANOSECONDS
 
-    def _table(self, samples: Iterable[EvenSample[float]], base: int) -> Array:
+    def _table(self, samples: Iterable[NumberedSample[float]], base: int) -> Array:
         """Times [ns] after ``base`` and values of the samples, shape (2, n)."""
         rows = [(s.stamp_ns if self._at_stamps else s.time_ns, s.value) for s in samples]
         return np.array([(time - base, value) for time, value in rows], dtype=np.float64).T
@@ -355,7 +355,7 @@ class ChannelJoin:
 def interpolated(
     times: Array, values: Array, wanted: Array, longest: float
 ) -> tuple[Array, np.ndarray]:
-    """Values (m,) at the ``wanted`` times, and a mask of the times between two neighbours.
+    """Values (m,) at the times ``wanted`` (m,), and a mask of the times between two neighbours.
 
     Neighbours are at most ``longest`` apart, and ``times`` (n,) ascend. The interpolation is cubic
     through the four surrounding samples if all of them are neighbours, and linear otherwise.

@@ -1,17 +1,17 @@
-"""Placing of arriving blocks on a uniform grid: the time policy that all consumers share.
+"""Places arriving blocks on a uniform grid, by the same rules for all consumers.
 
-The stamps of the data are the only clock. Sample ``index`` of the grid is the sample with that
-index in the count of the source. Its time is that of the clock estimated from the stamps
-(:class:`mr_damper_ros.signals.clocks.StampClock`), or the stamp itself if it does not jitter. Every
-interruption has a name and is handled in the same way everywhere:
+The stamps of the data are the only clock. A sample of the grid has the same index as in the count
+of the source. Its time is given by the clock estimated from the stamps
+(:class:`mr_damper_ros.signals.clocks.StampClock`), or by the stamp itself if it does not jitter.
+Every interruption has a name and is handled in the same way everywhere:
 
 - a *bridged* gap (few samples lost): interpolated from the samples on both sides, and marked;
 - a *gap* (more samples lost, the source paused or restarted): the windows and the motion restart;
 - a *jump back* (a bag that loops, a clock that was set): the windows and the motion restart;
-- a *repeat* (samples that came before, or that already count as lost): ignored;
+- a *repeat* (samples that were received before, or already count as lost): ignored;
 - a *changed period*: the windows and the motion restart.
 
-None of them changes what has been identified.
+None of them changes identified parameters.
 """
 
 from __future__ import annotations
@@ -28,23 +28,23 @@ from mr_damper_ros.signals.blocks import LATE_NS, NANOSECONDS, SampleBlock
 from mr_damper_ros.signals.clocks import StampClock
 
 _AROUND = 12
-"""Largest number of samples that determine the slope beside a gap; number of stored past samples,
-and of neighbours in the interpolation of a sample."""
+"""Largest number of samples that determine the slope at a gap. It is also the number of stored past
+samples, and of neighbours that interpolate a sample."""
 
 
 def on_a_cubic(before: Array, after: Array, count: int) -> Array:
     """``count`` values between the last of ``before`` (n,) and the first of ``after`` (m,).
 
-    The values lie on a cubic Hermite polynomial with the values and slopes at both ends. It is a
-    parabola if one end has fewer than three values, and a straight line if both have. Each slope is
-    that of a parabola fitted to the nearest samples. Over a twentieth of a cycle, the error of a
-    displacement is a tenth of that of a straight line.
+    They lie on the cubic Hermite polynomial that matches the values and slopes at both ends. If one
+    end has fewer than three values, it is a parabola; if both have, a straight line. Each slope is
+    the slope of a parabola fitted to the nearest samples. Over a twentieth of a cycle, the error of
+    a displacement is a tenth of the error of linear interpolation.
     """
     width = count + 1.0
     place = np.arange(1.0, width) / width
     rise = float(after[0] - before[-1])
     points = min(max(count + 2, 3), _AROUND)
-    # Slopes relative to that of the line, times the width of the gap.
+    # Slopes minus the slope of the straight line, times the width of the gap.
     start = width * _end_slope(before[-points:]) - rise
     end = -width * _end_slope(after[:points][::-1]) - rise
     if math.isnan(start):
@@ -55,13 +55,13 @@ def on_a_cubic(before: Array, after: Array, count: int) -> Array:
     return np.asarray(line + place * (1.0 - place) * (start * (1.0 - place) - end * place))
 
 
-def at_even_times(wanted: Array, places: Array, values: Array) -> Array:
+def at_uniform_times(wanted: Array, places: Array, values: Array) -> Array:
     """The last n of the ``values`` (m,), sampled at ``places`` (m,), moved to ``wanted`` (n,).
 
-    Each value moves to its new time parallel to the cubic that fits its neighbours best, and so
+    Each value moves to its new time parallel to the cubic that fits its neighbours best, so that it
     keeps its own noise. Linear interpolation would reduce the noise by an amount that depends on
-    the distance from the samples. A filter that recognises noise because it is white would then
-    interpret the remaining noise as motion.
+    the distance from the samples; it would no longer be white, and a filter that recognises noise
+    by its whiteness would interpret the remaining noise as motion.
     """
     width = min(_AROUND + 1, places.size)
     powers = np.arange(min(3, width - 1) + 1)
@@ -86,24 +86,24 @@ def _end_slope(values: Array) -> float:
 
 
 _DECIDED, _ENOUGH = 3.0, 30
-"""Standard errors by which the share must differ from one half for a decision, and the smallest
-number of samples."""
+"""Number of standard errors by which the share must differ from one half for a decision, and the
+smallest number of samples for it."""
 
 _FORGETTING = 0.9997
 """Forgetting factor per sample."""
 
 
-class UnevenSampling:
+class NonUniformSampling:
     """Decides whether the jitter of stamps comes from non-uniform sampling.
 
-    With non-uniform sampling, a sample differs from the mean of its neighbours by the velocity
-    times the difference between its stamp and the mean of theirs. If only the stamps jitter, it
-    does not. A least-squares fit gives the share of this difference: 1 for non-uniform sampling
-    and 0 for inaccurate stamps.
+    With non-uniform sampling, the displacement of a sample differs from the mean of its neighbours
+    by the velocity times the difference between its stamp and the mean stamp of its neighbours. If
+    only the stamps jitter, this difference is absent. A least-squares fit gives its share: 1 for
+    non-uniform sampling and 0 for inaccurate stamps.
     """
 
     def __init__(self) -> None:
-        # Delay and displacement of the last two samples, which are neighbours of the next ones.
+        # Delay and displacement of the last two samples, the neighbours of the next ones.
         self._tail = np.empty((2, 0))
         self._next = 0
         # Sums of the products and squares of both differences, and the number of samples.
@@ -113,8 +113,8 @@ class UnevenSampling:
     def learn(self, index: int, late: float, displacement: Array) -> None:
         """Add a block whose stamp is ``late`` [sample periods], negative for early.
 
-        ``index`` is that of its first sample. After a jump of the index, samples are not compared
-        across it.
+        ``index`` is the index of its first sample. Samples on both sides of a jump of the index are
+        not compared.
         """
         tail = self._tail if index == self._next else self._tail[:, :0]
         self._next = index + displacement.size
@@ -138,16 +138,16 @@ class UnevenSampling:
 
 
 _JITTER_NS, _JITTER = 5_000_000, 1.5
-"""Largest error of a stamp in [ns] or sample periods, whichever is more, while the sample count
-continues: computers assign stamps with a variable delay."""
+"""Largest error of a stamp while the sample count continues, the larger of a time [ns] and a number
+of sample periods. Computers assign stamps with a variable delay."""
 
 _EVEN = 0.02
-"""A stamp with an error of at most this fraction of a period is used unchanged. Others show whether
-the sampling is non-uniform."""
+"""A stamp with an error of at most this fraction of a period is used unchanged. Stamps with larger
+errors show whether the sampling is non-uniform."""
 
 _DELAY, _SLEW = 0.5, 0.01
-"""Delay of the grid with non-uniform sampling, in sample periods, so that it lies between samples
-that have arrived, and the change of this delay per sample, which avoids a step."""
+"""Delay of the grid with non-uniform sampling, in sample periods, so that its points lie between
+samples that have arrived; and the change of this delay per sample, which avoids a step."""
 
 
 @dataclass(frozen=True)
@@ -156,15 +156,15 @@ class GridSettings(CheckedSettings):
 
     stamps: str = option(
         "auto",
-        "Meaning of stamp jitter: 'clock', the sampling is uniform and the stamps are "
-        "inaccurate, as with a controller; 'sampling', each sample was taken at the time of "
-        "its stamp; 'auto' decides from the motion and starts as clock.",
+        "Meaning of stamp jitter. 'clock': the sampling is uniform and the stamps are "
+        "inaccurate, as with the controller of a machine; 'sampling': each sample was taken at the "
+        "time of its stamp; 'auto': decided from the motion, 'clock' at first.",
         choices=("auto", "clock", "sampling"),
     )
     longest_gap: float = option(
         0.05,
-        "Longest gap of lost samples that is interpolated [s]; after a longer gap the motion "
-        "is learnt again. 0: no gap is interpolated.",
+        "Longest gap of lost samples that is interpolated [s]; after a longer gap the estimate of "
+        "the motion restarts. 0: no gap is interpolated.",
         minimum=0.0,
         maximum=1.0,
     )
@@ -176,7 +176,7 @@ class Continuity:
 
     ``kind`` is "first", "next", "bridged", "gap", "jump_back", "repeat" or "changed_period".
     ``lost`` counts the samples missing before the block. ``sentence`` describes the interruption;
-    it is empty for the first three kinds.
+    it is empty for the kinds "first", "next" and "bridged".
     """
 
     kind: str
@@ -194,10 +194,10 @@ class Placed:
     """A block on the grid; its first ``bridged`` samples were not measured.
 
     ``arrived`` is the new part of the arriving block, with its original stamp. For a repeat,
-    ``arrived`` and ``block`` are the arriving block. ``stamp_ns`` is the time of the first measured
-    value: the stamp of ``arrived``, or another time if the values were moved on the time axis.
-    ``measured`` holds a measured force [N] for each sample, shape (n,), and the time from the
-    sample to this force in sample periods. It is None if the forces of the block are as measured.
+    ``arrived`` and ``block`` are both the arriving block. ``stamp_ns`` is the time of the first
+    measured value: the stamp of ``arrived``, unless the values were moved on the time axis. If so,
+    ``measured`` holds a measured force (n,) [N] for each sample, and the time (n,) from the sample
+    to this force in sample periods; otherwise it is None.
     """
 
     block: SampleBlock
@@ -210,7 +210,7 @@ class Placed:
 
 _NEXT = Continuity("next")
 _FIRST = Continuity("first")
-_REPEAT = Continuity("repeat", sentence="a block came twice or too late: it is ignored")
+_REPEAT = Continuity("repeat", sentence="a block arrived twice or too late: it is ignored")
 
 
 class UniformGrid:
@@ -220,9 +220,9 @@ class UniformGrid:
     ``hold_back`` [s]. Blocks in order never wait. A stream without jitter, gaps or repeats passes
     unchanged.
 
-    The attributes count, since the start, the lost samples, the bridged ones among them, the
-    samples that were repeated or too late, and the interruptions. ``last_interruption`` describes
-    the last interruption.
+    Attributes count, since the start, the lost samples, the bridged samples among them, the
+    repeated or late samples, and the interruptions. ``last_interruption`` describes the last
+    interruption.
     """
 
     def __init__(self, settings: GridSettings | None = None, hold_back: float = 0.0) -> None:
@@ -232,7 +232,7 @@ class UniformGrid:
         self.last: SampleBlock | None = None
         """The last block on the grid."""
         self._clock: StampClock | None = None
-        self._uneven = UnevenSampling()
+        self._sampling = NonUniformSampling()
         # The latest blocks and the delays of their stamps [sample periods].
         self._recent: deque[tuple[SampleBlock, float]] = deque()
         self._delay = 0.0
@@ -243,10 +243,10 @@ class UniformGrid:
         self.last_interruption = ""
 
     @property
-    def uneven(self) -> bool:
+    def non_uniform(self) -> bool:
         """Whether the sampling is non-uniform: each sample was taken at the time of its stamp."""
         if self._settings.stamps == "auto":
-            return self._uneven.found
+            return self._sampling.found
         return self._settings.stamps == "sampling"
 
     def follow(self, block: SampleBlock) -> list[Placed]:
@@ -254,7 +254,7 @@ class UniformGrid:
         verdict = self._judge(block)
         if self._hold_back == 0.0 or (not self._held and verdict.kind != "bridged"):
             return [self._place(block, verdict)]
-        # Waiting blocks belong to the time before a restart.
+        # Blocks still waiting belong to the time before the restart.
         placed = self.flush() if verdict.restarts else []
         self._held.append(block)
         self._held.sort(key=lambda held: held.sequence)
@@ -299,7 +299,7 @@ class UniformGrid:
             if missing < 0 and off_ns < abs(late_ns) < LATE_NS:
                 return _REPEAT
         if abs(late_ns) <= allowed_ns and missing != 0:
-            # The stamps continue but the count does not: the source was restarted.
+            # The stamps continue but the count does not, so the source was restarted.
             return Continuity(
                 "gap",
                 sentence="the sample count was set back or forward (was the source restarted?): "
@@ -309,8 +309,8 @@ class UniformGrid:
         if late > 0.0:
             lost = max(missing, 0)
             detail = (
-                f"{lost} samples were lost (by a busy computer or network, or left out by their "
-                "source?)"
+                f"{lost} samples were lost (is the computer or network overloaded, or did the "
+                "source omit them?)"
                 if lost
                 else f"the samples pause for {late:.3g} s"
             )
@@ -343,10 +343,10 @@ class UniformGrid:
             block = block.part(known)
         self._clock.learn(block.sequence, block.start_ns)
         late = (block.start_ns - self._clock.at(block.sequence)) / (block.period * NANOSECONDS)
-        if self._settings.stamps == "auto" and (abs(late) > _EVEN or self._uneven.found):
-            self._uneven.learn(block.sequence, late, block.displacement)
+        if self._settings.stamps == "auto" and (abs(late) > _EVEN or self._sampling.found):
+            self._sampling.learn(block.sequence, late, block.displacement)
         stamp_ns, measured, placed = block.start_ns, None, block
-        moves = self.uneven or self._delay > 0.0
+        moves = self.non_uniform or self._delay > 0.0
         if not moves:
             if abs(late) > _EVEN:
                 placed = replace(block, start_ns=self._clock.at(block.sequence))
@@ -370,7 +370,7 @@ class UniformGrid:
         assert self._clock is not None
         first = block.sequence - lost
         count = lost + block.sample_count
-        step = _SLEW if self.uneven else -_SLEW
+        step = _SLEW if self.non_uniform else -_SLEW
         delays = np.clip(self._delay + step * np.arange(1.0, count + 1.0), 0.0, _DELAY)
         self._delay = float(delays[-1])
         wanted = np.arange(count) - delays
@@ -379,20 +379,20 @@ class UniformGrid:
         displacement = np.concatenate([displacement, block.displacement])
         known = places.size - block.sample_count
         if lost:
-            # The lost samples lie between the past ones and the new ones, all on the grid.
+            # The lost samples are interpolated between the past and the new ones.
             earlier = wanted[0] - np.arange(known, 0.0, -1.0)
-            even = at_even_times(np.concatenate([earlier, wanted[lost:]]), places, displacement)
+            even = at_uniform_times(np.concatenate([earlier, wanted[lost:]]), places, displacement)
             bridge = on_a_cubic(even[:known], even[known:], lost)
             displacement = np.concatenate([bridge, even[known:]])
         else:
-            displacement = at_even_times(wanted, places, displacement)
+            displacement = at_uniform_times(wanted, places, displacement)
         placed = replace(
             block,
             start_ns=self._clock.at(first) - round(float(delays[0]) * block.period * NANOSECONDS),
             sequence=first,
             displacement=displacement,
-            # Samples whose stamps are not in order keep their order. The force has sharp reversals,
-            # which leave no advantage to a cubic.
+            # Samples keep their order even if their stamps do not. The force has sharp reversals,
+            # where a cubic has no advantage.
             force=np.interp(
                 wanted, np.maximum.accumulate(places), np.concatenate([force, block.force])
             ),

@@ -127,7 +127,7 @@ class Lead:
         return math.copysign(math.inf, gain) if gain else 0.0
 
 
-def held_back_samples(count: int, fresh: int | None = None) -> np.ndarray:
+def validation_mask(count: int, fresh: int | None = None) -> np.ndarray:
     """Mask (n,) of the validation samples: chunks spread over the ``fresh`` samples.
 
     ``fresh`` is the number of samples at the end that the running set was not fitted to. If there
@@ -136,23 +136,23 @@ def held_back_samples(count: int, fresh: int | None = None) -> np.ndarray:
     """
     judged = count if fresh is None or not CHUNKS <= fresh < count else fresh
     chunk = np.arange(judged) * CHUNKS // max(judged, 1)
-    held_back = np.zeros(count, dtype=bool)
-    held_back[count - judged :] = chunk % _VALIDATION_EVERY == _VALIDATION_EVERY - 1
-    return held_back
+    validation = np.zeros(count, dtype=bool)
+    validation[count - judged :] = chunk % _VALIDATION_EVERY == _VALIDATION_EVERY - 1
+    return validation
 
 
 def evidence_of(
     running: ParameterSet,
     found: ParameterSet,
     window: Window,
-    held_back: np.ndarray,
+    validation: np.ndarray,
     *,
     fresh: int,
     elsewhere: Sequence[Window] = (),
 ) -> Evidence:
     """Compare the set ``found`` with the running set on the validation samples of a window.
 
-    ``held_back`` is the mask (n,) of the validation samples; ``found`` was fitted to the others.
+    ``validation`` is the mask (n,) of the validation samples; ``found`` was fitted to the others.
     If the running set was identified on this damper, the lead counts only samples that neither set
     was fitted to; ``fresh`` is their number. ``elsewhere`` holds windows at other recent operating
     points.
@@ -165,7 +165,7 @@ def evidence_of(
     if not np.isfinite(old).all():
         # The running set cannot predict this window, so any finite force is better.
         old = np.full(old.size, math.inf)
-    judged = held_back & settled
+    judged = validation & settled
     before, after = (
         float(np.sqrt(np.mean((force - window.force)[judged] ** 2))) for force in (old, new)
     )

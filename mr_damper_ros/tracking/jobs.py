@@ -40,8 +40,8 @@ from mr_damper_ros.tracking.acceptance import (
     Verdict,
     evidence_of,
     fault_of_data,
-    held_back_samples,
     rival_wins,
+    validation_mask,
 )
 from mr_damper_ros.tracking.cusum import ChangeWatch, change_point, fit_scale
 from mr_damper_ros.tracking.force_scale import force_scale, with_gain
@@ -321,12 +321,12 @@ def _followed(job: Job, window: Window) -> Outcome | None:
     follower = RecursiveFilter(
         state, problem, raw.end_ns, drift_rate=options.drift_rate, robust=options.robust
     )
-    held_back = held_back_samples(new.sample_count, job.fresh)
-    follower.take_in(~held_back)
-    evidence = _evidence(job, new, follower.as_fit(problem).parameters, held_back)
+    validation = validation_mask(new.sample_count, job.fresh)
+    follower.take_in(~validation)
+    evidence = _evidence(job, new, follower.as_fit(problem).parameters, validation)
     if evidence.rmse_after > _DIVERGED * follower.noise_level:
         return None
-    follower.take_in(held_back)
+    follower.take_in(validation)
     fit = follower.as_fit(WindowProblem(job.running.law, window, job.running.values))
     return _outcome(job, window, fit, evidence, follower.state)
 
@@ -385,20 +385,20 @@ class FitOptions(CheckedSettings):
 def _fitted(job: Job, window: Window, should_stop: Callable[[], bool] | None) -> Outcome:
     """Fit a window, first without its validation samples and then to all samples."""
     model, options = job.running.law, job.options
-    held_back = held_back_samples(window.sample_count, job.fresh)
+    validation = validation_mask(window.sample_count, job.fresh)
     start = job.running.values
     _, fastest = job.running.peak_velocity_range
     prior = WindowPrior(start, fastest) if job.known else None
     trained = fit_window(
         model,
-        window.part(~held_back),
+        window.part(~validation),
         start,
         method=options.method,
         robust=options.robust,
         prior=prior,
         should_stop=should_stop,
     )
-    evidence = _evidence(job, window, trained.parameters, held_back)
+    evidence = _evidence(job, window, trained.parameters, validation)
     # The published set uses all samples; the validation samples only serve the acceptance test.
     final = fit_window(
         model,
@@ -420,10 +420,10 @@ def _fitted(job: Job, window: Window, should_stop: Callable[[], bool] | None) ->
     return _outcome(job, window, final, evidence, state)
 
 
-def _evidence(job: Job, window: Window, values: Array, held_back: np.ndarray) -> Evidence:
+def _evidence(job: Job, window: Window, values: Array, validation: np.ndarray) -> Evidence:
     found = candidate(job.running, values, window)
     return evidence_of(
-        job.running, found, window, held_back, fresh=job.fresh, elsewhere=job.windows
+        job.running, found, window, validation, fresh=job.fresh, elsewhere=job.windows
     )
 
 
@@ -549,17 +549,17 @@ def _look(job: Job, window: Window) -> Outcome:
     changed, predicted = held.part(since), predicted[since]
     lasting = model.lasting_force(changed, job.running.values)
     own, measured = predicted - lasting, changed.force - lasting
-    held_back = held_back_samples(count)
-    trained = fit_scale(own[~held_back], measured[~held_back]).factor
+    validation = validation_mask(count)
+    trained = fit_scale(own[~validation], measured[~validation]).factor
     spread = float(np.std(window.force))
     before, after = (
-        float(np.sqrt(np.mean((factor * own - measured)[held_back] ** 2)))
+        float(np.sqrt(np.mean((factor * own - measured)[validation] ** 2)))
         for factor in (1.0, trained)
     )
     # The lead accounts for the autocorrelation of the model error, which in so few samples
     # resembles a change.
     noise = NoiseModel.of(trained * own - measured)
-    lead = Lead.together([Lead.of(own, trained * own, measured, held_back, noise)])
+    lead = Lead.together([Lead.of(own, trained * own, measured, validation, noise)])
     scale = fit_scale(own, measured)
     if not scale.factor > 0.0 or np.ptp(changed.force) == 0.0:
         return Outcome(watch=watch)  # only a failed sensor gives such a force
@@ -590,8 +590,8 @@ def _look(job: Job, window: Window) -> Outcome:
 def _search(job: Job, control: Control | None) -> Outcome:
     """Identify globally; a quarter of each window's samples is validation data."""
     start = job.running
-    held_back = [held_back_samples(window.sample_count) for window in job.windows]
-    pairs = list(zip(job.windows, held_back, strict=True))
+    validation = [validation_mask(window.sample_count) for window in job.windows]
+    pairs = list(zip(job.windows, validation, strict=True))
     fit = identify_global(
         start.law,
         [window.part(~judges) for window, judges in pairs],

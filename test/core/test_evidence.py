@@ -18,9 +18,9 @@ from mr_damper_ros.signals.arrays import Array
 from mr_damper_ros.tracking.acceptance import (
     Lead,
     evidence_of,
-    held_back_samples,
     rival_wins,
     turns_gradually,
+    validation_mask,
 )
 
 N = 1000
@@ -40,7 +40,7 @@ def lead(memory: float, seed: int, ahead: float) -> float:
     loop = np.sin(np.arange(N) / 80.0)
     old, new = 100.0 * loop, 100.1 * loop
     measured = 0.5 * (old + new) + ahead * (new - old) + noise(memory, seed)
-    judges = held_back_samples(N)
+    judges = validation_mask(N)
     return Lead.together([Lead.of(old, new, measured, judges, NoiseModel.of(measured - new))])
 
 
@@ -61,19 +61,19 @@ def test_without_noise_the_better_force_is_infinitely_ahead() -> None:
 
 @pytest.mark.parametrize("seen", [0, 300, 960])
 def test_nothing_is_held_back_of_what_was_seen(seen: int) -> None:
-    held_back = held_back_samples(N, N - seen)
-    assert not held_back[:seen].any()
+    validation = validation_mask(N, N - seen)
+    assert not validation[:seen].any()
     # Samples: a chunk is as many long, but for one more or less, and every fourth is held back.
-    assert held_back.sum() == pytest.approx((N - seen) / 4, abs=10)
+    assert validation.sum() == pytest.approx((N - seen) / 4, abs=10)
 
 
 def test_the_running_set_is_judged_by_the_force_that_it_predicts() -> None:
     run = known.run()
     narrow = ParameterSet(known.PLAUSIBLE, peak_velocity_range=(0.0, 0.5 * run.top_speed))
-    held_back = held_back_samples(run.force.size)
+    validation = validation_mask(run.force.size)
     found = ParameterSet(known.PLAUSIBLE)
-    evidence = evidence_of(narrow, found, run.window, held_back, fresh=run.force.size)
-    left = known.rms((narrow.window_force(run.window) - run.force)[held_back]) / np.std(run.force)
+    evidence = evidence_of(narrow, found, run.window, validation, fresh=run.force.size)
+    left = known.rms((narrow.window_force(run.window) - run.force)[validation]) / np.std(run.force)
     assert evidence.nrmse_before == pytest.approx(left)
     assert left > 2.0 * evidence.nrmse_after
 
@@ -88,7 +88,7 @@ def test_a_force_that_does_not_jump_is_judged_as_it_is_predicted() -> None:
     for force in forces:
         measured = replace(window, force=force)
         assert turns_gradually(found, measured) == (force is forces[1])
-        evidence = evidence_of(found, found, measured, held_back_samples(N), fresh=N)
+        evidence = evidence_of(found, found, measured, validation_mask(N), fresh=N)
         assert evidence.nrmse_before == pytest.approx(0.0, abs=1e-9)
 
 
@@ -98,8 +98,10 @@ def loss_of(values: Array) -> float:
     running = ParameterSet(known.PLAUSIBLE, observable=np.ones(16, dtype=bool))
     elsewhere = (known.run(current=1.4, seed=1).window,)
     found, count = ParameterSet(values), run.force.size
-    held_back = held_back_samples(count)
-    return evidence_of(running, found, run.window, held_back, fresh=count, elsewhere=elsewhere).loss
+    validation = validation_mask(count)
+    return evidence_of(
+        running, found, run.window, validation, fresh=count, elsewhere=elsewhere
+    ).loss
 
 
 def test_a_set_that_is_right_here_alone_loses_elsewhere() -> None:

@@ -83,7 +83,7 @@ def test_a_part_sees_the_lag_of_the_whole(frequency):
 def test_a_window_without_its_period_cannot_have_a_lag():
     whole = window()
     lone = Window(whole.motion, whole.force, whole.current)
-    with pytest.raises(ValueError, match="the sample period of the window is not known"):
+    with pytest.raises(ValueError, match="the sample period of the window is unknown"):
         fit_window(EXTENDED, lone, TRUTH)
 
 

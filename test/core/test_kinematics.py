@@ -130,7 +130,7 @@ def test_another_motion_is_no_sine(motion: object, noise: float, cycles: float) 
 @pytest.mark.parametrize(
     ("u", "period", "sentence"),
     [
-        (np.arange(15.0), PERIOD, "at least 16 samples of displacement (got 15)"),
+        (np.arange(15.0), PERIOD, "at least 16 samples of displacement, but has 15"),
         (np.zeros((4, 8)), PERIOD, "at least 16 samples"),
         (np.arange(20.0), 0.0, "the sample period is 0.0 s: it must be positive"),
         (np.arange(20.0), math.nan, "the sample period is nan s: it must be positive"),

@@ -66,12 +66,12 @@ def test_a_swept_sine_goes_from_the_lowest_frequency_to_the_highest_and_back() -
     [
         ((MotionKind.SINE, math.nan, 1.0), "amplitude is nan"),
         ((MotionKind.SINE, 0.01, 0.0), "frequency is 0"),
-        ((MotionKind.SWEEP, 0.01, 2.0, 1.0, 4.0), "must be above"),
+        ((MotionKind.SWEEP, 0.01, 2.0, 1.0, 4.0), "must be higher"),
         ((MotionKind.SWEEP, 0.01, 1.0, 1.5, 0.5), "too short"),
         ((MotionKind.RANDOM, 0.01, 1.0, 2.0, 1.0), "too short"),
-        ((MotionKind.RANDOM, 0.01, 1.0, 1e9, 1e9), "too many parts"),
-        ((MotionKind.RANDOM, 0.01, 1e-9, 3000.0, 1.0), "too many parts"),
-        ((MotionKind.SWEEP, 0.01, 1.0, 1e308, 1e308), "too many parts"),
+        ((MotionKind.RANDOM, 0.01, 1.0, 1e9, 1e9), "too many cycles"),
+        ((MotionKind.RANDOM, 0.01, 1e-9, 3000.0, 1.0), "too many cycles"),
+        ((MotionKind.SWEEP, 0.01, 1.0, 1e308, 1e308), "too many cycles"),
         ((MotionKind.RANDOM, 0.01, 1.0, 9.0, 1.0, -1), "seed is -1"),
     ],
 )

@@ -12,7 +12,7 @@ from mr_damper_ros.control.semi_active import SuspensionSettings, controller_of
 from mr_damper_ros.emulation.commanded_rig import commanded
 from mr_damper_ros.emulation.emulator import EmulatedDamper, RigSettings, SupplySetpoint
 from mr_damper_ros.emulation.plant_rig import HOT_FORCE, PlantRig, invented_damper
-from mr_damper_ros.signals.blocks import Moment
+from mr_damper_ros.signals.blocks import SuspensionState
 from studies.control.shear_building import BUILDINGS, STOREYS, StateEstimator
 
 CAR = QuarterCar()
@@ -74,18 +74,20 @@ def test_an_estimator_finds_the_states() -> None:
     "name", ["passive", "skyhook", "groundhook", "hybrid", "add", "sh_add", "optimal"]
 )
 def test_every_controller_has_a_name(name: str) -> None:
-    force = controller_of(SuspensionSettings(controller=name))(Moment(0.3, -0.2, 1.0, 0.01, 0.001))
+    force = controller_of(SuspensionSettings(controller=name))(
+        SuspensionState(0.3, -0.2, 1.0, 0.01, 0.001)
+    )
     assert math.isfinite(force)
 
 
-def stiff_floor(now: Moment) -> float:
+def stiff_floor(now: SuspensionState) -> float:
     """Somebody's own controller."""
-    return 1000.0 * now.apart
+    return 1000.0 * now.stroke
 
 
 def test_a_controller_of_ones_own_is_one_function() -> None:
     mine = controller_of(SuspensionSettings(function=f"{__name__}:stiff_floor"))
-    assert mine(Moment(0.0, 0.0, apart=0.2)) == pytest.approx(200.0)
+    assert mine(SuspensionState(0.0, 0.0, stroke=0.2)) == pytest.approx(200.0)
 
 
 @pytest.mark.parametrize(

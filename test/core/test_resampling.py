@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from mr_damper_ros.signals.arrays import white_noise
-from mr_damper_ros.signals.uniform_grid import at_even_times
+from mr_damper_ros.signals.uniform_grid import at_uniform_times
 
 
 def uneven(count: int, seed: int) -> np.ndarray:
@@ -23,7 +23,7 @@ def uneven(count: int, seed: int) -> np.ndarray:
 def test_a_cubic_is_found_at_even_times(seed: int, cubic: list[float], count: int) -> None:
     places = uneven(count, seed)
     wanted = np.arange(count) - 0.5
-    found = at_even_times(wanted, places, np.polyval(cubic, places))
+    found = at_uniform_times(wanted, places, np.polyval(cubic, places))
     # Of values of the order of the cubes of the places.
     np.testing.assert_allclose(found, np.polyval(cubic, wanted), atol=1e-6 * count**3)
 
@@ -32,7 +32,7 @@ def test_white_noise_stays_white() -> None:
     # A smoother finds its length from the noise, which it knows by its being white.
     count = 4000
     noise = np.random.default_rng(1).standard_normal(count)
-    brought = at_even_times(np.arange(count) - 0.5, uneven(count, seed=2), noise)
+    brought = at_uniform_times(np.arange(count) - 0.5, uneven(count, seed=2), noise)
     # Part by which the white noise of a few thousand samples may seem to change.
     assert white_noise(brought) == pytest.approx(white_noise(noise), rel=0.1)
 
@@ -40,4 +40,4 @@ def test_white_noise_stays_white() -> None:
 @pytest.mark.parametrize("places", [[0.0], [0.0, 1.0], [2.0] * 20])
 def test_few_samples_or_such_of_one_stamp_have_a_finite_value(places: list[float]) -> None:
     at = np.array(places)
-    assert np.isfinite(at_even_times(np.array([0.5]), at, at)).all()
+    assert np.isfinite(at_uniform_times(np.array([0.5]), at, at)).all()

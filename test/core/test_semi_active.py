@@ -9,7 +9,7 @@ from scipy.integrate import solve_ivp
 from mr_damper_ros.control.linear_plant import Bump, IsoRoad, MovingPlant, QuarterCar
 from mr_damper_ros.control.semi_active import (
     Controller,
-    Moment,
+    SuspensionState,
     Weights,
     acceleration_driven,
     hybrid,
@@ -27,8 +27,8 @@ SOFT, HARD = 300.0, 3900.0
 """Damping [N s/m] that an ideal semi-active damper can have."""
 
 
-def moment(state: Array, acceleration: float) -> Moment:
-    return Moment(state[1], state[3], acceleration, state[0], state[2])
+def suspension_state(state: Array, acceleration: float) -> SuspensionState:
+    return SuspensionState(state[1], state[3], acceleration, state[0], state[2])
 
 
 def driven(controller: Controller, road: Array) -> tuple[float, float]:
@@ -42,7 +42,7 @@ def driven(controller: Controller, road: Array) -> tuple[float, float]:
         tyre.append(CAR.tyre * state[2])
         extension = state[1] - state[3]
         low, high = sorted((SOFT * extension, HARD * extension))
-        force = min(max(controller(moment(state, body[-1])), low), high)
+        force = min(max(controller(suspension_state(state, body[-1])), low), high)
     return float(np.sqrt(np.mean(np.square(body)))), float(np.sqrt(np.mean(np.square(tyre))))
 
 
@@ -74,8 +74,8 @@ def test_a_controller_for_comfort_beats_the_soft_and_the_hard_damper(
 
 def test_add_is_hard_where_that_slows_the_acceleration() -> None:
     controller = acceleration_driven(SOFT, HARD)
-    assert controller(Moment(0.2, 0.1, 3.0)) == pytest.approx(0.1 * HARD)
-    assert controller(Moment(0.2, 0.1, -3.0)) == pytest.approx(0.1 * SOFT)
+    assert controller(SuspensionState(0.2, 0.1, 3.0)) == pytest.approx(0.1 * HARD)
+    assert controller(SuspensionState(0.2, 0.1, -3.0)) == pytest.approx(0.1 * SOFT)
     assert driven(controller, ROAD)[0] < driven(passive(HARD), ROAD)[0]
 
 

@@ -133,7 +133,7 @@ def test_stamps_that_were_read_unevenly_are_smoothed_and_the_samples_stay() -> N
     blocks = stream([1] * 3000, jittered(3000))
     grid = UniformGrid()
     placed = placed_in(grid, blocks)
-    assert not grid.uneven
+    assert not grid.non_uniform
     assert {p.continuity.kind for p in placed} == {"first", "next"}
     np.testing.assert_array_equal(
         joined(placed), joined(placed_in(UniformGrid(), stream([1] * 3000)))
@@ -149,7 +149,7 @@ def test_samples_that_were_taken_unevenly_are_brought_onto_the_grid(size: int) -
     blocks = stream([size] * 4000, late, sampled=True)
     grid = UniformGrid()
     placed = placed_in(grid, blocks)
-    assert grid.uneven
+    assert grid.non_uniform
     settled = placed[2000:]
     times = np.concatenate(
         [
@@ -169,4 +169,4 @@ def test_that_samples_were_taken_unevenly_is_seen_though_some_are_lost() -> None
     blocks = stream([1] * 400, late, sampled=True)
     grid = UniformGrid()
     placed_in(grid, [block for k, block in enumerate(blocks) if k % 20])
-    assert grid.uneven
+    assert grid.non_uniform

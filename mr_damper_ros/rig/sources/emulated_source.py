@@ -40,7 +40,7 @@ from mr_damper_ros.rig.commander import (
 )
 from mr_damper_ros.rig.sources.source import Source, StreamSettings
 from mr_damper_ros.settings.option_table import ParameterTable, option, with_default
-from mr_damper_ros.signals.blocks import Moment, RigBlock
+from mr_damper_ros.signals.blocks import RigBlock, SuspensionState
 
 MOST_CURRENT = 10.0
 """Largest magnitude of the current [A] of an emulated supply."""
@@ -402,13 +402,13 @@ class QuarterCarSource(_EmulatedSupply):
             supply.set(taken / given.sample_rate, self.commander.step(time.monotonic()))
             made = rig.next_block(self.stream.block_size)
             taken += self.stream.block_size
-            yield replace(made, suspension=moment_of(rig))
+            yield replace(made, suspension=suspension_state_of(rig))
 
 
-def moment_of(rig: PlantRig) -> Moment:
+def suspension_state_of(rig: PlantRig) -> SuspensionState:
     """The present suspension state of a car, as input of the suspension controllers."""
-    apart, body, tyre, wheel = rig.plant.state.tolist()
-    return Moment(body, wheel, float(rig.plant.rates[1]), apart, tyre)
+    stroke, body, tyre, wheel = rig.plant.state.tolist()
+    return SuspensionState(body, wheel, float(rig.plant.rates[1]), stroke, tyre)
 
 
 def _road(given: QuarterCarOptions) -> Surroundings:
