@@ -36,7 +36,7 @@ from mr_damper_ros.emulation.motions import Excitation, SineMotion
 from mr_damper_ros.emulation.plant_rig import HIGHEST_CURRENT, HOT_FORCE, PlantRig, invented_damper
 from mr_damper_ros.models.parameter_set import ParameterSet
 from mr_damper_ros.models.published import THESIS_28_CELSIUS
-from mr_damper_ros.rig.sources.emulated_source import moment_of
+from mr_damper_ros.rig.sources.emulated_source import suspension_state_of
 from mr_damper_ros.signals.arrays import Array
 from mr_damper_ros.signals.blocks import RigBlock
 from mr_damper_ros.signals.recording import Recording
@@ -100,7 +100,9 @@ def driven(road: str, seed: int, duration: float = DRIVEN, *, given: bool = True
         substeps=2,
     )
     wanted = controller_of(SuspensionSettings())
-    choice = chosen(lambda _: wanted(moment_of(rig)), known, Engine(start=known if given else None))
+    choice = chosen(
+        lambda _: wanted(suspension_state_of(rig)), known, Engine(start=known if given else None)
+    )
     rows: list[list[Array]] = []
     commands = []
     for measured, _, _ in commanded(rig, supply, choice, BLOCK, duration):

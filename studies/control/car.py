@@ -38,7 +38,7 @@ from mr_damper_ros.kinematics.motion import Motion
 from mr_damper_ros.models.parameter_set import ParameterSet
 from mr_damper_ros.report import document
 from mr_damper_ros.report.document import GREY, INK, MARKS, Chapter, Picture, Table, Text, panels
-from mr_damper_ros.rig.sources.emulated_source import moment_of
+from mr_damper_ros.rig.sources.emulated_source import suspension_state_of
 from mr_damper_ros.tracking.engine import Engine
 from studies.drawing import bars, draw_rows, heads, line, name_rows
 from studies.program import Campaign, Part
@@ -123,7 +123,9 @@ def force_choice(
 ) -> ForceChoice:
     """The nodes `suspension` and `controller` in one object, with an engine that identifies."""
     settings = ForceControlSettings(highest_current=HIGHEST_CURRENT)
-    choice = ForceChoice(ForceController(settings), lambda _: controller(moment_of(rig)), engine)
+    choice = ForceChoice(
+        ForceController(settings), lambda _: controller(suspension_state_of(rig)), engine
+    )
     choice.controller.predictor.set_parameters(known)
     return choice
 
