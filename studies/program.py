@@ -212,10 +212,9 @@ class Study:
         began = time.monotonic()
         given = vars(options)
         chances = {name: given[name] for name in ("runs", "seed") if name in given}
-        campaign = Campaign(options.output, options.workers, options.quick, say=_say, **chances)
+        campaign = Campaign(options.output, options.workers, options.quick, say=say, **chances)
         page = self._write(campaign, options.only)
-        if sys.stderr.isatty():
-            sys.stderr.write("\r\033[K")
+        say("")
         print(f"{page} written in {time.monotonic() - began:.0f} s")
         return 0
 
@@ -244,7 +243,13 @@ class Study:
         return page
 
 
-def _say(text: str) -> None:
-    """Progress display: a single updated line on a terminal, separate lines elsewhere."""
-    sys.stderr.write(f"\r{text}\033[K" if sys.stderr.isatty() else f"{text}\n")
+def say(text: str) -> None:
+    """Progress display: a single updated line on a terminal, separate lines elsewhere.
+
+    An empty text clears the line.
+    """
+    if sys.stderr.isatty():
+        sys.stderr.write(f"\r{text}\033[K")
+    elif text:
+        sys.stderr.write(f"{text}\n")
     sys.stderr.flush()

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import sys
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -11,6 +10,7 @@ from mr_damper_ros.io.bag_files import BagError
 from mr_damper_ros.io.bag_writer import write_bag
 from mr_damper_ros.models.published import CONDITIONS, ERRATA, Condition, find, is_clean
 from mr_damper_ros.tools.console import run_tool
+from studies.program import say
 from studies.thesis.published_runs import recording_name, synthesise
 
 
@@ -50,48 +50,38 @@ def _parser() -> argparse.ArgumentParser:
 
 
 def _chosen(options: argparse.Namespace) -> list[Condition]:
-    conditions = (
-        list(CONDITIONS)
-        if options.conditions is None
-        else list(dict.fromkeys(find(name) for name in options.conditions))
-    )
-    if options.errata:
-        return conditions
-    if options.conditions is not None:
-        for condition in conditions:
-            if not is_clean(condition):
-                raise ValueError(
-                    f"{condition.name} is an erratum ({ERRATA[condition]}): "
-                    "add --errata to make it all the same"
-                )
-    return [condition for condition in conditions if is_clean(condition)]
+    if options.conditions is None:
+        return [c for c in CONDITIONS if options.errata or is_clean(c)]
+    conditions = list(dict.fromkeys(find(name) for name in options.conditions))
+    for condition in conditions:
+        if not (options.errata or is_clean(condition)):
+            raise ValueError(
+                f"{condition.name} is an erratum ({ERRATA[condition]}): "
+                "add --errata to make it all the same"
+            )
+    return conditions
 
 
 def _make(options: argparse.Namespace) -> int:
     if options.seed < 0:
         raise ValueError(f"the seed is {options.seed}: it must not be negative")
-    chosen = _chosen(options)
-    paths = [options.folder / recording_name(condition) for condition in chosen]
+    paths = {
+        options.folder / recording_name(condition): condition for condition in _chosen(options)
+    }
     existing = [path for path in paths if path.exists()]
     if existing and not options.overwrite:
         raise BagError(
             f"{existing[0]} exists already: choose another folder or add --overwrite to replace it"
         )
-    show = sys.stderr.isatty()
-    for number, (condition, path) in enumerate(zip(chosen, paths, strict=True), start=1):
-        if show:
-            sys.stderr.write(f"\r{number} of {len(chosen)}: {path.name}\033[K")
-            sys.stderr.flush()
+    for number, (path, condition) in enumerate(paths.items(), start=1):
+        say(f"{number} of {len(paths)}: {path.name}")
         write_bag(path, synthesise(condition, seed=options.seed), overwrite=options.overwrite)
-    if show:
-        sys.stderr.write("\r\033[K")
+    say("")
     print(
-        f"{len(chosen)} {'bag' if len(chosen) == 1 else 'bags'} in {options.folder}, "
+        f"{len(paths)} {'bag' if len(paths) == 1 else 'bags'} in {options.folder}, "
         "re-synthesised from the published parameter sets; not the original recordings"
     )
-    marked = [
-        path.name for condition, path in zip(chosen, paths, strict=True) if condition in ERRATA
-    ]
+    marked = [path.name for path, condition in paths.items() if condition in ERRATA]
     if marked:
         print(f"errata, not to be compared with other conditions: {', '.join(marked)}")
     return 0

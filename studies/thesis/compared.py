@@ -4,33 +4,11 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 from mr_damper_ros.report.document import Table
 
-
-@dataclass(frozen=True)
-class Compared:
-    """Our value and that of the thesis (its wording, or None if the thesis states no value).
-
-    ``relative`` is False if the true value is zero, where a relative difference is meaningless.
-    """
-
-    quantity: str
-    unit: str
-    ours: float
-    thesis: float | str | None
-    where: str
-    relative: bool = True
-
-    @property
-    def difference(self) -> float | None:
-        """(ours - thesis) / |thesis|."""
-        if self.thesis is None or isinstance(self.thesis, str) or self.thesis == 0.0:
-            return None
-        if not self.relative or not math.isfinite(self.ours):
-            return None
-        return (self.ours - self.thesis) / abs(self.thesis)
+Compared = tuple[str, str, float, float | str | None, str]
+"""Quantity, unit, our value, that of the thesis (its wording; None if not stated), and where."""
 
 
 def percent(difference: float) -> str:
@@ -39,18 +17,19 @@ def percent(difference: float) -> str:
     return "0.0 %" if rounded == 0.0 else f"{rounded:+.1f} %".replace("-", "−")
 
 
-def comparison(name: str, caption: str, values: Sequence[Compared]) -> Table:
-    """Table of our values, those of the thesis and the relative difference."""
-    rows = [
-        (
-            v.quantity,
-            v.unit,
-            v.ours,
-            "not stated" if v.thesis is None else v.thesis,
-            "" if v.difference is None else percent(v.difference),
-            v.where,
-        )
-        for v in values
-    ]
+def comparison(
+    name: str, caption: str, values: Sequence[Compared], zeros: Sequence[str] = ()
+) -> Table:
+    """Table of our values, those of the thesis and the relative difference.
+
+    ``zeros`` are quantities whose true value is zero, where that difference is meaningless.
+    """
+    rows = []
+    for quantity, unit, ours, thesis, where in values:
+        difference = ""
+        if isinstance(thesis, float) and thesis and quantity not in zeros and math.isfinite(ours):
+            difference = percent((ours - thesis) / abs(thesis))
+        stated = "not stated" if thesis is None else thesis
+        rows.append((quantity, unit, ours, stated, difference, where))
     columns = ("Quantity", "Unit", "Ours", "Thesis", "Difference", "In the thesis")
     return Table(name, caption, columns, rows)

@@ -5,6 +5,7 @@ Thesis tables 17-40, figures 60-90.
 
 from __future__ import annotations
 
+from itertools import product
 from typing import Any
 
 import numpy as np
@@ -20,18 +21,8 @@ from mr_damper_ros.models.published import (
     parameters,
 )
 from mr_damper_ros.models.sigmoid.law import PARAMETER_NAMES
-from mr_damper_ros.report.document import (
-    DASHES,
-    INK,
-    Block,
-    Picture,
-    Table,
-    Text,
-    legend_above,
-    panels,
-    to_error,
-    with_error,
-)
+from mr_damper_ros.report import document
+from mr_damper_ros.report.document import DASHES, INK, Block, Picture, Table, Text, panels
 from mr_damper_ros.signals.arrays import Array
 from studies.drawing import heads, name_axes
 from studies.program import Campaign
@@ -148,17 +139,14 @@ def _overview(data: dict[str, Any]) -> Table:
     rows = []
     for name, run in data["runs"].items():
         nelder, evolved = (run["published"][method] for method in PUBLISHED_METHODS)
+        marks = [_mark(data, name, method) for method in PUBLISHED_METHODS]
         rows.append(
             (
-                title(name) + _mark(data, name, PUBLISHED_METHODS[0]),
-                run["maximum"],
-                nelder["maximum"],
-                run["minimum"],
-                nelder["minimum"],
+                title(name) + marks[0],
+                *(each[end] for end in ("maximum", "minimum") for each in (run, nelder)),
                 100.0 * nelder["difference"],
-                f"{100.0 * evolved['difference']:.2f}{_mark(data, name, PUBLISHED_METHODS[1])}",
-                run["rmse"],
-                100.0 * run["nrmse"],
+                f"{100.0 * evolved['difference']:.2f}{marks[1]}",
+                *(run["rmse"], 100.0 * run["nrmse"]),
             )
         )
     return Table(
@@ -180,12 +168,12 @@ def _coefficients(data: dict[str, Any]) -> Table:
             continue
         run = data["runs"][condition.name]
         ours, errors = (_SCALES * np.array(run[key]) for key in ("coefficients", "errors"))
-        rows.append((title(condition.name), "ours", *map(with_error, ours, errors)))
+        rows.append((title(condition.name), "ours", *map(document.with_error, ours, errors)))
         for method in PUBLISHED_METHODS:
             theirs = _SCALES * published_coefficients(condition, method)
             mark = _mark(data, condition.name, method)
             label = METHOD_TITLES[method] + mark
-            rows.append((title(condition.name), label, *map(to_error, theirs, errors)))
+            rows.append((title(condition.name), label, *map(document.to_error, theirs, errors)))
     heads = (f"{name} [{unit}]" for name, unit in COEFFICIENT_UNITS.items())
     return Table(
         "coefficients",
@@ -247,52 +235,41 @@ def _published(data: dict[str, Any]) -> Table:
     )
 
 
+_STYLES = {
+    METHOD_TITLES["nelder_mead"]: (DASHES[0], INK[0], 1.8),
+    METHOD_TITLES["differential_evolution"]: (DASHES[1], INK[1], 1.2),
+    "ours": (DASHES[2], "0.75", None),
+}
+
+
 def _loops(data: dict[str, Any], current: float, against: str) -> Picture:
-    conditions = [c for c in CONDITIONS if c.current == current]
-    amplitudes = sorted({c.amplitude for c in CONDITIONS})
-    frequencies = sorted({c.frequency for c in CONDITIONS})
     figure, axes = panels(3, 3, 6.8, 6.0, sharey=True)
     scale, label = (1.0, "Velocity [m/s]") if against == "velocity" else (1e3, "Displacement [mm]")
-    for i, amplitude in enumerate(amplitudes):
-        for j, frequency in enumerate(frequencies):
-            a = axes[i, j]
-            matches = [
-                c for c in conditions if (c.amplitude, c.frequency) == (amplitude, frequency)
-            ]
-            a.set_title(f"{1e3 * amplitude:.1f} mm, {frequency:g} Hz")
-            if not matches or f"{matches[0].name} {PUBLISHED_METHODS[0]}" in data["errata"]:
-                a.text(
-                    0.5,
-                    0.5,
-                    "in error" if matches else "not tested",
-                    transform=a.transAxes,
-                    ha="center",
-                    color="0.4",
-                )
-                a.set_xticks([])
-                a.spines["bottom"].set_visible(False)
-                continue
-            condition = matches[0]
-            for number, method in enumerate(PUBLISHED_METHODS):
-                if f"{condition.name} {method}" in data["errata"]:
-                    continue
-                turn = loop(parameters(condition, method), condition)
-                x = scale * getattr(turn, against)
-                a.plot(
-                    x,
-                    turn.force,
-                    ls=DASHES[number],
-                    color=(INK[0], INK[1])[number],
-                    lw=(1.8, 1.2)[number],
-                    label=METHOD_TITLES[method],
-                )
-            own = loop(np.array(data["runs"][condition.name]["parameters"]), condition)
-            a.plot(
-                scale * getattr(own, against), own.force, ls=DASHES[2], color="0.75", label="ours"
-            )
-            a.locator_params(axis="x", nbins=5)
+    amplitudes = sorted({c.amplitude for c in CONDITIONS})
+    frequencies = sorted({c.frequency for c in CONDITIONS})
+    found = {(c.amplitude, c.frequency): c for c in CONDITIONS if c.current == current}
+    for a, key in zip(axes.ravel(), product(amplitudes, frequencies), strict=True):
+        a.set_title(f"{1e3 * key[0]:.1f} mm, {key[1]:g} Hz")
+        condition = found.get(key)
+        if condition is None or _mark(data, condition.name, PUBLISHED_METHODS[0]):
+            words = "not tested" if condition is None else "in error"
+            a.text(0.5, 0.5, words, transform=a.transAxes, ha="center", color="0.4")
+            a.set_xticks([])
+            a.spines["bottom"].set_visible(False)
+            continue
+        sets = {
+            METHOD_TITLES[method]: parameters(condition, method)
+            for method in PUBLISHED_METHODS
+            if not _mark(data, condition.name, method)
+        }
+        sets["ours"] = np.array(data["runs"][condition.name]["parameters"])
+        for name, values in sets.items():
+            turn, (dashes, colour, width) = loop(values, condition), _STYLES[name]
+            style = {"ls": dashes, "color": colour, "lw": width, "label": name}
+            a.plot(scale * getattr(turn, against), turn.force, **style)
+        a.locator_params(axis="x", nbins=5)
     name_axes(axes, label, "Force [N]")
-    legend_above(figure, axes[0, 0], 3)
+    document.legend_above(figure, axes[0, 0], 3)
     return Picture(
         f"loops_{against}_{current:.1f}A",
         f"Force over {against} at {current:.1f} A (thesis Fig. {FIGURES[current]}).",

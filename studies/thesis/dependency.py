@@ -9,13 +9,9 @@ from typing import Any
 
 import numpy as np
 
-from mr_damper_ros.models.published import (
-    THESIS_28_CELSIUS,
-    THESIS_71_CELSIUS,
-    Condition,
-    find,
-    parameters,
-)
+from mr_damper_ros.models.published import THESIS_28_CELSIUS as COLD
+from mr_damper_ros.models.published import THESIS_71_CELSIUS as WARM
+from mr_damper_ros.models.published import Condition, find, parameters
 from mr_damper_ros.models.sigmoid.law import PARAMETER_NAMES
 from mr_damper_ros.report.document import Block, Picture, Table, Text, panels
 from mr_damper_ros.signals.arrays import Array
@@ -44,7 +40,11 @@ def compute(campaign: Campaign) -> dict[str, Any]:
         low, high = abs(runs[name]["minimum"]), abs(runs[name]["maximum"])
         return float(1.0 - high / low)
 
-    speeds = {name: runs[name]["peak_velocity"] for name in FREQUENCY_SERIES + STROKE_SERIES}
+    def series(names: tuple[str, ...], steps: list[float]) -> dict[str, Any]:
+        speeds = [runs[name]["peak_velocity"] for name in names]
+        slope = float(np.polyfit(steps, speeds, 1)[0])
+        return {"half_span": [half_span(name) for name in names], "slope": slope}
+
     groups: dict[str, dict[str, Any]] = {}
     for condition in sound_conditions():
         key = f"{1e3 * condition.amplitude:.1f} mm, {condition.frequency:g} Hz"
@@ -55,24 +55,12 @@ def compute(campaign: Campaign) -> dict[str, Any]:
         group["slope"] = float(np.polyfit(group["current"], group["half_span"], 1)[0])
         i, f = group["current"], group["half_span"]
         group["pieces"] = [(f[k + 1] - f[k]) / (i[k + 1] - i[k]) for k in range(len(i) - 1)]
-    warm, cold = (_peaks(values) for values in (THESIS_71_CELSIUS, THESIS_28_CELSIUS))
+    warm, cold = (_peaks(values) for values in (WARM, COLD))
     return {
         "groups": groups,
         "asymmetry": {name: asymmetry(name) for name in ("5.0mm_1Hz_0.0A", *CURRENT_SERIES[1:])},
-        "frequency": {
-            "half_span": [half_span(name) for name in FREQUENCY_SERIES],
-            "speed": [speeds[name] for name in FREQUENCY_SERIES],
-            "speed_per_hertz": float(
-                np.polyfit([1.0, 3.0, 5.0], [speeds[n] for n in FREQUENCY_SERIES], 1)[0]
-            ),
-        },
-        "stroke": {
-            "half_span": [half_span(name) for name in STROKE_SERIES],
-            "speed": [speeds[name] for name in STROKE_SERIES],
-            "speed_per_2.5mm": float(
-                np.polyfit([1.0, 2.0, 3.0], [speeds[n] for n in STROKE_SERIES], 1)[0]
-            ),
-        },
+        "frequency": series(FREQUENCY_SERIES, [1.0, 3.0, 5.0]),
+        "stroke": series(STROKE_SERIES, [1.0, 2.0, 3.0]),
         "temperature": {
             "cold": cold,
             "warm": warm,
@@ -89,7 +77,7 @@ def _peaks(values: Array) -> list[float]:
 
 def headline(data: dict[str, Any]) -> str:
     """The result in a sentence."""
-    heat, stroke = data["temperature"], data["stroke"]["speed_per_2.5mm"]
+    heat, stroke = data["temperature"], data["stroke"]["slope"]
     return (
         f"the peak force falls by {100 * heat['drop']:.1f} % from 28 to 71 °C (thesis 26 %), the "
         f"velocity rises by {stroke:.4f} m/s per 2.5 mm (thesis 0.015 m/s)."
@@ -100,52 +88,30 @@ def show(data: dict[str, Any]) -> list[Block]:
     """Text, tables and figures of the section."""
     frequency, stroke, temperature = data["frequency"], data["stroke"], data["temperature"]
     spread = np.ptp(frequency["half_span"]) / np.mean(frequency["half_span"])
-    values = [
-        Compared(
-            "peak velocity per 2.5 mm of amplitude (1 Hz, 0.5 A)",
-            "m/s",
-            stroke["speed_per_2.5mm"],
-            facts.VELOCITY_PER_STROKE,
-            "4.4, Fig. 35",
+    rise, ratio = frequency["slope"], stroke["half_span"][2] / stroke["half_span"][1]
+    stated = facts.VELOCITY_PER_STROKE, facts.VELOCITY_PER_HERTZ
+    where = "4.3, Fig. 33"
+    values: list[Compared] = [
+        (
+            *("peak velocity per 2.5 mm of amplitude (1 Hz, 0.5 A)", "m/s"),
+            *(stroke["slope"], stated[0], "4.4, Fig. 35"),
         ),
-        Compared(
-            "peak velocity per 1 Hz (5 mm, 0.5 A)",
-            "m/s",
-            frequency["speed_per_hertz"],
-            facts.VELOCITY_PER_HERTZ,
-            "4.3, Fig. 33; erratum",
-        ),
-        Compared(
-            "peak velocity per 2 Hz, the step of the tests",
-            "m/s",
-            2.0 * frequency["speed_per_hertz"],
-            facts.VELOCITY_PER_HERTZ,
-            "4.3, Fig. 33",
-        ),
-        Compared(
-            "change of half the force span over 1–5 Hz (5 mm, 0.5 A)",
-            "%",
-            100.0 * float(spread),
-            "minimal",
-            "4.3, Fig. 32; erratum",
+        ("peak velocity per 1 Hz (5 mm, 0.5 A)", "m/s", rise, stated[1], f"{where}; erratum"),
+        ("peak velocity per 2 Hz, the step of the tests", "m/s", 2.0 * rise, stated[1], where),
+        (
+            *("change of half the force span over 1–5 Hz (5 mm, 0.5 A)", "%"),
+            *(100.0 * float(spread), "minimal", "4.3, Fig. 32; erratum"),
         ),
         *(
-            Compared(
+            (
                 f"extension peak below compression peak (5 mm, 1 Hz, {find(name).current:.1f} A)",
-                "%",
-                100.0 * value,
+                *("%", 100.0 * value),
                 "asymmetric" if "0.0A" in name else f"< {100.0 * facts.ASYMMETRY_LIMIT:.0f}",
                 "4.1, Fig. 29" if "0.0A" in name else "4.1, Fig. 30",
             )
             for name, value in data["asymmetry"].items()
         ),
-        Compared(
-            "half the force span, 7.5 over 5.0 mm (1 Hz, 0.5 A)",
-            "1",
-            stroke["half_span"][2] / stroke["half_span"][1],
-            "< 1",
-            "4.4, Fig. 34",
-        ),
+        ("half the force span, 7.5 over 5.0 mm (1 Hz, 0.5 A)", "1", ratio, "< 1", "4.4, Fig. 34"),
     ]
     slopes = Table(
         "current_slopes",
@@ -157,26 +123,16 @@ def show(data: dict[str, Any]) -> list[Block]:
             for key, group in data["groups"].items()
         ],
     )
-    cold, warm = temperature["cold"], temperature["warm"]
-    heat = [
-        Compared("peak force at 28 °C", "N", max(map(abs, cold)), facts.PEAK_COLD, "4.5, Fig. 36"),
-        Compared("peak force at 71 °C", "N", max(map(abs, warm)), facts.PEAK_WARM, "4.5, Fig. 36"),
-        Compared(
-            "loss of peak force",
-            "%",
-            100.0 * temperature["drop"],
-            100.0 * (1.0 - facts.PEAK_WARM / facts.PEAK_COLD),
-            "4.5",
-        ),
-        Compared("opposite peak at 28 °C", "N", cold[1], None, ""),
-        Compared("opposite peak at 71 °C", "N", warm[1], None, ""),
-        Compared(
-            "peak force of the same condition in table 37",
-            "N",
-            max(map(abs, temperature["condition"])),
-            facts.PEAK_COLD,
-            "Tables 37, 38",
-        ),
+    cold, warm, same = (temperature[key] for key in ("cold", "warm", "condition"))
+    loss = 100.0 * (1.0 - facts.PEAK_WARM / facts.PEAK_COLD)
+    there = "peak force of the same condition in table 37"
+    heat: list[Compared] = [
+        ("peak force at 28 °C", "N", max(map(abs, cold)), facts.PEAK_COLD, "4.5, Fig. 36"),
+        ("peak force at 71 °C", "N", max(map(abs, warm)), facts.PEAK_WARM, "4.5, Fig. 36"),
+        ("loss of peak force", "%", 100.0 * temperature["drop"], loss, "4.5"),
+        ("opposite peak at 28 °C", "N", cold[1], None, ""),
+        ("opposite peak at 71 °C", "N", warm[1], None, ""),
+        (there, "N", max(map(abs, same)), facts.PEAK_COLD, "Tables 37, 38"),
     ]
     return [
         Text(
@@ -203,9 +159,9 @@ def show(data: dict[str, Any]) -> list[Block]:
             "temperature.",
             ("Temperature", *PARAMETER_NAMES),
             [
-                ("28 °C", *map(_two_decimals, THESIS_28_CELSIUS)),
-                ("71 °C", *map(_two_decimals, THESIS_71_CELSIUS)),
-                ("difference", *map(_two_decimals, THESIS_71_CELSIUS - THESIS_28_CELSIUS)),
+                ("28 °C", *map(_two_decimals, COLD)),
+                ("71 °C", *map(_two_decimals, WARM)),
+                ("difference", *map(_two_decimals, WARM - COLD)),
                 ("stated, without sign", *map(_two_decimals, facts.HEATED)),
             ],
         ),
@@ -232,8 +188,7 @@ def _loop_panels(curves: list[tuple[str, Condition, Array]]) -> Any:
 
 def _series_figure(name: str, caption: str, series: tuple[str, ...]) -> Picture:
     curves = []
-    for entry in series:
-        condition = find(entry)
+    for condition in map(find, series):
         label = {
             "current": f"{condition.current:.1f} A",
             "frequency": f"{condition.frequency:g} Hz",
@@ -245,17 +200,11 @@ def _series_figure(name: str, caption: str, series: tuple[str, ...]) -> Picture:
 
 def _span_figure(data: dict[str, Any]) -> Picture:
     figure, axes = panels(1, 3, 6.8, 2.5, sharey=True)
-    amplitudes = ("2.5 mm", "5.0 mm", "7.5 mm")
-    for place, amplitude in enumerate(amplitudes):
-        a = axes[0, place]
-        groups = {k: g for k, g in data["groups"].items() if k.startswith(amplitude)}
-        for number, (key, group) in enumerate(groups.items()):
-            a.plot(
-                group["current"],
-                group["half_span"],
-                label=key.split(", ")[1],
-                **line(number, marked=True),
-            )
+    for a, amplitude in zip(axes[0], ("2.5 mm", "5.0 mm", "7.5 mm"), strict=True):
+        groups = [(k, g) for k, g in data["groups"].items() if k.startswith(amplitude)]
+        for number, (key, group) in enumerate(groups):
+            style = {"label": key.split(", ")[1], **line(number, marked=True)}
+            a.plot(group["current"], group["half_span"], **style)
         a.set(title=amplitude, xlabel="Current [A]", ylim=(0, None))
     axes[0, 0].set_ylabel("Half the force span [N]")
     axes[0, 0].legend(loc="upper left")
@@ -269,10 +218,7 @@ def _span_figure(data: dict[str, Any]) -> Picture:
 
 def _temperature_figure() -> Picture:
     condition = find("5.0mm_1Hz_1.5A")
-    curves = [
-        ("28 °C", condition, THESIS_28_CELSIUS),
-        ("71 °C", condition, THESIS_71_CELSIUS),
-    ]
+    curves = [("28 °C", condition, COLD), ("71 °C", condition, WARM)]
     return Picture(
         "temperature",
         "Loops of the sets of tables 8 and 9: 5 mm, 1 Hz, 1.5 A (thesis Fig. 36).",

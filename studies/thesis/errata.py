@@ -18,12 +18,10 @@ from typing import Any
 
 import numpy as np
 
+from mr_damper_ros.models import published
 from mr_damper_ros.models.published import (
     CONDITIONS,
     PUBLISHED_METHODS,
-    ROW_ERRATA,
-    THESIS_28_CELSIUS,
-    THESIS_71_CELSIUS,
     Condition,
     find,
     parameters,
@@ -163,7 +161,7 @@ def statements() -> list[dict[str, Any]]:
     needed = float(np.max(np.abs(loop(parameters(cold), cold).force)))
     strokes = [_half_span(name) for name in ("5.0mm_1Hz_0.5A", "7.5mm_1Hz_0.5A")]
     rates = [_half_span(f"5.0mm_{rate}Hz_0.5A") for rate in (1, 5)]
-    heated = np.abs(THESIS_71_CELSIUS - THESIS_28_CELSIUS)
+    heated = np.abs(published.THESIS_71_CELSIUS - published.THESIS_28_CELSIUS)
     wrong = int(np.argmax(np.abs(heated - facts.HEATED)))
     a0 = PARAMETER_NAMES.index("a0")
     return [
@@ -258,23 +256,17 @@ def _largest_force(top_speed: float) -> float:
 
 def compute(campaign: Campaign) -> dict[str, Any]:
     """Data of the section."""
-    rows = []
-    found = find_errata()
-    for condition in CONDITIONS:
-        for method in PUBLISHED_METHODS:
-            if (condition, method) not in found and (condition, method) not in ROW_ERRATA:
-                continue
-            one = features(parameters(condition, method), condition)
+    rows, found = [], find_errata()
+    for row in ((c, method) for c in CONDITIONS for method in PUBLISHED_METHODS):
+        if row in found or row in published.ROW_ERRATA:
+            one = features(parameters(*row), row[0])
             rows.append(
                 {
-                    "condition": condition.name,
-                    "method": method,
-                    "criteria": found.get((condition, method), []),
-                    "noted": ROW_ERRATA.get((condition, method)),
-                    "hysteresis": one.hysteresis,
-                    "half_span": one.half_span,
-                    "offset": one.offset,
-                    "disagreement": disagreement(condition),
+                    "condition": row[0].name,
+                    "method": row[1],
+                    "criteria": found.get(row, []),
+                    "disagreement": disagreement(row[0]),
+                    **{key: getattr(one, key) for key in ("half_span", "offset", "hysteresis")},
                 }
             )
     return {"rows": rows, "statements": statements()}
@@ -345,16 +337,13 @@ def show(data: dict[str, Any]) -> list[Block]:
 def _figure() -> Picture:
     names = ("2.5mm_5Hz_0.0A", "7.5mm_5Hz_1.0A", "7.5mm_1Hz_1.5A", "7.5mm_3Hz_1.5A")
     figure, axes = panels(1, len(names), 7.4, 2.3)
-    for place, name in enumerate(names):
-        condition = find(name)
+    for a, name in zip(axes[0], names, strict=True):
         for number, method in enumerate(PUBLISHED_METHODS):
-            turn = loop(parameters(condition, method), condition)
-            axes[0, place].plot(
-                turn.velocity, turn.force, label=METHOD_TITLES[method], **line(number)
-            )
-        axes[0, place].set(title=title(name), xlabel="Velocity [m/s]")
-        axes[0, place].locator_params(axis="x", nbins=3)
-        axes[0, place].locator_params(axis="y", nbins=5)
+            turn = loop(parameters(find(name), method), find(name))
+            a.plot(turn.velocity, turn.force, label=METHOD_TITLES[method], **line(number))
+        a.set(title=title(name), xlabel="Velocity [m/s]")
+        a.locator_params(axis="x", nbins=3)
+        a.locator_params(axis="y", nbins=5)
     axes[0, 0].set_ylabel("Force [N]")
     axes[0, 0].legend(loc="upper left", fontsize=6.5, handlelength=1.6)
     return Picture(

@@ -73,22 +73,28 @@ def identify(name: str, seed: int) -> dict[str, Any]:
     starts = {"printed": norm(LITERATURE), "k5 positive": norm(flipped)}
     found, cost, evaluations = fminsearch(norm, flipped)
     seven = fit_window(MODELS["sigmoid"], w, flipped)
-    # A fifth of the cycle is enough for the figures.
     shown = slice(0, round(1.0 / sine.frequency / run.period))
-    displacement_error = sine.displacement(run.time) + sine.offset - run.displacement
-    force_error = MODELS["sigmoid"].window_force(w, seven.parameters) - w.force
+    fitted = sine.displacement(run.time) + sine.offset
+    sixteen_force, force, literature = (
+        MODELS["sigmoid"].window_force(w, values) for values in (found, seven.parameters, flipped)
+    )
+    drawn = {
+        "time": run.time,
+        "displacement": run.displacement,
+        "fitted_displacement": fitted,
+        "velocity": w.motion.velocity,
+        "force": w.force,
+        "fitted_force": force,
+        "literature_force": literature,
+    }
+    names = ("amplitude", "frequency", "phase", "offset")
     return {
-        "sine": {
-            "amplitude": sine.amplitude,
-            "frequency": sine.frequency,
-            "phase": sine.phase,
-            "offset": sine.offset,
-        },
+        "sine": {name: getattr(sine, name) for name in names},
         "starts_rmse": {k: v / np.sqrt(w.sample_count) for k, v in starts.items()},
         "nelder_mead_16": {
             "parameters": found.tolist(),
             "evaluations": evaluations,
-            "statistics": normal_statistics(MODELS["sigmoid"].window_force(w, found) - w.force),
+            "statistics": normal_statistics(sixteen_force - w.force),
             "rmse": cost / np.sqrt(w.sample_count),
         },
         "nelder_mead_7": {
@@ -96,17 +102,12 @@ def identify(name: str, seed: int) -> dict[str, Any]:
             "evaluations": seven.evaluations,
             "rmse": seven.rmse,
         },
-        "displacement_statistics": normal_statistics(displacement_error),
-        "force_statistics": normal_statistics(force_error),
-        "displacement_error": displacement_error.tolist(),
-        "force_error": force_error.tolist(),
-        "time": run.time[shown].tolist(),
-        "displacement": run.displacement[shown].tolist(),
-        "fitted_displacement": (sine.displacement(run.time) + sine.offset)[shown].tolist(),
-        "velocity": w.motion.velocity[shown].tolist(),
-        "force": w.force[shown].tolist(),
-        "fitted_force": MODELS["sigmoid"].window_force(w, seven.parameters)[shown].tolist(),
-        "literature_force": MODELS["sigmoid"].window_force(w, flipped)[shown].tolist(),
+        "displacement_statistics": normal_statistics(fitted - run.displacement),
+        "force_statistics": normal_statistics(force - w.force),
+        "displacement_error": (fitted - run.displacement).tolist(),
+        "force_error": (force - w.force).tolist(),
+        # One cycle is enough for the figures.
+        **{name: values[shown].tolist() for name, values in drawn.items()},
     }
 
 
@@ -130,35 +131,23 @@ def headline(data: dict[str, Any]) -> str:
 def show(data: dict[str, Any]) -> list[Block]:
     """Text, tables and figures of the section."""
     sine, errors = data["sine"], data["force_statistics"]
-    sines = [
-        Compared("amplitude", "mm", 1e3 * sine["amplitude"], 2.5, "Fig. 17"),
-        Compared("frequency", "Hz", sine["frequency"], 1.0, "Fig. 17"),
-        Compared("phase", "rad", sine["phase"], facts.SINE["phase"], "App. D"),
-        Compared(
-            "displacement error, standard deviation",
-            "µm",
-            1e6 * data["displacement_statistics"]["sigma"],
-            None,
-            "Fig. 18",
-        ),
+    scatter = 1e6 * data["displacement_statistics"]["sigma"]
+    sines: list[Compared] = [
+        ("amplitude", "mm", 1e3 * sine["amplitude"], 2.5, "Fig. 17"),
+        ("frequency", "Hz", sine["frequency"], 1.0, "Fig. 17"),
+        ("phase", "rad", sine["phase"], facts.SINE["phase"], "App. D"),
+        ("displacement error, standard deviation", "µm", scatter, None, "Fig. 18"),
     ]
     units = {"sample_size": "1", "variance": "N²"}
-    forces = [
-        Compared(
-            name.replace("_", " "),
-            units.get(name, "N"),
-            errors[name],
-            value,
-            "4.6, Fig. 38, 39",
-            relative=name not in ("mean", "mu"),
-        )
-        for name, value in facts.FORCE_ERROR.items()
+    forces: list[Compared] = [
+        (name.replace("_", " "), units.get(name, "N"), errors[name], stated, "4.6, Fig. 38, 39")
+        for name, stated in facts.FORCE_ERROR.items()
     ]
     forces += [
-        Compared(name.replace("_", " "), "1", errors[name], None, "")
+        (name.replace("_", " "), "1", errors[name], None, "")
         for name in ("skewness", "excess_kurtosis")
     ]
-    sixteen, seven = data["nelder_mead_16"], data["nelder_mead_7"]
+    begun = data["starts_rmse"]
     fits = Table(
         "force_fit",
         "Force fitted by Nelder–Mead over all sixteen parameters (the thesis' way) and over the "
@@ -166,14 +155,16 @@ def show(data: dict[str, Any]) -> list[Block]:
         f"{THESIS_FORCE_NOISE:.4g} N.",
         ("Search", "Evaluations", "RMSE [N]"),
         [
-            ("start: literature as printed first (k5 = −0.260)", 1, data["starts_rmse"]["printed"]),
+            ("start: literature as printed first (k5 = −0.260)", 1, begun["printed"]),
             (
                 "start: literature as used later (k5 = +0.260)",
                 1,
-                data["starts_rmse"]["k5 positive"],
+                begun["k5 positive"],
             ),
-            ("Nelder–Mead, 16 unknowns", sixteen["evaluations"], sixteen["rmse"]),
-            ("Nelder–Mead, 7 unknowns", seven["evaluations"], seven["rmse"]),
+            *(
+                (f"Nelder–Mead, {number} unknowns", fit["evaluations"], fit["rmse"])
+                for number, fit in ((16, data["nelder_mead_16"]), (7, data["nelder_mead_7"]))
+            ),
         ],
     )
     return [
@@ -197,6 +188,7 @@ def show(data: dict[str, Any]) -> list[Block]:
             "Error of the fitted force. The thesis' own numbers are of two samples: its variance "
             "of 31.01 N² is not the square of its σ of 5.526 N (30.54 N²), nor its mean its μ.",
             forces,
+            zeros=("mean", "mu"),
         ),
         _force_figure(data),
         _error_figure(data),
@@ -248,17 +240,11 @@ def _error_figure(data: dict[str, Any]) -> Picture:
     figure, axes = panels(1, 2, 6.6, 2.7)
     _histogram(axes[0, 0], error, "Force error [N]")
     a = axes[0, 1]
-    theory = stats.norm.ppf((np.arange(error.size) + 0.5) / error.size)
+    places = np.arange(error.size)
+    theory = stats.norm.ppf((places + 0.5) / error.size)
     # All of the tails, and every tenth sample between them.
-    chosen = np.unique(
-        np.concatenate(
-            [
-                np.arange(100),
-                np.arange(100, error.size - 100, 10),
-                np.arange(error.size - 100, error.size),
-            ]
-        )
-    )
+    tails = (places < 100) | (places >= error.size - 100)
+    chosen = tails | (places % 10 == 0)
     a.plot(theory[chosen], error[chosen], ".", ms=2.5, color=GREY)
     ends = np.array([-4.0, 4.0])
     a.plot(ends, error.mean() + ends * error.std(), color=INK[0])

@@ -8,6 +8,7 @@ directions or none.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -113,25 +114,9 @@ def headline(data: dict[str, Any]) -> str:
 def show(data: dict[str, Any]) -> list[Block]:
     """Text, tables and figures of the section."""
     good, seven = np.array(data["good"]), np.array(data["coefficients"])
-    span = facts.SEARCH_HIGH - facts.SEARCH_LOW
-    scatter = [
-        (
-            name,
-            float(good[:, k].min()),
-            float(good[:, k].max()),
-            float(np.std(good[:, k]) / span[k]),
-        )
-        for k, name in enumerate(PARAMETER_NAMES)
-    ]
-    steady = [
-        (
-            name,
-            float(seven[:, k].min()),
-            float(seven[:, k].max()),
-            float(np.std(seven[:, k]) / max(abs(np.mean(seven[:, k])), 1e-12)),
-        )
-        for k, name in enumerate(COEFFICIENT_NAMES)
-    ]
+    scatter = _spreads(PARAMETER_NAMES, good, facts.SEARCH_HIGH - facts.SEARCH_LOW)
+    sizes = np.maximum(np.abs(np.mean(seven, axis=0)), 1e-12)
+    steady = _spreads(COEFFICIENT_NAMES, seven, sizes)
     return [
         Text(
             "One run at one peak velocity and one current depends on seven coefficients of the "
@@ -162,6 +147,12 @@ def show(data: dict[str, Any]) -> list[Block]:
     ]
 
 
+def _spreads(names: Sequence[str], sets: Array, sizes: Array) -> list[tuple[str | float, ...]]:
+    """Name, smallest, largest and relative standard deviation of each column of sets (n, k)."""
+    columns = (sets.min(axis=0), sets.max(axis=0), np.std(sets, axis=0) / sizes)
+    return [(name, *map(float, row)) for name, row in zip(names, np.stack(columns).T, strict=True)]
+
+
 def _singular_figure(data: dict[str, Any]) -> Picture:
     figure, axes = panels(1, 1, 5.6, 2.7)
     a = axes[0, 0]
@@ -187,17 +178,12 @@ def _direction_figure(data: dict[str, Any]) -> Picture:
     figure, axes = panels(1, 1, 6.4, 6.0)
     a = axes[0, 0]
     directions = np.array(data["directions"])
-    for row, direction in enumerate(directions):
-        for column, part in enumerate(direction):
-            if abs(part) > 0.03:
-                a.scatter(
-                    column,
-                    row,
-                    s=230.0 * abs(part),
-                    facecolor="0.15" if part > 0.0 else "white",
-                    edgecolor="0.15",
-                    linewidth=0.7,
-                )
+    rows, columns = np.nonzero(np.abs(directions) > 0.03)
+    for row, column in zip(rows, columns, strict=True):
+        part = directions[row, column]
+        face = "0.15" if part > 0.0 else "white"
+        style = {"facecolor": face, "edgecolor": "0.15", "linewidth": 0.7}
+        a.scatter(column, row, s=230.0 * abs(part), **style)
     a.axhline(6.5, color=INK[1], lw=1.0)
     a.set_title("Above the line: determined by the run. Below: flat.", loc="right")
     a.set_xticks(range(len(PARAMETER_NAMES)), PARAMETER_NAMES)
@@ -217,14 +203,8 @@ def _walk_figure(data: dict[str, Any]) -> Picture:
     figure, axes = panels(1, 1, 5.0, 2.6)
     a = axes[0, 0]
     for number, (key, rmse) in enumerate(data["walks"].items()):
-        a.semilogy(
-            100.0 * _STEPS,
-            rmse,
-            color=INK[number],
-            marker=MARKS[number],
-            markevery=5,
-            label=f"direction {key}",
-        )
+        style = {"color": INK[number], "marker": MARKS[number], "markevery": 5}
+        a.semilogy(100.0 * _STEPS, rmse, label=f"direction {key}", **style)
     a.set(xlabel="Step along the direction [% of the parameters]", ylabel="RMSE [N]")
     a.legend(loc="upper right", ncols=2)
     a.set_ylim(top=3e4)

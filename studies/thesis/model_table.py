@@ -13,7 +13,7 @@ from mr_damper_ros.kinematics.window import Window
 from mr_damper_ros.models import MODELS
 from mr_damper_ros.report.document import GREY, INK, MARKS, Block, Picture, Table, Text, panels
 from studies import recordings
-from studies.drawing import name_axes
+from studies.drawing import heads, name_axes
 from studies.program import Campaign
 from studies.recordings import processed, window_of
 from studies.thesis import facts
@@ -121,26 +121,23 @@ def headline(data: dict[str, Any]) -> str:
 def show(data: dict[str, Any]) -> list[Block]:
     """Text, tables and figures of the section."""
     runs, records = data["runs"], data["records"]
+
+    def nrmse(group: dict[str, Any], name: str) -> list[float]:
+        return [100.0 * entry["models"][name]["nrmse"] for entry in group.values()]
+
     rows: list[tuple[str | float | None, ...]] = []
     for name, model in MODELS.items():
         ours = [run["models"][name] for run in runs.values()]
-        nrmse = [100.0 * fit["nrmse"] for fit in ours]
-        real = (
-            None
-            if records is None
-            else float(np.median([100.0 * r["models"][name]["nrmse"] for r in records.values()]))
+        seconds, evaluations, per_sample = (
+            float(np.median([fit[key] for fit in ours]))
+            for key in ("seconds", "evaluations", "seconds_per_sample")
         )
         rows.append(
             (
-                model.title,
-                len(model.free_indices),
-                float(np.median(nrmse)),
-                float(np.max(nrmse)),
-                real,
-                facts.MODEL_ERRORS.get(name),
-                1e3 * float(np.median([fit["seconds"] for fit in ours])),
-                float(np.median([fit["evaluations"] for fit in ours])),
-                1e6 * float(np.median([fit["seconds_per_sample"] for fit in ours])),
+                *(model.title, len(model.free_indices)),
+                *(float(of(nrmse(runs, name))) for of in (np.median, np.max)),
+                None if records is None else float(np.median(nrmse(records, name))),
+                *(facts.MODEL_ERRORS.get(name), 1e3 * seconds, evaluations, 1e6 * per_sample),
             )
         )
     note = (
@@ -163,16 +160,10 @@ def show(data: dict[str, Any]) -> list[Block]:
             "thesis quotes estimation errors of Yaakub et al. (2020) in a measure that neither "
             "states: only their order can be compared. Times are processor times on the machine "
             "that made this report.",
-            (
-                "Model",
-                "Parameters free",
-                f"NRMSE, {len(runs)} runs, median [%]",
-                "Largest [%]",
-                "NRMSE, real, median [%]",
-                "Table 2",
-                "Time per identification [ms]",
-                "Evaluations",
-                "Time per sample [µs]",
+            heads(
+                f"Model | Parameters free | NRMSE, {len(runs)} runs, median [%] | Largest [%] | "
+                "NRMSE, real, median [%] | Table 2 | Time per identification [ms] | Evaluations | "
+                "Time per sample [µs]"
             ),
             rows,
         ),

@@ -17,18 +17,9 @@ from mr_damper_ros.estimation.global_fit import identify_global
 from mr_damper_ros.kinematics.window import Window
 from mr_damper_ros.models import MODELS
 from mr_damper_ros.models.sigmoid.following import EXTENDED_MODEL, EXTENDED_NAMES
-from mr_damper_ros.report.document import (
-    GREY,
-    Block,
-    Picture,
-    Table,
-    Text,
-    legend_above,
-    panels,
-    shown,
-    with_error,
-)
-from studies.drawing import heads, line
+from mr_damper_ros.report import document
+from mr_damper_ros.report.document import GREY, Block, Picture, Table, Text, panels
+from studies.drawing import bars, heads, line
 from studies.program import Campaign
 from studies.recordings import processed, window_of
 from studies.thesis import model_table
@@ -143,15 +134,9 @@ def show(data: dict[str, Any]) -> list[Block]:
             percent = 100.0 * np.array(fit["nrmse"])
             rows.append(
                 (
-                    MODELS[law].title,
-                    label,
-                    len(fit["parameters"]),
-                    len(percent),
-                    float(np.median(percent)),
-                    float(np.max(percent)),
-                    100.0 * data["each"][kind][law],
-                    fit["evaluations"],
-                    fit["seconds"],
+                    *(MODELS[law].title, label, len(fit["parameters"]), len(percent)),
+                    *(float(np.median(percent)), float(np.max(percent))),
+                    *(100.0 * data["each"][kind][law], fit["evaluations"], fit["seconds"]),
                 )
             )
     blocks: list[Block] = [
@@ -229,32 +214,26 @@ def _parameters(data: dict[str, Any]) -> Table:
 
 def _with_error(value: float, error: float | None) -> str:
     if not error or error > _OPEN * abs(value):
-        return f"{shown(value)}, open"
-    return with_error(value, error)
+        return f"{document.shown(value)}, open"
+    return document.with_error(value, error)
 
 
 def _errors(part: dict[str, Any], name: str, kind: str) -> Table:
-    plain, extended = (part["laws"][law] for law in LAWS)
+    columns = [
+        factor * np.array(part["laws"][law][key])
+        for law in LAWS
+        for key, factor in (("rmse", 1.0), ("nrmse", 100.0))
+    ]
+    names = heads(
+        "Sigmoid, RMSE [N] | Sigmoid, NRMSE [%] | Extended, RMSE [N] | Extended, NRMSE [%]"
+    )
     return Table(
         name,
         f"Error of the one set, by {kind}.",
-        (
-            kind.capitalize(),
-            "Sigmoid, RMSE [N]",
-            "Sigmoid, NRMSE [%]",
-            "Extended, RMSE [N]",
-            "Extended, NRMSE [%]",
-        ),
+        (kind.capitalize(), *names),
         [
-            (_label(key), one, 100.0 * part_one, two, 100.0 * part_two)
-            for key, one, part_one, two, part_two in zip(
-                part["names"],
-                plain["rmse"],
-                plain["nrmse"],
-                extended["rmse"],
-                extended["nrmse"],
-                strict=True,
-            )
+            (_label(key), *map(float, row))
+            for key, row in zip(part["names"], np.stack(columns).T, strict=True)
         ],
     )
 
@@ -266,12 +245,13 @@ def _label(name: str) -> str:
 def _errors_figure(part: dict[str, Any], name: str, kind: str) -> Picture:
     figure, axes = panels(1, 1, 7.0, 3.0)
     a, x = axes[0, 0], np.arange(len(part["names"]))
-    for number, (law, grey) in enumerate(zip(LAWS, ("0.75", "0.25"), strict=True)):
-        percent = 100.0 * np.array(part["laws"][law]["nrmse"])
-        a.bar(x + 0.4 * (number - 0.5), percent, 0.4, color=grey, label=MODELS[law].title)
+    errors = {
+        MODELS[law].title: (100.0 * np.array(part["laws"][law]["nrmse"])).tolist() for law in LAWS
+    }
+    bars(a, errors, ("0.75", "0.25"))
     a.set_xticks(x, [_label(entry) for entry in part["names"]], rotation=90, fontsize=6.5)
     a.set(ylabel="NRMSE [%]", xlim=(-0.8, x.size - 0.2))
-    legend_above(figure, a, 2)
+    document.legend_above(figure, a, 2)
     return Picture(name, f"Error of one set in every {kind}.", figure)
 
 
@@ -297,7 +277,7 @@ def _loops_figure(data: dict[str, Any]) -> Picture:
         a.set(title=title(name), xlabel="Velocity [m/s]")
         a.locator_params(axis="x", nbins=5)
     axes[0, 0].set_ylabel("Force [N]")
-    legend_above(figure, axes[0, 0], 3)
+    document.legend_above(figure, axes[0, 0], 3)
     return Picture(
         "one_set_loops",
         "One set for all conditions: where the sigmoid law errs least, in the median and most.",

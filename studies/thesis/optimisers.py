@@ -49,19 +49,16 @@ def run(method: str, noise_seed: int, seed: list[int], budget: int) -> dict[str,
     rng = np.random.default_rng(seed)
     search = METHODS[method][1]
     began = time.process_time()
-    first: dict[str, Any] | None = None
+    firsts: list[float] = []
     try:
         while True:
             search(meter, rng)
-            if first is None:
-                first = {"rmse": math.sqrt(meter.best_cost)}
+            firsts.append(math.sqrt(meter.best_cost))
             if meter.best_cost <= SUCCESS**2 * floor:
                 break
     except BudgetSpentError:
-        pass
+        firsts.append(math.sqrt(meter.best_cost))
     seconds = time.process_time() - began
-    if first is None:
-        first = {"rmse": math.sqrt(meter.best_cost)}
     reached = [used for used, cost in meter.trace if cost <= SUCCESS**2 * floor]
     return {
         "parameters": meter.best.tolist(),
@@ -69,7 +66,7 @@ def run(method: str, noise_seed: int, seed: list[int], budget: int) -> dict[str,
         "floor": math.sqrt(floor),
         "evaluations": meter.used,
         "seconds": seconds,
-        "first": first,
+        "first": {"rmse": firsts[0]},
         "reached": reached[0] if reached else None,
         "trace": _thinned(meter.trace, budget),
     }
@@ -128,9 +125,7 @@ def summary(results: list[dict[str, Any]]) -> dict[str, Any]:
     reached = [r["reached"] for r in results if r["reached"] is not None]
     sets = np.array([r["parameters"] for r in results])
     loops = np.array([loop(p, find(CONDITION)).force for p in sets])
-    traces = np.array(
-        [[math.nan if x is None else x for x in r["trace"]] for r in results], dtype=float
-    )
+    traces = np.array([r["trace"] for r in results], dtype=float)
     known = np.where(np.isnan(traces), np.inf, traces)
     return {
         "floor": floor,
@@ -166,15 +161,15 @@ def show(data: dict[str, Any]) -> list[Block]:
         low, high = part["interval"]
         rows.append(
             (
-                METHODS[name][0],
-                f"{100 * part['success']:.0f} ({100 * low:.0f}–{100 * high:.0f})",
+                *(
+                    METHODS[name][0],
+                    f"{100 * part['success']:.0f} ({100 * low:.0f}–{100 * high:.0f})",
+                ),
                 f"{100 * part['first_success']:.0f}",
                 "never" if part["reached"] is None else round(part["reached"]),
-                part["seconds"],
-                part["rmse"][1],
+                *(part["seconds"], part["rmse"][1]),
                 f"{part['rmse'][0]:.3g}–{part['rmse'][2]:.3g}",
-                part["parameter_spread"],
-                part["loop_spread"],
+                *(part["parameter_spread"], part["loop_spread"]),
             )
         )
     floor = next(iter(data["methods"].values()))["floor"]
@@ -221,27 +216,15 @@ def show(data: dict[str, Any]) -> list[Block]:
 def _figure(data: dict[str, Any], floor: float) -> Picture:
     figure, axes = panels(1, 2, 7.4, 3.6, sharey=True)
     x = _checkpoints(data["budget"])
-    halves = (
-        [n for n in data["methods"] if n.startswith("de_") or n == "nelder_mead_16"],
-        [n for n in data["methods"] if not n.startswith("de_") and n != "nelder_mead_16"],
-    )
+    thesis = [n for n in data["methods"] if n.startswith("de_") or n == "nelder_mead_16"]
+    halves = (thesis, [n for n in data["methods"] if n not in thesis])
     for a, names in zip(axes[0], halves, strict=True):
         for number, name in enumerate(names):
-            low, middle, high = (
-                np.array([math.nan if v is None else v for v in row], dtype=float)
-                for row in data["methods"][name]["trace"]
-            )
-            colour = INK[number]
-            a.fill_between(x, low, high, color=colour, alpha=0.10, lw=0)
-            a.loglog(
-                x,
-                middle,
-                ls=DASHES[number],
-                color=colour,
-                marker=MARKS[number],
-                markevery=(4 + 2 * number, 12),
-                label=METHODS[name][0],
-            )
+            low, middle, high = np.array(data["methods"][name]["trace"], dtype=float)
+            a.fill_between(x, low, high, color=INK[number], alpha=0.10, lw=0)
+            style = {"ls": DASHES[number], "color": INK[number], "marker": MARKS[number]}
+            every = (4 + 2 * number, 12)
+            a.loglog(x, middle, markevery=every, label=METHODS[name][0], **style)
         a.axhline(floor, color="0.3", lw=0.7)
         a.set_xlabel("Evaluations [1]")
         a.legend(loc="upper right", fontsize=7)

@@ -10,13 +10,10 @@ from typing import Any
 
 import numpy as np
 
-from mr_damper_ros.models.sigmoid.law import (
-    PARAMETER_NAMES,
-    force_from_coefficients,
-    operating_point_coefficients,
-)
+from mr_damper_ros.models.sigmoid.law import PARAMETER_NAMES
 from mr_damper_ros.report.document import GREY, INK, Block, Picture, Table, Text, panels
 from mr_damper_ros.signals.arrays import Array
+from studies.drawing import bars
 from studies.program import Campaign
 from studies.thesis import facts
 from studies.thesis.runs import cycle, title
@@ -86,17 +83,11 @@ def compute(campaign: Campaign) -> dict[str, Any]:
             "spread": float(np.sqrt(misfit.power)),
             "statistics": statistics(sets),
             "variance_distance": variance_distance(sets.var(axis=0, ddof=1)),
-            "loops": _loops(sets, name, campaign.seed).tolist(),
+            "loops": (misfit.residual(sets) + misfit.force).tolist(),
             "velocity": misfit.velocity.tolist(),
             "force": misfit.force.tolist(),
         }
     return data
-
-
-def _loops(sets: Array, name: str, seed: int) -> Array:
-    misfit = cycle(name, seed, PHASES)
-    c = operating_point_coefficients(sets, misfit.peak_velocity, misfit.current)
-    return force_from_coefficients(c, misfit.velocity, -misfit.displacement)
 
 
 def headline(data: dict[str, Any]) -> str:
@@ -159,12 +150,10 @@ def _table(data: dict[str, Any], statistic: str) -> Table:
     for place, name in enumerate(PARAMETER_NAMES):
         ours = data[AS_FOUND]["statistics"][statistic][place]
         at_zero = data[AS_CAPTIONED]["statistics"][statistic][place]
-        reach = 0.5 * float(facts.SEARCH_HIGH[place] - facts.SEARCH_LOW[place])
         thesis = float(theirs[place])
-        if statistic == "variance":
-            difference = f"{100.0 * (ours - thesis) / thesis:+.0f} %"
-        else:
-            difference = f"{100.0 * (ours - thesis) / reach:+.0f} %"
+        half = 0.5 * float(facts.SEARCH_HIGH[place] - facts.SEARCH_LOW[place])
+        size = thesis if statistic == "variance" else half
+        difference = f"{100.0 * (ours - thesis) / size:+.0f} %"
         rows.append((name, ours, thesis, difference.replace("-", "−"), at_zero))
     relative = "the thesis' value" if statistic == "variance" else "half the search range"
     return Table(
@@ -194,15 +183,10 @@ def _box_figure(data: dict[str, Any]) -> Picture:
     figure, axes = panels(2, 8, 7.4, 3.6)
     for place, name in enumerate(PARAMETER_NAMES):
         a = axes.ravel()[place]
-        a.boxplot(
-            sets[:, place],
-            widths=0.5,
-            medianprops={"color": INK[1], "lw": 1.4},
-            boxprops={"lw": 0.8},
-            whiskerprops={"lw": 0.8},
-            capprops={"lw": 0.8},
-            flierprops={"marker": ".", "ms": 3, "mec": "0.4"},
-        )
+        thin = {key: {"lw": 0.8} for key in ("boxprops", "whiskerprops", "capprops")}
+        median = {"color": INK[1], "lw": 1.4}
+        fliers = {"marker": ".", "ms": 3, "mec": "0.4"}
+        a.boxplot(sets[:, place], widths=0.5, medianprops=median, flierprops=fliers, **thin)
         a.plot([1.0], [facts.REPEATED["mean"][place]], "D", color=INK[2], ms=3.5)
         a.set_title(name)
         a.set_xticks([])
@@ -222,10 +206,9 @@ def _variance_figure(data: dict[str, Any]) -> Picture:
     figure, axes = panels(1, 1, 6.6, 2.6)
     a = axes[0, 0]
     x = np.arange(len(PARAMETER_NAMES))
-    ours = np.array(data[AS_FOUND]["statistics"]["variance"])
     uniform = np.square(facts.SEARCH_HIGH - facts.SEARCH_LOW) / 12.0
-    a.bar(x - 0.2, facts.REPEATED["variance"], 0.4, color="0.75", label="thesis")
-    a.bar(x + 0.2, ours, 0.4, color="0.25", label="ours, 1.5 A")
+    ours = data[AS_FOUND]["statistics"]["variance"]
+    bars(a, {"thesis": facts.REPEATED["variance"].tolist(), "ours, 1.5 A": ours}, ("0.75", "0.25"))
     a.plot(x, uniform, "_", ms=12, color=INK[1], label="uniform over the bounds")
     a.set_yscale("log")
     a.set_ylim(top=1e8)

@@ -12,20 +12,12 @@ import numpy as np
 
 from mr_damper_ros.models.published import find, parameters
 from mr_damper_ros.models.sigmoid.law import PARAMETER_NAMES, sine_force
-from mr_damper_ros.report.document import (
-    DASHES,
-    INK,
-    Block,
-    Picture,
-    Table,
-    Text,
-    legend_above,
-    panels,
-)
+from mr_damper_ros.report import document
+from mr_damper_ros.report.document import DASHES, INK, Block, Picture, Table, Text, panels
 from studies.drawing import line, name_axes
 from studies.program import Campaign
 from studies.thesis import facts
-from studies.thesis.compared import Compared, comparison, percent
+from studies.thesis.compared import comparison, percent
 from studies.thesis.runs import Loop, loop, window
 
 CONDITION = "2.5mm_1Hz_0.0A"
@@ -71,15 +63,10 @@ def show(data: dict[str, Any]) -> list[Block]:
     """Text, tables and figures of the section."""
     passive, active = data[CONDITION], data[WITH_CURRENT]
     values = [
-        Compared(
-            name,
-            "N²",
-            passive[name][-1],
-            facts.SENSITIVITY[name],
-            "Table 13" if name in PARAMETER_NAMES[:8] else "Table 14",
-        )
-        for name in sorted(PARAMETER_NAMES, key=lambda n: -facts.SENSITIVITY[n])
+        (name, "N²", passive[name][-1], facts.SENSITIVITY[name], f"Table {13 + (place > 7)}")
+        for place, name in enumerate(PARAMETER_NAMES)
     ]
+    values.sort(key=lambda row: -facts.SENSITIVITY[row[0]])
     full = [
         (name, *passive[name], active[name][-1])
         for name in sorted(PARAMETER_NAMES, key=lambda n: -passive[n][-1])
@@ -156,7 +143,7 @@ def _changes_figure(passive: dict[str, list[float]]) -> Picture:
         a.set_title(name)
         a.locator_params(axis="y", nbins=4)
     name_axes(axes, "Velocity [mm/s]", "Change of force [N]")
-    legend_above(figure, axes[0, 0], 2)
+    document.legend_above(figure, axes[0, 0], 2)
     return Picture(
         "sensitivity_changes",
         "Change of the force where one parameter is changed, for all that have an effect at 0 A "
