@@ -19,7 +19,7 @@ from mr_damper_ros.estimation.planned_run import ForceGoal, MachineLimits, Plann
 from mr_damper_ros.io.bag_reader import read_bag
 from mr_damper_ros.io.bag_writer import write_bag
 from mr_damper_ros.models.parameter_set import ParameterSet
-from mr_damper_ros.processes.files import FolderLock, LockHeldError, json_ready, write_text
+from mr_damper_ros.processes.files import FolderLock, json_ready, write_text
 from mr_damper_ros.signals.recording import Recording
 
 _RUN = "planned_run"
@@ -60,13 +60,7 @@ class CampaignFolder:
 
     def __init__(self, path: Path, task: CampaignTask) -> None:
         self.path = path
-        try:
-            self._lock = FolderLock(path / ".lock")
-        except LockHeldError as error:
-            raise ValueError(
-                f"{path} is in use by another program (process {error.holder}): choose another "
-                "folder or end it"
-            ) from error
+        self._lock = FolderLock(path / ".lock")
         try:
             self._check(task)
         except BaseException:

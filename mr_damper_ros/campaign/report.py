@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
+from mr_damper_ros.api.findings import estimates_table, parameter_estimates
 from mr_damper_ros.campaign.folder import (
     CampaignStep,
     CampaignTask,
@@ -33,7 +34,6 @@ from mr_damper_ros.report.document import (
     legend_above,
     panels,
     styled,
-    with_error,
     write_report,
 )
 from mr_damper_ros.signals.error_sums import ErrorSums, pooled
@@ -269,26 +269,12 @@ def _loops(found: ParameterSet, runs: Sequence[MadeRun]) -> tuple[list[Block], E
 
 
 def _set(found: ParameterSet) -> list[Block]:
-    rows = [
-        (
-            parameter.name,
-            parameter.unit,
-            with_error(value, error) if seen and error > 0.0 else value,
-            "yes" if seen else "no",
-        )
-        for parameter, value, error, seen in zip(
-            found.law.parameters,
-            found.values.tolist(),
-            found.standard_errors.tolist(),
-            found.observable,
-            strict=True,
-        )
-    ]
+    columns, rows = estimates_table("parameter", parameter_estimates(found))
     table = Table(
         "set",
         "Maximum-a-posteriori values, with standard errors of the parameters that the runs "
         "determine. The force hardly depends on the others, which may be wrong.",
-        ("parameter", "unit", "value", "determined"),
+        tuple(columns),
         rows,
     )
     return [Text("It is kept as set.yaml, for the nodes and for every program."), table]

@@ -31,7 +31,7 @@ from mr_damper_ros.io.recording_list import (
 )
 from mr_damper_ros.lots.population import KnownDamper, Population
 from mr_damper_ros.models.parameter_set import DEFAULT_MODEL, ParameterSet
-from mr_damper_ros.processes.files import FolderLock, LockHeldError, write_text
+from mr_damper_ros.processes.files import FolderLock, write_text
 from mr_damper_ros.processes.process_pool import (
     KeptTask,
     ProcessPool,
@@ -269,13 +269,7 @@ def identify_many(
             "there are no recordings of a known damper: give folders, a list, or another pattern"
         )
     place = Path(folder)
-    try:
-        lock = FolderLock(place / ".lock")
-    except LockHeldError as error:
-        raise ValueError(
-            f"{place} is in use by another program (process {error.holder}): choose another folder "
-            "or wait for it"
-        ) from error
+    lock = FolderLock(place / ".lock")
     try:
         _check_options(
             place,

@@ -57,11 +57,14 @@ _NO_LOCKS = (errno.ENOLCK, errno.EOPNOTSUPP, errno.ENOSYS)
 """Errors of file systems without locks, such as some network file systems."""
 
 
-class LockHeldError(Exception):
+class LockHeldError(ValueError):
     """Another process holds the lock; ``holder`` is its process id, 0 if it cannot be read."""
 
-    def __init__(self, holder: int) -> None:
-        super().__init__(f"held by process {holder}")
+    def __init__(self, folder: Path, holder: int) -> None:
+        super().__init__(
+            f"{folder} is in use by another program (process {holder}): choose another folder, or "
+            "wait for the end of that program"
+        )
         self.holder = holder
 
 
@@ -81,9 +84,12 @@ class FolderLock:
         try:
             fcntl.flock(self._descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError as error:
-            holder = _number(self._descriptor)
+            try:
+                holder = int(os.pread(self._descriptor, 20, 0))
+            except (OSError, ValueError):
+                holder = 0
             self.release()
-            raise LockHeldError(holder) from error
+            raise LockHeldError(path.parent, holder) from error
         except OSError as error:
             if error.errno not in _NO_LOCKS:
                 self.release()
@@ -97,13 +103,6 @@ class FolderLock:
         if self._descriptor is not None:
             os.close(self._descriptor)
             self._descriptor = None
-
-
-def _number(descriptor: int) -> int:
-    try:
-        return int(os.pread(descriptor, 20, 0))
-    except (OSError, ValueError):
-        return 0
 
 
 _KINDS = {
