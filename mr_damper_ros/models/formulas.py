@@ -13,7 +13,7 @@ import math
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any, ClassVar, Protocol
+from typing import Any, Protocol
 
 import numpy as np
 
@@ -61,32 +61,32 @@ class WrittenLaw:
         names = ("v", "v_m", "i", "s", "change")
         results = (*self.coefficient_names, "force")
         lines = (*self.coefficients, *self.force)
-        law = staged(lines, [self.parameter_names, names], results, arrays=True)
+        law = staged(lines, [self.parameter_names, names], results)
         with np.errstate(over="ignore", divide="ignore", invalid="ignore"):
             *found, force = law(*self.constants(parameters).values())(*inputs.T)
         return np.stack(np.broadcast_arrays(*found)), force
 
 
 def staged(
-    formulas: Formulas, stages: Sequence[Sequence[str]], results: Sequence[str], *, arrays: bool
+    formulas: Formulas, stages: Sequence[Sequence[str]], results: Sequence[str], scalars: int = 0
 ) -> Callable[..., Any]:
     """Compile the formulas: ``staged(...)(*stages[0])(*stages[1])...`` returns the results.
 
-    Each of the ``stages`` names inputs that become known together; an input may be the name of a
-    formula. Each part of an expression is computed at the first stage at which its inputs are
-    known. A function returned by an earlier stage can therefore be reused without computing this
-    part again. Several results are returned as a tuple. With ``arrays``, inputs broadcast, and each
-    stage after the first has at least one array input; otherwise all inputs are floats.
+    ``stages`` names the inputs that become known together; an input may be the name of a formula.
+    Each part of an expression is computed at the first stage at which its inputs are known, so a
+    function kept from an earlier stage does not compute it again. Several results are returned as a
+    tuple. The inputs of the first ``scalars`` stages are floats. Other inputs are arrays, which
+    broadcast; those of the first stage may also be floats.
     """
     known = {name: stage for stage, names in enumerate(stages) for name in names}
     lines = [(name, _tree(text)) for name, text in _needed(formulas, results, known)]
     parts = Counter(ast.unparse(node) for _, tree in lines for node in ast.walk(tree))
-    writer = (_Arrays if arrays else _Scalars)(stages, known, {p for p in parts if parts[p] > 1})
+    writer = _Writer(stages, known, {p for p in parts if parts[p] > 1}, scalars)
     for name, tree in lines:
         writer.add(name, tree)
-    source = writer.source(results)
-    space = dict(writer.functions)
-    exec(compile(source, "<formulas>", "exec"), space)  # formulas come only from this package
+    space = {**_SCALAR_FUNCTIONS, **_ARRAY_FUNCTIONS}
+    # The package itself writes the formulas.
+    exec(compile(writer.source(results), "<formulas>", "exec"), space)
     made: Callable[..., Any] = space["stage_0"]
     return made
 
@@ -262,18 +262,87 @@ class Language:
         return f"{self.functions[function]}({', '.join(arguments)})"
 
 
+_SCALAR_FUNCTIONS: dict[str, Callable[..., Any]] = {
+    "exp": math.exp,
+    "tanh": math.tanh,
+    "abs": abs,
+    "clip": lambda x, low, high: high if x > high else low if x < low else x,
+    "over": lambda x: math.nan if x != x or x == 0.0 else math.copysign(math.inf, x),
+}
+
+_ARRAY_FUNCTIONS: dict[str, Callable[..., Any]] = {
+    "each_exp": np.exp,
+    "each_tanh": np.tanh,
+    "each_abs": np.abs,
+    "each_where": np.where,
+    # The method takes half the time of np.clip, which matters for blocks of a few samples.
+    "each_clip": lambda x, low, high: x.clip(low, high),
+    "each_sat": lambda x: x.clip(-LIMIT, LIMIT),
+    "each_larger": np.maximum,
+    "each_number": lambda x: np.where(x == x, x, 0.0),
+}
+
+
+class _Arrays:
+    """Writes NumPy code."""
+
+    def infix(self, operator: type, first: str, second: str) -> str:
+        """Two operands in brackets, independent of the precedence around them."""
+        return f"({first} {_SIGNS[operator]} {second})"
+
+    def call(self, function: str, arguments: Sequence[str]) -> str:
+        """The function for arrays."""
+        return f"each_{function}({', '.join(arguments)})"
+
+
+class _Scalars(_Arrays):
+    """Writes scalar code without calls where possible: a call takes as long as ten sums."""
+
+    def __init__(self, new: Callable[[], str]) -> None:
+        self._new = new
+
+    def infix(self, operator: type, first: str, second: str) -> str:
+        """Division by zero gives the same result as with arrays."""
+        if operator is not ast.Div:
+            return super().infix(operator, first, second)
+        divisor = self._new()
+        return f"({first} / {divisor} if ({divisor} := {second}) else over({first}))"
+
+    def call(self, function: str, arguments: Sequence[str]) -> str:
+        """Use an expression instead of a call where possible."""
+        first, *others = arguments
+        part = self._new()
+        if function == "where":
+            return f"({others[0]} if {first} else {others[1]})"
+        if function == "sat":
+            others = [repr(-LIMIT), repr(LIMIT)]
+        if function in ("sat", "clip"):
+            low, high = others
+            within = f"{low} <= ({part} := {first}) <= {high}"
+            return f"({part} if {within} else clip({part}, {low}, {high}))"
+        if function == "larger":
+            return f"({part} if ({part} := {first}) > {others[0]} else {others[0]})"
+        if function == "number":
+            return f"({part} if ({part} := {first}) == {part} else 0.0)"
+        return f"{function}({', '.join(arguments)})"
+
+
 class _Writer:
     """Writes nested functions, one for each stage; each computes as much as its inputs allow."""
 
-    functions: ClassVar[Mapping[str, Any]]
-
     def __init__(
-        self, stages: Sequence[Sequence[str]], known: dict[str, int], repeated: set[str]
+        self,
+        stages: Sequence[Sequence[str]],
+        known: dict[str, int],
+        repeated: set[str],
+        scalars: int,
     ) -> None:
         """``known``: stage of each input by name; ``repeated``: expressions to store."""
         self._stages = stages
         self._known = known
         self._repeated = repeated
+        later = len(stages) - scalars
+        self._styles: list[_Style] = [_Scalars(self._new)] * scalars + [_Arrays()] * later
         self._lines: list[list[str]] = [[] for _ in stages]
         self._kept: dict[str, str] = {}
         self._count = 0
@@ -310,72 +379,11 @@ class _Writer:
         return self._kept[text]
 
     def _written(self, node: ast.expr, stage: int) -> str:
-        return _written(node, self, lambda inner, _: self._part(inner, stage))
+        return _written(node, self._styles[stage], lambda inner, _: self._part(inner, stage))
 
     def _new(self) -> str:
         self._count += 1
         return f"part_{self._count}"
-
-    def infix(self, operator: type, first: str, second: str) -> str:
-        """Two operands in brackets, whatever the precedence around them."""
-        return f"({first} {_SIGNS[operator]} {second})"
-
-    def call(self, function: str, arguments: Sequence[str]) -> str:
-        """The function of the same name."""
-        return f"{function}({', '.join(arguments)})"
-
-
-class _Arrays(_Writer):
-    """Writes NumPy code."""
-
-    functions: ClassVar = {
-        "exp": np.exp,
-        "tanh": np.tanh,
-        "abs": np.abs,
-        "where": np.where,
-        # The method takes half the time of np.clip, which matters for blocks of a few samples.
-        "clip": lambda x, low, high: x.clip(low, high),
-        "sat": lambda x: x.clip(-LIMIT, LIMIT),
-        "larger": np.maximum,
-        "number": lambda x: np.where(x == x, x, 0.0),
-    }
-
-
-class _Scalars(_Writer):
-    """Writes scalar code without calls where possible: a call takes as long as ten sums."""
-
-    functions: ClassVar = {
-        "exp": math.exp,
-        "tanh": math.tanh,
-        "abs": abs,
-        "clip": lambda x, low, high: high if x > high else low if x < low else x,
-        "over": lambda x: math.nan if x != x or x == 0.0 else math.copysign(math.inf, x),
-    }
-
-    def infix(self, operator: type, first: str, second: str) -> str:
-        """Division by zero gives the same result as with arrays."""
-        if operator is not ast.Div:
-            return super().infix(operator, first, second)
-        divisor = self._new()
-        return f"({first} / {divisor} if ({divisor} := {second}) else over({first}))"
-
-    def call(self, function: str, arguments: Sequence[str]) -> str:
-        """Use an expression instead of a call where possible."""
-        first, *others = arguments
-        part = self._new()
-        if function == "where":
-            return f"({others[0]} if {first} else {others[1]})"
-        if function == "sat":
-            others = [repr(-LIMIT), repr(LIMIT)]
-        if function in ("sat", "clip"):
-            low, high = others
-            within = f"{low} <= ({part} := {first}) <= {high}"
-            return f"({part} if {within} else clip({part}, {low}, {high}))"
-        if function == "larger":
-            return f"({part} if ({part} := {first}) > {others[0]} else {others[0]})"
-        if function == "number":
-            return f"({part} if ({part} := {first}) == {part} else 0.0)"
-        return super().call(function, arguments)
 
 
 def columns(*parts: Array | float) -> Array:

@@ -165,7 +165,7 @@ _sample = staged(
     LAW,
     [PARAMETER_NAMES, ("i",), ("v", "v_m", "s", "change")],
     ("force", "damping", "branch"),
-    arrays=False,
+    scalars=3,
 )
 
 
@@ -306,7 +306,7 @@ def branch_along(
 _MOTION = ("scale", "alpha", "viscous", "centred", "width")
 """Formulas that depend only on the motion."""
 
-_of_motion = staged(LAW, [PARAMETER_NAMES, ("v", "v_m")], _MOTION, arrays=False)
+_of_motion = staged(LAW, [PARAMETER_NAMES, ("v", "v_m")], _MOTION, scalars=2)
 _SEEN = (*_MOTION, "s", "change")
 
 
@@ -315,8 +315,8 @@ def _over_current(extended: bool) -> tuple[Callable[..., Any], Callable[..., Any
     """Compiled formulas: one sample over currents as scalars, many samples as arrays."""
     results = ("force", "damping") if extended else ("force",)
     return (
-        staged(LAW, [PARAMETER_NAMES, _SEEN, ("i",)], results, arrays=False),
-        staged(LAW, [PARAMETER_NAMES, ("i",), _SEEN], results, arrays=True),
+        staged(LAW, [PARAMETER_NAMES, _SEEN, ("i",)], results, scalars=3),
+        staged(LAW, [PARAMETER_NAMES, ("i",), _SEEN], results, scalars=1),
     )
 
 

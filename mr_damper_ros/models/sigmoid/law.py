@@ -111,65 +111,39 @@ class Coefficients(NamedTuple):
 
 
 class ForceAndDamping(NamedTuple):
-    """Force [N] and equivalent damping [N s/m] of the sigmoid law, or their derivatives."""
+    """Force [N] and equivalent damping [N s/m] of the sigmoid law."""
 
     force: Array
     damping: Array
 
 
-def _gradients(results: Sequence[str], by: Sequence[str]) -> Formulas:
-    """Formulas of the derivatives of these results."""
+def gradients(results: Sequence[str], by: Sequence[str]) -> Formulas:
+    """Formulas of the derivatives of these results, on a given branch."""
     return tuple(
         line for result in results for line in gradient(LAW, result, by, ["branch"])[len(LAW) :]
     )
 
 
-_BY_PARAMETERS = dict(_gradients(COEFFICIENT_NAMES[:-1], PARAMETER_NAMES))
-# f_d is proportional to f_t, so the derivatives of f_t are reused.
-_BY_PARAMETERS |= {
-    f"f_d_by_{name}": f"k5 * f_t_by_{name}"
-    for name in PARAMETER_NAMES
-    if _BY_PARAMETERS[f"f_t_by_{name}"] != "0.0"
-}
-_BY_PARAMETERS["f_d_by_k5"] = "f_t"
-
-DEPENDENCES = {
-    coefficient: tuple(
-        name
-        for name in PARAMETER_NAMES
-        if _BY_PARAMETERS.get(f"{coefficient}_by_{name}", "0.0") != "0.0"
-    )
-    for coefficient in COEFFICIENT_NAMES
-}
-"""The parameters that each coefficient depends on."""
-
-_PLACES = [(row, _INDEX[name]) for row, names in enumerate(DEPENDENCES.values()) for name in names]
-
-_BY_COEFFICIENTS = (*LAW, *_gradients(("force", "damping"), COEFFICIENT_NAMES))
-
 _WITH_COEFFICIENTS = [(*COEFFICIENT_NAMES, "v", "branch")]
 
 _OPERATING_POINT = [PARAMETER_NAMES, ("v_m", "i")]
 
-_coefficients = staged(LAW, _OPERATING_POINT, COEFFICIENT_NAMES, arrays=True)
+_coefficients = staged(LAW, _OPERATING_POINT, COEFFICIENT_NAMES)
 _coefficient_derivatives = staged(
-    (*LAW, *_BY_PARAMETERS.items()),
+    (*LAW, *gradients(COEFFICIENT_NAMES, PARAMETER_NAMES)),
     _OPERATING_POINT,
-    [f"{c}_by_{name}" for c, names in DEPENDENCES.items() for name in names],
-    arrays=True,
+    [f"{coefficient}_by_{name}" for coefficient in COEFFICIENT_NAMES for name in PARAMETER_NAMES],
 )
-_force = staged(LAW, _WITH_COEFFICIENTS, ("force",), arrays=True)
-_force_and_damping = staged(LAW, _WITH_COEFFICIENTS, ("force", "damping"), arrays=True)
-_FORCE_BY, _DAMPING_BY = (
-    [f"{result}_by_{name}" for name in COEFFICIENT_NAMES] for result in ("force", "damping")
-)
-_force_derivatives = staged(_BY_COEFFICIENTS, _WITH_COEFFICIENTS, _FORCE_BY, arrays=True)
-_all_derivatives = staged(
-    _BY_COEFFICIENTS, _WITH_COEFFICIENTS, (*_FORCE_BY, *_DAMPING_BY), arrays=True
+_force = staged(LAW, _WITH_COEFFICIENTS, ("force",))
+_force_and_damping = staged(LAW, _WITH_COEFFICIENTS, ("force", "damping"))
+_force_derivatives = staged(
+    (*LAW, *gradients(["force"], COEFFICIENT_NAMES)),
+    _WITH_COEFFICIENTS,
+    [f"force_by_{name}" for name in COEFFICIENT_NAMES],
 )
 
 # Finite parameters may have any size; overflow saturates.
-_quiet = np.errstate(over="ignore", divide="ignore", invalid="ignore")
+quiet = np.errstate(over="ignore", divide="ignore", invalid="ignore")
 
 
 def as_columns(parameters: Array) -> list[Any]:
@@ -189,7 +163,7 @@ def _checked(parameters: ArrayLike) -> Array:
     return p
 
 
-@_quiet
+@quiet
 def operating_point_coefficients(
     parameters: ArrayLike, peak_velocity: ArrayLike, current: ArrayLike
 ) -> Coefficients:
@@ -205,7 +179,7 @@ def operating_point_coefficients(
     return Coefficients(*at(_array(peak_velocity), _array(current)))
 
 
-@_quiet
+@quiet
 def force_from_coefficients(
     coefficients: Coefficients, velocity: ArrayLike, acceleration: ArrayLike
 ) -> Array:
@@ -217,7 +191,7 @@ def force_from_coefficients(
     return np.asarray(_force(*coefficients, *_moving(velocity, acceleration)))
 
 
-@_quiet
+@quiet
 def force_and_damping(
     coefficients: Coefficients, velocity: Array, acceleration: Array
 ) -> ForceAndDamping:
@@ -229,7 +203,7 @@ def force_and_damping(
     return ForceAndDamping(*found)
 
 
-@_quiet
+@quiet
 def coefficient_jacobian(
     coefficients: Coefficients, velocity: ArrayLike, acceleration: ArrayLike
 ) -> Array:
@@ -237,16 +211,7 @@ def coefficient_jacobian(
     return columns(*_force_derivatives(*coefficients, *_moving(velocity, acceleration)))
 
 
-@_quiet
-def force_and_damping_jacobian(
-    coefficients: Coefficients, velocity: ArrayLike, acceleration: ArrayLike
-) -> ForceAndDamping:
-    """Derivatives of force and damping by the seven coefficients, each of shape (..., n, 7)."""
-    found = _all_derivatives(*coefficients, *_moving(velocity, acceleration))
-    return ForceAndDamping(columns(*found[:7]), columns(*found[7:]))
-
-
-@_quiet
+@quiet
 def coefficient_parameter_jacobian(
     parameters: ArrayLike, peak_velocity: ArrayLike, current: ArrayLike
 ) -> Array:
@@ -256,13 +221,8 @@ def coefficient_parameter_jacobian(
     result has shape (n, 7, 16).
     """
     v_m, i = _array(peak_velocity), _array(current)
-    found = _coefficient_derivatives(*as_columns(_checked(parameters)))(v_m, i)
-    # Derivatives of one parameter are contiguous; most of the array is zero and is never touched.
-    shape = np.broadcast_shapes(v_m.shape, i.shape)
-    jacobian = np.zeros((len(COEFFICIENT_NAMES), len(PARAMETER_NAMES), *shape))
-    for place, derivative in zip(_PLACES, found, strict=True):
-        jacobian[place] = derivative
-    return np.moveaxis(jacobian, -1, 0)
+    found = columns(*_coefficient_derivatives(*as_columns(_checked(parameters)))(v_m, i))
+    return found.reshape(-1, len(COEFFICIENT_NAMES), len(PARAMETER_NAMES))
 
 
 def sign_of_pair(f_t: ArrayLike) -> Array:

@@ -149,9 +149,7 @@ class _Law(NamedTuple):
         scales = tuple((place, SCALE_PARAMETER_NAMES[place]) for place in places)
         by = (scales[0][1], *([gain] if gain else []))
         lines = gradient(COEFFICIENTS, coefficients[0], by)
-        parts = [
-            staged(lines, _INPUTS, [f"{coefficients[0]}_by_{name}"], arrays=True) for name in by
-        ]
+        parts = [staged(lines, _INPUTS, [f"{coefficients[0]}_by_{name}"]) for name in by]
         return cls(stage, scales, gain, unknowns, parts[0], parts[1] if gain else None)
 
     def basis(self, v: Array, i: Array, values: Values) -> tuple[Array, Array]:
