@@ -16,8 +16,8 @@ and are solved for. Differential evolution searches the other unknowns of a grou
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
-from functools import cached_property, partial
+from collections.abc import Mapping, Sequence
+from functools import cached_property
 from itertools import product
 from typing import ClassVar, NamedTuple
 
@@ -34,7 +34,7 @@ from mr_damper_ros.models.first_order_lag import (
     coil_unsettled,
 )
 from mr_damper_ros.models.force_model import CurrentResponse, Model
-from mr_damper_ros.models.formulas import WrittenLaw, gradient, staged
+from mr_damper_ros.models.formulas import WrittenLaw, staged
 from mr_damper_ros.models.published import LITERATURE
 from mr_damper_ros.models.quantities import (
     SETTLING,
@@ -117,7 +117,6 @@ _USUAL_LAG = 0.02
 """Usual upper limit [s] of the time constants of coil and fluid. While they are unknown, samples in
 a transient with this time constant at the start of a window are excluded."""
 
-
 _EXPONENT_SPAN = 8.0
 """Largest exponent of growth or decay over the velocity range; e^8 is a ratio of 3000."""
 
@@ -126,84 +125,74 @@ Values = Mapping[str, Array | float]
 
 
 class _Law(NamedTuple):
-    """One group of parameters and the coefficients that they determine.
+    """One group of parameters: the coefficients that they determine, the gain, and the unknowns.
 
-    Each coefficient is scale * (constant + gain * step). ``constant`` is the derivative of the
-    first coefficient by its scale at zero gain, and ``step`` its derivative by the gain at a scale
-    of 1. ``gain`` is k2, k3 or empty.
+    Each coefficient is its scale times (constant + gain step). ``gain`` is k2, k3 or empty.
     """
 
     stage: str
-    scales: tuple[tuple[int, str], ...]
-    gain: str
-    unknowns: tuple[str, ...]
-    constant: Callable[..., Array]
-    step: Callable[..., Array] | None
+    coefficients: tuple[str, ...]
+    gain: str = ""
+    unknowns: tuple[str, ...] = ()
 
-    @classmethod
-    def of(
-        cls, stage: str, coefficients: Sequence[str], gain: str, unknowns: tuple[str, ...]
-    ) -> _Law:
-        """The law of these coefficients."""
-        places = [COEFFICIENT_NAMES.index(name) for name in coefficients]
-        scales = tuple((place, SCALE_PARAMETER_NAMES[place]) for place in places)
-        by = (scales[0][1], *([gain] if gain else []))
-        lines = gradient(COEFFICIENTS, coefficients[0], by)
-        parts = [staged(lines, _INPUTS, [f"{coefficients[0]}_by_{name}"]) for name in by]
-        return cls(stage, scales, gain, unknowns, parts[0], parts[1] if gain else None)
+    def solve(
+        self, table: CoefficientTable, values: Values, free: frozenset[str]
+    ) -> tuple[Array, dict[str, float]]:
+        """Weighted misfit (s,) to the table with the free linear parameters solved for.
 
-    def basis(self, v: Array, i: Array, values: Values) -> tuple[Array, Array]:
-        """Constant and step, for unknowns of shape (s, 1) and operating points of shape (k,)."""
-        unit = {**values, **{name: 1.0 for _, name in self.scales}}
-        step = 0.0 if self.step is None else self.step(*_in_order(unit), v, i)
-        if self.gain:
-            unit[self.gain] = 0.0
-        constant, step = np.broadcast_arrays(self.constant(*_in_order(unit), v, i), step)
-        return np.atleast_2d(constant), np.atleast_2d(step)
+        ``values`` are numbers, or have shape (s, 1). Also returns the linear parameters of the last
+        trial.
+        """
+        constant, step = self._basis(table, values)
+        parts = [constant, step] if self.gain in free else [constant + values[self.gain] * step]
+        misfit = np.zeros(parts[0].shape[0])
+        found: dict[str, float] = {}
+        for name in self.coefficients:
+            column = COEFFICIENT_NAMES.index(name)
+            scale, weights = SCALE_PARAMETER_NAMES[column], table.weights(column)
+            target = weights * table.coefficients[:, column]
+            basis = weights * np.stack(parts, axis=1)
+            if scale in free:
+                factors = _least_squares(basis, target)
+                found[scale] = float(factors[-1, 0])
+                if self.gain in free:
+                    found[self.gain] = _over(factors[-1, 1], factors[-1, 0]).item()
+            else:
+                factors = values[scale] * np.array([[1.0, values[self.gain]][: len(parts)]])
+            misfit += np.sum((np.einsum("sc,sck->sk", factors, basis) - target) ** 2, axis=-1)
+        return misfit, found
 
-
-_INPUTS = [(*PARAMETER_NAMES, "v_m", "i")]
-
-
-def _in_order(values: Values) -> list[Array | float]:
-    return [values[name] for name in PARAMETER_NAMES]
-
-
-def fit_laws(
-    table: CoefficientTable,
-    start: Array,
-    free: frozenset[str],
-    search: LawSearch,
-) -> Array:
-    """Parameters (16,) whose laws fit the table best.
-
-    Parameters not in ``free`` keep their value in ``start`` (16,); ``search`` minimises over the
-    nonlinear ones.
-    """
-    values = dict(zip(PARAMETER_NAMES, np.asarray(start, dtype=float).tolist(), strict=True))
-    bounds = shape_bounds(float(table.peak_velocity.max()), float(np.abs(table.current).max()))
-    for law in _LAWS:
-        names = [name for name in law.unknowns if name in free]
-        problem = _LawProblem(law, table, values, free)
-        if names:
-            best = search(
-                partial(problem.misfit, names),
-                [bounds[name] for name in names],
-                np.array([values[name] for name in names]),
-                law.stage,
+    def _basis(self, table: CoefficientTable, values: Values) -> tuple[Array, Array]:
+        """Constant and step (s, k) at the operating points of the table."""
+        coefficient = _ONE_COEFFICIENT[self.coefficients[0]]
+        unit = dict(values) | dict.fromkeys(SCALE_PARAMETER_NAMES, 1.0)
+        constant, whole = (
+            np.atleast_2d(
+                coefficient(
+                    *((unit | {self.gain: gain})[name] for name in PARAMETER_NAMES),
+                    table.peak_velocity,
+                    table.current,
+                )
             )
-            values.update(zip(names, best.tolist(), strict=True))
-        values.update(problem.solve({name: np.array([[values[name]]]) for name in names})[1])
-    if "k5" in free:
-        weights = table.weights(6)
-        yield_force, offset = (weights * table.coefficients[:, place] for place in (0, 6))
-        values["k5"] = float(_least_squares(yield_force[np.newaxis, np.newaxis], offset)[0, 0])
-    return np.array([values[name] for name in PARAMETER_NAMES])
+            for gain in (0.0, 1.0)
+        )
+        constant, step = np.broadcast_arrays(constant, whole - constant)
+        return constant, step
 
 
-def searched_laws(free: frozenset[str]) -> int:
-    """Number of laws that need a nonlinear search for these free parameters."""
-    return sum(any(name in free for name in law.unknowns) for law in _LAWS)
+_ONE_COEFFICIENT = {
+    name: staged(COEFFICIENTS, [(*PARAMETER_NAMES, "v_m", "i")], [name])
+    for name in COEFFICIENT_NAMES
+}
+"""Compiled formulas of the coefficients."""
+
+_LAWS = (
+    _Law("yield force", ("f_t",), "k2", ("a1", "a2", "I0")),
+    _Law("steepness", ("alpha",), unknowns=("k0",)),
+    _Law("viscous slopes", ("k_c", "k_e"), unknowns=("a4",)),
+    _Law("hysteresis", ("v_h",), "k3", ("a3", "I1")),
+    _Law("velocity offset", ("v_d",)),
+)
 
 
 def shape_bounds(top_velocity: float, top_current: float) -> dict[str, tuple[float, float]]:
@@ -224,49 +213,6 @@ def shape_bounds(top_velocity: float, top_current: float) -> dict[str, tuple[flo
     }
 
 
-class _LawProblem:
-    """Weighted misfit of one law to the table, with its linear unknowns solved for."""
-
-    def __init__(
-        self, law: _Law, table: CoefficientTable, values: Values, free: frozenset[str]
-    ) -> None:
-        self._law = law
-        self._table = table
-        self._values = values
-        self._free = free
-        self._weights = {column: table.weights(column) for column, _ in law.scales}
-
-    def misfit(self, names: list[str], individuals: Array) -> Array:
-        """Misfit (s,) of individuals of shape (len(names), s)."""
-        return self.solve(dict(zip(names, individuals[:, :, np.newaxis], strict=True)))[0]
-
-    def solve(self, trial: Values) -> tuple[Array, dict[str, float]]:
-        """Misfit (s,) for trial unknowns of shape (s, 1), and the scales of the last trial."""
-        values = {**self._values, **trial}
-        constant, step = self._law.basis(self._table.peak_velocity, self._table.current, values)
-        gain_is_free = self._law.gain in self._free
-        if self._law.gain and not gain_is_free:
-            constant = constant + self._values[self._law.gain] * step
-        misfit = np.zeros(constant.shape[0])
-        found: dict[str, float] = {}
-        for column, name in self._law.scales:
-            weights = self._weights[column]
-            target = weights * self._table.coefficients[:, column]
-            parts = [constant, step] if gain_is_free else [constant]
-            basis = weights * np.stack(parts, axis=1)
-            if name in self._free:
-                factors = _least_squares(basis, target)
-                found[name] = scale = float(factors[-1, 0])
-                if gain_is_free:
-                    found[self._law.gain] = float(factors[-1, 1]) / scale if scale else 0.0
-            else:
-                given = float(self._values[name])
-                gain = self._values.get(self._law.gain, 0.0)
-                factors = given * np.array([[1.0, gain][: len(parts)]])
-            misfit += np.sum((np.einsum("sc,sck->sk", factors, basis) - target) ** 2, axis=-1)
-        return misfit, found
-
-
 def _least_squares(basis: Array, target: Array) -> Array:
     """Factors (s, c) for the columns of a basis (s, c, k), fitted to a target (k,)."""
     gram = basis @ basis.swapaxes(1, 2)
@@ -274,15 +220,6 @@ def _least_squares(basis: Array, target: Array) -> Array:
     places = np.arange(basis.shape[1])
     gram[:, places, places] = gram[:, places, places] * (1.0 + 1e-9) + 1e-300
     return np.asarray(np.linalg.solve(gram, (basis @ target)[..., np.newaxis])[..., 0])
-
-
-_LAWS = (
-    _Law.of("yield force", ("f_t",), "k2", ("a1", "a2", "I0")),
-    _Law.of("steepness", ("alpha",), "", ("k0",)),
-    _Law.of("viscous slopes", ("k_c", "k_e"), "", ("a4",)),
-    _Law.of("hysteresis", ("v_h",), "k3", ("a3", "I1")),
-    _Law.of("velocity offset", ("v_d",), "", ()),
-)
 
 
 class SigmoidModel(Model):
@@ -477,7 +414,7 @@ class SigmoidModel(Model):
 
     def searched_laws(self, free: frozenset[str]) -> int:
         """Number of laws that need a nonlinear search for these free parameters."""
-        return searched_laws(free)
+        return sum(any(name in free for name in law.unknowns) for law in _LAWS)
 
     def fit_laws(
         self,
@@ -488,7 +425,27 @@ class SigmoidModel(Model):
     ) -> Array:
         """Fit the decoupled laws one by one."""
         sixteen, rest = np.split(start, [SIGMOID_COUNT])
-        return np.concatenate((fit_laws(table, sixteen, free, search), rest))
+        # The empty name stands for the gain of a law without one.
+        values = {"": 0.0, **dict(zip(PARAMETER_NAMES, sixteen.tolist(), strict=True))}
+        top_velocity = float(table.peak_velocity.max())
+        bounds = shape_bounds(top_velocity, float(np.abs(table.current).max()))
+        for law in _LAWS:
+            names = [name for name in law.unknowns if name in free]
+
+            def misfit(individuals: Array, law: _Law = law, names: list[str] = names) -> Array:
+                trial = dict(zip(names, individuals[:, :, np.newaxis], strict=True))
+                return law.solve(table, values | trial, free)[0]
+
+            if names:
+                ranges = [bounds[name] for name in names]
+                best = search(misfit, ranges, np.array([values[name] for name in names]), law.stage)
+                values.update(zip(names, best.tolist(), strict=True))
+            values.update(law.solve(table, values, free)[1])
+        if "k5" in free:
+            weights = table.weights(_LAST)
+            yield_force, offset = (weights * table.coefficients[:, c] for c in (0, _LAST))
+            values["k5"] = float(_least_squares(yield_force[np.newaxis, np.newaxis], offset)[0, 0])
+        return np.concatenate(([values[name] for name in PARAMETER_NAMES], rest))
 
     def softened(self, parameters: Array, held: np.ndarray, top_current: float) -> Array:
         """The set with steps over the current made smooth enough for a search."""
