@@ -303,7 +303,7 @@ class EmulatedRig(MeasuredRig):
                 f"the time constant of the coil is {coil_time_constant} s: it must not be negative"
             )
         self._coil = np.array(coil_time_constant)
-        self._before: tuple[Array, Array] | None = None
+        self._coil_state: State = ()
         self._faults: list[Fault] = []
         self._peak: PeakVelocity | None = None
         self._taken = 0
@@ -404,8 +404,7 @@ class EmulatedRig(MeasuredRig):
         )
         motion = Motion(centred, velocity, acceleration, v_m, sine=None)
         fed = changed(self._faults, "coil", Samples(time, current, period, kinematics))
-        coil = coil_current(fed, self._coil, period, self._before)
-        self._before = fed[-1], coil[-1]
+        coil, self._coil_state = coil_current(fed, self._coil, period, self._coil_state)
         force = self._damper.force(motion, coil, self._celsius, period)
         true_force = changed(self._faults, "force", Samples(time, force, period, kinematics))
         celsius = np.full(count, self._celsius)

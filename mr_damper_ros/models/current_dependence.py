@@ -28,9 +28,6 @@ from mr_damper_ros.models.first_order_lag import (
     PLAUSIBLE_COIL,
     coil_current,
     coil_parameter,
-    coil_shows,
-    coil_state,
-    coil_unsettled,
 )
 from mr_damper_ros.models.force_model import CurrentResponse, Model, WindowForces
 from mr_damper_ros.models.quantities import (
@@ -90,8 +87,6 @@ class CurrentDependentModel(Model):
     """A law with coefficients at one current, and the current dependence of these coefficients."""
 
     at_one_current: ClassVar[tuple[Coefficient, ...]] = ()
-    memory: ClassVar[int] = 0
-    """Number of arrays in the state of the law itself."""
 
     def __init_subclass__(cls, **options: Any) -> None:
         """Derive the parameters from the coefficients."""
@@ -133,45 +128,15 @@ class CurrentDependentModel(Model):
         plain = self.starts_at_one_current(reading)
         return np.hstack([plain, np.zeros((len(plain), len(self.parameters) - plain.shape[1]))])
 
-    def follow(
+    def follow_in_coil(
         self, parameters: Array, motion: Motion, current: Array, period: float, state: State | None
     ) -> tuple[Array, State]:
-        """Force [N]; with a coil lag the state ends with the supply current and coil current."""
-        time_constant = parameters[..., -1]
-        lags = bool(np.any(time_constant > 0.0))
-        own = None if state is None else state[: self.memory]
-        before = coil_state(state[self.memory :]) if state is not None and lags else None
-        in_coil = coil_current(current, time_constant, period, before) if lags else current
-        force, kept = self.force_at(self.all_at(parameters, in_coil), motion, period, own)
-        if not lags:
-            return force, kept
-        shape = parameters.shape[:-1]
-        return force, (*kept, np.full(shape, current[-1]), in_coil[..., -1])
+        """Force [N] of the coefficients at the current of the coil."""
+        return self.force_at(self.all_at(parameters, current), motion, period, state)
 
     def current_response(self, parameters: Array) -> CurrentResponse:
         """Force over the current; the coefficients are computed at all currents at once."""
         return _CurrentResponse(self, parameters)
-
-    def window_force(self, window: Window, parameters: Array) -> Array:
-        """Force [N] at the samples of a window, shape (..., n), for parameters (..., p)."""
-        time_constant = parameters[..., -1]
-        if self.remembers or not coil_shows(window, float(np.max(time_constant))):
-            return super().window_force(window, parameters)
-        # The law has no memory; only the coil current depends on the history.
-        history = window.history
-        late = coil_current(history.current, time_constant, history.period, None)
-        in_coil = np.moveaxis(history.at_samples(np.moveaxis(late, -1, 0)), 0, -1)
-        values = self.all_at(parameters, in_coil)
-        return self.force_at(values, window.motion, history.period, None)[0]
-
-    def settled(self, window: Window, parameters: Array | None) -> np.ndarray:
-        """Mask (n,) of samples at which law and coil are independent of earlier motion."""
-        coil = 0.0 if parameters is None else float(parameters[-1])
-        return super().settled(window, parameters) & ~coil_unsettled(window, coil)
-
-    def needs_past(self, window: Window) -> bool:
-        """True if the law has memory, or if the current changes, which a coil may delay."""
-        return self.remembers or not window.has_constant_current
 
     def number_at(self, values: Sequence[float], place: int, current: float) -> float:
         """One coefficient of a set (p,) at one current [A], in floating-point scalars."""
@@ -417,7 +382,7 @@ def sensitivity_input(
     tau, late = float(parameters[-1]), current
     if float(np.ptp(current)) > 0.0:
         constants = np.array([tau, tau + DIFFERENCE])
-        late, later = coil_current(current, constants, history.period, None)
+        late, later = coil_current(current, constants, history.period, ())[0]
         chain = model.dependences(parameters, late, (later - late) / DIFFERENCE)
     else:
         chain = model.dependences(parameters, current[:1], np.zeros(1))

@@ -10,39 +10,28 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
-from typing import NamedTuple
 
 import numpy as np
 
 from mr_damper_ros.kinematics.window import Window
-from mr_damper_ros.models.quantities import SETTLING, Parameter
+from mr_damper_ros.models.quantities import SETTLING, Parameter, State
 from mr_damper_ros.signals.arrays import Array
 
 _SHORTEST, _LONGEST = 1e-9, 1e9
 """Limits of the time constant in sample periods; other values are set to the nearest limit."""
 
 
-class _Weights(NamedTuple):
-    """Weights of a step, with the mean time constant [s] and its ratio to the period.
+def _weights(before: Array | float, now: Array, period: float) -> tuple[Array, ...]:
+    """Weights of a step between two samples with these time constants [s].
 
-    The weights apply to the previous lagged value and to the signal at both ends of the step,
-    between which it is linear.
+    Returns the mean time constant [s], its ratio to the period, and the weights of the previous
+    lagged value and of the signal at both ends of the step, between which it is linear.
     """
-
-    tau: Array
-    ratio: Array
-    decay: Array
-    before: Array
-    now: Array
-
-    @classmethod
-    def of(cls, before: Array, now: Array, period: float) -> _Weights:
-        """The weights between two samples with these time constants [s]."""
-        tau = (0.5 * (before + now)).clip(_SHORTEST * period, _LONGEST * period)
-        ratio = period / tau
-        decay = np.exp(-ratio)
-        mean = -np.expm1(-ratio) / ratio
-        return cls(tau, ratio, decay, mean - decay, 1.0 - mean)
+    tau = (0.5 * (before + now)).clip(_SHORTEST * period, _LONGEST * period)
+    ratio = period / tau
+    decay = np.exp(-ratio)
+    mean = -np.expm1(-ratio) / ratio
+    return tau, ratio, decay, mean - decay, 1.0 - mean
 
 
 LagState = tuple[Array, Array, Array]
@@ -71,7 +60,7 @@ class FirstOrderLag:
             before[0] = state[2]
         elif not periodic:
             before[0] = time_constant[0]
-        weights = _Weights.of(before, time_constant, period)
+        weights = _weights(before, time_constant, period)
         self._periodic, self._state = periodic, state
         self._tau, self._ratio, self._decay, self._before, self._now = weights
         self._bands = np.ones((2, self._decay.size), order="F")
@@ -137,14 +126,16 @@ def one_sample_later(
     return (mean - decay) * before + (1.0 - mean) * value + decay * late
 
 
-def next_lagged(values: Array, time_constant: Array, period: float, state: LagState) -> Array:
+def next_lagged(
+    values: Array, time_constant: Array, period: float, state: tuple[float, float, float]
+) -> Array:
     """Lagged values at the sample after ``state``, each with its own time constant [s].
 
     The arguments broadcast; the values are alternatives for one sample, not a sequence.
     """
     value, late, constant = state
-    weights = _Weights.of(constant, time_constant, period)
-    return np.asarray(weights.before * value + weights.now * values + weights.decay * late)
+    _, _, decay, before, now = _weights(constant, time_constant, period)
+    return np.asarray(before * value + now * values + decay * late)
 
 
 def _one_earlier(values: Array) -> Array:
@@ -186,38 +177,36 @@ def coil_parameter() -> Parameter:
     return Parameter(COIL, "s", 0.0, 1.0, currents=2, default=0.0)
 
 
-def coil_current(
-    current: Array, time_constant: Array, period: float, before: tuple[Array, Array] | None
-) -> Array:
-    """Current [A] of the coil, shape (..., n), for the supply's current (n,).
+FEW = 64
+"""Number of samples up to which scalar code is faster. NumPy takes a microsecond for each of a
+hundred operations, even on short arrays."""
 
-    ``time_constant`` (...) [s]; ``before``: supply and coil current at the previous sample, None at
-    a start, where both are equal.
+
+def coil_current(
+    current: Array, time_constant: Array, period: float, state: State
+) -> tuple[Array, State]:
+    """Current [A] of the coil, shape (..., n), for the supply's current (n,), and the state.
+
+    ``time_constant`` (...) [s]. The ``state`` is the current of supply and coil at the previous
+    sample; it is empty for a start, at which both are equal, and for a coil without lag.
     """
+    if not np.any(time_constant > 0.0):
+        return current, ()
+    if time_constant.ndim == 0 and current.size <= FEW:
+        tau, values = float(time_constant), current.tolist()
+        supplied, late = (float(part) for part in state) if state else (values[0], values[0])
+        found = []
+        for value in values:
+            late = one_sample_later(value, tau, period, supplied, late, tau)
+            supplied = value
+            found.append(late)
+        return np.array(found), (np.array(supplied), np.array(late))
     every = np.broadcast_to(current, (*time_constant.shape, current.size))
     # Constant currents are not an exception, so that all libraries are loaded before a stream
     # begins.
     constants = np.broadcast_to(time_constant[..., np.newaxis], every.shape)
-    state = None if before is None else (*before, time_constant)
-    return lagged(every, constants, period, state=state)
-
-
-def few_in_coil(
-    current: list[float], time_constant: float, period: float, before: tuple[float, float] | None
-) -> tuple[list[float], tuple[float, float]]:
-    """:func:`coil_current` in scalar code; also returns the last supply and coil current."""
-    supplied, late = (current[0], current[0]) if before is None else before
-    found = []
-    for value in current:
-        late = one_sample_later(value, time_constant, period, supplied, late, time_constant)
-        supplied = value
-        found.append(late)
-    return found, (supplied, late)
-
-
-def coil_state(remembered: tuple[Array, ...]) -> tuple[Array, Array] | None:
-    """Supply and coil current in the state of a law; None if the state holds none."""
-    return (remembered[0], remembered[1]) if remembered else None
+    in_coil = lagged(every, constants, period, state=(*state, time_constant) if state else None)
+    return in_coil, (every[..., -1], in_coil[..., -1])
 
 
 def coil_shows(window: Window, time_constant: float) -> bool:
@@ -231,7 +220,7 @@ def in_coil(window: Window, time_constant: float) -> Window:
     if not coil_shows(window, time_constant):
         return window
     whole = window.whole or window
-    late = coil_current(whole.current, np.array(time_constant), whole.period, None)
+    late, _ = coil_current(whole.current, np.array(time_constant), whole.period, ())
     if window.whole is None:
         return replace(window, current=late)
     assert window.places is not None

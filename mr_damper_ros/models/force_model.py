@@ -18,6 +18,13 @@ from numpy.typing import ArrayLike
 
 from mr_damper_ros.kinematics.motion import Motion, MotionSample
 from mr_damper_ros.kinematics.window import Window
+from mr_damper_ros.models.first_order_lag import (
+    COIL,
+    coil_current,
+    coil_shows,
+    coil_unsettled,
+    in_coil,
+)
 from mr_damper_ros.models.formulas import WrittenLaw
 from mr_damper_ros.models.machine_code import as_machine_code
 from mr_damper_ros.models.quantities import (
@@ -42,10 +49,12 @@ class Model(ABC):
     """A force law.
 
     ``parameters`` are in the order of every parameter array (p,). ``free_in_one_run`` names the
-    parameters that one run at one current determines (all if empty); the others keep their start
-    values. ``remembers``: whether the force depends on earlier samples. ``turning``: number of
-    leading arrays of the state that only matter near a reversal of the motion. ``strength`` names
-    the gain parameters, to which the force is proportional; by default these are all parameters
+    parameters that one run at one current determines (all if empty); the others keep the values of
+    a start. ``remembers``: whether the force depends on earlier samples. ``memory``: number of
+    arrays in the state of the law itself, of which the first ``turning`` only matter near a
+    reversal of the motion; the state of the coil follows them. A law whose last parameter is the
+    time constant of the coil depends on the coil current. ``strength`` names the gain
+    parameters, which scale with the strength of the damper; by default these are all parameters
     with a force in their unit. ``effort``: search effort for a window. ``coefficient_quantities``:
     the coefficients of the force at one operating point. ``linear`` names the parameters that enter
     the laws over operating points linearly; ``shape_groups`` lists the shape parameters of each
@@ -59,6 +68,7 @@ class Model(ABC):
     parameters: ClassVar[tuple[Parameter, ...]]
     free_in_one_run: ClassVar[tuple[str, ...]] = ()
     remembers: ClassVar[bool] = False
+    memory: int = 0
     turning: int = 0
     strength: ClassVar[tuple[str, ...]] = ()
     effort: ClassVar[SearchEffort] = SearchEffort()
@@ -69,14 +79,10 @@ class Model(ABC):
     # Abstract interface of a law
 
     @abstractmethod
-    def follow(
+    def follow_in_coil(
         self, parameters: Array, motion: Motion, current: Array, period: float, state: State | None
     ) -> tuple[Array, State]:
-        """Force (..., n) [N], and the state after the last sample.
-
-        ``parameters`` have shape (..., p), motion and ``current`` [A] shape (n,). ``period`` [s] is
-        the time between samples, ``state`` the state after the previous sample.
-        """
+        """As :meth:`follow`, for the coil current (n,) or (..., n) [A], without its state."""
 
     @abstractmethod
     def starts(self, reading: LoopReading) -> Array:
@@ -183,6 +189,26 @@ class Model(ABC):
 
     # Force
 
+    def follow(
+        self, parameters: Array, motion: Motion, current: Array, period: float, state: State | None
+    ) -> tuple[Array, State]:
+        """Force (..., n) [N], and the state after the last sample.
+
+        For parameters (..., p), a motion and currents (n,) [A], the ``period`` [s] between samples
+        and the state after the previous sample.
+        """
+        if not self.has_coil:
+            return self.follow_in_coil(parameters, motion, current, period, state)
+        own, coil = (None, ()) if state is None else (state[: self.memory], state[self.memory :])
+        in_coil, coil = coil_current(current, parameters[..., -1], period, coil)
+        force, own = self.follow_in_coil(parameters, motion, in_coil, period, own)
+        return force, (*own, *coil)
+
+    @cached_property
+    def has_coil(self) -> bool:
+        """Whether the current of the coil lags behind that of the supply."""
+        return self.parameters[-1].name == COIL
+
     @property
     def continuous(self) -> Model:
         """The law without jumps of the force at reversals; the law itself if it has none."""
@@ -208,8 +234,12 @@ class Model(ABC):
     def window_force(self, window: Window, parameters: Array) -> Array:
         """Force [N] at the samples of a window, shape (..., n), for parameters (..., p)."""
         if not (self.remembers or self.turning):
-            return self.force(parameters, window.motion, window.current, 1.0)
-        # The branch changes as fast as the velocity, so it needs the full sample rate.
+            coil = parameters[..., -1] if self.has_coil else np.zeros(())
+            if coil.ndim and coil_shows(window, float(np.max(coil))):
+                return np.stack([self.window_force(window, values) for values in parameters])
+            seen = in_coil(window, float(np.max(coil)))
+            return self.follow_in_coil(parameters, seen.motion, seen.current, 1.0, None)[0]
+        # The branch changes as fast as the law itself, so it needs the full sample rate.
         history = window.history if self.turning else window.history.coarse
         along = parameters, history.motion, history.current, history.period
         force, state = self.follow(*along, None)
@@ -224,8 +254,13 @@ class Model(ABC):
 
         ``parameters`` (p,) are None if no set is known yet.
         """
+        coil = 0.0 if parameters is None or not self.has_coil else float(parameters[-1])
+        return ~(self.unsettled(window, parameters) | coil_unsettled(window, coil))
+
+    def unsettled(self, window: Window, parameters: Array | None) -> np.ndarray:
+        """Mask (n,) of samples that depend on the time before the window, apart from the coil."""
         if parameters is None or not (self.remembers or self.turning) or window.history.periodic:
-            return np.ones(window.sample_count, dtype=bool)
+            return np.zeros(window.sample_count, dtype=bool)
         history = window.history.coarse
         along = parameters, history.motion, history.current, history.period
         first, state = self.follow(*along, None)
@@ -233,7 +268,7 @@ class Model(ABC):
         differs = np.abs(first - second) > FORGOTTEN * float(np.ptp(first))
         # The true past may differ from these two starts.
         count = 2 * int(np.max(np.flatnonzero(differs), initial=-1) + 1)
-        return ~history.unsettled(count * history.period)
+        return history.unsettled(count * history.period)
 
     def memory_length(self, parameters: Array, current: float) -> float:
         """Travel [m] after which the past has no effect; 0 if the memory depends on time only.
@@ -243,8 +278,8 @@ class Model(ABC):
         return 0.0
 
     def needs_past(self, window: Window) -> bool:
-        """Whether the force at the samples of a window depends on the motion between them."""
-        return self.remembers
+        """Whether the force at the samples depends on motion or current between them."""
+        return self.remembers or (self.has_coil and not window.has_constant_current)
 
     def lasting_force(self, window: Window, parameters: Array) -> Array:
         """The force (n,) [N] with all gain parameters set to zero."""

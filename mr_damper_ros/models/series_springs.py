@@ -38,7 +38,6 @@ from mr_damper_ros.models.current_dependence import (
     sensitivity_input,
     solve_recursion,
 )
-from mr_damper_ros.models.first_order_lag import coil_unsettled, few_in_coil
 from mr_damper_ros.models.machine_code import as_machine_code, run_loop, runs_machine_code
 from mr_damper_ros.models.quantities import FORGOTTEN, SETTLING, LoopReading, State
 from mr_damper_ros.signals.arrays import Array
@@ -220,42 +219,25 @@ class SeriesSprings(DifferentiatedModel):
         force, kept = integrated(_both_paths, paths, motion, period, state, self.memory)
         return np.asarray(force + stiffness * motion.displacement + offset), kept
 
-    def follow(
+    def follow_in_coil(
         self, parameters: Array, motion: Motion, current: Array, period: float, state: State | None
     ) -> tuple[Array, State]:
         """Force [N]; one set uses scalar code, because short blocks are frequent."""
         if parameters.ndim > 1 or runs_machine_code():
-            return super().follow(parameters, motion, current, period, state)
-        amperes, supply = self._one_in_coil(parameters, current, period, state)
-        paths, (stiffness, offset) = self._numbers_at(parameters, amperes)
+            return super().follow_in_coil(parameters, motion, current, period, state)
+        amperes = current.tolist()
+        constant = amperes.count(amperes[0]) == len(amperes)
+        paths, (gas, offset) = self._numbers_at(parameters, amperes[:1] if constant else amperes)
         velocity = motion.velocity.tolist()
-        memory = [math.nan] * self.memory if state is None else [float(s) for s in state[:5]]
-        force: Array = stiffness * motion.displacement + offset
+        memory = [math.nan] * self.memory if state is None else [float(s) for s in state]
+        force: Array = gas * motion.displacement + offset
         kept: list[float] = []
         for place, path in zip((0, 2), paths, strict=True):
             forces, early, flows = ([0.0] * len(velocity) for _ in range(3))
             start = memory[place], memory[place + 1], memory[4]
             kept += follow_path(velocity, path, forces, early, flows, period, *start)
             force += forces
-        return force, tuple(np.array(value) for value in (*kept, velocity[-1], *supply))
-
-    def _one_in_coil(
-        self, parameters: Array, current: Array, period: float, state: State | None
-    ) -> tuple[list[float], tuple[float, ...]]:
-        """Coil current [A] at the samples, one value if constant, and the state of the coil.
-
-        The state is the last supply current and coil current; it is empty if the coil has no lag.
-        """
-        tau, supplied = float(parameters[-1]), current.tolist()
-        if not tau > 0.0:
-            constant = supplied.count(supplied[0]) == len(supplied)
-            return supplied[:1] if constant else supplied, ()
-        before = None
-        if state is not None and len(state) > self.memory:
-            before = float(state[self.memory]), float(state[self.memory + 1])
-        in_coil, remembered = few_in_coil(supplied, tau, period, before)
-        constant = in_coil.count(in_coil[0]) == len(in_coil)
-        return in_coil[:1] if constant else in_coil, remembered
+        return force, tuple(np.array(value) for value in (*kept, velocity[-1]))
 
     def _numbers_at(
         self, parameters: Array, amperes: list[float]
@@ -293,15 +275,14 @@ class SeriesSprings(DifferentiatedModel):
             ]
         )
 
-    @as_machine_code()
-    def settled(self, window: Window, parameters: Array | None) -> np.ndarray:
-        """Mask (n,) of samples at which the springs and the coil no longer depend on the past.
+    def unsettled(self, window: Window, parameters: Array | None) -> np.ndarray:
+        """Mask (n,) of samples at which the springs depend on the time before the window.
 
         Two solutions enclose the force for any past: their springs start at the full yield force in
         either direction, with their lowest stiffness. The integration steps preserve the order.
         """
         if parameters is None or window.history.periodic:
-            return np.ones(window.sample_count, dtype=bool)
+            return np.zeros(window.sample_count, dtype=bool)
         history = window.history.coarse
         motion, before = history.motion, float(history.motion.velocity[0])
         ends = np.array([np.min(history.current), np.max(history.current)])
@@ -316,8 +297,7 @@ class SeriesSprings(DifferentiatedModel):
             forces.append(force)
         apart = np.abs(forces[0] - forces[1]) > FORGOTTEN * float(np.ptp(forces[0]))
         count = int(np.max(np.flatnonzero(apart), initial=-1) + 1)
-        unknown = history.unsettled(count * history.period)
-        return ~(unknown | coil_unsettled(window, float(parameters[-1])))
+        return history.unsettled(count * history.period)
 
     @as_machine_code()
     @np.errstate(over="ignore", invalid="ignore")

@@ -22,13 +22,12 @@ sigmoid force F_s,
 where the fraction is the equivalent damping of the sigmoid at the velocity x. The lag is therefore
 long near a reversal, where the force is steep, and short while the fluid flows. It increases with
 the yield force, that is with the current. The force is F_l + stiffness u + offset, where stiffness
-and offset come from the gas (thesis 3.2; the thesis adds 100 N to its records by hand).
-doc/extended_law.md describes the alternatives that were tried. The current is the coil current, see
-:mod:`first_order_lag`. A parameter array of the extended law contains the sixteen parameters of the
-sigmoid law, the three of :data:`EXTENSION_NAMES` and the time constant of the coil.
+and offset are those of the gas (thesis 3.2; the thesis adds 100 N to its records by hand).
+doc/extended_law.md describes the alternatives that were tried. The parameters of the extended law
+are the sixteen of the sigmoid law, the three of :data:`EXTENSION_NAMES` and the time constant of
+the coil.
 
-The state contains the branch (without the jump), then the memory of the lag, then the current of
-supply and coil if the coil has a lag.
+The state contains the branch (without the jump), then the memory of the lag.
 
 *Over the current.* Only the gains of yield force and width depend on the current, and they do not
 depend on the motion. The terms of the current are computed once for a set, and the terms of the
@@ -48,9 +47,7 @@ import numpy as np
 from mr_damper_ros.kinematics.motion import Motion, MotionSample
 from mr_damper_ros.models.first_order_lag import (
     COIL,
-    coil_current,
-    coil_state,
-    few_in_coil,
+    FEW,
     lagged,
     next_lagged,
     one_sample_later,
@@ -130,6 +127,15 @@ class LagMemory(NamedTuple):
     force: float
     constant: float
 
+    @classmethod
+    def of(cls, state: State | None) -> LagMemory | None:
+        """The end of a state of the extended law; None at a start."""
+        return None if state is None else cls(*map(float, state[-LAG_MEMORY:]))
+
+
+LAG_MEMORY = len(LagMemory._fields)
+"""Number of arrays in the state of the lag."""
+
 
 def lagged_after(
     force: float, damping: float, extension: Extension, period: float, before: LagMemory | None
@@ -142,24 +148,10 @@ def lagged_after(
     return LagMemory(force, late, constant)
 
 
-def alternatives_after(
-    force: Array, damping: Array, extension: Extension, period: float, before: LagMemory | None
-) -> Array:
-    """Lagged forces [N] of alternatives for one sample after ``before``; they broadcast."""
-    if before is None:
-        return force
-    state = np.array(before.plain), np.array(before.force), np.array(before.constant)
-    return next_lagged(force, extension.time_constant(damping), period, state)
-
-
 # -- along a motion
 
 BRANCH_MEMORY = 2
 """Number of arrays in the state without the jump: the last velocity [m/s] and the last branch."""
-
-FEW = 64
-"""Number of samples up to which scalar code is faster. With NumPy, each of a hundred operations
-takes a microsecond even on short arrays."""
 
 _sample = staged(
     LAW,
@@ -178,18 +170,10 @@ def follow(
     *,
     jumps: bool,
 ) -> tuple[Array, State]:
-    """As :meth:`Model.follow`, for parameters (..., 16) or (..., 20)."""
+    """As :meth:`Model.follow_in_coil`, for parameters (..., 16) or (..., 20)."""
     if parameters.ndim == 1 and motion.velocity.size <= FEW:
         return _follow_few(parameters, motion, current, period, state, jumps)
-    own = own_state(state, jumps=jumps)
-    extended = is_extended(parameters)
-    supply: State = ()
     turning: State = ()
-    if extended and np.any(parameters[..., -1] > 0.0):
-        before = None if own is None else coil_state(own[3:])
-        in_coil = coil_current(current, parameters[..., -1], period, before)
-        supply = (np.full(in_coil.shape[:-1], current[-1]), in_coil[..., -1])
-        current = in_coil
     coefficients = operating_point_coefficients(
         parameters[..., :SIGMOID_COUNT], motion.peak_velocity, current
     )
@@ -199,14 +183,15 @@ def follow(
         # The branch is already a factor of v_h, so the sign of the acceleration is set to 1.
         coefficients = coefficients._replace(v_h=coefficients.v_h * branch)
         acceleration = np.ones(motion.velocity.size)
-    if not extended:
+    if not is_extended(parameters):
         return force_from_coefficients(coefficients, motion.velocity, acceleration), turning
     plain, damping = force_and_damping(coefficients, motion.velocity, acceleration)
     extension = Extension(*np.moveaxis(parameters[..., SIGMOID_COUNT:-1, np.newaxis], -2, 0))
     constant = extension.time_constant(damping)
-    late = lagged(plain, constant, period, state=None if own is None else own[:3])
+    before = None if state is None else state[-LAG_MEMORY:]
+    late = lagged(plain, constant, period, state=before)
     force = np.asarray(late + extension.gas(motion.displacement))
-    return force, (*turning, plain[..., -1], late[..., -1], constant[..., -1], *supply)
+    return force, (*turning, plain[..., -1], late[..., -1], constant[..., -1])
 
 
 def _follow_few(
@@ -219,20 +204,13 @@ def _follow_few(
 ) -> tuple[Array, State]:
     """:func:`follow` for one set, sample by sample."""
     at_current = _sample(*parameters[:SIGMOID_COUNT].tolist())
-    own = own_state(state, jumps=jumps)
-    currents: list[float] = current.tolist()
     extension, late = None, None
-    supply: tuple[float, ...] = ()
     if is_extended(parameters):
-        extension, late = extension_of(parameters), lag_before(own)
-        coil = float(parameters[-1])
-        if coil > 0.0:
-            before = None if own is None or len(own) == 3 else (float(own[3]), float(own[4]))
-            currents, supply = few_in_coil(currents, coil, period, before)
+        extension, late = extension_of(parameters), LagMemory.of(state)
     branch, last = branch_before(None if jumps else state, float(motion.acceleration[0]))
     branches = np.sign(motion.acceleration).tolist() if jumps else repeat(branch)
-    columns = (motion.velocity, motion.peak_velocity, motion.displacement)
-    rows = zip(branches, currents, *(column.tolist() for column in columns), strict=False)
+    columns = (current, motion.velocity, motion.peak_velocity, motion.displacement)
+    rows = zip(branches, *(column.tolist() for column in columns), strict=False)
     known, forces, change = math.nan, [], 0.0
     for sign, amperes, v, v_m, u in rows:
         if amperes != known:
@@ -247,18 +225,8 @@ def _follow_few(
             late = lagged_after(force, damping, extension, period, late)
             force = late.force + extension.gas(u)
         forces.append(force)
-    remembered = (*(() if jumps else (last, branch)), *(late or ()), *supply)
+    remembered = (*(() if jumps else (last, branch)), *(late or ()))
     return np.array(forces), tuple(map(np.array, remembered))
-
-
-def own_state(state: State | None, *, jumps: bool) -> State | None:
-    """The state without the branch; None at a start."""
-    return None if state is None else state[0 if jumps else BRANCH_MEMORY :]
-
-
-def lag_before(own: State | None) -> LagMemory | None:
-    """The state of the lag in the result of :func:`own_state`; None at a start."""
-    return None if own is None else LagMemory(*map(float, own[:3]))
 
 
 def branch_before(state: State | None, acceleration: float) -> tuple[float, float | None]:
@@ -339,7 +307,7 @@ class SigmoidCurrentResponse(CurrentResponse):
         if self._extension is None:
             return force_at
         extension, gas = self._extension, self._extension.gas(sample.displacement)
-        before = lag_before(own_state(state, jumps=self._jumps))
+        before = self._lag_before(state)
 
         def late_force(current: float) -> float:
             force, damping = force_at(current)
@@ -361,10 +329,17 @@ class SigmoidCurrentResponse(CurrentResponse):
         if self._extension is None:
             return np.reshape(found, (len(rows), -1))
         displacement = np.array([[sample.displacement] for sample in samples])
-        before = lag_before(own_state(state, jumps=self._jumps))
-        force, damping = found
-        late = alternatives_after(force, damping, self._extension, period, before)
+        late, damping = found
+        before = self._lag_before(state)
+        if before is not None:
+            constant = self._extension.time_constant(damping)
+            late = next_lagged(late, constant, period, before)
         return np.asarray(late + self._extension.gas(displacement))
+
+    def _lag_before(self, state: State | None) -> LagMemory | None:
+        """The lag before a sample; the state may end with that of the coil."""
+        turning = 0 if self._jumps else BRANCH_MEMORY
+        return LagMemory.of(None if state is None else state[: turning + LAG_MEMORY])
 
     def _seen(self, sample: MotionSample, state: State | None) -> tuple[float, ...]:
         turning = None if self._jumps else state

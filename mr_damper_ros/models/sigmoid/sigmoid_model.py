@@ -31,7 +31,6 @@ from mr_damper_ros.models.first_order_lag import (
     COIL,
     PLAUSIBLE_COIL,
     coil_parameter,
-    coil_unsettled,
 )
 from mr_damper_ros.models.force_model import CurrentResponse, Model
 from mr_damper_ros.models.formulas import WrittenLaw, staged
@@ -52,6 +51,7 @@ from mr_damper_ros.models.sigmoid.following import (
     EXTENDED_MODEL,
     EXTENDED_NAMES,
     EXTENSION_NAMES,
+    LAG_MEMORY,
     SIGMOID_COUNT,
     SigmoidCurrentResponse,
     extension_of,
@@ -265,8 +265,9 @@ class SigmoidModel(Model):
     def __init__(self, *, jumps: bool = True) -> None:
         self._jumps = jumps
         self.turning = 0 if jumps else BRANCH_MEMORY
+        self.memory = self.turning + (LAG_MEMORY if self.remembers else 0)
 
-    def follow(
+    def follow_in_coil(
         self, parameters: Array, motion: Motion, current: Array, period: float, state: State | None
     ) -> tuple[Array, State]:
         """Force [N]; :mod:`following` describes the state."""
@@ -522,17 +523,16 @@ class ExtendedSigmoidModel(SigmoidModel):
         values, name, speed = super().initial_values()
         return without_extension(values), name, speed
 
-    def settled(self, window: Window, parameters: Array | None) -> np.ndarray:
-        """Mask (n,) of samples at which lag and coil no longer depend on earlier motion."""
-        lag = coil = _USUAL_LAG
+    def unsettled(self, window: Window, parameters: Array | None) -> np.ndarray:
+        """Mask (n,) of samples at which the lag depends on the time before the window."""
+        lag = _USUAL_LAG
         history = window.history
         if parameters is not None:
             sixteen, motion = parameters[:SIGMOID_COUNT], history.motion
             along = operating_point_coefficients(sixteen, motion.peak_velocity, history.current)
             damping = force_and_damping(along, motion.velocity, motion.acceleration).damping
             lag = float(np.max(extension_of(parameters).time_constant(damping)))
-            coil = float(parameters[-1])
-        return ~(history.unsettled(SETTLING * lag) | coil_unsettled(window, coil))
+        return history.unsettled(SETTLING * lag)
 
     def plausible_ranges(
         self, windows: Sequence[Window], top_velocity: float, top_current: float
