@@ -443,8 +443,8 @@ class SigmoidModel(Model):
                 values.update(zip(names, best.tolist(), strict=True))
             values.update(law.solve(table, values, free)[1])
         if "k5" in free:
-            weights = table.weights(_LAST)
-            yield_force, offset = (weights * table.coefficients[:, c] for c in (0, _LAST))
+            weights = table.weights(_K5_SCALE)
+            yield_force, offset = (weights * table.coefficients[:, c] for c in (0, _K5_SCALE))
             values["k5"] = float(_least_squares(yield_force[np.newaxis, np.newaxis], offset)[0, 0])
         return np.concatenate(([values[name] for name in PARAMETER_NAMES], rest))
 
