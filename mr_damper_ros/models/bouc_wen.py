@@ -17,26 +17,20 @@ equation linear in z. They keep |z| at most 1, so they are stable for any period
 from __future__ import annotations
 
 import math
-from collections.abc import MutableSequence, Sequence
-from typing import NamedTuple
+from collections.abc import Mapping, MutableSequence, Sequence
 
 import numpy as np
 
 from mr_damper_ros.kinematics.motion import Motion
-from mr_damper_ros.kinematics.window import Window
 from mr_damper_ros.models.current_dependence import (
     Coefficient,
-    CurrentDependentModel,
     DifferentiatedModel,
-    at_samples,
-    excitation,
-    integrated,
-    sensitivity_input,
-    solve_recursion,
+    IntegratedModel,
+    Recursion,
 )
 from mr_damper_ros.models.force_model import Model
-from mr_damper_ros.models.machine_code import as_machine_code, run_loop
-from mr_damper_ros.models.quantities import LoopReading, State
+from mr_damper_ros.models.machine_code import run_loop
+from mr_damper_ros.models.quantities import LoopReading
 from mr_damper_ros.signals.arrays import Array
 
 HYSTERESIS = (
@@ -157,24 +151,13 @@ def follow_inner_point(
     return z, s, last
 
 
-class StepDerivatives(NamedTuple):
-    """Derivatives of a step by the previous state, the yield length, the share and the power.
-
-    Each has shape (n,); the first element belongs to the start at rest.
-    """
-
-    kept: Array
-    by_length: Array
-    by_share: Array
-    by_power: Array
-
-
 def step_derivatives(
     z: Array, velocity: Array, length: Array, share: Array, power: Array, period: float
-) -> StepDerivatives:
-    """Derivatives of :func:`hysteresis_step` along the states z (n,) after each step.
+) -> tuple[Array, ...]:
+    """Derivatives (n,) of :func:`hysteresis_step` along the states z (n,) after each step.
 
-    The driving velocity is the mean of two samples and does not depend on z.
+    By the previous state, the yield length, the share and the power. The driving velocity is the
+    mean of two samples and does not depend on z. The first elements belong to the start at rest.
     """
     before = np.concatenate(([0.0], z[:-1]))
     w = np.concatenate(([0.0], 0.5 * (velocity[1:] + velocity[:-1])))
@@ -210,7 +193,7 @@ def step_derivatives(
     # A step limited to full yield has no derivative.
     moves = np.abs(z) < 1.0
     moves[0] = False
-    return StepDerivatives(*(moves * part for part in (kept, by_length, by_share, by_power)))
+    return tuple(moves * part for part in (kept, by_length, by_share, by_power))
 
 
 class BoucWen(DifferentiatedModel):
@@ -229,37 +212,38 @@ class BoucWen(DifferentiatedModel):
         Coefficient("f0", "N", meaning="constant force"),
         *HYSTERESIS,
     )
-    remembers = True
     memory = 2
 
-    def force_at(
-        self, coefficients: Sequence[Array], motion: Motion, period: float, state: State | None
-    ) -> tuple[Array, State]:
-        """Force [N]; the state holds z and the velocity of the last sample."""
-        damping, stiffness, offset, strength, *hysteresis = coefficients
-        z, kept = integrated(_yielded, hysteresis, motion, period, state, self.memory)
+    def integrate(
+        self, coefficients: list[Array], motion: Motion, period: float, memory: list[float]
+    ) -> Array:
+        """State z at the samples; the memory holds the last z and the last velocity."""
+        share, power = (float(c[0]) for c in coefficients[5:])
+        given = motion.velocity, np.broadcast_to(coefficients[4], motion.velocity.shape)
+        (states,), memory[:] = run_loop(
+            follow_yield, (hysteresis_step,), given, 1, period, share, power, *memory
+        )
+        return states
+
+    def force_from(self, coefficients: Sequence[Array], motion: Motion, integrated: Array) -> Array:
+        """Force [N]."""
+        damping, stiffness, offset, strength, *_ = coefficients
         viscous = damping * motion.velocity + stiffness * motion.displacement
-        return np.asarray(viscous + offset + strength * z), kept
+        return np.asarray(viscous + offset + strength * integrated)
 
     def memory_length(self, parameters: Array, current: float) -> float:
         """A multiple of the yield length."""
         return memory_length(self, parameters, current)
 
-    @as_machine_code()
-    @np.errstate(over="ignore", invalid="ignore")
-    def window_derivatives(
-        self, window: Window, parameters: Array, columns: Sequence[int]
-    ) -> Array:
-        """Derivatives (n, p) of :meth:`window_force` with respect to parameters ``columns``."""
-        motion, period, values, chain = sensitivity_input(self, window, parameters, columns)
-        strength, length, share, power = values[3:]
-        z = _yielded([length, share, power], motion, period, [math.nan, math.nan])
-        steps = step_derivatives(z, motion.velocity, length, share, power, period)
-        added = excitation(dict(enumerate(steps[1:], start=4)), chain)
-        result = chain[2] + strength[:, np.newaxis] * solve_recursion(steps.kept, added)
-        for place, by in ((0, motion.velocity), (1, motion.displacement), (3, z)):
-            result += by[:, np.newaxis] * chain[place]
-        return at_samples(window, result)
+    def sensitivities(
+        self, coefficients: list[Array], motion: Motion, period: float
+    ) -> tuple[Mapping[int, Array], list[Recursion]]:
+        """The derivatives of the force, and the recursion of z."""
+        z = self.integrate(coefficients, motion, period, [math.nan] * self.memory)
+        length, share, power = coefficients[4:]
+        kept, *by = step_derivatives(z, motion.velocity, length, share, power, period)
+        direct = {0: motion.velocity, 1: motion.displacement, 2: np.ones(z.size), 3: z}
+        return direct, [Recursion(coefficients[3], kept, dict(enumerate(by, start=4)))]
 
     def starts_at_one_current(self, reading: LoopReading) -> Array:
         """Starts of mainly yield force, with a yield length of 5 % or 20 % of the amplitude."""
@@ -272,20 +256,7 @@ class BoucWen(DifferentiatedModel):
         )
 
 
-def _yielded(
-    coefficients: list[Array], motion: Motion, period: float, memory: list[float]
-) -> Array:
-    """State z at the samples, shape (n,); the memory holds the last z and the last velocity."""
-    share, power = (float(c[0]) for c in coefficients[1:])
-    lengths = np.broadcast_to(coefficients[0], motion.velocity.shape)
-    given = motion.velocity, lengths
-    (states,), memory[:] = run_loop(
-        follow_yield, (hysteresis_step,), given, 1, period, share, power, *memory
-    )
-    return states
-
-
-class ModifiedBoucWen(CurrentDependentModel):
+class ModifiedBoucWen(IntegratedModel):
     """A Bouc-Wen model in series with a damper, both in parallel with a spring."""
 
     name = "modified_bouc_wen"
@@ -305,16 +276,33 @@ class ModifiedBoucWen(CurrentDependentModel):
         Coefficient("f0", "N", meaning="constant force"),
         *HYSTERESIS,
     )
-    remembers = True
     memory = 3
 
-    def force_at(
-        self, coefficients: Sequence[Array], motion: Motion, period: float, state: State | None
-    ) -> tuple[Array, State]:
-        """Force [N]; the state holds z, deflection of the inner spring and last velocity."""
+    def integrate(
+        self, coefficients: list[Array], motion: Motion, period: float, memory: list[float]
+    ) -> Array:
+        """Velocity [m/s] of the inner point.
+
+        The memory holds z, the displacement s of the rod relative to the inner point, and the last
+        velocity. Only s enters the equations, so the centre of the motion may move.
+        """
+        # The dampings, the force at full yield and the yield length may depend on the current.
+        c0s, c1s, alphas, lengths = (coefficients[place] for place in (0, 2, 5, 6))
+        k0, share, power = (float(coefficients[place][0]) for place in (1, 7, 8))
+        rates = -0.5 * period * k0 / (c0s + c1s)
+        easings = 0.5 * period * np.array([relaxation(rate) for rate in rates.tolist()])
+        each = motion.velocity, c0s, c0s + c1s, alphas, easings, lengths
+        velocity, *numbers = np.broadcast_arrays(*each)
+        given = velocity, np.stack(numbers, axis=-1)
+        (inner,), memory[:] = run_loop(
+            follow_inner_point, (hysteresis_step,), given, 1, period, k0, share, power, *memory
+        )
+        return inner
+
+    def force_from(self, coefficients: Sequence[Array], motion: Motion, integrated: Array) -> Array:
+        """Force [N]."""
         outer_damping, stiffness, offset = coefficients[2:5]
-        inner, kept = integrated(_inner_velocity, coefficients, motion, period, state, self.memory)
-        return np.asarray(outer_damping * inner + stiffness * motion.displacement + offset), kept
+        return np.asarray(outer_damping * integrated + stiffness * motion.displacement + offset)
 
     def memory_length(self, parameters: Array, current: float) -> float:
         """A multiple of the yield length."""
@@ -332,25 +320,3 @@ class ModifiedBoucWen(CurrentDependentModel):
                 for part in (0.01, 0.1)
             ]
         )
-
-
-def _inner_velocity(
-    coefficients: list[Array], motion: Motion, period: float, memory: list[float]
-) -> Array:
-    """Velocity [m/s] of the inner point, shape (n,).
-
-    The memory holds z, the displacement s of the rod relative to the inner point, and the last
-    velocity. Only s enters the equations, so the centre of the motion may move.
-    """
-    # The dampings, the force at full yield and the yield length may depend on the current.
-    c0s, c1s, alphas, lengths = (coefficients[place] for place in (0, 2, 5, 6))
-    k0, share, power = (float(coefficients[place][0]) for place in (1, 7, 8))
-    rates = -0.5 * period * k0 / (c0s + c1s)
-    easings = 0.5 * period * np.array([relaxation(rate) for rate in rates.tolist()])
-    each = motion.velocity, c0s, c0s + c1s, alphas, easings, lengths
-    velocity, *numbers = np.broadcast_arrays(*each)
-    given = velocity, np.stack(numbers, axis=-1)
-    (inner,), memory[:] = run_loop(
-        follow_inner_point, (hysteresis_step,), given, 1, period, k0, share, power, *memory
-    )
-    return inner

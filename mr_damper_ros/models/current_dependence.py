@@ -14,7 +14,7 @@ from __future__ import annotations
 
 import math
 from abc import abstractmethod
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, ClassVar, NamedTuple
 
@@ -30,6 +30,7 @@ from mr_damper_ros.models.first_order_lag import (
     coil_parameter,
 )
 from mr_damper_ros.models.force_model import CurrentResponse, Model, WindowForces
+from mr_damper_ros.models.machine_code import as_machine_code
 from mr_damper_ros.models.quantities import (
     DIFFERENCE,
     CoefficientTable,
@@ -159,10 +160,6 @@ class CurrentDependentModel(Model):
                 for place in range(len(self.at_one_current))
             ]
         return [self._at(parameters, place, current) for place in range(len(self.at_one_current))]
-
-    def coefficients_along(self, parameters: Array, current: Array) -> list[Array]:
-        """The coefficients of one set (p,) at currents (n,), each (n,)."""
-        return [np.broadcast_to(c, current.shape) for c in self.all_at(parameters, current)]
 
     def _at(self, parameters: Array, place: int, current: Array) -> Array:
         """One coefficient (..., n) at currents (..., n)."""
@@ -297,46 +294,92 @@ class _CurrentResponse(CurrentResponse):
         return np.broadcast_to(forces, every.shape).T
 
 
-Integrate = Callable[[list[Array], Motion, float, list[float]], Array]
-"""Integrates one set with coefficients (1 or n) and writes its last state to the given list."""
+class IntegratedModel(CurrentDependentModel):
+    """A law whose state is integrated sample by sample."""
+
+    remembers = True
+
+    @abstractmethod
+    def integrate(
+        self, coefficients: list[Array], motion: Motion, period: float, memory: list[float]
+    ) -> Array:
+        """The integrated quantity (n,) of one set with coefficients (1 or n,).
+
+        ``memory`` is the state before the first sample, NaN at a start; it becomes the state after
+        the last one.
+        """
+
+    @abstractmethod
+    def force_from(self, coefficients: Sequence[Array], motion: Motion, integrated: Array) -> Array:
+        """Force (..., n) [N] from the integrated quantity (..., n)."""
+
+    def force_at(
+        self, coefficients: Sequence[Array], motion: Motion, period: float, state: State | None
+    ) -> tuple[Array, State]:
+        """Force [N] of the sets one after the other; arrays are faster only above about thirty."""
+        shape = np.broadcast_shapes(*(c.shape[:-1] for c in coefficients))
+        every = [np.broadcast_to(c, (*shape, c.shape[-1])) for c in coefficients]
+        result = np.empty((*shape, motion.velocity.size))
+        kept = np.full((self.memory, *shape), math.nan) if state is None else np.array(state)
+        for place in np.ndindex(shape):
+            memory = kept[(slice(None), *place)].tolist()
+            result[place] = self.integrate([c[place] for c in every], motion, period, memory)
+            kept[(slice(None), *place)] = memory
+        return self.force_from(coefficients, motion, result), tuple(kept)
 
 
-def integrated(
-    integrate: Integrate,
-    coefficients: Sequence[Array],
-    motion: Motion,
-    period: float,
-    state: State | None,
-    size: int,
-) -> tuple[Array, State]:
-    """Integrate sets one after the other, which is faster than arrays up to about thirty sets.
+class Recursion(NamedTuple):
+    """Sensitivity of a state: x[k] = kept[k] x[k-1] + the sum of ``by`` times the coefficients.
 
-    The coefficients have shape (..., 1 or n). Returns the integrated quantity (..., n) and the
-    state after it. At a start all ``size`` values of the state are NaN.
+    ``by`` (n,) of each coefficient, by its index; ``force_by`` (n,) [N] is the derivative of the
+    force with respect to the state.
     """
-    shape = np.broadcast_shapes(*(c.shape[:-1] for c in coefficients))
-    every = [np.broadcast_to(c, (*shape, c.shape[-1])) for c in coefficients]
-    result = np.empty((*shape, motion.velocity.size))
-    kept = np.full((size, *shape), math.nan) if state is None else np.array(state)
-    for place in np.ndindex(shape):
-        memory = kept[(slice(None), *place)].tolist()
-        result[place] = integrate([c[place] for c in every], motion, period, memory)
-        kept[(slice(None), *place)] = memory
-    return result, tuple(kept)
+
+    force_by: Array
+    kept: Array
+    by: Mapping[int, Array]
 
 
-class DifferentiatedModel(CurrentDependentModel):
-    """A law with exact derivatives of its force.
+class DifferentiatedModel(IntegratedModel):
+    """An integrated law with exact derivatives of its force.
 
-    Finite differences would multiply the computation time of a law that is integrated sample by
-    sample by the number of its parameters.
+    Differences would multiply the computation time by the number of parameters.
     """
 
     @abstractmethod
+    def sensitivities(
+        self, coefficients: list[Array], motion: Motion, period: float
+    ) -> tuple[Mapping[int, Array], list[Recursion]]:
+        """Derivatives (n,) of the force by coefficients (n,) at constant state, and of the states.
+
+        The state starts settled. The coefficients are given by their indices.
+        """
+
+    @as_machine_code()
+    @np.errstate(over="ignore", invalid="ignore")
     def window_derivatives(
         self, window: Window, parameters: Array, columns: Sequence[int]
     ) -> Array:
-        """Derivatives (n, c) of the force in a window with respect to c parameters."""
+        """Derivatives (n, p) of :meth:`window_force` with respect to parameters ``columns``."""
+        history = window.history.coarse
+        motion, current, count = history.motion, history.current, history.current.size
+        if history.periodic:  # the second period of a steady cycle counts
+            twice = np.concatenate((np.arange(count), np.arange(count)))
+            motion, current = motion.part(twice), current[twice]
+        tau, late = float(parameters[-1]), current
+        if float(np.ptp(current)) > 0.0:
+            constants = np.array([tau, tau + DIFFERENCE])
+            late, later = coil_current(current, constants, history.period, ())[0]
+            chain = self.dependences(parameters, late, (later - late) / DIFFERENCE)
+        else:
+            chain = self.dependences(parameters, current[:1], np.zeros(1))
+        chain = chain[..., list(columns)]
+        values = [np.broadcast_to(c, current.shape) for c in self.all_at(parameters, late)]
+        direct, recursions = self.sensitivities(values, motion, history.period)
+        result = _excitation(direct, chain)
+        for force_by, kept, by in recursions:
+            result += force_by[:, np.newaxis] * _solved(kept, _excitation(by, chain))
+        return history.at_samples(result[-count:])
 
     def window_forces(self, windows: Sequence[Window]) -> WindowForces:
         """Forces with exact derivatives."""
@@ -354,50 +397,8 @@ class _DifferentiatedForces(WindowForces):
         return [law.window_derivatives(window, parameters, columns) for window in self.windows]
 
 
-class SensitivityInput(NamedTuple):
-    """Input of the sensitivity equations: motion, coefficients (n,) each, and their derivatives.
-
-    ``chain`` (c, n, p): derivatives of the coefficients with respect to the parameters; (c, 1, p)
-    at constant current.
-    """
-
-    motion: Motion
-    period: float
-    coefficients: list[Array]
-    chain: Array
-
-
-def sensitivity_input(
-    model: CurrentDependentModel, window: Window, parameters: Array, columns: Sequence[int]
-) -> SensitivityInput:
-    """Input of the sensitivity equations over the history of a window (two cycles of a sine).
-
-    The ``chain`` contains the p parameters at ``columns``.
-    """
-    history = window.history.coarse
-    motion, current, count = history.motion, history.current, history.current.size
-    if history.periodic:
-        twice = np.concatenate((np.arange(count), np.arange(count)))
-        motion, current = motion.part(twice), current[twice]
-    tau, late = float(parameters[-1]), current
-    if float(np.ptp(current)) > 0.0:
-        constants = np.array([tau, tau + DIFFERENCE])
-        late, later = coil_current(current, constants, history.period, ())[0]
-        chain = model.dependences(parameters, late, (later - late) / DIFFERENCE)
-    else:
-        chain = model.dependences(parameters, current[:1], np.zeros(1))
-    values = model.coefficients_along(parameters, late)
-    return SensitivityInput(motion, history.period, values, chain[..., list(columns)])
-
-
-def at_samples(window: Window, derivatives: Array) -> Array:
-    """Derivatives (n, p) at the samples of a window, from derivatives (m, p) along its history."""
-    history = window.history.coarse
-    return history.at_samples(derivatives[-history.current.size :])
-
-
-def excitation(by: Mapping[int, Array], chain: Array) -> Array:
-    """Excitation (n, p) of the sensitivity equations; ``by``: that (n,) of each coefficient."""
+def _excitation(by: Mapping[int, Array], chain: Array) -> Array:
+    """Sum (n, p) of derivatives (n,) by coefficients times their own (c, n or 1, p)."""
     places = list(by)
     if chain.shape[1] == 1:
         # Columns are contiguous in memory, so each can be solved in place.
@@ -405,7 +406,7 @@ def excitation(by: Mapping[int, Array], chain: Array) -> Array:
     return sum((by[place][:, np.newaxis] * chain[place] for place in places), np.zeros(()))
 
 
-def solve_recursion(kept: Array, added: Array) -> Array:
+def _solved(kept: Array, added: Array) -> Array:
     """Solve y[k] = kept[k] y[k-1] + added[k] for columns (n, p), which may be overwritten."""
     from scipy.linalg.lapack import dtbtrs  # here: see mr_damper_ros.entry_points
 

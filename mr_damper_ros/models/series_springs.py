@@ -22,23 +22,14 @@ a recursion that is solved for all of them at once.
 from __future__ import annotations
 
 import math
-from collections.abc import MutableSequence, Sequence
-from typing import NamedTuple
+from collections.abc import Mapping, MutableSequence, Sequence
 
 import numpy as np
 
 from mr_damper_ros.kinematics.motion import Motion
 from mr_damper_ros.kinematics.window import Window
-from mr_damper_ros.models.current_dependence import (
-    Coefficient,
-    DifferentiatedModel,
-    at_samples,
-    excitation,
-    integrated,
-    sensitivity_input,
-    solve_recursion,
-)
-from mr_damper_ros.models.machine_code import as_machine_code, run_loop, runs_machine_code
+from mr_damper_ros.models.current_dependence import Coefficient, DifferentiatedModel, Recursion
+from mr_damper_ros.models.machine_code import run_loop, runs_machine_code
 from mr_damper_ros.models.quantities import FORGOTTEN, SETTLING, LoopReading, State
 from mr_damper_ros.signals.arrays import Array
 
@@ -55,65 +46,54 @@ _MOST_BENT = 0.5
 _MOST_STEPS = 60
 
 
-class PathState(NamedTuple):
-    """Deflection of the spring [m], flow w [m/s] and velocity v [m/s]; NaN before a start."""
-
-    deflection: float
-    flow: float
-    velocity: float
+Path = tuple[Array, Array, Array, Array]
+"""Strength [N], yield width [m/s], damping [N s/m] and stiffness [N/m] of a path, (n,) or (1,)."""
 
 
-class SpringPath(NamedTuple):
-    """Strength [N], yield width [m/s], damping [N s/m], stiffness [N/m]; each (n,) or (1,)."""
+def _followed(
+    path: Path, velocity: Array, period: float, *start: float
+) -> tuple[list[Array], tuple[float, float]]:
+    """Force [N] and flows of both stages (n,), and the last deflection and flow.
 
-    strength: Array
-    width: Array
-    damping: Array
-    stiffness: Array
+    ``start``: deflection [m], flow [m/s] and velocity [m/s] before; NaN at a start.
+    """
+    numbers = np.stack(np.broadcast_arrays(*path), axis=-1)
+    return run_loop(follow_path, (flow_of,), (velocity, numbers), 3, period, *start)
 
-    def follow(
-        self, velocity: Array, period: float, state: PathState
-    ) -> tuple[PathState, list[Array]]:
-        """State after velocities (n,) [m/s], and force [N] and flows of both stages, each (n,)."""
-        numbers = np.stack(np.broadcast_arrays(*self), axis=-1)
-        results, (deflection, flow) = run_loop(
-            follow_path, (flow_of,), (velocity, numbers), 3, period, *state
-        )
-        return PathState(deflection, flow, float(velocity[-1])), results
 
-    def derivatives(self, velocity: Array, period: float) -> tuple[dict[str, Array], Array, Array]:
-        """Derivatives (n,) of each step's force by the four coefficients, and by the force before.
+def _deflection(path: Path, velocity: Array, period: float) -> tuple[Array, Array, list[Array]]:
+    """Deflection of the spring of a path (n,) each: its values [m] and the terms of its recursion.
 
-        The third result is the part (n,) [N] of the previous force that a step retains.
-        """
-        start = PathState(math.nan, math.nan, math.nan)
-        _, (forces, early, flow) = self.follow(velocity, period, start)
-        strength, width, damping, stiffness = (np.broadcast_to(c, flow.shape) for c in self)
-        before = np.concatenate((velocity[:1], velocity[:-1]))
-        between = before + _GAMMA * (velocity - before)
-        near, far = (part * period * stiffness for part in (_GAMMA, _REST))
-        slopes, by_both = [], []
-        for w in (early, flow):
-            tanh = np.tanh(w / width)
-            steep = strength / width * (1.0 - tanh**2)
-            slopes.append(steep + damping)
-            by_both.append({"strength": tanh, "width": -steep * w / width, "damping": w})
-        first, second = (1.0 / (slope + near) for slope in slopes)
-        kept = slopes[1] * second * (1.0 - far * first)
-        kept[0] = 0.0
-        added = {}
-        for name in ("strength", "width", "damping"):
-            # The first stage affects the flow, and through it the initial force of the second.
-            begin = far * first * by_both[0][name]
-            added[name] = slopes[1] * second * begin + near * second * by_both[1][name]
-            added[name][0] = by_both[1][name][0]
-        of_near, of_far = near / stiffness, far / stiffness
-        begin = of_far * (between - early) - far * first * of_near * (between - early)
-        added["stiffness"] = slopes[1] * second * (begin + of_near * (velocity - flow))
-        added["stiffness"][0] = 0.0
-        kept[1:] *= stiffness[1:] / stiffness[:-1]
-        carried = kept * np.concatenate(([0.0], forces[:-1]))
-        return added, kept, carried
+    The terms are the derivatives of a step by the deflection before and by the four coefficients.
+    """
+    (forces, early, flow), _ = _followed(path, velocity, period, math.nan, math.nan, math.nan)
+    strength, width, damping, stiffness = path
+    deflection = forces / stiffness
+    before = np.concatenate((velocity[:1], velocity[:-1]))
+    between = before + _GAMMA * (velocity - before)
+    near, far = (part * period * stiffness for part in (_GAMMA, _REST))
+    slopes, by_both = [], []
+    for w in (early, flow):
+        tanh = np.tanh(w / width)
+        steep = strength / width * (1.0 - tanh**2)
+        slopes.append(steep + damping)
+        by_both.append((tanh, -steep * w / width, w))
+    first, second = (1.0 / (slope + near) for slope in slopes)
+    kept = slopes[1] * second * (1.0 - far * first)
+    kept[0] = 0.0
+    terms = []
+    for early_by, by in zip(*by_both, strict=True):
+        # The first stage affects the flow, and through it the initial force of the second.
+        term = slopes[1] * second * far * first * early_by + near * second * by
+        term[0] = by[0]
+        terms.append(term / stiffness)
+    # The spring keeps its deflection while its stiffness changes, so its force changes.
+    slack = between - early
+    begin = (far * slack - far * first * near * slack) / stiffness
+    term = slopes[1] * second * (begin + near * (velocity - flow) / stiffness)
+    term += kept * np.concatenate(([0.0], deflection[:-1]))
+    term[0] = 0.0
+    return deflection, kept, [*terms, (term - deflection) / stiffness]
 
 
 def follow_path(
@@ -208,16 +188,47 @@ class SeriesSprings(DifferentiatedModel):
         Coefficient("k0", "N/m", meaning="stiffness of the gas"),
         Coefficient("f0", "N", meaning="constant force"),
     )
-    remembers = True
     memory = 5
 
-    def force_at(
-        self, coefficients: Sequence[Array], motion: Motion, period: float, state: State | None
-    ) -> tuple[Array, State]:
-        """Force [N]; the state holds deflection and flow of each path and the last velocity."""
-        *paths, stiffness, offset = coefficients
-        force, kept = integrated(_both_paths, paths, motion, period, state, self.memory)
-        return np.asarray(force + stiffness * motion.displacement + offset), kept
+    def integrate(
+        self, coefficients: list[Array], motion: Motion, period: float, memory: list[float]
+    ) -> Array:
+        """Force [N] of both paths.
+
+        The memory holds the deflection [m] and the flow [m/s] of each path, and the velocity.
+        """
+        force = np.zeros(motion.velocity.size)
+        for place, path in zip((0, 2), _paths(coefficients), strict=True):
+            start = *memory[place : place + 2], memory[4]
+            (forces, *_), memory[place : place + 2] = _followed(
+                path, motion.velocity, period, *start
+            )
+            force += forces
+        memory[4] = float(motion.velocity[-1])
+        return force
+
+    def force_from(self, coefficients: Sequence[Array], motion: Motion, integrated: Array) -> Array:
+        """Force [N]."""
+        *_, stiffness, offset = coefficients
+        return np.asarray(integrated + stiffness * motion.displacement + offset)
+
+    def sensitivities(
+        self, coefficients: list[Array], motion: Motion, period: float
+    ) -> tuple[Mapping[int, Array], list[Recursion]]:
+        """The derivatives of the force, and the recursion of the deflection of each path."""
+        f_y, share = coefficients[0], coefficients[4]
+        direct = {6: motion.displacement, 7: np.ones(f_y.size)}
+        recursions = []
+        for spring, path, part, sign in zip(
+            (3, 5), _paths(coefficients), (1.0 - share, share), (-1.0, 1.0), strict=True
+        ):
+            direct[spring], kept, terms = _deflection(path, motion.velocity, period)
+            strength, width, damping, stiffness = terms
+            by = {0: part * strength, 1: width, 4: sign * f_y * strength, spring: stiffness}
+            if spring == 3:
+                by[2] = damping
+            recursions.append(Recursion(coefficients[spring], kept, by))
+        return direct, recursions
 
     def follow_in_coil(
         self, parameters: Array, motion: Motion, current: Array, period: float, state: State | None
@@ -299,69 +310,11 @@ class SeriesSprings(DifferentiatedModel):
         count = int(np.max(np.flatnonzero(apart), initial=-1) + 1)
         return history.unsettled(count * history.period)
 
-    @as_machine_code()
-    @np.errstate(over="ignore", invalid="ignore")
-    def window_derivatives(
-        self, window: Window, parameters: Array, columns: Sequence[int]
-    ) -> Array:
-        """Derivatives (n, p) of :meth:`window_force` with respect to parameters ``columns``."""
-        motion, period, values, chain = sensitivity_input(self, window, parameters, columns)
-        # Columns are contiguous in memory.
-        result = (chain[6].T * motion.displacement + chain[7].T).T
-        for spring, path, recursion, carried in self._derivatives_along(values, motion, period):
-            added = excitation(path, chain)
-            if chain.shape[1] > 1:
-                # When the stiffness changes, a spring keeps its deflection, so its force changes.
-                stiffened = np.diff(chain[spring] / values[spring][:, np.newaxis], axis=0)
-                added[1:] += carried[1:, np.newaxis] * stiffened
-            result += solve_recursion(recursion, added)
-        return at_samples(window, result)
 
-    def _derivatives_along(
-        self, values: Sequence[Array], motion: Motion, period: float
-    ) -> list[tuple[int, dict[int, Array], Array, Array]]:
-        """For each path, the index of its stiffness and the sensitivity of a step's force.
-
-        The sensitivity consists of the derivatives by coefficient, the derivative by the previous
-        force, and the part [N] of the previous force that remains.
-        """
-        f_y, w_y, c, stiffness, share, softer = values[:6]
-        nothing = np.zeros(f_y.size)
-        first = SpringPath((1.0 - share) * f_y, w_y, c, stiffness)
-        second = SpringPath(share * f_y, w_y, nothing, softer)
-        ways = []
-        for spring, path, part, sign, others in (
-            (3, first, 1.0 - share, -1.0, {2: "damping"}),
-            (5, second, share, 1.0, {}),
-        ):
-            by, kept, carried = path.derivatives(motion.velocity, period)
-            places = {0: part * by["strength"], 1: by["width"], 4: sign * f_y * by["strength"]}
-            places[spring] = by["stiffness"]
-            places.update({place: by[name] for place, name in others.items()})
-            ways.append((spring, places, kept, carried))
-        return ways
-
-
-def _both_paths(
-    coefficients: list[Array], motion: Motion, period: float, memory: list[float]
-) -> Array:
-    """Force [N] of both paths, shape (n,).
-
-    The memory holds the deflection [m] and the flow w of each path, and the velocity.
-    """
-    f_y, w_y, c, stiffness, share, softer = coefficients
-    last, force = memory[4], np.zeros(motion.velocity.size)
-    paths = (
-        SpringPath((1.0 - share) * f_y, w_y, c, stiffness),
-        SpringPath(share * f_y, w_y, np.zeros(1), softer),
-    )
-    for place, path in zip((0, 2), paths, strict=True):
-        state = PathState(memory[place], memory[place + 1], last)
-        (*memory[place : place + 2], memory[4]), (forces, *_) = path.follow(
-            motion.velocity, period, state
-        )
-        force += forces
-    return force
+def _paths(coefficients: Sequence[Array]) -> tuple[Path, Path]:
+    f_y, width, damping, stiffness, share, softer = coefficients[:6]
+    first = (1.0 - share) * f_y, width, damping, stiffness
+    return first, (share * f_y, width, np.zeros_like(damping), softer)
 
 
 _Numbers = list[tuple[float, float, float, float]]
