@@ -45,6 +45,14 @@ class EmulatorError(ValueError):
     """Invalid settings of the emulated rig; the message says what to change."""
 
 
+def _require(told: str, value: float, *, positive: bool = False) -> None:
+    """Raise EmulatorError if a value is not finite, or negative, or not ``positive``."""
+    if not (math.isfinite(value) and (value > 0.0 if positive else value >= 0.0)):
+        raise EmulatorError(
+            f"the {told}: it must {'be positive' if positive else 'not be negative'}"
+        )
+
+
 def scaled(parameters: Array, factor: float) -> Array:
     """Parameters (16,) of a damper with ``factor`` times the force of ``parameters``."""
     values = np.array(parameters, dtype=np.float64)
@@ -129,12 +137,8 @@ class ThermalModel:
     conductance: float = 0.5
 
     def __post_init__(self) -> None:
-        if not (math.isfinite(self.capacity) and self.capacity > 0.0):
-            raise EmulatorError(f"the heat capacity is {self.capacity} J/K: it must be positive")
-        if not (math.isfinite(self.conductance) and self.conductance >= 0.0):
-            raise EmulatorError(
-                f"the conductance is {self.conductance} W/K: it must not be negative"
-            )
+        _require(f"heat capacity is {self.capacity} J/K", self.capacity, positive=True)
+        _require(f"conductance is {self.conductance} W/K", self.conductance)
 
     def after(self, celsius: float, power: float, duration: float) -> float:
         """Temperature [°C] after constant ``power`` [W] for ``duration`` [s]; exact."""
@@ -200,14 +204,9 @@ class RigSettings:
     start_ns: int = DEFAULT_START_NS
 
     def __post_init__(self) -> None:
-        if not (math.isfinite(self.sample_rate) and self.sample_rate > 0.0):
-            raise EmulatorError(f"the sample rate is {self.sample_rate} Hz: it must be positive")
-        for name, value in (
-            ("force", self.force_noise),
-            ("displacement", self.displacement_noise),
-        ):
-            if not (math.isfinite(value) and value >= 0.0):
-                raise EmulatorError(f"the {name} noise is {value}: it must not be negative")
+        _require(f"sample rate is {self.sample_rate} Hz", self.sample_rate, positive=True)
+        _require(f"force noise is {self.force_noise}", self.force_noise)
+        _require(f"displacement noise is {self.displacement_noise}", self.displacement_noise)
 
     @property
     def period(self) -> float:
@@ -238,12 +237,22 @@ class MeasuredRig(ABC):
     at 28 °C, the temperature of the cold damper in the thesis.
     """
 
+    live = True
+    """Whether samples are computed only when they are requested.
+
+    Commands then take effect at once, which costs computing time. Otherwise the rig computes whole
+    chunks in advance.
+    """
+
     def __init__(
         self,
+        damper: Damper,
         current: CurrentSchedule | float,
         settings: RigSettings | None,
         thermal: ThermalModel | None,
     ) -> None:
+        # A damper may have a state, so each rig has its own copy.
+        self._damper = deepcopy(damper)
         self._current = (
             current
             if isinstance(current, CurrentSchedule)
@@ -254,23 +263,56 @@ class MeasuredRig(ABC):
         self._thermal = thermal
         self._celsius = thermal.initial if thermal else _COLD
         self._rng = np.random.default_rng(self.settings.seed)
-        self._noise = np.empty((2, CHUNK))
-        self._made = 0
+        self._noise, self._power = np.empty((2, CHUNK)), np.empty(CHUNK)
+        self._made = self._taken = 0
+        self._ready = np.empty((4, 0))
         self.motion: PlantMotion | None = None
         """True quantities of the last block of a plant."""
 
-    @abstractmethod
     def next_block(self, count: int) -> RigBlock:
-        """The next ``count`` samples."""
-
-    def _block(self, first: int, rows: Array) -> RigBlock:
-        """A block that begins with sample number ``first``.
-
-        ``rows`` (4, n): displacement, force, current and temperature.
-        """
+        """The next ``count`` samples; raises EmulatorError if ``count`` is less than one."""
+        if count < 1:
+            raise EmulatorError(f"{count} samples were requested: request at least one")
+        parts, first = [self._ready], self._taken
+        self._taken += count
+        while self._made < self._taken:
+            left = CHUNK - self._made % CHUNK
+            parts.append(self._next(min(left, self._taken - self._made) if self.live else left))
+        rows = np.concatenate(parts, axis=1)
+        self._ready = rows[:, count:]
         period = self.settings.period
         start_ns = self.settings.start_ns + round(first * period * NANOSECONDS)
-        return RigBlock(start_ns, first, period, *rows)
+        return RigBlock(start_ns, first, period, *rows[:, :count])
+
+    def _next(self, count: int) -> Array:
+        """The next rows of a :class:`RigBlock`, shape (4, count), within one chunk."""
+        period, begin = self.settings.period, self._made % CHUNK
+        part = slice(begin, begin + count)
+        if begin == 0:
+            self._noise = self._rng.standard_normal((2, CHUNK))
+        time = np.arange(self._made, self._made + count, dtype=np.float64) * period
+        current, celsius = self._current.at(time), np.full(count, self._celsius)
+        displacement, force, self._power[part] = self._true(time, current)
+        self._made += count
+        if self._thermal is not None and self._made % CHUNK == 0:
+            power = float(np.mean(self._power))
+            self._celsius = self._thermal.after(self._celsius, power, CHUNK * period)
+        force_noise, displacement_noise = self._noise[:, part]
+        return np.stack(
+            [
+                displacement + self.settings.displacement_noise * displacement_noise,
+                force + self.settings.force_noise * force_noise,
+                current,
+                celsius,
+            ]
+        )
+
+    @abstractmethod
+    def _true(self, time: Array, current: Array) -> tuple[Array, Array, Array]:
+        """Displacement [m], force [N] and dissipated power [W], each (n,), at the next samples.
+
+        ``time`` [s] and the supply ``current`` [A] have shape (n,); the samples lie in one chunk.
+        """
 
 
 class EmulatedRig(MeasuredRig):
@@ -294,27 +336,14 @@ class EmulatedRig(MeasuredRig):
         faults: Sequence[Fault] = (),
         coil_time_constant: float = 0.0,
     ) -> None:
-        # A damper may have a state, so each rig has its own copy.
-        self._damper = deepcopy(damper)
+        super().__init__(damper, current, settings, thermal)
         self._excitation = excitation
-        super().__init__(current, settings, thermal)
-        if not (math.isfinite(coil_time_constant) and coil_time_constant >= 0.0):
-            raise EmulatorError(
-                f"the time constant of the coil is {coil_time_constant} s: it must not be negative"
-            )
+        _require(f"time constant of the coil is {coil_time_constant} s", coil_time_constant)
         self._coil = np.array(coil_time_constant)
         self._coil_state: State = ()
         self._faults: list[Fault] = []
         self._peak: PeakVelocity | None = None
-        self._taken = 0
-        self._ready = np.empty((4, 0))
         self.live = False
-        """Whether samples are computed only when they are requested.
-
-        Commands then take effect at once, which costs computing time. Otherwise the rig computes
-        whole chunks in advance.
-        """
-        self._power = np.empty(CHUNK)
         self.add_faults(faults)
 
     def add_faults(self, faults: Sequence[Fault]) -> None:
@@ -345,24 +374,6 @@ class EmulatedRig(MeasuredRig):
         if self._thermal is not None:
             self._thermal = replace(self._thermal, ambient=ambient)
 
-    def next_block(self, count: int) -> RigBlock:
-        """The next ``count`` samples; raises EmulatorError if ``count`` is less than one."""
-        if count < 1:
-            raise EmulatorError(f"{count} samples were requested: request at least one")
-        parts = [self._ready]
-        while self._made < self._taken + count:
-            left = CHUNK - self._made % CHUNK
-            parts.append(
-                self._next_samples(
-                    min(left, self._taken + count - self._made) if self.live else left
-                )
-            )
-        rows = np.concatenate(parts, axis=1)
-        block, self._ready = rows[:, :count], rows[:, count:]
-        first = self._taken
-        self._taken += count
-        return self._block(first, block)
-
     def record(
         self, duration: float, *, name: str = "emulated", details: dict[str, str] | None = None
     ) -> Recording:
@@ -382,20 +393,13 @@ class EmulatedRig(MeasuredRig):
             details=details or {},
         )
 
-    def _next_samples(self, count: int) -> Array:
-        """Rows of a :class:`RigBlock`, shape (4, count), within one chunk."""
+    def _true(self, time: Array, current: Array) -> tuple[Array, Array, Array]:
         period = self.settings.period
-        begin = self._made % CHUNK
-        part = slice(begin, begin + count)
-        if begin == 0:
-            self._noise = self._rng.standard_normal((2, CHUNK))
-        time = np.arange(self._made, self._made + count, dtype=np.float64) * period
         if is_sine(self._excitation) != (self._peak is None):
             # A command has changed the kind of motion.
             self._change_motion(self._excitation, ())
         kinematics = self._excitation.at(time)
         displacement, velocity, acceleration = kinematics
-        current = self._current.at(time)
         centred = displacement - self._excitation.centre
         v_m = (
             peak_velocity(centred, velocity, acceleration)
@@ -407,21 +411,7 @@ class EmulatedRig(MeasuredRig):
         coil, self._coil_state = coil_current(fed, self._coil, period, self._coil_state)
         force = self._damper.force(motion, coil, self._celsius, period)
         true_force = changed(self._faults, "force", Samples(time, force, period, kinematics))
-        celsius = np.full(count, self._celsius)
-        self._power[part] = true_force * velocity
-        self._made += count
-        if self._thermal is not None and self._made % CHUNK == 0:
-            power = float(np.mean(self._power))
-            self._celsius = self._thermal.after(self._celsius, power, CHUNK * period)
-        force_noise, displacement_noise = self._noise[:, part]
-        return np.stack(
-            [
-                displacement + self.settings.displacement_noise * displacement_noise,
-                true_force + self.settings.force_noise * force_noise,
-                current,
-                celsius,
-            ]
-        )
+        return displacement, true_force, true_force * velocity
 
     def _peak_so_far(self, excitation: Excitation) -> PeakVelocity:
         """The peak velocity, as if the motion had been running for a long time."""

@@ -7,7 +7,6 @@ samples do not depend on the block size.
 from __future__ import annotations
 
 import math
-from copy import deepcopy
 from dataclasses import replace
 from typing import Protocol
 
@@ -68,10 +67,8 @@ class PlantRig(MeasuredRig):
         dampers: int = 1,
         substeps: int = 4,
     ) -> None:
-        # A damper may have a state, so each rig has its own copy.
-        self._damper = deepcopy(damper)
+        super().__init__(damper, current, settings, thermal)
         self._surroundings = surroundings
-        super().__init__(current, settings, thermal)
         self._dampers, self._substeps = dampers, substeps
         self._step = self.settings.period / substeps
         self.plant = MovingPlant(plant, self._step)
@@ -82,42 +79,31 @@ class PlantRig(MeasuredRig):
         self._force = self._acceleration = 0.0
         self._share = -math.expm1(-self._step / _ACCELERATION_MEMORY)
         self._inputs: list[list[float]] = []
-        self._heat = 0.0
+        self._moved: list[tuple[Array, Array, float, float, float]] = []
 
     def next_block(self, count: int) -> RigBlock:
         """The next ``count`` samples."""
-        first, period = self._made, self.settings.period
-        supplied = self._current.at(np.arange(first, first + count, dtype=np.float64) * period)
-        rows, states, rates = np.empty((6, count)), [], []
-        for place, current in enumerate(supplied.tolist()):
-            part = self._made % CHUNK
-            if part == 0:
-                self._noise = self._rng.standard_normal((2, CHUNK))
-                steps = np.arange(CHUNK * self._substeps, dtype=np.float64)
-                steps += self._made * self._substeps
-                inputs = self._surroundings.at(steps * self._step)
-                self._inputs = inputs.reshape(CHUNK, self._substeps).tolist()
-            self._heat += sum([self._step_on(current, moved) for moved in self._inputs[part]])
-            self._made += 1
-            if self._made % CHUNK == 0:
-                if self._thermal is not None:
-                    time = CHUNK * period
-                    self._celsius = self._thermal.after(self._celsius, self._heat / time, time)
-                self._heat = 0.0
-            now, (force_noise, displacement_noise) = self.plant.damper, self._noise[:, part]
-            rows[:, place] = (
-                now.displacement + self.settings.displacement_noise * displacement_noise,
-                self._force + self.settings.force_noise * force_noise,
-                self._celsius,
-                self._force,
-                now.velocity,
-                self._coil,
+        self._moved = []
+        block = super().next_block(count)
+        self.motion = PlantMotion(*map(np.array, zip(*self._moved, strict=True)))
+        return block
+
+    def _true(self, time: Array, current: Array) -> tuple[Array, Array, Array]:
+        begin = self._made % CHUNK
+        if begin == 0:
+            steps = np.arange(CHUNK * self._substeps, dtype=np.float64)
+            inputs = self._surroundings.at((steps + self._made * self._substeps) * self._step)
+            self._inputs = inputs.reshape(CHUNK, self._substeps).tolist()
+        rows = np.empty((3, time.size))
+        for place, supplied in enumerate(current.tolist()):
+            heat = sum([self._step_on(supplied, moved) for moved in self._inputs[begin + place]])
+            now = self.plant.damper
+            rows[:, place] = now.displacement, self._force, heat / self.settings.period
+            self._moved.append(
+                (self.plant.state, self.plant.rates, self._force, now.velocity, self._coil)
             )
-            states.append(self.plant.state)
-            rates.append(self.plant.rates)
-        displacement, force, celsius, true_force, velocity, coil = rows
-        self.motion = PlantMotion(np.array(states), np.array(rates), true_force, velocity, coil)
-        return self._block(first, np.stack([displacement, force, supplied, celsius]))
+        displacement, force, power = rows
+        return displacement, force, power
 
     def _step_on(self, supplied: float, moved: float) -> float:
         """Move on by one step with a supply current [A] and an input; returns the heat [J]."""
