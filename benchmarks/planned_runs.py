@@ -17,7 +17,6 @@ from mr_damper_ros.emulation.emulator import (
     EmulatedRig,
     RigSettings,
 )
-from mr_damper_ros.emulation.motions import RepeatedMotion
 from mr_damper_ros.estimation.experiment_design import (
     Cycles,
     Plan,
@@ -167,11 +166,10 @@ class _Machine:
         schedule = CurrentSchedule(
             [place * run.stretch for place in range(len(run.currents))], run.currents
         )
-        motion = RepeatedMotion(run.motion)
         damper = EmulatedDamper(self._truth)
-        clean = EmulatedRig(damper, motion, schedule, settings=RigSettings(force_noise=0.0)).record(
-            run.duration
-        )
+        clean = EmulatedRig(
+            damper, run.motion, schedule, settings=RigSettings(force_noise=0.0)
+        ).record(run.duration)
         limits = self._limits
         self.inside = self.inside and bool(
             np.max(np.abs(clean.displacement)) <= limits.amplitude

@@ -5,24 +5,16 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import NamedTuple, Protocol
+from typing import Protocol
 
 import numpy as np
 
-from mr_damper_ros.kinematics.periodic_motion import MotionKind, PeriodicMotion
+from mr_damper_ros.kinematics.periodic_motion import Kinematics, MotionKind, PeriodicMotion
 from mr_damper_ros.signals.arrays import Array
 
 
 class ExcitationError(ValueError):
     """An invalid motion; the message says what to change."""
-
-
-class Kinematics(NamedTuple):
-    """Displacement [m], velocity [m/s] and acceleration [m/s²], each of shape (n,)."""
-
-    displacement: Array
-    velocity: Array
-    acceleration: Array
 
 
 class Excitation(Protocol):
@@ -64,24 +56,6 @@ class SineMotion:
         angle = rate * time + self.phase
         sine, cosine = np.sin(angle), np.cos(angle)
         return Kinematics(scale * sine, scale * rate * cosine, -scale * rate**2 * sine)
-
-
-@dataclass(frozen=True)
-class RepeatedMotion:
-    """A periodic motion about zero."""
-
-    centre = 0.0
-
-    motion: PeriodicMotion
-
-    @property
-    def is_sine(self) -> bool:
-        """Whether the motion is a sine."""
-        return self.motion.kind is MotionKind.SINE
-
-    def at(self, time: Array) -> Kinematics:
-        """Kinematics at the times [s], shape (n,)."""
-        return Kinematics(*self.motion.at(time))
 
 
 class SampledMotion:
@@ -339,7 +313,7 @@ class CommandedMotion:
                 now.end = max(time, now.begin + now.change)
             if motion is not None:
                 free = max([time, *(stretch.over for stretch in stretches)])
-                stretches.append(_Stretch(RepeatedMotion(motion), free, motion.growth))
+                stretches.append(_Stretch(motion, free, motion.growth))
         self._stretches = stretches
 
     def at(self, time: Array) -> Kinematics:
@@ -355,6 +329,8 @@ class CommandedMotion:
 
 def is_sine(excitation: Excitation) -> bool:
     """Whether the motion is a sine, so that each sample determines the peak velocity."""
-    if isinstance(excitation, (RepeatedMotion, CommandedMotion)):
+    if isinstance(excitation, CommandedMotion):
         return excitation.is_sine
+    if isinstance(excitation, PeriodicMotion):
+        return excitation.kind is MotionKind.SINE
     return isinstance(excitation, SineMotion)

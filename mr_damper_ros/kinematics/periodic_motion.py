@@ -9,6 +9,7 @@ import math
 from dataclasses import dataclass
 from enum import Enum
 from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 
@@ -44,6 +45,14 @@ _GOLDEN = (math.sqrt(5.0) - 1.0) / 2.0
 """The phase of harmonic k is the fractional part of (k + seed)³ times this, in turns."""
 
 
+class Kinematics(NamedTuple):
+    """Displacement [m], velocity [m/s] and acceleration [m/s²], each of shape (n,)."""
+
+    displacement: Array
+    velocity: Array
+    acceleration: Array
+
+
 class MotionKind(str, Enum):
     """Kind of a periodic motion."""
 
@@ -74,6 +83,8 @@ class PeriodicMotion:
 
     Raises ValueError if a value is out of range, or if too few multiples lie within the band.
     """
+
+    centre = 0.0
 
     kind: MotionKind
     amplitude: float
@@ -155,8 +166,8 @@ class PeriodicMotion:
         """Half the distance [m] between the lowest and the highest displacement."""
         return self._random[2] if self.kind is MotionKind.RANDOM else self.amplitude
 
-    def at(self, time: Array) -> tuple[Array, Array, Array]:
-        """Displacement [m], velocity [m/s] and acceleration [m/s²] at the times [s], shape (n,)."""
+    def at(self, time: Array) -> Kinematics:
+        """Kinematics at the times [s], shape (n,)."""
         if self.kind is MotionKind.RANDOM:
             return self._sum(time, self._random[0])
         mean = 2.0 * math.pi * self._mean_frequency
@@ -168,7 +179,7 @@ class PeriodicMotion:
         rate = mean - half * np.cos(turn * within)
         bend = half * turn * np.sin(turn * within)
         sine, cosine = self.amplitude * np.sin(angle), self.amplitude * np.cos(angle)
-        return sine, rate * cosine, bend * cosine - rate**2 * sine
+        return Kinematics(sine, rate * cosine, bend * cosine - rate**2 * sine)
 
     @property
     def _mean_frequency(self) -> float:
@@ -194,13 +205,13 @@ class PeriodicMotion:
         speed = _BETWEEN * scale * float(np.abs(velocity).max())
         return scale / self._harmonics, speed, 0.5 * scale * float(np.ptp(displacement))
 
-    def _sum(self, time: Array, sizes: Array) -> tuple[Array, Array, Array]:
+    def _sum(self, time: Array, sizes: Array) -> Kinematics:
         """Sum of the harmonics of these amplitudes [m], and its derivatives."""
         rates = 2.0 * math.pi / self.period * self._harmonics
         turns = np.mod(_GOLDEN * (self._harmonics + self.seed) ** 3, 1.0)
         angles = np.multiply.outer(np.mod(time, self.period), rates) + 2.0 * math.pi * turns
         sines, cosines = np.sin(angles), np.cos(angles)
-        return sines @ sizes, cosines @ (sizes * rates), -sines @ (sizes * rates**2)
+        return Kinematics(sines @ sizes, cosines @ (sizes * rates), -sines @ (sizes * rates**2))
 
 
 class RepeatedMatch:

@@ -15,7 +15,7 @@ from mr_damper_ros.emulation.emulator import (
     EmulatedRig,
     RigSettings,
 )
-from mr_damper_ros.emulation.motions import RepeatedMotion, SampledMotion
+from mr_damper_ros.emulation.motions import SampledMotion
 from mr_damper_ros.estimation.experiment_design import Plan, PlanState, PointErrors
 from mr_damper_ros.estimation.planned_run import ForceGoal, MachineLimits, PlannedRun
 from mr_damper_ros.models.parameter_set import ParameterSet
@@ -39,7 +39,7 @@ def perform(
     times = [place * run.stretch for place in range(len(run.currents))]
     rig = EmulatedRig(
         EmulatedDamper(known.PLAUSIBLE),
-        RepeatedMotion(run.motion),
+        run.motion,
         CurrentSchedule(times, run.currents),
         settings=RigSettings(sample_rate=rate, force_noise=noise, seed=seed),
     )
