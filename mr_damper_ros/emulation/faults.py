@@ -15,7 +15,8 @@ from typing import Any, Literal, NamedTuple
 
 import numpy as np
 
-from mr_damper_ros.emulation.motions import ChangedMotion, Excitation, Kinematics
+from mr_damper_ros.emulation.motions import ChangedMotion, Excitation
+from mr_damper_ros.kinematics.periodic_motion import Kinematics
 from mr_damper_ros.signals.arrays import Array
 from mr_damper_ros.signals.blocks import NANOSECONDS, RigBlock
 

@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from mr_damper_ros.emulation.motions import Kinematics
+from mr_damper_ros.kinematics.periodic_motion import Kinematics
 from mr_damper_ros.signals.arrays import Array
 
 TONES = 200

@@ -11,8 +11,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from mr_damper_ros.emulation.motions import CommandedMotion, Kinematics, SineMotion
-from mr_damper_ros.kinematics.periodic_motion import MotionKind, PeriodicMotion
+from mr_damper_ros.emulation.motions import CommandedMotion, SineMotion
+from mr_damper_ros.kinematics.periodic_motion import Kinematics, MotionKind, PeriodicMotion
 from mr_damper_ros.rig.commander import MotionCommander
 
 AMPLITUDE, VELOCITY = 0.01, 0.2
