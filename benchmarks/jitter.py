@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from itertools import product
 
 import numpy as np
 
@@ -43,39 +43,20 @@ _CURRENT = 1.0
 _SETS = {"thesis": ParameterSet(THESIS_28_CELSIUS), "viscous_tanh": DAMPERS["viscous_tanh"]}
 
 
-@dataclass(frozen=True)
-class Way:
-    """Sampling and transmission of the samples; ``kind`` is clean, clock or sampling."""
-
-    rate: float
-    block_size: int
-    kind: str
-
-
-def made(damper: ParameterSet, motion: Excitation, rate: float, duration: float) -> RigBlock:
-    """Signals of a rig without noise."""
-    fine = rate * _FINE
-    settings = RigSettings(fine, force_noise=0.0)
-    rig = EmulatedRig(EmulatedDamper(damper), motion, _CURRENT, settings=settings)
-    return rig.next_block(round(duration * fine))
-
-
-def sent(rig: RigBlock, way: Way) -> list[SampleBlock]:
-    """The resulting blocks."""
+def sent(rig: RigBlock, rate: float, size: int, kind: str) -> list[SampleBlock]:
+    """The signals of a fine rig in blocks of ``size``; ``kind`` is clean, clock or sampling."""
     rng = np.random.default_rng(0)
-    count = rig.force.size // _FINE
-    size, period = way.block_size, 1.0 / way.rate
+    count, period = rig.force.size // _FINE, 1.0 / rate
     noise = THESIS_FORCE_NOISE * rng.standard_normal(count)
     noise_of_position = 1e-6 * rng.standard_normal(count)
     blocks = []
     for first in range(0, count - size, size):
-        late = rng.uniform(-JITTER, JITTER) if way.kind != "clean" else 0.0
-        lost = way.kind != "clean" and rng.random() < LOSS
-        if lost and first > 0:
+        late = rng.uniform(-JITTER, JITTER) if kind != "clean" else 0.0
+        if kind != "clean" and rng.random() < LOSS and first > 0:
             continue
-        shift = round(late * _FINE) if way.kind == "sampling" else 0
+        shift = round(late * _FINE) if kind == "sampling" else 0
+        late = shift / _FINE if kind == "sampling" else late
         places = np.maximum((first + np.arange(size)) * _FINE + shift, 0)
-        late = shift / _FINE if way.kind == "sampling" else late
         part = slice(first, first + size)
         blocks.append(
             SampleBlock(
@@ -89,30 +70,28 @@ def sent(rig: RigBlock, way: Way) -> list[SampleBlock]:
     return blocks
 
 
-def followed(rig: RigBlock, way: Way) -> tuple[float, float]:
+def followed(rig: RigBlock, rate: float, size: int, kind: str) -> tuple[float, float]:
     """Percentage of the sent samples with valid force, and NRMSE against the force of the rig."""
     # Least squares finds the minima of the default method in a tenth of the time.
     engine = Engine(EngineSettings(tracking=TrackerSettings(method="least_squares")))
     valid, errors, truths = [], [], []
     grid = np.arange(rig.force.size) * rig.period
-    for block in sent(rig, way):
-        stamp_ns = rig.start_ns + round(block.sequence * block.period * NANOSECONDS)
+    for block in sent(rig, rate, size, kind):
+        begin = block.sequence * block.period
+        stamp_ns = rig.start_ns + round(begin * NANOSECONDS)
         engine.add_current(stamp_ns - 100_000_000, _CURRENT)
         prediction = engine.predict(block)
-        if block.sequence * block.period < SETTLED:
+        if begin < SETTLED:
             continue
         known = prediction.valid_samples
         valid.append(float(np.mean(known)))
         # With uniform sampling, the count gives the time more accurately than the stamp.
-        begin = (
-            (prediction.start_ns - rig.start_ns) / NANOSECONDS
-            if way.kind == "sampling"
-            else prediction.sequence * block.period
-        )
+        if kind == "sampling":
+            begin = (prediction.start_ns - rig.start_ns) / NANOSECONDS
         at = begin + np.arange(prediction.force.size) * block.period
-        truth = np.interp(at, grid, rig.force)
-        errors.append((prediction.force - truth)[known])
-        truths.append(truth[known])
+        truth = np.interp(at, grid, rig.force)[known]
+        errors.append(prediction.force[known] - truth)
+        truths.append(truth)
     if not any(valid):
         return 0.0, math.inf
     error, truth = np.concatenate(errors), np.concatenate(truths)
@@ -130,19 +109,20 @@ def figures(
         "random": random_motion(0.003, 0.3, 3.0, duration, seed=1),
     }
     valid, shares, ratios = [], [], []
-    for name, damper in _SETS.items():
-        for moved, motion in motions.items():
-            for rate in rates:
-                rig = made(damper, motion, rate, duration)
-                for size in blocks:
-                    clean, clean_nrmse = followed(rig, Way(rate, size, "clean"))
-                    for kind in ("clock", "sampling"):
-                        share, nrmse = followed(rig, Way(rate, size, kind))
-                        what = f"{name}, {moved}, {rate:g} Hz in blocks of {size}, {kind}"
-                        told = f"{what}: {share:.1f} %, clean {clean:.1f} %"
-                        valid.append((share, told))
-                        shares.append((100.0 * share / clean if clean else 0.0, told))
-                        ratios.append((nrmse / clean_nrmse, what))
+    for name, moved, rate in product(_SETS, motions, rates):
+        settings = RigSettings(rate * _FINE, force_noise=0.0)
+        damper = EmulatedDamper(_SETS[name])
+        source = EmulatedRig(damper, motions[moved], _CURRENT, settings=settings)
+        rig = source.next_block(round(duration * rate * _FINE))
+        for size in blocks:
+            clean, clean_nrmse = followed(rig, rate, size, "clean")
+            for kind in ("clock", "sampling"):
+                share, nrmse = followed(rig, rate, size, kind)
+                what = f"{name}, {moved}, {rate:g} Hz in blocks of {size}, {kind}"
+                told = f"{what}: {share:.1f} %, clean {clean:.1f} %"
+                valid.append((share, told))
+                shares.append((100.0 * share / clean if clean else 0.0, told))
+                ratios.append((nrmse / clean_nrmse, what))
     return {
         "jitter_valid": min(valid),
         "jitter_valid_of_clean": min(shares),

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 
-from benchmarks import honest_errors
+from benchmarks import following
 from mr_damper_ros.estimation.covariance import NoiseModel, error_covariances
 from mr_damper_ros.signals.arrays import Array
 from mr_damper_ros.tracking.force_scale import ForceScale, WindowScale, widened
@@ -86,8 +86,6 @@ def test_an_irregular_scale_is_as_uncertain_as_it_scatters(widening: float) -> N
 
 
 def test_the_published_errors_of_a_damper_of_another_law_are_its_scatter() -> None:
-    motion = honest_errors.random_motion(50.0, seed=1)
-    scales, errors, _ = honest_errors.published_scales(
-        motion, honest_errors.bouc_wen(1.5e-4), windows=24
-    )
-    assert 0.3 < honest_errors.chi_square(scales, errors) < 3.0
+    motion = following.random_motion(50.0, seed=1)
+    scales, errors, _ = following.published_scales(motion, following.bouc_wen(1.5e-4), windows=24)
+    assert 0.3 < following.chi_square(scales, errors) < 3.0
