@@ -33,18 +33,13 @@ from mr_damper_ros.emulation.emulator import (
     RigSettings,
 )
 from mr_damper_ros.emulation.faults import Instruments, faults_of
-from mr_damper_ros.emulation.motions import (
-    BandLimitedMotion,
-    Excitation,
-    SineMotion,
-    chirp,
-    stepped,
-)
+from mr_damper_ros.emulation.motions import Excitation, SineMotion, stepped
 from mr_damper_ros.io.bag_files import BagError
 from mr_damper_ros.io.bag_reader import read_bag
 from mr_damper_ros.io.bag_writer import write_bag
 from mr_damper_ros.io.columns import ColumnError, RecordError
 from mr_damper_ros.io.records import read_record
+from mr_damper_ros.kinematics.periodic_motion import MotionKind, PeriodicMotion
 from mr_damper_ros.models import MODELS
 from mr_damper_ros.models.parameter_set import ParameterError, ParameterSet
 from mr_damper_ros.models.published import THESIS_28_CELSIUS
@@ -365,8 +360,8 @@ _MOTIONS: Mapping[str, Excitation] = {
     "sine": SineMotion(5e-3, 1.3),
     "slow": SineMotion(2e-2, 0.05),
     "tiny": SineMotion(2e-5, 1.0),
-    "random": BandLimitedMotion(1e-2, 0.3, 6.0, 1),
-    "chirp": chirp(4e-3, 0.5, 4.0, 10.0),
+    "random": PeriodicMotion(MotionKind.RANDOM, 1e-2, 0.3, 6.0, 30.0, 1),
+    "chirp": PeriodicMotion(MotionKind.SWEEP, 4e-3, 0.5, 4.0, 10.0),
     "stepped": stepped(4e-3, 0.5, 4.0, 10.0),
     "resting": stops(SineMotion(6e-3, 1.5), 0.3, 3.0, 6),
     "burst": stairs(2e-2, 3.0, (1.0, 0.2, 0.01), 0.5),

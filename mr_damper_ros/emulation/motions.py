@@ -160,12 +160,6 @@ class ChangedMotion:
         return _enveloped(moved, envelope, self.centre)
 
 
-_SINES = 48
-"""Number of sines in a random motion."""
-
-_CREST = 3.0
-"""Ratio of the amplitude of a random motion to its standard deviation."""
-
 _TURN = 0.1
 """Fraction of a step in which the frequency changes to the next one."""
 
@@ -206,11 +200,6 @@ class SweptSine:
         return Kinematics(a * sine, a * rate * cosine, a * (bend * cosine - rate**2 * sine))
 
 
-def chirp(amplitude: float, low: float, high: float, duration: float) -> SweptSine:
-    """A sine swept from ``low`` to ``high`` [Hz] and back within ``duration`` [s]."""
-    return SweptSine(amplitude, (0.0, 0.5 * duration, duration), (low, high, low))
-
-
 def stepped(amplitude: float, low: float, high: float, duration: float) -> SweptSine:
     """A sine at four frequencies from ``low`` to ``high`` [Hz], within ``duration`` [s]."""
     length = duration / 4.0
@@ -219,41 +208,6 @@ def stepped(amplitude: float, low: float, high: float, duration: float) -> Swept
         times += [step * length, (step + 1.0 - _TURN) * length]
         frequencies += [frequency, frequency]
     return SweptSine(amplitude, [*times, duration], [*frequencies, low])
-
-
-class BandLimitedMotion:
-    """Random motion between ``low`` and ``high`` [Hz], as a sum of sines with random phases.
-
-    The displacement seldom exceeds ``amplitude`` [m]. Raises ExcitationError if the band is empty
-    or a limit is not positive and finite.
-    """
-
-    centre = 0.0
-
-    def __init__(self, amplitude: float, low: float, high: float, seed: int) -> None:
-        if not 0.0 < low < high < math.inf:
-            raise ExcitationError(
-                f"random motion from {low:g} to {high:g} Hz: the highest frequency must be above "
-                "the lowest"
-            )
-        rng = np.random.default_rng(seed)
-        edges = np.geomspace(low, high, _SINES + 1)
-        self._rates = 2.0 * np.pi * rng.uniform(edges[:-1], edges[1:])
-        self._phases = rng.uniform(0.0, 2.0 * np.pi, _SINES)
-        # Each part of the band contributes equally to the velocity.
-        sizes = 1.0 / self._rates
-        spread = float(np.sqrt(0.5 * np.sum(sizes**2)))
-        self._sizes = sizes * amplitude / (_CREST * spread)
-
-    def at(self, time: Array) -> Kinematics:
-        """Kinematics at the times [s], shape (n,)."""
-        angles = np.multiply.outer(time, self._rates) + self._phases
-        sines, cosines = np.sin(angles), np.cos(angles)
-        return Kinematics(
-            sines @ self._sizes,
-            cosines @ (self._sizes * self._rates),
-            -sines @ (self._sizes * self._rates**2),
-        )
 
 
 _FADE_TIME = 2.0

@@ -10,13 +10,8 @@ import pytest
 
 from mr_damper_ros.emulation.emulator import EmulatedDamper, EmulatedRig, RigSettings
 from mr_damper_ros.emulation.faults import Instruments, faults_of
-from mr_damper_ros.emulation.motions import (
-    BandLimitedMotion,
-    Excitation,
-    SineMotion,
-    chirp,
-    stepped,
-)
+from mr_damper_ros.emulation.motions import Excitation, SineMotion, stepped
+from mr_damper_ros.kinematics.periodic_motion import MotionKind, PeriodicMotion
 from mr_damper_ros.models.published import THESIS_28_CELSIUS
 from mr_damper_ros.rig_check.checks import check_rig
 from mr_damper_ros.rig_check.record import ReceivedBlock, RigRecord, Trouble, channel_lag
@@ -29,8 +24,8 @@ MOTIONS: dict[str, Excitation] = {
     "steps": stepped(0.005, 0.5, 3.0, SECONDS),
     "sine": SineMotion(0.005, 1.0),
     "fast": SineMotion(0.002, 4.0),
-    "chirp": chirp(0.005, 0.5, 3.0, SECONDS),
-    "random": BandLimitedMotion(0.01, 0.3, 4.0, 1),
+    "chirp": PeriodicMotion(MotionKind.SWEEP, 0.005, 0.5, 3.0, SECONDS),
+    "random": PeriodicMotion(MotionKind.RANDOM, 0.01, 0.3, 4.0, SECONDS, 1),
 }
 
 

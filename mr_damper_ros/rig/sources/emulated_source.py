@@ -21,15 +21,14 @@ from mr_damper_ros.emulation.emulator import (
 )
 from mr_damper_ros.emulation.faults import FaultError, Instruments, faults_of
 from mr_damper_ros.emulation.motions import (
-    BandLimitedMotion,
     CommandedMotion,
     Excitation,
     SampledMotion,
     SineMotion,
-    chirp,
     stepped,
 )
 from mr_damper_ros.emulation.plant_rig import HOT_FORCE, PlantRig, Surroundings, invented_damper
+from mr_damper_ros.kinematics.periodic_motion import MotionKind, PeriodicMotion
 from mr_damper_ros.models.parameter_set import ParameterSet
 from mr_damper_ros.models.published import THESIS_28_CELSIUS, THESIS_71_CELSIUS
 from mr_damper_ros.rig.commander import (
@@ -126,7 +125,7 @@ class EmulatedOptions(_RigOptions):
     )
     amplitude: float = option(
         0.005,
-        "Amplitude of the motion [m]; for random motion, three standard deviations.",
+        "Amplitude of the motion [m], also of random motion.",
         minimum=1e-6,
         maximum=0.5,
     )
@@ -141,7 +140,7 @@ class EmulatedOptions(_RigOptions):
     )
     sweep_time: float = option(
         30.0,
-        "Duration [s] of a chirp or of four steps, which then repeat.",
+        "Duration [s] of a chirp, of four steps or of random motion, which then repeat.",
         minimum=1.0,
         maximum=86400.0,
     )
@@ -303,11 +302,12 @@ def _excitation(rig: EmulatedOptions) -> Excitation:
     """The motion that the options describe; raises ValueError or OSError."""
     low, high = rig.frequency, rig.highest_frequency
     if rig.excitation == "chirp":
-        return chirp(rig.amplitude, low, high, rig.sweep_time)
+        return PeriodicMotion(MotionKind.SWEEP, rig.amplitude, low, high, rig.sweep_time)
     if rig.excitation == "steps":
         return stepped(rig.amplitude, low, high, rig.sweep_time)
     if rig.excitation == "random":
-        return BandLimitedMotion(rig.amplitude, low, high, rig.seed)
+        seed = rig.seed % 10_000  # as many random motions there are
+        return PeriodicMotion(MotionKind.RANDOM, rig.amplitude, low, high, rig.sweep_time, seed)
     if rig.excitation == "recorded":
         from mr_damper_ros.io.records import read_record
 
