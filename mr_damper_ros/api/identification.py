@@ -54,7 +54,12 @@ from mr_damper_ros.estimation.profile_likelihood import profiled, profiles_of, r
 from mr_damper_ros.estimation.record_levels import Level, LevelPrior
 from mr_damper_ros.kinematics.window import Window
 from mr_damper_ros.models import MODELS
-from mr_damper_ros.models.parameter_set import DEFAULT_MODEL, ParameterSet, known_model
+from mr_damper_ros.models.parameter_set import (
+    DEFAULT_MODEL,
+    ParameterSet,
+    known_model,
+    motion_window,
+)
 from mr_damper_ros.processes.blas_threads import one_thread
 from mr_damper_ros.processes.files import json_ready, write_text
 from mr_damper_ros.processes.process_pool import ProcessPool
@@ -206,6 +211,14 @@ class Identification(ComparedRuns):
             f"above the limit of {LARGEST_RUN_NRMSE:.0%}; check columns, units, signs and "
             "currents, and whether all runs are of one damper"
         )
+
+    def force_error(self, time: ArrayLike, displacement: ArrayLike, current: ArrayLike) -> Array:
+        """Standard error (n,) [N] of the force in a motion that was not measured.
+
+        The arguments are those of :meth:`ParameterSet.force`. The error includes what the law does
+        not follow.
+        """
+        return self.searches.best.force_error(motion_window(time, displacement, current))
 
     @one_thread()
     def determination(

@@ -10,9 +10,10 @@ same motion. *Discrepancy* is the change of the estimates under a different moti
 law. In a steady sine the model error repeats in every cycle. The difference between samples one
 cycle apart therefore contains only noise. In any other single motion, noise and model error cannot
 be separated, and the whole residual counts as noise. With windows of several motions, each motion
-biases the parameters differently. The discrepancy is then the scatter of the scores (Jacobian times
-residual) between motions, corrected for the part that the fit has absorbed (Bell and McCaffrey,
-Survey Methodology 28, 2002).
+biases the parameters differently. The scatter of the scores (Jacobian times residual) between
+motions, corrected for the part that the fit has absorbed (Bell and McCaffrey, Survey Methodology
+28, 2002), tells whether it exceeds noise. The discrepancy is then the scatter of the fits that
+leave out one motion each (jackknife).
 """
 
 from __future__ import annotations
@@ -377,18 +378,28 @@ standard error, the discrepancy of the parameter is unknown."""
 
 
 def motion_numbers(windows: Sequence[Window]) -> np.ndarray:
-    """A number (k,) for each window, from 0; windows of equal motion and current share it."""
+    """A number (k,) for each window, from 0; windows of equal motion share it.
+
+    Model error persists over the currents of a motion, so they do not count as different. With
+    fewer than three motions, only windows of equal motion and current share a number.
+    """
+    sizes = [
+        (
+            math.log(max(float(np.std(window.motion.displacement)), 1e-12)) / SAME_MOTION,
+            math.log(max(float(np.std(window.motion.velocity)), 1e-12)) / SAME_MOTION,
+            float(np.mean(window.current)) / SAME_CURRENT,
+        )
+        for window in windows
+    ]
+    motions = _numbers(np.array(sizes)[:, :2])
+    return motions if motions.max() + 1 >= FEWEST_MOTIONS else _numbers(np.array(sizes))
+
+
+def _numbers(sizes: Array) -> np.ndarray:
+    """A number (k,) for each row (k, n), which rows share that differ by less than 1 everywhere."""
     seen: list[Array] = []
     numbers = []
-    for window in windows:
-        motion = window.motion
-        size = np.array(
-            [
-                math.log(max(float(np.std(motion.displacement)), 1e-12)) / SAME_MOTION,
-                math.log(max(float(np.std(motion.velocity)), 1e-12)) / SAME_MOTION,
-                float(np.mean(window.current)) / SAME_CURRENT,
-            ]
-        )
+    for size in sizes:
         same = (k for k, other in enumerate(seen) if np.all(np.abs(size - other) < 1.0))
         number = next(same, len(seen))
         if number == len(seen):
@@ -403,11 +414,13 @@ def discrepancy_between(
     """Covariance (f, f) from the scatter between motions in excess of ``covariance`` (f, f).
 
     ``jacobian`` (n, f) and ``residual`` (n,) are taken at the minimum; ``motions`` (n,) is the
-    number of the motion of each row. The result is zero if noise explains the scatter. It is NaN
-    for a parameter that only one motion determines; with fewer than three motions it is all NaN.
+    number of the motion of each row, negative for rows of a prior. The result is that of the
+    jackknife, the scatter of the fits that leave out one motion each, because a motion that was not
+    measured is like a motion left out. It is zero if noise explains the scatter. It is NaN for a
+    parameter that only one motion determines; with fewer than three motions it is all NaN.
     """
     unknown = np.full_like(covariance, math.nan)
-    numbers = np.unique(motions)
+    numbers = np.unique(motions[motions >= 0])
     lengths = np.linalg.norm(jacobian, axis=0)
     known = (np.diag(covariance) > 0.0) & (lengths > 0.0)
     if numbers.size < FEWEST_MOTIONS or not np.any(known):
@@ -417,7 +430,7 @@ def discrepancy_between(
     # In these coordinates the information of all rows is the identity matrix.
     to_parameters = np.linalg.inv(triangular) / lengths[:, np.newaxis]
     noise = triangular * lengths @ covariance[block] @ (triangular * lengths).T
-    scatter, chance = np.zeros_like(noise), 0.0
+    scatter, jackknife, chance = np.zeros_like(noise), np.zeros_like(noise), 0.0
     alone: np.ndarray = np.zeros(lengths.size, dtype=bool)
     errors = np.sqrt(np.sum(to_parameters**2, axis=1))
     for number in numbers:
@@ -431,27 +444,20 @@ def discrepancy_between(
         taken = np.where(only, 0.0, 1.0 / np.sqrt(np.maximum(1.0 - shares, _ONE_MOTION)))
         scores = taken * (axes.T @ (own.T @ residual[rows]))
         scatter += np.outer(axes @ scores, axes @ scores)
+        shift = axes @ (taken * scores)
+        jackknife += (1.0 - 1.0 / numbers.size) * np.outer(shift, shift)
         chance += 2.0 * float(np.sum(shares**2))
-    white = float(residual @ residual) / residual.size
-    factor = to_parameters @ _excess_root(scatter, noise, white, math.sqrt(chance))
-    excess = factor @ factor.T
+    variances, vectors = np.linalg.eigh(noise)
+    least = _LEAST_NOISE * float(residual @ residual) / residual.size
+    root = vectors * np.sqrt(np.maximum(variances, least))
+    found = float(np.trace(np.linalg.solve(root, np.linalg.solve(root, scatter).T)))
+    excess = np.zeros_like(noise)
+    if found >= lengths.size + SIGNIFICANT * math.sqrt(chance):
+        whitened = np.linalg.solve(root, np.linalg.solve(root, jackknife).T)
+        times, axes = np.linalg.eigh(0.5 * (whitened + whitened.T))
+        factor = to_parameters @ root @ axes * np.sqrt(np.maximum(times - 1.0, 0.0))
+        excess = factor @ factor.T
     excess[alone, :] = math.nan
     excess[:, alone] = math.nan
     unknown[block] = excess
     return unknown
-
-
-def _excess_root(scatter: Array, noise: Array, white: float, chance: float) -> Array:
-    """Root (f, f) of the excess of ``scatter`` over ``noise``; zero if chance explains all of it.
-
-    ``white`` is the noise variance under the assumption of white noise; ``chance`` is the standard
-    deviation of the trace of the scatter in units of the noise.
-    """
-    variances, vectors = np.linalg.eigh(noise)
-    root = vectors * np.sqrt(np.maximum(variances, _LEAST_NOISE * white))
-    whitened = np.linalg.solve(root, np.linalg.solve(root, scatter).T)
-    times, axes = np.linalg.eigh(0.5 * (whitened + whitened.T))
-    if float(np.sum(times)) < times.size + SIGNIFICANT * chance:
-        return np.zeros_like(noise)
-    directions = root @ axes
-    return np.asarray(directions * np.sqrt(np.maximum(times - 1.0, 0.0)))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -26,7 +26,7 @@ from mr_damper_ros.estimation.local_search import Ending, StopRequestedError
 from mr_damper_ros.estimation.record_levels import LevelPrior, counted_samples
 from mr_damper_ros.kinematics.window import Window
 from mr_damper_ros.models.force_model import Model
-from mr_damper_ros.models.misfit import Misfit
+from mr_damper_ros.models.misfit import Misfit, PriorRows
 from mr_damper_ros.models.parameter_set import GLOBAL_SOURCE, ParameterSet
 from mr_damper_ros.signals.arrays import Array
 from mr_damper_ros.signals.error_sums import ErrorSums, pooled
@@ -51,6 +51,8 @@ class GlobalFit:
     samples in units of this noise; it is 1 if only noise is left. ``candidates``: results of the
     local searches from which the set was selected. ``stopped``: whether the search was stopped
     before its end. ``levels``: the prior of the record levels, None without record levels.
+    ``scatter`` (2, c): standard deviation of the coefficients of single windows about the laws,
+    beyond their errors; it has a constant part [unit] and a part relative to the coefficient [1].
     """
 
     parameter_set: ParameterSet
@@ -65,12 +67,13 @@ class GlobalFit:
     candidates: tuple[Candidate, ...] = ()
     stopped: bool = False
     levels: LevelPrior | None = None
+    scatter: Array = field(default_factory=lambda: np.zeros((2, 1)))
 
     def coefficients(self, operating_point: tuple[float, float]) -> tuple[Array, Array, Array]:
         """Coefficients (c,) at (peak velocity [m/s], current [A]), with their errors.
 
         Returns the coefficients, their standard errors and the part of these that comes from model
-        error.
+        error. Both include the scatter, because no law follows the coefficients exactly.
         """
         model, values = self.parameter_set.law, self.parameter_set.values
         coefficients = model.coefficients_at(values, *operating_point)[:, 0]
@@ -78,11 +81,28 @@ class GlobalFit:
         # Parameters without influence on the coefficients must not make the errors NaN.
         used = np.any(gradient != 0.0, axis=0)
         block, gradient = np.ix_(used, used), gradient[:, used]
+        constant, relative = self.scatter
         errors, discrepancies = (
-            np.sqrt(np.einsum("cp,pq,cq->c", gradient, each[block], gradient))
+            np.sqrt(
+                np.einsum("cp,pq,cq->c", gradient, each[block], gradient)
+                + constant**2
+                + (relative * coefficients) ** 2
+            )
             for each in (self.covariance, self.discrepancy)
         )
         return coefficients, errors, discrepancies
+
+    def force_error(self, window: Window) -> Array:
+        """Standard error (n,) [N] of the set's force in a motion that was not measured.
+
+        The errors of the parameters and what the law leaves of the measured forces contribute.
+        """
+        model, values = self.parameter_set.law, self.parameter_set.values
+        free = np.flatnonzero(np.diag(self.covariance) > 0.0)
+        jacobian = Misfit(model, [window], [1.0], values).jacobian(values, free.tolist())
+        by_parameters = np.sum(jacobian @ self.covariance[np.ix_(free, free)] * jacobian, axis=1)
+        left = float(np.mean(self.nrmse**2) * np.var(model.window_force(window, values)))
+        return np.asarray(np.sqrt(by_parameters + left))
 
     @property
     def median_nrmse(self) -> float:
@@ -185,7 +205,37 @@ def _result(search: GlobalSearch, method: str, ending: Ending) -> GlobalFit:
         cost=misfit.mean_square(best),
         candidates=tuple(search.candidates),
         stopped=ending is Ending.STOPPED,
+        scatter=_scatter(search, places),
     )
+
+
+def _scatter(search: GlobalSearch, places: Sequence[int]) -> Array:
+    """The scatter (2, c) of a search whose parameters at ``places`` are free.
+
+    It is zero for a law with as many free parameters as windows, and with record levels, which
+    account for differences between windows.
+    """
+    model, fits = search.model, search.fits
+    scatter = np.zeros((2, len(model.coefficient_names)))
+    if search.levels is not None or not fits:
+        return scatter
+    gradient = np.any(
+        [model.coefficient_gradient(search.best, *fit.operating_point) for fit in fits], axis=0
+    )
+    freedom = len(fits) - np.count_nonzero(gradient[:, list(places)], axis=1)
+    points = np.array([fit.operating_point for fit in fits]).T
+    laws = model.coefficients_at(search.best, *points).T
+    found = np.array([fit.coefficients for fit in fits])
+    variances = np.array([np.diag(fit.coefficient_errors) for fit in fits])
+    typical = np.maximum(np.mean(laws**2, axis=0), np.median(found**2, axis=0))
+    sizes = np.maximum(laws**2 + typical, np.finfo(float).tiny)
+    # A coefficient that its window hardly determines tells nothing.
+    weights = np.nan_to_num(1.0 / (1.0 + np.maximum(variances, 0.0) / sizes))
+    excess = ((found - laws) ** 2 - np.nan_to_num(variances)) / sizes
+    part = np.sum(weights * excess, axis=0) / np.maximum(np.sum(weights, axis=0), 1e-12)
+    part *= len(fits) / np.maximum(freedom, 1)
+    relative = np.sqrt(np.where(freedom > 0, np.maximum(part, 0.0), 0.0))
+    return np.stack((relative * np.sqrt(typical), relative))
 
 
 def set_of(search: GlobalSearch, errors: Array, discrepancies: Array, name: str) -> ParameterSet:
@@ -222,11 +272,12 @@ def _errors(search: GlobalSearch, misfit: Misfit, places: Sequence[int]) -> tupl
     posterior = search.posterior(misfit, places)
     jacobian = posterior.jacobian(posterior.start)
     residual = posterior.residual(posterior.start)
-    covariance = least_squares_covariance(jacobian, residual, prior=posterior.prior)
-    motions = motion_numbers(misfit.windows)[misfit.row_windows]
-    # The prior rows belong to no motion, so the scatter between motions excludes them.
-    jacobian, residual = jacobian[: motions.size], residual[: motions.size]
-    by_samples = least_squares_covariance(jacobian, residual, prior=misfit.prior)
-    discrepancy = discrepancy_between(jacobian, residual, motions, by_samples)
+    prior = posterior.prior
+    covariance = least_squares_covariance(jacobian, residual, prior=prior)
+    by_noise = least_squares_covariance(jacobian, residual, prior=PriorRows(prior.rows, 0.0))
+    # The rows of the prior belong to no motion.
+    motions = np.full(residual.size, -1)
+    motions[: misfit.row_windows.size] = motion_numbers(misfit.windows)[misfit.row_windows]
+    discrepancy = discrepancy_between(jacobian, residual, motions, by_noise)
     units = np.outer(posterior.widths, posterior.widths)
     return (covariance + np.nan_to_num(discrepancy)) * units, discrepancy * units

@@ -436,7 +436,7 @@ class GlobalSearch:
         self._settings = settings
         self._clock = clock
         self._later = later
-        self._levels = levels
+        self.levels = levels
         top_current = max(float(np.max(np.abs(window.current))) for window in windows)
         self._neutral = model.without_dependence(start, top_current)
         self._own_neutral = model.without_dependence(model.initial_values()[0], top_current)
@@ -544,7 +544,7 @@ class GlobalSearch:
             return None
         start = self.model.to_simpler(self._start)
         search = GlobalSearch(
-            simpler, self.windows, start, self._settings, self._clock, None, later, self._levels
+            simpler, self.windows, start, self._settings, self._clock, None, later, self.levels
         )
         try:
             search.search(method)

@@ -226,7 +226,7 @@ def identify_from_seeds(
     return MultiStart({seed: results.fits[seed] for seed in seeds if seed in results.fits})
 
 
-_ARRAYS = ("covariance", "discrepancy", "nrmse", "noise")
+_ARRAYS = ("covariance", "discrepancy", "nrmse", "noise", "scatter")
 _PLAIN = ("evaluations", "success", "message", "stopped", "cost")
 """Fields of a fit that a record stores unchanged."""
 

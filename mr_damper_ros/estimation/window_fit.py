@@ -111,6 +111,13 @@ class WindowFit:
             return self.covariance
         return np.asarray(self.covariance + self.discrepancy)
 
+    @property
+    def coefficient_errors(self) -> Array:
+        """Covariance (c, c) of the coefficients from both kinds of error, as far as known."""
+        if self.coefficient_discrepancy is None:
+            return self.coefficient_covariance
+        return np.asarray(self.coefficient_covariance + self.coefficient_discrepancy)
+
 
 def fit_window(
     model: Model,

@@ -68,6 +68,24 @@ def _unknown() -> Array:
     return _UNKNOWN
 
 
+def motion_window(time: ArrayLike, displacement: ArrayLike, current: ArrayLike) -> Window:
+    """The window without a force of a motion; see :meth:`ParameterSet.force`."""
+    times, moved, amperes = (np.asarray(a, float) for a in (time, displacement, current))
+    if times.ndim != 1 or times.shape != moved.shape or times.size < 2:
+        raise ValueError(
+            f"time has the shape {times.shape} and displacement {moved.shape}: give one "
+            "displacement for each time, and at least two"
+        )
+    steps = np.diff(times)
+    period = float(np.mean(steps))
+    if not (period > 0.0 and np.max(np.abs(steps - period)) <= _UNEVEN * period):
+        raise ValueError(
+            f"the times are from {np.min(steps):g} to {np.max(steps):g} s apart: give uniform "
+            "samples"
+        )
+    return Window.from_samples(moved, np.zeros_like(moved), amperes, period)
+
+
 @dataclass(frozen=True, eq=False)
 class ParameterSet:
     """Parameters of a model with their standard errors, validity range and origin.
@@ -215,21 +233,7 @@ class ParameterSet:
         >>> damper.force(time, 5e-3 * np.sin(2 * np.pi * time), 1.0).shape
         (1000,)
         """
-        times, moved, amperes = (np.asarray(a, float) for a in (time, displacement, current))
-        if times.ndim != 1 or times.shape != moved.shape or times.size < 2:
-            raise ValueError(
-                f"time has the shape {times.shape} and displacement {moved.shape}: give one "
-                "displacement for each time, and at least two"
-            )
-        steps = np.diff(times)
-        period = float(np.mean(steps))
-        if not (period > 0.0 and np.max(np.abs(steps - period)) <= _UNEVEN * period):
-            raise ValueError(
-                f"the times are from {np.min(steps):g} to {np.max(steps):g} s apart: give uniform "
-                "samples"
-            )
-        window = Window.from_samples(moved, np.zeros_like(moved), amperes, period)
-        return self.window_force(window, gradual=None)
+        return self.window_force(motion_window(time, displacement, current), gradual=None)
 
     @property
     def has_evidence(self) -> bool:

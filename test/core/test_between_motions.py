@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from functools import cache
 
 import known
 import numpy as np
@@ -13,7 +14,7 @@ from mr_damper_ros.estimation.covariance import (
     motion_numbers,
 )
 from mr_damper_ros.estimation.differential_evolution import EvolutionSettings
-from mr_damper_ros.estimation.global_fit import identify_global
+from mr_damper_ros.estimation.global_fit import GlobalFit, identify_global
 from mr_damper_ros.estimation.record_levels import LevelledProblem, LevelPrior
 from mr_damper_ros.kinematics.window import Window
 from mr_damper_ros.models import MODELS
@@ -87,20 +88,43 @@ def test_windows_of_one_motion_count_once() -> None:
     assert motion_numbers(windows).tolist() == [0, 0, 1, 0]
 
 
-def test_a_set_tells_of_motions_that_disagree_and_of_none_that_agree() -> None:
+@cache
+def fitted(spread: float) -> GlobalFit:
+    """Bingham's law, fitted to eight motions whose strength scatters by this part."""
     rng = np.random.default_rng(3)
-    found = []
-    for spread in (0.0, LEVELS):
-        windows = [
-            sine(amplitude, strength=1.0 + spread * rng.standard_normal())
-            for amplitude in np.geomspace(2e-3, 12e-3, 8)
-        ]
-        law = MODELS["bingham"]
-        start = law.initial_values()[0]
-        fit = identify_global(law, windows, start, EvolutionSettings(generations=20, population=8))
-        place = law.parameter_names.index("f_y")
-        found.append(fit.parameter_set.discrepancies[place] / abs(fit.parameter_set.values[place]))
+    windows = [
+        sine(amplitude, strength=1.0 + spread * rng.standard_normal())
+        for amplitude in np.geomspace(2e-3, 12e-3, 8)
+    ]
+    law = MODELS["bingham"]
+    start = law.initial_values()[0]
+    return identify_global(law, windows, start, EvolutionSettings(generations=20, population=8))
+
+
+def test_a_set_tells_of_motions_that_disagree_and_of_none_that_agree() -> None:
+    place = MODELS["bingham"].parameter_names.index("f_y")
+    found = [
+        fit.parameter_set.discrepancies[place] / abs(fit.parameter_set.values[place])
+        for fit in (fitted(0.0), fitted(LEVELS))
+    ]
     assert found[1] > LEVELS / math.sqrt(8) / 2.0 > found[0]
+
+
+def test_a_coefficient_in_another_motion_is_known_to_what_the_law_does_not_follow() -> None:
+    found = []
+    for fit in (fitted(0.0), fitted(LEVELS)):
+        values, errors, _ = fit.coefficients((0.1, 1.0))
+        found.append(float(errors[0] / abs(values[0])))
+    assert found[1] > LEVELS / 2.0 > found[0]
+
+
+def test_so_is_the_force() -> None:
+    window = sine(5e-3)
+    found = [
+        float(np.sqrt(np.mean(fitted(spread).force_error(window) ** 2)) / np.std(window.force))
+        for spread in (0.0, LEVELS)
+    ]
+    assert found[1] > LEVELS > found[0]
 
 
 def test_a_record_with_a_level_of_its_own_keeps_its_rows() -> None:
