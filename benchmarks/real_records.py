@@ -18,7 +18,7 @@ from mr_damper_ros.kinematics.window import Window
 from mr_damper_ros.models import MODELS
 from mr_damper_ros.models.parameter_set import ParameterSet
 from mr_damper_ros.models.sigmoid.following import EXTENDED_MODEL
-from mr_damper_ros.processes.process_pool import ProcessPool, Tell
+from mr_damper_ros.processes.process_pool import Notify, ProcessPool
 from mr_damper_ros.signals.arrays import Array
 from mr_damper_ros.signals.blocks import NANOSECONDS
 from mr_damper_ros.signals.recording import Recording
@@ -168,7 +168,7 @@ def _random_start(law: str, windows: Sequence[Window], seed: int) -> Array:
     return np.clip(start, *model.bounds)
 
 
-def _identified(search: _Search, tell: Tell) -> GlobalFit:
+def _identified(search: _Search, notify: Notify) -> GlobalFit:
     law, windows, start, seed = search
     return identify_global(MODELS[law], windows, start, EvolutionSettings(seed=seed))
 

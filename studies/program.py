@@ -20,7 +20,7 @@ import scipy
 import mr_damper_ros
 from mr_damper_ros.processes.blas_threads import one_thread
 from mr_damper_ros.processes.files import write_text
-from mr_damper_ros.processes.process_pool import ProcessPool, Tell
+from mr_damper_ros.processes.process_pool import Notify, ProcessPool
 from mr_damper_ros.report.document import Chapter, styled, write_report
 from mr_damper_ros.tools.console import run_tool
 
@@ -123,7 +123,7 @@ class Campaign:
             return processes.map(partial(_call, function), tasks, done=done)
 
 
-def _call(function: Callable[..., Any], task: Task, tell: Tell) -> Any:
+def _call(function: Callable[..., Any], task: Task, notify: Notify) -> Any:
     return function(**task)
 
 

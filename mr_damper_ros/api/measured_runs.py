@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike
 
 from mr_damper_ros.io.recording_list import RECORD_ENDINGS
 from mr_damper_ros.kinematics.window import Window
-from mr_damper_ros.processes.process_pool import ProcessPool, Tell
+from mr_damper_ros.processes.process_pool import Notify, ProcessPool
 from mr_damper_ros.signals.arrays import Array
 from mr_damper_ros.signals.blocks import NANOSECONDS
 from mr_damper_ros.signals.moving_average import find_average
@@ -131,7 +131,7 @@ def all_windows(runs: Sequence[MeasuredRun]) -> list[Window]:
     return [window for run in runs for window in run.windows]
 
 
-def _task(task: tuple[str | Recording, bool], tell: Tell) -> MeasuredRun:
+def _task(task: tuple[str | Recording, bool], notify: Notify) -> MeasuredRun:
     return measured_run(*task)
 
 

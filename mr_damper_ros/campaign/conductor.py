@@ -1,7 +1,7 @@
 """Conducts a campaign on a machine: samples in, commands out, identification in a worker.
 
 It uses neither ROS nor any clock except the stamps of the samples. Every result is written to disk
-before the next step, so the program may end at any time.
+before the next step, so that the program may end at any time.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ _COLDEST, _HOTTEST = -60.0, 250.0
 
 
 class CampaignStage(IntEnum):
-    """The present stage; the numbers are those of RunCampaign.action."""
+    """The present stage; the numbers are constants of RunCampaign.action."""
 
     WAITING = 0
     SETTLING = 1
@@ -44,13 +44,13 @@ class ConductSettings(CheckedSettings):
 
     manual: bool = option(
         False,
-        "An operator sets the press and the supply. The node commands nothing: log, "
+        "Whether an operator sets the press and the supply. The node then commands nothing: log, "
         "diagnostics and action feedback say what to set, and recording starts once the "
         "samples agree. The current is constant within a run.",
     )
     rest_time: float = option(
         0.0,
-        "Rest [s] of the damper before each run, to cool: no force law models a drifting force.",
+        "Rest [s] in which the damper cools before each run; no law models a drifting force.",
         minimum=0.0,
         maximum=86400.0,
     )
@@ -60,9 +60,9 @@ class ConductSettings(CheckedSettings):
 
 @dataclass(frozen=True)
 class CampaignStatus:
-    """State of a campaign, as the feedback of RunCampaign.action; ``runs_left`` None: unknown.
+    """State of a campaign, as in the feedback of RunCampaign.action.
 
-    ``state`` describes in words what the campaign is waiting for.
+    ``state`` says in words what the campaign is waiting for. ``runs_left`` is None if unknown.
     """
 
     stage: CampaignStage
@@ -123,7 +123,7 @@ class CampaignConductor:
                 self._worker.cancel()
 
     def lose_contact(self) -> None:
-        """Samples have stopped: the present run is repeated when they return."""
+        """Note that samples have stopped; the present run is repeated when they return."""
         self._driver = None
 
     # --- what comes in --------------------------------------------------------------------------
@@ -197,7 +197,7 @@ class CampaignConductor:
 
     def _stage(self, course: CampaignCourse) -> tuple[CampaignStage, str]:
         if self._made is not None:
-            return CampaignStage.IDENTIFYING, "the run is judged and kept"
+            return CampaignStage.IDENTIFYING, "the run is checked and stored"
         if self._worker.busy or course.work is not None or course.outcome is not None:
             return CampaignStage.IDENTIFYING, "the set is identified from all runs"
         if self._paused:
@@ -245,12 +245,12 @@ class CampaignConductor:
         result = outcome.result if isinstance(outcome, Done) else None
         failed = outcome.reason if isinstance(outcome, Failed) else ""
         if made is not None:
-            # A campaign that was stopped meanwhile stores the run, too.
+            # A campaign that was stopped meanwhile also stores the run.
             number = len(course.runs) + 1
             if failed:
                 course.fail(f"run {number} could not be stored: {failed}")
             elif result is not None:
-                said = f"is refused: {result}" if result else f"is kept: {made[0].sentence}"
+                said = f"is rejected: {result}" if result else f"is stored: {made[0].sentence}"
                 self._notices.append(f"run {number} {said}")
                 course.add_run(made, result)
         elif self._reporting:

@@ -56,7 +56,7 @@ def planned(
     before: Array | None = None,
     evolution: EvolutionSettings | None = None,
 ) -> tuple[ParameterSet, Plan]:
-    """Maximum-a-posteriori set of the windows, starting from the last set (p,), and the plan."""
+    """Maximum-a-posteriori set of the windows, from the start ``before`` (p,), and the plan."""
     start = planner.model.initial_values()[0] if before is None else before
     fit = identify_global(
         planner.model, windows, start, evolution or EvolutionSettings(), known=before
@@ -71,17 +71,17 @@ _TRIES = 2
 """Number of attempts per run."""
 
 _CURRENT_SHARE = 0.05
-"""Relative tolerance of the median current of a segment, unless that of a driven run is larger."""
+"""Relative tolerance of the median current of a segment, unless ``current_tolerance`` is larger."""
 
 _AMPLITUDE_SHARE = 0.3
 """Relative tolerance of the amplitude of a run."""
 
 _MOTION_SHARE = 0.5
-"""Largest relative deviation of a motion other than a sine (root mean square)."""
+"""Largest RMS deviation of a motion other than a sine, relative to the motion."""
 
 
 class CampaignOutcome(IntEnum):
-    """Outcome of a campaign; the numbers are those of RunCampaign.action."""
+    """Outcome of a campaign; the numbers are constants of RunCampaign.action."""
 
     MET = 0
     OUT_OF_REACH = 1
@@ -98,16 +98,16 @@ _ENDS = {
 @lru_cache(maxsize=1)
 @one_thread()
 def planner_of(task: CampaignTask) -> RunPlanner:
-    """Data for planning the runs of a campaign."""
+    """The planner of the runs of a campaign."""
     return RunPlanner(known_model(task.model), task.goal, task.limits)
 
 
 def judge_run(
     folder: Path | None, number: int, made: MadeRun, control: Control | None = None
 ) -> str:
-    """Reason to refuse a run, or empty; with a folder, the run is stored in any case.
+    """Reason to reject a run, or empty; with a folder, the run is always stored.
 
-    Suitable for a worker, like :func:`find_step`. Raises OSError.
+    It can run in a worker, like :func:`find_step`. Raises OSError.
     """
     refusal = fault_of_run(*made)
     if folder is not None:
@@ -123,7 +123,7 @@ def find_step(
     evolution: EvolutionSettings,
     control: Control | None = None,
 ) -> CampaignStep:
-    """Identify from all runs and plan the next; ``before`` (p,): result without the last run."""
+    """Identify from all runs and plan the next; ``before`` (p,): the set without the last run."""
     windows = [window for run, recording in runs for window in run.windows(recording)]
     found, plan = planned(planner_of(task), windows, before, evolution)
     return CampaignStep(runs[-1][0], found, plan)
@@ -132,8 +132,8 @@ def find_step(
 class CampaignCourse:
     """A campaign from its start, or continued from ``folder``.
 
-    ``next_run`` is the run to make now; None if ``work`` must be done first or the campaign has
-    ended, as given by ``outcome`` and ``reason``. At most ``most_runs`` are made.
+    ``next_run`` is the run to make now. It is None if ``work`` must be done first, or if the
+    campaign has ended; ``outcome`` and ``reason`` then say why. At most ``most_runs`` are made.
 
     Raises ValueError if the machine cannot make the first run, or the folder is damaged.
     """
@@ -173,7 +173,7 @@ class CampaignCourse:
             if plan.state in _ENDS:
                 self._end(_ENDS[plan.state], plan.reason)
             elif len(self.steps) >= self._most_runs:
-                made = f"{self._most_runs} runs were made, and more were not allowed"
+                made = f"{self._most_runs} runs were made, the largest number allowed"
                 self.end(f"{made}; {plan.reason}" if plan.reason else made)
         return self._ended
 
@@ -195,13 +195,13 @@ class CampaignCourse:
         return self.task, self.runs[: len(self.steps) + 1], before, self._evolution
 
     def add_recording(self, recording: Recording, made: PlannedRun | None = None) -> str:
-        """Add a recording of the next run; returns the reason to refuse it, or empty.
+        """Add a recording of the next run; returns the reason to reject it, or empty.
 
-        ``made``: the run that was made, if different. A run that is refused twice ends the
+        ``made``: the run that was made, if it differs. A run that is rejected twice ends the
         campaign; nothing is lost. Raises OSError.
         """
         run = made or self.next_run
-        assert run is not None, "no run is wanted now"
+        assert run is not None, "there is no run to make now"
         folder = None if self._folder is None else self._folder.path
         refusal = judge_run(folder, len(self.runs) + 1, (run, recording))
         self.add_run((run, recording), refusal)
@@ -215,7 +215,7 @@ class CampaignCourse:
             return
         self.refusals += 1
         if self.refusals >= _TRIES:
-            self.fail(f"run {self.number} was refused {_TRIES} times: {refusal}")
+            self.fail(f"run {self.number} was rejected {_TRIES} times: {refusal}")
 
     def add_step(self, step: CampaignStep) -> None:
         """Add the result of the work. Raises OSError."""
@@ -243,35 +243,35 @@ def fault_of_run(run: PlannedRun, recording: Recording) -> str:
         return str(error)
     needed = round(run.duration / recording.period)
     if recording.sample_count < needed:
-        return f"the recording lasts {recording.duration:.3g} s, the run {run.duration:.3g} s"
+        return f"the recording lasts {recording.duration:.3g} s, but the run {run.duration:.3g} s"
     parts = run.parts(recording.period)
     # A part of a motion other than a sine may begin at any phase.
     for part in parts if run.kind is MotionKind.SINE else [slice(needed)]:
         amplitude = 0.5 * float(np.ptp(recording.displacement[part]))
         if abs(amplitude - run.span) > _AMPLITUDE_SHARE * run.span:
             return (
-                f"the amplitude is {1e3 * amplitude:.3g} mm, where {1e3 * run.span:.3g} mm "
-                "were wanted: does the machine follow?"
+                f"the amplitude is {1e3 * amplitude:.3g} mm instead of {1e3 * run.span:.3g} mm: "
+                "does the machine follow the command?"
             )
     if run.kind is not MotionKind.SINE:
         left = RepeatedMatch(run.motion, recording.period).left_of(recording.displacement[:needed])
         if left > _MOTION_SHARE:
             return (
-                f"the motion differs by {left:.0%} from {run.kind.description} as wanted: can the "
-                "machine make it?"
+                f"the motion deviates by {left:.0%} from {run.kind.description} as planned: can "
+                "the machine make it?"
             )
     for place, (current, part) in enumerate(zip(run.currents, parts, strict=True)):
         measured = float(np.median(recording.current[part]))
         if abs(measured - current) > max(DriveSettings.current_tolerance, _CURRENT_SHARE * current):
             return (
-                f"the current is {measured:.3g} A in part {place + 1} of the run, where "
-                f"{current:.3g} A were wanted: is the supply on?"
+                f"the current is {measured:.3g} A instead of {current:.3g} A in part {place + 1} "
+                "of the run: is the supply on?"
             )
     return ""
 
 
 Perform = Callable[[PlannedRun], Recording]
-"""Makes a run on a machine; the recording starts with the first current in steady motion."""
+"""Makes a run on a machine; the recording begins in steady motion, at the first current."""
 
 
 @dataclass(frozen=True, eq=False)

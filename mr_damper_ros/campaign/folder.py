@@ -1,6 +1,6 @@
 """A campaign on disk: its task, every run as a bag, and the result of each step.
 
-Bags and steps are written atomically: however the program ends, finished steps are not repeated.
+Bags and steps are written atomically, so finished steps are not repeated even after a crash.
 """
 
 from __future__ import annotations
@@ -52,8 +52,8 @@ class CampaignTask:
 class CampaignFolder:
     """The folder of one campaign, for exclusive use by one program.
 
-    ``campaign.json`` contains the task, ``runs/`` the bags including refused runs, ``steps/`` the
-    result after each run, and ``set.yaml`` the last set.
+    ``campaign.json`` contains the task, ``runs/`` the bags of all runs (also of rejected ones),
+    ``steps/`` the result after each run, and ``set.yaml`` the last set.
 
     Raises ValueError if another program uses the folder or it holds another campaign, and OSError.
     """
@@ -84,7 +84,7 @@ class CampaignFolder:
             if getattr(before, part) != getattr(task, part):
                 raise ValueError(
                     f"{self.path} holds a campaign with another {part}: choose another folder, or "
-                    "ask for the same as before"
+                    f"give the same {part} as before"
                 )
 
     def keep_step(self, number: int, step: CampaignStep) -> None:
@@ -98,12 +98,12 @@ class CampaignFolder:
 def keep_run(
     folder: Path, number: int, run: PlannedRun, recording: Recording, refusal: str
 ) -> None:
-    """Write a run as a bag once; a refused run is stored beside the others with the reason."""
+    """Write a run as a bag, once; a rejected run gets another name, and contains the reason."""
     name = f"refused_{number:03d}_{recording.start_ns}" if refusal else f"run_{number:03d}"
     path = folder / "runs" / name
     if path.exists():
         return
-    what = f"run {number} of a campaign" + (f", refused: {refusal}" if refusal else "")
+    what = f"run {number} of a campaign" + (f", rejected: {refusal}" if refusal else "")
     source = recording.details.get("provenance", "")
     details = {
         **recording.details,
@@ -140,7 +140,7 @@ def read_campaign_runs(folder: Path) -> list[MadeRun]:
         if (found := _BAG.fullmatch(path.name))
     )
     if numbers != list(range(1, len(numbers) + 1)):
-        raise ValueError(f"{folder / 'runs'} lacks a run: the runs there are {numbers}")
+        raise ValueError(f"a run is missing in {folder / 'runs'}: it contains the runs {numbers}")
     return [_read_run(folder / "runs" / f"run_{number:03d}") for number in numbers]
 
 
@@ -162,7 +162,7 @@ def read_steps(folder: Path) -> list[CampaignStep]:
             steps.append(_step(json.loads(path.read_text(encoding="utf-8")), task.goal))
         except (ValueError, TypeError, KeyError) as error:
             raise ValueError(
-                f"{path} is damaged: remove it, and it is found again ({error})"
+                f"{path} is damaged: remove it, and it is computed again ({error})"
             ) from error
     return steps
 

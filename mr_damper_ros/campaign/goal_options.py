@@ -34,7 +34,7 @@ class GoalOptions(ParameterTable):
     )
 
     def goal(self) -> ForceGoal:
-        """Return the goal; raises ValueError, with a sentence, if it is not possible."""
+        """Return the goal; raises ValueError if it is impossible."""
         return ForceGoal(
             self.error,
             (self.lowest_peak_velocity, self.highest_peak_velocity),
@@ -52,16 +52,16 @@ class MachineOptions(ParameterTable):
     peak_velocity: float = option(0.2, "Largest peak velocity [m/s].", minimum=1e-5, maximum=10.0)
     force: float = option(
         2000.0,
-        "Largest force [N] of either sign. No run is planned whose predicted force exceeds "
-        "it. If a sample exceeds it, the campaign ends and the machine rests.",
+        "Largest magnitude of the force [N]. Runs with a larger predicted force are not planned. "
+        "If a sample exceeds it, the campaign ends and the machine rests.",
         minimum=1.0,
         maximum=1e6,
     )
     current: float = option(1.5, "Largest current [A].", minimum=0.0, maximum=50.0)
     duration: float = option(
         4.0,
-        "Steady time [s] of a run. In addition, the motion grows and fades within two cycles "
-        "each, and two cycles are checked.",
+        "Steady time [s] of a run. In addition, the motion grows within two cycles, two cycles "
+        "are checked, and the motion fades within two cycles.",
         minimum=0.1,
         maximum=3600.0,
     )
@@ -88,9 +88,9 @@ class MachineOptions(ParameterTable):
     )
 
     def limits(self, *, manual: bool) -> MachineLimits:
-        """Return the limits; a manual press makes only sines, at constant current within a run.
+        """Return the limits; a manual press makes only sines, each at constant current.
 
-        Raises ValueError.
+        Raises ValueError if they are impossible.
         """
         return MachineLimits(
             amplitude=self.amplitude,

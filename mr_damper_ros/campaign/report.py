@@ -43,13 +43,13 @@ from mr_damper_ros.signals.error_sums import ErrorSums, pooled
 def write_campaign_report(folder: Path, reason: str = "") -> Path:
     """Write ``campaign.html`` with its figures and tables to the folder; returns the page.
 
-    ``reason`` is the reason of the end, in words. Raises ValueError if the folder holds no campaign
-    or no result yet.
+    ``reason`` says in words why the campaign ended. Raises ValueError if the folder holds no
+    campaign or no result yet.
     """
     task = read_task(folder)
     steps = read_steps(folder)
     if not steps:
-        raise ValueError(f"{folder} holds no run from which something was found yet")
+        raise ValueError(f"{folder} holds no identified run yet")
     refused = sorted(path.name for path in (folder / "runs").glob("refused_*"))
     runs = read_campaign_runs(folder)[: len(steps)]
     found, plan, goal = steps[-1].parameter_set, steps[-1].plan, task.goal
@@ -60,7 +60,7 @@ def write_campaign_report(folder: Path, reason: str = "") -> Path:
             (
                 "plan",
                 "The runs that were made",
-                f"{len(runs)} runs{f', {len(refused)} refused' if refused else ''}, "
+                f"{len(runs)} runs{f', {len(refused)} rejected' if refused else ''}, "
                 f"{sum(run.duration for run, _ in runs):.3g} s of steady motion; "
                 f"{reason or plan.reason}",
                 _plan(steps, refused),
@@ -68,40 +68,40 @@ def write_campaign_report(folder: Path, reason: str = "") -> Path:
             (
                 "error",
                 "The error, run by run",
-                f"{plan.now.sentence}, where {goal.error:.2%} is wanted",
+                f"{plan.now.sentence}; the goal is {goal.error:.2%}",
                 [_error(steps, goal.error)],
             ),
             (
                 "map",
-                "Where the force is known",
-                f"least at {speed:.3g} m/s and {current:.3g} A",
+                "Accuracy of the force by operating point",
+                f"least accurate at {speed:.3g} m/s and {current:.3g} A",
                 [_map(task, steps[-1], runs)],
             ),
             (
                 "loops",
                 "Measured and predicted loops",
-                f"the set leaves {total.nrmse:.2%} of the measured force (NRMSE)",
+                f"NRMSE of the set over all runs: {total.nrmse:.2%}",
                 loops,
             ),
             (
                 "set",
                 "The set",
                 f"{int(np.sum(found.observable))} of {found.values.size} parameters were "
-                "determined by themselves",
+                "determined",
                 _set(found),
             ),
             (
                 "unknown",
-                "What is still unknown",
+                "What is not determined",
                 "nothing that matters for the goal"
                 if plan.state is PlanState.MET
-                else f"the force, to {plan.now.worst:.2%} instead of {goal.error:.2%}",
+                else f"the error of the force is {plan.now.worst:.2%} instead of {goal.error:.2%}",
                 _unknown(steps[-1]),
             ),
         ]
         return write_report(
             folder,
-            "A damper becomes known",
+            "Campaign of identification runs",
             _notice(task),
             [headline for _, _, headline, _ in parts],
             [Chapter(name, title, blocks) for name, title, _, blocks in parts],
@@ -113,13 +113,12 @@ def _notice(task: CampaignTask) -> str:
     goal, limits = task.goal, task.limits
     heat = "" if math.isinf(limits.heat) else f", {limits.heat:g} J a run"
     return (
-        f"Wanted: the force to {goal.error:.2%} at the worst point, from "
+        f"Goal: an error of {goal.error:.2%} of the force at the worst point, from "
         f"{goal.peak_velocity[0]:g} to {goal.peak_velocity[1]:g} m/s peak velocity and from "
-        f"{goal.current[0]:g} to {goal.current[1]:g} A. The machine: "
+        f"{goal.current[0]:g} to {goal.current[1]:g} A. Limits of the machine: "
         f"{1e3 * limits.amplitude:g} mm, {limits.peak_velocity:g} m/s, {limits.force:g} N, "
         f"{limits.current:g} A, {limits.duration:g} s a run{heat}. Law: {task.model}. "
-        "Errors are relative to the largest force of a cycle. They contain the part of the force "
-        "that the law does not follow."
+        "Errors are relative to the largest force of a cycle and include the model error."
     )
 
 
@@ -146,8 +145,9 @@ def _plan(steps: Sequence[CampaignStep], refused: Sequence[str]) -> list[Block]:
     ]
     table = Table(
         "plan",
-        "Each run was chosen after those before it. Expected: the worst error that the plan "
-        "foresaw for after the run. Left: runs that were then expected to be needed still.",
+        "Each run was chosen from the results of the runs before it. Expected: the worst error "
+        "after the run, as predicted by the plan. Left: the number of further runs that were then "
+        "expected to be needed.",
         (
             *("run", "amplitude [mm]", "frequency [Hz]", "up to [Hz]", "motion"),
             *("peak velocity [m/s]", "currents [A]", "expected", "worst error", "left"),
@@ -156,7 +156,7 @@ def _plan(steps: Sequence[CampaignStep], refused: Sequence[str]) -> list[Block]:
     )
     if not refused:
         return [table]
-    return [table, Text(f"Refused, stored as bags and repeated: {', '.join(refused)}.")]
+    return [table, Text(f"Rejected runs, stored as bags and repeated: {', '.join(refused)}.")]
 
 
 def _error(steps: Sequence[CampaignStep], goal: float) -> Picture:
@@ -183,8 +183,8 @@ def _error(steps: Sequence[CampaignStep], goal: float) -> Picture:
     legend_above(figure, axis, 3)
     return Picture(
         "error",
-        "The worst error that is as likely exceeded as not, after each run, and what the plan "
-        "before had expected. Grey: the standard error at each operating point.",
+        "The median of the worst error after each run, and the value that the plan had predicted. "
+        "Grey: the standard error at each operating point.",
         figure,
     )
 
@@ -217,7 +217,7 @@ def _map(task: CampaignTask, last: CampaignStep, runs: Sequence[MadeRun]) -> Pic
     return Picture(
         "map",
         "Relative standard error of the force [%] at each operating point of the goal, the "
-        "largest of the cycle. Circles: where the runs were made.",
+        "largest within a cycle. Circles: operating points of the runs.",
         figure,
     )
 
@@ -258,7 +258,7 @@ def _loops(found: ParameterSet, runs: Sequence[MadeRun]) -> tuple[list[Block], E
     )
     table = Table(
         "fits",
-        "What the final set leaves of the force of each run.",
+        "Errors of the final set in each run.",
         ("run", "RMSE [N]", "NRMSE", "samples"),
         [
             (number, error.rmse, f"{100.0 * error.nrmse:.2f} %", error.count)
@@ -273,11 +273,11 @@ def _set(found: ParameterSet) -> list[Block]:
     table = Table(
         "set",
         "Maximum-a-posteriori values, with standard errors of the parameters that the runs "
-        "determine. The force hardly depends on the others, which may be wrong.",
+        "determine. The other values may be wrong, but hardly affect the force.",
         tuple(columns),
         rows,
     )
-    return [Text("It is kept as set.yaml, for the nodes and for every program."), table]
+    return [Text("The set is stored as set.yaml, for the nodes and all programs."), table]
 
 
 def _unknown(last: CampaignStep) -> list[Block]:
@@ -285,7 +285,7 @@ def _unknown(last: CampaignStep) -> list[Block]:
     blocks: list[Block] = [
         Table(
             "least-known",
-            "The operating points at which the force is known least.",
+            "The operating points with the least accurate force.",
             ("peak velocity [m/s]", "current [A]", "standard error"),
             [(*points[k], _percent(float(errors[k]))) for k in np.argsort(-errors)[:5]],
         )
@@ -293,7 +293,7 @@ def _unknown(last: CampaignStep) -> list[Block]:
     found = last.parameter_set
     unseen = np.array(found.law.parameter_names)[~np.asarray(found.observable, dtype=bool)]
     if unseen.size:
-        blocks.append(Text(f"Not determined by themselves: {', '.join(unseen)}."))
+        blocks.append(Text(f"Parameters not determined: {', '.join(unseen)}."))
     if last.plan.run is not None:
         blocks.append(Text(f"The next run would be {last.plan.run.sentence}."))
     blocks.append(

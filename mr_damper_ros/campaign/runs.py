@@ -26,31 +26,31 @@ _STEADY = 0.02
 """Largest difference of two cycles of a steady motion, relative to the amplitude."""
 
 _SINE = 0.1
-"""Largest residual of a sine in one cycle, relative to the amplitude (root mean square)."""
+"""Largest RMS residual of the sine fitted to one cycle, relative to the amplitude."""
 
 _LATE = 1.0
 """Largest delay [s] of current readings behind the samples."""
 
 _REACH = 1.05
-"""Limit of the measured amplitude, relative to the machine limit, with a margin for noise."""
+"""Limit of the measured amplitude, relative to the limit of the machine; it allows for noise."""
 
 
 @dataclass(frozen=True)
 class DriveSettings(CheckedSettings):
-    """Criteria that a machine follows the commanded run."""
+    """Criteria by which a machine follows the commanded run."""
 
     settle_timeout: float = option(
         60.0,
-        "Longest time [s] until the machine moves steadily as commanded, in addition to ten "
-        "cycles of a sine or ten times the length of another motion. Then the campaign ends "
+        "Time limit [s] for the machine to reach the commanded steady motion, in addition to ten "
+        "cycles of a sine or ten times the length of another motion. After it, the campaign ends "
         "and reports the reason. A manual press has no time limit.",
         minimum=1.0,
         maximum=3600.0,
     )
     amplitude_tolerance: float = option(
         0.1,
-        "Largest relative deviation of amplitude and frequency from the command. The samples "
-        "are used as measured in any case.",
+        "Largest relative deviation of amplitude and frequency from the command. The "
+        "identification uses the motion as measured.",
         minimum=0.001,
         maximum=0.3,
     )
@@ -84,8 +84,8 @@ class DriveStage(Enum):
 class RunDriver:
     """Conducts one run: receives all measurements and provides the ``command`` for the machine.
 
-    When the ``stage`` is DONE, there is a ``recording``. ``state`` describes in words what the run
-    is waiting for, or why it is BROKEN. ``current`` [A] and ``celsius`` hold the readings.
+    When the ``stage`` is DONE, there is a ``recording``. ``state`` says in words what the run is
+    waiting for, or why it is BROKEN. ``current`` [A] and ``celsius`` hold the readings.
     """
 
     def __init__(
@@ -127,7 +127,7 @@ class RunDriver:
             self._blocks = []
             if self.stage is DriveStage.RECORDING:
                 self.stage = DriveStage.SETTLING
-                self.state = "samples were lost: the run starts again"
+                self.state = "samples were lost: the run restarts"
         if placed.continuity.kind == "jump_back":
             self.current.follow_jump()
             self.celsius.follow_jump()
@@ -154,7 +154,7 @@ class RunDriver:
 
     def _settle(self, block: SampleBlock, waited: float) -> None:
         """Start the recording if the machine follows the command; ``waited`` [s] so far."""
-        # Only the part needed for the checks is kept.
+        # Only the samples needed for the checks are kept.
         held = np.cumsum([one.sample_count * one.period for one in self._blocks[::-1]])
         needed = int(np.searchsorted(held, 2.0 * self._motion.length, side="right")) + 1
         self._blocks = self._blocks[-needed:]
@@ -169,7 +169,7 @@ class RunDriver:
         unsettled = self._off_motion(displacement, block.period) or self._off_current(block)
         if not unsettled:
             self._blocks, self._passed = [], 0.0
-            self.stage, self.state = DriveStage.RECORDING, "the run is made"
+            self.stage, self.state = DriveStage.RECORDING, "the run is recorded"
         elif waited > self._patience:
             self._break(f"the machine does not follow the command: {unsettled}")
         else:
@@ -187,7 +187,7 @@ class RunDriver:
             left = self._match.left_of(displacement[-self._match.count :])
             if left <= tolerance:
                 return ""
-            return f"the motion differs by {left:.0%} from {self.run.kind.description} as wanted"
+            return f"the motion deviates by {left:.0%} from {self.run.kind.description} as planned"
         wanted = self.run.amplitude
         before = sine_of_cycle(displacement[-2 * count : -count])
         now = sine_of_cycle(displacement[-count:])
@@ -204,7 +204,7 @@ class RunDriver:
     def _off_current(self, block: SampleBlock) -> str:
         """Deviation of the current from the command, in words, or empty."""
         if not self.current.known_from(block.start_ns):
-            return "no reading of the current has come"
+            return "no current has been received"
         current = float(self.current.at(block.end_ns, block.period, 1)[0])
         wanted = self.run.currents[0]
         if abs(current - wanted) > self._settings.current_tolerance:
@@ -264,8 +264,8 @@ COLUMNS = ("time:s", "displacement:m", "current:A")
 def signal(run: PlannedRun, sample_rate: float) -> tuple[Array, Array, Array]:
     """Time [s], displacement [m] and current [A] of a run, each of shape (n,).
 
-    It starts and ends at rest: at the first current the motion grows smoothly, within two cycles of
-    a sine or one length of another motion; the run follows; then the motion fades in the same way.
+    It starts and ends at rest. At the first current the motion grows smoothly, within two cycles of
+    a sine or one period of another motion. After the run, the motion fades in the same way.
     """
     motion = run.motion
     grow = motion.growth
@@ -304,8 +304,8 @@ class RunNotFoundError(ValueError):
 def cut_run(run: PlannedRun, recording: Recording) -> Recording:
     """The part of a recording that contains a run.
 
-    If the current is stepped, its first step locates the run; otherwise it is the part whose motion
-    deviates least from the command. Raises RunNotFoundError.
+    If the current is stepped, its first step locates the run; if not, the part with the smallest
+    deviation from the planned motion is used. Raises RunNotFoundError.
     """
     period, displacement = recording.period, recording.displacement
     match = RepeatedMatch(run.motion, period)
@@ -324,7 +324,7 @@ def cut_run(run: PlannedRun, recording: Recording) -> Recording:
         )
     best, nearest = None, math.inf
     for begin in begins[(begins >= 0) & (begins + count <= displacement.size)].tolist():
-        # The phase of a sine may drift against the command, so only its ends are compared.
+        # The phase of a sine may drift relative to the command, so only its ends are compared.
         length = match.count if run.kind is MotionKind.SINE else count
         ends = displacement[begin : begin + length], displacement[begin + count - length :][:length]
         left = max(map(match.left_of, ends))
@@ -336,10 +336,10 @@ def cut_run(run: PlannedRun, recording: Recording) -> Recording:
         amperes = " to ".join(f"{current:g}" for current in run.currents[:2])
         off = "" if best is None else f", and deviates by {nearest:.0%} at least"
         raise RunNotFoundError(
-            f"{recording.name} does not hold the run: it needs {run.duration:.3g} s of "
-            f"{run.kind.description} as wanted ({run.motion.sentence}) at {amperes} A; its motion "
-            f"reaches {500.0 * np.ptp(displacement):.3g} mm within {recording.duration:.3g} s at "
-            f"{np.median(recording.current):.3g} A{off}"
+            f"{recording.name} does not contain the run, {run.duration:.3g} s of "
+            f"{run.kind.description} ({run.motion.sentence}) at {amperes} A; its amplitude is "
+            f"{500.0 * np.ptp(displacement):.3g} mm, its duration {recording.duration:.3g} s, and "
+            f"its current {np.median(recording.current):.3g} A{off}"
         )
     return _part(recording, best, count)
 
@@ -354,7 +354,7 @@ def run_as_made(recording: Recording) -> PlannedRun:
     ).motion.sine
     current = float(np.median(recording.current))
     if sine is None or np.ptp(recording.current) > 2.0 * _SETTINGS.current_tolerance:
-        raise RunNotFoundError(f"{recording.name} is no steady sine at one current")
+        raise RunNotFoundError(f"{recording.name} is not a steady sine at one current")
     cycles = math.floor(recording.duration * sine.frequency)
     return PlannedRun(sine.amplitude, sine.frequency, (current,), cycles / sine.frequency)
 

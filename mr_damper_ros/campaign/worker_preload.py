@@ -1,4 +1,4 @@
-"""What the worker of a campaign loads before its first task: SciPy takes the most of it."""
+"""Modules that the worker of a campaign loads before its first task; SciPy takes the longest."""
 
 from __future__ import annotations
 

@@ -2,11 +2,9 @@
 
 During fallback, the current does not jump and does not move away from the safe current. At first,
 it stays constant or moves slowly towards the safe current. After ``doubt_time`` of invalid force,
-it goes to the safe current. Time of valid force is subtracted from the time of invalid force.
-
-Control returns after the same time of valid force. If control is lost again soon, this wait
-doubles. Otherwise a force that is valid only at the safe current would switch control on and off
-without end.
+minus the time of valid force, it goes to the safe current. Control returns after the same time of
+valid force. If control is lost again soon, this wait doubles; without this rule, a force that is
+valid only at the safe current would switch control on and off for ever.
 """
 
 from __future__ import annotations
@@ -25,8 +23,8 @@ class FallbackSettings(CheckedSettings):
     safe_current: float = option(
         0.0,
         "Current [A] that is commanded when the predicted force is invalid, and when the node "
-        "ends. It must lie within the identified range of currents: outside it the force is "
-        "invalid, so control would never start.",
+        "ends. It must lie within the identified range of currents, because the force is invalid "
+        "outside this range, and control would never start.",
         minimum=-10.0,
         maximum=10.0,
     )
@@ -41,14 +39,14 @@ class FallbackSettings(CheckedSettings):
         0.3,
         "Time [s] of invalid force, minus time of valid force, after which the command goes "
         "to the safe current. Control returns after the same time of valid force; this wait "
-        "doubles each time control is lost again.",
+        "doubles if control is soon lost again.",
         minimum=0.0,
         maximum=60.0,
     )
     fade_time: float = option(
         0.1,
-        "Time [s] for a ramp through the whole range of currents on the way to the safe "
-        "current; also the shortest time on the way back.",
+        "Time [s] in which the current would ramp through its whole range on the way to the safe "
+        "current; also the shortest such time on the way back.",
         minimum=0.001,
         maximum=60.0,
     )
@@ -58,10 +56,10 @@ _ROUNDING = 1e-9
 """Tolerance of times [s] against rounding errors."""
 
 _LASTING = 10.0
-"""Duration of stable control, in multiples of ``doubt_time``; it resets the wait."""
+"""Control that has lasted for this multiple of ``doubt_time`` resets the wait."""
 
 _LONGEST = 32.0
-"""Longest wait for valid force, in multiples of ``doubt_time``."""
+"""Longest wait for valid force, as a multiple of ``doubt_time``."""
 
 
 class Fallback:
@@ -87,7 +85,7 @@ class Fallback:
         return self._wait - self._calm if self._lasts else 0.0
 
     def give_up(self) -> None:
-        """Go to the safe current at once; control must start again."""
+        """Go to the safe current at once, and wait for valid force again."""
         self._lasts, self._reach = True, 0.0
         # Times [s]: invalid minus valid; valid minus invalid; since the start of control.
         self._doubted = self._calm = self._controlled = 0.0
@@ -115,7 +113,7 @@ class Fallback:
         return not doubted
 
     def away_from(self, current: float, duration: float) -> float:
-        """The current [A] without control, ``duration`` [s] after ``current`` [A]."""
+        """The current [A] during fallback, ``duration`` [s] after the ``current`` [A]."""
         safe, settings = self._settings.safe_current, self._settings
         time = settings.fade_time
         if not self._lasts:
@@ -125,7 +123,7 @@ class Fallback:
         return self.within_reach(current)
 
     def towards(self, current: float, duration: float) -> float:
-        """The wanted current [A], limited by the ramp from the safe current back to control."""
+        """The setpoint ``current`` [A], limited by the ramp from the safe current to control."""
         step = self._span * duration / self._settings.fade_time
         self._reach = min(self._reach + step, self._span)
         return self.within_reach(current)

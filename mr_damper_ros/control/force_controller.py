@@ -39,7 +39,7 @@ def coil_command(wanted: float, coil: float, horizon: float, time_constant: floa
 
 
 _LEAST = 0.05
-"""Smallest desired force used for feedback, relative to the largest desired force so far.
+"""Smallest desired force that is used for feedback, relative to the largest one so far.
 
 Smaller forces do not determine the factor.
 """
@@ -51,8 +51,8 @@ class FeedbackSettings(CheckedSettings):
 
     feedback_gain: float = option(
         0.0,
-        "Gain [1/s] of the feedback of the measured force: 1 takes about a second to "
-        "compensate for a weaker damper. 0: feedforward only, for a rig without a load cell.",
+        "Gain [1/s] of the feedback of the measured force. With 1, compensation for a weaker "
+        "damper takes about a second. 0: feedforward only, for a rig without a load cell.",
         minimum=0.0,
         maximum=100.0,
     )
@@ -90,10 +90,10 @@ class ForceFeedback:
 
 
 _CONFIRMED = 1.0
-"""Time [s] of valid force, with more current needed, before the next step."""
+"""Time [s] of valid force, while more current is needed, before the next step."""
 
 _REFUTED = 30.0
-"""Time [s] without probing after the force was wrong."""
+"""Time [s] for which probing stops after the force was wrong."""
 
 _REFUTES = (DoubtKind.WRONG, DoubtKind.DRIVING, DoubtKind.TOO_LARGE, DoubtKind.SENSOR)
 
@@ -126,13 +126,13 @@ class Probe:
 
 
 _MOMENTS = (0.5, 1.0, 1.5)
-"""Moments, as fractions of the time ahead, at which the force of a current is evaluated."""
+"""Times at which the force of a current is evaluated, as fractions of the horizon."""
 
 _MIDDLE = 1
-"""Index of the moment for which the current is computed."""
+"""Index of the time for which the current is computed."""
 
 _FOUND, _LOWEST, _KEPT = range(3)
-"""Indices of the candidate currents: of the inverse, the lowest, the last one."""
+"""Indices of the candidate currents: the current of the inverse, the lowest, the last one."""
 
 
 @dataclass(frozen=True)
@@ -165,26 +165,27 @@ class ForceControlSettings(CheckedSettings):
     horizon: float = option(
         0.01,
         "Time [s] in which a lagging coil should reach its current; at least a block. The lag "
-        "is coil_time_constant of the parameters. A shorter time tracks faster and demands "
-        "more of the supply.",
+        "is coil_time_constant of the parameters. A shorter time tracks faster and needs "
+        "larger steps of the supply current.",
         minimum=0.0001,
         maximum=1.0,
     )
     force_deadband: float = option(
         5.0,
-        "Against chatter: the current stays constant as long as another current would improve "
-        "the force by no more than this [N].",
+        "Improvement of the force [N] below which the current does not change; it prevents "
+        "chatter.",
         minimum=0.0,
         maximum=1e6,
     )
     probe_step: float = option(
         0.0,
-        "Step [A] for probing beyond the identified currents; 0: never. If a desired force "
+        "Step [A] for probing beyond the identified currents; 0: no probing. If a desired force "
         "needs a current outside the identified range, the diagnostics say so. With a step, "
         "the controller extends the range by this step, and by another one after each second "
         "in which the extension was needed and the measured force confirmed the predicted "
-        "force, up to highest_current. If the force becomes wrong, it returns to the "
-        "identified range for half a minute. This needs a load cell (maximum_error).",
+        "force, up to highest_current. If the predicted force becomes wrong, the controller "
+        "returns to the identified range for half a minute. Probing needs a load cell "
+        "(maximum_error).",
         minimum=0.0,
         maximum=1.0,
     )
@@ -209,9 +210,9 @@ class Command:
 
     ``wanted`` is the desired force [N], NaN without one; ``expected`` is the force [N] that the
     current produces, NaN during fallback; ``attainable``: whether the expected force is the desired
-    force; ``prediction``: of the block. ``falls_back``: whether the current is the safe current or
-    moves towards it. ``unknown``: whether the desired force needs a current outside the identified
-    range.
+    force; ``prediction``: the prediction of the block. ``falls_back``: whether the current is the
+    safe current or moves towards it. ``unknown``: whether the desired force needs a current outside
+    the identified range.
     """
 
     current: float
@@ -231,13 +232,13 @@ REMEDY = (
 """How to extend the identified range of currents."""
 
 _AT_ONCE = (DoubtKind.MISSING, DoubtKind.OUTDATED)
-"""Reasons for immediate fallback: they have already lasted, or will not end soon."""
+"""Reasons for immediate fallback, which have already lasted for some time or will not end soon."""
 
 
 class ForceController:
     """Computes supply commands from blocks of samples and desired forces.
 
-    All times are those of the stamps of the data.
+    All times are stamps of the data.
     """
 
     def __init__(self, settings: ForceControlSettings, grid: GridSettings | None = None) -> None:
@@ -245,8 +246,8 @@ class ForceController:
         self.predictor = ForcePredictor(settings.predictor, grid)
         """Predicts the force and its validity.
 
-        The caller passes it parameter sets, currents, reports, and blocks that came too late for a
-        command. After sending a command, the caller lets the predictor catch up.
+        The caller passes it parameter sets, currents, reports, and blocks that arrived too late for
+        a command. After sending a command, the caller calls its method ``catch_up``.
         """
         self._feedback = ForceFeedback(settings.feedback)
         # Stamp [ns] and value [N] of the desired force.
@@ -255,7 +256,7 @@ class ForceController:
         # The inverted set, whether its reversals are gradual, and the extension of its range [A].
         self._inverted: tuple[ParameterSet, bool, float] | None = None
         self._unusable = NO_DOUBT
-        # The last wanted coil current and the last command [A].
+        # The last setpoint of the coil current and the last command [A].
         self._wanted: float | None = None
         self._commanded = settings.fallback.safe_current
         span = settings.highest_current - settings.lowest_current
@@ -274,7 +275,7 @@ class ForceController:
         return math.nan if self._inverse is None else self._inverse.highest
 
     def _take_set_in_use(self) -> None:
-        """Invert the set in use of the predictor, if it or its range has changed."""
+        """Invert the predictor's set in use, if the set or its range has changed."""
         parameters, gradual = self.predictor.parameters, self.predictor.gradual
         if parameters is None:
             return
@@ -345,12 +346,12 @@ class ForceController:
         """The command without a valid force."""
         self._feedback.expect(math.nan)
         safe = self.settings.fallback.safe_current
-        # With a lagging coil, the command overshoots the wanted coil current. The current to hold
-        # is the one that is closer to the safe current.
+        # With a lagging coil, the command overshoots the setpoint of the coil current. The one of
+        # the two that is closer to the safe current is held.
         held = self._commanded if self._wanted is None else self._wanted
         held = min(held, self._commanded, key=lambda current: abs(current - safe))
         if self._inverse is not None:
-            # A current beyond the identified range, reached by probing, is not held either.
+            # A current beyond the identified range, reached by probing, is not held.
             held = min(held, max(self._inverse.highest, safe))
         self._wanted = self._fallback.away_from(held, duration)
         self._commanded = self.settings.limited(self._wanted, self._commanded, duration)
@@ -389,9 +390,9 @@ class ForceController:
         if abs(age) > self.settings.demand_timeout:
             return Doubt(
                 DoubtKind.OUTDATED,
-                f"the desired force is {age:.2f} s older than the samples, and demand_timeout is "
-                f"{self.settings.demand_timeout:g} s: has its publisher stopped, or does it use "
-                "another clock?",
+                f"the desired force is {age:.2f} s older than the samples, but demand_timeout is "
+                f"{self.settings.demand_timeout:g} s: has its publisher stopped, or does it use a "
+                "different clock?",
             )
         return NO_DOUBT
 
@@ -399,8 +400,8 @@ class ForceController:
 class _Aim(NamedTuple):
     """Coil current [A], the resulting force [N], and whether it is the desired force.
 
-    ``unknown``: whether the desired force needs a current that the limits allow, but that lies
-    outside the identified range.
+    ``unknown``: whether the desired force needs a current within the limits, but outside the
+    identified range.
     """
 
     current: float
@@ -425,15 +426,16 @@ class _Inverse:
         if not low < high:
             raise ValueError(
                 f"the parameters hold for {parameters.current_range[0]:.2f} to "
-                f"{parameters.current_range[1]:.2f} A, which leaves no current to choose between "
-                f"{settings.lowest_current:g} and {settings.highest_current:g} A: identify the "
-                f"damper at several currents, {REMEDY}"
+                f"{parameters.current_range[1]:.2f} A, which leaves no range of currents between "
+                f"lowest_current ({settings.lowest_current:g} A) and highest_current "
+                f"({settings.highest_current:g} A): identify the damper at several currents, "
+                f"{REMEDY}"
             )
         self._ends_early = high < settings.highest_current
         self._model = InverseModel(parameters, low, high, gradual_reversal=gradual)
         self.time_constant = coil_time_constant(parameters)
-        # The limits also hold while the coil is driven: outside the identified range, no force is
-        # valid.
+        # The limits also apply to the overshoot that drives the coil, because the force is invalid
+        # outside the identified range.
         self.limits = replace(settings, lowest_current=low, highest_current=high)
         self._lowest, self.highest = low, high
         self._deadband = settings.force_deadband
@@ -458,11 +460,11 @@ class _Inverse:
             responses.append(self._model.at(sample.moved_on(later), period=later, state=memory))
         found = self._model.current(responses[_MIDDLE], wanted, last)
         currents = found.current, self._lowest, self._lowest if last is None else last
-        # Just before a reversal, a current that fits one moment is far off at another, and the coil
-        # cannot follow. Therefore each candidate is judged at several moments.
+        # Just before a reversal, a current that is right now is wrong a little later, and the coil
+        # cannot follow. Therefore each candidate is judged at several times.
         forces = [[response.force(current) for response in responses] for current in currents]
-        # The desired force is limited to the range of the candidates: the misses from a far larger
-        # force would be almost equal.
+        # The desired force is limited to the range of the candidates, because their errors relative
+        # to a far larger force would be almost equal.
         every = [each for several in forces for each in several]
         sought = min(max(wanted, min(every)), max(every))
         misses = [math.dist(force, [sought] * len(_MOMENTS)) for force in forces]
@@ -470,7 +472,7 @@ class _Inverse:
         deadband = self._deadband * math.sqrt(len(_MOMENTS))
         if last is not None and misses[_KEPT] <= misses[best] + deadband:
             best = _KEPT
-        # The current of the inverse is rejected if its miss over the moments is larger.
+        # The current of the inverse is rejected if its error over these times is larger.
         given_up = best == _LOWEST and found.current != self._lowest
         met = found.attainable and not given_up
         # A desired force of the same sign as the attainable force, but larger, needs more current.

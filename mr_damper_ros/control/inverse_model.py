@@ -1,11 +1,12 @@
 """The inverse of an identified damper: coil currents for desired forces.
 
-The force is not monotonic in the current. Of several currents, the lowest is returned, or the one
-nearest to the last current, so that the current does not jump. An unattainable force is replaced by
-the nearest attainable one, at the lowest current that gives it, because the force saturates.
+The force is not monotonic in the current. If several currents give the desired force, the inverse
+returns the lowest, or the one nearest to the last current, so that the current does not jump. An
+unattainable force is replaced by the nearest attainable one. Because the force saturates, the
+inverse then returns the lowest current that gives it.
 
-Each sample is searched by itself in floating-point scalars: the law's force at some sixty nodes of
-the current shows brackets; within one the secant method refines, falling back to bisection.
+Each sample is searched separately, in floating-point scalars. The forces at 65 nodes of the current
+give brackets. In a bracket the secant method refines the current, falling back to bisection.
 """
 
 from __future__ import annotations
@@ -26,20 +27,21 @@ from mr_damper_ros.models.quantities import State
 from mr_damper_ros.signals.arrays import Array
 
 NODES = 65
-"""Currents at which a force is looked at first: between two of them it should bend once at most."""
+"""Number of currents at which the force is evaluated first. Between two of them the force should
+have at most one extremum."""
 
 TOLERANCE = 1e-6
-"""Tolerance of the force relative to the span of attainable forces; the supply resolves a
-thousandth."""
+"""Tolerance of the force, relative to the span of attainable forces. A supply resolves only about a
+thousandth of its range."""
 
 _WITHIN = 0.4
-"""Margin at the ends of the span relative to the tolerance, so that they are attainable."""
+"""Margin at both ends of the span, relative to the tolerance, so that the ends are attainable."""
 
 _CLOSE = 1e-3
-"""Termination of the search relative to the tolerance."""
+"""The search ends at an error of this part of the tolerance."""
 
 _MOST_STEPS = 80
-"""Largest number of steps; bisection alone would need 55."""
+"""Largest number of search steps; bisection alone would need 55."""
 
 _LEAST_GAIN = 0.5
 """A secant step that leaves more than this fraction of the error is followed by a bisection."""
@@ -64,8 +66,8 @@ Force = Callable[[float], float]
 class Inversion:
     """Currents for desired forces; all of shape (n,).
 
-    Coil ``current`` [A], its ``force`` [N], and whether this is the desired force (``attainable``);
-    ``least`` and ``most`` [N]: range of attainable forces.
+    ``current`` [A] is the coil current and ``force`` [N] its force; ``attainable`` says whether
+    this is the desired force. ``least`` and ``most`` [N] are the limits of the attainable forces.
     """
 
     current: Array
@@ -96,8 +98,8 @@ class InverseModel:
     """The inverse of a parameter set between two currents [A] of the coil.
 
     ``gradual_reversal``: use the law without jumps at reversals, as in the prediction. Raises
-    ValueError if the highest current is not above the lowest; warns if the set was identified at
-    one current.
+    ValueError if the highest current is not above the lowest. Warns if the set was identified at a
+    single current.
     """
 
     def __init__(
@@ -133,8 +135,9 @@ class InverseModel:
     ) -> Inversion:
         """Currents for the desired forces ``wanted`` (n,) [N] at the samples of a motion.
 
-        ``last`` [A]: the nearest of several currents is returned, without it the lowest. Each
-        sample follows the ``state`` by ``period`` [s]; a law with memory needs a state.
+        If several currents give the desired force, the one nearest to ``last`` [A] is returned,
+        without ``last`` the lowest. Each sample comes ``period`` [s] after the ``state``, which a
+        law with memory needs.
         """
         forces = np.broadcast_to(np.asarray(wanted, dtype=float), motion.velocity.shape)
         near: list[float] | list[None] = [None] * forces.size
@@ -201,7 +204,7 @@ class InverseModel:
     def current(
         self, response: SampleResponse, wanted: float, last: float | None = None
     ) -> SampleInversion:
-        """The current for a force [N], as :meth:`currents`, of the response :meth:`at` a sample."""
+        """The current for a force [N] at one sample, as in :meth:`currents`; see :meth:`at`."""
         return _search(response.force, self._node_list, response.at_nodes(), wanted, last)
 
     def follow(
@@ -209,8 +212,8 @@ class InverseModel:
     ) -> tuple[Inversion, State | None]:
         """Currents sample by sample, each from the state after the previous sample.
 
-        Shapes as in :meth:`currents`; also returns the state after the last sample. Each current
-        is the one nearest to the previous current.
+        Shapes are as in :meth:`currents`; also returns the state after the last sample. Of several
+        currents, the one nearest to the previous current is used.
         """
         forces = np.broadcast_to(np.asarray(wanted, dtype=float), motion.velocity.shape)
         found: list[SampleInversion] = []
@@ -235,7 +238,7 @@ def _each(current: ArrayLike, motion: Motion) -> Array:
 
 
 def in_coil(parameters: ParameterSet) -> Array:
-    """Values (p,) of a set without coil lag, for use with the coil current."""
+    """Values (p,) of a set with the coil lag removed, for use with the coil current."""
     values = parameters.values.copy()
     names = parameters.law.parameter_names
     if COIL in names:
@@ -257,7 +260,7 @@ def _search(
 ) -> SampleInversion:
     """The inversion of one sample with these node forces [N]."""
     least, most = min(forces), max(forces)
-    # Only an extremum between two nodes may attain this force.
+    # Only at an extremum between two nodes can this force be attained.
     if wanted < least or wanted > most:
         bend = _furthest_bend(force_at, nodes, forces, 1.0 if wanted > most else -1.0)
         if bend is not None:
@@ -276,7 +279,7 @@ def _search(
 
 
 def _cell(nodes: list[float], above: list[bool], last: float | None) -> int:
-    """The bracketing cell: the first, or the one nearest to the last current."""
+    """The first bracketing cell, or the one nearest to the last current."""
     best, least, place = 0, math.inf, 0
     while True:
         try:
@@ -296,7 +299,7 @@ def _cell(nodes: list[float], above: list[bool], last: float | None) -> int:
 def _root(
     force_at: Force, aimed: float, nodes: list[float], forces: list[float], close: float
 ) -> tuple[float, float]:
-    """The current between two currents whose force is within ``close``, and this force."""
+    """A current between two nodes with a force within ``close`` [N] of the aim, and its force."""
     (low, high), (at_low, at_high) = nodes, (force - aimed for force in forces)
     rises = at_low <= 0.0
     run = at_low - at_high
@@ -328,9 +331,9 @@ def _root(
 def _furthest_bend(
     force_at: Force, nodes: list[float], forces: list[float], sign: float
 ) -> tuple[list[float], list[float]] | None:
-    """Nodes and forces, one node moved onto the largest maximum (or minimum, by ``sign``).
+    """Nodes and forces with one node moved to the largest maximum (or lowest minimum, by ``sign``).
 
-    None if no extremum exceeds its node.
+    Returns None if no extremum exceeds the forces of the nodes.
     """
     heights = [sign * force for force in forces]
     last = len(heights) - 1
@@ -339,7 +342,7 @@ def _furthest_bend(
         for place in range(1, last)
         if heights[place - 1] < heights[place] >= heights[place + 1]
     ]
-    # Next to the first or last node there is an extremum only if the force rises inwards.
+    # Beside the first or last node there is an extremum only if the force increases inwards.
     if heights[0] >= heights[1] and sign * _slope(force_at, nodes[0]) > 0.0:
         bends.append(0)
     if heights[last] > heights[last - 1] and sign * _slope(force_at, nodes[last]) < 0.0:
@@ -365,7 +368,7 @@ def _slope(force_at: Force, current: float) -> float:
 def _extremum(force_at: Force, low: float, high: float, sign: float, close: float) -> float:
     """The current of the largest force (or the smallest, by ``sign``), by golden-section search.
 
-    Ends when two successive pairs of forces differ by less than ``close`` [N].
+    The search ends when the forces of two successive pairs differ by less than ``close`` [N].
     """
     left, right = high - _GOLDEN * (high - low), low + _GOLDEN * (high - low)
     at_left, at_right = sign * force_at(left), sign * force_at(right)

@@ -26,11 +26,11 @@ class DamperMotion(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class LinearPlant:
-    """x' = ``dynamics`` x + ``by_force`` F + ``by_input`` w.
+    """x' = ``dynamics`` x + ``by_force`` F + ``by_input`` w, for n states x.
 
     F is the damper force [N], tension positive, and w the external input, such as the velocity of a
-    road. Shapes (n, n), (n,), (n,). ``displacement`` and ``velocity`` (n,) are output vectors for
-    the extension of the damper [m] and its velocity [m/s].
+    road. The shapes are (n, n), (n,), (n,). ``displacement`` and ``velocity`` (n,) are the output
+    vectors for the extension of the damper [m] and its velocity [m/s].
     """
 
     dynamics: Array
@@ -56,7 +56,7 @@ class MovingPlant:
         self.state = np.zeros(count)
 
     def step(self, force: float, moved: float) -> Array:
-        """The states (n,) after one period with a force [N] and an input."""
+        """The states (n,) after one period with constant force [N] and input ``moved``."""
         self.state = self._step @ np.concatenate([self.state, (force, moved)])
         self._force, self._input = force, moved
         return self.state
@@ -83,7 +83,8 @@ class MovingPlant:
 
 
 ROUGHNESS = {"A": 16e-6, "B": 64e-6, "C": 256e-6, "D": 1024e-6, "E": 4096e-6}
-"""Spectral density [m³] of the road height at 0.1 cycles/m by ISO 8608 class: geometric means."""
+"""Spectral density [m³] of a road's height at 0.1 cycles/m: geometric mean of each ISO 8608
+class."""
 
 _REFERENCE = 0.1
 _LONGEST, _SHORTEST = 0.01, 4.0
@@ -135,7 +136,7 @@ class IsoRoad:
     def __post_init__(self) -> None:
         if self.roughness not in ROUGHNESS:
             raise ValueError(
-                f"there is no road {self.roughness}: the classes are {', '.join(ROUGHNESS)}"
+                f"there is no road class {self.roughness}: the classes are {', '.join(ROUGHNESS)}"
             )
 
     def at(self, time: Array) -> Array:

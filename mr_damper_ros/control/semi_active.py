@@ -1,13 +1,13 @@
-"""Semi-active control of a suspension: controllers by name, and the gains of the optimal ones.
+"""Semi-active controllers of a suspension by name, and the gain of the optimal one.
 
 A controller is a function from the state of a suspension to the desired damper force [N], tension
 positive; users may provide their own. The inverse model clips the force to the attainable range. A
 positive force pulls the body down and the wheel up; it is dissipative while the body moves away
 from the wheel.
 
-The linear-quadratic regulator is that of Anderson and Moore, Optimal Control: Linear Quadratic
-Methods, 1990. Clipped to attainable forces, it is the clipped-optimal control of Dyke,
-Spencer, Sain and Carlson, Smart Materials and Structures 5, 1996.
+For the linear-quadratic regulator see Anderson and Moore, Optimal Control: Linear Quadratic
+Methods, 1990. Clipped to attainable forces, it is the clipped-optimal control of Dyke, Spencer,
+Sain and Carlson, Smart Materials and Structures 5, 1996.
 """
 
 from __future__ import annotations
@@ -102,7 +102,7 @@ def mixed_skyhook_add(low: float, high: float, crossover: float) -> Controller:
 
 
 def linear_feedback(gain: Array) -> Controller:
-    """Feedback of the states (stroke, body, tyre, wheel), such as :func:`optimal_gain` gives."""
+    """Feedback of the states (stroke, body, tyre, wheel), for example by :func:`optimal_gain`."""
     by_stroke, by_body, by_tyre, by_wheel = gain.tolist()
     return lambda now: (
         -by_stroke * now.stroke - by_body * now.body - by_tyre * now.tyre - by_wheel * now.wheel
@@ -128,8 +128,7 @@ class Weights(CheckedSettings):
 def optimal_gain(car: QuarterCar, weights: Weights) -> Array:
     """Gain (4,) of the linear-quadratic regulator of a car, for :func:`linear_feedback`.
 
-    See :mod:`mr_damper_ros.control.semi_active`. An estimator, where the states are not
-    measured, does not change the gain (separation principle).
+    If the states are estimated rather than measured, the gain is the same (separation principle).
     """
     plant = car.plant
     # The body acceleration is the derivative of the second state and depends on the force.
@@ -153,8 +152,8 @@ class SuspensionSettings(CheckedSettings):
 
     controller: str = option(
         "skyhook",
-        "passive, skyhook, groundhook, hybrid (of those two), add (acceleration-driven), sh_add "
-        "(skyhook for slow motion, acceleration-driven for fast), or optimal (linear-quadratic).",
+        "passive, skyhook, groundhook, hybrid (skyhook and groundhook), add (acceleration-driven), "
+        "sh_add (skyhook for slow motion, add for fast motion), or optimal (linear-quadratic).",
         choices=("passive", "skyhook", "groundhook", "hybrid", "add", "sh_add", "optimal"),
     )
     function: str = option(
@@ -185,7 +184,7 @@ class SuspensionSettings(CheckedSettings):
 
 
 def controller_of(settings: SuspensionSettings) -> Controller:
-    """The controller of these settings; raises ValueError if one's own cannot be found."""
+    """The controller of these settings; raises ValueError if the user's own cannot be found."""
     if settings.function:
         return _import_controller(settings.function)
     return _CONTROLLERS[settings.controller](settings)
@@ -215,7 +214,7 @@ def _import_controller(place: str) -> Controller:
         found: Any = getattr(import_module(module), name, None)
     except ImportError as error:
         raise ValueError(
-            f"function is {place}, and the module cannot be imported ({error}): is its folder on "
+            f"function is {place}, but the module cannot be imported ({error}): is its folder on "
             "PYTHONPATH?"
         ) from error
     if not callable(found):

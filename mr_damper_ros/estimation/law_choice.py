@@ -30,7 +30,7 @@ from mr_damper_ros.estimation.local_search import StopRequestedError
 from mr_damper_ros.kinematics.window import Window
 from mr_damper_ros.models import MODELS
 from mr_damper_ros.models.parameter_set import GLOBAL_SOURCE, known_model
-from mr_damper_ros.processes.process_pool import ProcessPool, Tell
+from mr_damper_ros.processes.process_pool import Notify, ProcessPool
 from mr_damper_ros.signals.arrays import Array
 
 MOST_FOLDS = 5
@@ -260,7 +260,7 @@ class _Trial:
     settings: EvolutionSettings
 
 
-def _left_out_errors(trial: _Trial, tell: Tell) -> Array:
+def _left_out_errors(trial: _Trial, notify: Notify) -> Array:
     """Validation NRMSE [1] of each fold; infinite if there is no fit, NaN after a stop.
 
     One search over all windows gives the start of each fold. The global minima of the folds are
@@ -272,7 +272,7 @@ def _left_out_errors(trial: _Trial, tell: Tell) -> Array:
 
     def report(progress: GlobalProgress) -> bool:
         part = progress.generation / max(progress.generations, 1)
-        return tell((trial.model, (done + part) / (1 + len(trial.folds))))
+        return notify((trial.model, (done + part) / (1 + len(trial.folds))))
 
     def search_of(windows: Sequence[Window]) -> GlobalSearch:
         return GlobalSearch(law, windows, start, trial.settings, ProgressClock(1, report))

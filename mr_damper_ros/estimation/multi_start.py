@@ -31,7 +31,7 @@ from mr_damper_ros.kinematics.window import Window
 from mr_damper_ros.models import MODELS
 from mr_damper_ros.models.force_model import Model
 from mr_damper_ros.models.parameter_set import ParameterError, ParameterSet
-from mr_damper_ros.processes.process_pool import ProcessPool, Tell
+from mr_damper_ros.processes.process_pool import Notify, ProcessPool
 from mr_damper_ros.signals.arrays import Array
 
 _VERSION = 3
@@ -100,13 +100,13 @@ class _Search:
         return digest.hexdigest()
 
 
-def _run(search: _Search, tell: Tell) -> GlobalFit:
+def _run(search: _Search, notify: Notify) -> GlobalFit:
     return identify_global(
         MODELS[search.model],
         search.windows,
         search.start,
         search.settings,
-        tell,
+        notify,
         method=search.method,
         known=search.known,
         levels=search.levels,

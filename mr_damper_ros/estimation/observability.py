@@ -149,7 +149,7 @@ class Determination:
     def partners(self, errors: Mapping[str, float]) -> dict[str, tuple[str, ...]]:
         """Parameters that are known only together with others, and these others.
 
-                ``errors``: standard errors by name, valid if all other parameters are held. In an
+        ``errors``: standard errors by name, valid if all other parameters are held. In an
         undetermined combination a parameter may move by more than this standard error.
         """
         found: dict[str, tuple[str, ...]] = {}

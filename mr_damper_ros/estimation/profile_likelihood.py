@@ -44,7 +44,7 @@ from mr_damper_ros.kinematics.window import Window
 from mr_damper_ros.models.force_model import Model
 from mr_damper_ros.models.misfit import Misfit
 from mr_damper_ros.models.parameter_set import ParameterSet
-from mr_damper_ros.processes.process_pool import ProcessPool, Tell
+from mr_damper_ros.processes.process_pool import Notify, ProcessPool
 from mr_damper_ros.signals.arrays import Array
 
 CONFIDENCE = 0.95
@@ -330,9 +330,9 @@ def profiled(
     return fit, found
 
 
-def _profile(task: tuple[ParameterSet, Misfit, _Ranges, str], tell: Tell) -> Profile | None:
+def _profile(task: tuple[ParameterSet, Misfit, _Ranges, str], notify: Notify) -> Profile | None:
     found, misfit, ranges, name = task
-    clock = ProgressClock(1, tell)
+    clock = ProgressClock(1, notify)
     try:
         return ProfileLikelihood(
             found.law,

@@ -1,4 +1,4 @@
-"""One BLAS thread: the arrays here are small, and more threads would only wait for each other.
+"""Limits BLAS to one thread, because with small arrays more threads only wait for each other.
 
 Sums depend on the number of threads, so one thread also gives the same results on every computer.
 """
@@ -19,8 +19,7 @@ _limits: Any = None
 def one_thread() -> Iterator[None]:
     """Compute with one BLAS thread; also a decorator of functions.
 
-    The process gets its BLAS threads back when the last such context, in any Python thread, has
-    ended.
+    The process gets its BLAS threads back when the last such context of any Python thread ends.
     """
     _load()
     global _users, _limits
@@ -38,10 +37,10 @@ def one_thread() -> Iterator[None]:
 
 
 def keep_one_thread(*, with_scipy: bool = True) -> None:
-    """Make this process compute with one BLAS thread for the rest of its life.
+    """Make this process compute with one BLAS thread until it ends.
 
-    Without SciPy, whose import takes half a second, the limit applies to NumPy, and to SciPy only
-    if it is already loaded.
+    Importing SciPy takes half a second. Without ``with_scipy`` it is not imported, and the limit
+    applies to NumPy, and to SciPy only if it is already loaded.
     """
     if with_scipy:
         _load()

@@ -1,8 +1,9 @@
 """Common properties of all child processes of this package.
 
-A child is a fresh interpreter, never a fork: DDS threads do not survive a fork. It finds the
-modules of its parent, but none in the working directory of the program. It leaves Ctrl-C, which
-goes to all processes of a terminal, to its parent. It dies with its parent, however that one ends.
+A child is a new interpreter, not a fork, because DDS threads do not survive a fork. It finds the
+modules of its parent, but none in the working directory of the program. Ctrl-C, which goes to all
+processes of a terminal, is left to the parent. The child ends with its parent, even if the parent
+is killed.
 """
 
 from __future__ import annotations
@@ -36,7 +37,7 @@ def command(function: Callable[..., object], *arguments: str) -> list[str]:
 
 
 def live_with(parent: int) -> None:
-    """Leave Ctrl-C to the parent process with this id, and die with it. The child calls this."""
+    """Called by the child: leave Ctrl-C to the parent process with this id, and end with it."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     if sys.platform == "linux":
         with contextlib.suppress(OSError):

@@ -24,9 +24,9 @@ class BackgroundWriter(Generic[T]):
         self._changed = threading.Condition()
         self._newest: tuple[int, T] | None = None
         self.given = 0
-        """Number of items given so far, and number of the newest one."""
+        """Number of items given so far, which is also the number of the newest item."""
         self.done = 0
-        """Number of the newest item that was written or failed; all older items count as done."""
+        """Number of the newest item that was written or failed; older items count as done."""
         self._closed = False
         self.fault = ""
         self._thread = threading.Thread(target=self._work, name="state", daemon=True)
@@ -70,9 +70,9 @@ class BackgroundWriter(Generic[T]):
 
 
 class Outbox(Generic[T]):
-    """Items that go out in order, each once its state is written to disk.
+    """Items that are released in order, each once its state is written to disk.
 
-    A slow disk must not hold up the items: after ``patience`` seconds an item goes out anyway.
+    A slow disk delays them only for ``patience`` seconds; then an item is released anyway.
     """
 
     def __init__(self, patience: float, clock: Callable[[], float] = time.monotonic) -> None:
@@ -80,14 +80,14 @@ class Outbox(Generic[T]):
         self._clock = clock
         self._waiting: deque[tuple[T, int, float]] = deque()
         self.late = 0
-        """Number of items that have gone out before their state was written."""
+        """Number of items released before their state was written."""
 
     def add(self, item: T, number: int) -> None:
         """Add an item that waits for the state of this number, as counted by a BackgroundWriter."""
         self._waiting.append((item, number, self._clock() + self._patience))
 
     def take(self, written: int) -> list[T]:
-        """Remove and return the items that may go out; ``written`` is the last written state."""
+        """Remove and return the released items; ``written``: number of the last state on disk."""
         ready = []
         while self._waiting:
             item, number, deadline = self._waiting[0]
@@ -107,29 +107,29 @@ class Outbox(Generic[T]):
 
 
 _HEAD_START = 1e-3
-"""Seconds from publishing to the remaining work. Without a free core, the scheduler may put a
-subscriber on the core of this process, where the subscriber would wait for this work."""
+"""Time [s] from publishing to the remaining work. If no core is free, a subscriber may have to run
+on the core of this process, and would have to wait for this work."""
 
 
 class PostponedWork:
-    """The remaining work on the newest block, until it is due."""
+    """The remaining work on the newest block, done when it is due."""
 
     def __init__(self) -> None:
         self._work: Callable[[], None] | None = None
         self._due = math.inf
 
     def postpone(self, work: Callable[[], None]) -> None:
-        """Do this work a moment from now; :meth:`finish` must have done the previous work."""
+        """Do this work after a short time; the previous work must have been finished."""
         self._work, self._due = work, time.perf_counter() + _HEAD_START
 
     def finish(self) -> None:
-        """Do the work now, unless it is done already."""
+        """Do the work now if it is not done yet."""
         work, self._work = self._work, None
         if work is not None:
             work()
 
     def finish_in_time(self) -> float:
-        """Do the work if it is due; returns the seconds until then, infinite if there is none."""
+        """Do the work if it is due; returns the time [s] until it is, infinite without any."""
         if self._work is None:
             return math.inf
         left = self._due - time.perf_counter()

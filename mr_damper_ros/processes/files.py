@@ -45,7 +45,7 @@ def _sync(path: Path) -> None:
 
 
 def json_ready(value: Any) -> Any:
-    """A value with all its content in a form that JSON can hold: null if a number is not finite."""
+    """A value converted to types that JSON can hold; numbers that are not finite become null."""
     if isinstance(value, Mapping):
         return {str(key): json_ready(entry) for key, entry in value.items()}
     if isinstance(value, (list, tuple)):
@@ -71,8 +71,8 @@ class LockHeldError(ValueError):
 class FolderLock:
     """A lock file that this process holds until :meth:`release` or its end.
 
-    Only the lock counts: the file itself stays. The kernel releases the lock when the process ends,
-    even if it is killed. On a file system without locks, the lock excludes no other process.
+    Only the lock counts; the file itself remains. The kernel releases the lock when the process
+    ends, even if it is killed. On a file system without locks, no other process is excluded.
     """
 
     def __init__(self, path: Path) -> None:
@@ -94,7 +94,7 @@ class FolderLock:
             if error.errno not in _NO_LOCKS:
                 self.release()
                 raise
-        with contextlib.suppress(OSError):  # the process id is for people
+        with contextlib.suppress(OSError):  # the process id is only shown in messages
             os.ftruncate(self._descriptor, 0)
             os.pwrite(self._descriptor, b"%d\n" % os.getpid(), 0)
 
@@ -115,7 +115,7 @@ _KINDS = {
 
 
 def irregularity(path: Path) -> str:
-    """The kind of a path that is not a regular file, in words, links followed; empty if it is one.
+    """What a path is if it is not a regular file, in words; empty for a file. Follows links.
 
     Raises OSError if the path does not exist.
     """

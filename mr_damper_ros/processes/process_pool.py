@@ -1,12 +1,12 @@
-"""Independent tasks in several processes, with the same results for any number of them.
+"""Independent tasks in several processes; the results do not depend on the number of processes.
 
 A task is a picklable function of one picklable argument, and depends on nothing else. Each process
-computes with one BLAS thread, because sums depend on the number of threads: the results agree to
-the last digit.
+computes with one BLAS thread, because sums depend on the number of threads. The results are
+therefore identical to the last digit.
 
-Results may be stored (:func:`finish`), each in its own file, written completely or not at all, as
-soon as it is complete. A stored result is never computed again. Such a task returns a JSON document
-and raises no exception; a failure is part of its document.
+:func:`finish` also stores each result in its own file, atomically, as soon as it is complete. A
+stored result is not computed again. Such a task returns a JSON document and raises no exception; a
+failure is described in its document.
 """
 
 from __future__ import annotations
@@ -32,9 +32,9 @@ from mr_damper_ros.processes.worker import Control, Done, Failed, Outcome, Worke
 Task = TypeVar("Task")
 Result = TypeVar("Result")
 
-Tell = Callable[[Any], bool]
-"""Callback for the progress of a task; if it returns False, the task should return its present
-result soon."""
+Notify = Callable[[Any], bool]
+"""Callback by which a task reports its progress; if it returns False, the task should return its
+present result soon."""
 
 Listen = Callable[[int, Any], bool]
 """Receives the index of a task and its progress; returning False stops all tasks."""
@@ -43,7 +43,8 @@ _PATIENCE = 0.01
 """Seconds between two polls of the processes."""
 
 _LOADED = "scipy.linalg"
-"""Module with the BLAS of SciPy: a library that is loaded later would not be limited."""
+"""Module with the BLAS of SciPy. It is loaded first, because a library loaded later would not be
+limited to one thread."""
 
 
 class WorkersError(OSError):
@@ -51,10 +52,10 @@ class WorkersError(OSError):
 
 
 class ProcessPool(AbstractContextManager):
-    """A context with ``count`` processes, started when there are tasks for them.
+    """A context with ``count`` processes, which start with the first tasks.
 
-    With a count of one, the tasks run in this process, unless they are to run ``apart`` from it.
-    Raises ValueError for a count below one.
+    With a count of one and without ``apart``, the tasks run in this process. Raises ValueError for
+    a count below one.
     """
 
     def __init__(self, count: int = 1, *, apart: bool = False) -> None:
@@ -70,23 +71,23 @@ class ProcessPool(AbstractContextManager):
 
     def map(
         self,
-        function: Callable[[Task, Tell], Result],
+        function: Callable[[Task, Notify], Result],
         tasks: Sequence[Task],
         listen: Listen | None = None,
         done: Callable[[int, Result], None] | None = None,
         lost: Callable[[int], None] | None = None,
     ) -> list[Result | None]:
-        """``function(task, tell)`` of every task, in order; None if a task was not started.
+        """``function(task, notify)`` of every task, in order; None if a task was not started.
 
         ``listen`` receives the progress of the tasks and may stop them; running tasks then return
         their present results. ``done`` is called with each result as soon as it is complete, in any
-        order. A task whose process dies repeatedly runs once more while no other does; then
-        ``lost`` receives its index. Raises WorkersError instead without ``lost``.
+        order. A task whose process dies repeatedly runs once more while no other task runs. If its
+        process dies again, ``lost`` receives its index; without ``lost``, WorkersError is raised.
         """
         results: list[Result | None] = [None] * len(tasks)
         stopped = False
 
-        def tell(index: int, news: Any) -> bool:
+        def notify(index: int, news: Any) -> bool:
             nonlocal stopped
             stopped = stopped or not (listen is None or listen(index, news))
             return not stopped
@@ -100,7 +101,7 @@ class ProcessPool(AbstractContextManager):
             for index, task in enumerate(tasks):
                 if not stopped:
                     with one_thread():
-                        result = function(task, partial(tell, index))
+                        result = function(task, partial(notify, index))
                     keep(index, result)
             return results
         waiting, suspects = deque(range(len(tasks))), deque[int]()
@@ -110,7 +111,7 @@ class ProcessPool(AbstractContextManager):
             if isinstance(outcome, Done):
                 keep(index, outcome.result)
             elif not isinstance(outcome, Failed):
-                if not tell(index, outcome.value):
+                if not notify(index, outcome.value):
                     for each in running:
                         each.cancel()
             elif outcome.error is not None:
@@ -146,13 +147,13 @@ class ProcessPool(AbstractContextManager):
 
     def _workers(self) -> list[Worker]:
         if self._pool is None:
-            # A task may compute for long without asking whether to stop.
+            # A task may compute for a long time without checking whether it should stop.
             limits = {"grace": math.inf, "silence_limit": math.inf}
             self._pool = WorkerPool(_LOADED, self.count, **limits)
         return [self._pool.worker() for _ in range(self.count)]
 
 
-def _call(function: Callable[[Any, Tell], Any], task: Any, control: Control) -> Any:
+def _call(function: Callable[[Any, Notify], Any], task: Any, control: Control) -> Any:
     return function(task, control.report)
 
 
@@ -161,7 +162,7 @@ class ProcessLostError(Exception):
 
 
 def run_apart(module: str, function: Callable[..., Any], *args: Any, budget: float) -> Any:
-    """``function(*args)`` in a process of its own, which loads ``module`` before.
+    """Run ``function(*args)`` in a separate process, which first loads ``module``.
 
     Raises the exceptions of the function, TimeoutError after ``budget`` [s], and ProcessLostError.
     """
@@ -185,8 +186,8 @@ def _without_control(function: Callable[..., Any], *args: Any) -> Any:
 class Workforce:
     """An executor, and the properties of its workers.
 
-    ``at_once`` is the number of tasks submitted at a time. ``loses_with`` are the exceptions of a
-    future if workers have repeatedly died with its task. ``end`` releases the executor.
+    ``at_once`` is the number of tasks submitted at a time. ``loses_with`` are the exceptions that a
+    future raises if workers died repeatedly with its task. ``end`` releases the executor.
     """
 
     executor: Executor
@@ -205,7 +206,7 @@ def dask_cluster(address: str) -> Workforce:
         from distributed import Client, KilledWorker
     except ImportError as error:
         raise ValueError(
-            "a scheduler was given, and Dask is not installed: install distributed"
+            "a scheduler was given, but Dask is not installed: install the package distributed"
         ) from error
     try:
         client: Any = Client(address, set_as_default=False)
@@ -222,7 +223,7 @@ def dask_cluster(address: str) -> Workforce:
 Document = dict[str, Any]
 
 _SLUG = 60
-"""Largest number of characters of a task's name in the name of its file."""
+"""Largest number of characters of a task's name that its file name contains."""
 
 
 @dataclass(frozen=True)
@@ -248,7 +249,7 @@ class ResultFolder:
         return self._folder / f"{file_stem(name)}.json"
 
     def kept(self, task: KeptTask) -> Document | None:
-        """The stored document of a task, None if the task must be run."""
+        """The stored document of a task; None if the task must be run."""
         try:
             found = json.loads(self.path(task.name).read_text(encoding="utf-8"))
             document = found["document"] if found["fingerprint"] == task.fingerprint else None
@@ -282,7 +283,7 @@ def finish(
 
     ``workers`` is the number of processes on this machine, or a workforce elsewhere. If ``final``
     returns False, a document is reported but not stored, so that its task runs again the next time.
-    A task whose process dies repeatedly is given up and passed to ``lost``. Raises WorkersError if
+    A task whose process dies repeatedly is abandoned and passed to ``lost``. Raises WorkersError if
     the workers cannot run tasks at all, and OSError if a result cannot be written.
     """
     every = list(tasks)
@@ -327,10 +328,10 @@ def finish(
 def _useless(error: BaseException) -> WorkersError:
     if isinstance(error, WorkersError):
         return error
-    return WorkersError(f"the workers cannot do the tasks: {type(error).__name__}: {error}")
+    return WorkersError(f"the workers cannot run the tasks: {type(error).__name__}: {error}")
 
 
-def _document(function: Callable[[Any], Document], argument: Any, *_: Tell) -> Document:
+def _document(function: Callable[[Any], Document], argument: Any, *_: Notify) -> Document:
     try:
         with one_thread():  # the process may belong to another program
             return function(argument)
@@ -339,6 +340,6 @@ def _document(function: Callable[[Any], Document], argument: Any, *_: Tell) -> D
 
 
 def fingerprint(content: Mapping[str, Any]) -> str:
-    """A short text that changes with the content; JSON must be able to hold the content."""
+    """A short text that changes whenever the content, which must be valid JSON, changes."""
     text = json.dumps(content, sort_keys=True)
     return hashlib.sha256(text.encode()).hexdigest()[:24]

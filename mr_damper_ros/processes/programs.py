@@ -1,4 +1,4 @@
-"""Programs of nodes: their arguments, their processes, and a ROS domain of their own."""
+"""Programs of nodes: their arguments, their processes, and a separate ROS domain for them."""
 
 from __future__ import annotations
 
@@ -27,13 +27,13 @@ class Place(NamedTuple):
 
     @property
     def arguments(self) -> list[str]:
-        """ROS arguments for the node of this place, in addition to those common to all nodes."""
+        """ROS arguments for this node, in addition to the arguments of all nodes."""
         file = ["--params-file", self.file] if self.file else []
         return ["--ros-args", "-r", f"__ns:=/{self.namespace}", *file]
 
 
 class Hosting(NamedTuple):
-    """``places`` of nodes, empty for a single node as usual, and the ``rest`` of the arguments."""
+    """The ``places`` of several nodes (empty for one node), and the ``rest`` of the arguments."""
 
     places: tuple[Place, ...]
     workers: int
@@ -46,9 +46,9 @@ class _Parser(argparse.ArgumentParser):
 
 
 def hosting_parser(*, shared_workers: bool = True) -> argparse.ArgumentParser:
-    """The options of a program that may hold a node in each of several namespaces.
+    """The options of a program that can run a node in each of several namespaces.
 
-    If its nodes share no workers, there is no option for their number.
+    Without ``shared_workers`` there is no option for the number of worker processes.
     """
     parser = _Parser(add_help=False, allow_abbrev=False, usage=argparse.SUPPRESS)
     parser.add_argument(
@@ -59,7 +59,7 @@ def hosting_parser(*, shared_workers: bool = True) -> argparse.ArgumentParser:
         action="append",
         default=[],
         metavar="NAME[=FILE]",
-        help="a node in this namespace, with this parameter file; once for each",
+        help="namespace of a node, and its parameter file; repeat the option for each node",
     )
     if shared_workers:
         parser.add_argument(
@@ -68,7 +68,7 @@ def hosting_parser(*, shared_workers: bool = True) -> argparse.ArgumentParser:
             nargs="?",
             const="",
             metavar="NUMBER",
-            help="worker processes for all of them (default: as many as processors)",
+            help="number of worker processes for all nodes (default: number of processors)",
         )
     return parser
 
@@ -77,14 +77,14 @@ def _place(text: str) -> Place:
     name, _, file = text.partition("=")
     if not _NAME.fullmatch(name):
         raise argparse.ArgumentTypeError(
-            f"it needs a name of letters, digits and underscores, not {name!r}"
+            f"the name is {name!r}: it must consist of letters, digits and underscores"
         )
     return Place(name.lstrip("/"), file)
 
 
 def _positive(text: str) -> int:
     if not text.isdecimal() or int(text) < 1:
-        raise argparse.ArgumentTypeError(f"it needs a number of at least 1, not {text!r}")
+        raise argparse.ArgumentTypeError(f"the number is {text!r}: it must be at least 1")
     return int(text)
 
 
@@ -104,7 +104,7 @@ def hosting(arguments: Sequence[str], *, shared_workers: bool = True) -> Hosting
 
 
 def worker_count(arguments: Sequence[str]) -> int:
-    """Number of worker processes that a command line, including ROS arguments, asks for."""
+    """Number of worker processes in a command line, which may contain ROS arguments."""
     own = list(arguments)
     if "--ros-args" in own:
         own = own[: own.index("--ros-args")]
@@ -124,13 +124,14 @@ PATIENCE = 60.0
 
 
 class ProgramError(RuntimeError):
-    """A program did not behave as expected; the message has the end of its output."""
+    """A program did not behave as expected; the message contains its output."""
 
 
 class Program:
     """A running program; its output is kept in memory, so that it never blocks.
 
-    ``environment`` is added to that of this process. Raises OSError if the program does not exist.
+    ``environment`` is added to the environment of this process. Raises OSError if the program does
+    not exist.
     """
 
     def __init__(
@@ -140,8 +141,8 @@ class Program:
         self._stdout = os.memfd_create("stdout")
         self._stderr = os.memfd_create("stderr")
         try:
-            # In its own group: Ctrl-C in the terminal ends this process, which then ends the
-            # program.
+            # In its own process group: Ctrl-C in the terminal ends this process, which then ends
+            # the program.
             self._process = subprocess.Popen(
                 command,
                 stdin=subprocess.DEVNULL,
@@ -153,7 +154,7 @@ class Program:
         except BaseException:
             self._forget_output()
             raise
-        # If this process fails, nothing of the program continues.
+        # If this process fails, the program and its children must not continue.
         atexit.register(self._process.kill)
 
     @property
@@ -168,7 +169,7 @@ class Program:
 
     @property
     def exit_code(self) -> int | None:
-        """The exit code, negative the signal that ended the program; None while it runs."""
+        """The exit code, or minus the number of the signal that ended it; None while it runs."""
         return self._process.poll()
 
     @property
@@ -206,7 +207,7 @@ class Program:
     def wait_for_log(self, part: str, patience: float = PATIENCE) -> None:
         """Wait until the standard error contains this text.
 
-        Raises ProgramError if the program ends before, or after ``patience`` [s].
+        Raises ProgramError if the program ends first, or after ``patience`` [s].
         """
         deadline = time.monotonic() + patience
         while part not in self.errors:
@@ -231,7 +232,7 @@ class Program:
         self._process.send_signal(number)
 
     def kill(self) -> None:
-        """Kill the program, without a chance to clean up, and wait for its end."""
+        """Kill the program, so that it cannot clean up, and wait for its end."""
         self._process.kill()
         self._process.wait(PATIENCE)
 
@@ -263,7 +264,7 @@ class Program:
 def node_arguments(
     parameters: Mapping[str, object], remappings: Mapping[str, str] | None = None
 ) -> list[str]:
-    """Arguments of a node; two underscores in the name of a parameter stand for a dot."""
+    """Arguments of a node; two underscores in the name of a parameter become a dot."""
     arguments = ["--ros-args"]
     for name, other in (remappings or {}).items():
         arguments += ["-r", f"{name}:={other}"]
@@ -278,14 +279,14 @@ def _content(file: int) -> str:
 
 
 _NUMBERS = range(61, 101)
-"""Above the numbers that people usually choose; below those whose ports may be taken (102)."""
+"""Candidate domains: above the usual numbers, and below 102, from which ports may be in use."""
 
 _FIRST_PORT = 20_000
-"""An open port, this number plus the number of the domain, reserves the domain."""
+"""A domain is reserved by opening the port with this number plus the number of the domain."""
 
 
 class RosDomain(AbstractContextManager):
-    """A ROS domain reserved for this object, across all processes, until it is closed.
+    """A ROS domain that no other process can reserve until this object is closed.
 
     Raises RuntimeError if no domain is free.
     """
@@ -304,7 +305,7 @@ class RosDomain(AbstractContextManager):
 
     @property
     def environment(self) -> dict[str, str]:
-        """Environment variables of a program in this domain, invisible to other computers."""
+        """Environment variables for a program in this domain, which other computers cannot see."""
         return {
             "ROS_DOMAIN_ID": str(self.number),
             "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST",

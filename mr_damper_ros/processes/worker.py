@@ -1,14 +1,14 @@
-"""Supervised worker processes: long computations, while the node goes on receiving.
+"""Supervised worker processes for long computations, during which the node continues to receive.
 
-A process is a fresh interpreter that loads only the module of its tasks
+A process is a new interpreter that loads only the module of its tasks
 (:mod:`mr_damper_ros.processes.child_process`). Tasks and answers are pickles over a private socket
 pair.
 
-- A worker that dies is detected at once and replaced; the interrupted task is tried once more. The
-  same holds for a worker without a sign of life, because it is stopped or hangs in a call into C.
+- A worker that dies is replaced at once, and the interrupted task is tried once more. The same
+  holds for a worker without a sign of life, because it was stopped or hangs in a C function.
 - A task that exceeds its time budget is asked to stop and return its present result. If the worker
   does not answer, it is killed and replaced, and the task has failed.
-- The worker dies with its parent, however that one ends.
+- The worker ends with its parent, even if the parent is killed.
 """
 
 from __future__ import annotations
@@ -34,10 +34,10 @@ from mr_damper_ros.processes import child_process
 from mr_damper_ros.processes.blas_threads import keep_one_thread, one_thread
 
 _GRACE = 1.0
-"""Seconds for a task to stop after it was asked to."""
+"""Time [s] that a task has to stop after it was asked to."""
 
 _START_LIMIT = 60.0
-"""Seconds after which a process that has not reported ready counts as dead."""
+"""Time [s] after which a process that has not become ready counts as dead."""
 
 _BEAT = 0.25
 """Seconds between two signs of life of a worker, also during a task."""
@@ -46,11 +46,11 @@ _SILENCE_LIMIT = 1.5
 """Seconds without a sign of life after which a worker counts as hanging."""
 
 _LONGEST_PAUSE = 0.1
-"""Largest time [s] between two polls that counts as silence: a node that was itself held up,
-perhaps with the whole computer, has not read the signs of life."""
+"""Largest time [s] between two polls that counts towards the silence of a worker. If the node
+itself was delayed, perhaps with the whole computer, it could not read the signs of life."""
 
 _RESTART_PAUSE = 1.0
-"""Seconds between two starts if the process does not even become ready."""
+"""Time [s] between two starts if the process does not become ready."""
 
 
 @dataclass(frozen=True)
@@ -73,8 +73,8 @@ class Done:
 class Failed:
     """The task gave no result; ``reason`` is one sentence.
 
-    ``error`` is the exception of the task, a TimeoutError if it did not stop when asked to; None if
-    its process was lost.
+    ``error`` is the exception of the task, or a TimeoutError if it did not stop when asked to; None
+    if its process was lost.
     """
 
     task: int
@@ -89,7 +89,7 @@ _OUTCOMES: dict[str, type[Outcome]] = {"progress": Progress, "done": Done, "fail
 
 
 class Control:
-    """The connection of a task in the worker to the node; its methods may be called often.
+    """The connection of a task in the worker to the node; calls take little time.
 
     ``stopped`` holds the tickets of the tasks that should stop.
     """
@@ -111,7 +111,7 @@ class Control:
 
 @dataclass(eq=False)
 class _Task:
-    """A task of a worker: its number there, its ticket in the pool, and its pickled call."""
+    """A task: its number in its worker, its ticket in the pool, and its pickled call."""
 
     number: int
     ticket: int
@@ -165,7 +165,7 @@ class _Place:
     def run(self, task: _Task) -> None:
         """Run a task in the present process, or in the next one."""
         self.task = task
-        # The time before the process is ready does not count towards the budget.
+        # The time until the process is ready does not count towards the budget.
         self._began = time.monotonic() if self.ready else math.inf
         self._send((task.ticket, task.call))
         if task.stop_asked is not None:
@@ -220,7 +220,7 @@ class _Place:
             self._check_time(self.task, now, notices)
 
     def _check_time(self, task: _Task, now: float, notices: list[str]) -> None:
-        """Stop an overdue task, and kill the process of one that does not stop."""
+        """Ask an overdue task to stop, and kill its process if it does not."""
         over_budget = now - self._began > task.budget
         if over_budget and task.stop_asked is None:
             task.stop_asked = now
@@ -264,10 +264,10 @@ def _receive(connection: Connection, sending: threading.Lock, inbox: queue.Simpl
     try:
         while True:
             inbox.put(connection.recv())
-    except Exception:  # closed, or half a message of a killed process
+    except Exception:  # closed, or an incomplete message of a killed process
         inbox.put(("gone",))
     finally:
-        # Wait for a running send, which ends by itself: nothing reads it any more.
+        # A running send ends by itself, because the other end is closed; wait for it.
         with sending:
             connection.close()
 
@@ -275,9 +275,9 @@ def _receive(connection: Connection, sending: threading.Lock, inbox: queue.Simpl
 class WorkerPool:
     """``count`` supervised processes, which load ``module`` before their first task.
 
-    ``module`` contains the tasks. Loading it takes seconds on a busy computer, and does not count
-    towards the time budget of a task. A user of the pool gets a :meth:`worker` once and polls it,
-    which also supervises all processes.
+    ``module`` contains the tasks. Loading it may take seconds, which do not count towards the time
+    budget of a task. A user of the pool creates a :meth:`worker` and polls it regularly, which also
+    supervises all processes.
 
     A process is killed if its task does not stop within ``grace`` [s] after it was asked to, or if
     there is no sign of life for ``silence_limit`` [s].
@@ -295,7 +295,7 @@ class WorkerPool:
         self._waiting: deque[_Task] = deque()
         self._tickets = itertools.count(1)
         self.notices: list[str] = []
-        """Sentences about processes without a task (deaths, replacements); a worker takes them."""
+        """Messages about processes without a task (deaths, replacements), passed on by a worker."""
 
     @property
     def ready(self) -> bool:
@@ -312,7 +312,7 @@ class WorkerPool:
         return Worker(self)
 
     def close(self) -> None:
-        """End the processes. They hold no data that could be lost."""
+        """End the processes; no data can be lost."""
         for place in self._places:
             place.close()
 
@@ -337,7 +337,7 @@ class WorkerPool:
 
 
 class Worker:
-    """Runs one function call at a time in a process of a pool; it may have to wait for a process.
+    """Runs one function call at a time in a process of a pool, once a process is free.
 
     Call :meth:`poll` often: it returns the results, enforces time budgets and replaces a dead
     process.
@@ -351,7 +351,7 @@ class Worker:
 
     @property
     def busy(self) -> bool:
-        """Whether a task has been submitted whose end :meth:`poll` has not yet returned."""
+        """Whether a task is running: :meth:`poll` has not returned its end."""
         return self._task is not None
 
     @property
@@ -378,7 +378,7 @@ class Worker:
     def submit(self, function: Callable[..., Any], *args: Any, budget: float = math.inf) -> int:
         """Start ``function(*args, control)`` in a process and return the task's number.
 
-        The process must be able to import the function, and passes it a :class:`Control`.
+        The process must be able to import the function, which receives a :class:`Control` last.
         ``budget`` is the time limit [s] from the start in the process. Raises RuntimeError while
         another task runs.
         """
@@ -409,7 +409,7 @@ class Worker:
         return outcomes
 
     def take_notices(self) -> list[str]:
-        """Sentences about the processes (deaths, replacements) since the last call."""
+        """Messages about the processes (deaths, replacements) since the last call."""
         notices = self._notices + self._pool.notices
         self._notices, self._pool.notices = [], []
         return notices
@@ -462,7 +462,7 @@ def _answer(call: bytes, control: Control) -> bytes:
         reason = f"{type(error).__name__}: {error}"
         try:
             data = pickle.dumps(("failed", reason, error))
-            pickle.loads(data)  # not every exception can be built again
+            pickle.loads(data)  # raises if the exception cannot be unpickled
         except Exception:
             data = pickle.dumps(("failed", reason, RuntimeError(reason)))
         return data
@@ -472,9 +472,9 @@ class InlineWorker:
     """Runs a task when it is submitted, and returns its outcome after a latency in data time.
 
     The user sets ``now`` [s], the time of the data. If it jumps back because a clock was set, a
-    pending outcome is not delayed by the jump. ``latency`` returns the seconds until the outcome of
-    a task, from the task's first argument. ``processor_time`` [s] is the processor time of all
-    tasks so far.
+    pending outcome is not delayed by the jump. ``latency`` computes the time [s] until the outcome
+    of a task from the first argument of the task. ``processor_time`` [s] is the processor time of
+    all tasks so far.
     """
 
     def __init__(self, latency: Callable[[Any], float]) -> None:
@@ -534,7 +534,7 @@ class InlineWorker:
         return [outcome]
 
     def take_notices(self) -> list[str]:
-        """Always empty: there is no separate process that could fail."""
+        """Always empty, because there is no separate process that could fail."""
         return []
 
 

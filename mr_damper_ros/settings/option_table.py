@@ -35,9 +35,9 @@ _TYPE_NAMES = {bool: "true or false", int: "an integer", float: "a number", str:
 
 @dataclass(frozen=True)
 class Option:
-    """One parameter of a node; the range includes ``minimum`` and ``maximum``.
+    """One parameter of a node; ``minimum`` and ``maximum`` are valid values.
 
-    If the default is NaN, NaN is valid and means "not given".
+    If the default is NaN, NaN is also valid and means "not given".
     """
 
     name: str
@@ -136,8 +136,8 @@ def option(
 ) -> Any:
     """A field of a parameter table with one option.
 
-    ``read_only``: fixed while the node works. ``start_only``: for lifecycle nodes, fixed from the
-    start of the node, even before it is configured.
+    ``read_only``: fixed while the node is active. ``start_only``: fixed from the start of a
+    lifecycle node, even before it is configured.
     """
     details = Option("", default, description, minimum, maximum, choices, read_only, start_only)
     return dataclasses.field(default=default, metadata={"option": details})
@@ -153,12 +153,12 @@ def with_default(table: type, name: str, default: Value) -> Any:
 
 
 def group(table: type, *, flat: bool = False) -> Any:
-    """A field with further options; unless ``flat``, its name prefixes their names."""
+    """A field with the options of another table; unless ``flat``, its name prefixes their names."""
     return dataclasses.field(default_factory=table, metadata={"group": table, "flat": flat})
 
 
 def groups(tables: Mapping[str, tuple[str, type]]) -> Any:
-    """A field with several tables by name, each with the prefix of its options."""
+    """A field with several tables by name, each with the prefix of its options and its class."""
 
     def defaults() -> dict[str, Any]:
         return {name: table() for name, (_, table) in tables.items()}

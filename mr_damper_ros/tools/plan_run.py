@@ -273,7 +273,7 @@ def _add_recording(course: CampaignCourse, run: PlannedRun, recording: Recording
             print(f"{missing}; it is taken as a run of its own: {made.sentence}")
             refusal = fault_of_run(made, recording) or course.add_recording(recording, made)
     if refusal:
-        print(f"run {course.number} is refused: {refusal}")
+        print(f"run {course.number} is rejected: {refusal}")
 
 
 main = program(_parser, _plan)

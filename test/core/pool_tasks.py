@@ -9,27 +9,27 @@ import time
 import numpy as np
 import scipy.linalg  # noqa: F401  # its BLAS is another than NumPy's
 
-from mr_damper_ros.processes.process_pool import Tell
+from mr_damper_ros.processes.process_pool import Notify
 
 
-def sum_of_seed(seed: int, tell: Tell) -> float:
-    tell(seed)
+def sum_of_seed(seed: int, notify: Notify) -> float:
+    notify(seed)
     return float(np.random.default_rng(seed).normal(size=1000).sum())
 
 
-def patient(seconds: float, tell: Tell) -> str:
+def patient(seconds: float, notify: Notify) -> str:
     """Works as long as it is not told to stop."""
     if seconds < 0.0:
         raise ValueError("not for long")
     until = time.monotonic() + seconds
     while time.monotonic() < until:
-        if not tell("working"):
+        if not notify("working"):
             return "stopped"
         time.sleep(0.01)
     return "done"
 
 
-def failing(number: int, tell: Tell) -> int:
+def failing(number: int, notify: Notify) -> int:
     if number == 2:
         raise ValueError("two is not allowed")
     return number

@@ -148,7 +148,7 @@ def show_health(record: LiveRecord, nodes: str | tuple[str, ...] = "") -> None:
         Concern(
             "campaign: campaign",
             0,
-            "run 3: 5 mm, 1.5 Hz; the run is made",
+            "run 3: 5 mm, 1.5 Hz; the run is recorded",
             {"stage": "RECORDING", "run": "3", "worst error": "0.021", "runs left": "2"},
         ),
         Concern("bridge: motion", 0, "5 mm, 1.5 Hz commanded", {"excitation": "5 mm, 1.5 Hz"}),

@@ -269,7 +269,7 @@ def test_a_refused_run_is_repeated_once_then_reported(
     conductor, _ = begun(tmp_path)
     end = ended(EmulatedMachine(conductor))
     assert end.outcome is CampaignOutcome.FAILED
-    assert "refused 2 times: it makes no sense" in end.reason
+    assert "rejected 2 times: it makes no sense" in end.reason
     assert len(list(tmp_path.glob("runs/refused_001_*"))) == 2
 
 

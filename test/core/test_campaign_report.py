@@ -43,7 +43,7 @@ def test_the_report_has_its_chapters_goal_runs_and_outcome(page: str) -> None:
         *("plan", "error", "map", "loops", "set", "unknown")
     ]
     assert page.count("data:image/svg+xml") == 3
-    assert "the force to 6.00% at the worst point" in page
+    assert "an error of 6.00% of the force at the worst point" in page
     assert "3 runs, 6 s of steady motion; the goal is met" in page
 
 
@@ -84,13 +84,15 @@ def test_a_bag_of_another_run_is_told_and_left(
     plan_quickly(monkeypatch)
     mr.write_bag(tmp_path / "bag", played(RUNS[2]))
     said = told(capsys, tmp_path / "campaign", tmp_path / "bag", *ASKED)
-    assert "run 1 is refused" in said
+    assert "run 1 is rejected" in said
     assert f"run 1: {RUNS[0].sentence}" in said
 
 
 def test_the_amplitude_of_another_motion_is_told_right() -> None:
     wanted = PlannedRun(0.01, 0.31, (0.0,), 4.0)
-    with pytest.raises(RunNotFoundError, match=r"its motion reaches 5 mm within 7 s at 1\.5 A"):
+    with pytest.raises(
+        RunNotFoundError, match=r"its amplitude is 5 mm, its duration 7 s, and its current 1\.5 A"
+    ):
         cut_run(wanted, mr.read_bag(BAG)[0])
 
 

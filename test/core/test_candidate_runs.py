@@ -117,10 +117,10 @@ def test_motions_are_named() -> None:
 
 
 def test_a_run_is_not_cut_out_of_another() -> None:
-    with pytest.raises(RunNotFoundError, match="random motion as wanted"):
+    with pytest.raises(RunNotFoundError, match="s of random motion"):
         cut_run(RANDOM, played(SWEEP))
 
 
 def test_a_sine_made_instead_of_a_sweep_is_refused() -> None:
     instead = perform(replace(SINE, currents=SWEEP.currents), noise=0.0, rate=1000.0)
-    assert "from a swept sine as wanted" in fault_of_run(SWEEP, instead)
+    assert "from a swept sine as planned" in fault_of_run(SWEEP, instead)

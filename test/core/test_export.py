@@ -288,7 +288,7 @@ def test_a_set_of_one_current_is_exported_with_a_warning(
     [
         (["--bandwidth", "600"], "samples 0.001 s apart allow"),
         (["--highest-current", "0"], "not above the lowest"),
-        (["--name", "2nd"], "begin with a letter"),
+        (["--name", "2nd"], "is not a valid C name"),
         (["--period", "0"], "period must be"),
     ],
 )

@@ -49,11 +49,11 @@ OVERRIDE = "qos_overrides./mts/samples.subscription"
 
 ARGUMENTS = [
     ("bridge", ["--rate=2"], "--rate"),
-    ("identifier", ["--namespace"], "not ''"),
+    ("identifier", ["--namespace"], "the name is ''"),
     ("identifier", ["--namespace", "left", "--namespace", "left"], "left is given twice"),
-    ("identifier", ["--namespace", "left-hand"], "underscores, not 'left-hand'"),
+    ("identifier", ["--namespace", "left-hand"], "the name is 'left-hand'"),
     ("identifier", ["--namespace", "left=/nowhere.yaml"], "/nowhere.yaml"),
-    ("identifier", ["--workers", "none"], "--workers: it needs a number of at least 1, not 'none'"),
+    ("identifier", ["--workers", "none"], "--workers: the number is 'none'"),
     ("model", ["--workers", "2"], "unknown argument --workers"),
     ("model", ["--ros-args", "-p", f"{OVERRIDE}.reliability:=foo"], "must be one of reliable"),
     ("model", ["--ros-args", "-p", f"{OVERRIDE}.depth:=many"], "must be an integer of at least 1"),

@@ -48,9 +48,8 @@ class ExportedLaw:
 
     ``constants`` are the parameters by name. The observer has the state matrix ``observer`` (4, 4)
     and the input vector ``observer_gain`` (4,); it settles within ``settling`` samples. ``nodes``
-    [A] are those of the inverse. ``held``: range of peak velocities [m/s] in which v_m is held.
-
-    Raises ExportError if the model has no formulas or the settings are invalid.
+    [A] are the nodes of the inverse. ``held``: range [m/s] to which v_m is limited. Raises
+    ExportError if the model has no formulas or the settings are invalid.
     """
 
     def __init__(self, parameters: ParameterSet, settings: ExportSettings) -> None:
@@ -93,7 +92,7 @@ class ExportedLaw:
 
 @dataclass(frozen=True, eq=False)
 class Vectors:
-    """Test vectors, including saturated ones: inputs (n, 5), coefficients (7, n), force (n,).
+    """Test vectors, some with extreme inputs: inputs (n, 5), coefficients (7, n), force (n,).
 
     Columns of the inputs: v, v_m, i, s, change.
     """
@@ -104,7 +103,7 @@ class Vectors:
 
     @classmethod
     def of(cls, law: ExportedLaw, count: int, seed: int = 0) -> Vectors:
-        """Random points."""
+        """Random test vectors."""
         rng = np.random.default_rng(seed)
         size = np.where(rng.random(count) < _SATURATED, _BEYOND, 1.0)
         v = size * rng.uniform(-0.5, 0.5, count)

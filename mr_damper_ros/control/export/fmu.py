@@ -22,7 +22,7 @@ WARNINGS = ("-std=c99", "-Wall", "-Wextra", "-pedantic")
 
 
 def compiler() -> str | None:
-    """Path of the C compiler, the variable CC first; None without a compiler."""
+    """Path of the C compiler, preferably of the variable CC; None without a compiler."""
     chosen = os.environ.get("CC")
     found = (shutil.which(name) for name in ((chosen,) if chosen else ("cc", "gcc", "clang")))
     return next((path for path in found if path), None)
@@ -65,11 +65,11 @@ _EPOCH = (1980, 1, 1, 0, 0, 0)
 
 
 def fmu(law: ExportedLaw, name: str) -> bytes:
-    """The content of the FMU. Raises ExportError without a compiler or if it fails, and OSError."""
+    """The content of the FMU. Raises ExportError if there is no compiler or it fails; OSError."""
     code = header(law, name)
     guid = hashlib.sha256(code.encode()).hexdigest()[:32]
     source = filled(template("fmu.c.in"), {"GUARD": name.upper(), "NAME": name, "GUID": guid})
-    # Names of the folder of the binaries in FMI 2.0, and of a library.
+    # The platform's folder of binaries in FMI 2.0, and the suffix of a library.
     system, suffix = {"darwin": ("darwin", ".dylib"), "win32": ("win", ".dll")}.get(
         sys.platform, (sys.platform, ".so")
     )
@@ -98,7 +98,7 @@ _KINDS = {
     "output": ('causality="output" variability="continuous" initial="calculated"', ""),
     "parameter": ('causality="parameter" variability="fixed" initial="exact"', ' start="0.0"'),
 }
-"""Attributes of a variable, and of its value, by its causality."""
+"""XML attributes of a variable and of its value, by its causality."""
 
 _UNITS = (
     ("m", 'm="1"'),

@@ -51,8 +51,8 @@ def header(law: ExportedLaw, name: str) -> str:
     """The header; all its names begin with ``name``. Raises ExportError for an invalid name."""
     if not _NAME.fullmatch(name):
         raise ExportError(
-            f"'{name}' cannot be the name of something in C: begin with a letter, go on with "
-            "letters, digits and underscores, 40 at most"
+            f"'{name}' is not a valid C name: use a letter, followed by up to 40 letters, digits "
+            "and underscores"
         )
     guard = name.upper()
     constants = (f"#define {guard}_{key} {number(value)}" for key, value in law.constants.items())
