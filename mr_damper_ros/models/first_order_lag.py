@@ -188,10 +188,8 @@ def coil_current(
     """Current [A] of the coil, shape (..., n), for the supply's current (n,), and the state.
 
     ``time_constant`` (...) [s]. The ``state`` is the current of supply and coil at the previous
-    sample; it is empty for a start, at which both are equal, and for a coil without lag.
+    sample; it is empty for a start, at which both are equal.
     """
-    if not np.any(time_constant > 0.0):
-        return current, ()
     if time_constant.ndim == 0 and current.size <= FEW:
         tau, values = float(time_constant), current.tolist()
         supplied, late = (float(part) for part in state) if state else (values[0], values[0])

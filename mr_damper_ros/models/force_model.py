@@ -197,11 +197,12 @@ class Model(ABC):
         For parameters (..., p), a motion and currents (n,) [A], the ``period`` [s] between samples
         and the state after the previous sample.
         """
-        if not self.has_coil:
-            return self.follow_in_coil(parameters, motion, current, period, state)
+        if not (self.has_coil and np.any(parameters[..., -1] > 0.0)):
+            own = state if state is None else state[: self.memory]
+            return self.follow_in_coil(parameters, motion, current, period, own)
         own, coil = (None, ()) if state is None else (state[: self.memory], state[self.memory :])
-        in_coil, coil = coil_current(current, parameters[..., -1], period, coil)
-        force, own = self.follow_in_coil(parameters, motion, in_coil, period, own)
+        current, coil = coil_current(current, parameters[..., -1], period, coil)
+        force, own = self.follow_in_coil(parameters, motion, current, period, own)
         return force, (*own, *coil)
 
     @cached_property
