@@ -1,9 +1,13 @@
-"""The force over temperature as it was, and the temperature from the force, or none."""
+"""The force over temperature: known, learnt by a tracker, and written by a program."""
 
 from __future__ import annotations
 
+import dataclasses
 import math
 from collections.abc import Iterable
+from dataclasses import replace
+from functools import cache
+from pathlib import Path
 
 import known
 import numpy as np
@@ -11,7 +15,15 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from mr_damper_ros.api.findings import temperature_maps
+from mr_damper_ros.api.measured_runs import measured_run
+from mr_damper_ros.emulation.emulator import EmulatedDamper, EmulatedRig, ThermalModel
+from mr_damper_ros.emulation.motions import SineMotion
+from mr_damper_ros.io.bag_writer import write_bag
+from mr_damper_ros.models.parameter_set import ParameterSet
+from mr_damper_ros.models.published import LITERATURE, THESIS_28_CELSIUS, THESIS_71_CELSIUS
 from mr_damper_ros.signals.arrays import Array
+from mr_damper_ros.signals.recording import Recording
 from mr_damper_ros.tracking.force_scale import (
     ForceScale,
     TemperatureMap,
@@ -20,6 +32,10 @@ from mr_damper_ros.tracking.force_scale import (
     with_temperature,
 )
 from mr_damper_ros.tracking.operating_point import KnownPoints
+from mr_damper_ros.tracking.reports import Report
+from mr_damper_ros.tracking.tracker import TrackerSettings, WindowTracker
+from mr_damper_ros.tracking.tracker_state import from_text, to_text
+from mr_damper_ros.tracking.window_assembler import RawWindow
 
 POINT = (0.0314, 1.5)
 
@@ -132,3 +148,125 @@ def test_what_is_kept_of_a_long_run_is_bounded_and_says_the_same() -> None:
     expected = whole.scale(middle).value
     # Of the error of one window, by which a map of kept points may differ from one of all points.
     assert kept.scale(middle).value == pytest.approx(expected, abs=0.2 * ERROR)
+
+
+# -- tracker temperature ---------------------------------------------------------------------------
+
+COLD, HOT = 28.0, 71.0
+SAMPLES = 1000
+WARMING = 24
+"""Windows from 28 to 71 °C."""
+
+
+def warmed(number: int, celsius: float, *, thermometer: bool) -> RawWindow:
+    """Window of the thesis' damper at a temperature, with or without a thermometer."""
+    run = known.run(
+        THESIS_28_CELSIUS, current=1.5, samples=SAMPLES, start=number * SAMPLES * 1e-3, seed=None
+    )
+    clean = known.drifting_force(run, (celsius - COLD) / (HOT - COLD))
+    noise = np.random.default_rng(number).normal(0.0, known.NOISE, SAMPLES)
+    changed = dataclasses.replace(run, force=clean + noise)
+    measured = celsius if thermometer else math.nan
+    return known.raw_window(changed, number=number, temperature=measured)
+
+
+def new() -> WindowTracker:
+    settings = TrackerSettings(method="least_squares", global_period=0)
+    return WindowTracker(settings, ParameterSet(LITERATURE))
+
+
+@cache
+def warming() -> tuple[str, ParameterSet, tuple[Report, ...]]:
+    """The memory, the running set and the reports of a tracker that has seen the warming."""
+    tracked = new()
+    reports = [
+        known.fed(tracked, warmed(number, celsius, thermometer=True))[0]
+        for number, celsius in enumerate(np.linspace(COLD, HOT, WARMING).tolist())
+    ]
+    return to_text(tracked.memory), tracked.parameters, tuple(reports)
+
+
+def experienced() -> WindowTracker:
+    text, parameters, _ = warming()
+    tracked = new()
+    tracked.resume(parameters, from_text(text, parameters.law))
+    return tracked
+
+
+def test_where_it_is_not_it_is_estimated_from_the_force() -> None:
+    """Also by a tracker that was started anew with what the other had learnt."""
+    tracked = experienced()
+    for number, celsius in enumerate((65.0, 50.0, 40.0, 32.0), start=WARMING):
+        (report,) = known.fed(tracked, warmed(number, celsius, thermometer=False))
+        assert math.isnan(report.temperature)
+        # By which an estimate may miss the truth: one in some ten thousand would by chance.
+        # Kelvin by which a curve in ln s may differ from the known damper's straight line in F.
+        allowed = 4.0 * report.fluid.standard_error + 0.1
+        assert abs(report.fluid.celsius - celsius) < allowed
+        # Kelvin: a temperature that is known no better than this would say little of 43 K of
+        # warming.
+        assert allowed < 2.0
+
+
+def leaked(tracked: WindowTracker, later: float) -> Report:
+    """A look at a damper that has lost a fifth of its force, so many windows after the last."""
+    before = warmed(WARMING, 50.0, thermometer=False)
+    known.fed(tracked, before)
+    window = warmed(WARMING + 1, 50.0, thermometer=False)
+    duration = window.start_ns - before.start_ns
+    look = dataclasses.replace(
+        window,
+        start_ns=before.start_ns + round(later * duration),
+        force=0.8 * window.force,
+        look=SAMPLES // 2,
+    )
+    early = tracked.follow(look)
+    assert early is not None
+    return early
+
+
+def test_a_sudden_change_forgets_the_map() -> None:
+    """A damper that has lost a fifth of its force while one looked on is not a warm one."""
+    tracked = experienced()
+    early = leaked(tracked, 0.5)
+    assert not any(record.temperatures.size for record in tracked.points.records)
+    assert math.isnan(early.fluid.celsius)
+
+
+# -- temperature maps of bags: from those with a thermometer, and only from those ------------------
+
+COLD_SET = ParameterSet(THESIS_28_CELSIUS)
+COLD, HOT = 28.0, 71.0
+
+
+def heated(current: float = 1.5, *, thermometer: bool = True) -> Recording:
+    """Fifty seconds in which the damper heats from 28 °C to nearly 71 °C."""
+    rig = EmulatedRig(
+        EmulatedDamper(THESIS_28_CELSIUS, THESIS_71_CELSIUS),
+        SineMotion(5e-3, 1.0),
+        current,
+        thermal=ThermalModel(capacity=25.0, conductance=0.0),
+    )
+    recording = rig.record(50.0)
+    return recording if thermometer else replace(recording, temperature=None)
+
+
+def test_a_bag_with_a_thermometer_gives_the_map(tmp_path: Path) -> None:
+    write_bag(tmp_path / "bag", heated())
+    (found,) = temperature_maps([measured_run(tmp_path / "bag")], COLD_SET)
+    # [m/s] and [A] of the operating point of a steady run.
+    assert found.operating_point == pytest.approx((0.0314, 1.5), abs=1e-3)
+    # Force at 71 °C over that at 28 °C, as the loops of the two published sets have it.
+    expected = 1.0 - (1.0 - 0.7561) * (found.high - found.low) / (HOT - COLD)
+    # Kelvin of the 43 from cold to hot that the map must reach over: the last windows stay below.
+    assert found.high - found.low > 35.0
+    ratio = found.scale(found.high).value / found.scale(found.low).value
+    # Of the ratio of two forces: noise, and a curve in ln s for a straight line in F.
+    assert ratio == pytest.approx(expected, abs=0.01)
+
+
+def test_a_bag_without_a_thermometer_gives_none(tmp_path: Path) -> None:
+    write_bag(tmp_path / "bag", heated(thermometer=False))
+    bag = measured_run(tmp_path / "bag")
+    assert bag.temperatures == (None,)
+    assert temperature_maps([bag], COLD_SET) == []

@@ -1,8 +1,14 @@
-"""What waits for the disk goes out in order, and not too late."""
+"""What waits for the disk goes out in order, the newest is kept, and work waits but a moment."""
 
 from __future__ import annotations
 
-from mr_damper_ros.processes.deferred import Outbox
+import math
+import threading
+
+import pytest
+
+from mr_damper_ros.processes import deferred as postponed_work
+from mr_damper_ros.processes.deferred import BackgroundWriter, Outbox, PostponedWork
 
 
 class Clock:
@@ -53,3 +59,107 @@ def test_all_can_be_had_at_once() -> None:
     outbox = filled(Clock())
     assert outbox.take_all() == ["a", "b", "c"]
     assert outbox.take(written=9) == []
+
+
+# -- the keeper writes the newest item, and nobody waits for the disk ------------------------------
+
+PATIENCE = 30.0
+
+
+class Disk:
+    """A disk that writes when it is let."""
+
+    def __init__(self) -> None:
+        self.written: list[str] = []
+        self.busy = threading.Event()
+        self.free = threading.Event()
+
+    def write(self, item: str) -> None:
+        self.busy.set()
+        assert self.free.wait(PATIENCE)
+        if item == "too big":
+            raise OSError("the disk is full")
+        self.written.append(item)
+
+
+def test_items_that_come_meanwhile_replace_one_another() -> None:
+    disk = Disk()
+    keeper = BackgroundWriter(disk.write)
+    keeper.keep("first")
+    assert disk.busy.wait(PATIENCE)
+    for item in ("second", "third"):
+        keeper.keep(item)
+    assert (keeper.given, keeper.done) == (3, 0)
+    assert not keeper.wait(0.0)
+    disk.free.set()
+    assert keeper.wait(PATIENCE)
+    assert disk.written == ["first", "third"]
+    assert (keeper.done, keeper.fault) == (3, "")
+    keeper.close(PATIENCE)
+
+
+def test_a_fault_is_told_until_it_is_over() -> None:
+    disk = Disk()
+    disk.free.set()
+    keeper = BackgroundWriter(disk.write)
+    keeper.keep("too big")
+    assert keeper.wait(PATIENCE)
+    assert keeper.fault == "the disk is full"
+    keeper.keep("small")
+    assert keeper.wait(PATIENCE)
+    assert keeper.fault == ""
+    keeper.close(PATIENCE)
+
+
+def test_what_waits_is_written_before_the_end() -> None:
+    disk = Disk()
+    keeper = BackgroundWriter(disk.write)
+    keeper.keep("first")
+    assert disk.busy.wait(PATIENCE)
+    keeper.keep("last")
+    disk.free.set()
+    keeper.close(PATIENCE)
+    assert disk.written == ["first", "last"]
+
+
+# -- work that waits a moment, and is done once ----------------------------------------------------
+
+
+class SteppedClock:
+    """A clock that is set."""
+
+    def __init__(self) -> None:
+        self.now = 10.0
+
+    def perf_counter(self) -> float:
+        return self.now
+
+
+@pytest.fixture
+def clock(monkeypatch: pytest.MonkeyPatch) -> SteppedClock:
+    clock = SteppedClock()
+    monkeypatch.setattr(postponed_work, "time", clock)
+    return clock
+
+
+def test_it_waits_until_its_time_has_come(clock: SteppedClock) -> None:
+    done: list[str] = []
+    rest = PostponedWork()
+    rest.postpone(lambda: done.append("rest"))
+    left = rest.finish_in_time()
+    assert left > 0.0
+    assert done == []
+    clock.now += left
+    assert math.isinf(rest.finish_in_time())
+    assert done == ["rest"]
+
+
+def test_it_is_done_once(clock: SteppedClock) -> None:
+    done: list[str] = []
+    rest = PostponedWork()
+    rest.postpone(lambda: done.append("rest"))
+    rest.finish()
+    rest.finish()
+    clock.now += 1.0
+    assert math.isinf(rest.finish_in_time())
+    assert done == ["rest"]

@@ -1,13 +1,30 @@
-"""Runs of the thesis are made from the right rows, and say what they are."""
+"""The thesis' conditions, the runs made of them, and the bags that come with the package."""
 
 from __future__ import annotations
 
+from pathlib import Path
+from typing import Any
+
 import numpy as np
 import pytest
+from bag_contents import messages
 
 from mr_damper_ros.emulation.motions import SineMotion
-from mr_damper_ros.models.published import CONDITIONS, find, parameters
+from mr_damper_ros.io.bag_reader import read_bag
+from mr_damper_ros.io.bag_writer import write_bag
+from mr_damper_ros.models.published import (
+    CONDITIONS,
+    ERRATA,
+    PUBLISHED_METHODS,
+    ROW_ERRATA,
+    Condition,
+    ConditionError,
+    find,
+    is_clean,
+    parameters,
+)
 from mr_damper_ros.models.sigmoid.law import sine_force
+from studies.thesis import bags as thesis_bags
 from studies.thesis.published_runs import PHASE, synthesise
 
 
@@ -35,3 +52,86 @@ def test_a_run_can_be_made_again_and_every_condition_has_noise_of_its_own() -> N
         motion = SineMotion(condition.amplitude, condition.frequency, phase=PHASE).at(run.time)
         noises.append(run.force - sine_force(parameters(condition), *motion, condition.current))
     assert abs(np.corrcoef(noises)[0, 1]) < 0.1
+
+
+# -- the thesis' table of parameter sets: its conditions, and the rows that must not be used -------
+
+
+def steady_force(condition: Condition, method: str) -> np.ndarray:
+    time = np.arange(1000) / 1000.0 / condition.frequency
+    motion = SineMotion(condition.amplitude, condition.frequency, phase=1.0).at(time)
+    return sine_force(parameters(condition, method), *motion, condition.current)
+
+
+def difference(condition: Condition) -> float:
+    """Relative norm of the difference between the loops of the two methods."""
+    one, two = (steady_force(condition, method) for method in PUBLISHED_METHODS)
+    return float(np.linalg.norm(one - two) / np.linalg.norm(one))
+
+
+def test_there_are_34_conditions_of_which_30_are_clean() -> None:
+    assert len(CONDITIONS) == 34
+    assert sum(map(is_clean, CONDITIONS)) == 30
+    assert {condition.name for condition in ERRATA} == {
+        "5.0mm_1Hz_1.0A",
+        "5.0mm_3Hz_1.0A",
+        "5.0mm_5Hz_1.0A",
+        "7.5mm_3Hz_1.5A",
+    }
+
+
+def test_the_two_methods_agree_where_neither_row_is_an_erratum() -> None:
+    marked = {condition for condition, _ in ROW_ERRATA}
+    differences = [difference(condition) for condition in CONDITIONS if condition not in marked]
+    assert len(differences) == 27
+    assert max(differences) <= 0.075
+    assert np.median(differences) == pytest.approx(0.012, abs=0.002)
+
+
+@pytest.mark.parametrize(
+    "call", [lambda: find("2.5mm_2Hz_0.0A"), lambda: parameters(Condition(0.0, 0.0025, 2.0))]
+)
+def test_unknown_conditions_are_refused(call: Any) -> None:
+    with pytest.raises(ConditionError, match=r"2.5mm_2Hz_0.0A"):
+        call()
+
+
+# -- the program that makes the thesis' runs, and the bags that come with the package --------------
+
+COMMITTED = Path(__file__).resolve().parents[2] / "bags"
+NAMES = ["5.0mm_1Hz_0.0A", "5.0mm_1Hz_0.5A", "5.0mm_1Hz_1.5A", "7.5mm_1Hz_1.0A"]
+
+ROUNDING_FORCE, ROUNDING_DISPLACEMENT = 1e-9, 1e-15
+"""[N] and [m]: processors differ in the last digit of a sine or a hyperbolic tangent."""
+
+
+def folders(path: Path) -> list[str]:
+    return sorted(entry.name for entry in path.iterdir() if entry.is_dir())
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_a_committed_bag_is_what_the_program_makes(name: str, tmp_path: Path) -> None:
+    fresh = synthesise(find(name))
+    write_bag(tmp_path / name, fresh)
+    (committed,) = read_bag(COMMITTED / name)
+    assert committed.name == fresh.name
+    assert committed.start_ns == fresh.start_ns
+    assert committed.period == fresh.period
+    assert committed.details == fresh.details
+    np.testing.assert_array_equal(committed.current, fresh.current)
+    np.testing.assert_allclose(committed.force, fresh.force, rtol=0.0, atol=ROUNDING_FORCE)
+    np.testing.assert_allclose(
+        committed.displacement, fresh.displacement, rtol=0.0, atol=ROUNDING_DISPLACEMENT
+    )
+    a, b = (
+        [(m.topic, m.message_type, m.time_ns, len(m.data)) for m in messages(folder)]
+        for folder in (COMMITTED / name, tmp_path / name)
+    )
+    assert a == b
+
+
+def test_an_erratum_is_marked_in_name_and_metadata(tmp_path: Path) -> None:
+    assert thesis_bags.main([str(tmp_path), "--conditions", "7.5mm_3Hz_1.5A", "--errata"]) == 0
+    assert folders(tmp_path) == ["7.5mm_3Hz_1.5A_erratum"]
+    (marked,) = read_bag(tmp_path / "7.5mm_3Hz_1.5A_erratum")
+    assert "k4 is +0.1405" in marked.details["erratum"]

@@ -1,14 +1,17 @@
-"""A trial of a stream: it is right about a healthy damper and notices a wrong force."""
+"""Streams of dampers met for the first time, of faulty rigs, and of the whole loop."""
 
 from __future__ import annotations
 
 from functools import cache
 
+import numpy as np
 import pytest
 
 from benchmarks import faults
 from benchmarks.other_dampers import DAMPERS
 from benchmarks.stream_trial import StreamTrial, TrialSettings
+from benchmarks.whole_loop import driven
+from mr_damper_ros.emulation.emulator import CurrentSchedule
 from mr_damper_ros.emulation.motions import SineMotion
 from mr_damper_ros.tracking.tracker import TrackerSettings
 
@@ -46,3 +49,38 @@ def test_a_fault_is_noticed_and_a_repaired_rig_soon_right_again(text: str) -> No
     assert outcome(text).wrong_valid <= 0.5
     # Windows after the repair, as for all scenarios.
     assert outcome(text).recovery <= 4.0
+
+
+# -- a damper that is met for the first time, and then at another current --------------------------
+
+STEP = 5.0
+"""Seconds at the first current; after three some windows have been fitted."""
+
+
+@pytest.mark.parametrize("model", ["sigmoid", "sigmoid_lag"])
+def test_the_next_current_is_given_no_force_beyond_what_a_damper_can(model: str) -> None:
+    tracker = TrackerSettings(method="least_squares", model=model)
+    trial = StreamTrial(
+        DAMPERS["viscous_tanh"],
+        SineMotion(0.005, 1.0),
+        CurrentSchedule([0.0, STEP], [0.2, 1.2]),
+        settings=TrialSettings(block_size=50, tracker=tracker),
+    )
+    result = trial.run(STEP + 2.0)
+    known = result.time > 3.0
+    # Times the largest force of the whole run: what no other current can be taken to give.
+    assert np.nanmax(np.abs(result.predicted[known])) < 2.0 * np.abs(result.true).max()
+
+
+# -- identifier, model and controller together: none of them keeps the others from what they need --
+
+
+def test_an_identifier_that_starts_from_nothing_leaves_the_controller_its_set() -> None:
+    """The controller has a parameter file; the identifier knows the damper at 0 A alone at first.
+
+    If its start, or what it has found at the safe current, took the place of the file, nothing but
+    that current would be commanded, and nothing else ever be identified.
+    """
+    came = driven("C", 0, 8.0, given=False)
+    assert came.reversals > 1.0
+    assert came.safe == 0.0
