@@ -296,7 +296,7 @@ class IdentifierNode(Node):
         values = {
             "waiting windows": identifier.waiting_windows,
             "dropped windows": dropped,
-            "replaced": worker.replaced,
+            "replaced": worker.pool.replaced,
             "process": worker.pid,
         }
         if dropped:
@@ -306,7 +306,7 @@ class IdentifierNode(Node):
                 "increase hop or waiting_windows",
                 values,
             )
-        if not worker.ready:
+        if not worker.pool.ready:
             return Finding(OK, "the process is starting", values)
         if worker.waits:
             return Finding(OK, "waiting for a free worker process", values)

@@ -234,55 +234,49 @@ def fluid_temperature_message(report: Report, frame_id: str) -> Temperature:
 
 def coefficients_message(report: Report, frame_id: str) -> DiagnosticArray:
     """The coefficients of a report as named numbers, for plotting tools."""
-    status = _named_numbers(
-        report.set_id, report.coefficient_names, report.coefficients, report.coefficient_errors
-    )
-    status.name = "coefficients"
-    return DiagnosticArray(header=header(report.stamp_ns, frame_id), status=[status])
+    errors = report.coefficient_errors
+    numbers = zip(report.coefficient_names, report.coefficients, errors, strict=True)
+    return _named_numbers("coefficients", report.set_id, report.stamp_ns, frame_id, numbers)
 
 
 def parameter_numbers_message(parameters: ParameterSet, frame_id: str) -> DiagnosticArray:
     """The parameters of a set as named numbers, for plotting tools."""
     errors = np.where(parameters.observable, parameters.standard_errors, np.nan)
-    names = parameters.law.parameter_names
-    status = _named_numbers(parameters.set_id, names, parameters.values, errors)
-    status.name = "parameters"
-    return DiagnosticArray(header=header(parameters.stamp_ns, frame_id), status=[status])
+    numbers = zip(parameters.law.parameter_names, parameters.values, errors, strict=True)
+    return _named_numbers("parameters", parameters.set_id, parameters.stamp_ns, frame_id, numbers)
 
 
 def _named_numbers(
-    set_id: str, names: Iterable[str], values: Array, errors: Array
-) -> DiagnosticStatus:
+    name: str,
+    set_id: str,
+    stamp_ns: int,
+    frame_id: str,
+    numbers: Iterable[tuple[str, float, float]],
+) -> DiagnosticArray:
     """A status whose key-value pairs plotting tools show as curves, each named by its key.
 
-    The key of an error is the name of its value with ``_error`` appended. Values that are not
-    finite are left out.
+    ``numbers`` are names, values and errors. The key of an error is the name of its value with
+    ``_error`` appended. Values that are not finite are left out.
     """
-    named = zip(names, values, errors, strict=True)
-    pairs = [pair for name, x, error in named for pair in ((name, x), (f"{name}_error", error))]
-    return DiagnosticStatus(
+    pairs = [pair for key, x, error in numbers for pair in ((key, x), (f"{key}_error", error))]
+    status = DiagnosticStatus(
         level=DiagnosticStatus.OK,
+        name=name,
         message=set_id,
         values=[KeyValue(key=key, value=f"{x:.9g}") for key, x in pairs if np.isfinite(x)],
     )
+    return DiagnosticArray(header=header(stamp_ns, frame_id), status=[status])
 
 
-class PredictionMessage:
-    """The message for the prediction of a block; it is reused, because a new one takes longer."""
-
-    def __init__(self, frame_id: str) -> None:
-        self._message = PredictedForce(header=Header(frame_id=frame_id))
-
-    def of(self, prediction: Prediction) -> PredictedForce:
-        """Fill the message; its content is valid until the next call."""
-        message = self._message
-        set_stamp(message.header.stamp, prediction.start_ns)
-        message.seq = prediction.sequence
-        message.period = prediction.period
-        message.force = to_field(prediction.force)
-        message.parameter_set = prediction.set_id
-        message.sample_doubts = array.array("B", prediction.doubts.tobytes())
-        message.valid = prediction.valid
-        message.doubt = int(prediction.doubt.kind)
-        message.reason = prediction.reason
-        return message
+def fill_prediction(message: PredictedForce, prediction: Prediction) -> PredictedForce:
+    """Fill the message with the prediction of a block; a new message would take longer."""
+    set_stamp(message.header.stamp, prediction.start_ns)
+    message.seq = prediction.sequence
+    message.period = prediction.period
+    message.force = to_field(prediction.force)
+    message.parameter_set = prediction.set_id
+    message.sample_doubts = array.array("B", prediction.doubts.tobytes())
+    message.valid = prediction.valid
+    message.doubt = int(prediction.doubt.kind)
+    message.reason = prediction.reason
+    return message

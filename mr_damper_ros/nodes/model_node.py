@@ -6,12 +6,13 @@ import math
 from dataclasses import dataclass
 
 from mr_damper_msgs.msg import PredictedForce
+from std_msgs.msg import Header
 
 from mr_damper_ros.nodes import quality
 from mr_damper_ros.nodes.block_node import BlockNode
 from mr_damper_ros.nodes.diagnostics import ERROR, OK, STALE, WARN, Finding
 from mr_damper_ros.nodes.inputs import CURRENT_TOPIC, SAMPLES_TOPIC
-from mr_damper_ros.nodes.messages import PredictionMessage
+from mr_damper_ros.nodes.messages import fill_prediction
 from mr_damper_ros.nodes.mirrors import JoinedMirror, SignalMirror, WrenchMirror
 from mr_damper_ros.nodes.parameter_input import PARAMETERS_TOPIC, SetOptions
 from mr_damper_ros.nodes.spinning import run
@@ -78,7 +79,7 @@ class ModelNode(BlockNode[ModelParameters, Prediction]):
         if options.newest_first:
             self._late = _LATE * options.predictor.max_age
         self._error = RunningError(options.error_memory)
-        self._message = PredictionMessage(options.frame_id)
+        self._message = PredictedForce(header=Header(frame_id=options.frame_id))
         self._last: Prediction | None = None
         self._force = quality.publisher(self, PredictedForce, "damper/predicted_force")
         self._wrench = WrenchMirror(self, options.wrench_rate, options.frame_id)
@@ -86,11 +87,7 @@ class ModelNode(BlockNode[ModelParameters, Prediction]):
         self._signals = SignalMirror(
             self, options.signals_rate, options.frame_id, predictor.current_at
         )
-        self._listen(
-            predictor,
-            options.predictor.max_age,
-            self._error,
-        )
+        self._listen(predictor, options.predictor.max_age, self._error)
         self._diagnose({"prediction": self._prediction_finding})
         file = options.parameter_file
         self.get_logger().info(
@@ -102,7 +99,7 @@ class ModelNode(BlockNode[ModelParameters, Prediction]):
 
     def _publish_answer(self, block: SampleBlock, now_ns: int) -> Prediction:
         prediction = self._predictor.predict(block, now_ns)
-        self._force.publish(self._message.of(prediction))
+        self._force.publish(fill_prediction(self._message, prediction))
         return prediction
 
     def _finish(self, prediction: Prediction, block: SampleBlock) -> None:

@@ -344,7 +344,7 @@ class Worker:
     """
 
     def __init__(self, pool: WorkerPool) -> None:
-        self._pool = pool
+        self.pool = pool
         self._task: _Task | None = None
         self._number = 0
         self._notices: list[str] = []
@@ -357,22 +357,12 @@ class Worker:
     @property
     def waits(self) -> bool:
         """Whether a task waits for a process."""
-        return self._task is not None and self._pool.place_of(self._task) is None
-
-    @property
-    def ready(self) -> bool:
-        """Whether at least one process of the pool is ready."""
-        return self._pool.ready
-
-    @property
-    def replaced(self) -> int:
-        """Number of processes of the pool replaced so far."""
-        return self._pool.replaced
+        return self._task is not None and self.pool.place_of(self._task) is None
 
     @property
     def pid(self) -> int | None:
         """Id of the process for the task, or of the next free one; None if there is none."""
-        place = self._pool.place_of(self._task) or self._pool.place_of(None)
+        place = self.pool.place_of(self._task) or self.pool.place_of(None)
         return None if place is None else place.pid
 
     def submit(self, function: Callable[..., Any], *args: Any, budget: float = math.inf) -> int:
@@ -385,20 +375,20 @@ class Worker:
         if self.busy:
             raise RuntimeError("the worker is busy: wait for its task to end")
         self._number += 1
-        self._task = self._pool.submit(self._number, pickle.dumps((function, args), -1), budget)
+        self._task = self.pool.submit(self._number, pickle.dumps((function, args), -1), budget)
         return self._number
 
     def cancel(self) -> None:
         """Ask the task to stop with its present result; :meth:`poll` still returns it."""
         if self._task is not None and self._task.stop_asked is None:
             self._task.stop_asked = time.monotonic()
-            place = self._pool.place_of(self._task)
+            place = self.pool.place_of(self._task)
             if place is not None:
                 place.stop_task()
 
     def poll(self) -> list[Outcome]:
         """Return the outcomes since the last call, and end overdue tasks. Never blocks."""
-        self._pool.supervise()
+        self.pool.supervise()
         if self._task is None:
             return []
         outcomes, self._task.outcomes = self._task.outcomes, []
@@ -410,8 +400,8 @@ class Worker:
 
     def take_notices(self) -> list[str]:
         """Messages about the processes (deaths, replacements) since the last call."""
-        notices = self._notices + self._pool.notices
-        self._notices, self._pool.notices = [], []
+        notices = self._notices + self.pool.notices
+        self._notices, self.pool.notices = [], []
         return notices
 
 

@@ -56,7 +56,7 @@ def test_tasks_return_their_results_one_at_a_time(worker: Worker) -> None:
     second = worker.submit(tasks.call, os.getpid)
     assert second != number
     assert ending(worker) == Done(second, worker.pid)
-    assert worker.replaced == 0
+    assert worker.pool.replaced == 0
 
 
 def test_progress_comes_in_order(worker: Worker) -> None:
@@ -84,13 +84,13 @@ def test_an_exception_is_a_failure_and_the_worker_goes_on(worker: Worker) -> Non
     worker.submit(tasks.unpicklable)
     assert isinstance(ending(worker), Failed)
     assert_it_works(worker)
-    assert worker.replaced == 0
+    assert worker.pool.replaced == 0
 
 
 def test_a_task_beyond_its_budget_is_asked_to_stop(worker: Worker) -> None:
     number = worker.submit(tasks.wait, budget=0.2)
     assert ending(worker) == Done(number, "waited")
-    assert worker.replaced == 0
+    assert worker.pool.replaced == 0
 
 
 @pytest.mark.parametrize("task", [(tasks.call, time.sleep, 3600.0), (tasks.deaf,)])
@@ -102,7 +102,7 @@ def test_a_hanging_worker_is_replaced(
     assert ending(worker) == Failed(1, "the task exceeded its 0.2 s and did not stop when asked to")
     assert is_gone(pid or 0)
     assert_it_works(worker)
-    assert worker.replaced == 1
+    assert worker.pool.replaced == 1
     assert "given up" in worker.take_notices()[0]
     assert worker.take_notices() == []
 
@@ -125,7 +125,7 @@ def test_a_worker_that_dies_or_is_stopped_without_a_task_is_replaced(
     assert_it_works(worker)
     pid = worker.pid or 0
     os.kill(pid, number)
-    until(lambda: worker.poll() or worker.replaced, "a new worker")
+    until(lambda: worker.poll() or worker.pool.replaced, "a new worker")
     assert is_gone(pid)
     assert notice in worker.take_notices()[0]
     assert_it_works(worker)
@@ -140,7 +140,7 @@ def test_the_task_of_a_worker_that_dies_or_hangs_starts_again(
     # No budget is exceeded: of one that hangs it is the silence that tells.
     submitted = worker.submit(tasks.once, number, str(tmp_path / "marker"))
     assert ending(worker) == Done(submitted, "second try")
-    assert worker.replaced == 1
+    assert worker.pool.replaced == 1
     assert notice in worker.take_notices()[0]
 
 
@@ -152,13 +152,13 @@ def test_a_node_that_was_held_up_itself_blames_nobody(worker: Worker) -> None:
     worker.poll()
     os.kill(pid, signal.SIGCONT)
     assert_it_works(worker)
-    assert worker.replaced == 0
+    assert worker.pool.replaced == 0
 
 
 def test_a_task_that_kills_the_worker_twice_has_failed(worker: Worker) -> None:
     number = worker.submit(tasks.die)
     assert ending(worker) == Failed(number, "the worker process died")
-    assert worker.replaced == 2
+    assert worker.pool.replaced == 2
     assert_it_works(worker)
 
 
