@@ -42,7 +42,7 @@ from mr_damper_ros.control.semi_active import skyhook
 from mr_damper_ros.emulation.commanded_rig import ForceChoice, commanded
 from mr_damper_ros.emulation.emulator import EmulatedDamper, RigSettings, SupplySetpoint
 from mr_damper_ros.emulation.plant_rig import HIGHEST_CURRENT, PlantRig, invented_damper
-from mr_damper_ros.rig.sources.emulated_source import moment_of
+from mr_damper_ros.rig.sources.emulated_source import suspension_state_of
 
 COIL = 0.01  # time constant of the coil [s]
 SETTLED = 2.0
@@ -62,7 +62,7 @@ def comfort(controlled: bool) -> float:
     controller = ForceController(ForceControlSettings(highest_current=HIGHEST_CURRENT))
     controller.predictor.set_parameters(invented_damper(COIL))
     wanted = skyhook(3000.0)
-    choice = ForceChoice(controller, lambda _: wanted(moment_of(rig)))
+    choice = ForceChoice(controller, lambda _: wanted(suspension_state_of(rig)))
     blocks = commanded(rig, supply, choice if controlled else lambda _: 0.0, 10, 10.0)
     body = np.concatenate([block.motion.rates[:, 1] for block in blocks])
     return float(np.std(body[round(SETTLED * rig.settings.sample_rate) :]))

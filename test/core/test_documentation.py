@@ -1,15 +1,18 @@
-"""What the README, the documentation and the docstrings show is run, as a reader would."""
+"""What the README, the documentation, the docstrings and the examples show is run."""
 
 from __future__ import annotations
 
 import doctest
+import os
 import re
 import runpy
 import shlex
+import sys
 from importlib import import_module
 from pathlib import Path
 
 import pytest
+from fresh_python import said
 
 from mr_damper_ros.tools import identify, import_record, replay_recording, validate
 
@@ -100,3 +103,17 @@ def test_pages_link_to_what_is_there() -> None:
         if "generated/" not in target and not (page.parent / target).exists()
     ]
     assert missing == []
+
+
+# -- the examples run, on the data that ships with the package -------------------------------------
+
+TOP = Path(__file__).parents[2]
+EXAMPLES = sorted((TOP / "examples").glob("*.py"))
+
+
+@pytest.mark.parametrize("example", EXAMPLES, ids=lambda path: path.stem)
+def test_an_example_runs(example: Path, tmp_path: Path) -> None:
+    for folder in ("bags", "doc"):
+        (tmp_path / folder).symlink_to(TOP / folder)
+    environment = {**os.environ, "MPLBACKEND": "agg", "PYTHONPATH": str(TOP)}
+    assert said(sys.executable, example, cwd=tmp_path, env=environment)
