@@ -1,4 +1,4 @@
-"""The ROS 2 nodes: they convert parameters and messages, and the layers below do the computation.
+"""The ROS 2 nodes, which convert parameters and messages; other parts of the package compute.
 
 This is the only part of the package that imports rclpy.
 """

@@ -1,4 +1,4 @@
-"""Records into a bag all that a replay of a run needs, alongside the nodes of the run."""
+"""Records everything that a replay of a run needs into a bag, while the nodes run."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ _TOPICS: tuple[tuple[type, str], ...] = (
 
 
 class BagRecorder:
-    """One recording, from its creation until it is closed; the messages are written unconverted.
+    """One recording, from its creation until it is closed; messages are written in serialised form.
 
     ``failure`` gives the reason if the recording stopped by itself. Raises OSError if the folder
     cannot be written.

@@ -1,4 +1,4 @@
-"""Common part of model and controller: they answer each block at once with the newest set."""
+"""Base class of model and controller, which answer each block at once with the newest set."""
 
 from __future__ import annotations
 
@@ -27,10 +27,10 @@ Answer = TypeVar("Answer")
 
 
 class BlockNode(Node, Generic[Options, Answer]):
-    """Publishes an answer to each block at once, and completes the remaining work a moment later.
+    """Publishes an answer to each block at once, and completes the remaining work afterwards.
 
     If a block is older than :attr:`_late` [s] and newer blocks wait, the node answers only the
-    newest. The predictor follows the skipped blocks, but the node does not answer them.
+    newest one. The predictor also processes the skipped blocks, but the node does not answer them.
     """
 
     answer: ClassVar[str]
@@ -65,7 +65,7 @@ class BlockNode(Node, Generic[Options, Answer]):
         self._inputs = Inputs(self, quality.stream, self._take_block, predictor.add_current)
 
     def _diagnose(self, concerns: dict[str, Callable[[], Finding]]) -> None:
-        """Report on these concerns, and on those common to all block nodes."""
+        """Report on these concerns, and on the concerns of all block nodes."""
         self._diagnostics = Diagnostics(
             self,
             {
@@ -114,8 +114,8 @@ class BlockNode(Node, Generic[Options, Answer]):
         else:
             sentence += f"; the samples were up to {1e3 * oldest:.0f} ms old"
         if skipped:
-            sentence += f"; {skipped} blocks have no {self.answer} for newer ones had come: "
-            sentence += "an overload?"
+            sentence += f"; {skipped} blocks have no {self.answer}, because newer ones had "
+            sentence += "arrived: is the computer overloaded?"
         late = skipped > 0 or (self._max_age > 0.0 and oldest > self._max_age)
         return Finding(
             WARN if late else OK,

@@ -1,7 +1,7 @@
 """Publishes the test machine and the supply as ROS topics, from any source of samples.
 
 It is a managed node: configuring opens the source, activating starts the stream. By default it does
-both at the start, so that ``ros2 run`` gives data.
+both when it starts, so that ``ros2 run`` publishes data at once.
 """
 
 from __future__ import annotations
@@ -52,7 +52,7 @@ _TOPICS = {
 }
 
 _CURRENT_STEP = 0.005
-"""A current change above this [A] is published at once; smaller ones wait for the next reading."""
+"""A larger change of the current [A] is published at once, a smaller one at the next reading."""
 
 _TEMPERATURE_PERIOD = 1.0
 
@@ -61,16 +61,16 @@ GROUP = "mr_damper_ros.sources"
 
 
 def _others() -> dict[str, type[Source]]:
-    """The sources of other packages; a source that cannot be loaded is reported and left out."""
+    """The sources of other packages; a source that cannot be loaded is reported and omitted."""
     found: dict[str, type[Source]] = {}
     for point in entry_points(group=GROUP):
         try:
             kind = point.load()
-        except Exception as error:  # Code of another package: the bridge works without it.
+        except Exception as error:  # code of another package, without which the bridge works
             print(f"the source {point.name} cannot be loaded: {error}", file=sys.stderr)
             continue
         if not (isinstance(kind, type) and issubclass(kind, Source)):
-            print(f"the source {point.name} is no Source: {point.value}", file=sys.stderr)
+            print(f"the source {point.name} is not a Source: {point.value}", file=sys.stderr)
             continue
         found[point.name] = kind
     return found
@@ -108,13 +108,13 @@ class BridgeParameters(ManagedOptions):
     pacing: PacingSettings = group(PacingSettings, flat=True)
     loop: bool = option(
         False,
-        "Repeat a recording for ever: stamps and seq continue, with a gap of one second in "
-        "the stamps. The emulated rig is endless in any case.",
+        "Whether to repeat a recording for ever. Stamps and seq continue, with a gap of one "
+        "second in the stamps between repetitions. The emulated rig never ends.",
     )
     block_size: int = option(
         10,
-        "Samples per message. 1 has the smallest delay; a message costs about the same with 1 "
-        "or 1000 samples, so larger blocks cost less.",
+        "Samples per message. 1 has the smallest delay. A message takes about the same processor "
+        "time with 1 or 1000 samples, so larger blocks take less time in total.",
         minimum=1,
         maximum=MOST_SAMPLES,
     )
@@ -138,8 +138,8 @@ class BridgeParameters(ManagedOptions):
     force_lateness: float = option(
         0.0,
         "Delay [s] of the force relative to the displacement, caused by a filter or a "
-        "multiplexer; negative if the force is earlier. It is compensated. `check_rig` "
-        "measures it.",
+        "multiplexer; negative if the force is earlier. The bridge compensates for it; "
+        "`check_rig` measures it.",
         minimum=-0.1,
         maximum=0.1,
     )
@@ -154,7 +154,7 @@ class BridgeParameters(ManagedOptions):
             assert isinstance(read, TopicOptions)
             if _MIRROR in (read.displacement_topic.lstrip("/"), read.force_topic.lstrip("/")):
                 return (
-                    f"{_MIRROR} is to be read, and the bridge itself publishes it, too: set "
+                    f"the source is the topic {_MIRROR}, which the bridge also publishes: set "
                     "mirror_rate to 0"
                 )
         return self.sources[self.source].objection()
@@ -281,8 +281,8 @@ class BridgeNode(ManagedNode):
         mirror = JointMirror(values.mirror_rate, frame_id)
         block = None
         for block in blocks:
-            # Current and temperature go first, so that subscribers know them when the samples
-            # arrive.
+            # Current and temperature are published first, so that subscribers know them when the
+            # samples arrive.
             for reading in supply.read(block, block.current, block.supply_ahead_ns):
                 publish_current(reading)
             for reading in thermometer.read(block, block.temperature):
@@ -305,22 +305,22 @@ class BridgeNode(ManagedNode):
             # The current is now known up to the last sample.
             publish_current(Reading(_last_stamp(block), float(block.current[-1])))
         sender.wait_for_acknowledgements()
-        sender.state = "the recording is at its end: nothing more comes"
+        sender.state = "the recording has ended: no more samples are sent"
         self.get_logger().info(f"end of the recording: {self._sent} samples were sent")
 
     def _due(
         self, sender: PacedSender, blocks: Iterator[RigBlock], *, live: bool
     ) -> Iterator[RigBlock]:
-        """Yield the blocks of a live source as they come, others when their last sample is due.
+        """Yield the blocks of a live source as they arrive, others when their last sample is due.
 
-        Live blocks have their own stamps. For others, the first sample is taken once everything is
-        ready to send it. If sending is held up for longer than the sender can catch up, the stamps
-        pause, too.
+        Live blocks have their own stamps. The stamps of other blocks begin when everything is ready
+        to send. If sending is delayed for longer than the sender can catch up, the stamps also
+        pause.
         """
         later_ns = 0 if live else None
         for made in blocks:
             if later_ns is None and made.sample_count > 0:
-                # The first sample is taken now, but is sent with the last sample of its block.
+                # The first sample is stamped now, but sent with the last sample of its block.
                 first_ns = made.due_ns - (_last_stamp(made) - made.start_ns)
                 later_ns = self.get_clock().now().nanoseconds - first_ns
                 sender.begin(first_ns)
@@ -342,7 +342,7 @@ class BridgeNode(ManagedNode):
         if source is None or sender is None:
             return Finding(WARN, "not configured: no source is open", figures)
         if not sender.active:
-            return Finding(WARN, "not active: the source is open, nothing is streamed", figures)
+            return Finding(WARN, "not active: the source is open, but nothing is sent", figures)
         if sender.failure:
             return Finding(ERROR, sender.failure, figures)
         state = source.state()

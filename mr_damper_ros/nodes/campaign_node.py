@@ -1,4 +1,4 @@
-"""Node that characterises a damper: it chooses the runs of a test machine and commands them."""
+"""Node that characterises a damper by runs of a test machine, which it chooses and commands."""
 
 from __future__ import annotations
 
@@ -52,8 +52,8 @@ class CampaignParameters(ParameterTable):
     machine (rig/excitation_command) and the supply (supply/current_command), and waits until both
     follow the commands. It stores the samples of the run as a bag, identifies from all runs and
     chooses the next run, until the force is known to the desired accuracy. ~/pause stops the
-    machine, ~/resume continues the campaign, ~/stop ends it. The node may be killed at any moment:
-    the same goal continues with the stored runs.
+    machine, ~/resume continues the campaign, ~/stop ends it. If the node is killed, the same goal
+    later continues with the stored runs.
     """
 
     folder: str = option(
@@ -64,8 +64,8 @@ class CampaignParameters(ParameterTable):
     )
     autostart: bool = option(
         False,
-        "Start or continue with the configured goal at once, without waiting for a goal of "
-        "the action: the machine moves.",
+        "Whether to start or continue the campaign of the configured goal at once, without a goal "
+        "of the action. The machine then moves when the node starts.",
     )
     model: str = option(DEFAULT_MODEL, "Force law that is identified.", choices=tuple(MODELS))
     most_runs: int = option(20, "Maximum number of runs of a campaign.", minimum=1, maximum=999)
@@ -94,11 +94,11 @@ class CampaignParameters(ParameterTable):
 
 
 _POLL_PERIOD = 0.05
-"""Seconds between two polls of the worker, and between two commands: a machine that receives no
+"""Time [s] between two polls of the worker, and between two commands. A machine that receives no
 command for half a second stops."""
 
 _FEEDBACK = 10
-"""Polls per feedback message."""
+"""Number of polls per feedback message."""
 
 
 class CampaignNode(Node):
@@ -137,8 +137,8 @@ class CampaignNode(Node):
         conductor = self._conductor
         for name, act, said in (
             ("pause", conductor.pause, "paused: the machine rests until ~/resume is called"),
-            ("resume", conductor.resume, "the campaign goes on"),
-            ("stop", conductor.stop, "the campaign is ended; the same goal goes on with it"),
+            ("resume", conductor.resume, "the campaign continues"),
+            ("stop", conductor.stop, "the campaign has ended; the same goal continues it"),
         ):
             self.create_service(Trigger, f"~/{name}", partial(self._steer, act, said))
         self._diagnostics = Diagnostics(
@@ -170,7 +170,7 @@ class CampaignNode(Node):
     # --- goals ----------------------------------------------------------------------------------
 
     def _refusal(self, request: RunCampaign.Goal) -> str:
-        """Return the reason to refuse a goal, or an empty string if it is accepted."""
+        """Return the reason to reject a goal, or an empty string if it is accepted."""
         options = self._options
         if self._conductor.running:
             return "a campaign is running; stop it first, or wait for its end"
@@ -212,7 +212,7 @@ class CampaignNode(Node):
         """Begin or continue a campaign; raises ValueError or OSError if that is not possible."""
         options = self._options
         if not options.folder:
-            raise ValueError("there is no folder to keep the runs in: set the parameter folder")
+            raise ValueError("there is no folder to store the runs: set the parameter folder")
         limits = options.machine.limits(manual=options.conduct.manual)
         task = CampaignTask(wanted.goal(), limits, options.model)
         with ExitStack() as stack:

@@ -42,7 +42,7 @@ class CommandTopic(ABC):
 
     @abstractmethod
     def _command(self, message: Any, stamp_ns: int, age: float, now: float) -> str:
-        """Pass on a command decided ``age`` [s] ago; returns the reason if it is refused, or ""."""
+        """Pass on a command issued ``age`` [s] ago; returns why it is rejected, or ""."""
 
     @abstractmethod
     def _state(self, now: float) -> Finding:
@@ -55,7 +55,7 @@ class CommandTopic(ABC):
         if refusal:
             self._refusal = refusal
             self._node.get_logger().warning(
-                f"a command on {self.topic} is refused: {refusal}", throttle_duration_sec=10.0
+                f"a command on {self.topic} is rejected: {refusal}", throttle_duration_sec=10.0
             )
 
     def finding(self) -> Finding:
@@ -69,7 +69,7 @@ class CommandTopic(ABC):
             names = " and ".join(publishers)
             wrong.append(f"{self.what} is commanded by {names}: stop all but one")
         if refused:
-            wrong.append(f"{refused} commands were refused since the last report: {self._refusal}")
+            wrong.append(f"{refused} commands were rejected since the last report: {self._refusal}")
         if wrong:
             return Finding(ERROR if len(publishers) > 1 else WARN, "; ".join(wrong), values)
         return Finding(state.level, state.message, values)
@@ -128,7 +128,7 @@ class MotionCommands(CommandTopic):
 
     def _state(self, now: float) -> Finding:
         if not self._commander.commanded:
-            sentence = "the machine moves by itself until a command comes"
+            sentence = "the machine makes its own motion until a command arrives"
             return Finding(OK, sentence, {"excitation": "its own"})
         motion = self._commander.motion(now)
         if motion is None:

@@ -1,4 +1,4 @@
-"""Node that commands the supply so that the damper gives a desired force."""
+"""Node that commands the supply so that the damper produces a desired force."""
 
 from __future__ import annotations
 
@@ -32,8 +32,8 @@ from mr_damper_ros.signals.error_sums import RunningError
 from mr_damper_ros.signals.uniform_grid import GridSettings
 
 _LATE = 0.05
-"""Age [s] from which on a block is skipped if a newer one waits: a command is for the present. A
-computer with a free core stays below this age."""
+"""Age [s] above which a block is skipped if a newer one waits, because a command applies to the
+present. On a computer with a free core, blocks are younger."""
 
 _LAST_COMMAND = 1.0
 """Time limit [s] for the supply to receive the last command."""
@@ -45,10 +45,10 @@ class ControllerParameters(SetOptions):
 
     For every block on mts/samples the node computes, with the newest parameters, the current whose
     force is nearest to the desired force (damper/desired_force), and publishes it on
-    supply/current_command. If the model would mark its force as invalid, the node keeps the current
-    for a moment, then goes to the safe current. If the desired force is too old, it goes to the
-    safe current at once. Without samples it commands the safe current directly. The diagnostics
-    give the reason.
+    supply/current_command. If the predicted force is invalid, the node keeps the current for a
+    short time (doubt_time), then goes to the safe current. If the desired force is too old, it goes
+    to the safe current at once. Without samples it commands the safe current directly. The
+    diagnostics give the reason.
     """
 
     samples_timeout: float = option(
@@ -74,7 +74,7 @@ class ControllerParameters(SetOptions):
             )
         if self.control.probe_step > 0.0 and self.control.predictor.maximum_error == 0.0:
             return (
-                "probe_step needs the measured force, and maximum_error is 0: set one of the two "
+                "probe_step needs the measured force, but maximum_error is 0: set one of the two "
                 "to its default"
             )
         return ""
@@ -144,7 +144,7 @@ class ControllerNode(BlockNode[ControllerParameters, Command]):
         continuity = command.prediction.continuity
         if continuity:
             self.get_logger().warning(continuity, throttle_duration_sec=10.0)
-        # The command after the previous block produced the force of this block.
+        # The force of this block follows from the command after the previous block.
         before, self._last = self._last, command
         if before is not None and not before.doubt:
             self._commands += 1
@@ -156,7 +156,7 @@ class ControllerNode(BlockNode[ControllerParameters, Command]):
         self._controller.predictor.catch_up()
 
     def destroy_node(self) -> None:
-        """Leave the supply at the safe current."""
+        """Command the safe current, and end."""
         if self.context.ok():
             self._give_up()
             # Destroying the publisher drops messages that have not been received.
@@ -179,7 +179,7 @@ class ControllerNode(BlockNode[ControllerParameters, Command]):
             "doubt": last.doubt.kind.name,
         }
         if self._refused_force:
-            return Finding(WARN, f"{self._refused_force}; the last one holds", values)
+            return Finding(WARN, f"{self._refused_force}; the last usable force holds", values)
         if last.doubt:
             level = ERROR if last.doubt.kind.grave else WARN
             doing = safe if last.falls_back else f"the current stays at most {last.current:.3f} A"
@@ -189,9 +189,9 @@ class ControllerNode(BlockNode[ControllerParameters, Command]):
         if unknown:
             return Finding(
                 WARN,
-                f"{unknown / commands:.0%} of the desired forces of the last second need more "
-                f"than the identified {self._controller.highest_known:.2f} A: identify the "
-                f"damper at higher currents, {REMEDY}",
+                f"{unknown / commands:.0%} of the desired forces of the last second need a higher "
+                f"current than was identified ({self._controller.highest_known:.2f} A): identify "
+                f"the damper at higher currents, {REMEDY}",
                 values,
             )
         return Finding(
@@ -209,7 +209,7 @@ class ControllerNode(BlockNode[ControllerParameters, Command]):
             return Finding(OK, "no desired force was attainable yet" if given else sentence)
         return Finding(
             OK,
-            f"the attainable forces were missed by {nrmse:.1%} of the measured force",
+            f"NRMSE of the attainable forces: {nrmse:.1%} of the measured force",
             {"NRMSE": f"{nrmse:.4f}"},
         )
 

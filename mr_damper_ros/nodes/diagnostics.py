@@ -27,8 +27,8 @@ class Finding:
 class Diagnostics:
     """Publishes the findings of all ``concerns`` (one function per name) every second.
 
-    The timer runs on the steady clock: with ``use_sim_time`` the node's clock may stop, and exactly
-    then the diagnostics are needed.
+    The timer runs on the steady clock, because with ``use_sim_time`` the node's clock may stop, and
+    then the diagnostics are needed most.
     """
 
     def __init__(self, node: Node, concerns: Mapping[str, Callable[[], Finding]]) -> None:

@@ -1,6 +1,6 @@
 """Action servers for long goals, which wait for their results without using the executor.
 
-One of them serves requests for a global identification.
+:class:`SearchGoals` serves requests for a global identification.
 """
 
 from __future__ import annotations
@@ -24,13 +24,13 @@ from mr_damper_ros.tracking.identifier import Identifier, Search, SearchEnded, S
 class GoalServer:
     """Serves an action of a node.
 
-    ``begin`` receives each accepted goal. ``refusal`` returns the reason to refuse a request now,
-    or an empty string. ``cancel`` receives a goal that its client cancels. ``succeeded`` tells
+    ``begin`` receives each accepted goal. ``refusal`` returns the reason to reject a request now,
+    or an empty string. ``cancel`` receives a goal that its client cancels. ``succeeded`` says
     whether a result is a success.
 
     A goal stays "accepted" until :meth:`finish`, and is "executing" only while its result is
-    delivered. The executor would resume a waiting coroutine again and again, which takes two thirds
-    of a core.
+    delivered. If it waited in a coroutine, the executor would resume the coroutine again and again,
+    which takes two thirds of a core.
     """
 
     def __init__(
@@ -71,11 +71,11 @@ class GoalServer:
         refusal = self._refusal(request)
         if not refusal:
             return GoalResponse.ACCEPT
-        self._logger.warning(f"a goal is refused: {refusal}", throttle_duration_sec=1.0)
+        self._logger.warning(f"a goal is rejected: {refusal}", throttle_duration_sec=1.0)
         return GoalResponse.REJECT
 
     def _hand_over(self, goal: ServerGoalHandle) -> Any:
-        """End a goal; the action server calls this once the result is there."""
+        """End a goal; the action server calls this once the result is available."""
         result = self._results.pop(bytes(goal.goal_id.uuid))
         if goal.is_cancel_requested:
             goal.canceled()
@@ -91,10 +91,10 @@ class GoalServer:
 
 
 _REFUSED = "global-refused"
-"""Id of a set that was found but is not in use."""
+"""Id of an identified set that was rejected."""
 
 _MOST_GOALS = 20
-"""Largest number of waiting goals: a search may take minutes, so a longer queue is of no use."""
+"""Largest number of waiting goals; a search may take minutes, so a longer queue is useless."""
 
 
 class SearchGoals:

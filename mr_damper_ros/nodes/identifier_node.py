@@ -1,4 +1,4 @@
-"""Node that identifies the damper during operation, by windows and now and then globally."""
+"""Node that identifies the damper during operation, by window fits and global identifications."""
 
 from __future__ import annotations
 
@@ -55,10 +55,10 @@ class IdentifierParameters(ParameterTable):
     """Parameters of the identifier node.
 
     Samples and supply current are collected into windows. The node fits the windows in the order of
-    the data, each starting from the set in use. The fitted set comes into use if it predicts
-    hold-out samples of the window better than the previous set. From time to time all parameters of
-    the law are identified at once, from windows at different operating points (peak velocity,
-    current). Only the stamps of the data matter, so a bag gives the same sets at any replay rate.
+    the data, each starting from the set in use. The fitted set replaces the set in use if it
+    predicts validation samples of the window better. Periodically, all parameters of the law are
+    identified at once, from windows at different operating points (peak velocity, current). Only
+    the stamps of the data matter, so a bag gives the same sets at any replay rate.
     """
 
     windows: WindowSettings = group(WindowSettings, flat=True)
@@ -68,10 +68,10 @@ class IdentifierParameters(ParameterTable):
     initial_parameters: str = option(
         "literature",
         "Parameter file (YAML) to start from, for example from `identify` or from the service "
-        "~/save_parameters; or literature, the start of the thesis' searches (other laws than "
-        "the sigmoid then start from the first window). The service ~/reset returns to it. "
-        "The ranges in a file stay until samples contradict them: a window at one current "
-        "rescales the set and does not narrow it to that current.",
+        "~/save_parameters; or literature, the start of the searches in the thesis (laws other "
+        "than the sigmoid then start from the first window). The service ~/reset returns to this "
+        "set. Its ranges are kept until samples contradict them: a window at one current rescales "
+        "the set, but does not narrow its range to that current.",
     )
     state_dir: str = option(
         "",
@@ -89,10 +89,11 @@ class IdentifierParameters(ParameterTable):
 _NOTHING_WRONG = "there was nothing to acknowledge"
 
 _POLL_PERIOD = 0.02
-"""Seconds between two polls of the worker.
+"""Time [s] between two polls of the worker.
 
-The events executor does not support guard conditions, which would make polling unnecessary. A timer
-of an overloaded node would wait behind all queued samples, and no window would be fitted meanwhile.
+The events executor does not support guard conditions, which would make polling unnecessary. In an
+overloaded node, a timer would wait until all queued samples were processed, and no window would be
+fitted meanwhile.
 """
 
 
@@ -138,7 +139,7 @@ class IdentifierNode(Node):
             self, self._identifier, options.tracking.evolution, self._frame_id
         )
         self._worker = worker
-        # A refused fit is worth a warning only if the NRMSE of the set in use is above this limit.
+        # A rejected fit causes a warning only if the NRMSE of the set in use exceeds this limit.
         self._maximum_nrmse = options.tracking.acceptance.maximum_nrmse
         sequence = self._identifier.assembler.sequence
         self._diagnostics = Diagnostics(
@@ -157,13 +158,13 @@ class IdentifierNode(Node):
         self.get_logger().info(
             f"waiting for {self.resolve_topic_name(SAMPLES_TOPIC)} and "
             f"{self.resolve_topic_name(CURRENT_TOPIC)}; "
-            + (f"state is kept in {kept}" if kept else "no state is kept: state_dir is not set")
+            + (f"state is stored in {kept}" if kept else "no state is stored: state_dir is not set")
         )
         law = self._identifier.tracker.parameters.model
         if MODELS[law].remembers and not machine_code.is_available():
             self.get_logger().info(
-                f"Numba is not installed: the law '{law}' is identified several times as fast with "
-                "it (pip install numba==0.68.1)"
+                f"Numba is not installed; with it, the law '{law}' is identified several times as "
+                "fast (pip install numba==0.68.1)"
             )
 
     def destroy_node(self) -> None:
@@ -179,7 +180,7 @@ class IdentifierNode(Node):
         except StateError as error:
             raise ConfigurationError(f"state_dir: {error}") from error
         if known:
-            self.get_logger().info(f"going on with {known}")
+            self.get_logger().info(f"continuing with {known}")
         if state.set_aside:
             self.get_logger().error(state.set_aside)
 
@@ -262,7 +263,7 @@ class IdentifierNode(Node):
             return Finding(
                 WARN,
                 "a window is full but waits for a supply current stamped at or after its end: is "
-                "one published, with stamps on the clock of the samples?",
+                "the current published, with stamps on the clock of the samples?",
             )
         return Finding(OK, f"window {assembler.fill:.0%} full")
 
@@ -339,10 +340,10 @@ class IdentifierNode(Node):
         if state.fault:
             return Finding(ERROR, state.fault)
         if state.set_aside:
-            return Finding(ERROR, f"{state.set_aside} (once you have read this: ~/acknowledge)")
+            return Finding(ERROR, f"{state.set_aside} (call ~/acknowledge once you have read this)")
         if state.path is None:
-            return Finding(OK, "nothing is kept on disk: state_dir is not set")
-        return Finding(OK, f"kept in {state.path}")
+            return Finding(OK, "nothing is stored on disk: state_dir is not set")
+        return Finding(OK, f"stored in {state.path}")
 
 
 def _answer(act: Callable[[Any], str], request: Any, response: Any) -> Any:

@@ -21,7 +21,7 @@ SAMPLES_TOPIC = "mts/samples"
 CURRENT_TOPIC = "supply/current"
 
 _PACE_TOLERANCE = 0.2
-"""Relative tolerance of the sample rate, which whole blocks of 0.1 s make uncertain."""
+"""Relative tolerance of the sample rate, which is uncertain by up to a block of 0.1 s."""
 
 _SILENCE = 2.0
 """Seconds without a message after which a stream counts as silent."""
@@ -30,7 +30,7 @@ _SILENCE = 2.0
 class Stream:
     """Statistics of the messages on a topic: count, rate and rejected messages.
 
-    ``advice`` says what to do if nothing publishes the topic.
+    ``advice`` is added to the message if nothing publishes the topic.
     """
 
     def __init__(
@@ -79,7 +79,7 @@ class Stream:
         return rate
 
     def take_fault(self) -> str:
-        """The fault of the stream since the last call, as a sentence; empty if there is none."""
+        """The fault of the stream since the last call, as a sentence; empty without a fault."""
         rejected, self._rejected_since = self._rejected_since, 0
         if rejected:
             return f"{rejected} messages on {self._topic} could not be used: {self._rejection}"
@@ -103,7 +103,7 @@ class Stream:
 
 
 class Inputs:
-    """Subscribes to both streams, passes on valid messages, and counts the rejected ones."""
+    """Subscribes to samples and currents, passes on valid messages, and counts rejected ones."""
 
     def __init__(
         self,
@@ -173,7 +173,7 @@ class Inputs:
         return self._samples.silent
 
     def samples_finding(self, sequence: UniformGrid) -> Finding:
-        """The rate and faults of the samples, with the interruptions in the node's ``sequence``."""
+        """The rate and faults of the samples; ``sequence``: the grid that counts interruptions."""
         rate, fault = self._samples.take_rate(), self._samples.take_fault()
         before, self._interruptions = self._interruptions, sequence.interruptions
         interruptions = self._interruptions - before
@@ -213,4 +213,4 @@ def _pace(rate: float, sequence: UniformGrid) -> str:
     pace = rate * sequence.last.period if sequence.last else 0.0
     if abs(pace - 1.0) <= _PACE_TOLERANCE or rate == 0.0:
         return ""
-    return f", {pace:.2g} times what their period says: is this a replay at another rate?"
+    return f", {pace:.2g} times the rate of their period: is this a replay at another rate?"

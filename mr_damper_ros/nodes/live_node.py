@@ -1,4 +1,4 @@
-"""Node that serves a web page which shows the running system."""
+"""Node that serves a web page of the running system."""
 
 from __future__ import annotations
 
@@ -46,17 +46,17 @@ from mr_damper_ros.signals.blocks import BlockError
 from mr_damper_ros.tracking.acceptance import Verdict
 
 _WAITING = 50
-"""Queue length; the oldest are dropped, so that a viewer exerts no back-pressure."""
+"""Queue length; the oldest messages are dropped, so that a viewer exerts no back-pressure."""
 
 _SHOWN = 100
-"""Shown characters of a name: a message may hold a megabyte of them."""
+"""Number of characters of a name that are shown; a message may hold a megabyte of them."""
 
 
 class RecordInput:
     """Stores the messages of a node's namespace in a record.
 
-    Only diagnostics of the namespace are stored, of all nodes without a namespace. ``newest_set``
-    is the last set that was published.
+    Diagnostics are stored only from nodes of this namespace, or without a namespace from all nodes.
+    ``newest_set`` is the last published set.
     """
 
     def __init__(self, node: Node, record: LiveRecord) -> None:
@@ -156,10 +156,10 @@ _COMMANDS = {
     "reset": Trigger,
     "acknowledge": Trigger,
 }
-"""Services of the identifier that the page may call, with empty requests."""
+"""Services of the identifier that the page may call; their requests are empty."""
 
 _RECORD, _STOP = "record", "stop_recording"
-"""Commands that this node carries out itself."""
+"""Commands that this node executes itself."""
 
 _WAITING_COMMANDS = 4
 
@@ -200,10 +200,10 @@ class LiveParameters(ParameterTable):
     allowed_hosts: str = option(
         "",
         "Further host names and addresses of the page, separated by blanks: rig.example "
-        "192.168.7.20. Localhost, the host name of this computer (also with .local) and the "
-        "address of the request are always allowed. Other names are refused, because a web "
-        "site can make its own name point to this computer. Needed behind a proxy or address "
-        "translation.",
+        "192.168.7.20. They are needed behind a proxy or address translation. Localhost, the host "
+        "name of this computer (also with .local) and the address of the request are always "
+        "allowed. Other names are rejected, because a web site can make its own name point to "
+        "this computer.",
     )
     identifier: str = option(
         "identifier",
@@ -296,7 +296,7 @@ class LiveNode(Node):
             folder = Path(self._options.record_folder).expanduser()
             self._recorder = BagRecorder(self, folder, details)
         except (OSError, ValueError) as error:
-            self._record.add_event(f"nothing is recorded: {error}")
+            self._record.add_event(f"recording cannot start: {error}")
             return
         began = f"{time.time():.3f}"
         self._record.set_recording({**entries, "path": str(self._recorder.path), "began": began})
@@ -319,7 +319,7 @@ class LiveNode(Node):
     def _call(self, name: str) -> None:
         client = self._identifier_clients[name]
         if not client.service_is_ready():
-            self._record.add_event(f"{name}: nothing offers {client.srv_name}")
+            self._record.add_event(f"{name}: no node offers the service {client.srv_name}")
             return
         self.get_logger().info(f"{name} was requested on the page")
         client.call_async(client.srv_type.Request()).add_done_callback(

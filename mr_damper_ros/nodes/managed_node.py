@@ -17,18 +17,18 @@ class ManagedOptions(ParameterTable):
 
     autostart: bool = option(
         True,
-        "Configure and activate at the start. If false, a lifecycle manager or `ros2 "
-        "lifecycle set` does both: configuring connects to the device or opens the file, "
-        "activating starts the stream or switches the output on.",
+        "Whether the node configures and activates itself at the start. If false, a lifecycle "
+        "manager or `ros2 lifecycle set` does both. Configuring connects to the device or opens "
+        "the file; activating starts the stream or switches the output on.",
         start_only=True,
     )
 
 
 class ManagedNode(LifecycleNode):
-    """A lifecycle node, which refuses transitions that its state does not allow.
+    """A lifecycle node that rejects transitions which its state does not allow.
 
-    A subclass implements ``on_configure`` and ``on_activate``, stopping (:meth:`_stop`) and the
-    release of its device (:meth:`_close`).
+    A subclass implements ``on_configure``, ``on_activate``, :meth:`_stop` and :meth:`_close`, which
+    releases its device.
     """
 
     def __init__(self, name: str) -> None:

@@ -116,7 +116,7 @@ BODY, WHEEL, SUSPENSION, TYRE = "body", "wheel", "suspension", "tyre"
 
 
 def suspension_message(now: SuspensionState, stamped: Header) -> JointState:
-    """The motion of a suspension as joint states; NaN if a joint lacks the value."""
+    """The state of a suspension as joint states; a value that a joint does not have is NaN."""
     return JointState(
         header=stamped,
         name=[BODY, WHEEL, SUSPENSION, TYRE],
@@ -126,9 +126,9 @@ def suspension_message(now: SuspensionState, stamped: Header) -> JointState:
 
 
 def suspension_state(message: JointState, acceleration: float) -> SuspensionState:
-    """The suspension state in a message, for this acceleration of the body [m/s²].
+    """The suspension state in a message, with this ``acceleration`` of the body [m/s²].
 
-    Raises ValueError, with a sentence, if body or wheel have no velocity.
+    Raises ValueError if body or wheel have no velocity.
     """
     velocity = dict(zip(message.name, message.velocity, strict=False))
     position = dict(zip(message.name, message.position, strict=False))
@@ -209,7 +209,7 @@ def report_message(report: Report, duration: float, frame_id: str, node: str) ->
         window_duration=(report.stamp_ns - report.window_start_ns) * 1e-9,
         samples=report.sample_count,
         duration=duration,
-        reason=report.reason or "it predicts better than the set before",
+        reason=report.reason or "it predicts better than the previous set",
         parameter_set=report.set_id,
         node=node,
         force_scale=report.scale.value,
@@ -255,8 +255,8 @@ def _named_numbers(
 ) -> DiagnosticArray:
     """A status whose key-value pairs plotting tools show as curves, each named by its key.
 
-    ``numbers`` are names, values and errors. The key of an error is the name of its value with
-    ``_error`` appended. Values that are not finite are left out.
+    ``numbers`` are names, values and standard errors. The key of an error is the name of its value
+    with ``_error`` appended. Values that are not finite are omitted.
     """
     pairs = [pair for key, x, error in numbers for pair in ((key, x), (f"{key}_error", error))]
     status = DiagnosticStatus(

@@ -1,4 +1,4 @@
-"""Copies of samples and forces, subsampled or joined, as messages for people and standard tools."""
+"""Copies of samples and forces, subsampled or joined, as messages for standard tools."""
 
 from __future__ import annotations
 
@@ -24,8 +24,8 @@ SIGNALS_TOPIC = "damper/signals"
 class SignalMirror:
     """Publishes measured and predicted force of the same samples, if there are subscribers.
 
-    ``rate`` is the largest number of samples per second of data; 0 for none. ``current_at`` returns
-    the current [A] at a stamp [ns].
+    ``rate`` is the largest number of samples per second of data; with 0 nothing is published.
+    ``current_at`` returns the current [A] at a stamp [ns].
     """
 
     def __init__(
@@ -60,7 +60,7 @@ class SignalMirror:
 JOINED_SAMPLES_TOPIC, JOINED_FORCES_TOPIC = "damper/joined_samples", "damper/joined_forces"
 
 _JOINED = 0.1
-"""Seconds of samples in a joined block."""
+"""Duration [s] of a joined block."""
 
 
 class JoinedMirror:
@@ -78,7 +78,7 @@ class JoinedMirror:
         self._parts: list[tuple[np.ndarray, ...]] = []
 
     def publish(self, prediction: Prediction, block: SampleBlock) -> None:
-        """Add a block; publish if the joined block is complete, or before a numbering gap."""
+        """Add a block; publish when the joined block is complete, or before a numbering gap."""
         if not quality.has_subscribers(self._samples):
             self._first, self._parts = None, []
             return

@@ -23,11 +23,11 @@ from mr_damper_ros.signals.uniform_grid import GridSettings
 from mr_damper_ros.tracking.predictor import ForcePredictor, Prediction, PredictorSettings
 
 _LATE = 0.8
-"""Fraction of ``max_age``: a block older than this is skipped if a newer one waits, because its
+"""A block older than this fraction of ``max_age`` is skipped if a newer one waits, because its
 force would soon be invalid."""
 
 _POOR_NRMSE, _BAD_NRMSE = 0.3, 0.6
-"""NRMSE of valid forces over the last seconds that gives a warning, and an error."""
+"""NRMSE of valid forces over the last seconds above which there is a warning, or an error."""
 
 
 @dataclass(frozen=True)
@@ -42,10 +42,10 @@ class ModelParameters(SetOptions):
     predictor: PredictorSettings = group(PredictorSettings, flat=True)
     newest_first: bool = option(
         True,
-        "If live samples are so late that their forces would soon be outdated (max_age), skip "
-        "to the newest: earlier blocks update the motion, their forces are not published, and "
-        "the diagnostics count them (`latency`). Every block of a played recording is "
-        "predicted.",
+        "Whether to skip to the newest block if live samples are so late that their forces would "
+        "soon be outdated (max_age). Skipped blocks update the motion, but their forces are not "
+        "published, and the diagnostics count them (`latency`). Every block of a played "
+        "recording is predicted.",
     )
     grid: GridSettings = group(GridSettings, flat=True)
     wrench_rate: float = option(

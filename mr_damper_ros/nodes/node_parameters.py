@@ -1,9 +1,9 @@
 """The parameters of a running node, from a table of options.
 
 A node sets ``self.parameters = NodeParameters(self, ModelParameters, changed=self._changed)`` and
-reads ``self.parameters.values.staleness`` (``_parameters`` is a name of rclpy). The node must apply
-every change of an option that is not read-only: it reads the option at each use, or applies it in
-``changed``.
+reads ``self.parameters.values.frame_id`` (rclpy itself uses the name ``_parameters``). The node
+must apply every change of an option that is not read-only: it reads the option at each use, or
+applies the change in ``changed``.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from mr_damper_ros.nodes import quality, rclpy_internals
 from mr_damper_ros.settings.option_table import Option, ParameterTable, build, options
 
 _NOT_OURS = ("use_sim_time", "start_type_description_service")
-"""Overrides of parameters that rclpy itself declares."""
+"""Parameters that rclpy itself declares."""
 
 T = TypeVar("T", bound=ParameterTable)
 
@@ -38,11 +38,11 @@ class ConfigurationError(ValueError):
 class NodeParameters(Generic[T]):
     """The parameters of a running node, declared, validated and kept up to date.
 
-    Raises ConfigurationError if a value given at the start is unknown, of the wrong type or not
-    allowed. Later changes are accepted, or rejected with a sentence as the reason. ``changed`` is
-    called after each accepted change, with the values and the names that were set, even if a value
-    is the same as before. A managed node passes ``configured``: while it returns false, read-only
-    options may be set, too. ``values`` are the present values.
+    Raises ConfigurationError if a parameter given at the start is unknown, or its value has the
+    wrong type or is not allowed. Later changes are accepted, or rejected with a reason. ``changed``
+    is called after each accepted change, with the values and the names that were set, even if a
+    value stays the same. A managed node passes ``configured``; while it returns false, read-only
+    options may also be set. ``values`` are the present values.
     """
 
     def __init__(
@@ -72,8 +72,8 @@ class NodeParameters(Generic[T]):
 
     def _given(self, node: Node) -> dict[str, Any]:
         """Valid values from the command line and from parameter files, by name."""
-        # rclpy silently ignores values for undeclared parameters: after a misspelt name the default
-        # would remain in force.
+        # rclpy silently ignores values for undeclared parameters; with a misspelt name, the default
+        # would be used.
         given: dict[str, Any] = {}
         for name, value in rclpy_internals.given_parameters(node).items():
             if name.startswith(quality.OVERRIDES):
@@ -83,7 +83,7 @@ class NodeParameters(Generic[T]):
                 continue
             if name not in self._options:
                 close = difflib.get_close_matches(name, self._options, n=1)
-                hint = f"did you mean {close[0]}?" if close else "--help lists all there are"
+                hint = f"did you mean {close[0]}?" if close else "--help lists all parameters"
                 raise ConfigurationError(f"there is no parameter {name}: {hint}")
             given[name] = self._options[name].normalised(value)
             _refuse(self._options[name].objection(given[name]))
@@ -101,8 +101,8 @@ class NodeParameters(Generic[T]):
             objection = item.objection(parameter.value) if item else ""
             if item and item.read_only and self._configured and self._configured():
                 objection = (
-                    f"parameter {item.name} is fixed while the node is configured: call its "
-                    "transition cleanup before"
+                    f"parameter {item.name} is fixed while the node is configured: first call its "
+                    "transition cleanup"
                 )
             if objection:
                 return SetParametersResult(successful=False, reason=objection)

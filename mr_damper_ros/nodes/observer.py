@@ -1,4 +1,4 @@
-"""Listeners to running nodes, for tools, figures and tests; deadlines instead of sleeps."""
+"""Listeners to running nodes, for tools, figures and tests; deadlines take the place of sleeps."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ from mr_damper_ros.rig_check.record import ReceivedBlock, RigRecord
 
 
 class Observer(AbstractContextManager):
-    """A node in a context of its own, which stores messages or passes them to a callback.
+    """A node in a separate rclpy context, which stores messages or passes them to a callback.
 
     Without a ``domain`` it joins the domain of this process.
     """
@@ -92,17 +92,17 @@ class Observer(AbstractContextManager):
         deadline = time.monotonic() + patience
         while not condition():
             if time.monotonic() > deadline:
-                raise TimeoutError(f"waited {patience:g} s in vain for {what}")
+                raise TimeoutError(f"{what} did not occur within {patience:g} s")
             self.spin_once(tick)
 
     def wait_for_publishers(self, topic: str, count: int = 1) -> None:
-        """Wait for ``count`` publishers of a topic: their nodes are then ready."""
+        """Wait for ``count`` publishers of a topic; after that, their nodes are ready."""
         self.until(
             lambda: self.node.count_publishers(topic) >= count, f"{count} publishers of {topic}"
         )
 
     def wait_for_subscribers(self, topic: str, count: int = 1) -> None:
-        """Wait for ``count`` subscribers of a topic: their nodes are then ready."""
+        """Wait for ``count`` subscribers of a topic; after that, their nodes are ready."""
         self.until(
             lambda: self.node.count_subscribers(topic) >= count, f"{count} subscribers of {topic}"
         )

@@ -1,16 +1,16 @@
 """Sends recorded or generated data at their rate, or as fast as the subscribers can receive.
 
-At a given rate, messages are sent when they are due on the steady clock. The due times count from a
-single start time, so that errors do not accumulate. After a delay of up to a quarter of a second
-the sender catches up by sending all overdue messages at once. After a longer delay (the process was
-stopped, the machine was suspended) it shifts the due times instead of sending a burst.
+At a given rate, messages are sent when they are due on the steady clock. All due times are relative
+to one start time, so that errors do not accumulate. After a delay of up to a quarter of a second
+the sender catches up by sending all overdue messages at once. After a longer delay, for example if
+the process was stopped, it shifts the due times instead of sending a burst.
 
-At full speed, a sender must not overrun its subscribers. DDS offers only acknowledgements, and an
-acknowledgement means "arrived in the subscriber's queue", not "taken from the queue". A subscriber
-that keeps *all* messages (:func:`mr_damper_ros.nodes.quality.lossless`) stops acknowledging once
-its queue is full. Therefore the sender waits for acknowledgement each time its own queue is full,
-and goes at the speed of the slowest such subscriber. For a subscriber that keeps only the *last*
-messages it has no such information, and the subscriber may lose messages: send to it at a rate.
+At full speed, a sender must not overrun its subscribers. DDS acknowledges a message when it arrives
+in the subscriber's queue, not when it is taken from the queue. A subscriber that keeps *all*
+messages (:func:`mr_damper_ros.nodes.quality.lossless`) stops acknowledging once its queue is full.
+The sender therefore waits for acknowledgement each time its own queue is full, and sends as fast as
+the slowest such subscriber receives. A subscriber that keeps only the *last* messages acknowledges
+all of them and may lose some; for such subscribers, send at a given rate.
 """
 
 from __future__ import annotations
@@ -31,15 +31,16 @@ _FORGIVEN_NS = 250_000_000
 """Longest delay that the sender catches up with; see above."""
 
 _QUEUE = 100
-"""Messages between two waits for acknowledgement, and the depth of the publisher. If the queue is
-full, the middleware requests acknowledgements at once, otherwise only every three seconds."""
+"""Number of messages between two waits for acknowledgement, and depth of the publisher. If the
+queue is full, the middleware requests acknowledgements at once, otherwise only every three
+seconds."""
 
 _PATIENCE = 30.0
-"""Seconds to wait for a subscriber that does not acknowledge before continuing without it. DDS
-itself takes 20 s to detect a killed process."""
+"""Time [s] to wait for a subscriber that does not acknowledge, before continuing without it. DDS
+takes 20 s to detect a killed process."""
 
 _SETTLE = 0.3
-"""Seconds for which the set of subscribers must not change, so that all their topics are found."""
+"""Time [s] without a change of the subscribers after which their discovery counts as complete."""
 
 _POLL = 0.05
 
@@ -73,8 +74,8 @@ class PacingSettings(CheckedSettings):
 class PacedSender:
     """Publishes on these topics in its own thread, so that the node stays responsive.
 
-    Topics in ``latched`` keep their last message. ``state`` and ``failure`` describe the activity
-    and the fault in words.
+    Late subscribers also receive the last message of ``latched`` topics. ``state`` and ``failure``
+    describe the activity and the fault in words.
     """
 
     def __init__(
@@ -93,7 +94,7 @@ class PacedSender:
         self.stopped = False
         """Whether the sending is to end."""
         self.left_out_ns = 0
-        """Accumulated shift of the due times since the start, in the data's time."""
+        """Total shift of the due times since the start, in the time of the data."""
         self.state = self.failure = ""
         self._steps = 0
         self._anchor: tuple[int, int] | None = None
@@ -142,7 +143,7 @@ class PacedSender:
             self._node.destroy_publisher(publisher)
 
     def _run(self, send: Callable[[], None]) -> None:
-        self.state = "waits for subscribers"
+        self.state = "waiting for subscribers"
         try:
             if self._settings.wait_for_subscribers:
                 self._wait_for_subscribers()
@@ -156,8 +157,8 @@ class PacedSender:
     def wait_until(self, data_ns: int, *, is_step: bool = True) -> bool:
         """Wait until a time of the data is due; returns False if the sending is to end.
 
-        While paused, one step lets all calls pass up to and including the next one with
-        ``is_step``.
+        While the sender is paused, :meth:`step` lets all calls pass up to and including the next
+        one with ``is_step``.
         """
         with self._changed:
             while not self.stopped:
@@ -227,7 +228,7 @@ class PacedSender:
             if time.monotonic() > give_up:
                 self._node.get_logger().warning(
                     f"a subscriber of {publisher.topic_name} has not acknowledged anything for "
-                    f"{_PATIENCE:g} s: going on without it"
+                    f"{_PATIENCE:g} s: continuing without it"
                 )
                 return
 

@@ -24,7 +24,7 @@ PARAMETERS_TOPIC = "damper/parameters"
 REPORT_TOPIC = "damper/fit_report"
 
 _UNKNOWN = "_NODE_NAME_UNKNOWN_"
-"""Part of the name that the graph shows for a node whose name is not yet known."""
+"""Part of the name in the ROS graph of a node whose name is not yet known."""
 
 _SHOWN = 100
 """Shown characters of a name: a message may hold a megabyte of them."""
@@ -36,18 +36,18 @@ class SetOptions(ParameterTable):
 
     parameter_file: str = option(
         "",
-        'Parameter file (YAML) to use; "": none. A set from an identifier replaces it once it '
-        "covers all currents of the file, or once the force of the file is wrong; the start "
-        "set of an identifier never does. Give the identifier the same file as "
+        'Parameter file (YAML) to use; "": none. A set from an identifier replaces the file once '
+        "the set covers all currents of the file, or once the force of the file is wrong; the "
+        "start set of an identifier never replaces it. Give the identifier the same file as "
         "initial_parameters. With a file no identifier is needed.",
     )
     trusted_source: str = option(
         "",
         "Name of the only node whose parameters and reports are used, such as /identifier; "
         '"": any. Without a name, two nodes that publish damper/parameters are an error in '
-        "the diagnostics. The ROS graph tells which nodes publish; if several do, the field "
-        "node of the messages is checked as well. Both can be forged: only SROS2 "
-        "authenticates (doc/security.md).",
+        "the diagnostics. The ROS graph shows which nodes publish; if several do, the field "
+        "node of the messages is also checked. Both can be forged; only SROS2 authenticates "
+        "(doc/security.md).",
     )
     error_memory: float = option(
         10.0,
@@ -65,10 +65,10 @@ class ParameterInput:
     resets ``error``. Parameters of a file are used at once; raises ConfigurationError if they are
     invalid.
 
-    With a ``trusted_source``, messages of other nodes are ignored. The graph shows which nodes
-    publish a topic. rclpy of Jazzy does not show which of them sent a message (later versions have
-    ``publisher_gid``). If several nodes publish, the node name in the message counts as well, which
-    any node can forge. The names in the graph are not authenticated without SROS2 either.
+    With a ``trusted_source``, messages of other nodes are ignored. The ROS graph shows which nodes
+    publish a topic, but rclpy of Jazzy does not show which of them sent a message (later versions
+    have ``publisher_gid``). If several nodes publish, the node name in the message is also checked,
+    which any node can forge. Without SROS2, the names in the graph are not authenticated either.
     """
 
     def __init__(
@@ -105,7 +105,7 @@ class ParameterInput:
             names = {claimed[:_SHOWN] or "a node that does not state its name"}
         if not self._trusted or names == {self._trusted}:
             return ""
-        found = " or ".join(sorted(names)) or "a node that is gone"
+        found = " or ".join(sorted(names)) or "a node that has ended"
         return f"they come from {found}, and trusted_source is {self._trusted}"
 
     def _take(self, message: DamperParameters) -> None:
@@ -127,7 +127,7 @@ class ParameterInput:
             return
         self._from = message.node or "a node that does not state its name"
         before = self._predictor.parameters
-        # Published parameters that come from no samples have the stamp 0.
+        # Published parameters that were not identified from samples have the stamp 0.
         self._use(parameters, parameters.stamp_ns or None)
         if self._predictor.parameters is not before:
             if self._error is not None:
@@ -170,8 +170,8 @@ class ParameterInput:
         if len(set(publishers)) > 1:
             level = WARN
             sentence += (
-                f"; {several}, and only what they write into their messages tells them apart: end "
-                "all but one, or let SROS2 keep the others out"
+                f"; {several}, and only the node names in their messages distinguish them: end "
+                "all but one, or exclude the others with SROS2"
             )
         return Finding(
             level,

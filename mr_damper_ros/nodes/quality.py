@@ -44,16 +44,16 @@ def newest() -> QoSProfile:
 def lossless() -> QoSProfile:
     """For a subscriber that must receive every message at any rate.
 
-    It is also for a service: the default queue holds ten requests, and further requests are never
-    answered. With "keep all" the middleware stops acknowledging once a few thousand messages wait.
-    A sender that waits for acknowledgements (:mod:`mr_damper_ros.nodes.pacing`) therefore goes
-    exactly as fast as its slowest such subscriber.
+    It is also for a service, because the default queue holds ten requests, and further requests are
+    never answered. With "keep all" the middleware stops acknowledging once a few thousand messages
+    wait. A sender that waits for acknowledgements (:mod:`mr_damper_ros.nodes.pacing`) therefore
+    sends exactly as fast as its slowest such subscriber receives.
     """
     return QoSProfile(reliability=ReliabilityPolicy.RELIABLE, history=HistoryPolicy.KEEP_ALL)
 
 
 def latched() -> QoSProfile:
-    """For a value whose last message late subscribers receive, too."""
+    """For a value whose last message is also sent to late subscribers."""
     return QoSProfile(
         reliability=ReliabilityPolicy.RELIABLE,
         durability=DurabilityPolicy.TRANSIENT_LOCAL,
@@ -63,14 +63,14 @@ def latched() -> QoSProfile:
 
 
 def has_subscribers(publisher: Publisher) -> bool:
-    """Whether a publisher has subscribers; publishing without any costs the same time."""
+    """Whether a publisher has subscribers; publishing without subscribers takes the same time."""
     return publisher.get_subscription_count() > 0
 
 
 def publisher(node: Node, kind: type, topic: str, profile: QoSProfile | None = None) -> Publisher:
     """A publisher, by default of a stream, whose quality of service users may override.
 
-    They set ``qos_overrides.<topic>.publisher.<policy>`` at the start.
+    The parameters are ``qos_overrides.<topic>.publisher.<policy>``, given at the start.
     """
     return node.create_publisher(
         kind, topic, profile or stream(), qos_overriding_options=_overridable()
@@ -105,13 +105,13 @@ def _overridable() -> QoSOverridingOptions:
 def objection(name: str, value: object) -> str:
     """Reason why an override of quality of service is invalid, as a sentence; empty if valid.
 
-    rclpy reports this in a traceback, or not at all.
+    rclpy reports invalid overrides in a traceback, or not at all.
     """
     choices = {kind.name.lower(): values for kind, values in _OVERRIDABLE.items()}
     *_, entity, policy = ("", *name.split("."))
     if entity not in ("publisher", "subscription") or policy not in choices:
         return (
-            f"{name} overrides nothing: write {OVERRIDES}<topic>.<publisher or subscription>."
+            f"{name} is not an override: write {OVERRIDES}<topic>.<publisher or subscription>."
             f"<{', '.join(choices)}>"
         )
     if choices[policy] and str(value).lower() not in choices[policy]:

@@ -1,4 +1,4 @@
-"""All access to private parts of rclpy: another version of rclpy may break this module only."""
+"""All access to private parts of rclpy, so that another version can break only this module."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ def given_parameters(node: Node) -> dict[str, Any]:
 def waiting_messages(subscription: Subscription) -> list[Any]:
     """Take the waiting messages of a subscription, at most as many as a stream's queue holds.
 
-    The executor then finds an empty queue, which is normal for it.
+    The executor tolerates that it then finds an empty queue.
     """
     messages: list[Any] = []
     with subscription.handle:
@@ -37,11 +37,10 @@ def waiting_messages(subscription: Subscription) -> list[Any]:
 
 
 def refuse_wrong_transitions(node: LifecycleNode) -> None:
-    """Make a managed node refuse the transitions that its state does not allow.
+    """Make a managed node reject the transitions that its state does not allow.
 
-    By default rclpy raises an exception through the executor, which ends the node. Such requests
-    are normal: a manager may ask a node to deactivate that has just lost its device and is
-    inactive.
+    By default rclpy raises an exception in the executor, which ends the node. Such requests are
+    normal: a manager may deactivate a node that has just lost its device and is already inactive.
     """
     service = node._service_change_state
     change = service.callback
@@ -54,7 +53,7 @@ def refuse_wrong_transitions(node: LifecycleNode) -> None:
         except RCLError:
             state = node._state_machine.current_state[1]
             asked = request.transition.label or f"number {request.transition.id}"
-            node.get_logger().warning(f"no transition {asked} from the state {state}: it stays so")
+            node.get_logger().warning(f"transition {asked} is not possible in the state {state}")
             response.success = False
             return response
 

@@ -35,17 +35,17 @@ _INPUT_TOPICS = ("/mts/samples", "/supply/current", "/temperature")
 class RecordedBag:
     """An open bag: its topics, its provenance, its messages in the order of recording.
 
-    ``topics`` names the topics to read, separated by blanks: all if it is empty, those of the test
-    machine if it is ``INPUTS``. Raises ConfigurationError if the bag cannot be read or lacks a
-    requested topic. ``types`` are the message classes by topic, ``latched`` the topics that were
-    recorded with transient-local durability. ``omitted`` lists, in sentences, the topics that
-    cannot be published here and the reasons.
+    ``topics`` names the topics to read, separated by blanks. If it is empty, all are read; if it is
+    ``INPUTS``, the topics of the test machine. Raises ConfigurationError if the bag cannot be read
+    or lacks a requested topic. ``types`` are the message classes by topic, ``latched`` the topics
+    that were recorded with transient-local durability. ``omitted`` lists, in sentences, the topics
+    that cannot be published here and the reasons.
     """
 
     def __init__(self, path: str, topics: str = "") -> None:
         self.path = path
         if not path:
-            raise ConfigurationError("no bag is given: set the parameter bag to the path of one")
+            raise ConfigurationError("no bag is given: set the parameter bag to the path of a bag")
         if not Path(path).exists():
             raise ConfigurationError(f"there is no bag {path}")
         try:
@@ -91,7 +91,7 @@ class RecordedBag:
     def _add(self, connection: Connection) -> None:
         problem = _definition_problem(connection)
         if problem:
-            self.omitted.append(f"{connection.topic} is left out: {problem}")
+            self.omitted.append(f"{connection.topic} is omitted: {problem}")
             return
         self._connections.append(connection)
         package, _, name = connection.msgtype.split("/")
@@ -118,12 +118,12 @@ def _definition_problem(connection: Connection) -> str:
         for entry in json.loads(described.read_text())["type_hashes"]
     }
     if connection.digest and hashes[connection.msgtype] != connection.digest:
-        return f"it was recorded with another definition of {connection.msgtype}"
+        return f"it was recorded with a different definition of {connection.msgtype}"
     return ""
 
 
 _CLOCK_PERIOD_NS = 10_000_000
-"""Time between two /clock messages, in the computer's time, or the bag's if that is shorter."""
+"""Time [ns] between two /clock messages, in the computer's time or the bag's, whichever is less."""
 
 
 @dataclass(frozen=True)
@@ -144,17 +144,19 @@ class ReplayParameters(ParameterTable):
     bag: str = option("", "Path of the bag to play: a folder or a file.")
     topics: str = option(
         "",
-        f"Topics to play, as recorded, separated by blanks; {INPUTS}: only those of the test "
+        f"Topics to play, as recorded, separated by blanks; {INPUTS}: only topics of the test "
         "machine, in any namespace; empty: all except /clock.",
     )
     pacing: _Pacing = group(_Pacing, flat=True)
     loop: bool = option(
         False,
-        "Repeat for ever. Stamps and /clock then jump back to the beginning; identifier and "
-        "model detect this, restart their windows and keep the parameters.",
+        "Whether to repeat the bag for ever. Stamps and /clock jump back to the beginning at each "
+        "repetition; identifier and model detect this, restart their windows and keep the "
+        "parameters.",
     )
     start_paused: bool = option(
-        False, "Wait at the first message for ~/resume, or for ~/step, which plays one message."
+        False,
+        "Whether to wait at the first message for ~/resume or ~/step, which plays one message.",
     )
 
 
@@ -210,12 +212,12 @@ class ReplayNode(Node):  # type: ignore[misc]
                 break
             self._sender.begin(None)
             self.get_logger().info("the bag starts again: stamps and /clock jump back")
-        self._sender.state = "waits until the subscribers have the last message"
+        self._sender.state = "waiting until the subscribers have received the last message"
         self._sender.wait_for_acknowledgements()
         self.get_logger().info(f"end of the bag: {self._sent} messages were sent")
 
     def _find_others(self) -> None:
-        """Warn of topics that another node publishes too: subscribers receive a mixture."""
+        """Warn of topics that another node also publishes; subscribers would receive a mixture."""
         own = self.get_fully_qualified_name()
         for topic in (each.topic_name for each in self._sender.publishers.values()):
             for name in sorted({*quality.publishing_nodes(self, topic)} - {own}):
@@ -228,7 +230,7 @@ class ReplayNode(Node):  # type: ignore[misc]
     def _play_once(self) -> bool:
         tick: int | None = None
         for topic, stamp, data in self._bag.messages():
-            # The clock advances between messages too, and never runs ahead of the next one.
+            # The clock also advances between messages, but never beyond the next one.
             while tick is not None and tick < stamp:
                 if not self._sender.wait_until(tick, is_step=False):
                     return False
@@ -254,10 +256,10 @@ class ReplayNode(Node):  # type: ignore[misc]
         sender = self._sender
         response.success = asked != "step" or sender.paused
         if not response.success:
-            response.message = "only a paused bag can be stepped: call ~/pause before"
+            response.message = "only a paused bag can be stepped: call ~/pause first"
         elif asked == "step":
             sender.step()
-            response.message = "one message more"
+            response.message = "one more message is played"
         else:
             sender.pause(paused=asked == "pause")
             response.message = "paused" if sender.paused else "playing"

@@ -1,4 +1,4 @@
-"""Starts a node, spins it, and ends it cleanly."""
+"""Starts a node, spins it, and ends it in an orderly way."""
 
 from __future__ import annotations
 
@@ -37,10 +37,10 @@ SUCCESS = 0
 FAILURE = 1
 BAD_CONFIGURATION = 2
 
-_LOG_ADVICE = "set ROS_LOG_DIR to a folder that the log can be written to"
+_LOG_ADVICE = "set ROS_LOG_DIR to a folder in which the log can be written"
 
 _WAKE_UP = 0.1
-"""Largest time [s] between two checks whether a spinning node is to stop or has finished."""
+"""Largest time [s] between two checks whether a spinning node must stop or has finished."""
 
 _DESTROY_LIMIT = 10.0
 """Time limit [s] for the middleware to destroy a node."""
@@ -59,16 +59,14 @@ def run(
 ) -> int:
     """Run a node until SIGINT, SIGTERM or the end of its work; returns the exit code.
 
-    With ``hosted``, the command line may ask for a node in each of several namespaces. The factory
-    is then called for each with ``cli_args``, as rclpy's Node takes them. With ``shared_workers``
-    the nodes share worker processes, and the command line may give their number.
-
-    ``ended`` returns the exit code once the node's work is over, None before. ``between`` is called
-    between two callbacks for work outside callbacks. It returns the seconds until the next call,
-    which comes earlier if there is a callback before. An invalid configuration gives one sentence
-    on stderr and exit code 2.
+    With ``hosted``, the command line may request a node in each of several namespaces. The factory
+    is then called for each of them with the ``cli_args`` of rclpy's Node. With ``shared_workers``
+    the nodes share worker processes, and the command line may give their number. ``ended`` returns
+    the exit code once the node has finished its work, None before. ``between`` does work between
+    callbacks. It returns the time [s] until its next call, which is earlier if there is a callback.
+    An invalid configuration gives one sentence on stderr and exit code 2.
     """
-    keep_one_thread(with_scipy=False)  # only workers compute with it
+    keep_one_thread(with_scipy=False)  # only workers use SciPy
     arguments = list(sys.argv if arguments is None else arguments)
     try:
         with _refusals("the command line cannot be used"):
@@ -77,7 +75,7 @@ def run(
             print("Parameters, set by --ros-args -p NAME:=VALUE or --params-file FILE:\n")
             print(describe(parameters))
             if hosted:
-                print("One process may hold a node in each of several namespaces:\n")
+                print("One process can run a node in each of several namespaces:\n")
                 print(hosting_parser(shared_workers=shared_workers).format_help(), end="")
             return SUCCESS
         places: tuple[Place, ...] = ()
@@ -93,9 +91,9 @@ def run(
             )
         if not any(os.environ.get(name) for name in ("HOME", "ROS_HOME", "ROS_LOG_DIR")):
             raise ConfigurationError(f"HOME is not set: {_LOG_ADVICE}")
-        # rclpy's own handlers shut the context down while callbacks are running: callbacks fail,
-        # and the events executor may abort the process if that happens in its first spin. With
-        # these handlers the node ends cleanly, and a signal before the start of rclpy is not lost.
+        # rclpy's own signal handlers shut the context down while callbacks run. Callbacks then
+        # fail, and in its first spin the events executor may abort the process. With these handlers
+        # the node ends in order, and a signal before the start of rclpy is not lost.
         stop = _Stop()
         for number in (signal.SIGINT, signal.SIGTERM):
             signal.signal(number, stop)
@@ -124,7 +122,7 @@ def _refusals(what: str) -> Iterator[None]:
 
 
 class _Stop:
-    """Stores that a signal came. An Event would deadlock on a second signal during its ``set``."""
+    """Notes a received signal. An Event would deadlock on a second signal during its ``set``."""
 
     def __init__(self) -> None:
         self.requested = False
@@ -154,7 +152,7 @@ def _node(factory: Callable[..., N]) -> N:
             raise
     for name in given_parameters(node):
         if name.startswith(OVERRIDES) and not node.has_parameter(name):
-            node.get_logger().warning(f"{name} is not used: there is no such topic so far")
+            node.get_logger().warning(f"{name} is not used: the node has no such topic so far")
     return node
 
 
@@ -167,8 +165,8 @@ def _spin(
     executor = make_executor()
     for node in nodes:
         executor.add_node(node)
-    # All objects so far live until the end. Their garbage collection would take some tens of
-    # milliseconds, during which blocks would wait.
+    # All existing objects live until the end. Checking them in each garbage collection would take
+    # some tens of milliseconds, during which blocks would wait.
     gc.collect()
     gc.freeze()
     try:
@@ -188,10 +186,10 @@ def _spin(
 def _end_in_any_case() -> None:
     """End the process soon, even if the destruction of the node never returns.
 
-    Fast DDS 2.14 has been seen to deadlock when a writer was deleted while another participant
-    left. It held Python's global lock, so that neither Python code nor signal handlers ran any
-    more. The thread of faulthandler waits without that lock. All state of the node is on disk
-    before its publishers are destroyed.
+    Fast DDS 2.14 sometimes deadlocks if a writer is deleted while another participant leaves. It
+    then holds Python's global lock, so that neither Python code nor signal handlers can run. The
+    thread of faulthandler does not need this lock. All state of the node is on disk before its
+    publishers are destroyed.
     """
     nowhere = os.open(os.devnull, os.O_WRONLY)
     faulthandler.dump_traceback_later(_DESTROY_LIMIT, exit=True, file=nowhere)
@@ -210,10 +208,10 @@ _CONFIGURATION_ERRORS = (
 def make_executor(context: Context | None = None) -> Executor:
     """The executor of all nodes; ``context`` None is rclpy's default context.
 
-    The events executor takes half of the processor time of the single-threaded one and has the
-    shorter tail of latencies. It was tested with services, timers, lifecycle transitions and
-    actions. It must be driven by ``spin_once`` with a timeout: before rclpy 7.1.8, its ``spin``
-    waits in an undefined way. Jazzy has it since rclpy 7.1.4.
+    The events executor (Jazzy since rclpy 7.1.4) takes half of the processor time of the
+    single-threaded one, and long latencies are rarer. It was tested with services, timers,
+    lifecycle transitions and actions. It must be driven by ``spin_once`` with a timeout, because
+    before rclpy 7.1.8 the waiting time of its ``spin`` is undefined.
     """
     try:
         from rclpy.experimental import EventsExecutor

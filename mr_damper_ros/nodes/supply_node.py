@@ -33,7 +33,7 @@ from mr_damper_ros.rig.supplies.supply import ScpiSupply, SupplyDrive, read_prof
 from mr_damper_ros.settings.option_table import group, option
 
 _EMULATED = "emulated"
-"""The address, and the profile, of the emulated instrument in this process."""
+"""Address and profile of the emulated instrument, which runs in this process."""
 
 _NOT_OFF = "the output may still be on: the node keeps trying to switch it off"
 
@@ -56,14 +56,14 @@ class SupplyParameters(ManagedOptions):
     profile: str = option(
         "",
         "Command set of the instrument: scpi (most bench supplies), keysight_n7900, or the "
-        "path of your own YAML file (doc/supply.md). Empty: scpi, or that of the emulated "
-        "instrument.",
+        "path of your own YAML file (doc/supply.md). Empty: scpi, or the command set of the "
+        "emulated instrument.",
     )
     current: float = option(
         0.0,
         "Manual setpoint of the current [A], between smallest_current and largest_current. It "
         "can be set while the node runs, and holds until a command arrives or the output is "
-        "switched off: `ros2 param set /supply current 0.5`. After a command time-out or an "
+        "switched off: `ros2 param set /supply current 0.5`. After a command timeout or an "
         "activation it is not restored: set it again, even to the same value.",
         minimum=-1000.0,
         maximum=1000.0,
@@ -81,14 +81,14 @@ class SupplyParameters(ManagedOptions):
     )
     tolerance: float = option(
         0.05,
-        "Difference [A] between measured current and setpoint that is an error if it lasts "
-        "for a second.",
+        "Largest difference [A] between measured current and setpoint; a larger one that lasts "
+        "for a second is an error.",
         minimum=0.0,
         maximum=1000.0,
     )
     link_timeout: float = option(
         0.5,
-        "Time [s] within which a complete answer must arrive. Otherwise the link counts as "
+        "Time [s] within which a complete answer must arrive. If it does not, the link counts as "
         "lost: the node becomes inactive at once and switches the output off over a new link.",
         minimum=0.01,
         maximum=60.0,
@@ -108,13 +108,13 @@ class SupplyParameters(ManagedOptions):
         low, high = self.commands.smallest_current, self.commands.largest_current
         if not low <= self.current <= high:
             return (
-                f"current is {self.current:g} A, beyond the {low:g} to {high:g} A of "
-                "smallest_current and largest_current: set one between them"
+                f"current is {self.current:g} A: it must lie within smallest_current and "
+                f"largest_current, {low:g} to {high:g} A"
             )
         if self.watchdog < 2.0 / self.rate:
             return (
-                f"watchdog is {self.watchdog:g} s, but a line goes out only every "
-                f"{1.0 / self.rate:g} s: make it at least two of these, or rate larger"
+                f"watchdog is {self.watchdog:g} s, but a command line is sent only every "
+                f"{1.0 / self.rate:g} s: make watchdog at least twice this time, or increase rate"
             )
         return ""
 
@@ -122,8 +122,8 @@ class SupplyParameters(ManagedOptions):
 class SupplyNode(ManagedNode):
     """Drives a supply; commands and readings run in their own thread, as an instrument may be slow.
 
-    If the supply is lost, the node becomes inactive at once, so that a lifecycle manager learns
-    that commands have no effect. The thread goes on trying to switch the output off.
+    If the link to the supply is lost, the node becomes inactive at once, so that a lifecycle
+    manager learns that commands have no effect. The thread keeps trying to switch the output off.
     """
 
     def __init__(self) -> None:
@@ -237,7 +237,7 @@ class SupplyNode(ManagedNode):
         try:
             supply.close()
         except LinkLostError as error:
-            self.get_logger().warning(f"the link was not closed in order: {error}")
+            self.get_logger().warning(f"closing the link failed: {error}")
         self.destroy_publisher(self._publisher)
 
     def _report_problem(self, problem: str) -> None:
@@ -256,8 +256,8 @@ class SupplyNode(ManagedNode):
             if drive.finished:
                 self._drive = None
                 self._report_problem(
-                    f"{drive.failure}; the output has been switched off since: activate the node "
-                    "again to go on"
+                    f"{drive.failure}; since then, the output has been switched off: activate the "
+                    "node again to continue"
                 )
         return math.inf
 
@@ -279,7 +279,7 @@ class SupplyNode(ManagedNode):
             return Finding(level, self._problem or "not active: the output is off", values)
         values["complaints"] = drive.complaints
         if drive.last_complaint:
-            return Finding(WARN, f"the supply complains: {drive.last_complaint}", values)
+            return Finding(WARN, f"the supply reports: {drive.last_complaint}", values)
         if math.isnan(supply.watchdog):
             sentence = "on; no watchdog: if this process or the link dies, the current stays on"
             return Finding(WARN, sentence, values)
@@ -297,7 +297,7 @@ class SupplyNode(ManagedNode):
             return Finding(
                 ERROR,
                 f"the supply gives {state.measured:.3f} A instead of {state.given:.3f} A: is the "
-                "coil connected, has its protection tripped, does it need more voltage?",
+                "coil connected, has a protection tripped, does it need more voltage?",
                 values,
             )
         return Finding(found.level, f"{state.measured:.3f} A; {found.message}", values)

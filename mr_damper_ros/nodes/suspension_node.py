@@ -25,7 +25,7 @@ from mr_damper_ros.settings.option_table import ParameterTable, group, option
 from mr_damper_ros.signals.blocks import NANOSECONDS
 
 _LONGEST_STEP = 0.1
-"""Longest time [s] between two messages from which an acceleration is computed."""
+"""Longest time [s] between two messages over which an acceleration is computed."""
 
 
 @dataclass(frozen=True)
@@ -38,7 +38,7 @@ class SuspensionParameters(ParameterTable):
 
     control: SuspensionSettings = group(SuspensionSettings, flat=True)
     largest_force: float = option(
-        10_000.0, "Largest desired force [N] of either sign.", minimum=0.0, maximum=1e9
+        10_000.0, "Largest magnitude of the desired force [N].", minimum=0.0, maximum=1e9
     )
     frame_id: str = option("damper", "Frame of the desired forces.")
 
@@ -63,8 +63,8 @@ class SuspensionNode(Node):
         self._diagnostics = Diagnostics(self, {"force": self._finding})
         name = self._options.control.function or self._options.control.controller
         self.get_logger().info(
-            f"{name}: waiting for {self.resolve_topic_name(SUSPENSION_TOPIC)}; without it no force "
-            "is wanted"
+            f"{name}: waiting for {self.resolve_topic_name(SUSPENSION_TOPIC)}; without it no "
+            "desired force is published"
         )
 
     def _take(self, message: JointState) -> None:
@@ -110,11 +110,11 @@ class SuspensionNode(Node):
         failed, self._failed = self._failed, 0
         values = {"desired force [N]": f"{self._last:.4g}", "wanted": wanted, "failed": failed}
         if failed:
-            return Finding(WARN, f"{self._problem}; no force was requested then", values)
+            return Finding(WARN, f"{self._problem}; no desired force was published", values)
         if not wanted:
             topic = self.resolve_topic_name(SUSPENSION_TOPIC)
             return Finding(STALE, f"no motion arrives on {topic}", values)
-        return Finding(OK, f"{self._last:.0f} N is wanted", values)
+        return Finding(OK, f"the desired force is {self._last:.0f} N", values)
 
 
 def main() -> int:

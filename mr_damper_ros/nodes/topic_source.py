@@ -1,4 +1,4 @@
-"""Stamped topics of other nodes as a source of samples: joint states, wrenches, any stamped number.
+"""Topics of other nodes as a source of samples: joint states, wrenches, any number with a stamp.
 
 A press or a shaker driven by ros2_control publishes `sensor_msgs/JointState` and
 `geometry_msgs/WrenchStamped`. Displacement and force may come in one message or on two topics, each
@@ -30,7 +30,7 @@ _POLL = 0.005
 """Seconds between two checks for new messages."""
 
 _NOTICED_RATE = 5e-6
-"""Difference between the rates of two clocks from which on it is reported."""
+"""Relative difference between the rates of two clocks above which it is reported."""
 
 _FIELD = re.compile(r"(?P<path>\w+(?:\.\w+)*)(?:\[(?P<element>[^\]]+)\])?")
 
@@ -61,19 +61,19 @@ class TopicOptions(ParameterTable):
     )
     stamps: str = option(
         "clock",
-        "Meaning of stamp jitter: clock, the sampling is uniform and the stamps are "
-        "inaccurate; sampling, each sample was taken at the time of its stamp.",
+        "Meaning of stamp jitter. clock: the sampling is uniform and the stamps are inaccurate; "
+        "sampling: each sample was taken at the time of its stamp.",
         choices=("clock", "sampling"),
     )
     own_clocks: bool = option(
         False,
-        "Whether each topic has its own clock: both are then mapped to the clock of this "
+        "Whether each topic has its own clock. If so, both clocks are mapped to the clock of this "
         "computer by arrival times.",
     )
     hold_back: float = option(
         0.0,
-        "Time [s] for which values are held back to restore their order. Messages of one ROS "
-        "topic keep their order.",
+        "Time [s] for which values wait, so that delayed values can be sorted in. Messages of one "
+        "ROS topic are always in order.",
         minimum=0.0,
         maximum=1.0,
     )
@@ -172,7 +172,7 @@ class TopicSource(Source):
         )
 
     def _fault(self) -> str:
-        """The fault of the topics, as a sentence; empty if there is none."""
+        """The fault of the topics, as a sentence; empty without a fault."""
         for item in self._inputs:
             fault = item.fault()
             if fault:
@@ -204,7 +204,7 @@ class _Input:
             node, _message_type(kind, name), topic, self._take, profile
         )
         self.topic = self._subscription.topic_name
-        self._stream = Stream(node, self.topic, profile, f"it is to hold the {name}")
+        self._stream = Stream(node, self.topic, profile, f"it must contain the {name}")
         self.fault = self._stream.take_fault
 
     def close(self) -> None:
@@ -221,7 +221,7 @@ class _Input:
         try:
             value = self._scale * self._read(message)
         except (AttributeError, IndexError, ValueError, TypeError):
-            self._stream.reject(f"they hold no {self.field} for the {self.name}")
+            self._stream.reject(f"they have no field {self.field} for the {self.name}")
             return
         if not fits_a_stamp(stamp_ns) or stamp_ns == 0:
             self._stream.reject("they have no stamp")
@@ -259,11 +259,11 @@ def _message_type(text: str, name: str) -> type:
         found: Any = getattr(import_module(f"{package}.msg"), kind)
     except (ImportError, AttributeError, ValueError) as error:
         raise ValueError(
-            f"topics.{name}_type is '{text}', which is no message that is installed: write it like "
-            "geometry_msgs/WrenchStamped"
+            f"topics.{name}_type is '{text}', which is not an installed message type: write it "
+            "like geometry_msgs/WrenchStamped"
         ) from error
     if "header" not in found.get_fields_and_field_types():
         raise ValueError(
-            f"topics.{name}_type is '{text}', whose messages have no header and so no stamp"
+            f"topics.{name}_type is '{text}', whose messages have no header with a stamp"
         )
     return found  # type: ignore[no-any-return]

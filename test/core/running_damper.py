@@ -78,7 +78,7 @@ def show_window(record: LiveRecord, number: int, *, accepted: bool = True) -> No
                 "verdict": 1.0 if accepted else 6.0,
             },
             verdict="ACCEPTED" if accepted else "DISTURBED",
-            reason="it predicts better than the set before" if accepted else "a hammer blow",
+            reason="it predicts better than the previous set" if accepted else "a hammer blow",
             parameter_set=f"nelder_mead-{number}",
             accepted=accepted,
             coefficients={

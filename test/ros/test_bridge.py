@@ -87,7 +87,7 @@ def test_a_bag_as_fast_as_possible_loses_nothing_and_the_node_stays(
     listener.until(lambda: 4 * len(samples) >= recording.sample_count, "all samples")
     bridge.wait_for_log(f"end of the recording: {recording.sample_count} samples")
     assert "provenance: re-synthesised" in bridge.errors
-    listener.wait_for_finding("bridge: source", "at its end")
+    listener.wait_for_finding("bridge: source", "the recording has ended")
 
     assert [message.seq for message in samples] == list(range(0, recording.sample_count, 4))
     assert (joined(samples, "displacement") == recording.displacement).all()

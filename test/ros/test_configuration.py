@@ -25,8 +25,8 @@ PARAMETERS: list[tuple[str, dict[str, object], str]] = [
     ("bridge", {"source": "record", "record__file": "/nowhere"}, "record.columns is empty"),
     ("bridge", {"emulated__damper": "5mm"}, "no condition '5mm'"),
     ("bridge", {"use_sim_time": 3}, "use_sim_time"),
-    ("bridge", {**TOPICS, "topics__force_type": "no_msgs/Thing"}, "no message that is installed"),
-    ("bridge", {**TOPICS, "topics__force_type": "std_msgs/Float64"}, "no header and so no stamp"),
+    ("bridge", {**TOPICS, "topics__force_type": "no_msgs/Thing"}, "not an installed message type"),
+    ("bridge", {**TOPICS, "topics__force_type": "std_msgs/Float64"}, "no header with a stamp"),
     ("bridge", {**TOPICS, "topics__force_field": "effort[rod"}, "force_field is 'effort[rod'"),
     ("bridge", {**TOPICS, "topics__displacement_topic": "joint_states"}, "set mirror_rate to 0"),
     ("campaign", {"autostart": True}, "autostart needs a folder"),
@@ -57,7 +57,7 @@ ARGUMENTS = [
     ("model", ["--workers", "2"], "unknown argument --workers"),
     ("model", ["--ros-args", "-p", f"{OVERRIDE}.reliability:=foo"], "must be one of reliable"),
     ("model", ["--ros-args", "-p", f"{OVERRIDE}.depth:=many"], "must be an integer of at least 1"),
-    ("model", ["--ros-args", "-p", f"{OVERRIDE}.durability:=volatile"], "overrides nothing"),
+    ("model", ["--ros-args", "-p", f"{OVERRIDE}.durability:=volatile"], "is not an override"),
 ]
 
 

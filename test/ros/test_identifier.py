@@ -273,7 +273,7 @@ def test_sets_are_saved_loaded_reset_and_survive_a_restart(
     acknowledged = call(Trigger, "acknowledge")
     assert acknowledged.success
     assert "set aside as" in acknowledged.message
-    listener.wait_for_finding("identifier: state", "kept in")
+    listener.wait_for_finding("identifier: state", "stored in")
 
 
 def test_a_folder_and_a_name_are_of_one_identifier(

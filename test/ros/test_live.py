@@ -149,7 +149,7 @@ def test_a_command_that_nobody_takes_is_told(start: Any, listener: Listener) -> 
     client = Client(start("live", port=0, allow_commands=True))
     assert client.command("reset") == 202
     listener.until(lambda: client.status()["events"], "what came of it")
-    assert "nothing offers" in client.status()["events"][0]
+    assert "no node offers" in client.status()["events"][0]
 
 
 def test_it_only_shows_unless_commands_are_allowed_and_has_its_port_alone(start: Any) -> None:

@@ -290,7 +290,7 @@ def test_parameters_of_another_node_than_the_trusted_one_are_refused_whatever_th
             publisher_of(right, DamperParameters, "damper/parameters").publish(message)
             status = listener.wait_for_finding("model: parameters", "predicting with true")
     assert status.level == DiagnosticStatus.WARN
-    assert "let SROS2 keep the others out" in status.message
+    assert "exclude the others with SROS2" in status.message
 
 
 def test_reports_of_another_node_than_the_trusted_one_confirm_nothing(

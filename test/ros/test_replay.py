@@ -189,8 +189,8 @@ def test_what_cannot_be_played_is_named_and_the_rest_is_played(
     listener.until(lambda: not replay.running, "the end of the bag")
     assert replay.wait() == 0
     assert [message.data for message in words] == ["one", "two"]
-    assert "/thing is left out: the package somewhere_msgs" in replay.errors
-    assert "/supply/current is left out: it was recorded with another def" in replay.errors
+    assert "/thing is omitted: the package somewhere_msgs" in replay.errors
+    assert "/supply/current is omitted: it was recorded with a different def" in replay.errors
 
 
 def test_the_inputs_of_a_full_recording_can_be_played_alone(

@@ -93,7 +93,9 @@ def test_a_reader_that_has_enough_is_no_error(node: str) -> None:
 def test_identifier_and_model_say_what_they_wait_for(start: Any, tmp_path: Path) -> None:
     identifier = start("identifier", remap={"__ns": "/left"}, state_dir=tmp_path)
     model = start("model")
-    identifier.wait_for_log("waiting for /left/mts/samples and /left/supply/current; state is kept")
+    identifier.wait_for_log(
+        "waiting for /left/mts/samples and /left/supply/current; state is stored"
+    )
     assert str(tmp_path) in identifier.errors
     model.wait_for_log("waiting for /mts/samples, /supply/current and /damper/parameters")
 
@@ -111,5 +113,5 @@ def test_no_place_for_the_log_is_one_sentence(environment: dict[str, str]) -> No
         check=False,
     )
     assert done.returncode == 2
-    assert "set ROS_LOG_DIR to a folder that the log can be written to" in done.stderr
+    assert "set ROS_LOG_DIR to a folder in which the log can be written" in done.stderr
     assert_one_sentence(done.stderr)
