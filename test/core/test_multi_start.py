@@ -1,9 +1,10 @@
-"""Searches from several seeds: the best, how far they agree, and what a record keeps of them."""
+"""Searches from several seeds, and from a lower minimum that a profile shows."""
 
 from __future__ import annotations
 
 import json
 from collections.abc import Callable
+from dataclasses import replace
 from functools import cache
 
 import known
@@ -12,15 +13,17 @@ import pytest
 from known import SIGMOID
 
 from mr_damper_ros.estimation.differential_evolution import EvolutionSettings, GlobalProgress
-from mr_damper_ros.estimation.global_fit import GlobalFit
+from mr_damper_ros.estimation.global_fit import GlobalFit, identify_global
 from mr_damper_ros.estimation.multi_start import (
     MultiStart,
     SearchRecord,
     SearchRecordError,
     identify_from_seeds,
 )
+from mr_damper_ros.estimation.profile_likelihood import profiled, profiles_of
 from mr_damper_ros.kinematics.window import Window
 from mr_damper_ros.models.published import LITERATURE
+from mr_damper_ros.processes.process_pool import ProcessPool
 
 FEW = EvolutionSettings(generations=20, population=6, seed=3)
 CURRENTS = (0.0, 0.5, 1.0, 1.5)
@@ -117,3 +120,48 @@ OTHER = {
 def test_a_record_of_another_search_is_refused(name: str) -> None:
     with pytest.raises(SearchRecordError, match="it belongs to a search with other bags"):
         empty().take(OTHER[name].document())
+
+
+# -- a fit that its own profile contradicts starts again from the lower minimum --------------------
+
+QUICK = EvolutionSettings(generations=20, population=6)
+
+
+@pytest.fixture(scope="module")
+def strokes() -> list[Window]:
+    return [
+        known.run(amplitude=a, frequency=2.0, seed=seed, samples=250, period=4e-3).window
+        for seed, a in enumerate((2.5e-3, 10e-3))
+    ]
+
+
+@pytest.fixture(scope="module")
+def good(strokes: list[Window]) -> GlobalFit:
+    return identify_global(SIGMOID, strokes, LITERATURE, QUICK)
+
+
+def off(fit: GlobalFit) -> GlobalFit:
+    """The fit as if it had ended beside its minimum."""
+    values = fit.parameter_set.values.copy()
+    values[known.index("a0")] *= 1.2
+    return replace(fit, parameter_set=replace(fit.parameter_set, values=values))
+
+
+def test_a_fit_at_its_minimum_stays(strokes: list[Window], good: GlobalFit) -> None:
+    with ProcessPool() as processes:
+        fit, (profile,) = profiled(good, strokes, ["a0"], QUICK, processes)
+    assert fit is good
+    assert profile.contains(good.parameter_set.as_dict()["a0"])
+
+
+def test_a_profile_that_finds_a_lower_minimum_starts_the_fit_again(
+    strokes: list[Window], good: GlobalFit
+) -> None:
+    with ProcessPool() as processes:
+        (before,) = profiles_of(off(good), strokes, ["a0"], processes)
+        fit, (profile,) = profiled(off(good), strokes, ["a0"], QUICK, processes)
+    assert not before.contains(off(good).parameter_set.as_dict()["a0"])
+    # Relative difference of costs at one minimum, searched with a tolerance.
+    assert fit.cost == pytest.approx(good.cost, rel=1e-3)
+    assert profile.contains(fit.parameter_set.as_dict()["a0"])
+    assert np.isfinite(profile.lowest).all()

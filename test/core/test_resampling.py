@@ -1,13 +1,18 @@
-"""Samples that were taken unevenly, brought to other times."""
+"""Samples brought to other times, smoothed, and joined where they were taken apart in time."""
 
 from __future__ import annotations
 
+import known
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from scipy.signal import savgol_coeffs, savgol_filter
 
+from mr_damper_ros.kinematics.motion import SavitzkyGolay
+from mr_damper_ros.rig.blocks import aligned
 from mr_damper_ros.signals.arrays import white_noise
+from mr_damper_ros.signals.blocks import RigBlock
 from mr_damper_ros.signals.uniform_grid import at_uniform_times
 
 
@@ -41,3 +46,92 @@ def test_white_noise_stays_white() -> None:
 def test_few_samples_or_such_of_one_stamp_have_a_finite_value(places: list[float]) -> None:
     at = np.array(places)
     assert np.isfinite(at_uniform_times(np.array([0.5]), at, at)).all()
+
+
+# -- the filter of Savitzky and Golay: right for polynomials, and the same as SciPy's --------------
+
+STEP = 2e-3
+SCIPY_ROUNDING = 1e-6
+"""The same of SciPy's filter, which does not scale the powers, for up to 200 samples."""
+
+
+@known.fixed(40)
+@given(st.integers(3, 100), st.integers(0, 300), st.integers(0, 2), st.integers(0, 1000))
+def test_it_is_the_filter_of_scipy(half: int, more: int, order: int, seed: int) -> None:
+    length = 2 * half + 1
+    values = np.random.default_rng(seed).normal(size=length + more)
+    found = SavitzkyGolay(length, 4)
+    expected = savgol_filter(values, length, 4, deriv=order, delta=STEP)
+    difference = found.derivative(values, order, STEP) - expected
+    assert np.max(np.abs(difference)) < SCIPY_ROUNDING * np.max(np.abs(expected))
+    weights = savgol_coeffs(length, 4, deriv=1)
+    assert found.squared_change() == pytest.approx(weights @ weights, rel=SCIPY_ROUNDING)
+
+
+@pytest.mark.parametrize(("length", "sentence"), [(8, "must be odd"), (3, "above 4, the order")])
+def test_a_length_that_cannot_be_is_refused(length: int, sentence: str) -> None:
+    with pytest.raises(ValueError, match=sentence):
+        SavitzkyGolay(length, 4)
+
+
+def test_too_few_values_are_refused() -> None:
+    with pytest.raises(ValueError, match="there are 6 values: at least 7 are needed"):
+        SavitzkyGolay(7, 4).derivative(np.zeros(6))
+
+
+# -- channels that were measured apart in time are brought together, at the time of both -----------
+
+PERIOD = 1e-3
+START = 1_700_000_000_000_000_000
+
+
+def motion(time: np.ndarray) -> np.ndarray:
+    return 0.005 * np.sin(2.0 * np.pi * 3.0 * time)
+
+
+def pull(time: np.ndarray) -> np.ndarray:
+    return 900.0 * np.cos(2.0 * np.pi * 3.0 * time)
+
+
+def skewed(lateness: float, sizes: list[int], missing: int = -1) -> list[RigBlock]:
+    """Blocks whose force is that of so long before; one of them never comes."""
+    blocks, first = [], 0
+    for place, size in enumerate(sizes):
+        time = (first + np.arange(size)) * PERIOD
+        late, later = max(lateness, 0.0), max(-lateness, 0.0)
+        block = RigBlock(
+            START + first * 1_000_000,
+            first,
+            PERIOD,
+            motion(time - later),
+            pull(time - late),
+            np.full(size, 0.5),
+            np.full(size, 30.0),
+        )
+        first += size
+        if place != missing:
+            blocks.append(block)
+    return blocks
+
+
+@pytest.mark.parametrize("lateness", [2.7e-3, 0.4e-3, 1e-3, -3.1e-3, -0.2e-3])
+@pytest.mark.parametrize("sizes", [[100, 100], [1] * 60, [3, 50, 2, 7, 40]])
+def test_both_are_what_they_were_at_the_stamp(lateness: float, sizes: list[int]) -> None:
+    blocks = list(aligned(skewed(lateness, sizes), lateness))
+    for block in blocks:
+        time = (block.start_ns - START) * 1e-9 + np.arange(block.sample_count) * PERIOD
+        np.testing.assert_allclose(block.displacement, motion(time), atol=1e-9)
+        np.testing.assert_allclose(block.force, pull(time), atol=1e-3)
+    numbers = np.concatenate([b.sequence + np.arange(b.sample_count) for b in blocks])
+    assert (np.diff(numbers) == 1).all()
+    # Only those at the beginning have no partner.
+    assert numbers[-1] == sum(sizes) - 1
+    assert numbers[0] <= 6
+
+
+def test_after_a_gap_nothing_is_made_of_what_was_before() -> None:
+    blocks = list(aligned(skewed(2.5e-3, [40] * 5, missing=2), 2.5e-3))
+    assert [block.sequence for block in blocks] == [4, 40, 124, 160]
+    for block in blocks:
+        time = (block.start_ns - START) * 1e-9 + np.arange(block.sample_count) * PERIOD
+        np.testing.assert_allclose(block.displacement, motion(time), atol=1e-9)
