@@ -1,23 +1,28 @@
-"""Text records of any size: read line by line, refused where they are none or too long."""
+"""Text records of any size, and MAT files in a process of their own, which may crash or hang."""
 
 from __future__ import annotations
 
 import os
 import socket
 import tracemalloc
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+import pool_tasks
 import pytest
+from scipy.io import savemat
 
-from mr_damper_ros.io.columns import RecordError, parse_columns
+from mr_damper_ros.io import binary_tables
+from mr_damper_ros.io.columns import MAXIMUM_SAMPLES, RecordError, parse_columns
 from mr_damper_ros.io.records import read_record
 from mr_damper_ros.io.text_table import read_text_table
+from mr_damper_ros.signals.arrays import Array
 
-COLUMNS = "time:s,displacement:mm,force:N"
+TEXT_COLUMNS = "time:s,displacement:mm,force:N"
 
 
-def written(path: Path, rows: int) -> Path:
+def text_file(path: Path, rows: int) -> Path:
     numbers = np.arange(rows)
     table = np.column_stack((1e-3 * numbers, 5.0 * np.sin(0.01 * numbers), 1e3 * np.cos(numbers)))
     np.savetxt(path, table, fmt="%.6f", delimiter=",")
@@ -26,9 +31,9 @@ def written(path: Path, rows: int) -> Path:
 
 def test_memory_is_that_of_the_numbers(tmp_path: Path) -> None:
     rows = 150_000
-    path = written(tmp_path / "run.csv", rows)
+    path = text_file(tmp_path / "run.csv", rows)
     tracemalloc.start()
-    table = read_text_table(path, parse_columns(COLUMNS), None, rows)
+    table = read_text_table(path, parse_columns(TEXT_COLUMNS), None, rows)
     _, peak = tracemalloc.get_traced_memory()
     tracemalloc.stop()
     assert table.row_count == rows
@@ -38,10 +43,10 @@ def test_memory_is_that_of_the_numbers(tmp_path: Path) -> None:
 
 
 def test_a_file_with_more_samples_than_allowed_is_refused(tmp_path: Path) -> None:
-    path = written(tmp_path / "run.csv", 100)
-    assert read_record(path, COLUMNS, current=0.5, maximum_samples=100).sample_count == 100
+    path = text_file(tmp_path / "run.csv", 100)
+    assert read_record(path, TEXT_COLUMNS, current=0.5, maximum_samples=100).sample_count == 100
     with pytest.raises(RecordError, match=r"run.csv holds more than 99 samples: split it"):
-        read_record(path, COLUMNS, current=0.5, maximum_samples=99)
+        read_record(path, TEXT_COLUMNS, current=0.5, maximum_samples=99)
 
 
 @pytest.mark.parametrize("length", [100_001, 1_000_000])
@@ -49,7 +54,7 @@ def test_a_line_without_end_is_refused(tmp_path: Path, length: int) -> None:
     path = tmp_path / "run.csv"
     path.write_text("0,1,2\n" + "7" * length + ",1,2\n", encoding="utf-8")
     with pytest.raises(RecordError, match=r"line 2 of run.csv has more than 100000 characters"):
-        read_record(path, COLUMNS, current=0.5)
+        read_record(path, TEXT_COLUMNS, current=0.5)
 
 
 @pytest.mark.parametrize("place", range(5))
@@ -78,4 +83,57 @@ def test_what_may_never_end_is_not_read(tmp_path: Path, kind: str, suffix: str) 
     else:
         path.mkdir()
     with pytest.raises(RecordError, match=f"run{suffix} is {kind}: give a text, CSV, MAT"):
-        read_record(path, COLUMNS, current=0.5)
+        read_record(path, TEXT_COLUMNS, current=0.5)
+
+
+# -- mAT files are read in a process of their own, which may crash or hang -------------------------
+
+MATRIX = np.arange(12.0).reshape(4, 3)
+UNREADABLE = "run.mat is not a MAT file that can be read: save it again, or export it as CSV"
+
+COLUMNS = parse_columns("time:s,displacement:m,force:N")
+
+
+def matrix(path: Path, maximum_samples: int = MAXIMUM_SAMPLES) -> Array:
+    values = binary_tables.read_binary_table(path, COLUMNS, None, maximum_samples).values
+    return np.column_stack([values[name] for name in ("time", "displacement", "force")])
+
+
+def written(path: Path, content: dict[str, object]) -> Path:
+    savemat(path, content)
+    return path
+
+
+@pytest.mark.parametrize("kind", [np.float64, np.float32, np.int16, np.uint8])
+def test_a_matrix_comes_as_it_was_saved(tmp_path: Path, kind: type) -> None:
+    read = matrix(written(tmp_path / "run.mat", {"a": MATRIX.astype(kind), "row": MATRIX[:1]}))
+    assert read.dtype == kind
+    np.testing.assert_array_equal(read, MATRIX)
+
+
+def test_a_reader_that_is_killed_is_one_sentence(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(binary_tables, "_read", pool_tasks.crash)
+    with pytest.raises(RecordError) as caught:
+        matrix(written(tmp_path / "run.mat", {"data": MATRIX}))
+    assert str(caught.value) == UNREADABLE
+
+
+def test_reading_is_cut_after_a_time_that_is_named(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    # Loading SciPy alone takes longer.
+    hasty = replace(binary_tables.FORMATS[".mat"], time_limit=0.001)
+    monkeypatch.setitem(binary_tables.FORMATS, ".mat", hasty)
+    with pytest.raises(RecordError, match=r"could not be read within 0\.001 s"):
+        matrix(written(tmp_path / "run.mat", {"data": MATRIX}))
+
+
+def test_a_file_that_unpacks_to_more_than_the_limit_is_refused(tmp_path: Path) -> None:
+    # Fifty megabytes of zeros in fifty kilobytes.
+    path = tmp_path / "run.mat"
+    savemat(path, {"data": np.zeros((1_500_000, 4))}, do_compression=True)
+    assert path.stat().st_size < 1_000_000
+    with pytest.raises(RecordError, match="holds more than 1000 samples"):
+        matrix(path, maximum_samples=1000)

@@ -1,4 +1,4 @@
-"""A tracker that is started again from what it wrote goes on as if it had never stopped."""
+"""A tracker started again from what it wrote goes on; what cannot be used is set aside."""
 
 from __future__ import annotations
 
@@ -6,6 +6,10 @@ import copy
 import dataclasses
 import json
 import math
+import os
+import subprocess
+import sys
+from pathlib import Path
 from typing import Any
 
 import known
@@ -18,12 +22,13 @@ from known import SIGMOID
 from mr_damper_ros.kinematics.window import Window
 from mr_damper_ros.models import MODELS
 from mr_damper_ros.models.parameter_set import ParameterSet
+from mr_damper_ros.processes.files import FolderLock, LockHeldError
 from mr_damper_ros.tracking.jobs import TRACKERS
 from mr_damper_ros.tracking.operating_point import Kept, KnownPoints
 from mr_damper_ros.tracking.reports import Report
-from mr_damper_ros.tracking.state_directory import StateError
+from mr_damper_ros.tracking.state_directory import StateDirectory, StateError
 from mr_damper_ros.tracking.tracker import TrackerSettings, WindowTracker
-from mr_damper_ros.tracking.tracker_state import TrackerMemory, from_text, to_text
+from mr_damper_ros.tracking.tracker_state import TrackerMemory, TrackerState, from_text, to_text
 
 START = ParameterSet(known.PLAUSIBLE, set_id="start")
 
@@ -168,3 +173,166 @@ def test_a_place_beyond_the_window_is_refused() -> None:
     memory = TrackerMemory(KnownPoints().with_window(Kept(wrong, window.operating_point)))
     with pytest.raises(StateError, match="an invalid place"):
         from_text(to_text(memory), SIGMOID)
+
+
+# -- what a tracker knows survives in its folder, and a file that cannot be used is set aside ------
+
+FIRST = ParameterSet(known.weaker(0.8), set_id="start")
+
+ROUNDING = 1e-4
+"""Relative: a simplex stops within its tolerance, which rounding may move."""
+
+
+def state_in(folder: Path | str, name: str = "identifier") -> tuple[WindowTracker, TrackerState]:
+    tracker = WindowTracker(TrackerSettings(method="least_squares"), FIRST)
+    return tracker, TrackerState(tracker, StateDirectory(folder), name)
+
+
+def taught(folder: Path) -> tuple[WindowTracker, TrackerState]:
+    tracker, state = state_in(folder)
+    state.resume()
+    tracker.follow(known.raw_window(known.run(samples=1000)))
+    assert tracker.accepted_windows == 1
+    assert state.keep_now() == ""
+    return tracker, state
+
+
+def test_a_tracker_goes_on_where_another_ended(tmp_path: Path) -> None:
+    before, state = taught(tmp_path)
+    state.close()
+    after, again = state_in(tmp_path)
+    assert again.resume() == "parameters window-1 and 1 baselines, 1 windows"
+    assert again.fault == again.set_aside == ""
+    assert after.parameters.set_id == "window-1"
+    np.testing.assert_array_equal(after.parameters.values, before.parameters.values)
+    assert after.accepted_windows == 1
+    again.close()
+
+
+def test_the_initial_set_is_kept_at_once_so_that_a_bad_folder_shows(tmp_path: Path) -> None:
+    _, state = state_in(tmp_path / "new")
+    assert state.resume() == ""
+    assert (tmp_path / "new" / "identifier.yaml").exists()
+    state.close()
+    (tmp_path / "file").write_text("no folder")
+    with pytest.raises(StateError, match="set state_dir to a folder that can be written"):
+        state_in(tmp_path / "file" / "below")[1].resume()
+
+
+def test_what_was_set_aside_is_told_at_every_start_until_it_is_acknowledged(tmp_path: Path) -> None:
+    (tmp_path / "identifier.yaml").write_text("half a fi")
+    for part in ("mapping 'parameters'", "set aside as"):
+        _, state = state_in(tmp_path)
+        state.resume()
+        assert part in state.set_aside
+        state.close()
+    _, state = state_in(tmp_path)
+    state.resume()
+    assert str(tmp_path / "identifier.aside") in state.acknowledge()
+    assert state.set_aside == ""
+    state.close()
+    _, later = state_in(tmp_path)
+    later.resume()
+    assert later.set_aside == ""
+    assert (tmp_path / "identifier.aside-read").read_text() == "half a fi"
+    later.close()
+
+
+def test_a_folder_and_a_name_are_of_one_tracker_at_a_time(tmp_path: Path) -> None:
+    _, state = taught(tmp_path)
+    _, second = state_in(tmp_path)
+    with pytest.raises(StateError, match=rf"in use by another node \(process {os.getpid()}\)"):
+        second.resume()
+    state_of_another_name = state_in(tmp_path, "left.identifier")[1]
+    state_of_another_name.resume()
+    state_of_another_name.close()
+    state.close()
+    assert second.resume() != ""
+    second.close()
+
+
+def test_a_killed_process_leaves_no_lock(tmp_path: Path) -> None:
+    hold = (
+        "import sys; from pathlib import Path; "
+        "from mr_damper_ros.processes.files import FolderLock; "
+        "lock = FolderLock(Path(sys.argv[1])); print('held', flush=True); sys.stdin.read()"
+    )
+    path = tmp_path / ".identifier.lock"
+    with subprocess.Popen(
+        [sys.executable, "-c", hold, str(path)], stdin=subprocess.PIPE, stdout=subprocess.PIPE
+    ) as holder:
+        assert holder.stdout is not None
+        assert holder.stdout.readline() == b"held\n"
+        with pytest.raises(LockHeldError) as caught:
+            FolderLock(path)
+        assert caught.value.holder == holder.pid
+        holder.kill()
+    FolderLock(path).release()
+
+
+def test_the_state_of_another_tracker_is_not_replaced(tmp_path: Path) -> None:
+    _, left = state_in(tmp_path, "left.identifier")
+    left.resume()
+    _, right = taught(tmp_path)
+    before = (tmp_path / "left.identifier.yaml").read_bytes()
+    with pytest.raises(StateError, match="is the state of another node"):
+        right.save("left.identifier")
+    left.close()
+    with pytest.raises(StateError, match="is the state of another node"):
+        right.save("left.identifier.yaml")
+    assert (tmp_path / "left.identifier.yaml").read_bytes() == before
+    right.close()
+
+
+def test_a_set_that_the_next_start_would_refuse_is_not_kept(tmp_path: Path) -> None:
+    tracker, state = taught(tmp_path)
+    good = (tmp_path / "identifier.yaml").read_bytes()
+    tracker.parameters = ParameterSet(-known.weaker(0.8), set_id="driving", nrmse=5.0)
+    assert "driving is not stored: the parameters state an nrmse of 5" in state.keep_now()
+    assert (tmp_path / "identifier.yaml").read_bytes() == good
+    state.close()
+
+
+def test_sets_are_kept_under_names_beside_the_own_one(tmp_path: Path) -> None:
+    tracker, state = taught(tmp_path)
+    assert state.save("cold") == tmp_path / "cold.yaml"
+    assert state.save("") == state.path == tmp_path / "identifier.yaml"
+    assert state.load("cold").set_id == "window-1"
+    tracker.reset()
+    assert state.load("").set_id == "window-1", "nothing was kept since"
+    state.close()
+
+
+def test_a_state_of_the_version_before_is_gone_on_with(tmp_path: Path) -> None:
+    # Written before the modules were moved into rooms: three windows, the last of random motion.
+    kept = Path(__file__).parent / "data" / "state_before_rooms.yaml"
+    (tmp_path / "identifier.yaml").write_bytes(kept.read_bytes())
+    tracker = WindowTracker(TrackerSettings(), FIRST)
+    state = TrackerState(tracker, StateDirectory(tmp_path), "identifier")
+    assert state.resume() == "parameters window-3 and 3 baselines, 3 windows"
+    assert state.fault == state.set_aside == ""
+    assert [window.whole is not None for window in tracker.points.windows] == [False] * 2 + [True]
+    run = known.run(current=0.5, samples=240, seed=9, period=5e-3)
+    report = tracker.follow(known.raw_window(run, number=9))
+    assert report is not None
+    # What that version made of the same window.
+    assert report.nrmse_before == pytest.approx(0.016445012097722766, rel=ROUNDING)
+    assert report.nrmse_after == pytest.approx(0.007296376904043102, rel=ROUNDING)
+    # Relative: that version compared the loops of a sine, this one the forces over the window.
+    assert report.scale.value == pytest.approx(0.9996800931297712, rel=5e-4)
+    assert report.set_id == "window-4"
+    state.close()
+
+
+def test_a_state_from_before_a_model_had_more_parameters_is_gone_on_with(tmp_path: Path) -> None:
+    # Bingham's model had three parameters; those of the current have defaults.
+    kept = Path(__file__).parent / "data" / "bingham_before_rooms.yaml"
+    (tmp_path / "identifier.yaml").write_bytes(kept.read_bytes())
+    settings = TrackerSettings(model="bingham", method="least_squares")
+    start = ParameterSet(known.EXAMPLES["bingham"], model="bingham", set_id="start")
+    tracker = WindowTracker(settings, start)
+    state = TrackerState(tracker, StateDirectory(tmp_path), "identifier")
+    assert state.resume() == "parameters window-1 and 1 baselines, 1 windows"
+    assert state.fault == state.set_aside == ""
+    assert tracker.parameters.values.size == len(tracker.parameters.law.parameter_names)
+    state.close()
