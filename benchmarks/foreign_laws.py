@@ -11,7 +11,7 @@ import math
 from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from typing import ClassVar, Protocol
+from typing import ClassVar
 
 import numpy as np
 
@@ -41,11 +41,25 @@ class Moment:
     step: float
 
 
-class ForeignLaw(Protocol):
-    """A law with its internal state; it returns the force [N] at the next time step."""
+@dataclass
+class ForeignLaw:
+    """A law with its internal state."""
+
+    size: float = 1.0
+    late: float = 0.0
+    """State of a first-order lag of the force [N]."""
 
     def force(self, now: Moment) -> float:
         """Force [N] at the next time step."""
+        return self._force(now)
+
+    def _force(self, now: Moment) -> float:
+        raise NotImplementedError
+
+    def lagged(self, force: float, now: Moment, time_constant: float) -> float:
+        """A force [N] behind a first-order lag [s]."""
+        self.late += (force - self.late) * min(now.step / time_constant, 1.0)
+        return self.late
 
 
 def _yield_force(i: float, off: float, on: float, knee: float) -> float:
@@ -54,14 +68,12 @@ def _yield_force(i: float, off: float, on: float, knee: float) -> float:
 
 
 @dataclass
-class StribeckEndStop:
+class StribeckEndStop(ForeignLaw):
     """Friction as tanh of the velocity, with the Stribeck effect, a preload and an end stop."""
 
-    size: float = 1.0
     stop: float = 0.009
 
-    def force(self, now: Moment) -> float:
-        """Force [N]."""
+    def _force(self, now: Moment) -> float:
         friction = self.size * _yield_force(now.i, 60.0, 720.0, 0.7) * (1.0 - 0.004 * now.warmth)
         stribeck = 1.0 + 0.35 * math.exp(-((now.v / 0.02) ** 2))
         beyond = now.u - min(max(now.u, -self.stop), self.stop)
@@ -73,14 +85,12 @@ class StribeckEndStop:
 
 
 @dataclass
-class GasBoucWen:
+class GasBoucWen(ForeignLaw):
     """Asymmetric Bouc-Wen law with a parallel gas spring; the fluid softens as it warms."""
 
-    size: float = 1.0
     z: float = 0.0
 
-    def force(self, now: Moment) -> float:
-        """Force [N]."""
+    def _force(self, now: Moment) -> float:
         soft = math.exp(-0.008 * now.warmth)
         # dz/dt = A v - beta |v| |z|^(n-1) z - gamma v |z|^n, with n = 2.
         rate = 1400.0 * now.v - 800.0 * abs(now.v * self.z) * self.z - 600.0 * now.v * self.z**2
@@ -93,10 +103,9 @@ class GasBoucWen:
 
 
 @dataclass
-class StickingValve:
+class StickingValve(ForeignLaw):
     """A valve that sticks at each reversal and needs more than its normal force to open."""
 
-    size: float = 1.0
     seed: int = 0
     held: float = 0.0
     is_open: bool = False
@@ -107,8 +116,7 @@ class StickingValve:
     def __post_init__(self) -> None:
         self.rng = np.random.default_rng(self.seed)
 
-    def force(self, now: Moment) -> float:
-        """Force [N]."""
+    def _force(self, now: Moment) -> float:
         usual = self.size * _yield_force(now.i, 50.0, 650.0, 0.6) * (1.0 - 0.004 * now.warmth)
         if now.v * self.sense < 0.0:
             self.sense = -self.sense
@@ -126,33 +134,26 @@ class StickingValve:
 
 
 @dataclass
-class Leakage:
+class Leakage(ForeignLaw):
     """A leak past the piston that takes an increasing share of the flow at high speed."""
 
-    size: float = 1.0
-    late: float = 0.0
-
-    def force(self, now: Moment) -> float:
-        """Force [N]."""
+    def _force(self, now: Moment) -> float:
         friction = _yield_force(now.i, 55.0, 800.0, 0.9) * (1.0 - 0.005 * now.warmth)
         kept = 1.0 / (1.0 + (now.v / 0.12) ** 2)
         ideal = friction * kept * math.tanh(now.v / 0.008) + 1500.0 * now.v * math.sqrt(kept)
-        self.late += (ideal - self.late) * min(now.step / 0.002, 1.0)
-        return self.size * self.late
+        return self.size * self.lagged(ideal, now, 0.002)
 
 
 @dataclass
-class Electrorheological:
+class Electrorheological(ForeignLaw):
     """Electrorheological law: the force lags behind the voltage and grows with its square."""
 
-    size: float = 1.0
     dead_time: float = 0.012
     past: deque[float] = field(default_factory=deque)
     strength: float = 0.0
     deflection: float = 0.0
 
-    def force(self, now: Moment) -> float:
-        """Force [N]."""
+    def _force(self, now: Moment) -> float:
         self.past.append(now.i)
         delayed = self.past.popleft() if len(self.past) > self.dead_time / now.step else 0.0
         wanted = 40.0 + 620.0 * min(abs(delayed) / 1.5, 1.3) ** 2
@@ -164,35 +165,29 @@ class Electrorheological:
 
 
 @dataclass
-class Backlash:
+class Backlash(ForeignLaw):
     """A clevis with 0.3 mm of play, and contact that closes within some milliseconds."""
 
-    size: float = 1.0
     play: float = 0.3e-3
     rod: float = math.nan
-    late: float = 0.0
 
-    def force(self, now: Moment) -> float:
-        """Force [N]."""
+    def _force(self, now: Moment) -> float:
         before = now.u if math.isnan(self.rod) else self.rod
         half = 0.5 * self.play
         self.rod = min(max(before, now.u - half), now.u + half)
         speed = (self.rod - before) / now.step
         friction = _yield_force(now.i, 50.0, 700.0, 0.7) * (1.0 - 0.004 * now.warmth)
         there = friction * math.tanh(speed / 0.005) + 1300.0 * speed
-        self.late += (there - self.late) * min(now.step / 0.002, 1.0)
-        return self.size * self.late
+        return self.size * self.lagged(there, now, 0.002)
 
 
 @dataclass
-class AirPocket:
+class AirPocket(ForeignLaw):
     """A bubble of air is compressed before the fluid flows, in one direction only."""
 
-    size: float = 1.0
     pocket: float = 0.0
 
-    def force(self, now: Moment) -> float:
-        """Force [N]."""
+    def _force(self, now: Moment) -> float:
         friction = _yield_force(now.i, 60.0, 700.0, 0.8) * (1.0 - 0.004 * now.warmth)
         # Stretched: the fluid's own stiffness. Compressed: that of the bubble until it is closed.
         shut = min(self.pocket + 8e-4, 0.0)
@@ -203,13 +198,10 @@ class AirPocket:
 
 
 @dataclass
-class HerschelBulkley:
+class HerschelBulkley(ForeignLaw):
     """Shear thinning behind a yield force: F = f_y + K |v|^n, regularised (Papanastasiou)."""
 
-    size: float = 1.0
-
-    def force(self, now: Moment) -> float:
-        """Force [N]."""
+    def _force(self, now: Moment) -> float:
         speed = abs(now.v)
         consistency = (450.0 + 350.0 * min(abs(now.i), 2.0)) * math.exp(-0.007 * now.warmth)
         friction = _yield_force(now.i, 40.0, 600.0, 0.9)
@@ -220,15 +212,13 @@ class HerschelBulkley:
 
 
 @dataclass
-class FluidInertia:
+class FluidInertia(ForeignLaw):
     """Dahl friction plus the inertia of the fluid in a long duct and of parts on the load cell."""
 
-    size: float = 1.0
     mass: float = 1.8
     friction: float = 0.0
 
-    def force(self, now: Moment) -> float:
-        """Force [N]."""
+    def _force(self, now: Moment) -> float:
         most = self.size * _yield_force(now.i, 50.0, 680.0, 0.8) * (1.0 - 0.005 * now.warmth)
         stiffness = most / 5e-4
         self.friction += (
@@ -239,14 +229,10 @@ class FluidInertia:
 
 
 @dataclass
-class ShimValves:
+class ShimValves(ForeignLaw):
     """Shim valves that open at different speeds, with different rebound and compression forces."""
 
-    size: float = 1.0
-    late: float = 0.0
-
-    def force(self, now: Moment) -> float:
-        """Force [N]."""
+    def _force(self, now: Moment) -> float:
         viscous, knee, beyond = (5200.0, 0.05, 900.0) if now.v > 0.0 else (2600.0, 0.08, 500.0)
         speed = abs(now.v)
         flowing = viscous * min(speed, knee) + beyond * max(speed - knee, 0.0)
@@ -254,20 +240,17 @@ class ShimValves:
         there = math.copysign(
             (flowing + friction * math.tanh(speed / 0.007)) * math.exp(-0.005 * now.warmth), now.v
         )
-        self.late += (there - self.late) * min(now.step / 0.003, 1.0)
-        return self.size * self.late
+        return self.size * self.lagged(there, now, 0.003)
 
 
 @dataclass
-class Remanence:
+class Remanence(ForeignLaw):
     """Iron with remanence: the field lags behind the current by 0.15 A in both directions."""
 
-    size: float = 1.0
     field_current: float = 0.0
     deflection: float = 0.0
 
-    def force(self, now: Moment) -> float:
-        """Force [N]."""
+    def _force(self, now: Moment) -> float:
         half = 0.15
         self.field_current = min(max(self.field_current, now.i - half), now.i + half)
         friction = _yield_force(self.field_current, 60.0, 780.0, 0.8) * (1.0 - 0.004 * now.warmth)
