@@ -26,20 +26,10 @@ from mr_damper_ros.rig.supplies.scpi_link import EmulatedInstrument
 _CURRENT, _NONE = 1.0, 0.02
 _WATCHDOG, _TIMEOUT, _LINK = 0.5, 0.3, 0.3
 
-_COIL = 0.1
-"""Time [s] from switching off the coil to zero current: four time constants, and as much again for
-a busy computer."""
-
-LIMITS = {
-    "node_killed": _WATCHDOG + _COIL,
-    "node_frozen": _WATCHDOG + _COIL,
-    "link_dead": _WATCHDOG + _COIL,
-    "link_cut": _LINK + _COIL,
-    "commander_killed": _TIMEOUT + _COIL,
-    "commander_frozen": _TIMEOUT + _COIL,
-}
-"""Documented time limit [s] for each event."""
-
+EVENTS = (
+    *("node_killed", "node_frozen", "link_dead", "link_cut"),
+    *("commander_killed", "commander_frozen"),
+)
 
 _DRIBBLE = 0.2
 """Time [s] between two bytes of an answer that never ends."""
@@ -117,18 +107,13 @@ class _Rig(Nodes):
 
 def figures(trials: int = 200) -> Measured:
     """Run a total of ``trials`` of all events in turn, and a tenth as many with slow answers."""
-    times: dict[str, list[float]] = {event: [] for event in LIMITS}
+    times: dict[str, list[float]] = {f"supply_{event}_s": [] for event in EVENTS}
     given = {"rate": 20.0, "watchdog": _WATCHDOG, "command_timeout": _TIMEOUT}
     with _Rig(profile="emulated", link_timeout=_LINK, **given) as rig:
         for place in range(trials):
-            event = list(LIMITS)[place % len(LIMITS)]
-            times[event].append(rig.trial(event))
+            event = EVENTS[place % len(EVENTS)]
+            times[f"supply_{event}_s"].append(rig.trial(event))
     with _Rig() as rig:
         leads = np.linspace(-0.5, 0.5, max(trials // 10, 3)).tolist()
-        dribbling = [rig.dribble(lead) for lead in leads]
-    within = sum(t <= LIMITS[event] for event, found in times.items() for t in found)
-    return {
-        "supply_off_in_time": (within / trials, f"Of {trials}."),
-        **{f"supply_{event}_s": max(found) for event, found in times.items()},
-        "dribble_off_s": (max(dribbling), f"Of {len(dribbling)}."),
-    }
+        times["dribble_off_s"] = [rig.dribble(lead) for lead in leads]
+    return {key: (max(found), f"Of {len(found)}.") for key, found in times.items()}
