@@ -1,4 +1,4 @@
-"""Reports as one self-contained HTML file; figures and tables are also separate files."""
+"""Reports as one self-contained HTML file, with figures and tables also as separate files."""
 
 from __future__ import annotations
 
@@ -120,7 +120,7 @@ Block = Text | Table | Picture
 
 
 _SMALL = 1e-3
-"""Smaller numbers are written with a power of ten."""
+"""Numbers below this are written with a power of ten."""
 
 
 def shown(value: Cell) -> str:
@@ -267,7 +267,7 @@ def html_table(columns: Sequence[str], rows: Sequence[Sequence[Cell]]) -> str:
 
 
 def text_table(columns: Sequence[str], rows: Sequence[Sequence[Cell]]) -> str:
-    """A table for a terminal, aligned like :func:`html_table`; the last column has no width."""
+    """A table for a terminal, aligned like :func:`html_table`; the last column is not padded."""
     numbers = [bool(rows) and _numeric(rows[0][place]) for place in range(len(columns))]
     lines = [list(columns), *([shown(cell) for cell in row] for row in rows)]
     widths = [max(map(len, column)) for column in zip(*lines, strict=True)]

@@ -1,1 +1,1 @@
-"""A rig: sources of samples, data acquisition, supplies, and commands."""
+"""The rig: sources of samples, data acquisition, supplies, and commands."""

@@ -80,10 +80,9 @@ _NODES = 4
 def aligned(blocks: Iterable[RigBlock], lateness: float) -> Iterator[RigBlock]:
     """Yield the blocks with displacement and force aligned; the force lags by ``lateness`` [s].
 
-    For a negative ``lateness`` the displacement lags. The leading channel is delayed by cubic
+    If ``lateness`` is negative, the displacement lags. The leading channel is delayed by cubic
     interpolation of four samples, and the stamps are moved back to the time of measurement. After a
-    gap the first samples are left out, because the matching values of the other channel are
-    missing.
+    gap the first samples are omitted, because the matching values of the other channel are missing.
     """
     if lateness == 0.0:
         yield from blocks
@@ -118,7 +117,7 @@ def aligned(blocks: Iterable[RigBlock], lateness: float) -> Iterator[RigBlock]:
 
 
 def _weights(delay: float) -> tuple[int, Array]:
-    """Whole samples of delay, and weights of the four samples before, the newest first."""
+    """Number of whole samples of a delay, and weights of the four samples before, newest first."""
     back = max(math.floor(delay) - 1, 0)
     place = delay - back  # counted from the newest of the four
     others = [[other for other in range(_NODES) if other != own] for own in range(_NODES)]
@@ -127,9 +126,9 @@ def _weights(delay: float) -> tuple[int, Array]:
 
 
 class Decimator:
-    """Picks at most ``rate`` samples per second of data, none for 0.
+    """Picks at most ``rate`` samples per second of data; with 0, none.
 
-    It starts anew if the stamps jump back.
+    It restarts if the stamps jump back.
     """
 
     def __init__(self, rate: float) -> None:
@@ -146,8 +145,8 @@ class Decimator:
         period_ns = period * NANOSECONDS
         if not -self._interval_ns <= start_ns - self._due_ns <= self._interval_ns:
             self._due_ns = start_ns
-        # The tolerance of half a sample covers rounded stamps: no sample is picked one sample too
-        # late.
+        # Because stamps are rounded, a sample may be picked half a sample early; otherwise some
+        # would be picked one sample too late.
         k = max(math.ceil((self._due_ns - start_ns) / period_ns - 0.5), 0)
         while k < count:
             stamp_ns = start_ns + round(k * period_ns)
@@ -167,8 +166,8 @@ class Reading(NamedTuple):
 class Meter:
     """Picks the readings that an instrument with a lower sample rate would report.
 
-    It gives a reading every ``period`` seconds, and one whenever the value has changed by more than
-    ``step`` since the last reading. Unknown values (NaN) are not reported.
+    There is a reading every ``period`` seconds, and another one whenever the value has changed by
+    more than ``step`` since the last reading. Unknown values (NaN) are not reported.
     """
 
     def __init__(self, period: float, *, step: float = math.inf) -> None:
@@ -179,7 +178,7 @@ class Meter:
     def read(self, block: RigBlock, values: Array, ahead_ns: int = 0) -> list[Reading]:
         """Return the readings in a block; ``values`` has shape (n,).
 
-        ``ahead_ns`` is the offset of the instrument's clock from that of the samples.
+        ``ahead_ns`` is the offset of the instrument's clock from the clock of the samples.
         """
         due = self._decimator.due(block.start_ns, block.period, values.size)
         regular = {index for index, _ in due}

@@ -11,7 +11,8 @@ from mr_damper_ros.kinematics.periodic_motion import PeriodicMotion
 from mr_damper_ros.settings.option_table import CheckedSettings, option
 
 STAMP_TOLERANCE = 0.05
-"""Largest time [s] by which a stamp may be ahead: the clocks of two computers may differ."""
+"""Largest time [s] by which a stamp may be ahead, because the clocks of two computers may
+differ."""
 
 
 T = TypeVar("T")
@@ -20,8 +21,8 @@ T = TypeVar("T")
 class Commander(Generic[T]):
     """The latest command; a command holds for a limited time from its stamp on.
 
-    Times are seconds of one steady clock. ``timeout`` [s] is how long a command holds,
-    ``tolerance`` [s] how far ahead it may be stamped. ``refused`` counts the refused commands.
+    Times are seconds of one steady clock. A command holds for ``timeout`` [s], and may be stamped
+    ahead by ``tolerance`` [s]. ``refused`` counts the rejected commands.
     """
 
     def __init__(self, first: T, timeout: float, tolerance: float = STAMP_TOLERANCE) -> None:
@@ -33,27 +34,27 @@ class Commander(Generic[T]):
         self._stamp_ns: int | None = None
 
     def refuse(self, reason: str) -> str:
-        """Count a refused command; returns the reason."""
+        """Count a rejected command; returns the reason."""
         self.refused += 1
         return reason
 
     def command(self, target: T, stamp_ns: int, age: float, now: float) -> str:
-        """Accept a command decided ``age`` [s] ago; returns the reason if it is refused, or "".
+        """Accept a command issued ``age`` [s] ago; returns the reason if it is rejected, or "".
 
-        ``stamp_ns`` is the time of the decision: a command older than the one in force is refused.
+        ``stamp_ns`` is the time of issue. A command older than the one in force is rejected.
         """
         objection = self._limit_objection(target) or self._time_objection(stamp_ns, age, now)
         if objection:
             return self.refuse(objection)
-        # Another thread may read in between: the value must be set before it comes into force.
+        # Another thread may read in between, so the value must be set before its time limit.
         self._target = self._within(target)
         self._until = now + self._timeout - max(age, 0.0)
-        # A command stamped ahead must not exclude later commands with correct stamps.
+        # A command stamped ahead must not block later commands with correct stamps.
         self._stamp_ns = stamp_ns + round(1e9 * min(age, 0.0))
         return ""
 
     def _limit_objection(self, target: T) -> str:
-        """Reason why a command is refused at any time, in words; empty if it is valid."""
+        """Reason why a command is invalid at any time, in words; empty if it is valid."""
         return ""
 
     def _within(self, target: T) -> T:
@@ -63,23 +64,23 @@ class Commander(Generic[T]):
     def _time_objection(self, stamp_ns: int, age: float, now: float) -> str:
         if age < -self._tolerance:
             return (
-                f"the command is stamped {-age:.3g} s ahead, where {self._tolerance:g} s are "
-                "tolerated: set the clocks of both computers"
+                f"the command is stamped {-age:.3g} s ahead, more than the tolerance of "
+                f"{self._tolerance:g} s: synchronise the clocks of both computers"
             )
         if not age <= self._timeout:
             return (
-                f"the command is {age:.3g} s old, and command_timeout is {self._timeout:g} s: set "
-                "the clocks of both computers, or command more often"
+                f"the command is {age:.3g} s old, but command_timeout is {self._timeout:g} s: "
+                "synchronise the clocks of both computers, or command more often"
             )
         if self._stamp_ns is not None and stamp_ns < self._stamp_ns and now < self._until:
-            return "the command came after a newer one"
+            return "the command is older than the last one"
         return ""
 
 
 class MotionCommander(Commander[PeriodicMotion | None]):
     """The commanded motion, None for rest. The machine stops when the commands stop.
 
-    Motions beyond the ``amplitude`` [m] or the ``velocity`` [m/s] are refused.
+    Motions beyond the ``amplitude`` [m] or the ``velocity`` [m/s] are rejected.
     """
 
     def __init__(self, amplitude: float, velocity: float, timeout: float) -> None:
@@ -89,7 +90,7 @@ class MotionCommander(Commander[PeriodicMotion | None]):
 
     @property
     def commanded(self) -> bool:
-        """Whether there has been a command; before the first one, the machine moves by itself."""
+        """Whether there has been a command; before that, the machine makes its own motion."""
         return self._stamp_ns is not None
 
     def motion(self, now: float) -> PeriodicMotion | None:
@@ -108,7 +109,7 @@ class MotionCommander(Commander[PeriodicMotion | None]):
 
 
 _RAMP_STEP = 0.01
-"""Seconds between two steps of a ramp."""
+"""Time [s] between two steps of a ramp."""
 
 
 @dataclass(frozen=True)
@@ -117,7 +118,7 @@ class CommandSettings(CheckedSettings):
 
     largest_current: float = option(
         2.0,
-        "Rated current of the coil [A]: larger commands are limited to it and counted.",
+        "Rated current of the coil [A]; larger commands are limited to it and counted.",
         minimum=0.0,
         maximum=1000.0,
     )
@@ -138,14 +139,15 @@ class CommandSettings(CheckedSettings):
         0.5,
         "Time [s] for which a command holds from its stamp on. When commands stop, the "
         "current is zero until another command arrives or the current is set by hand; a "
-        "commanded motion ends. Older commands are refused.",
+        "commanded motion ends. Older commands are rejected.",
         minimum=0.01,
         maximum=3600.0,
     )
     stamp_tolerance: float = option(
         STAMP_TOLERANCE,
         "Largest time [s] by which a command may be stamped ahead of this computer's clock; "
-        "others are refused. Increase it only if two clocks cannot be synchronised.",
+        "commands stamped further ahead are rejected. Increase it only if the clocks of two "
+        "computers cannot be synchronised.",
         minimum=0.0,
         maximum=3600.0,
     )
@@ -204,7 +206,7 @@ class CurrentCommander(Commander[float]):
         return _RAMP_STEP if self._given != self._target else max(self._until - now, 0.0)
 
     def start(self, now: float) -> None:
-        """Start at zero current: the output has just been switched on."""
+        """Start at zero current, because the output has just been switched on."""
         self._given, self._at = 0.0, now
 
     def _limit_objection(self, current: float) -> str:

@@ -20,14 +20,15 @@ from mr_damper_ros.signals.arrays import Array, white_noise
 from mr_damper_ros.signals.blocks import NANOSECONDS
 
 _CUT, _ROW = 0.01, 5
-"""Fraction and run length of samples at exactly the extreme value that indicate clipping."""
+"""A channel is clipped if this fraction of samples is exactly at the extreme, this many in a
+row."""
 
 _COARSE = 0.02
-"""Coarse quantisation: smallest step, in standard deviations of the channel."""
+"""Smallest step, in standard deviations of the channel, that counts as coarse quantisation."""
 
 _NOISY = {"displacement": (0.002, 1e-5), "force": (0.03, 10.0)}
-"""Excessive white noise, in standard deviations of the channel and in its unit. Both must be
-exceeded, because the force is small without current."""
+"""Limits of white noise, in standard deviations of the channel and in its unit. Noise is excessive
+if it exceeds both, because without current the force is small."""
 
 _WILD, _JUMP = 12.0, 0.1
 """An outlier deviates from its neighbours by this multiple of the noise and this fraction of the
@@ -35,13 +36,15 @@ range."""
 
 _MAINS = (50.0, 60.0)
 _NEAR, _BESIDE = 0.5, 6.0
-"""Half-widths [Hz] of the band of a mains frequency and of the band for comparison."""
+"""Half-widths [Hz] of the band around a mains frequency and of the band for comparison."""
 
 _HARMONICS = 2.2
-"""Width of the comparison in multiples of the motion frequency; odd harmonics are two apart."""
+"""Half-width of the comparison in multiples of the motion frequency, of which odd harmonics lie two
+apart."""
 
 _STANDS_OUT, _HUMS = 3.0, {"displacement": 1e-3, "force": 5e-3}
-"""A line is hum above this multiple of its neighbours and this fraction of the channel's spread."""
+"""A spectral line is hum if it exceeds this multiple of its neighbours, and this fraction of the
+channel's standard deviation."""
 
 
 def channel_findings(
@@ -80,14 +83,14 @@ def coarse_step(values: Array) -> float:
 
 
 def _cut(values: Array, limit: float) -> bool:
-    """Whether many values are exactly at this limit, and several in a row."""
+    """Whether many values, and several in a row, are exactly at this limit."""
     there = values == limit
     in_a_row = np.convolve(there, np.ones(_ROW), "valid").max() >= _ROW
     return bool(in_a_row and there.mean() >= _CUT)
 
 
 def _line_at(mains: float, reach: float, values: Array, period: float) -> tuple[float, float]:
-    """Amplitudes of the lines at the mains frequency, and beside it; 0 if they are not resolved."""
+    """Amplitudes of the lines at and beside the mains frequency; 0 if they are not resolved."""
     if mains + reach > 0.5 / period or values.size * period < 2.0 / _NEAR:
         return 0.0, 0.0
     weights = np.hanning(values.size)
@@ -98,22 +101,23 @@ def _line_at(mains: float, reach: float, values: Array, period: float) -> tuple[
 
 
 _RATE = 0.003
-"""Largest relative error of the sample period that clock tolerance explains."""
+"""Largest relative error of the sample period that the tolerance of clocks can explain."""
 
 _JITTER = 0.1
 """Tolerated stamp jitter in sample periods (doc/time.md)."""
 
 _BURST = 0.1
-"""Delay of a block [s] that indicates a hold-up."""
+"""Delay of a block [s] above which the stream counts as paused."""
 
 _TOLD_LATE = 2.0
-"""Tolerated difference [s] of two counts that are reported once a second."""
+"""Tolerated difference [s] between two counts that are reported once a second."""
 
 _CURRENT_OFF, _SETTLING = 0.05, 1.0
-"""Tolerated deviation [A] of the measured current; age [s] of the command from which it applies."""
+"""Tolerated deviation [A] of the measured current from a command that is older than this time
+[s]."""
 
 _CURRENT_AHEAD = 0.5
-"""Difference [s] between the newest stamps of current and samples that indicates two clocks."""
+"""Difference [s] between the newest stamps of current and samples above which the clocks differ."""
 
 
 def stream_findings(record: RigRecord) -> Iterator[RigFinding]:
@@ -126,7 +130,7 @@ def stream_findings(record: RigRecord) -> Iterator[RigFinding]:
         period, stated = float(np.median(steps / counts)), record.period
         if abs(period / stated - 1.0) > _RATE:
             yield Trouble.RATE.found(measured=1e3 * period, rate=1.0 / period, stated=1e3 * stated)
-        # A line over the whole record would not follow a clock step.
+        # A line fitted to the whole record would not follow a step of the clock.
         off = steps - period * counts
         jitter = float(np.std(off[np.abs(off) < 1.0])) / math.sqrt(2.0)
         if jitter > _JITTER * period:
@@ -135,7 +139,7 @@ def stream_findings(record: RigRecord) -> Iterator[RigFinding]:
     if (arrivals >= 0.0).all() and arrivals.size > 2:
         longest = max(block.force.size * block.period for block in record.blocks)
         pauses = np.diff(arrivals) / NANOSECONDS
-        # Without samples, nothing was held up.
+        # Without samples, there was no pause.
         held_up = pauses[pauses - np.clip(np.diff(times), longest, None) > _BURST]
         if held_up.size > 1:
             yield Trouble.BURSTS.found(count=held_up.size, pause=held_up.max())
@@ -157,13 +161,13 @@ def _count_findings(record: RigRecord) -> Iterator[RigFinding]:
             block.start_ns + round((end - block.sequence) * block.period * NANOSECONDS),
         )
     if repeated:
-        # A block that arrives after its successor counted as missing at that time.
+        # A block that arrives after its successor was first counted as missing.
         lost = max(lost - repeated * round(np.median([b.force.size for b in record.blocks])), 0)
         yield Trouble.REPEATED.found(count=repeated)
     left_out = {name: record.left_out(name) for name in ("displacement", "force")}
     for name, count in left_out.items():
         if count:
-            yield Trouble.CLIPPED.found(name, how=f", its source left out {count} samples")
+            yield Trouble.CLIPPED.found(name, how=f", and its source omitted {count} samples")
     known = sum(left_out.values())
     if lost and not (known and (lost - known) * record.period < _TOLD_LATE):
         whole = lost + record.sample_count
@@ -203,7 +207,7 @@ def _command_findings(
     changed = np.diff(wanted, prepend=np.nan) != 0.0
     since = told[np.maximum.accumulate(np.where(changed, np.arange(told.size), 0))]
     place = np.searchsorted(told, stamps, side="right") - 1
-    # The last command is fresh, and it has been the same for long enough to be obeyed.
+    # The last command is recent, and has not changed for long enough to be obeyed.
     fresh = (place >= 0) & (stamps - told[place] < _SETTLING * NANOSECONDS)
     off = (values - wanted[place])[fresh & (stamps - since[place] > _SETTLING * NANOSECONDS)]
     if off.size and float(np.median(np.abs(off))) > _CURRENT_OFF:
@@ -217,14 +221,14 @@ _DISPLACEMENT, _FORCE = (5e-5, 0.5), (2.0, 5e5)
 """Plausible half ranges [m] and [N] of a damper in a press; others indicate a wrong unit."""
 
 _OFFSET = 0.25
-"""Largest mean force over half the range that gas pressure explains."""
+"""Largest mean force, relative to half the range, that gas pressure explains."""
 
 _SMOOTHER = 0.9
 """A machine moves smoothly and a damper force reverses sharply, so the force has the larger steps.
 """
 
 _SKEW, _SURE = 3e-4, 3.0
-"""Smallest relevant skew [s], and its smallest ratio to the standard error."""
+"""Smallest skew [s] that is reported, and its smallest ratio to the standard error."""
 
 _USUAL = 2e-3
 """Usual amplitude [m] of the first motion."""
@@ -306,14 +310,14 @@ def _unit_findings(displacement: Array, force: Array) -> Iterator[RigFinding]:
     half = _half_range(force)
     if _half_range(displacement) < _DISPLACEMENT[0]:
         return
-    # The centre between the extremes: a mean over incomplete cycles would be biased.
+    # The centre between the extremes, because a mean over incomplete cycles would be biased.
     middle = 0.5 * float(np.quantile(force, 0.99) + np.quantile(force, 0.01))
     if abs(middle) > _OFFSET * half:
         yield Trouble.OFFSET.found("force", middle=middle)
 
 
 def _half_range(values: Array) -> float:
-    """Half the range of nearly all values; rare outliers do not count."""
+    """Half the range of the values without rare outliers."""
     low, high = np.quantile(values, (0.01, 0.99))
     return 0.5 * float(high - low)
 
@@ -321,7 +325,7 @@ def _half_range(values: Array) -> float:
 def _exchanged(displacement: Array, force: Array) -> bool:
     """Whether the channels are exchanged: the displacement is rough and noisy for its size."""
     if coarse_step(displacement):
-        return False  # coarse quantisation is rough, too
+        return False  # coarse quantisation is also rough
     noises = [white_noise(values) / float(np.std(values)) for values in (displacement, force)]
     rougher = _roughness(displacement) * _SMOOTHER > _roughness(force)
     return rougher and noises[0] > noises[1]
@@ -341,8 +345,8 @@ def _advice(displacement: Array, force: Array, period: float) -> str:
     fastest = 1.0 / (200.0 * period)
     frequency = min(1.0, fastest)
     return (
-        f"Begin with a sine of ±{1e3 * max(smallest, _USUAL):.2g} mm at {frequency:.2g} Hz and no "
-        f"current, then half and all of it, then {min(2.0 * frequency, fastest):.2g} Hz. At least "
-        f"±{1e3 * smallest:.2g} mm stand out of the noise; up to {fastest:.3g} Hz a cycle has at "
-        "least 200 samples."
+        f"Begin with a sine of ±{1e3 * max(smallest, _USUAL):.2g} mm at {frequency:.2g} Hz without "
+        "current, then with half and with all of the current, then at "
+        f"{min(2.0 * frequency, fastest):.2g} Hz. Amplitudes from ±{1e3 * smallest:.2g} mm are "
+        f"well above the noise; up to {fastest:.3g} Hz a cycle has at least 200 samples."
     )

@@ -2,10 +2,10 @@
 
 After a reversal, the damper force crosses zero with a delay. One part is the hysteresis, a fraction
 of the cycle (v_h is proportional to the peak velocity). The other part is the skew of the channels,
-a constant time. Motion at one frequency cannot separate the two. At several frequencies, the delay
-is a linear function of the cycle length, and the skew is its intercept.
+a constant time. Motion at one frequency cannot separate these parts. At several frequencies, the
+delay is a linear function of the cycle length, and the skew is its intercept.
 
-A constant lag in the damper itself, such as that of a compliant mount or fluid, counts as skew.
+A constant lag in the damper itself, as from a compliant mount or fluid, counts as skew.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ _BRIDGED = 0.1
 
 @dataclass(frozen=True, eq=False)
 class ReceivedBlock:
-    """A block as received; ``arrival_ns`` is from a steady clock, -1 if unknown."""
+    """A block as received; ``arrival_ns`` is a time of a steady clock, -1 if unknown."""
 
     start_ns: int
     sequence: int
@@ -46,10 +46,10 @@ class RigRecord:
     unusable: int = 0
     """Number of messages without samples or period, or with unequal lengths."""
     saturated: dict[str, tuple[int, int]] = field(default_factory=dict)
-    """By channel, the number of clipped samples that its source left out: first and last report."""
+    """Number of clipped samples omitted by the source, by channel: first and last report."""
 
     def left_out(self, channel: str) -> int:
-        """Number of clipped samples left out during the check."""
+        """Number of clipped samples that the source omitted during the check."""
         first, last = self.saturated.get(channel, (0, 0))
         return max(last - first, 0)
 
@@ -106,7 +106,7 @@ class RigFinding:
 
 
 class Trouble(Enum):
-    """Kinds of findings: their sentences, into which channel and figures are filled."""
+    """Kinds of findings, with the templates of their sentences."""
 
     SILENT = (
         "no samples arrive on mts/samples: start the bridge or your driver, and publish reliably"
@@ -117,19 +117,19 @@ class Trouble(Enum):
     )
     NOT_FINITE = "{count} values of the {channel} are not finite"
     STUCK = "the {channel} does not change at all: is its sensor connected?"
-    AT_REST = "the {channel} goes to ±{half:.3g} {unit} only: does the machine move?"
-    SWAPPED = "the displacement is rougher than the force: are the two channels exchanged?"
+    AT_REST = "the {channel} reaches only ±{half:.3g} {unit}: does the machine move?"
+    SWAPPED = "the displacement is less smooth than the force: are the two channels exchanged?"
     INVERTED = (
         "the force is not dissipative: reverse the sign of force or displacement; extension and "
         "tension are positive"
     )
-    UNIT = "the {channel} goes to ±{half:.3g} {unit}{only}: is it in {other}?"
+    UNIT = "the {channel} reaches ±{half:.3g} {unit}{only}: is it in {other}?"
     OFFSET = (
         "the force is centred on {middle:.3g} N instead of zero: zero the load cell with the rod "
         "free"
     )
     SKEW = (
-        "the {late} comes {skew:.2f} ± {error:.2f} ms later than the {early}: a filter, a "
+        "the {late} lags the {early} by {skew:.2f} ± {error:.2f} ms: is the cause a filter, a "
         "multiplexer, or a compliant mount? Set the bridge's force_lateness to {lateness:.5f}"
     )
     NOISE = (
@@ -146,12 +146,12 @@ class Trouble(Enum):
         "{count} samples of the {channel} are outliers: is there a loose plug or a disturbance?"
     )
     RATE = (
-        "the stamps say a sample every {measured:.4g} ms ({rate:.4g} Hz), stated are "
-        "{stated:.4g} ms: set the right period in the driver"
+        "by the stamps the sample period is {measured:.4g} ms ({rate:.4g} Hz), but the messages "
+        "state {stated:.4g} ms: set the right period in the driver"
     )
     JITTER = (
         "the stamps jitter by {jitter:.2g} ms ({share:.0%} of a period): stamp by the count of the "
-        "samples, not by when they come (doc/time.md)"
+        "samples, not by their arrival (doc/time.md)"
     )
     LOST = (
         "{count} samples of {whole} ({share:.2%}) were lost: check the network, send larger "
@@ -159,8 +159,8 @@ class Trouble(Enum):
     )
     REPEATED = "{count} blocks arrived twice or out of order: does only one node publish them?"
     RESTARTED = (
-        "count or stamps of the samples were set {count} times: is the source started again, or "
-        "its clock set, while it runs?"
+        "count or stamps of the samples jumped {count} times: was the source restarted, or its "
+        "clock set, during the check?"
     )
     BURSTS = (
         "the stream paused {count} times for up to {pause:.2g} s and then caught up: check the "
@@ -184,10 +184,10 @@ _FEWEST = 8
 """Smallest number of reversals for the regression."""
 
 _SMOOTHED = 40.0
-"""Half-width of the smoothing, as a fraction of the median cycle."""
+"""The half-width of the smoothing is the median cycle divided by this."""
 
 _SMALL = 0.25
-"""Fraction of the usual peak velocity that must be reached between two reversals."""
+"""Fraction of the 90 % quantile of the speed that must be reached between two reversals."""
 
 _FURTHEST = 0.25
 """Fraction of a cycle around a reversal in which the force must cross zero."""
@@ -198,8 +198,8 @@ _SPREAD = 1.3
 _OUTLIER = 4.0
 
 _OF_THE_LAW = 4e-4
-"""Additional standard error [s], because hysteresis is no exact fraction of the cycle: the error
-of the skew for emulated dampers without skew."""
+"""Additional standard error [s], because hysteresis is not exactly a fraction of the cycle. It is
+the error of the skew for emulated dampers without skew."""
 
 _REMEMBERED, _EVEN = 4, 0.05
 """Number of past cycles that affect the hysteresis, and their largest relative difference."""
@@ -245,7 +245,7 @@ def channel_lag(displacement: Array, force: Array, period: float) -> ChannelLag:
     cycles = turns[2:] - turns[:-2]
     lags = np.full(cycles.size, math.nan)
     for k, (turn, cycle) in enumerate(zip(turns[1:-1], cycles, strict=True)):
-        # The force crosses zero in the direction of the motion.
+        # Only crossings in the direction of the motion count.
         near = zeros[(np.abs(zeros - turn) < _FURTHEST * cycle) & (rising == direction[k + 1])]
         if near.size:
             lags[k] = np.median(near) - turn
@@ -280,7 +280,7 @@ def _steady(cycles: Array) -> np.ndarray:
 
 
 def _line(lags: Array, cycles: Array) -> ChannelLag:
-    """Regression of the lags (n,) on the cycle lengths (n,) [s]; errors grow with the length."""
+    """Regression of the lags (n,) on the cycle lengths (n,) [s]; errors grow with length."""
     unknown = ChannelLag(lag=float(np.median(lags)))
     if np.quantile(cycles, 0.9) < _SPREAD * np.quantile(cycles, 0.1):
         return unknown

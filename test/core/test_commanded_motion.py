@@ -101,5 +101,5 @@ def test_what_cannot_be_made_is_refused(wanted: PeriodicMotion, age: float, sent
 def test_a_command_that_was_overtaken_is_refused() -> None:
     commander = MotionCommander(*LIMITS)
     commander.command(sine(0.01, 1.0), 200, 0.0, 10.0)
-    assert "after a newer one" in commander.command(sine(0.005, 1.0), 100, 0.0, 10.1)
+    assert "older than the last one" in commander.command(sine(0.005, 1.0), 100, 0.0, 10.1)
     assert commander.motion(10.1) == sine(0.01, 1.0)

@@ -446,7 +446,7 @@ def test_blocks_hold_what_came_and_none_has_a_gap(taken: set[int], size: int) ->
         ({"address": "tcp:a:70000", "columns": TIMED}, "cannot be used"),
         ({"address": "udp::5", "columns": TIMED}, "cannot be used"),
         ({"columns": "displacement:mm,force:N"}, "give stream.rate"),
-        ({"columns": TIMED, "rate": 1000.0}, "leave one out"),
+        ({"columns": TIMED, "rate": 1000.0}, "omit one of them"),
         ({"columns": "displacement:mm,force:N", "rate": 0.5}, "must be from 1 to 100000 Hz"),
         ({"columns": "velocity:m/s,time:s,force:N"}, "a velocity does not do"),
         ({"columns": "count,time:s,displacement:mm,force:N"}, "only one is needed"),

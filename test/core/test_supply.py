@@ -72,7 +72,7 @@ def test_a_command_stamped_ahead_within_the_tolerance_keeps_no_other_out() -> No
         (math.nan, 0.0, "not finite"),
         (math.inf, 0.0, "not finite"),
         (1.0, 0.6, "0.6 s old"),
-        (1.0, -0.45, "0.45 s ahead, where 0.05 s are tolerated"),
+        (1.0, -0.45, "0.45 s ahead, more than the tolerance of 0.05 s"),
         (1.0, math.nan, "command_timeout"),
     ],
 )
@@ -87,7 +87,7 @@ def test_a_command_that_cannot_be_meant_is_refused(current: float, age: float, p
 def test_a_command_that_was_overtaken_is_refused_while_the_newer_one_holds() -> None:
     tried = commander(command_timeout=0.5)
     assert tried.command(1.0, 2 * SECOND, 0.0, now=0.0) == ""
-    assert "after a newer one" in tried.command(0.3, SECOND, 0.1, now=0.1)
+    assert "older than the last one" in tried.command(0.3, SECOND, 0.1, now=0.1)
     # Once that has timed out, an earlier stamp is that of a clock which was set.
     assert tried.command(0.3, SECOND, 0.1, now=0.6) == ""
 
@@ -170,10 +170,10 @@ def test_it_complains_in_a_queue_that_overflows(instrument: EmulatedInstrument) 
     ("text", "part"),
     [
         ("[1, 2]", "not a table"),
-        ("tested: no\nset_curent: X", "'set_curent', which is none of"),
-        ("set_current: X", "does not say what it was tested on"),
-        ("tested: no\nset_current: CURR {amps}", "cannot be filled in"),
-        ("tested: no\nset_current: CURR {", "cannot be filled in"),
+        ("tested: no\nset_curent: X", "entry 'set_curent': use"),
+        ("set_current: X", "does not say with which instruments"),
+        ("tested: no\nset_current: CURR {amps}", "of the profile is invalid"),
+        ("tested: no\nset_current: CURR {", "of the profile is invalid"),
         ("tested: no\nwatchdog_step: quick", "must be a number"),
         ("tested: no\nwatchdog_step: 0", "must be positive"),
         ("a: [", "is not valid YAML"),

@@ -133,7 +133,7 @@ def test_a_motion_stamped_ahead_is_refused_and_two_commanders_are_told_beside(
             commands.publish(ExcitationCommand(header=ahead, amplitude=0.005, frequency=1.0))
 
         timer = listener.node.create_timer(0.05, command)
-        found = listener.wait_for_finding("bridge: motion", "s ahead, where 0.05 s are tolerated")
+        found = listener.wait_for_finding("bridge: motion", "s ahead, more than the tolerance")
         listener.node.destroy_timer(timer)
     assert found.level == DiagnosticStatus.ERROR
     assert "the motion is commanded by" in found.message

@@ -27,7 +27,7 @@ BUFFERED = 10.0
 class Readings(NamedTuple):
     """``values`` (channels, n) [V], in the order of the channels, at a sample ``rate`` [Hz].
 
-    If the device has stamps, ``stamps`` (n,) [s] are on any clock, and ``rate`` has no meaning.
+    If the device has stamps, ``stamps`` (n,) [s] are by any clock, and ``rate`` has no meaning.
     """
 
     values: Array
@@ -108,7 +108,7 @@ _SINGLE_ENDED = 199
 """LJM's number for ground as the negative input of a channel."""
 
 _MISSED = -9999.0
-"""Reading of a LabJack in place of a skipped sample."""
+"""Value that a LabJack gives in place of a skipped sample."""
 
 
 def _labjack(ljm: Any, channels: AnalogChannels) -> Portions[Readings]:
@@ -117,7 +117,7 @@ def _labjack(ljm: Any, channels: AnalogChannels) -> Portions[Readings]:
     with ExitStack() as stack:
         try:
             handle = ljm.openS("ANY", "ANY", channels.device or "ANY")
-        except AttributeError:  # the module has no functions then
+        except AttributeError:  # without the library, the module has no functions
             raise OSError("LabJack's library LJM is not installed") from None
         stack.callback(ljm.close, handle)
         settings: dict[str, float] = {}
@@ -135,7 +135,7 @@ def _labjack(ljm: Any, channels: AnalogChannels) -> Portions[Readings]:
         unknown = ljm.constants.INVALID_NAME_ADDRESS
         if unknown in addresses:
             name = names[addresses.index(unknown)]
-            raise OSError(f"it has no channel {name}: they are AIN0, AIN1 and so on")
+            raise OSError(f"it has no channel {name}: the channels are AIN0, AIN1 and so on")
         scans = max(round(channels.rate / 50.0), 1)
         rate = float(ljm.eStreamStart(handle, scans, len(names), addresses, channels.rate))
         stack.callback(ljm.eStreamStop, handle)
@@ -166,7 +166,7 @@ def _measurement_computing(uldaq: Any, channels: AnalogChannels) -> Portions[Rea
         stack.callback(device.disconnect)
         inputs = device.get_ai_device()
         if inputs is None or not inputs.get_info().has_pacer():
-            raise OSError("it has no analogue inputs that are read by a clock of its own")
+            raise OSError("it has no analogue inputs that its own clock can sample")
         modes = uldaq.AiInputMode
         mode = modes.DIFFERENTIAL if channels.differential else modes.SINGLE_ENDED
         numbers = [int(name) for name in channels.names]
@@ -174,7 +174,7 @@ def _measurement_computing(uldaq: Any, channels: AnalogChannels) -> Portions[Rea
         count = inputs.get_info().get_num_chans_by_mode(mode)
         if high >= count:
             wiring = "wired differentially" if channels.differential else "wired to ground"
-            raise OSError(f"it has no channel {high}: {count} can be {wiring}")
+            raise OSError(f"it has no channel {high}: {count} channels can be {wiring}")
         span = _mcc_range(inputs.get_info().get_ranges(mode), max(channels.ranges))
         held = max(round(BUFFERED * channels.rate), 1)
         buffer = uldaq.create_float_buffer(high - low + 1, held)
@@ -194,7 +194,7 @@ def _measurement_computing(uldaq: Any, channels: AnalogChannels) -> Portions[Rea
                 raise OSError("it has overwritten samples that were not yet read")
             if ready <= 0:
                 if status != uldaq.ScanStatus.RUNNING:
-                    raise OSError("it has stopped to sample")
+                    raise OSError("it has stopped sampling")
                 yield None
                 continue
             ready = min(ready, MOST_READ)
@@ -226,7 +226,7 @@ def _lab_stream(pylsl: Any, channels: AnalogChannels) -> Portions[Readings]:
     if not found:
         raise OSError(f"there is no stream '{channels.device}' on the network")
     if found[0].channel_format() == pylsl.cf_string:
-        raise OSError("it holds texts, not numbers")
+        raise OSError("it contains text, not numbers")
     inlet = pylsl.StreamInlet(
         found[0],
         max_buflen=round(BUFFERED),
@@ -257,11 +257,11 @@ def _place(name: str, labels: list[str | None], count: int) -> int:
     if name.isdigit() and int(name) < count:
         return int(name)
     known = ", ".join(label for label in labels if label) or "none has a label"
-    raise OSError(f"it has {count} channels ({known}), and no '{name}'")
+    raise OSError(f"it has no channel '{name}', but {count} others ({known})")
 
 
 def _simulated(_: Any, channels: AnalogChannels) -> Portions[Readings]:
-    """At 1 Hz: 5 V of displacement, 7 V of force; 1.5 V of current. Clipped at the ranges."""
+    """Displacement of 5 V and force of 7 V at 1 Hz, current of 1.5 V, each clipped at its range."""
     limits = np.array(channels.ranges)[:, np.newaxis]
     began, taken = time.monotonic(), 0
     while True:

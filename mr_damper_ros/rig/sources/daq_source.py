@@ -25,7 +25,7 @@ SATURATED = "at the end of its range"
 """Suffix after the name of a channel in the keys of :meth:`Source.state`: a sample count."""
 
 _FULL = 0.999
-"""Fraction of the range from which on a channel counts as saturated."""
+"""Fraction of the range above which a channel counts as saturated."""
 
 
 def _scale(name: str, unit: str) -> float:
@@ -41,7 +41,7 @@ def _offset(name: str, unit: str) -> float:
 def _range(name: str) -> float:
     return option(  # type: ignore[no-any-return]
         10.0,
-        f"Range of the {name} channel, plus and minus this [V]; clipped samples are left out.",
+        f"Range of the {name} channel, plus and minus this [V]; clipped samples are omitted.",
         minimum=1e-6,
         maximum=1e12,
     )
@@ -185,7 +185,7 @@ class DaqSource(DeviceSource[Readings]):
         stamped = [None] * count if stamps is None else stamps.tolist()
         for stamp, taken_ns, row in zip(stamped, taken.tolist(), channels.T.tolist(), strict=True):
             for sample in self._times.add(Row(Measured(*row), None, stamp), taken_ns):
-                # Unusable samples have a number, too, so that they count as missing.
+                # Unusable samples are also numbered, so that they count as missing.
                 yield sample if sample.measured.possible else None
 
     def _in_units(self, volts: Array) -> Array:
@@ -204,17 +204,15 @@ class DaqSource(DeviceSource[Readings]):
         return channels
 
     def _fault(self, of_device: str) -> str:
-        """The present fault, as a sentence; empty if there is none."""
+        """The present fault, as a sentence; empty without a fault."""
         reported, self._reported = self._reported, dict(self._saturated)
         if of_device:
             return of_device
         if self._silent:
-            return f"nothing comes from {self.settings.driver} {self.settings.device}"
+            return f"no samples arrive from {self.settings.driver} {self.settings.device}"
         for name, count in self._reported.items():
             new = count - reported[name]
             if new:
                 limit = getattr(self.settings, f"{name}_range")
-                return (
-                    f"the {name} is {SATURATED} of {limit:g} V: {new} samples of it were left out"
-                )
+                return f"the {name} is {SATURATED} of {limit:g} V: {new} samples of it were omitted"
         return ""

@@ -18,20 +18,20 @@ from mr_damper_ros.signals.blocks import RigBlock
 T = TypeVar("T")
 
 _MOST_WAITING = 256
-"""Largest number of waiting portions; until there is room, the device is not read."""
+"""Largest number of waiting portions; while the queue is full, the device is not read."""
 
 POLL = 0.1
-"""Longest wait [s] for a device before the waiting code checks whether to end."""
+"""Longest wait [s] for a device before the reader checks whether it must end."""
 
 SILENCE = 2.0
-"""Seconds without an answer after which a device, a sender or a driver counts as silent."""
+"""Time [s] without an answer after which a device, a sender or a driver counts as silent."""
 
 _IDLE = 0.005
 """Pause [s] before the next read of a device without new data."""
 
 Portions = Generator[T | None, None, None]
-"""The data of a connected device: None first, once it is connected, and again if there was no data
-for about 0.1 s. It may raise any exception; closing it releases the device."""
+"""The data of a connected device. The first value is None, once it is connected; None also follows
+if there was no data for about 0.1 s. It may raise any exception; closing it releases the device."""
 
 
 class Portion(NamedTuple, Generic[T]):
@@ -60,7 +60,7 @@ class DeviceReader(Generic[T]):
         """Return all waiting portions; waits for up to 0.1 s if there are none."""
         try:
             found = [self._waiting.get(timeout=POLL)]
-            # Only the portions present now: a continuous stream of data must not block the caller.
+            # Only the portions present now, because a continuous stream must not block the caller.
             for _ in range(self._waiting.qsize()):
                 found.append(self._waiting.get_nowait())
         except queue.Empty:
@@ -82,7 +82,7 @@ class DeviceReader(Generic[T]):
                     self.connections += 1
                     self.fault = ""
                     self._read(portions)
-            except Exception as error:  # drivers are foreign code: this thread must survive them
+            except Exception as error:  # drivers are foreign code; this thread must survive them
                 self.fault = f"{failed}: {_reason(error)}"
             self._ended.wait(5.0 * POLL)  # pause before the next attempt to connect
 
@@ -113,13 +113,13 @@ def _reason(error: Exception) -> str:
 
 
 _SET_NS = 20_000_000
-"""A jump [ns] between the clocks above which the computer's clock counts as set."""
+"""A larger jump [ns] between the clocks means that the computer's clock was set."""
 
 
 class HostClock:
     """Converts times of the steady clock to stamps; the present stamp is ``start_ns``.
 
-    When the computer's clock is set, the stamps follow it, like those of other devices.
+    If the computer's clock is set, the stamps follow it, as the stamps of other devices do.
     """
 
     def __init__(

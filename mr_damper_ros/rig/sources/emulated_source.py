@@ -54,8 +54,8 @@ class _RigOptions(ParameterTable):
     hot_force: float = option(
         1.0,
         "Factor on the force at 71 °C, below 1 for a damper that weakens as it heats up; the "
-        "force changes linearly from 28 °C to 71 °C. The thesis' damper loses about a quarter "
-        "(0.74), which thesis_temperatures already includes.",
+        "force changes linearly from 28 °C to 71 °C. The force of the damper in the thesis falls "
+        "to 0.74, which thesis_temperatures already includes.",
         minimum=0.0,
         maximum=10.0,
     )
@@ -71,8 +71,8 @@ class _RigOptions(ParameterTable):
     command_timeout: float = with_default(CommandSettings, "command_timeout", 0.5)
     coil_time_constant: float = option(
         0.0,
-        "Time constant [s] of the coil: its current, and so the force, follows the supply "
-        "current with this lag.",
+        "Time constant [s] with which the coil current, and so the force, follows the supply "
+        "current.",
         minimum=0.0,
         maximum=1.0,
     )
@@ -92,8 +92,8 @@ class _RigOptions(ParameterTable):
     )
     heat_capacity: float = option(
         430.0,
-        "Heat capacity of the damper [J/K], which absorbs the dissipated power: a smaller "
-        "value makes the damper drift faster.",
+        "Heat capacity of the damper [J/K], which absorbs the dissipated power. With a smaller "
+        "value, the damper heats up faster.",
         minimum=0.1,
         maximum=1e6,
     )
@@ -111,8 +111,8 @@ class EmulatedOptions(_RigOptions):
 
     damper: str = option(
         _THESIS_TEMPERATURES,
-        f"The damper in the machine: {_THESIS_TEMPERATURES} (that of the thesis at 28 °C and "
-        "71 °C, its force interpolated by the emulated temperature), a condition of the "
+        f"The damper in the machine: {_THESIS_TEMPERATURES} (the damper of the thesis at 28 °C and "
+        "71 °C, with its force interpolated by the emulated temperature), a condition of the "
         "thesis such as 5.0mm_1Hz_1.5A, or the path of a parameter file (YAML) of any model.",
     )
     excitation: str = option(
@@ -150,13 +150,13 @@ class EmulatedOptions(_RigOptions):
     )
     largest_amplitude: float = option(
         0.05,
-        "Largest amplitude [m] of a commanded motion; larger commands are refused.",
+        "Largest amplitude [m] of a commanded motion; larger commands are rejected.",
         minimum=1e-6,
         maximum=0.5,
     )
     largest_velocity: float = option(
         1.0,
-        "Largest peak velocity [m/s] of a commanded motion; larger commands are refused.",
+        "Largest peak velocity [m/s] of a commanded motion; larger commands are rejected.",
         minimum=1e-6,
         maximum=10.0,
     )
@@ -202,7 +202,7 @@ class EmulatedOptions(_RigOptions):
 
 
 class _EmulatedSupply(Source):
-    """Common base of both: a supply whose current is commanded or set by hand."""
+    """Base class of both sources: a supply whose current is commanded or set by hand."""
 
     _damper: Any = None
 
@@ -284,7 +284,7 @@ class EmulatedSource(_EmulatedSupply):
             rig.set_ambient(self.settings.ambient_temperature)
             rig.live = commander.origin(now) is not Origin.HAND or mover.commanded
             if mover.commanded:
-                # Up to a chunk of samples may already have been computed ahead.
+                # Up to one chunk of samples may already have been computed ahead.
                 begin = (taken + CHUNK) * settings.period
                 if motion is None:
                     motion = CommandedMotion(self._excitation, begin)
@@ -306,12 +306,12 @@ def _excitation(rig: EmulatedOptions) -> Excitation:
     if rig.excitation == "steps":
         return stepped(rig.amplitude, low, high, rig.sweep_time)
     if rig.excitation == "random":
-        seed = rig.seed % 10_000  # as many random motions there are
+        seed = rig.seed % 10_000  # the number of different random motions
         return PeriodicMotion(MotionKind.RANDOM, rig.amplitude, low, high, rig.sweep_time, seed)
     if rig.excitation == "recorded":
         from mr_damper_ros.io.records import read_record
 
-        # Only the displacement is used: any current will do.
+        # Only the displacement is used, so any current is valid.
         record = read_record(rig.motion_file, rig.motion_columns, current=0.0)
         return SampledMotion(record.displacement, record.period)
     return SineMotion(rig.amplitude, low)

@@ -16,8 +16,8 @@ from mr_damper_ros.signals.blocks import NANOSECONDS, RigBlock
 from mr_damper_ros.signals.recording import Recording
 
 _PAUSE_NS = NANOSECONDS
-"""Gap in the stamps between two recordings, and before a recording repeats: no window may span two
-motions."""
+"""Gap [ns] in the stamps between two recordings, and before a recording repeats, so that no window
+spans two motions."""
 
 
 @dataclass(frozen=True)
@@ -31,7 +31,7 @@ class BagOptions(ParameterTable):
     def objection(self) -> str:
         """Return the reason if the path is missing, or an empty string."""
         if not self.bag:
-            return "source is bag, but no bag is given: set the parameter bag to the path of one"
+            return "source is bag, but no bag is given: set the parameter bag to the path of a bag"
         return ""
 
 
@@ -102,7 +102,7 @@ class RecordOptions(ParameterTable):
     columns: str = option(
         "",
         "Columns and their units, such as time:s,displacement:mm,force:N,current:A; a minus "
-        "sign skips a column, three dots at the end skip all that follow.",
+        "sign skips a column, and three dots at the end skip all further columns.",
     )
     current: float = option(
         math.nan,
@@ -119,12 +119,12 @@ class RecordOptions(ParameterTable):
         if not self.file:
             return (
                 "source is record, but no file is given: set the parameter record.file to the "
-                "path of one"
+                "path of a file"
             )
         if not self.columns:
             return (
-                "source is record, but record.columns is empty: say what the columns hold, such "
-                "as time:s,displacement:mm,force:N"
+                "source is record, but record.columns is empty: name the columns and their units, "
+                "such as time:s,displacement:mm,force:N"
             )
         return ""
 

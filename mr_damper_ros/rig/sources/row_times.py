@@ -1,4 +1,4 @@
-"""Sample times of a sender's rows: by its count and a rate, or by its stamps."""
+"""Sample times of a sender's rows, from the sender's count and a rate, or from its stamps."""
 
 from __future__ import annotations
 
@@ -15,14 +15,14 @@ _WRONG_RATE = 0.02
 """Relative rate error of a sender's clock above which its time unit must be wrong."""
 
 _ODD_AHEAD, _ODD_BACK = 10.0, 1.0
-"""Largest plausible jump [s] of a stamp ahead of the elapsed time, and back."""
+"""Largest plausible jump [s] of a stamp, ahead of the elapsed time and back."""
 
 _ODD_IN_A_ROW = 16
-"""This many implausible stamps in a row mean that the clock was set; fewer are errors."""
+"""After this number of implausible stamps in a row, the clock was set; fewer are errors."""
 
 
 class TimedSample(NamedTuple):
-    """A sample with its number, its time [ns, steady clock], and the period [s]."""
+    """A sample with its number, its time [ns, steady clock], and the sample period [s]."""
 
     number: int
     time_ns: int
@@ -37,7 +37,7 @@ class CountedRows:
         self._times = times
 
     def add(self, row: Row, arrival_ns: int) -> list[TimedSample]:
-        """Add a row; returns the samples that are certain now."""
+        """Add a row; returns the samples whose number and time are now certain."""
         times = self._times
         index = times.add(row.number, arrival_ns)
         if index is None:
@@ -53,13 +53,13 @@ class CountedRows:
         self._times.interrupted()
 
     def fault(self) -> str:
-        """The fault of the times, as a sentence; empty if there is none."""
+        """The fault of the times, as a sentence; empty without a fault."""
         times = self._times
         stated = 1.0 / times.period
         if times.rate_is_wrong:
             return (
-                f"the samples arrive at {stated * (1.0 + times.rate_error):.4g} Hz instead of "
-                f"the stated {stated:g} Hz: they are not used"
+                f"the samples arrive at {stated * (1.0 + times.rate_error):.4g} Hz instead of the "
+                f"stated {stated:g} Hz, so they are not used: correct the rate"
             )
         if times.being_checked:
             return f"checking whether the samples arrive at the stated {stated:g} Hz"
@@ -75,14 +75,14 @@ class StampedRows:
 
     def __init__(self, unit: float) -> None:
         self._channel: StampedChannel[Measured] = StampedChannel(0.0)
-        # A counter of 32 bits wraps around to 0, such as micros() of a microcontroller.
+        # A counter of 32 bits, such as micros() of a microcontroller, wraps around to 0.
         self._around, self._turns = 2.0**32 * unit, 0.0
         self._last: tuple[float, int] | None = None
         self._odd_in_a_row = 0
         self._odd = 0
 
     def add(self, row: Row, arrival_ns: int) -> list[TimedSample]:
-        """Add a row; returns the samples that are certain now."""
+        """Add a row; returns the samples whose number and time are now certain."""
         assert row.time is not None
         time = self._followed(row.time, arrival_ns)
         if time is None:
@@ -103,16 +103,16 @@ class StampedRows:
         ]
 
     def skip(self) -> None:
-        """Do nothing: the stamps show missing samples."""
+        """Do nothing, because the stamps show missing samples."""
 
     interrupted = skip
 
     def fault(self) -> str:
-        """The fault of the times, as a sentence; empty if there is none."""
+        """The fault of the times, as a sentence; empty without a fault."""
         if self._rate_is_wrong:
             times = 1.0 / max(1.0 + self._channel.clock.rate, 1e-9)
             return (
-                f"the sender's clock goes {times:.3g} times as fast as this computer's: is the "
+                f"the sender's clock runs {times:.3g} times as fast as this computer's: is the "
                 "unit of the time right?"
             )
         return ""

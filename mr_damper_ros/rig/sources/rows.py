@@ -21,7 +21,7 @@ _BITS = (8, 16, 32, 64)
 
 
 class Row(NamedTuple):
-    """A line or a record: measured values, the sender's count or its time [s]; None if absent."""
+    """A line or a record: measured values, the sender's count and its time [s]; None if absent."""
 
     measured: Measured
     number: int | None
@@ -74,9 +74,9 @@ class RowFormat:
 def parse_row_format(text: str) -> RowFormat:
     """The format from a description such as ``count:16,displacement:mm,-,force:kN``.
 
-    It is the format for the columns of a record (:func:`mr_damper_ros.io.columns.parse_columns`)
-    with an additional column ``count``: the sender increments this number. Its bits follow after a
-    colon (32 by default). Raises ColumnError, with a sentence that says what to change.
+    The syntax is that of the columns of a record (:func:`mr_damper_ros.io.columns.parse_columns`),
+    with an additional column ``count``, which the sender increments. Its number of bits follows
+    after a colon (default: 32). Raises ColumnError, with a sentence that says what to change.
     """
     entries = [entry.strip() for entry in text.split(",")]
     counting = [place for place, entry in enumerate(entries) if _COUNT.fullmatch(entry)]
@@ -94,17 +94,19 @@ def parse_row_format(text: str) -> RowFormat:
     for column in columns.wanted:
         if column.header:
             raise ColumnError(
-                f"the column '{column.header}' is named by a header: name the columns of a stream "
-                "by their order, such as displacement:mm,force:N"
+                f"the column '{column.header}' is selected by a header, which a stream does not "
+                "have: list the columns in order, such as displacement:mm,force:N"
             )
         if column.holds_dates:
             raise ColumnError("a stream cannot hold dates: send the time in seconds")
     if "displacement" not in columns.quantities:
-        raise ColumnError("no column holds the displacement: a velocity does not do for a stream")
+        raise ColumnError(
+            "no column holds the displacement: a velocity does not suffice for a stream"
+        )
     if counting and "time" in columns.quantities:
         raise ColumnError(
-            f"the columns hold a count and a time, and only one is needed: write {SKIPPED} for the "
-            "other"
+            f"the columns hold a count and a time, but only one is needed: write {SKIPPED} for the "
+            "other one"
         )
     wanted = tuple(column for column in columns.wanted if column.quantity != "velocity")
     assert columns.width is not None or entries[-1] == REST
@@ -112,18 +114,18 @@ def parse_row_format(text: str) -> RowFormat:
 
 
 def _whole(cell: float | bytes) -> int:
-    """The count in a cell; some programs write 12.000000. Raises ValueError for other cells."""
+    """The count in a cell, also written as 12.000000. Raises ValueError for any other cell."""
     if isinstance(cell, bytes) and b"." in cell:
         cell = cell.rstrip(b" 0").removesuffix(b".")
     return int(cell)
 
 
 _LONGEST_LINE = 1024
-"""Bytes; longer data is not a line of numbers."""
+"""Largest number of bytes in a line of numbers."""
 
 _LAYOUT = re.compile(r"[<>](?:\d*x|[bBhHiIqQefd])+")
 _SURE = 3
-"""Number of records in a row that must match before the decoder is in step again."""
+"""Number of records in a row that must match before the decoder is synchronised again."""
 
 
 class LineDecoder:
@@ -147,7 +149,7 @@ class LineDecoder:
         *lines, rest = (self._rest + data).split(b"\n")
         rows = [row for line in lines for row in self._rows_of(line)]
         if len(rest) > _LONGEST_LINE:
-            # The end of an overlong line is not a line either.
+            # The end of an overlong line is also discarded.
             if not self._skips:
                 self.example = _shown(rest)
                 rows.append(None)
@@ -170,7 +172,7 @@ class LineDecoder:
 
 
 def _shown(data: bytes) -> str:
-    """The begin of unreadable data."""
+    """The beginning of unreadable data, as text."""
     text = data[:40].decode("ascii", "replace")
     return "".join(c if c.isprintable() else "\N{REPLACEMENT CHARACTER}" for c in text)
 
@@ -252,15 +254,15 @@ def check_layout(layout: str, form: RowFormat) -> None:
     """Raise ValueError, with a sentence, if a layout is invalid or does not match the columns."""
     if _LAYOUT.fullmatch(layout) is None:
         raise ValueError(
-            f"the layout '{layout}' cannot be used: begin with < (low byte first) or > and write a "
-            "letter for each column, such as <Hff, with those of Python's struct: b B h H i I q Q "
-            "e f d, x for a byte to skip"
+            f"the layout '{layout}' cannot be used: begin with < (low byte first) or >, and write "
+            "a letter of Python's struct for each column, such as <Hff: one of b B h H i I q Q e f "
+            "d, or x for a byte to skip"
         )
     count = len(struct.unpack(layout, bytes(struct.calcsize(layout))))
     if form.width is None or count != form.width:
         raise ValueError(
-            f"the layout '{layout}' holds {count} numbers, and the columns '{form.text}' are "
-            f"{form.width or 'open-ended'}: describe each of them"
+            f"the layout '{layout}' holds {count} numbers, but the number of columns in "
+            f"'{form.text}' is {form.width or 'open'}: describe each number by one column"
         )
     if form.count is not None:
         letter = re.sub(r"[<>]|\d*x", "", layout)[form.count]

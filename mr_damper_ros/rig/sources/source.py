@@ -14,7 +14,7 @@ from mr_damper_ros.signals.blocks import RigBlock
 
 @dataclass(frozen=True)
 class StreamSettings:
-    """``block_size`` is the number of samples per block; ``loop`` repeats a recording endlessly."""
+    """``block_size``: number of samples per block; ``loop``: whether a recording repeats."""
 
     block_size: int
     loop: bool = False
@@ -30,21 +30,19 @@ class SourceState(NamedTuple):
 class Source(ABC):
     """Samples of displacement, force, current and temperature, block by block.
 
-    A source is a class in a module of this folder and an entry in ``SOURCES``. :meth:`open` imports
-    the libraries of this source only, such as that of a device. The bridge has its options, with
-    ``prefix`` before their names.
-
-    ``settings`` is a table of type ``options``; the bridge replaces it when an option changes at
-    run time.
+    A source is a class in a module of this folder and an entry in ``SOURCES``. Only :meth:`open`
+    imports special libraries, such as the driver of a device. The options of a source are
+    parameters of the bridge, with ``prefix`` before their names. ``settings`` is a table of type
+    ``options``; the bridge replaces it when an option changes at run time.
     """
 
     options: ClassVar[type[ParameterTable]]
-    """Table of its options; ``objection`` returns the reason why the source cannot be opened."""
+    """Table of the options; its ``objection`` returns why the source cannot be opened."""
 
     prefix: ClassVar[str]
 
     live: ClassVar[bool] = False
-    """Whether the samples are measured live and stamped: they are sent as they arrive."""
+    """Whether the samples are measured live and stamped, and sent as they arrive."""
 
     suspended: ClassVar[bool] = False
     """Whether the damper is in a suspension; its state is then part of the blocks."""
@@ -70,9 +68,9 @@ class Source(ABC):
     def blocks(self, start_ns: int) -> Iterator[RigBlock]:
         """Yield the blocks from the beginning; sample 0 has the stamp ``start_ns`` [ns].
 
-        It is called each time that streaming starts, in an open source. The bridge holds back a
-        block until it is due. A source that waits for a device yields a block without samples about
-        every 0.1 s, so that streaming can be stopped meanwhile.
+        The bridge calls it for an open source each time that streaming starts, and sends each block
+        when it is due. A source that waits for a device yields a block without samples about every
+        0.1 s, so that streaming can be stopped.
         """
 
     def state(self) -> SourceState:

@@ -29,10 +29,10 @@ from mr_damper_ros.signals.blocks import RigBlock
 from mr_damper_ros.signals.clocks import CountedTimes
 
 _LARGEST = 65535
-"""Largest number of bytes in one read, which is that of the largest datagram."""
+"""Largest number of bytes in one read: the size of the largest datagram."""
 
 _KEEP_ALIVE = (("TCP_KEEPIDLE", 2), ("TCP_KEEPINTVL", 1), ("TCP_KEEPCNT", 3))
-"""TCP keep-alive options: only they detect a disconnected cable on a silent connection."""
+"""TCP keep-alive options, without which a disconnected cable of a silent sender is not detected."""
 
 _FORM = re.compile(
     r"serial:(?P<port>\S+)|(?P<kind>tcp|udp):(?P<host>\[[0-9a-fA-F:.]+\]|[^\s:\[\]]+):"
@@ -109,7 +109,7 @@ def _tcp_connection(address: LinkAddress) -> Portions[bytes]:
 
 
 def _datagrams(address: LinkAddress) -> Portions[bytes]:
-    """Datagrams of one sender at a time: those of two senders would be mixed up."""
+    """Datagrams of one sender at a time; datagrams of two senders would be mixed up."""
     family = socket.AF_INET6 if ":" in address.host else socket.AF_INET
     with socket.socket(family, socket.SOCK_DGRAM) as receiver:
         receiver.bind((address.host, address.number))
@@ -160,19 +160,19 @@ class StreamOptions(ParameterTable):
     mark: str = option("", "Bytes before each binary record, in hexadecimal, such as AA55.")
     check: str = option(
         "none",
-        "Check after each binary record: none, the sum of its bytes including the mark "
-        "(sum8), their exclusive or (xor8), or their CRC-16/XMODEM (crc16, high byte first).",
+        "Checksum after each binary record, over its bytes and the mark: none, their sum (sum8), "
+        "their exclusive or (xor8), or their CRC-16/XMODEM (crc16, high byte first).",
         choices=("none", "sum8", "xor8", "crc16"),
     )
 
     def objection(self) -> str:
         """Return the reason if options are missing or contradictory, or an empty string."""
         if not self.address:
-            return "source is stream, but stream.address is empty: say where the stream comes from"
+            return "source is stream, but stream.address is empty: give the address of the sender"
         if not self.columns:
             return (
-                "source is stream, but stream.columns is empty: say what a line holds, such as "
-                "time:us,displacement:mm,force:N"
+                "source is stream, but stream.columns is empty: name the columns of a line and "
+                "their units, such as time:us,displacement:mm,force:N"
             )
         try:
             address = parse_address(self.address)
@@ -180,13 +180,13 @@ class StreamOptions(ParameterTable):
         except ValueError as error:
             return f"stream: {error}"
         if form.time_unit is None and math.isnan(self.rate):
-            return "stream.columns hold no time: give stream.rate, the samples per second"
+            return "stream.columns contains no time: give stream.rate, the samples per second"
         if not (math.isnan(self.rate) or 1.0 <= self.rate <= 1e5):
             return f"stream.rate is {self.rate:g} Hz: it must be from 1 to 100000 Hz"
         if form.time_unit is not None and not math.isnan(self.rate):
-            return "stream.columns hold the time, and stream.rate is given, too: leave one out"
+            return "stream.columns contains a time, but stream.rate is also given: omit one of them"
         if not self.layout and (self.mark or self.check != "none"):
-            return "stream.mark and stream.check are of binary records, but stream.layout is empty"
+            return "stream.mark and stream.check need binary records, but stream.layout is empty"
         if address.kind == "serial" and self.layout and not self.mark and self.check == "none":
             return (
                 "binary records over a serial line need stream.mark or stream.check to detect "
@@ -280,7 +280,7 @@ class StreamSource(DeviceSource[bytes]):
         return CountedRows(CountedTimes(self.settings.rate, counts))
 
     def _fault(self, of_link: str, times: RowTimes) -> str:
-        """The present fault, as a sentence; empty if there is none."""
+        """The present fault, as a sentence; empty without a fault."""
         reported, self._reported = self._reported, (self._readable, self._unreadable)
         read, unread = self._readable - reported[0], self._unreadable - reported[1]
         if of_link:

@@ -23,10 +23,9 @@ class LinkLostError(OSError):
 
 
 class Patience:
-    """Time limit for answers: ``timeout`` [s] for each, and none beyond ``end``.
+    """Time limit for answers: ``timeout`` [s] for each of them, and ``end`` for all.
 
-    Another thread may set ``end`` (on the clock of ``time.monotonic``) during the wait for an
-    answer.
+    Another thread may set ``end``, a time of ``time.monotonic``, while an answer is awaited.
     """
 
     def __init__(self, timeout: float) -> None:
@@ -34,7 +33,7 @@ class Patience:
         self.end = math.inf
 
     def left(self, since: float) -> float:
-        """Seconds left for an answer requested at ``since``; not positive when the time is over."""
+        """Time [s] left for an answer requested at ``since``; not positive after the time limit."""
         return min(since + self.timeout, self.end) - time.monotonic()
 
 
@@ -54,8 +53,8 @@ class ScpiLink(Protocol):
 class SocketLink:
     """A plain TCP connection ("SCPI-RAW").
 
-    ``patience`` limits the time for the connection, and for each answer as a whole. After a timeout
-    the link is given up: a late answer would be taken for the answer to the next line.
+    ``patience`` limits the time for the connection, and for each complete answer. After a timeout
+    the link is abandoned, because a late answer would be taken for the answer to the next line.
     """
 
     def __init__(self, host: str, port: int, patience: Patience) -> None:
@@ -105,7 +104,7 @@ class SocketLink:
 class VisaLink:
     """An instrument by its VISA resource name, through PyVISA with PyVISA-py or a vendor's VISA.
 
-    VISA applies its timeout to each answer. A wait that has begun cannot be shortened.
+    VISA applies its timeout to each answer; it cannot be shortened during the wait.
     """
 
     def __init__(self, resource: str, patience: Patience) -> None:
@@ -268,7 +267,7 @@ class EmulatedInstrument:
             self._complain('-222,"Data out of range"')
 
     def _complain(self, error: str) -> None:
-        if len(self._errors) >= 10:  # the last entry of a full queue says that errors were lost
+        if len(self._errors) >= 10:  # a full queue ends with an entry for lost errors
             self._errors[-1] = '-350,"Queue overflow"'
         else:
             self._errors.append(error)
@@ -305,4 +304,4 @@ class EmulatedLink:
         return answer
 
     def close(self) -> None:
-        """Do nothing: there is no connection to close."""
+        """Do nothing, because there is no connection."""

@@ -27,10 +27,10 @@ class SupplyProfile:
     """SCPI lines by their effect. A line may hold ``{current}``, ``{voltage}``, ``{seconds}``.
 
     ``setup`` is sent once, with the output off and zero current. After the lines of ``watchdog``,
-    the instrument switches its output off if it receives no line for ``{seconds}``: the smallest
-    multiple of ``watchdog_step`` [s] that is not shorter than the requested time. Without these
-    lines there is no watchdog. ``rearm`` makes it accept ``output_on`` again after the watchdog has
-    tripped. An answer to ``read_error`` that begins with ``no_error`` means that there are no more
+    the instrument switches its output off if it receives no line for ``{seconds}``, the requested
+    time rounded up to a multiple of ``watchdog_step`` [s]. Without these lines there is no
+    watchdog. After the watchdog has tripped, ``rearm`` makes the instrument accept ``output_on``
+    again. An answer to ``read_error`` that begins with ``no_error`` means that there are no more
     errors. ``tested`` says in a sentence with which instruments the profile was tested.
 
     Raises ProfileError if a line has other names in braces.
@@ -55,14 +55,14 @@ class SupplyProfile:
                 line.format(**_FILLED_IN)
             except (KeyError, IndexError, ValueError) as error:
                 raise ProfileError(
-                    f"the line '{line}' of the profile cannot be filled in: it may hold "
-                    "{current}, {voltage} and {seconds}, and no other braces"
+                    f"the line '{line}' of the profile is invalid: only {{current}}, {{voltage}} "
+                    "and {seconds} may stand in braces"
                 ) from error
         if not (math.isfinite(self.watchdog_step) and self.watchdog_step > 0.0):
             raise ProfileError("watchdog_step of the profile must be positive [s]")
 
     def watchdog_delay(self, wanted: float) -> float:
-        """The shortest delay [s] of the instrument's watchdog that is not below ``wanted``."""
+        """The shortest possible delay [s] of the instrument's watchdog of at least ``wanted``."""
         return max(math.ceil(wanted / self.watchdog_step - 1e-9), 1) * self.watchdog_step
 
 
@@ -98,7 +98,7 @@ def _profile(content: Any, name: str) -> SupplyProfile:
     for key, value in content.items():
         if key not in defaults:
             raise ProfileError(
-                f"the profile '{name}' has '{key}', which is none of {', '.join(defaults)}"
+                f"the profile '{name}' has the unknown entry '{key}': use {', '.join(defaults)}"
             )
         if isinstance(defaults[key], tuple):
             values[key] = tuple(map(str, value if isinstance(value, list) else [value]))
@@ -109,17 +109,19 @@ def _profile(content: Any, name: str) -> SupplyProfile:
         else:
             values[key] = float(value)
     if "tested" not in values:
-        raise ProfileError(f"the profile '{name}' does not say what it was tested on ('tested')")
+        raise ProfileError(
+            f"the profile '{name}' does not say with which instruments it was tested: add 'tested'"
+        )
     return SupplyProfile(**values)
 
 
 _FOLDER = Path(__file__).parent / "profiles"
 
 _MOST_ERRORS = 50
-"""Longer than any queue of errors: a longer one means that the profile does not fit."""
+"""A queue with more errors means that the profile does not match the instrument."""
 
 _NOT_A_NUMBER = 9.9e37
-"""Values from here on mean infinity or not a number (SCPI-99, volume 1, 7.2.1)."""
+"""Larger values mean infinity or "not a number" (SCPI-99, volume 1, 7.2.1)."""
 
 
 class SupplyError(ValueError):
@@ -129,9 +131,9 @@ class SupplyError(ValueError):
 class ScpiSupply:
     """One instrument; every method raises LinkLostError if it does not answer.
 
-    ``connect`` opens a link, on which each answer must come within ``timeout`` [s]. ``voltage`` [V]
-    is the largest coil voltage. ``watchdog`` [s] is the time without a line after which the
-    instrument switches off by itself, if its profile has a watchdog.
+    ``connect`` opens a link, on which each answer must arrive within ``timeout`` [s]. ``voltage``
+    [V] is the largest coil voltage. ``watchdog`` [s] is the time without a line after which the
+    instrument switches its output off, if its profile has a watchdog.
     """
 
     def __init__(
@@ -151,7 +153,7 @@ class ScpiSupply:
         self._link: ScpiLink | None = None
         self._given = ""
         self.switched_on = False
-        """Whether the output has been switched on, and not confirmed as off since."""
+        """Whether the output was switched on and has not been confirmed as off since then."""
 
     @property
     def watchdog(self) -> float:
@@ -214,8 +216,8 @@ class ScpiSupply:
             value = math.nan
         if not abs(value) < _NOT_A_NUMBER:
             raise SupplyError(
-                f"the supply answers '{answer[:80]}' to {self._profile.read_current}, which is "
-                "not a current: does the profile fit it?"
+                f"the supply answers '{answer[:80]}' to {self._profile.read_current}, which is not "
+                "a current: is the profile right for this instrument?"
             )
         return value
 
@@ -233,14 +235,14 @@ class ScpiSupply:
                 return found
             found.append(error)
         raise SupplyError(
-            f"the supply's queue of errors does not end: {found[-1][:80]} again and again to "
-            f"{self._profile.read_error}; does the profile fit it?"
+            f"the supply's error queue does not end: it always answers {found[-1][:80]} to "
+            f"{self._profile.read_error}; is the profile right for this instrument?"
         )
 
     def rescue(self) -> None:
         """Switch the output off over a new link, regardless of the time limit of the old link."""
         self.patience.end = math.inf
-        with suppress(LinkLostError):  # errors of the old link, which is given up
+        with suppress(LinkLostError):  # the old link is abandoned
             self.close()
         self._link = self._connect(self.patience)
         self.switch_off()
@@ -276,24 +278,24 @@ of the instrument's queue of errors."""
 
 
 _STOP = 3.0
-"""Time limit [s] for a supply to switch off and confirm it; the process has ten seconds to end."""
+"""Time limit [s] for a supply to confirm that it is off; the process has ten seconds to end."""
 
 _LAST_ANSWER = 0.5 * _STOP
 """Time limit [s] for the last answers over the present link when switching off."""
 
 _RESCUE = 0.5
-"""Seconds between two attempts to switch off a supply that does not answer."""
+"""Time [s] between two attempts to switch off a supply that does not answer."""
 
 
 class SupplyDrive:
-    """A supply that follows commands in its own thread, and is switched off at the end or an error.
+    """A supply that follows commands in its own thread; it is switched off at the end or on errors.
 
     ``given`` and ``measured`` are currents [A]; the supply ``deviates`` if they differ by more than
-    the ``tolerance`` [A] for longer than the settling time. If the instrument does not answer, the
-    thread repeats the command to switch off over a new link, until the instrument confirms it or
-    :meth:`end` is called. ``failure`` is the reason, as a sentence, why the supply is no longer
-    driven. ``publish`` receives each measured current [A], every ``period`` [s], after its time
-    [ns] on the clock ``clock_ns``; ``log_error`` receives error messages.
+    ``tolerance`` [A] for longer than the settling time. If the instrument does not answer, the
+    thread sends the command to switch off over new links, until the instrument confirms it or
+    :meth:`end` is called. ``failure`` says why the supply is no longer driven. ``publish`` receives
+    the time [ns] by ``clock_ns`` and the measured current [A] every ``period`` [s]; ``log_error``
+    receives error messages.
     """
 
     def __init__(
@@ -328,8 +330,8 @@ class SupplyDrive:
     def start(self) -> None:
         """Switch on at zero current, then follow the commands.
 
-        Raises LinkLostError and SupplyError. If the output may be on then, the thread runs, and
-        only switches it off.
+        Raises LinkLostError and SupplyError. If the output may still be on, the thread runs, but
+        only to switch it off.
         """
         try:
             try:
@@ -353,13 +355,13 @@ class SupplyDrive:
         return not self._thread.is_alive()
 
     def wake(self) -> None:
-        """Wake the thread: there is a new command."""
+        """Wake the thread for a new command."""
         self._woken.set()
 
     def stop(self) -> bool:
-        """Switch off; returns whether the instrument confirms it within some seconds.
+        """Switch off; returns whether the instrument confirms it within a few seconds.
 
-        The time limit counts from the first call. Without confirmation, the thread goes on trying.
+        The time limit counts from the first call. Without confirmation, the thread keeps trying.
         """
         now = time.monotonic()
         if not self._stopping:
@@ -373,7 +375,7 @@ class SupplyDrive:
         return self.finished and not self._supply.switched_on
 
     def end(self) -> None:
-        """Give up trying to switch off, and end the thread."""
+        """Stop trying to switch off, and end the thread."""
         self._ended.set()
         self._supply.patience.end = 0.0
         self._thread.join(1.0)
@@ -382,7 +384,7 @@ class SupplyDrive:
         try:
             if not self.failure:
                 self._follow()
-        except Exception as error:  # after any error: the current must not stay on
+        except Exception as error:  # whatever the error, the current must not stay on
             self.failure = (
                 str(error)
                 if isinstance(error, (LinkLostError, SupplyError))
@@ -425,7 +427,7 @@ class SupplyDrive:
         self.deviates = now - self._agreed > _SETTLING
 
     def _check(self, now: float) -> None:
-        """Read the next error of the instrument: regularly, and at once while there are more."""
+        """Read the next error of the instrument, regularly, or at once after another error."""
         if now - self._checked < _SETTLING:
             return
         complaint = self._supply.next_error()
