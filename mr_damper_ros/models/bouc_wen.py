@@ -28,7 +28,6 @@ from mr_damper_ros.models.current_dependence import (
     IntegratedModel,
     Recursion,
 )
-from mr_damper_ros.models.force_model import Model
 from mr_damper_ros.models.machine_code import run_loop
 from mr_damper_ros.models.quantities import LoopReading
 from mr_damper_ros.signals.arrays import Array
@@ -46,15 +45,6 @@ _SETTLING_TRAVEL = 10.0
 
 _STEEPEST = 60.0
 _SMALL_RATE = 1e-4
-
-
-def memory_length(model: Model, parameters: Array, current: float) -> float:
-    """Travel [m] after which the initial state of a hysteresis has no effect.
-
-    A hysteresis forgets its past with travel, not with time.
-    """
-    place = model.coefficient_names.index("yield_length")
-    return _SETTLING_TRAVEL * float(model.coefficients_at(parameters, 0.0, current)[place, 0])
 
 
 def relaxation(rate: float) -> float:
@@ -196,7 +186,16 @@ def step_derivatives(
     return tuple(moves * part for part in (kept, by_length, by_share, by_power))
 
 
-class BoucWen(DifferentiatedModel):
+class _Hysteretic(IntegratedModel):
+    """A law with a hysteresis."""
+
+    def memory_length(self, parameters: Array, current: float) -> float:
+        """A multiple of the yield length: a hysteresis forgets its past with travel, not time."""
+        place = self.coefficient_names.index("yield_length")
+        return _SETTLING_TRAVEL * float(self.coefficients_at(parameters, 0.0, current)[place, 0])
+
+
+class BoucWen(_Hysteretic, DifferentiatedModel):
     """A damper, a spring and a hysteresis in parallel."""
 
     name = "bouc_wen"
@@ -231,10 +230,6 @@ class BoucWen(DifferentiatedModel):
         viscous = damping * motion.velocity + stiffness * motion.displacement
         return np.asarray(viscous + offset + strength * integrated)
 
-    def memory_length(self, parameters: Array, current: float) -> float:
-        """A multiple of the yield length."""
-        return memory_length(self, parameters, current)
-
     def sensitivities(
         self, coefficients: list[Array], motion: Motion, period: float
     ) -> tuple[Mapping[int, Array], list[Recursion]]:
@@ -256,7 +251,7 @@ class BoucWen(DifferentiatedModel):
         )
 
 
-class ModifiedBoucWen(IntegratedModel):
+class ModifiedBoucWen(_Hysteretic):
     """A Bouc-Wen model in series with a damper, both in parallel with a spring."""
 
     name = "modified_bouc_wen"
@@ -303,10 +298,6 @@ class ModifiedBoucWen(IntegratedModel):
         """Force [N]."""
         outer_damping, stiffness, offset = coefficients[2:5]
         return np.asarray(outer_damping * integrated + stiffness * motion.displacement + offset)
-
-    def memory_length(self, parameters: Array, current: float) -> float:
-        """A multiple of the yield length."""
-        return memory_length(self, parameters, current)
 
     def starts_at_one_current(self, reading: LoopReading) -> Array:
         """Starts of mainly yield force, with a short or long yield length, and soft or stiff."""

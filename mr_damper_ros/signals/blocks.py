@@ -294,15 +294,6 @@ class ZeroOrderHold:
         later = self._stamps[following] if following < len(self._stamps) else None
         return self._stamps[following - 1], later
 
-    def constant(self, start_ns: int, period: float, count: int) -> float | None:
-        """The value [A] if :meth:`at` gives the same value at all these samples, otherwise None."""
-        following = bisect_right(self._stamps, start_ns) or 1
-        if following < len(self._stamps):
-            step = _first_sample(self._stamps[following] - start_ns, period)
-            if step < count:
-                return None
-        return self._values[following - 1]
-
     def span(self, start_ns: int, end_ns: int) -> tuple[float, float] | None:
         """Lowest and highest value [A] between two stamps; None if unknown at the first stamp."""
         if end_ns < start_ns or not self.known_from(start_ns):

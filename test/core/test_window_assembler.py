@@ -238,22 +238,6 @@ def test_a_value_holds_from_its_stamp_to_the_next() -> None:
     np.testing.assert_array_equal(made.at(0, PERIOD, 7), [1.0, 1.0, 1.0, 2.0, 2.0, 3.0, 3.0])
 
 
-@known.fixed(200)
-@given(
-    values=st.dictionaries(st.integers(0, 40), st.sampled_from([0.5, 1.0, 1.5]), min_size=1),
-    start=st.integers(0, 40),
-    count=st.integers(1, 12),
-)
-def test_what_is_called_constant_is(values: dict[int, float], start: int, count: int) -> None:
-    made = hold(dict(sorted(values.items())))
-    samples = made.at(start * MILLISECOND, PERIOD, count)
-    constant = made.constant(start * MILLISECOND, PERIOD, count)
-    if constant is not None:
-        np.testing.assert_array_equal(samples, np.full(count, constant))
-    else:
-        assert any(start < time < start + count for time in values)
-
-
 def test_values_that_are_too_old_go_many_at_once() -> None:
     """Each time moves all that stay: at every one of a million values it would hold up a stream."""
     made = ZeroOrderHold(keep=1.0)

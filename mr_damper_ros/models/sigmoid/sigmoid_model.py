@@ -73,31 +73,18 @@ from mr_damper_ros.models.sigmoid.law import (
 from mr_damper_ros.models.sigmoid.window_forces import SigmoidForces
 from mr_damper_ros.signals.arrays import Array
 
-_UNITS = {
-    **dict.fromkeys(("a0", "a1", "a4", "k0", "k1c", "k1e"), "s/m"),
-    **dict.fromkeys(("k2", "k3", "k4", "k5", "k6"), "1"),
+_PARAMETERS = {
+    "f0": Parameter("f0", "N"),
+    **{name: Parameter(name, "A", currents=4) for name in ("I0", "I1")},
+    "a0": Parameter("a0", "s/m"),
+    **{name: Parameter(name, "s/m", peak_velocities=2) for name in ("a1", "a4", "k0")},
     # The thesis prints (m/s)^-1 for a3, although it multiplies a current.
-    **dict.fromkeys(("a2", "a3"), "1/A"),
-    **dict.fromkeys(("I0", "I1"), "A"),
-    "f0": "N",
+    **{name: Parameter(name, "1/A", currents=3) for name in ("a2", "a3")},
+    **{name: Parameter(name, "s/m") for name in ("k1c", "k1e")},
+    **{name: Parameter(name, "1", currents=2) for name in ("k2", "k3")},
+    **{name: Parameter(name, "1") for name in ("k4", "k5", "k6")},
 }
-
-_PEAK_VELOCITIES = dict.fromkeys(("a1", "k0", "a4"), 2)
-_CURRENTS = {
-    **dict.fromkeys(("k2", "k3"), 2),
-    **dict.fromkeys(("a2", "a3"), 3),
-    **dict.fromkeys(("I0", "I1"), 4),
-}
-
-_SIXTEEN = tuple(
-    Parameter(
-        name,
-        _UNITS[name],
-        peak_velocities=_PEAK_VELOCITIES.get(name, 1),
-        currents=_CURRENTS.get(name, 1),
-    )
-    for name in PARAMETER_NAMES
-)
+_SIXTEEN = tuple(_PARAMETERS[name] for name in PARAMETER_NAMES)
 
 _LITERATURE_PEAK_VELOCITY = 2.0 * math.pi * 1.0 * 2.5e-3
 """Peak velocity [m/s] of the test for the set from the literature: 1 Hz, 2.5 mm, at 0 A."""
