@@ -9,6 +9,8 @@ from typing import Any
 import numpy as np
 import pytest
 
+from mr_damper_ros.processes.files import write_bytes
+from mr_damper_ros.report import document
 from studies.control import buildings, car, heated, hybrid, report
 from studies.control.buildings import BANG_BANG, ON, WEIGHTED
 
@@ -60,12 +62,19 @@ def reckoned(name: str, duration: float) -> Any:
     return {"time": time, **dict.fromkeys(("floor", "damper", "force", "roof"), wave)}
 
 
+def sketched(folder: Path, picture: document.Picture) -> bytes:
+    """An empty file for a figure: it is drawn, but not rendered."""
+    write_bytes(folder / f"{picture.name}.svg", b"<svg/>")
+    return b"<svg/>"
+
+
 @pytest.fixture
 def written(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Path:
     monkeypatch.setattr(car, "drive", driven)
     monkeypatch.setattr(heated, "drive_heated", drive_heated)
     monkeypatch.setattr(buildings, "simulate", shaken)
     monkeypatch.setattr(hybrid, "hybrid", reckoned)
+    monkeypatch.setattr(document, "write_picture", sketched)
     assert report.main(["--quick", "--workers", "1", "--output", str(tmp_path)]) == 0
     return tmp_path
 
