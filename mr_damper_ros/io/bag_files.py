@@ -100,7 +100,7 @@ class OpenBag:
 
     def __init__(self, name: str, reader: AnyReader) -> None:
         self.name = name
-        self._reader = reader
+        self.reader = reader
         custom = reader.readers[0].storage.metadata.custom if reader.is2 else None
         self.details: dict[str, str] = {str(k): str(v) for k, v in (custom or {}).items()}
 
@@ -109,7 +109,7 @@ class OpenBag:
 
         Returns an empty string if the topic is missing and not required; otherwise raises BagError.
         """
-        types = {connection.topic: connection.msgtype for connection in self._reader.connections}
+        types = {connection.topic: connection.msgtype for connection in self.reader.connections}
         found = [wanted] if wanted in types else sorted(t for t in types if t.endswith(wanted))
         if len(found) > 1:
             if not required:
@@ -136,17 +136,20 @@ class OpenBag:
 
     def decoded(self, topics: set[str]) -> Iterator[tuple[str, Any]]:
         """Topic and message of all messages on these topics, in recording order."""
-        connections = [c for c in self._reader.connections if c.topic in topics]
+        connections = [c for c in self.reader.connections if c.topic in topics]
         with failures_in_words(self.name):
-            for connection, _, data in self._reader.messages(connections=connections):
-                yield connection.topic, self._reader.deserialize(data, connection.msgtype)
+            for connection, _, data in self.reader.messages(connections=connections):
+                yield connection.topic, self.reader.deserialize(data, connection.msgtype)
 
 
 @contextmanager
-def opened_bag(path: str | Path, maximum_samples: int = MAXIMUM_SAMPLES) -> Iterator[OpenBag]:
+def opened_bag(
+    path: str | Path, maximum_samples: int | None = MAXIMUM_SAMPLES
+) -> Iterator[OpenBag]:
     """Open the folder of a bag or its single file.
 
-    Raises BagError if the bag is missing, damaged, empty, or larger than ``maximum_samples`` need.
+    Raises BagError if the bag is missing, damaged, empty, or larger than ``maximum_samples`` need
+    (None: no limit).
     """
     path = Path(path)
     # The folder of a single file also holds the metadata of the bag.

@@ -4,20 +4,19 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterator
+from contextlib import ExitStack
 from dataclasses import dataclass
 from functools import partial
 from importlib import import_module
 from pathlib import Path
-from typing import Any
 
 from ament_index_python.packages import PackageNotFoundError, get_package_share_directory
 from rclpy.node import Node
 from rosbags.interfaces import Connection, QosDurability
-from rosbags.rosbag2 import Reader
 from rosgraph_msgs.msg import Clock
 from std_srvs.srv import Trigger
 
-from mr_damper_ros.io.bag_files import BagError, check_bag_files
+from mr_damper_ros.io.bag_files import BagError, opened_bag
 from mr_damper_ros.nodes import quality
 from mr_damper_ros.nodes.diagnostics import ERROR, OK, WARN, Diagnostics, Finding
 from mr_damper_ros.nodes.messages import to_stamp
@@ -46,17 +45,12 @@ class RecordedBag:
         self.path = path
         if not path:
             raise ConfigurationError("no bag is given: set the parameter bag to the path of a bag")
-        if not Path(path).exists():
-            raise ConfigurationError(f"there is no bag {path}")
+        self._opened = ExitStack()
         try:
-            check_bag_files(Path(path), maximum_samples=None)
-            self._reader = Reader(path)
-            self._reader.open()
+            bag = self._opened.enter_context(opened_bag(path, maximum_samples=None))
         except BagError as error:
-            raise ConfigurationError(f"{path}: {error}") from error
-        except Exception as error:  # a damaged file fails in many ways
-            raise ConfigurationError(f"the bag {path} cannot be read: {error}") from error
-        self.details: dict[str, Any] = self._reader.storage.metadata.custom or {}
+            raise ConfigurationError(str(error)) from error
+        self._reader, self.details = bag.reader, bag.details
         self.types: dict[str, type] = {}
         self.latched: set[str] = set()
         self.omitted: list[str] = []
@@ -73,7 +67,7 @@ class RecordedBag:
         for connection in self._reader.connections:
             if connection.topic in wanted:
                 self._add(connection)
-        if not self._connections or not self._reader.message_count:
+        if not self._connections:
             reasons = "; ".join(self.omitted) or "it is empty"
             raise ConfigurationError(f"the bag {path} has nothing to play: {reasons}")
         self.message_count = sum(connection.msgcount for connection in self._connections)
@@ -86,7 +80,7 @@ class RecordedBag:
 
     def close(self) -> None:
         """Close the bag."""
-        self._reader.close()
+        self._opened.close()
 
     def _add(self, connection: Connection) -> None:
         problem = _definition_problem(connection)

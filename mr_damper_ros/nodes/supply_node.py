@@ -23,7 +23,6 @@ from mr_damper_ros.nodes.spinning import run
 from mr_damper_ros.rig.commander import CommandSettings, CurrentCommander
 from mr_damper_ros.rig.supplies.scpi_link import (
     EmulatedInstrument,
-    EmulatedLink,
     LinkLostError,
     Patience,
     ScpiLink,
@@ -310,7 +309,7 @@ def _supply(values: SupplyParameters) -> ScpiSupply:
     instrument = EmulatedInstrument()
 
     def link(patience: Patience) -> ScpiLink:
-        return EmulatedLink(instrument) if emulated else connect(values.address, patience)
+        return instrument if emulated else connect(values.address, patience)
 
     return ScpiSupply(
         link,

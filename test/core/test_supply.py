@@ -19,7 +19,6 @@ from benchmarks.instrument_server import InstrumentServer
 from mr_damper_ros.rig.commander import CommandSettings, CurrentCommander, Origin
 from mr_damper_ros.rig.supplies.scpi_link import (
     EmulatedInstrument,
-    EmulatedLink,
     LinkLostError,
     Patience,
     connect,
@@ -241,15 +240,15 @@ def test_it_is_off_and_without_current_until_it_is_switched_on(
     assert supply.measured() == pytest.approx(0.0, abs=1e-3)
 
 
-class AnsweringLink(EmulatedLink):
+class AnsweringLink(EmulatedInstrument):
     """A link to an instrument that measures what it is told to."""
 
     def __init__(self, answer: str) -> None:
-        super().__init__(EmulatedInstrument())
-        self._answer = answer
+        super().__init__()
+        self._says = answer
 
     def query(self, line: str) -> str:
-        return self._answer if line == "MEAS:CURR?" else super().query(line)
+        return self._says if line == "MEAS:CURR?" else super().query(line)
 
 
 @pytest.mark.parametrize("answer", ["", "nan", "9.91E+37", "-9.9E37"])

@@ -189,7 +189,8 @@ _DELAY, _WATCHDOG = "OUTP:PROT:WDOG:DEL", "OUTP:PROT:WDOG"
 class EmulatedInstrument:
     """One output on a coil of ``time_constant`` [s], up to ``largest_current`` [A].
 
-    ``clock`` returns seconds. Several threads may use the instrument.
+    ``clock`` returns seconds. Several threads may use the instrument, which is also a link to
+    itself.
     """
 
     def __init__(
@@ -221,6 +222,20 @@ class EmulatedInstrument:
         with self._lock:
             self._advance(self._clock())
             return self._tripped or not self._values["OUTP"]
+
+    def write(self, line: str) -> None:
+        """Send a line without an answer."""
+        self.process(line)
+
+    def query(self, line: str) -> str:
+        """Send a line and return its answer."""
+        answer = self.process(line)
+        if answer is None:
+            raise LinkLostError(f"the emulated instrument does not answer {line}")
+        return answer
+
+    def close(self) -> None:
+        """Do nothing, because there is no connection."""
 
     def process(self, line: str) -> str | None:
         """Process a line; returns the answer, None if there is none."""
@@ -284,24 +299,3 @@ class EmulatedInstrument:
         target = 0.0 if self._tripped or not self._values["OUTP"] else self._values["CURR"]
         elapsed, self._at = max(now - self._at, 0.0), max(now, self._at)
         self._coil = target + (self._coil - target) * math.exp(-elapsed / self._time_constant)
-
-
-class EmulatedLink:
-    """A link to an emulated instrument in this process."""
-
-    def __init__(self, instrument: EmulatedInstrument) -> None:
-        self._instrument = instrument
-
-    def write(self, line: str) -> None:
-        """Send a line without an answer."""
-        self._instrument.process(line)
-
-    def query(self, line: str) -> str:
-        """Send a line and return its answer."""
-        answer = self._instrument.process(line)
-        if answer is None:
-            raise LinkLostError(f"the emulated instrument does not answer {line}")
-        return answer
-
-    def close(self) -> None:
-        """Do nothing, because there is no connection."""
