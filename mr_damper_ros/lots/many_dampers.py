@@ -6,7 +6,7 @@ import json
 import os
 import time
 from collections import defaultdict
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping
 from concurrent.futures import Executor
 from dataclasses import asdict, dataclass, replace
 from functools import cached_property
@@ -288,10 +288,37 @@ def identify_many(
             content = {"damper": name, "recordings": files}
             argument = DamperGroup(name, tuple(group), search, accept_doubtful, record_format)
             tasks.append(KeptTask(name, fingerprint(content), argument))
-        workforce: int | Workforce | str = workers if scheduler is None else scheduler
-        if executor is not None and scheduler is None:
-            workforce = Workforce(executor)
-        documents, kept = _all_done(tasks, workforce, place, report)
+        results = ResultFolder(place / "dampers")
+        stored = {task.name: results.kept(task) for task in tasks}
+        documents = {name: document for name, document in stored.items() if document is not None}
+        kept = len(documents)
+        for document in documents.values():
+            _save_set(place, document)
+
+        def finished(task: KeptTask, document: dict[str, Any]) -> None:
+            documents[task.name] = document
+            _save_set(place, document)
+            if report is not None:
+                report(len(documents), len(tasks), document)
+
+        def lost(task: KeptTask) -> None:
+            nothing = {"recordings": [], "left_out": [], "passing": True, "duration_s": 0.0}
+            finished(task, {"damper": task.name, "failure": _LOST, **nothing})
+
+        remaining = [task for task in tasks if task.name not in documents]
+        if remaining:
+            workforce: int | Workforce = workers if executor is None else Workforce(executor)
+            if scheduler is not None:
+                workforce = dask_cluster(scheduler)
+            finish(
+                remaining,
+                identify_group,
+                workforce,
+                results,
+                final=is_final,
+                finished=finished,
+                lost=lost,
+            )
     finally:
         lock.release()
     return ManyDampers(tuple(documents[task.name] for task in tasks), tuple(unnamed), kept)
@@ -330,44 +357,6 @@ def _check_options(folder: Path, wanted: dict[str, Any]) -> None:
             f"{folder} holds results with another {' and '.join(differs)}: choose another "
             "folder, or use the same options as before"
         )
-
-
-def _all_done(
-    tasks: Sequence[KeptTask],
-    workforce: int | Workforce | str,
-    folder: Path,
-    report: Progress | None,
-) -> tuple[dict[str, dict[str, Any]], int]:
-    """The documents of all tasks by name, and how many were reused."""
-    results = ResultFolder(folder / "dampers")
-    found = {task.name: results.kept(task) for task in tasks}
-    documents = {name: document for name, document in found.items() if document is not None}
-    kept = len(documents)
-    for document in documents.values():
-        _save_set(folder, document)
-
-    def finished(task: KeptTask, document: dict[str, Any]) -> None:
-        documents[task.name] = document
-        _save_set(folder, document)
-        if report is not None:
-            report(len(documents), len(tasks), document)
-
-    def lost(task: KeptTask) -> None:
-        nothing = {"recordings": [], "left_out": [], "passing": True, "duration_s": 0.0}
-        finished(task, {"damper": task.name, "failure": _LOST, **nothing})
-
-    remaining = [task for task in tasks if task.name not in documents]
-    if remaining:
-        finish(
-            remaining,
-            identify_group,
-            dask_cluster(workforce) if isinstance(workforce, str) else workforce,
-            results,
-            final=is_final,
-            finished=finished,
-            lost=lost,
-        )
-    return documents, kept
 
 
 def _save_set(folder: Path, document: Mapping[str, Any]) -> None:

@@ -125,32 +125,33 @@ class ProcessPool(AbstractContextManager):
                 suspects.append(index)
 
         suspected: set[int] = set()
-        idle = self._workers()
+        pool, idle = self._workers()
         try:
             while running or ((waiting or suspects) and not stopped):
                 while idle and not stopped and (waiting or (suspects and not running)):
                     worker = idle.pop()
                     running[worker] = (waiting or suspects).popleft()
                     worker.submit(_call, function, tasks[running[worker]])
+                pool.supervise()
                 for worker, index in list(running.items()):
-                    for outcome in worker.poll():
+                    for outcome in worker.collect():
                         take(worker, index, outcome)
                     if not worker.busy:
                         del running[worker]
                         idle.append(worker)
                 time.sleep(_PATIENCE)
         except BaseException:
-            self.__exit__()
+            pool.close()
             self._pool = None
             raise
         return results
 
-    def _workers(self) -> list[Worker]:
+    def _workers(self) -> tuple[WorkerPool, list[Worker]]:
         if self._pool is None:
             # A task may compute for a long time without checking whether it should stop.
             limits = {"grace": math.inf, "silence_limit": math.inf}
             self._pool = WorkerPool(_LOADED, self.count, **limits)
-        return [self._pool.worker() for _ in range(self.count)]
+        return self._pool, [self._pool.worker() for _ in range(self.count)]
 
 
 def _call(function: Callable[[Any, Notify], Any], task: Any, control: Control) -> Any:

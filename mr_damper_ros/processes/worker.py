@@ -389,6 +389,10 @@ class Worker:
     def poll(self) -> list[Outcome]:
         """Return the outcomes since the last call, and end overdue tasks. Never blocks."""
         self.pool.supervise()
+        return self.collect()
+
+    def collect(self) -> list[Outcome]:
+        """As :meth:`poll`, for a caller that supervises the pool itself."""
         if self._task is None:
             return []
         outcomes, self._task.outcomes = self._task.outcomes, []
