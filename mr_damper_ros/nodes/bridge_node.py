@@ -163,9 +163,7 @@ class BridgeParameters(ManagedOptions):
 class BridgeNode(ManagedNode):
     """Publishes the samples of a source at the right time, with stamps on the source's own clock.
 
-    The first sample is stamped with the node's time when it is ready to be sent. Stamps in a
-    recording are ignored, because the bridge represents a live machine (the replay node keeps
-    recorded stamps).
+    The bridge represents a live machine; the replay node keeps recorded stamps.
     """
 
     def __init__(self) -> None:

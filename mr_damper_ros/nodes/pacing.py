@@ -101,12 +101,11 @@ class PacedSender:
         self._changed = threading.Condition()
         self._thread: threading.Thread | None = None
         self.publishers: dict[str, Publisher] = {}
-        self._unacknowledged: dict[str, int] = {}
+        self._unacknowledged = 0
         for topic, kind in topics.items():
             profile = quality.latched() if topic in latched else quality.stream()
             if self._rate == 0.0 and topic not in latched:
                 profile = quality.stream(_QUEUE)
-                self._unacknowledged[topic] = 0
             self.publishers[topic] = quality.publisher(node, kind, topic, profile)
 
     # --- the thread -----------------------------------------------------------------------------
@@ -207,30 +206,22 @@ class PacedSender:
     def publish(self, topic: str, message: object) -> None:
         """Publish a message, or a serialised message."""
         self.publishers[topic].publish(message)
-        if topic in self._unacknowledged:
-            self._unacknowledged[topic] += 1
-            if self._unacknowledged[topic] >= _QUEUE:
-                self._wait_for_acknowledgement(topic)
+        self._unacknowledged += 1
+        if self._rate == 0.0 and self._unacknowledged >= _QUEUE:
+            self.wait_for_acknowledgements()
 
     def wait_for_acknowledgements(self) -> None:
         """Wait until every subscriber has acknowledged all messages, or the sending is to end."""
-        for topic in self.publishers:
-            self._wait_for_acknowledgement(topic)
-
-    def _wait_for_acknowledgement(self, topic: str) -> None:
-        if topic in self._unacknowledged:
-            self._unacknowledged[topic] = 0
-        publisher = self.publishers[topic]
-        give_up = time.monotonic() + _PATIENCE
-        while not self.stopped:
-            if publisher.wait_for_all_acked(Duration(seconds=_POLL)):
-                return
-            if time.monotonic() > give_up:
-                self._node.get_logger().warning(
-                    f"a subscriber of {publisher.topic_name} has not acknowledged anything for "
-                    f"{_PATIENCE:g} s: continuing without it"
-                )
-                return
+        self._unacknowledged = 0
+        for publisher in self.publishers.values():
+            give_up = time.monotonic() + _PATIENCE
+            while not self.stopped and not publisher.wait_for_all_acked(Duration(seconds=_POLL)):
+                if time.monotonic() > give_up:
+                    self._node.get_logger().warning(
+                        f"a subscriber of {publisher.topic_name} has not acknowledged anything for "
+                        f"{_PATIENCE:g} s: continuing without it"
+                    )
+                    break
 
     def _wait_for_subscribers(self) -> None:
         nodes, timeout = self._settings.wait_for_subscribers, self._settings.wait_timeout
