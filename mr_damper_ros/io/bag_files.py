@@ -74,14 +74,11 @@ def failures_in_words(name: str) -> Iterator[None]:
     except BagError:
         raise
     except Exception as error:
+        told = (str(error).strip() or type(error).__name__).splitlines()[0].rstrip(".")
         raise BagError(
             f"the bag '{name}' is damaged or was cut off while it was written: record it again "
-            f"or mend it with 'mcap recover' ({_first_line(error)})"
+            f"or mend it with 'mcap recover' ({told})"
         ) from error
-
-
-def _first_line(error: Exception) -> str:
-    return (str(error).strip() or type(error).__name__).splitlines()[0].rstrip(".")
 
 
 def _check_mcap(name: str, file: Path, maximum_samples: int | None) -> None:

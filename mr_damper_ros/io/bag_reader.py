@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -54,8 +54,10 @@ def read_bag(path: str | Path, *, maximum_samples: int = MAXIMUM_SAMPLES) -> lis
     Raises BagError if the bag is damaged, has more than ``maximum_samples``, or lacks a stream.
     """
     with opened_bag(path, maximum_samples) as bag:
-        segments: list[_Segment] = []
-        rounds: list[_Round] = []
+        # Consecutive blocks, with the number of earlier jumps back in time. The held current from a
+        # stamp [ns] on until the next such jump: a bag of a looped replay has several.
+        segments: list[tuple[int, list[SampleBlock]]] = []
+        rounds: list[tuple[int, ZeroOrderHold]] = []
         celsius: list[TemperatureReading] = []
         grid, blocks = UniformGrid(hold_back=_HOLD_BACK), 0
         for item in _items(bag, maximum_samples):
@@ -76,8 +78,8 @@ def read_bag(path: str | Path, *, maximum_samples: int = MAXIMUM_SAMPLES) -> lis
             "record at least one message of the supply's current"
         )
     assembled = (
-        _assemble(name, segment, rounds[min(segment.round, len(rounds) - 1)], celsius, details)
-        for segment in segments
+        _assemble(name, joined, rounds[min(number, len(rounds) - 1)], celsius, details)
+        for number, joined in segments
     )
     recordings = [recording for recording in assembled if recording is not None]
     if not recordings:
@@ -142,41 +144,25 @@ def _block(message: Any, stamp_ns: int, bag: str, topic: str) -> SampleBlock:
         ) from error
 
 
-@dataclass
-class _Segment:
-    """Consecutive blocks; ``round`` is the number of earlier jumps back in time."""
-
-    round: int
-    blocks: list[SampleBlock]
-
-
-def _place(segments: list[_Segment], placed: Iterable[Placed]) -> None:
+def _place(segments: list[tuple[int, list[SampleBlock]]], placed: Iterable[Placed]) -> None:
     """Add blocks of the grid to the last segment, or to a new one after a discontinuity."""
     for one in placed:
         kind = one.continuity.kind
         if kind in ("next", "bridged"):
-            segments[-1].blocks.append(one.block)
+            segments[-1][1].append(one.block)
         elif kind != "repeat":
-            before = segments[-1].round if segments else 0
-            segments.append(_Segment(before + (kind == "jump_back"), [one.block]))
+            before = segments[-1][0] if segments else 0
+            segments.append((before + (kind == "jump_back"), [one.block]))
 
 
-@dataclass
-class _Round:
-    """The held current from ``first_ns`` [ns] until the next jump back in time."""
-
-    first_ns: int
-    held: ZeroOrderHold
-
-
-def _hold(bag: str, rounds: list[_Round], reading: CurrentReading) -> None:
-    """Add a value of the current; a bag of a looped replay has several rounds."""
+def _hold(bag: str, rounds: list[tuple[int, ZeroOrderHold]], reading: CurrentReading) -> None:
+    """Add a value of the current."""
     stamp_ns, value = reading
-    last = rounds[-1].held.last_stamp_ns if rounds else None
+    last = rounds[-1][1].last_stamp_ns if rounds else None
     if last is None or stamp_ns < last - LATE_NS:
-        rounds.append(_Round(stamp_ns, ZeroOrderHold(keep=math.inf)))
+        rounds.append((stamp_ns, ZeroOrderHold(keep=math.inf)))
     try:
-        rounds[-1].held.add(stamp_ns, value)
+        rounds[-1][1].add(stamp_ns, value)
     except CurrentError as error:
         raise BagError(
             f"the bag '{bag}' cannot be used: the current on {CURRENT_TOPIC} stamped "
@@ -186,17 +172,18 @@ def _hold(bag: str, rounds: list[_Round], reading: CurrentReading) -> None:
 
 def _assemble(
     name: str,
-    segment: _Segment,
-    current: _Round,
+    blocks: list[SampleBlock],
+    current: tuple[int, ZeroOrderHold],
     celsius: list[TemperatureReading],
     details: dict[str, str],
 ) -> Recording | None:
-    """Recording of a segment; None if its current is unknown throughout."""
-    displacement = np.concatenate([block.displacement for block in segment.blocks])
-    force = np.concatenate([block.force for block in segment.blocks])
-    start_ns, period = segment.blocks[0].start_ns, segment.blocks[0].period
+    """Recording of consecutive blocks; None if their current is unknown throughout."""
+    known_ns, held = current
+    displacement = np.concatenate([block.displacement for block in blocks])
+    force = np.concatenate([block.force for block in blocks])
+    start_ns, period = blocks[0].start_ns, blocks[0].period
     # The tolerance prevents the loss of a sample by rounding of the stamps to nanoseconds.
-    unknown = math.ceil((current.first_ns - start_ns) / (period * NANOSECONDS) - 1e-3)
+    unknown = math.ceil((known_ns - start_ns) / (period * NANOSECONDS) - 1e-3)
     first = max(unknown, 0)
     if first >= force.size:
         return None
@@ -208,7 +195,7 @@ def _assemble(
         period=period,
         displacement=displacement[first:],
         force=force[first:],
-        current=current.held.at(start_ns, period, count),
+        current=held.at(start_ns, period, count),
         temperature=_interpolated(celsius, start_ns, period, count),
         details=details,
     )

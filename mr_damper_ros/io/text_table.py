@@ -47,7 +47,10 @@ def seconds_since_1970(text: str) -> float | None:
     # Some loggers write AM or PM even after hours up to 23.
     if half and hours <= 12:
         hours = hours % 12 + (12 if half in "Pp" else 0)
-    return midnight + (3600 * hours + 60 * int(minute) - _offset(zone)) + seconds
+    offset = 0
+    if zone and zone != "Z":
+        offset = int(f"{zone[0]}1") * (3600 * int(zone[1:3]) + 60 * int(zone[-2:]))
+    return midnight + (3600 * hours + 60 * int(minute) - offset) + seconds
 
 
 @lru_cache(maxsize=64)
@@ -65,14 +68,6 @@ def _midnight(date: str) -> int | None:
     except ValueError:
         return None
     return int(begins.timestamp())
-
-
-def _offset(zone: str | None) -> int:
-    """Offset [s] of a time zone from UTC."""
-    if zone is None or zone == "Z":
-        return 0
-    seconds = 3600 * int(zone[1:3]) + 60 * int(zone[-2:])
-    return -seconds if zone[0] == "-" else seconds
 
 
 _LONGEST_LINE = 100_000
@@ -148,22 +143,19 @@ class TextFile:
                 f"{self._name} holds no row with numbers in columns {listed}: "
                 f"{self._middle_row(skipped)}"
             )
-        columns.check_width(self._name, self._width())
+        # Up to the last column with numbers in all of the last rows.
+        numeric = [
+            {place for place, field in enumerate(fields) if self._number(field) is not None}
+            for _, fields in self._split(enumerate(self._last))
+        ]
+        columns.check_width(self._name, max(set.intersection(*numeric), default=-1) + 1)
         if self._row_count - first > maximum_samples:
             raise too_long(self._name, maximum_samples)
         table = self._table(first, cells)
         return RawTable(
             {column.quantity: table[:, k] for k, column in enumerate(columns.wanted)},
-            lambda row: f"line {self._line_of(first + row)}",
+            lambda row: f"line {next(islice(self._filled_lines(), first + row, None))[0]}",
         )
-
-    def _width(self) -> int:
-        """Number of columns up to the last one with numbers in all of the last rows."""
-        numbers = [
-            {place for place, field in enumerate(fields) if self._number(field) is not None}
-            for _, fields in self._split(enumerate(self._last))
-        ]
-        return max(set.intersection(*numbers), default=-1) + 1
 
     def _number(self, field: str) -> float | None:
         try:
@@ -196,10 +188,6 @@ class TextFile:
                 raise RecordError(_unreadable(self._name, line, fields, cells))
             values.extend(row)
         return np.frombuffer(values).reshape(-1, len(cells))
-
-    def _line_of(self, row: int) -> int:
-        """Line number of a row; it is determined only when a message needs it."""
-        return next(islice(self._filled_lines(), row, None))[0]
 
     def _find_header(self, names: list[str], rows: Iterator[Row]) -> tuple[int, list[int]]:
         """Read rows up to the header; returns their number and the positions of the columns."""
