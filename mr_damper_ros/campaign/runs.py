@@ -189,15 +189,15 @@ class RunDriver:
                 return ""
             return f"the motion deviates by {left:.0%} from {self.run.kind.description} as planned"
         wanted = self.run.amplitude
-        before = sine_of_cycle(displacement[-2 * count : -count])
-        now = sine_of_cycle(displacement[-count:])
-        if abs(now.size - wanted) > tolerance * wanted:
-            return f"the amplitude is {1e3 * now.size:.3g} mm, not {1e3 * wanted:.3g} mm"
-        slip = (now.phase - before.phase + math.pi) % (2.0 * math.pi) - math.pi
+        before, phase_before, _ = sine_of_cycle(displacement[-2 * count : -count])
+        size, phase, rest = sine_of_cycle(displacement[-count:])
+        if abs(size - wanted) > tolerance * wanted:
+            return f"the amplitude is {1e3 * size:.3g} mm, not {1e3 * wanted:.3g} mm"
+        slip = (phase - phase_before + math.pi) % (2.0 * math.pi) - math.pi
         off = slip / (2.0 * math.pi)
         if abs(off) > tolerance:
             return f"the frequency is {(1.0 + off) / cycle:.3g} Hz, not {1.0 / cycle:.3g} Hz"
-        if abs(now.size - before.size) > _STEADY * now.size or now.rest > _SINE * now.size:
+        if abs(size - before) > _STEADY * size or rest > _SINE * size:
             return "the motion is not steady yet"
         return ""
 
@@ -239,22 +239,14 @@ class RunDriver:
         self.stage, self.state = DriveStage.DONE, "the run is made"
 
 
-class CycleSine(NamedTuple):
-    """Sine fitted to one cycle: amplitude ``size`` [m], ``phase`` [rad], residual ``rest`` [m]."""
-
-    size: float
-    phase: float
-    rest: float
-
-
-def sine_of_cycle(displacement: Array) -> CycleSine:
-    """The sine fitted to samples (n,) of exactly one cycle."""
+def sine_of_cycle(displacement: Array) -> tuple[float, float, float]:
+    """Amplitude [m], phase [rad] and residual [m] of a sine fitted to samples (n,) of one cycle."""
     angle = 2.0 * math.pi * np.arange(displacement.size) / displacement.size
     centred = displacement - displacement.mean()
     sine, cosine = (2.0 * float(np.mean(centred * wave(angle))) for wave in (np.sin, np.cos))
     rest = centred - sine * np.sin(angle) - cosine * np.cos(angle)
     size, phase = math.hypot(sine, cosine), math.atan2(cosine, sine)
-    return CycleSine(size, phase, float(np.sqrt(np.mean(rest**2))))
+    return size, phase, float(np.sqrt(np.mean(rest**2)))
 
 
 COLUMNS = ("time:s", "displacement:m", "current:A")
@@ -341,7 +333,15 @@ def cut_run(run: PlannedRun, recording: Recording) -> Recording:
             f"{500.0 * np.ptp(displacement):.3g} mm, its duration {recording.duration:.3g} s, and "
             f"its current {np.median(recording.current):.3g} A{off}"
         )
-    return _part(recording, best, count)
+    part, celsius = slice(best, best + count), recording.temperature
+    return replace(
+        recording,
+        start_ns=recording.stamp_ns(best),
+        displacement=displacement[part],
+        force=recording.force[part],
+        current=recording.current[part],
+        temperature=None if celsius is None else celsius[part],
+    )
 
 
 def run_as_made(recording: Recording) -> PlannedRun:
@@ -357,16 +357,3 @@ def run_as_made(recording: Recording) -> PlannedRun:
         raise RunNotFoundError(f"{recording.name} is not a steady sine at one current")
     cycles = math.floor(recording.duration * sine.frequency)
     return PlannedRun(sine.amplitude, sine.frequency, (current,), cycles / sine.frequency)
-
-
-def _part(recording: Recording, begin: int, count: int) -> Recording:
-    part = slice(begin, begin + count)
-    celsius = recording.temperature
-    return replace(
-        recording,
-        start_ns=recording.stamp_ns(begin),
-        displacement=recording.displacement[part],
-        force=recording.force[part],
-        current=recording.current[part],
-        temperature=None if celsius is None else celsius[part],
-    )

@@ -13,7 +13,7 @@ import threading
 import time
 from collections import deque
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -224,16 +224,17 @@ class Concern:
     values: Mapping[str, str]
 
 
-@dataclass(frozen=True)
+@dataclass
 class Fault:
-    """An error that stays listed until a viewer acknowledges it, even if it is over."""
+    """An error that stays listed until a viewer acknowledges it, even if it is over.
+
+    ``name`` is that of the diagnostic or of the silent node, ``since`` a time [s] of the record.
+    """
 
     number: int
     name: str
-    """Name of the diagnostic, or of the silent node."""
     message: str
     since: float
-    """Time [s] on the clock of the record."""
     active: bool = True
     seen: bool = False
 
@@ -334,7 +335,10 @@ class LiveRecord:
         times = start_s + period * np.arange(displacement.size)
         rows = np.column_stack([times, displacement, measured, predicted, valid])
         with self._lock:
-            self._restart_before(start_s)
+            if start_s < self._last_time - _JUMP:  # the stamps have gone back
+                self._begin()
+                if self.parameters is not None:
+                    self._trace_set(self.parameters, math.nan)
             self._tables["samples"][1].extend(rows)
             if velocity is None:
                 rows, velocity = self._with_slope(rows, period)
@@ -360,13 +364,6 @@ class LiveRecord:
         offsets = np.arange(-half, half + 1)
         slope = np.correlate(rows[:, 1], offsets / (period * np.sum(offsets**2)), "valid")
         return rows[half : len(rows) - half], slope
-
-    def _restart_before(self, time_s: float) -> None:
-        """Begin a new record if the stamps have gone back."""
-        if time_s < self._last_time - _JUMP:
-            self._begin()
-            if self.parameters is not None:
-                self._trace_set(self.parameters, math.nan)
 
     def _add_row(self, row: tuple[float, ...], *, valid: bool) -> None:
         self._last_time, self._heard = row[0], self._clock()
@@ -499,26 +496,26 @@ class LiveRecord:
         removed when it is acknowledged.
         """
         fault = self._faults.get(name)
-        if wrong and (fault is None or not fault.active):
+        if wrong and fault is not None and fault.active:
+            fault.message = message
+        elif wrong:
             self._fault_count += 1
             since = self._clock() if fault is None else fault.since
             self._faults[name] = Fault(self._fault_count, name, message, since)
             self._mark("fault", f"{name}: {message}", self._last_time)
-        elif wrong and fault is not None:
-            self._faults[name] = replace(fault, message=message)
-        elif fault is not None and fault.seen:
-            del self._faults[name]
         elif fault is not None:
-            self._faults[name] = replace(fault, active=False)
+            fault.active = False
+            self._drop_old_faults()
 
     def acknowledge(self, number: int) -> None:
         """Acknowledge all faults up to this number."""
         with self._lock:
-            for name, fault in list(self._faults.items()):
-                if fault.number <= number and not fault.active:
-                    del self._faults[name]
-                elif fault.number <= number:
-                    self._faults[name] = replace(fault, seen=True)
+            for fault in self._faults.values():
+                fault.seen |= fault.number <= number
+            self._drop_old_faults()
+
+    def _drop_old_faults(self) -> None:
+        self._faults = {n: f for n, f in self._faults.items() if f.active or not f.seen}
 
     def add_event(self, sentence: str) -> None:
         """Add a sentence about an action of this program."""

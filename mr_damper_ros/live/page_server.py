@@ -16,7 +16,6 @@ import sys
 import threading
 import time
 from collections.abc import Callable, Collection, Mapping
-from dataclasses import dataclass
 from http import HTTPStatus
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from ipaddress import ip_address
@@ -99,13 +98,6 @@ def _spelling(host: str) -> str:
     return str(getattr(address, "ipv4_mapped", None) or address)
 
 
-def _own_names() -> frozenset[str]:
-    """Names of this computer."""
-    name = _spelling(socket.gethostname())
-    short = name.partition(".")[0]
-    return frozenset({*_LOCAL, name, short, f"{short}.local"})
-
-
 Command = Callable[[str, Mapping[str, str]], bool]
 """Handler of a command; receives its name and arguments, returns False if the queue is full."""
 
@@ -134,7 +126,10 @@ class PageServer:
     ) -> None:
         self.record, self.title = record, title
         self.commands, self.command = tuple(commands), command
-        self.hosts = _own_names() | {_spelling(host)} | {host_of(name) for name in allowed_hosts}
+        name = _spelling(socket.gethostname())
+        short = name.partition(".")[0]
+        own = {*_LOCAL, name, short, f"{short}.local", _spelling(host)}
+        self.hosts = own | {host_of(name) for name in allowed_hosts}
         self.files = {
             path: ((PAGE / name).read_bytes(), kind) for path, (name, kind) in FILES.items()
         }
@@ -154,14 +149,6 @@ class PageServer:
         self._thread.join()
 
 
-@dataclass
-class _Connection:
-    """Address of a client, and the deadline [s] of its present action."""
-
-    address: str
-    deadline: float
-
-
 class _Server(ThreadingHTTPServer):
     daemon_threads = True
     block_on_close = False
@@ -170,7 +157,8 @@ class _Server(ThreadingHTTPServer):
     def __init__(self, address: tuple[str, int], page: PageServer) -> None:
         self.address_family = socket.AF_INET6 if ":" in address[0] else socket.AF_INET
         self.page = page
-        self._open: dict[socket.socket, _Connection] = {}
+        # Address of each client, and the deadline [s] of its present action.
+        self._open: dict[socket.socket, tuple[str, float]] = {}
         super().__init__(address, _Handler)
 
     def server_bind(self) -> None:
@@ -183,17 +171,17 @@ class _Server(ThreadingHTTPServer):
 
     def process_request(self, request: Any, client_address: Any) -> None:
         address = _spelling(client_address[0])
-        shared = sum(known.address == address for known in list(self._open.values()))
+        shared = sum(known == address for known, _ in list(self._open.values()))
         if len(self._open) >= CONNECTIONS or shared >= CONNECTIONS_EACH:
             self.shutdown_request(request)
             return
-        self._open[request] = _Connection(address, time.monotonic() + _IDLE)
+        self._open[request] = address, time.monotonic() + _IDLE
         super().process_request(request, client_address)
 
     def grant(self, request: socket.socket, seconds: float) -> None:
         """Extend the deadline of a connection to ``seconds`` from now."""
         if request in self._open:
-            self._open[request].deadline = time.monotonic() + seconds
+            self._open[request] = self._open[request][0], time.monotonic() + seconds
 
     def service_actions(self) -> None:
         """Close connections past their deadline; called ten times a second."""
@@ -205,8 +193,8 @@ class _Server(ThreadingHTTPServer):
 
     def hang_up(self, now: float) -> None:
         """Close all connections whose deadline is before ``now`` [s]."""
-        for request, known in list(self._open.items()):
-            if known.deadline < now:
+        for request, (_, deadline) in list(self._open.items()):
+            if deadline < now:
                 with contextlib.suppress(OSError):
                     request.shutdown(socket.SHUT_RDWR)
 
@@ -219,7 +207,7 @@ class _Server(ThreadingHTTPServer):
 class _RequestError(Exception):
     """A rejected request, with the HTTP status and a sentence for the client."""
 
-    def __init__(self, status: HTTPStatus, sentence: str) -> None:
+    def __init__(self, sentence: str, status: HTTPStatus = HTTPStatus.BAD_REQUEST) -> None:
         super().__init__(sentence)
         self.status = status
 
@@ -284,7 +272,7 @@ class _Handler(BaseHTTPRequestHandler):
                 {"X-Generation": str(rows.generation), "X-Columns": ",".join(rows.columns)},
             )
         else:
-            raise _RequestError(HTTPStatus.NOT_FOUND, "there is nothing here")
+            raise _RequestError("there is nothing here", HTTPStatus.NOT_FOUND)
 
     def _take_command(self, body: bytes) -> None:
         self._check_origin()
@@ -295,13 +283,13 @@ class _Handler(BaseHTTPRequestHandler):
             return
         if path != "/command" or not page.commands:
             raise _RequestError(
-                HTTPStatus.FORBIDDEN, "the page is read-only: allow_commands is not set"
+                "the page is read-only: allow_commands is not set", HTTPStatus.FORBIDDEN
             )
         name = body.decode("utf-8", "replace")
         if name not in page.commands:
-            raise _bad(f"the commands are {', '.join(page.commands)}")
+            raise _RequestError(f"the commands are {', '.join(page.commands)}")
         if not page.command(name, {key: values[0] for key, values in query.items()}):
-            raise _RequestError(HTTPStatus.SERVICE_UNAVAILABLE, "too many commands wait already")
+            raise _RequestError("too many commands wait already", HTTPStatus.SERVICE_UNAVAILABLE)
         self._answer(HTTPStatus.ACCEPTED)
 
     def log_message(self, format: str, *arguments: Any) -> None:
@@ -316,33 +304,33 @@ class _Handler(BaseHTTPRequestHandler):
     def _target(self) -> tuple[str, dict[str, list[str]]]:
         path, _, query = self.path.partition("?")
         if not path.startswith("/"):
-            raise _bad(f"the target of a request begins with a slash, unlike {path!r}")
+            raise _RequestError(f"the target of a request begins with a slash, unlike {path!r}")
         return path, parse_qs(query)
 
     def _body(self) -> bytes:
         lengths = self.headers.get_all("Content-Length", ["0"])
         if len(lengths) > 1 or not _WHOLE_NUMBER.fullmatch(lengths[0]) or int(lengths[0]) < 0:
-            raise _bad(f"Content-Length is one whole number, not {', '.join(lengths)!r}")
+            raise _RequestError(f"Content-Length is one whole number, not {', '.join(lengths)!r}")
         if "Transfer-Encoding" in self.headers:
-            raise _bad("a body comes with its Content-Length, without a Transfer-Encoding")
+            raise _RequestError("a body comes with its Content-Length, without a Transfer-Encoding")
         body = self.rfile.read(min(int(lengths[0]), _DRAINED))
         if int(lengths[0]) > _LONGEST_BODY:
-            raise _bad(f"a body has at most {_LONGEST_BODY} bytes, not {lengths[0]}")
+            raise _RequestError(f"a body has at most {_LONGEST_BODY} bytes, not {lengths[0]}")
         return body
 
     def _check_host(self) -> None:
         """Reject requests with a foreign host name (DNS rebinding)."""
         hosts = self.headers.get_all("Host", [])
         if len(hosts) != 1:
-            raise _bad(f"a request has one Host, not {len(hosts)}")
+            raise _RequestError(f"a request has one Host, not {len(hosts)}")
         host = _host_in("Host", hosts[0])
         if host not in self.server.page.hosts and host != _spelling(
             self.connection.getsockname()[0]
         ):
             raise _RequestError(
-                HTTPStatus.FORBIDDEN,
                 f"the page is not served as {host}: use localhost, or the name or address of "
                 "the computer that it runs on, or add this name to the parameter allowed_hosts",
+                HTTPStatus.FORBIDDEN,
             )
 
     def _check_origin(self) -> None:
@@ -353,7 +341,7 @@ class _Handler(BaseHTTPRequestHandler):
             _host_in("Origin", netloc)
         if scheme not in ("http", "https") or netloc.lower() != self.headers["Host"].lower():
             raise _RequestError(
-                HTTPStatus.FORBIDDEN, "commands are taken from the page itself alone"
+                "commands are taken from the page itself alone", HTTPStatus.FORBIDDEN
             )
 
     def _refuse(self, status: HTTPStatus, sentence: str) -> None:
@@ -381,19 +369,15 @@ class _Handler(BaseHTTPRequestHandler):
         self.wfile.write(body)
 
 
-def _bad(sentence: str) -> _RequestError:
-    return _RequestError(HTTPStatus.BAD_REQUEST, sentence)
-
-
 def _host_in(header: str, netloc: str) -> str:
     try:
         return host_of(netloc)
     except ValueError as error:
-        raise _bad(f"{header}: {error}") from None
+        raise _RequestError(f"{header}: {error}") from None
 
 
 def _number(query: dict[str, list[str]], name: str, default: int) -> int:
     text = query.get(name, [str(default)])[0]
     if not _WHOLE_NUMBER.fullmatch(text):
-        raise _bad(f"{name} is a whole number, not {text!r}")
+        raise _RequestError(f"{name} is a whole number, not {text!r}")
     return int(text)

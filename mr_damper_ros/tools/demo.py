@@ -72,10 +72,6 @@ def _parser() -> argparse.ArgumentParser:
     return parser
 
 
-def _run(options: argparse.Namespace) -> int:
-    return _live(options) if options.live else _demo(options)
-
-
 def _demo(options: argparse.Namespace) -> int:
     from ament_index_python.packages import get_package_share_directory
 
@@ -227,4 +223,4 @@ class _Messages:
         )
 
 
-main = program(_parser, _run)
+main = program(_parser, lambda options: _live(options) if options.live else _demo(options))

@@ -246,7 +246,10 @@ def _process_recordings(course: CampaignCourse, waiting: Sequence[Recording]) ->
     remaining = [
         one
         for one in waiting
-        if not any(one.start_ns <= kept.start_ns < _end_ns(one) for _, kept in course.runs)
+        if not any(
+            one.start_ns <= kept.start_ns < one.stamp_ns(one.sample_count)
+            for _, kept in course.runs
+        )
     ]
     while course.outcome is None:
         if course.work is not None:
@@ -255,10 +258,6 @@ def _process_recordings(course: CampaignCourse, waiting: Sequence[Recording]) ->
             return
         else:
             _add_recording(course, course.next_run, remaining.pop(0))
-
-
-def _end_ns(recording: Recording) -> int:
-    return recording.stamp_ns(recording.sample_count)
 
 
 def _add_recording(course: CampaignCourse, run: PlannedRun, recording: Recording) -> None:

@@ -7,7 +7,7 @@ import threading
 import time
 from abc import abstractmethod
 from collections.abc import Callable, Generator, Iterable, Iterator
-from contextlib import closing
+from contextlib import closing, suppress
 from typing import Any, ClassVar, Generic, NamedTuple, TypeVar
 
 from mr_damper_ros.rig.blocks import BlockMaker
@@ -92,17 +92,12 @@ class DeviceReader(Generic[T]):
                 self._ended.wait(_IDLE)
             else:
                 portion = Portion(data, time.monotonic_ns(), self.connections)
-                while not self._ended.is_set() and not self._handed_over(portion):
-                    pass
+                while not self._ended.is_set():
+                    with suppress(queue.Full):
+                        self._waiting.put(portion, timeout=POLL)
+                        break
             if self._ended.is_set():
                 return
-
-    def _handed_over(self, portion: Portion[T]) -> bool:
-        try:
-            self._waiting.put(portion, timeout=POLL)
-        except queue.Full:
-            return False
-        return True
 
 
 def _reason(error: Exception) -> str:

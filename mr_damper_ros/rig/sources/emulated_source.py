@@ -386,11 +386,16 @@ class QuarterCarSource(_EmulatedSupply):
         assert self._damper is not None
         assert self.commander is not None
         given = self.settings
+        road: Surroundings = (
+            Bump(height=0.06, length=3.0, speed=given.speed, start=3.0)
+            if given.road == _BUMP
+            else IsoRoad(given.road, given.speed, given.seed)
+        )
         supply = SupplySetpoint(self.commander.step(time.monotonic()))
         rig = PlantRig(
             self._damper,
             _CAR.plant,
-            _road(given),
+            road,
             supply.schedule,
             settings=self._rig(start_ns),
             thermal=ThermalModel(initial=given.initial_temperature, capacity=given.heat_capacity),
@@ -409,9 +414,3 @@ def suspension_state_of(rig: PlantRig) -> SuspensionState:
     """The present suspension state of a car, as input of the suspension controllers."""
     stroke, body, tyre, wheel = rig.plant.state.tolist()
     return SuspensionState(body, wheel, float(rig.plant.rates[1]), stroke, tyre)
-
-
-def _road(given: QuarterCarOptions) -> Surroundings:
-    if given.road == _BUMP:
-        return Bump(height=0.06, length=3.0, speed=given.speed, start=3.0)
-    return IsoRoad(given.road, given.speed, given.seed)

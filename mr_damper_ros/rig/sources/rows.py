@@ -165,7 +165,8 @@ class LineDecoder:
         line = line.strip()
         if not line or line.startswith(b"#"):
             return []
-        row = self._form.row(line.split(_separator(line))) if len(line) <= _LONGEST_LINE else None
+        separator = next((mark for mark in (b";", b",", b"\t") if mark in line), None)
+        row = self._form.row(line.split(separator)) if len(line) <= _LONGEST_LINE else None
         if row is None:
             self.example = _shown(line)
         return [row]
@@ -175,11 +176,6 @@ def _shown(data: bytes) -> str:
     """The beginning of unreadable data, as text."""
     text = data[:40].decode("ascii", "replace")
     return "".join(c if c.isprintable() else "\N{REPLACEMENT CHARACTER}" for c in text)
-
-
-def _separator(line: bytes) -> bytes | None:
-    """Separator of the cells in a line; None for blanks."""
-    return next((mark for mark in (b";", b",", b"\t") if mark in line), None)
 
 
 class RecordDecoder:

@@ -238,7 +238,17 @@ class StreamSource(DeviceSource[bytes]):
 
     def blocks(self, start_ns: int) -> Iterator[RigBlock]:
         """Yield the samples as they arrive."""
-        self._decoder, self._times = self._new_decoder(), self._new_times()
+        given, form = self.settings, self._form
+        self._decoder = (
+            RecordDecoder(form, given.layout, bytes.fromhex(given.mark), given.check)
+            if given.layout
+            else LineDecoder(form)
+        )
+        if form.time_unit is None:
+            counts = None if form.count is None else 2**form.bits
+            self._times = CountedRows(CountedTimes(given.rate, counts))
+        else:
+            self._times = StampedRows(form.time_unit)
         self._readable, self._unreadable, self._reported = 0, 0, (0, 0)
         return self._read(self._connect, str(self._address), start_ns)
 
@@ -265,19 +275,6 @@ class StreamSource(DeviceSource[bytes]):
             else:
                 self._readable += 1
                 yield from times.add(row, portion.arrival_ns)
-
-    def _new_decoder(self) -> RowDecoder:
-        given: StreamOptions = self.settings
-        if not given.layout:
-            return LineDecoder(self._form)
-        return RecordDecoder(self._form, given.layout, bytes.fromhex(given.mark), given.check)
-
-    def _new_times(self) -> RowTimes:
-        unit = self._form.time_unit
-        if unit is not None:
-            return StampedRows(unit)
-        counts = None if self._form.count is None else 2**self._form.bits
-        return CountedRows(CountedTimes(self.settings.rate, counts))
 
     def _fault(self, of_link: str, times: RowTimes) -> str:
         """The present fault, as a sentence; empty without a fault."""
