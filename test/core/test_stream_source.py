@@ -448,7 +448,7 @@ def test_blocks_hold_what_came_and_none_has_a_gap(taken: set[int], size: int) ->
         ({"columns": "displacement:mm,force:N"}, "give stream.rate"),
         ({"columns": TIMED, "rate": 1000.0}, "omit one of them"),
         ({"columns": "displacement:mm,force:N", "rate": 0.5}, "must be from 1 to 100000 Hz"),
-        ({"columns": "velocity:m/s,time:s,force:N"}, "a velocity does not do"),
+        ({"columns": "velocity:m/s,time:s,force:N"}, "a velocity does not suffice"),
         ({"columns": "count,time:s,displacement:mm,force:N"}, "only one is needed"),
         ({"columns": "count,count,displacement:mm,force:N"}, "contain count twice"),
         ({"columns": "count:12,displacement:mm,force:N"}, "a count of 12 bits"),
