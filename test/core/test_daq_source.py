@@ -452,7 +452,7 @@ def test_what_an_mcc_device_does_not_have_is_told(
 ) -> None:
     fake_mcc(np.zeros((2, 0)))
     for wrong, sentence in (
-        ({"force_channel": "8"}, "it has no channel 8: 8 can be wired differentially"),
+        ({"force_channel": "8"}, "it has no channel 8: 8 channels can be wired differentially"),
         ({"force_range": 20.0}, "it has no range of ±20 V; its ranges: ±5 V, ±10 V"),
         ({"device": "DEADBEEF"}, "there is no such device; found: USB-1608G (01ABCDEF)"),
     ):
