@@ -88,8 +88,9 @@ class Evidence:
 
     @property
     def loses_elsewhere(self) -> bool:
-        """Whether the new set is much worse at other points where the running set is good."""
-        return self.loss > _LARGEST_LOSS and self.nrmse_elsewhere <= GOOD_NRMSE
+        """Whether the running set is good at all points and the new one much worse elsewhere."""
+        good = max(self.nrmse_before, self.nrmse_elsewhere) <= GOOD_NRMSE
+        return good and self.loss > _LARGEST_LOSS
 
 
 @dataclass(frozen=True)
@@ -253,7 +254,7 @@ def _mean_square(found: ParameterSet, windows: Sequence[Window]) -> float:
     return error if math.isfinite(error) else math.inf
 
 
-_LARGE_SHAPE_CHANGE = 0.2
+LARGE_SHAPE_CHANGE = 0.2
 """A larger shape change [1] must be confirmed by the next window if the running set has been
 identified at this operating point (``foreign_worse_sets``). Between two windows of one steady
 motion, temperature and wear do not change the shape as much; a delay between the sensors does."""
@@ -506,7 +507,7 @@ class Gatekeeper:
                 f"({maximum:.0%})",
             )
         beyond = ""
-        if same_motion and evidence.shape_change > _LARGE_SHAPE_CHANGE:
+        if same_motion and evidence.shape_change > LARGE_SHAPE_CHANGE:
             beyond = (
                 f"the shape of the force changed by {evidence.shape_change:.0%} in the same motion"
             )
@@ -573,7 +574,7 @@ class Gatekeeper:
                 change = min(change, force.size / (here.size * self.known.level) - 1.0, key=abs)
         if abs(change) > self._settings.step_limit:
             surprise = f"the force changed by {change:+.0%} at once"
-        elif holds and evidence.shape_change > _LARGE_SHAPE_CHANGE:
+        elif holds and evidence.shape_change > LARGE_SHAPE_CHANGE:
             surprise = f"the shape of the force changed by {evidence.shape_change:.0%} at once"
         if is_first or not surprise:
             return ACCEPTED

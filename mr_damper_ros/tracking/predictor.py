@@ -183,6 +183,9 @@ _PART_TIME = 0.01
 and each part uses what was learnt from the previous part. A long block is therefore predicted as
 well as several short ones."""
 
+_SINE = np.arange(0.0, 2.0, 0.01)
+"""Times, in cycles, of the sine in which the largest force of a set is computed."""
+
 _SET_AT_FAULT = (DoubtKind.WRONG, DoubtKind.DRIVING, DoubtKind.OUT_OF_RANGE, DoubtKind.TOO_LARGE)
 """Reason codes for which another set is tried."""
 
@@ -317,6 +320,7 @@ class ForcePredictor:
             current[part],
             half_cycle,
             steady=follower.steady,
+            largest=partial(self._largest_force, half_cycle, motion, float(current[-1])),
         )
         kind = self._newest_doubt.kind
         choice: Choice | None = None
@@ -333,6 +337,18 @@ class ForcePredictor:
                 choice.chosen.parameters, gradual=self._bank.gradual, fade=True, restart=True
             )
             self._monitor.forget_error(choice.error)
+
+    def _largest_force(self, half_cycle: float, motion: Motion, current: float) -> float:
+        """Largest force [N] of the set at a current, in a sine of the present half-cycle [s]."""
+        assert self.parameters is not None
+        time = 2.0 * half_cycle * _SINE
+        phase = 2.0 * math.pi * _SINE
+        amplitude = float(motion.peak_velocity[-1]) * half_cycle / math.pi
+        if not amplitude > 0.0:
+            return math.inf
+        force = self.parameters.force(time, amplitude * np.sin(phase), current)
+        # The first half-cycle is a transient of a law with memory.
+        return float(np.max(np.abs(force[_SINE >= 0.5])))
 
     # From a block to its force
 

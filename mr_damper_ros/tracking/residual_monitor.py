@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from itertools import compress, product
 
@@ -80,10 +80,11 @@ class ForceStatistics:
     ``peak`` and ``centre`` [N] are the largest magnitude of the measured force and the middle of
     its span, without outliers; NaN before the first stretch. If the motion is not steady, they
     cover the longer of ten seconds and a cycle. Forces at other currents count for at most ten
-    seconds, and only until the present current has lasted for a cycle. ``noise`` [N] is the
-    standard deviation of the white part of the measured force. ``stuck`` says that the measured
-    force has been constant for a half-cycle. ``measured_drives`` and ``predicted_drives`` say that
-    the measured or predicted force is not dissipative.
+    seconds, and only until the present current has lasted for a cycle. If a cycle takes longer than
+    ten seconds, they count up to the largest force of the set at the present current. ``noise`` [N]
+    is the standard deviation of the white part of the measured force. ``stuck`` says that the
+    measured force has been constant for a half-cycle. ``measured_drives`` and ``predicted_drives``
+    say that the measured or predicted force is not dissipative.
     """
 
     def __init__(self, period: float) -> None:
@@ -110,11 +111,13 @@ class ForceStatistics:
         half_cycle: float,
         *,
         steady: bool,
+        largest: Callable[[], float],
     ) -> None:
         """Add samples of the predicted and the measured force [N] and the velocity [m/s], (n,).
 
         ``current`` [A] is a float or has shape (n,). ``half_cycle`` [s] is that of the motion, NaN
-        if unknown. ``steady`` says whether the motion is a continuing sine.
+        if unknown. ``steady`` says whether the motion is a continuing sine. ``largest`` returns the
+        largest force [N] that the set gives in a cycle at the present current.
         """
         self._parts.append((*forces, velocity))
         self._currents.append(
@@ -122,7 +125,7 @@ class ForceStatistics:
         )
         self._count += velocity.size
         if self._count >= self._stretch:
-            self._finish(half_cycle, steady)
+            self._finish(half_cycle, steady, largest)
 
     def forget_predicted(self) -> None:
         """Discard the predicted forces, because they belong to other parameters."""
@@ -131,7 +134,7 @@ class ForceStatistics:
         for stretch in self._past:
             stretch.sums[2] = stretch.sums[:, 3] = 0.0
 
-    def _finish(self, half_cycle: float, steady: bool) -> None:
+    def _finish(self, half_cycle: float, steady: bool, largest: Callable[[], float]) -> None:
         predicted, measured, velocity = (
             np.concatenate(rows) for rows in zip(*self._parts, strict=True)
         )
@@ -168,7 +171,7 @@ class ForceStatistics:
         while (self._remembered - self._past[0].count) * self._period >= kept:
             self._remembered -= self._past.popleft().count
         recent = self._latest(memory)
-        self._judge_span(recent if steady else self._latest(unsteady), 2.0 * known)
+        self._judge_span(recent if steady else self._latest(unsteady), 2.0 * known, largest)
         self.noise = sorted(stretch.noise for stretch in recent)[len(recent) // 2]
         self._judge_power(known)
 
@@ -183,7 +186,9 @@ class ForceStatistics:
                 break
         return latest
 
-    def _judge_span(self, stretches: Sequence[_Stretch], cycle: float) -> None:
+    def _judge_span(
+        self, stretches: Sequence[_Stretch], cycle: float, largest: Callable[[], float]
+    ) -> None:
         """Compute peak and centre from stretches, newest first, with a ``cycle`` [s] of motion."""
         current = stretches[0].currents[1]
         here = [stretch.had(current) for stretch in stretches]
@@ -195,6 +200,11 @@ class ForceStatistics:
             ages = (counts.cumsum() - counts) * self._period
             counted = list(compress(stretches, here | (ages < others)))
         top, bottom = max(s.top for s in counted), min(s.bottom for s in counted)
+        if not all(here) and cycle > RECENT:
+            same = list(compress(stretches, here))
+            most = largest()
+            top = max([min(top, most), *(s.top for s in same)])
+            bottom = min([max(bottom, -most), *(s.bottom for s in same)])
         half, self.centre = 0.5 * (top - bottom), 0.5 * (top + bottom)
         self.peak = half + min(abs(self.centre), _PRELOAD * half)
 
@@ -337,9 +347,10 @@ class ResidualMonitor:
         half_cycle: float,
         *,
         steady: bool,
+        largest: Callable[[], float],
     ) -> None:
         """Update the statistics for later samples; the arguments are as in ForceStatistics.add."""
-        self._recent.add(forces, velocity, current, half_cycle, steady=steady)
+        self._recent.add(forces, velocity, current, half_cycle, steady=steady, largest=largest)
         self._cycle_known = not math.isnan(half_cycle)
         if self._cycle_known:
             self._calm = min(_CALM_TIME, _CALM_PART * half_cycle) / self._period

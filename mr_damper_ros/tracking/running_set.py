@@ -13,7 +13,7 @@ from mr_damper_ros.kinematics.window import Window
 from mr_damper_ros.models.parameter_set import EARLY_SOURCE, ParameterSet
 from mr_damper_ros.models.quantities import SAME_CURRENT
 from mr_damper_ros.signals.arrays import Array
-from mr_damper_ros.tracking.acceptance import SAME_FORCE, Evidence
+from mr_damper_ros.tracking.acceptance import LARGE_SHAPE_CHANGE, SAME_FORCE, Evidence
 from mr_damper_ros.tracking.operating_point import (
     SAME_SPEED,
     KnownForce,
@@ -141,14 +141,17 @@ def new_set(
     discrepancies[places] = math.nan
     if fit.discrepancy is not None:
         discrepancies[places] = model.fitted_errors(fit.scales, fit.discrepancy)[1]
-    # The running set predicted the force here, so its range stays valid.
+    # The running set predicted the force here, or its shape, so its range stays valid.
+    similar = evidence.shape_change <= LARGE_SHAPE_CHANGE
     agrees = abs(evidence.force_change) <= SAME_FORCE
     velocity_range, largest_force = window.peak_velocity_range, window.largest_force
     current_range = float(window.current.min()), float(window.current.max())
     known = (
         model.knows_speeds(running.observable)
+        and similar
         and (agrees or _is_within(velocity_range, running.peak_velocity_range, SAME_SPEED)),
         model.knows_currents(running.observable)
+        and similar
         and (agrees or _is_within(current_range, running.current_range, 1.0, SAME_CURRENT)),
     )
     if known[0]:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 import pytest
 
@@ -19,7 +21,7 @@ def watch_of(noise: float) -> tuple[ResidualMonitor, Array]:
     force = PEAK * np.sin(angle) + noise * np.random.default_rng(0).standard_normal(angle.size)
     for part in np.split(force, 300):
         watch.judge(part, part)
-        watch.learn((part, part), part / PEAK, 1.0, 0.5, steady=True)
+        watch.learn((part, part), part / PEAK, 1.0, 0.5, steady=True, largest=lambda: PEAK)
     return watch, force[:10]
 
 
@@ -66,7 +68,9 @@ def test_small_half_cycles_are_no_smaller_peak_unless_the_motion_is_steady(
         time = PERIOD * np.arange(seconds * 1000)
         force = size * np.sign(np.cos(np.pi * time / HALF_CYCLE))
         for part in np.split(force, seconds * 10):
-            recent.add((part, part), part / LARGE, 1.0, HALF_CYCLE, steady=steady)
+            recent.add(
+                (part, part), part / LARGE, 1.0, HALF_CYCLE, steady=steady, largest=lambda: LARGE
+            )
     assert recent.peak == pytest.approx(peak)
 
 
@@ -75,16 +79,25 @@ def test_a_large_force_is_forgotten_in_any_motion(half_cycle: float) -> None:
     recent = ForceStatistics(PERIOD)
     for size, seconds in ((LARGE, 2), (SMALL, 11)):
         for part in np.split(size * np.tile((1.0, -1.0), 500 * seconds), seconds * 10):
-            recent.add((part, part), part / LARGE, 1.0, half_cycle, steady=False)
+            recent.add(
+                (part, part), part / LARGE, 1.0, half_cycle, steady=False, largest=lambda: LARGE
+            )
     assert recent.peak == pytest.approx(SMALL)
 
 
-def followed(force: Array, current: Array, half_cycle: float) -> ForceStatistics:
-    """What is remembered after a force [N] at a current [A], each of shape (n,)."""
+def followed(
+    force: Array, current: Array, half_cycle: float, largest: float = math.inf
+) -> ForceStatistics:
+    """What is remembered after a force [N] at a current [A], each of shape (n,).
+
+    ``largest`` [N] is the largest force of the set at the present current.
+    """
     recent = ForceStatistics(PERIOD)
     for part in np.split(np.arange(force.size), force.size // 10):
         forces = force[part], force[part]
-        recent.add(forces, force[part], current[part], half_cycle, steady=True)
+        recent.add(
+            forces, force[part], current[part], half_cycle, steady=True, largest=lambda: largest
+        )
     return recent
 
 
@@ -103,3 +116,13 @@ def test_the_force_at_another_current_counts_for_ten_seconds(since: float, peak:
     current = np.where(time < 20.0, 1.5, 0.0)
     force = np.where(time < 20.0, LARGE, SMALL) * np.sin(2.0 * np.pi * time)
     assert followed(force, current, 10.0).peak == pytest.approx(peak, rel=0.02)
+
+
+@pytest.mark.parametrize(("largest", "peak"), [(2.0 * SMALL, 2.0 * SMALL), (0.1 * SMALL, SMALL)])
+def test_the_force_at_another_current_counts_up_to_that_of_the_set_in_slow_motion(
+    largest: float, peak: float
+) -> None:
+    time = PERIOD * np.arange(22_000)
+    current = np.where(time < 20.0, 1.5, 0.0)
+    force = np.where(time < 20.0, LARGE, SMALL) * np.sin(2.0 * np.pi * time)
+    assert followed(force, current, 10.0, largest).peak == pytest.approx(peak, rel=0.02)

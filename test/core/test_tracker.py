@@ -256,6 +256,20 @@ def test_a_law_that_is_right_at_another_current_holds_there_and_here() -> None:
     assert tracked.parameters.current_range == (0.2, 1.0)
 
 
+@pytest.mark.parametrize(("hysteresis", "kept"), [(1.0, True), (5.0, False)])
+def test_a_law_keeps_its_range_unless_the_force_has_another_shape_within_it(
+    hysteresis: float, kept: bool
+) -> None:
+    speeds = 0.01, 1.0
+    tracked = known_over("a1", speeds=speeds, currents=(0.5, 1.5))
+    values = tracked.parameters.values.copy()
+    values[known.index("k4")] *= hysteresis
+    tracked.replace(dataclasses.replace(tracked.parameters, values=values))
+    reports = known.fed(tracked, *(known.window(number, strength=0.8) for number in range(2)))
+    assert any(report.accepted for report in reports)
+    assert (tracked.parameters.peak_velocity_range == speeds) is kept
+
+
 def test_a_reset_goes_back_to_the_initial_set_and_forgets() -> None:
     tracked = experienced()
     tracked.reset()
