@@ -28,6 +28,7 @@ from mr_damper_ros.models.first_order_lag import (
     PLAUSIBLE_COIL,
     coil_current,
     coil_parameter,
+    solve_recursion,
 )
 from mr_damper_ros.models.force_model import CurrentResponse, Model, WindowForces
 from mr_damper_ros.models.machine_code import as_machine_code
@@ -378,7 +379,7 @@ class DifferentiatedModel(IntegratedModel):
         direct, recursions = self.sensitivities(values, motion, history.period)
         result = _excitation(direct, chain)
         for force_by, kept, by in recursions:
-            result += force_by[:, np.newaxis] * _solved(kept, _excitation(by, chain))
+            result += force_by[:, np.newaxis] * solve_recursion(kept, _excitation(by, chain))
         return history.at_samples(result[-count:])
 
     def window_forces(self, windows: Sequence[Window]) -> WindowForces:
@@ -404,13 +405,3 @@ def _excitation(by: Mapping[int, Array], chain: Array) -> Array:
         # Columns are contiguous in memory, so each can be solved in place.
         return np.asarray(chain[places, 0].T @ np.stack(list(by.values()))).T
     return sum((by[place][:, np.newaxis] * chain[place] for place in places), np.zeros(()))
-
-
-def _solved(kept: Array, added: Array) -> Array:
-    """Solve y[k] = kept[k] y[k-1] + added[k] for columns (n, p), which may be overwritten."""
-    from scipy.linalg.lapack import dtbtrs  # here: see mr_damper_ros.entry_points
-
-    bands = np.ones((2, kept.size), order="F")
-    bands[1, :-1] = -kept[1:]
-    solved = dtbtrs(bands, added, uplo="L", diag="U", overwrite_b=True)[0]
-    return np.asarray(solved.reshape(added.shape))

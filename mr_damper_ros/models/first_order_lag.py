@@ -63,8 +63,6 @@ class FirstOrderLag:
         weights = _weights(before, time_constant, period)
         self._periodic, self._state = periodic, state
         self._tau, self._ratio, self._decay, self._before, self._now = weights
-        self._bands = np.ones((2, self._decay.size), order="F")
-        self._bands[1, :-1] = -self._decay[1:]
 
     def __call__(self, values: Array) -> Array:
         """The lagged signal, shape (n,), of a signal of shape (n,)."""
@@ -100,16 +98,22 @@ class FirstOrderLag:
         return self._recursion(driven)
 
     def _recursion(self, driven: Array) -> Array:
-        """Solve y[k] = decay[k] y[k-1] + driven[k] by forward substitution."""
-        from scipy.linalg.lapack import dtbtrs  # here: see mr_damper_ros.entry_points
-
-        solved = dtbtrs(self._bands, driven, uplo="L", diag="U", overwrite_b=True)[0]
-        result = solved.reshape(driven.shape)
+        result = solve_recursion(self._decay, driven)
         if self._periodic:
             passed = np.cumsum(self._ratio)
             before = result[-1] / -np.expm1(-passed[-1])
             result += np.multiply.outer(np.exp(-passed), before)
-        return np.asarray(result)
+        return result
+
+
+def solve_recursion(kept: Array, added: Array) -> Array:
+    """Solve y[k] = kept[k] y[k-1] + added[k] for columns (n, ...), which may be overwritten."""
+    from scipy.linalg.lapack import dtbtrs  # here: see mr_damper_ros.entry_points
+
+    bands = np.ones((2, kept.size), order="F")
+    bands[1, :-1] = -kept[1:]
+    solved = dtbtrs(bands, added, uplo="L", diag="U", overwrite_b=True)[0]
+    return np.asarray(solved.reshape(added.shape))
 
 
 def one_sample_later(
