@@ -1,6 +1,6 @@
 """Off-line simulation of an emulated rig with closed-loop current control.
 
-The current is chosen after each block, as the nodes do in real time.
+The current is chosen after each block, as by the nodes in real time.
 """
 
 from __future__ import annotations

@@ -35,7 +35,7 @@ _COLD, _HOT = 28.0, 71.0
 """Temperatures [°C] at which the thesis identified its damper."""
 
 CHUNK = 100
-"""Number of samples that share one temperature and one draw of noise.
+"""Number of samples that have the same temperature and are computed with one draw of noise.
 
 It is fixed, so that the samples do not depend on the block size.
 """
@@ -74,12 +74,11 @@ class EmulatedDamper:
     """A damper of any law whose force changes linearly from 28 °C to 71 °C.
 
     ``cold`` is its set at 28 °C, or the values (16,) of the sigmoid law. ``hot`` is a factor on the
-    gain parameters at 71 °C, or the set at 71 °C: *forces* are then interpolated, not parameters,
-    because the two sets may lie in different basins. The damper keeps the state of its law.
-
-    ``built_in``: in a plant, it has the continuous form of its law, without jumps of the force at
-    reversals, no lag of the coil, which the plant adds, and outside the peak velocity range of its
-    set the coefficients of the nearest peak velocity.
+    gain parameters at 71 °C, or the set at 71 °C. With two sets, *forces* are interpolated, not
+    parameters, because the sets may belong to different local minima. The damper keeps the state of
+    its law. ``built_in``: whether the damper is part of a plant. Its force then does not jump at
+    reversals, it has no lag of the coil, which the plant adds, and its peak velocity is limited to
+    the range of its set.
     """
 
     def __init__(
@@ -167,12 +166,12 @@ class CurrentSchedule:
         if len(self.times) == 0 or len(self.times) != len(self.currents):
             raise EmulatorError(
                 f"the current's schedule has {len(self.times)} times and {len(self.currents)} "
-                "currents: give at least one, and as many of each"
+                "currents: give equal numbers of both, and at least one"
             )
         if not np.isfinite([*self.times, *self.currents]).all():
             raise EmulatorError("the current's schedule holds a value that is not finite")
         if not (np.diff(self.times) > 0.0).all():
-            raise EmulatorError("the times of the current's schedule must rise")
+            raise EmulatorError("the times of the current's schedule must increase")
 
     @classmethod
     def constant(cls, current: float) -> CurrentSchedule:
@@ -181,7 +180,7 @@ class CurrentSchedule:
 
     def at(self, time: Array) -> Array:
         """Current [A] at the times [s], shape (n,)."""
-        # The margin lets a sample at a step have the new current in spite of rounding errors.
+        # With the margin, a sample at a step has the new current in spite of rounding errors.
         index = np.searchsorted(self.times, time + 1e-9, side="right") - 1
         return np.asarray(self.currents, dtype=np.float64)[np.maximum(index, 0)]
 
@@ -240,7 +239,7 @@ class MeasuredRig(ABC):
     live = True
     """Whether samples are computed only when they are requested.
 
-    Commands then take effect at once, which costs computing time. Otherwise the rig computes whole
+    Commands then take effect at once, which takes computing time. If not, the rig computes whole
     chunks in advance.
     """
 
@@ -353,7 +352,7 @@ class EmulatedRig(MeasuredRig):
         self._faults += own
 
     def move(self, excitation: Excitation) -> None:
-        """Change the motion from the next samples on; it must continue the present one smoothly."""
+        """Change the motion from the next samples on; it must smoothly continue the present one."""
         self._change_motion(excitation, self._faults)
 
     def _change_motion(self, excitation: Excitation, faults: Sequence[Fault]) -> None:
@@ -432,9 +431,9 @@ class SupplySetpoint:
         self.schedule = CurrentSchedule(self._times, self._currents)
 
     def set(self, time: float, current: float) -> None:
-        """Supply this current [A] from ``time`` [s] on, or from just after the previous change."""
+        """Supply this current [A] from ``time`` [s] on, but not before the previous change."""
         if current != self._currents[-1]:
-            # Of the past, only the latest setpoint is needed.
+            # Only the latest setpoint of the past is needed.
             del self._times[:-1], self._currents[:-1]
             self._times.append(max(time, math.nextafter(self._times[-1], math.inf)))
             self._currents.append(current)

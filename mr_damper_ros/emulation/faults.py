@@ -24,7 +24,7 @@ CHANNELS = ("displacement", "force", "current", "temperature")
 """Names of the measured channels in :class:`RigBlock`."""
 
 _ROUNDING = 1e-9
-"""Tolerance [s], so that a sample at the beginning of a fault has the fault."""
+"""Tolerance [s], so that the fault affects a sample at its beginning."""
 
 _CHANGE = 0.1
 """Time [s] in which the machine changes its motion."""
@@ -43,7 +43,7 @@ Stage = Literal["motion", "coil", "force", "channel", "block", "delivery", "labe
 - motion: an :class:`Excitation`, the motion of the machine; returns another excitation;
 - coil, force: :class:`Samples` of the current [A] in the coil, or of the force [N] between rod and
   load cell; returns other values (n,);
-- channel: :class:`Samples` of one instrument; returns what it shows instead (n,);
+- channel: :class:`Samples` of one instrument; returns the values that it shows (n,);
 - block: a :class:`RigBlock`, for faults of several channels; returns another block;
 - delivery: a block to be sent; returns the list of blocks to send now;
 - label: a block; returns it with the stamp, the period and the number to send.
@@ -64,13 +64,12 @@ class Samples(NamedTuple):
 
 @dataclass(frozen=True)
 class Kind:
-    """A row of the table of faults.
+    """A row of the table of faults, which doc/faults.md describes.
 
-    doc/faults.md describes each kind. ``unit`` is the unit of the value: "channel" is the unit of
-    the channel, and an empty string means that the fault has no value.
-    ``usual`` is the default value and ``least`` the smallest valid value. If ``masked``, the result
-    of ``act`` is used only while the fault is active; otherwise ``act`` is always used and handles
-    the times itself.
+    ``unit`` is the unit of the value: "channel" stands for the unit of the channel, and an empty
+    string means that the fault has no value. ``usual`` is the default value and ``least`` the
+    smallest valid value. If ``masked``, the result of ``act`` is used only while the fault is
+    active; otherwise ``act`` is always used and handles the times itself.
     """
 
     name: str
@@ -91,9 +90,9 @@ class Kind:
 class Fault:
     """A fault that is active from ``begin`` to ``end`` [s] after the start of the rig.
 
-    ``channel`` is the affected channel, if the kind acts on one. ``value`` is in the unit of the
-    kind; None selects the default. ``memory`` is the state of the fault's function; each rig uses
-    its own copy of the fault.
+    ``channel`` is the affected channel, if the kind acts on a channel. ``value`` is in the unit of
+    the kind; None selects the default. ``memory`` is the state of the fault's function; each rig
+    uses its own copy of the fault.
 
     Raises FaultError if the kind does not act on the channel, the value is not finite or too small,
     the beginning is negative, or the end is not after the beginning.
@@ -122,8 +121,8 @@ class Fault:
             )
         if not 0.0 <= self.begin < self.end:
             raise FaultError(
-                f"the fault '{kind.name}' is from {self.begin:g} to {self.end:g} s: it must begin "
-                "at 0 or later, and end after that"
+                f"the fault '{kind.name}' is active from {self.begin:g} to {self.end:g} s: it must "
+                "not begin before 0, and must end after its beginning"
             )
         self.rng = np.random.default_rng(self.seed)
         self.memory: Any = None
@@ -421,7 +420,7 @@ KINDS: tuple[Kind, ...] = (
         2.0,
     ),
 )
-"""All kinds of fault. A new kind needs a row here, and a function if it has a memory."""
+"""All kinds of fault. A new kind is a new row here, with a function if it has a memory."""
 
 FAULTS: dict[str, tuple[Kind, str]] = {
     f"{channel}_{kind.name}" if channel else kind.name: (kind, channel)

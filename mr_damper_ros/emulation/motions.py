@@ -61,8 +61,8 @@ class SineMotion:
 class SampledMotion:
     """A motion given by samples, such as an earthquake, interpolated by a cubic spline.
 
-    Before the first sample and after the last, the motion rests at the value of that sample.
-    Therefore the spline has zero velocity at both ends.
+    Before the first sample and after the last one, the motion rests at the value of that sample, so
+    the spline has zero velocity at both ends.
     """
 
     def __init__(self, displacement: Array, period: float) -> None:
@@ -122,7 +122,7 @@ def _enveloped(motion: Kinematics, envelope: Array, centre: float) -> Kinematics
 
 @dataclass(frozen=True)
 class ChangedMotion:
-    """A motion with another amplitude and another speed from ``begin`` to ``end`` [s].
+    """A motion whose amplitude and speed differ from ``begin`` to ``end`` [s].
 
     The amplitude is multiplied by ``factor``, the speed by ``tempo``; a tempo of 0 stops the
     motion. Both change smoothly within ``duration`` [s] after ``begin``, and back again after

@@ -33,8 +33,8 @@ from mr_damper_ros.signals.blocks import RigBlock
 _ACCELERATION_MEMORY = 0.008
 """Time constant [s] of the low-pass filter of the acceleration for the peak velocity.
 
-The force depends on the peak velocity, and the acceleration depends on the force. The filter opens
-this algebraic loop. Observers of recorded motion also smooth the acceleration.
+The force depends on the peak velocity, and the acceleration depends on the force. The filter breaks
+    this algebraic loop. Observers of recorded motion also smooth the acceleration.
 """
 
 
@@ -106,7 +106,7 @@ class PlantRig(MeasuredRig):
         return displacement, force, power
 
     def _step_on(self, supplied: float, moved: float) -> float:
-        """Move on by one step with a supply current [A] and an input; returns the heat [J]."""
+        """Advance by one step with a supply current [A] and an input; returns the heat [J]."""
         now = self.plant.damper
         self._coil = supplied + (self._coil - supplied) * self._coil_decay
         self._acceleration += self._share * (now.acceleration - self._acceleration)

@@ -1,4 +1,4 @@
-"""Opening of bags; their files are checked before the library reads them."""
+"""Opens bags, after a check of their files."""
 
 from __future__ import annotations
 
@@ -87,8 +87,7 @@ def _check_mcap(name: str, file: Path, maximum_samples: int | None) -> None:
         check_mcap(file, limit)
     except OversizedError as error:
         raise BagError(
-            f"the bag '{name}' is too large: {error}; make bags of parts of it with "
-            "ros2 bag convert"
+            f"the bag '{name}' is too large: {error}; split it with ros2 bag convert"
         ) from error
 
 
@@ -113,7 +112,7 @@ class OpenBag:
                 return ""
             raise BagError(
                 f"the bag '{self.name}' has several topics that end in {wanted} "
-                f"({', '.join(found)}): make a bag of the topics of one rig with ros2 bag convert"
+                f"({', '.join(found)}): make a bag with the topics of one rig by ros2 bag convert"
             )
         if found and types[found[0]] == message_type:
             return found[0]
@@ -121,14 +120,14 @@ class OpenBag:
             return ""
         if found:
             raise BagError(
-                f"the topic {found[0]} in the bag '{self.name}' carries {types[found[0]]}, "
-                f"not {message_type}: record that type, or make a bag of a text or MAT file with "
-                "ros2 run mr_damper_ros import_record"
+                f"the topic {found[0]} in the bag '{self.name}' has the type {types[found[0]]}, "
+                f"not {message_type}: record that type, or convert a text or MAT file to a bag "
+                "with ros2 run mr_damper_ros import_record"
             )
         listed = ", ".join(f"{topic} ({kind})" for topic, kind in sorted(types.items())) or "none"
         raise BagError(
-            f"the bag '{self.name}' has no topic {wanted}, in whatever namespace, with "
-            f"{message_type}: record it; its topics are {listed}"
+            f"the bag '{self.name}' has no topic {wanted} in any namespace with the type "
+            f"{message_type}: record it; the topics of the bag are {listed}"
         )
 
     def decoded(self, topics: set[str]) -> Iterator[tuple[str, Any]]:

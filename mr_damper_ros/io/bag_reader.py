@@ -40,7 +40,7 @@ from mr_damper_ros.signals.recording import (
 from mr_damper_ros.signals.uniform_grid import Placed, UniformGrid
 
 _HOLD_BACK = 1.0
-"""Time [s] for which blocks wait for missing earlier blocks; reading a file may wait long."""
+"""Time [s] of the data for which blocks wait for missing earlier blocks."""
 
 
 def read_bag(path: str | Path, *, maximum_samples: int = MAXIMUM_SAMPLES) -> list[Recording]:
@@ -84,8 +84,8 @@ def read_bag(path: str | Path, *, maximum_samples: int = MAXIMUM_SAMPLES) -> lis
     recordings = [recording for recording in assembled if recording is not None]
     if not recordings:
         raise BagError(
-            f"every sample in the bag '{bag.name}' is older than the first current: "
-            "stamp both with the same clock and record the current from the beginning"
+            f"all samples in the bag '{bag.name}' are older than the first current: stamp both "
+            "with the same clock, and record the current from the beginning"
         )
     if len(recordings) == 1:
         return recordings
@@ -121,10 +121,7 @@ def _items(bag: OpenBag, maximum_samples: int) -> Iterator[StreamItem]:
             block = _block(message, stamp_ns, bag.name, topic)
             left -= block.sample_count
             if left < 0:
-                raise BagError(
-                    f"the bag '{bag.name}' is too large: make bags of parts of it with "
-                    "ros2 bag convert"
-                )
+                raise BagError(f"the bag '{bag.name}' is too large: split it with ros2 bag convert")
             yield block
 
 

@@ -1,7 +1,7 @@
-"""Writing of recordings to bags; needs rosbags, but not ROS.
+"""Writes recordings to bags; needs rosbags, but not ROS.
 
-A bag holds the same streams as a live rig publishes. Each block of samples has the recording time
-of its last sample, at which the block becomes available. The current has stamps on the clock of the
+A bag holds the same streams as a live rig publishes. The recording time of a block is the time of
+its last sample, at which the block becomes available. The current is stamped by the clock of the
 samples. It is written at the start, at every change, and with every block, so that it is known for
 the whole recording.
 """
@@ -147,8 +147,8 @@ def write_bag(
         raise BagError(f"the block size is {block_size}: give at least 1 sample")
     if not 0 <= recording.start_ns <= recording.stamp_ns(recording.sample_count) < STAMP_LIMIT:
         raise BagError(
-            f"'{recording.name}' starts {recording.start_ns / NANOSECONDS:.0f} s after 1970, and "
-            "the stamps of messages reach from 1970 to 2038: give it another start"
+            f"'{recording.name}' starts {recording.start_ns / NANOSECONDS:.0f} s after 1970, but "
+            "the stamps of messages reach from 1970 to 2038: change start_ns"
         )
     path = Path(os.path.abspath(path))
     _check_free(path, overwrite)
@@ -173,7 +173,7 @@ def _check_free(path: Path, overwrite: bool) -> None:
     if not (path / "metadata.yaml").is_file():
         raise BagError(f"{path} exists and is not a bag: choose another name")
     if not overwrite:
-        raise BagError(f"{path} exists already: choose another name or ask to overwrite it")
+        raise BagError(f"{path} exists already: choose another name, or allow overwriting")
 
 
 def _message(item: StreamItem) -> tuple[str, int, bytes]:

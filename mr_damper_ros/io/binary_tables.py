@@ -1,7 +1,7 @@
 """Columns from MAT, TDMS and XLSX files, which are read in a separate process.
 
 A malformed file can crash the reading process (segmentation fault), block it for ever, or exhaust
-the memory when it is unpacked. Therefore a child process with limited time and memory reads the
+the memory when it is unpacked. A child process with limited time and memory therefore reads the
 file and returns arrays or text.
 """
 
@@ -39,7 +39,7 @@ _LEAST_MEMORY = 100_000_000
 """Smallest memory limit [B]."""
 
 _HEAD_ROWS = 1000
-"""Number of rows of a sheet, in addition to the samples, for headers and empty rows."""
+"""Number of rows that a sheet may have in addition to the samples, for headers and empty rows."""
 
 _SEPARATOR = "\t"
 """Separator of cells in the text of a sheet."""
@@ -49,8 +49,8 @@ _SEPARATOR = "\t"
 class Group:
     """Columns of numbers by name: a matrix of a MAT file, or a group of channels of a TDMS file.
 
-    ``label`` describes the group in a message. ``periods`` [s] of the columns are those of the
-    file, if it holds them.
+    ``label`` describes the group in a message. ``periods`` are the sample periods [s] of columns,
+    if the file states them.
     """
 
     name: str
@@ -67,7 +67,7 @@ class Format:
     to install the module; ``time_limit`` [s] limits the reading. ``read`` runs in the child process
     and receives the open file, the name of the variable, and the largest number of samples. It
     returns groups of columns, or lines of text. ``words`` are the words for a group, for several
-    and for a column.
+    groups and for a column.
     """
 
     what: str
@@ -83,12 +83,12 @@ def read_binary_table(
 ) -> RawTable:
     """Read columns of one group, which ``variable`` selects if several have these columns.
 
-    In a MAT file each column may name one variable instead. The sample period is that of a TDMS
-    waveform, if the file holds it. Raises RecordError.
+    In a MAT file each column may instead name a variable. The sample period is taken from a TDMS
+    waveform, if the file states it. Raises RecordError.
     """
     form = FORMATS[path.suffix.lower()]
     if form.read is _matrices and any(column.holds_dates for column in columns.wanted):
-        raise RecordError("a MAT file holds numbers: give the unit of its time, such as time:s")
+        raise RecordError("a MAT file holds no dates: give the unit of its time, such as time:s")
     content = _confined(form, path, maximum_samples, variable)
     if isinstance(content, str):
         lines = TextFile(lambda: io.StringIO(content), path.name, _SEPARATOR)
@@ -126,12 +126,12 @@ def read_binary_table(
 def _group(
     name: str, form: Format, groups: list[Group], columns: Columns, variable: str | None
 ) -> tuple[Group, str]:
-    """The group with the wanted columns, and a list of what the file or the group holds."""
+    """The group with the selected columns, and a list of the contents of the file or the group."""
     listed = ", ".join(group.label for group in groups) or f"no {form.words[0]} of numbers"
     if form.read is _matrices and columns.by_header:
         if variable is not None:
             raise RecordError(
-                "the columns name variables of the MAT file themselves: choose no variable"
+                "the columns already name variables of the MAT file: omit the option variable"
             )
         vectors = {g.name: next(iter(g.columns.values())) for g in groups if len(g.columns) == 1}
         return Group("", "", vectors), listed
@@ -147,8 +147,8 @@ def _group(
             fitting = groups
     if len(fitting) != 1:
         raise RecordError(
-            f"{name} holds {len(fitting)} {form.words[1]} with {least} columns or more: choose one "
-            f"as the variable; it holds {listed}"
+            f"{name} holds {len(fitting)} {form.words[1]} with at least {least} columns: choose "
+            f"one by the option variable; it holds {listed}"
         )
     return fitting[0], ", ".join(fitting[0].columns)
 
@@ -156,7 +156,7 @@ def _group(
 def _confined(
     form: Format, path: Path, maximum_samples: int, variable: str | None
 ) -> list[Group] | str:
-    """Read a file in a child process. Raises RecordError, and OSError if there is no file."""
+    """Read a file in a child process. Raises RecordError; OSError if the file does not exist."""
     try:
         content: list[Group] | str = run_apart(
             __name__, _read, path, variable, maximum_samples, budget=form.time_limit
@@ -174,7 +174,7 @@ def _confined(
 
 
 def _unreadable(form: Format, path: Path) -> str:
-    return f"{path.name} is not {form.what} that can be read: save it again, or export it as CSV"
+    return f"{path.name} cannot be read as {form.what}: save it again, or export it as CSV"
 
 
 def _read(path: Path, variable: str | None, most_samples: int) -> list[Group] | str:
@@ -197,8 +197,8 @@ def _read(path: Path, variable: str | None, most_samples: int) -> list[Group] | 
             raise
         except NotImplementedError:
             raise RecordError(
-                f"{path.name} is a MAT file of version 7.3: save it in MATLAB with "
-                "save(..., '-v7') first"
+                f"{path.name} is a MAT file of version 7.3: first save it in MATLAB with "
+                "save(..., '-v7')"
             ) from None
         except Exception as error:
             # For damaged data, the libraries raise exceptions of many kinds.
@@ -215,7 +215,7 @@ def _limit_memory(size: int) -> None:
 
     pages = int(Path("/proc/self/statm").read_text().split()[5])  # data and stack
     limit = pages * os.sysconf("SC_PAGE_SIZE") + size
-    with contextlib.suppress(ValueError):  # a lower limit is set already
+    with contextlib.suppress(ValueError):  # a lower limit is already set
         resource.setrlimit(resource.RLIMIT_DATA, (limit, limit))
 
 
@@ -266,7 +266,7 @@ def _sheet(file: BinaryIO, variable: str | None, most_samples: int) -> str:
     if chosen not in sheets:
         asked = f"no sheet '{variable}'" if variable else "several sheets"
         raise RecordError(
-            f"the file has {asked}: choose one as the variable, of {', '.join(sheets)}"
+            f"the file has {asked}: choose one of {', '.join(sheets)} by the option variable"
         )
     text = io.StringIO()
     writer = csv.writer(text, delimiter=_SEPARATOR, lineterminator="\n")
@@ -316,4 +316,4 @@ FORMATS = {
     ".xlsm": _XLSX,
     ".xlsx": _XLSX,
 }
-"""The format of each ending; all other files are text."""
+"""The format of files by their ending; all other files are text."""

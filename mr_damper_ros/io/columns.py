@@ -79,9 +79,9 @@ class Columns:
         surplus = [str(place + 1) for place in range(self.width, count)]
         column = "columns" if len(surplus) > 1 else "column"
         raise RecordError(
-            f"{name} holds {count} columns of numbers and {self.width} are described: say what "
+            f"{name} holds {count} columns of numbers, but {self.width} are described: say what "
             f"{column} {', '.join(surplus)} {'hold' if len(surplus) > 1 else 'holds'}, or write "
-            f"{SKIPPED} for each column to skip, {REST} for all that follow{listed}"
+            f"{SKIPPED} to skip a column, {REST} to skip all further columns{listed}"
         )
 
 
@@ -115,8 +115,8 @@ def parse_columns(text: str) -> Columns:
     by_header = [bool(column.header) for column in columns]
     if any(by_header) and not (all(by_header) and len(columns) == len(entries)):
         raise ColumnError(
-            "some columns are named by their header and some by their place: "
-            "name all by header (displacement=Stroke:mm) or none"
+            "some columns are selected by their header and some by their position: "
+            "select all by header (displacement=Stroke:mm) or none"
         )
     return Columns(columns, None if open_ended or any(by_header) else len(entries), text)
 
@@ -131,7 +131,7 @@ def _parse_column(entry: str, position: int) -> Column:
     quantity, equals, header = (part.strip() for part in name.partition("="))
     if quantity not in UNITS:
         raise ColumnError(
-            f"'{quantity}' is no quantity of a record: use {', '.join(UNITS)}, "
+            f"'{quantity}' is not a quantity of a record: use {', '.join(UNITS)}, "
             f"or {SKIPPED} to skip the column"
         )
     if equals and not header:
@@ -144,9 +144,9 @@ def _parse_column(entry: str, position: int) -> Column:
     if factor == 0.0:
         raise ColumnError(f"the factor in '{entry}' is zero: give another number")
     if quantity == "time" and factor < 0.0:
-        raise ColumnError(f"the factor in '{entry}' is negative: time must rise")
+        raise ColumnError(f"the factor in '{entry}' is negative: time must increase")
     if unit == DATE_AND_TIME and form["factor"] is not None:
-        raise ColumnError(f"'{entry}': a date and time takes no factor")
+        raise ColumnError(f"'{entry}': a date and time has no factor")
     scale, offset = UNITS[quantity][unit], _ZEROS.get(unit, 0.0)
     if form["offset"] is not None:
         if form["offset_unit"] not in UNITS[quantity]:
@@ -159,8 +159,8 @@ def _parse_column(entry: str, position: int) -> Column:
 def _unknown_unit(unit: str, quantity: str) -> ColumnError:
     known = UNITS[quantity]
     return ColumnError(
-        f"'{unit}' is no unit of {quantity} that is known: use {', '.join(known)}, "
-        f"with a factor where needed (10*{next(iter(known))})"
+        f"'{unit}' is not a known unit of {quantity}: use {', '.join(known)}, "
+        f"with a factor if needed (10*{next(iter(known))})"
     )
 
 
@@ -192,7 +192,7 @@ UNITS: dict[str, dict[str, float]] = {
 """SI value of each unit, by quantity."""
 
 _ZEROS = {"K": -273.15, "degF": -160.0 / 9.0}
-"""Temperatures [°C] at zero of the units that do not begin at 0 °C."""
+"""Temperature [°C] at the zero of units whose zero is not 0 °C."""
 
 
 MAXIMUM_SAMPLES = 10_000_000

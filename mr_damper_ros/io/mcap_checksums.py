@@ -3,7 +3,7 @@
 See https://mcap.dev/spec. A file is a sequence of records; each has an operation code (one byte),
 its length (eight bytes) and its content. Each chunk of messages, the data section and the summary
 at the end have a checksum (CRC-32; zero means none). The library writes no checksums, and checks
-only those of the chunks.
+only the checksums of chunks.
 """
 
 from __future__ import annotations
@@ -63,11 +63,11 @@ def add_checksums(path: Path) -> None:
 
 
 def check_mcap(path: Path, maximum_bytes: int | None = None) -> None:
-    """Check the unpacked size of a file, of which compressed chunks may lie, and its checksums.
+    """Check the checksums of a file and its unpacked size, which compressed chunks may misstate.
 
-    The library checks the checksums of compressed chunks. Raises OversizedError if the unpacked
-    size exceeds ``maximum_bytes``, ChecksumError if a checksum or a size is wrong, and other
-    exceptions for other damage.
+    The library itself checks the checksums of compressed chunks. Raises OversizedError if the
+    unpacked size exceeds ``maximum_bytes``, ChecksumError if a checksum or a size is wrong, and
+    other exceptions for other damage.
     """
     with path.open("rb") as file:
         records = list(_records(file))
@@ -93,7 +93,7 @@ def _check_size(file: BinaryIO, chunk: _Record) -> None:
     unpackers = {b"lz4": LZ4FrameDecompressor, b"zstd": ZstdDecompressor}
     unpacker: Any = unpackers[file.read(name_size)]()
     packed = file.read(int.from_bytes(file.read(8), "little"))
-    # Unpacked in pieces, a chunk needs no memory, whatever its size.
+    # A chunk is unpacked in pieces, so that it needs little memory, whatever its size.
     while not unpacker.eof and left >= 0:
         piece = unpacker.decompress(packed, max_length=_PIECE)
         if not piece and not packed:
@@ -113,7 +113,7 @@ def _guarded(file: BinaryIO, records: list[_Record]) -> Iterator[_Guarded]:
     data_end = [record.start for record in records if record.operation == _DATA_END]
     footer = [record.start for record in records if record.operation == _FOOTER]
     if len(data_end) != 1 or len(footer) != 1:
-        raise ChecksumError("it has no end")
+        raise ChecksumError("its end is missing")
     yield _Guarded("its data section", data_end[0], 0, data_end[0] - _HEAD.size)
     begin = _number(file, footer[0], 8) or footer[0] - _HEAD.size
     yield _Guarded("its summary", footer[0] + 16, begin, footer[0] + 16)
@@ -123,7 +123,7 @@ def _records(file: BinaryIO) -> Iterator[_Record]:
     end = file.seek(0, 2)
     file.seek(0)
     if file.read(len(_MAGIC)) != _MAGIC:
-        raise ChecksumError("it does not begin as an MCAP file")
+        raise ChecksumError("it does not begin like an MCAP file")
     position = len(_MAGIC)
     while position < end - len(_MAGIC):
         file.seek(position)

@@ -64,7 +64,7 @@ class ListedRecording:
 
 @dataclass(frozen=True)
 class LeftOut:
-    """An unused file at ``path``, with the reason in words."""
+    """An unused file at ``path``, and the reason in words."""
 
     path: Path
     reason: str
@@ -95,7 +95,7 @@ def find_recordings(
         if not paths:
             raise ListError(
                 f"there is no recording in {os.fspath(source)}: give folders or .mcap files of "
-                "bags, or say what the columns of the record files hold"
+                "bags, or describe the columns of the record files"
             )
         for path, root in paths:
             base = root if root.is_dir() and root != path else path.parent
@@ -118,12 +118,12 @@ def read_list(path: str | os.PathLike[str]) -> tuple[list[ListedRecording], list
         with place.open(encoding="utf-8-sig", newline="") as file:
             rows = list(csv.DictReader(file))
     except (UnicodeDecodeError, csv.Error) as error:
-        raise ListError(f"{place} is no list: give a CSV file of UTF-8 text ({error})") from error
+        raise ListError(f"{place} is not a list: give a CSV file in UTF-8 ({error})") from error
     for column in ("path", "damper"):
         if not rows or rows[0].get(column) is None:
             raise ListError(
                 f"{place} has no column '{column}': its first line must name path, damper and, "
-                "where wanted, current"
+                "optionally, current"
             )
     found: dict[Path, ListedRecording] = {}
     left_out = []
@@ -131,7 +131,7 @@ def read_list(path: str | os.PathLike[str]) -> tuple[list[ListedRecording], list
         recording = place.parent / (row["path"] or "")
         try:
             if not (row["damper"] or "").strip():
-                raise ListError("the list does not say of which damper it is")
+                raise ListError("the list does not name its damper")
             current = _current(row.get("current"))
             found.setdefault(recording, ListedRecording(recording, row["damper"].strip(), current))
         except ListError as error:
@@ -177,7 +177,7 @@ def _namer(pattern: str | None) -> Callable[[Path, Path], ListedRecording]:
     try:
         expression = re.compile(pattern)
     except re.error as error:
-        raise ListError(f"the pattern {pattern!r} is no regular expression: {error}") from error
+        raise ListError(f"the pattern {pattern!r} is not a regular expression: {error}") from error
     if not expression.groups:
         raise ListError(
             f"the pattern {pattern!r} has no group: put the name of the damper in brackets, as in "
@@ -190,7 +190,7 @@ def _namer(pattern: str | None) -> Callable[[Path, Path], ListedRecording]:
         shown = path.relative_to(base).as_posix()
         found = expression.search(shown)
         if found is None or not found[damper]:
-            raise ListError(f"the pattern {pattern!r} is not found in its name")
+            raise ListError(f"the pattern {pattern!r} does not match its path")
         current = _current(found["current"]) if tells_current else None
         return ListedRecording(path, found[damper], current)
 

@@ -48,9 +48,9 @@ def read_record(
     period
         Time between samples [s], if no column holds it.
     start
-        Begin here [s], from the first sample.
+        Begin of the part to read [s after the first sample].
     stop
-        End here [s], from the first sample.
+        End of the part to read [s after the first sample].
     variable
         Matrix of a MAT file, sheet of a spreadsheet, or group of channels of a TDMS file, if there
         are several.
@@ -59,10 +59,10 @@ def read_record(
 
         Other filters cannot be undone.
     begins_in_motion
-        The averaged record begins in motion: the part that the average has removed remains missing,
-        which is small in a record of many cycles.
+        Whether the averaged record begins in motion. The result is then approximate: it lacks the
+        part that the average removed, which is small in a record of many cycles.
     maximum_samples
-        Refuse a file with more samples.
+        Largest number of samples; a file with more is rejected.
 
     Raises
     ------
@@ -74,7 +74,7 @@ def read_record(
     wanted = parse_columns(columns)
     if "current" not in wanted.quantities and current is None:
         raise RecordError(
-            "the coil current is not known: name its column (current:A) or give one for all samples"
+            "the coil current is unknown: name its column (current:A), or give one for all samples"
         )
     _check_current(wanted, current)
     record = read_samples(path, wanted, period, variable, maximum_samples)
@@ -97,7 +97,7 @@ def read_runs(
     A run ends where the time jumps or restarts (the logger has paused), where the rod rests for at
     least one second, where a measured current changes, and where a steady cycle changes to another.
     ``currents`` [A] has one value per run if no column holds the current; None omits the run. The
-    other parameters are those of :func:`read_record`.
+    other parameters are as in :func:`read_record`.
 
     Raises the exceptions of :func:`read_record`. If the number of currents is wrong, the message
     lists the runs.
@@ -127,7 +127,7 @@ class RunsOfFile:
         self.asks = "current" not in wanted.quantities
         self.summaries = [run_summary(self._record, rows) for rows in self._rows]
         if not self._rows:
-            raise RecordError(f"nothing moves in {self._name}: there is no run in it")
+            raise RecordError(f"{self._name} contains no run, because the displacement is constant")
 
     def recordings(self, currents: Sequence[float | None] | None) -> list[Recording]:
         """A recording of each run with a current, or of all runs if a column holds the current."""
@@ -136,8 +136,8 @@ class RunsOfFile:
         if self.asks and len(currents or ()) != len(self._rows):
             listed = "; ".join(f"{k}: {text}" for k, text in enumerate(self.summaries, start=1))
             raise RecordError(
-                f"{self._name} holds {len(self._rows)} runs and {len(currents or ())} currents are "
-                f"given: give one [A] for each run, or - to leave it out ({listed})"
+                f"{self._name} holds {len(self._rows)} runs, but {len(currents or ())} currents "
+                f"are given: give one [A] for each run, or - to omit the run ({listed})"
             )
         recordings = []
         for number, rows in enumerate(self._rows, start=1):
@@ -174,7 +174,7 @@ def read_samples(
         period = table.period
         if period is None:
             raise RecordError(
-                "the time between samples is not known: name the column of the time (time:s) or "
+                "the time between samples is unknown: name the column of the time (time:s), or "
                 "give the period"
             )
     return SampledRecord.of(path, table, wanted, period)

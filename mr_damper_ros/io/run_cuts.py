@@ -13,16 +13,16 @@ from mr_damper_ros.kinematics.window import turning_points
 from mr_damper_ros.signals.arrays import NOISE_SPAN, Array, white_noise
 
 _BLOCK = 0.1
-"""Length of a block [s]: the resolution of rests, and the part of a rest kept with a run."""
+"""Length of a block [s]. It is the resolution of rests, and the part of a rest that a run keeps."""
 
 _REST = 1.0
 """Shortest duration of a rest [s]."""
 
 _REST_OF_STROKE = 0.3
-"""Shortest duration of a rest, relative to a stroke; slow motion reverses slowly."""
+"""Shortest duration of a rest relative to a stroke, because slow motion reverses slowly."""
 
 _STILL = 0.002
-"""Largest change of the displacement at rest, relative to its span, if noise is smaller."""
+"""Largest change of the displacement at rest, relative to its span, unless the noise is larger."""
 
 _CURRENT_STEP = 0.05
 """Smallest change of a measured current [A] that starts a new run."""
@@ -37,13 +37,13 @@ _SAME = 0.2
 """Largest change of the logarithm of height, duration or force within a phase."""
 
 _LATEST = 4
-"""Number of previous strokes whose median is the reference for the change."""
+"""Number of previous strokes whose median is the reference for a change."""
 
 _STROKES = 6
 """Smallest number of strokes of a phase."""
 
 _STEADY = 0.7
-"""Smallest fraction of a motion that its phases cover; otherwise the motion is one run."""
+"""If the phases cover less than this fraction of a motion, the whole motion is one run."""
 
 
 def find_runs(record: SampledRecord) -> list[slice]:
@@ -74,8 +74,8 @@ def find_runs(record: SampledRecord) -> list[slice]:
 def run_summary(record: SampledRecord, rows: slice) -> str:
     """Description of a run: its duration, its start in the file, and its loop.
 
-    The frequency is half the number of strokes per second, and the force is half the span of its
-    central 99 %.
+    The frequency is half the number of strokes per second; the force is half the span of the
+    central 99 % of its values.
     """
     low, high = np.percentile(record.values["force"][rows], (0.5, 99.5))
     position = _position(record, rows)

@@ -16,16 +16,16 @@ from mr_damper_ros.signals.moving_average import undo_average, undo_average_in_m
 from mr_damper_ros.signals.recording import DEFAULT_START_NS, NotFiniteError, Recording
 
 _JITTER_TO_MENTION = 0.01
-"""Smallest deviation from uniform sampling, in periods, that a note reports."""
+"""Smallest deviation from uniform sampling, in periods, that a note mentions."""
 
 GAP = 1.5
-"""Smallest length of a gap in time, relative to the median time step."""
+"""A time step is a gap if it exceeds this multiple of the median step."""
 
 _EPOCH = 1e9
-"""Times above this value [s] count from 1970; smaller times count from the start of the record."""
+"""Times above this value [s] are relative to 1970, smaller ones to the start of the record."""
 
 _VELOCITY_TOLERANCE = 2.0
-"""Largest ratio between a velocity column and the rate of the displacement."""
+"""Largest ratio between a velocity column and the derivative of the displacement."""
 
 _AVERAGED = {"displacement", "velocity", "force"}
 _REST = 0.02
@@ -54,7 +54,7 @@ class SampledRecord:
 
     @staticmethod
     def of(path: Path, table: RawTable, columns: Columns, period: float | None) -> SampledRecord:
-        """Convert the values of a table; this empties the table, so that memory holds one copy."""
+        """Convert the values of a table, and empty the table, so that there is only one copy."""
         count = table.row_count
         if count < 2:
             raise RecordError(f"{path.name} holds one row of numbers: at least two are needed")
@@ -90,7 +90,8 @@ class SampledRecord:
         if not 2 <= count < self.time.size:
             raise RecordError(
                 f"a moving average over {count} samples cannot be undone in a record of "
-                f"{self.time.size}: it takes 2 samples or more, and less than the record has"
+                f"{self.time.size} samples: its length must be at least 2, and less than that of "
+                "the record"
             )
         values = dict(self.values)
         for quantity in _AVERAGED & set(values):
@@ -103,9 +104,9 @@ class SampledRecord:
                 continue
             if np.ptp(smooth[:count]) > _REST * np.ptp(smooth):
                 raise RecordError(
-                    f"the {quantity} does not rest in the first {count} samples, so that their "
-                    "moving average cannot be undone exactly: give the record from its very "
-                    "beginning, or say that it begins in motion (--begins-in-motion)"
+                    f"the {quantity} does not rest in the first {count} samples, so its moving "
+                    "average cannot be undone exactly: give the record from its very beginning, or "
+                    "say that it begins in motion (--begins-in-motion)"
                 )
             values[quantity] = undo_average(smooth, count)
         note = f"a moving average over {count} samples was undone"
@@ -141,7 +142,7 @@ class SampledRecord:
     def _not_finite(self, quantity: str, row: int, value: float) -> RecordError:
         return RecordError(
             f"the {quantity} in {self.place(row)} of {self.path.name} is {value}: "
-            "mend it, or choose a part of the record without it"
+            "correct it, or choose a part of the record without it"
         )
 
     def recording(self, current: float | None, name: str | None = None) -> Recording:
@@ -196,17 +197,17 @@ class SampledRecord:
         if backward.size:
             row = int(backward[0]) + 1
             raise RecordError(
-                f"the time in {self.place(row)} of {name} does not rise ({time[row]:.9g} s after "
-                f"{time[row - 1]:.9g} s): choose a part without it, cut the record into its runs "
-                "(import_record --split), or give the period instead of the column"
+                f"the time in {self.place(row)} of {name} does not increase ({time[row]:.9g} s "
+                f"after {time[row - 1]:.9g} s): choose a part without this row, cut the record "
+                "into its runs (import_record --split), or give the period instead of the column"
             )
         usual = float(np.median(steps))
         gaps = np.flatnonzero(steps > GAP * usual)
         if gaps.size:
             row = int(gaps[0]) + 1
             raise RecordError(
-                f"the time in {self.place(row)} of {name} jumps by {steps[row - 1]:.6g} s where "
-                f"{usual:.6g} s is usual: choose a part of the record without the gap, or cut it "
+                f"the time in {self.place(row)} of {name} increases by {steps[row - 1]:.6g} s "
+                f"instead of {usual:.6g} s: choose a part of the record without the gap, or cut it "
                 "into its runs (import_record --split)"
             )
         # Unlike the median step, the mean step is not affected by rounding of the printed times.
@@ -215,8 +216,8 @@ class SampledRecord:
         deviation = float(np.max(np.abs(time - even))) / period
         if deviation > GAP:
             raise RecordError(
-                f"the sampling of {name} is not uniform (off by {deviation:.1f} periods of "
-                f"{period:.6g} s): resample the record, or choose a uniform part of it"
+                f"the sampling of {name} is not uniform (the times deviate by {deviation:.1f} "
+                f"periods of {period:.6g} s): resample the record, or choose a uniform part of it"
             )
         if deviation > _JITTER_TO_MENTION:
             return period, (
@@ -262,7 +263,6 @@ def _check_velocity(recording: Recording, velocity: Array) -> None:
     if 1.0 / _VELOCITY_TOLERANCE <= ratio <= _VELOCITY_TOLERANCE:
         return
     raise RecordError(
-        f"the velocity column is {ratio:.3g} times the rate of the displacement: the unit or the "
-        "sign of the time, the displacement or the velocity is wrong (write - for the velocity "
-        "to ignore it)"
+        f"the velocity column is {ratio:.3g} times the derivative of the displacement: correct the "
+        "unit or the sign of time, displacement or velocity (or write - to ignore the velocity)"
     )

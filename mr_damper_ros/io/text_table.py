@@ -44,7 +44,7 @@ def seconds_since_1970(text: str) -> float | None:
     hours, seconds = int(hour), float((second or "0").replace(",", "."))
     if midnight is None or hours > 23 or int(minute) > 59 or seconds >= 61.0:
         return None
-    # Some loggers write AM or PM even after hours up to 23.
+    # Some loggers write AM or PM even if the hour is above 12.
     if half and hours <= 12:
         hours = hours % 12 + (12 if half in "Pp" else 0)
     offset = 0
@@ -180,7 +180,7 @@ class TextFile:
             numbers = np.empty((0, len(cells)))
         if len(numbers) == self._row_count - first:
             return numbers
-        # loadtxt cannot read decimal commas, and does not report the line of an error.
+        # numpy.loadtxt cannot read decimal commas, and does not report the line of an error.
         values = array("d")
         for line, fields in islice(self._rows(), first, None):
             row = _numbers(fields, cells)
@@ -200,7 +200,7 @@ class TextFile:
                 best = fields
         missing = ", ".join(name for name in names if name not in best)
         raise RecordError(
-            f"no line of {self._name} names the columns {', '.join(names)}: missing {missing} "
+            f"no line of {self._name} names the columns {', '.join(names)}: {missing} is missing "
             f"in '{'; '.join(best)}'"
         )
 
@@ -221,7 +221,7 @@ class TextFile:
                 if len(line) > _LONGEST_LINE:
                     raise RecordError(
                         f"line {number} of {self._name} has more than {_LONGEST_LINE} characters: "
-                        "is it a table of text with a row in each line?"
+                        "is it a text table with one row in each line?"
                     )
                 if line.strip():
                     yield number, line
@@ -251,8 +251,8 @@ def _encoding(path: Path) -> str:
             return "utf-16"
         if start.startswith(b"PK"):
             raise RecordError(
-                f"{path.name} is an archive, or a spreadsheet of another ending: save it as XLSX "
-                "or CSV first"
+                f"{path.name} is an archive, or a spreadsheet with another ending: first save it "
+                "as XLSX or CSV"
             )
         if b"\0" in start:
             raise RecordError(f"{path.name} is not a text file: export it as text, CSV or MAT")
@@ -297,12 +297,12 @@ def _unreadable(name: str, line: int, fields: list[str], cells: Sequence[Cell]) 
     last = max(position for position, _ in cells)
     if len(fields) <= last:
         return (
-            f"line {line} of {name} has {len(fields)} columns, but column "
-            f"{last + 1} is wanted: mend the line or cut the file before it"
+            f"line {line} of {name} has {len(fields)} columns, but column {last + 1} is needed: "
+            "correct the line, or cut the file before it"
         )
     wrong, read = next((p, read) for p, read in cells if read(fields[p]) is None)
     kind = "date with the time of day" if read is seconds_since_1970 else "number"
     return (
-        f"column {wrong + 1} in line {line} of {name} is '{fields[wrong]}', not a {kind}: mend the "
-        "line or cut the file before it"
+        f"column {wrong + 1} in line {line} of {name} is '{fields[wrong]}', not a {kind}: correct "
+        "the line, or cut the file before it"
     )

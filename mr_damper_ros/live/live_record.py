@@ -24,7 +24,7 @@ from mr_damper_ros.signals.arrays import Array
 from mr_damper_ros.signals.blocks import NANOSECONDS
 
 _PART = 4
-"""A full table frees 1 / ``_PART`` of its rows at once, so that the cost per row is small."""
+"""A full table discards 1 / ``_PART`` of its rows at once, so that the cost per row is small."""
 
 Join = Callable[[Array], Array]
 """Joins pairs of rows: (k, 2, columns) to (k, columns)."""
@@ -105,8 +105,8 @@ _RANGED = SIGNALS[1:7]
 HISTORY = ("time", *(f"{name}_{end}" for name in _RANGED for end in ("low", "high")), "valid")
 """Columns of the table ``history``, one row per tenth of a second.
 
-They hold the smallest and largest values and the fraction of valid force. The error is that of
-valid force only.
+Each row holds the smallest and largest values, and the fraction of valid force. The error is
+    computed from valid force only.
 """
 
 WINDOWS = (
@@ -132,16 +132,17 @@ UNITS = {
 SIGNALS_KEPT = 6000
 SAMPLES_KEPT = 10_000
 HISTORY_KEPT = 36_000
-"""Rows of one hour; the older half of a longer run is kept at a lower resolution."""
+"""Number of rows in one hour; the older half of a longer run is stored at a lower resolution."""
 
 _RATE = 100.0
-"""Rows of signals per second of data: as many as a screen shows of a motion of a few hertz."""
+"""Rows of signals per second of data, enough for the display of a motion of a few hertz."""
 
 _ROUNDED = 1e-3
-"""Part of a row by which a time may lie before it: seconds of the epoch are rounded to 0.24 µs."""
+"""Tolerance of times, in rows, because seconds since 1970 are rounded to 0.24 µs."""
 
 _SLOPE = 4e-3
-"""Half-width [s] of the line through the displacement whose slope is the velocity; see page.js."""
+"""Half-width [s] of the line fitted to the displacement, whose slope is the velocity; see
+page.js."""
 
 _HISTORY_STEP = 0.1
 MARKS_KEPT = 500
@@ -150,7 +151,7 @@ _LEVEL = 0.05
 """Smallest difference [A] between two levels of the current."""
 
 _HELD = 0.5
-"""Shortest duration [s] of a level; it excludes the continuous changes of a controller."""
+"""Shortest duration [s] of a level, so that continuous changes by a controller are no levels."""
 
 WINDOWS_KEPT = 2000
 SETS_KEPT = 1000
@@ -159,7 +160,7 @@ CONCERNS_KEPT = 200
 """Largest number of diagnostic names, so that a changing set of nodes cannot fill the memory."""
 
 SILENT_AFTER = 2.0
-"""Age [s] from which the last values are no longer shown as the present state."""
+"""Age [s] above which the last values are no longer shown as the present state."""
 
 _ERROR = 2
 """Diagnostic level of an error."""
@@ -179,14 +180,14 @@ class WindowSeen:
     parameter_set: str
     accepted: bool
     coefficients: Mapping[str, tuple[float, float]] = field(default_factory=dict)
-    """Value and standard error by name."""
+    """Value and standard error of each coefficient, by name."""
 
 
 _OF_A_REPORT = (
     *("nrmse_before", "nrmse_after", "temperature", "current", "peak_velocity", "amplitude"),
     *("frequency", "verdict"),
 )
-"""Names that a report, the message of a report and the table ``windows`` share."""
+"""Field names common to a report, its message and the table ``windows``."""
 
 
 def window_seen(
@@ -198,7 +199,7 @@ def window_seen(
 ) -> WindowSeen:
     """The result in a report or in its message, with the ``names`` of its coefficients.
 
-    ``fields`` are the fields of :class:`WindowSeen` that the two name differently, and further
+    ``fields`` are the fields of :class:`WindowSeen` whose names differ between the two, and further
     ``figures``.
     """
     figures = {name: float(getattr(report, name)) for name in _OF_A_REPORT} | fields.pop("figures")
@@ -243,7 +244,7 @@ class Fault:
 class Rows:
     """Rows of a table with the names of its columns.
 
-    ``generation`` identifies the table among those of earlier runs and other columns.
+    ``generation`` distinguishes the table from tables of earlier runs or with other columns.
     """
 
     generation: int
@@ -269,7 +270,7 @@ class LiveRecord:
         self._recorded = recorded
         self._signals_kept = signals_kept
         self._lock = threading.Lock()
-        # The random start differs from that of an earlier process, whose viewers may still ask.
+        # A random start, because viewers of an earlier process may still send requests.
         self._generations = secrets.randbits(31)
         self._sentences: deque[dict[str, Any]] = deque(maxlen=SENTENCES_KEPT)
         self._windows_seen = self._fault_count = self._mark_count = 0
@@ -297,8 +298,8 @@ class LiveRecord:
         self._add_table("windows", RollingTable(WINDOWS, WINDOWS_KEPT, first_of_two))
         self._tenth: list[tuple[float, ...]] = []
         self._marks.clear()
-        # Level of the current and candidate for the next level; start time of the candidate, and
-        # time at which the present level was left.
+        # The level of the current, and the candidate for the next level; the start time of the
+        # candidate, and the time at which the present level ended.
         self._level = self._next_level = math.nan
         self._level_since = self._level_left = -math.inf
         self._origin = math.nan
@@ -329,8 +330,8 @@ class LiveRecord:
     ) -> None:
         """Add contiguous samples (n,) at the full rate, and a row of signals for each hundredth.
 
-        Without the ``velocity`` [m/s], it is the slope of the displacement. The rows of signals
-        then come a few milliseconds later than the samples.
+        Without ``velocity`` [m/s], the slope of the displacement is used, and the rows of signals
+        follow a few milliseconds after the samples.
         """
         times = start_s + period * np.arange(displacement.size)
         rows = np.column_stack([times, displacement, measured, predicted, valid])
@@ -446,7 +447,7 @@ class LiveRecord:
         """Set the parameter set in use."""
         with self._lock:
             self.parameters = seen
-            # A set without a stamp was not identified from samples; it is in use from now on.
+            # A set without a stamp was not identified from samples, and is in use from now on.
             since = seen.stamp_ns / NANOSECONDS if seen.stamp_ns else self._last_time
             self._trace_set(seen, since if math.isfinite(since) else math.nan)
             self._mark("set", f"{seen.set_id} ({seen.source.replace('_', ' ')})", since)
@@ -487,13 +488,13 @@ class LiveRecord:
             node = name.partition(": ")[0]
             heard[node] = max(when, heard.get(node, -math.inf))
         for node, when in heard.items():
-            self._judge(node, "not heard any more", wrong=now - when > SILENT_AFTER)
+            self._judge(node, "no messages any more", wrong=now - when > SILENT_AFTER)
 
     def _judge(self, name: str, message: str, *, wrong: bool) -> None:
         """Update the fault of this name.
 
-        A fault that returns before it is acknowledged keeps its start time. A fault that is over is
-        removed when it is acknowledged.
+        A fault that returns before it is acknowledged keeps its start time. A fault that has ended
+        is removed when it is acknowledged.
         """
         fault = self._faults.get(name)
         if wrong and fault is not None and fault.active:
@@ -525,8 +526,8 @@ class LiveRecord:
     def rows(self, name: str, after: int, generation: int) -> Rows | None:
         """Rows of a table after the index ``after``.
 
-        Returns all rows if ``generation`` is not that of the present table, and None if there is no
-        such table yet.
+        Returns all rows if ``generation`` differs from that of the present table, and None if the
+        table does not exist yet.
         """
         with self._lock:
             if name not in self._tables:

@@ -1,8 +1,8 @@
 """Web server of the live page and its record, in separate threads.
 
-Viewers poll: a slow viewer receives more data with each request, and a disconnected viewer leaves
-no data behind. The server needs only the standard library. The page loads nothing from other
-servers.
+Viewers request new data regularly. A slow viewer receives more data with each request, and no data
+is stored for a disconnected viewer. The server needs only the standard library. The page loads
+nothing from other servers.
 """
 
 from __future__ import annotations
@@ -50,11 +50,12 @@ _IDLE = 30.0
 """Longest time [s] between requests of a connection, and for an answer."""
 
 _REQUEST = 5.0
-"""Longest time [s] from the first byte of a request to its last."""
+"""Longest time [s] from the first byte of a request to the last."""
 
 _LONGEST_BODY = 1000
 _DRAINED = 1 << 16
-"""Largest number of bytes read from a body; closing with unread bytes would lose the answer."""
+"""Largest number of bytes read from a rejected body. If a connection is closed with unread bytes,
+the answer is lost."""
 
 _LOCAL = frozenset({"localhost", "127.0.0.1", "::1"})
 _ANY = frozenset({"0.0.0.0", "::"})
@@ -80,7 +81,7 @@ def is_local(host: str) -> bool:
 
 
 def host_of(netloc: str) -> str:
-    """Normalised name or address in ``HOST`` or ``HOST:PORT``.
+    """The normalised name or address in ``HOST`` or ``HOST:PORT``.
 
     Raises ValueError if it is neither a name nor an address.
     """
@@ -106,8 +107,8 @@ class PageServer:
     """Serves the page of a record at ``address``; port 0 selects a free port.
 
     The server answers only requests to the names of this computer, to the address of the connection
-    and to ``allowed_hosts``. This protects against DNS rebinding, in which another site points its
-    own name to this computer. ``commands`` are the names that POST /command accepts and passes to
+    and to ``allowed_hosts``. This protects against DNS rebinding, by which another site points its
+    own name to this computer. POST /command accepts the names in ``commands`` and passes them to
     ``command``; without commands, the page is read-only.
 
     Raises OSError if the port is not available, and ValueError if an allowed host is neither a name
@@ -293,7 +294,7 @@ class _Handler(BaseHTTPRequestHandler):
         self._answer(HTTPStatus.ACCEPTED)
 
     def log_message(self, format: str, *arguments: Any) -> None:
-        """Log nothing: there are thirty requests a second."""
+        """Log nothing, because there are thirty requests a second."""
 
     def send_error(self, code: int, message: str | None = None, explain: str | None = None) -> None:
         """Send the error that the base class found in a request."""
@@ -345,7 +346,7 @@ class _Handler(BaseHTTPRequestHandler):
             )
 
     def _refuse(self, status: HTTPStatus, sentence: str) -> None:
-        # The bytes after a malformed request may belong to it.
+        # The connection is closed, because further bytes may belong to the malformed request.
         self.close_connection |= status == HTTPStatus.BAD_REQUEST
         self._answer(status, f"{sentence}\n".encode(), "text/plain; charset=utf-8")
 

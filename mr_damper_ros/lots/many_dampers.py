@@ -66,8 +66,8 @@ def identify_group(group: DamperGroup) -> dict[str, Any]:
     """The result for a damper, as JSON-compatible values; never raises.
 
     ``failure``: a sentence why it was not identified, or empty; ``left_out``: unusable recordings
-    with the reasons; ``passing``: whether the error may be caused by the machine and not by the
-    files.
+    with the reasons; ``passing``: whether the error may be temporary, caused by the machine and not
+    by the files.
     """
     began = time.perf_counter()
     document: dict[str, Any] = {"damper": group.damper, "left_out": [], "passing": False}
@@ -100,7 +100,7 @@ def identify_group(group: DamperGroup) -> dict[str, Any]:
 
 
 def is_final(document: dict[str, Any]) -> bool:
-    """Whether a repetition would give the same result."""
+    """Whether a repetition would give the same result, so that the document can be stored."""
     return not document["passing"]
 
 
@@ -130,7 +130,7 @@ Progress = Callable[[int, int, Mapping[str, Any]], None]
 class ManyDampers:
     """Outcome of :func:`identify_many`.
 
-    ``documents``: results of :func:`identify_group`, in the order of the names of the dampers.
+    ``documents``: results of :func:`identify_group`, sorted by the names of the dampers.
     ``unnamed``: files that are assigned to no damper. ``kept``: number of dampers whose earlier
     results were reused.
     """
@@ -234,7 +234,8 @@ def identify_many(
     workers
         Number of processes on this machine.
     executor
-        Any executor of ``concurrent.futures`` instead of them; its workers must see the same paths.
+        Executor of ``concurrent.futures`` to use instead of these processes; its workers must see
+        the same paths.
     scheduler
         Address of the scheduler of a running Dask cluster, such as tcp://host:8786. Its workers
         need this package and must see the same paths.
@@ -244,8 +245,8 @@ def identify_many(
     Returns
     -------
     ManyDampers
-        An unusable file does not stop the rest: ``left_out`` and ``failures`` name the unusable
-        files and dampers.
+        Unusable files do not stop the identification: ``left_out`` and ``failures`` name the
+        unusable files and dampers.
 
     Raises
     ------
@@ -354,7 +355,7 @@ def _check_options(folder: Path, wanted: dict[str, Any]) -> None:
         raise ValueError(f"{path} is damaged: choose another folder") from error
     if differs:
         raise ValueError(
-            f"{folder} holds results with another {' and '.join(differs)}: choose another "
+            f"{folder} holds results with a different {' and '.join(differs)}: choose another "
             "folder, or use the same options as before"
         )
 

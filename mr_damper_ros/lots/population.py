@@ -21,7 +21,7 @@ from mr_damper_ros.models.parameter_set import ParameterSet
 from mr_damper_ros.signals.arrays import Array
 
 LEAST_DAMPERS = 5
-"""Lots of fewer dampers have no outliers."""
+"""In lots of fewer dampers, no outliers are flagged."""
 
 _LIMIT = 3.5
 """Smallest deviation of an outlier, in robust standard deviations.
@@ -33,16 +33,16 @@ _BY_CHANCE = 0.5
 """Expected number of false outliers per lot."""
 
 _POOR = 1.5
-"""A residual above this multiple of the median of the lot is poor."""
+"""A fit is poor if its residual exceeds this multiple of the median of the lot."""
 
 _OWN_ERRORS = 3.0
-"""Smallest deviation of an outlier, in its own standard errors."""
+"""Smallest deviation of an outlier, in standard errors of its own value."""
 
 _TO_SIGMA = 1.0 / NormalDist().inv_cdf(0.75)
 """Standard deviation over median absolute deviation of a normal distribution."""
 
 _PHASES = 64
-"""Samples of the cycle in which the force is evaluated."""
+"""Number of samples of the cycle in which the force is evaluated."""
 
 _EDGE = 0.02
 """Relative tolerance at the limits of the identified range."""
@@ -153,8 +153,8 @@ class Outlier:
         part = f" ({self.value / self.median - 1.0:+.0%})" if self.median else ""
         return (
             f"{self.damper}: {self.quantity} {self.value:.4g} {self.unit}".rstrip()
-            + f", where the lot has {self.median:.4g}{part}, {abs(self.score):.1f} of its standard "
-            "deviations off"
+            + f", {abs(self.score):.1f} standard deviations of the lot from its median, "
+            f"{self.median:.4g}{part}"
         )
 
 
@@ -198,19 +198,19 @@ class Population:
     def limit(self) -> float:
         """Smallest deviation of an outlier, in robust standard deviations.
 
-        In a lot without outliers, half a false outlier is expected.
+        In a lot without outliers, the expected number of false outliers is one half.
         """
         comparisons = max(len(self.dampers) * (len(self.points) + 1), 1)
         return max(_LIMIT, NormalDist().inv_cdf(1.0 - 0.5 * _BY_CHANCE / comparisons))
 
     @cached_property
     def outliers(self) -> list[Outlier]:
-        """Outliers in force, each at its largest deviation, followed by those in misfit."""
+        """Outliers in force, each at its largest deviation, followed by outliers in misfit."""
         in_force = [outlier for spread in self.forces for outlier in self._beyond(spread)]
         worst: dict[str, Outlier] = {}
         for outlier in sorted(in_force, key=lambda one: -abs(one.score)):
             worst.setdefault(outlier.damper, outlier)
-        # The residual of a poor fit is far larger than that of the others.
+        # The residual of a poor fit is far larger than that of the other dampers.
         logarithms = np.array([math.log(max(damper.nrmse, 1e-9)) for damper in self.dampers])
         fits = Spread("NRMSE", "", logarithms, np.zeros(logarithms.size))
         poor = [

@@ -1,4 +1,4 @@
-"""Table and report of many dampers: CSV, Parquet, and one HTML page with its figures inside."""
+"""Table and report of many dampers: CSV, Parquet, and one HTML page that contains its figures."""
 
 from __future__ import annotations
 
@@ -65,15 +65,15 @@ def write_population_report(found: ManyDampers, folder: Path) -> Path:
     with styled():
         parts = {
             "forces": ("The force over the lot", *_forces(population)),
-            "outliers": ("Dampers that stand out", *_outliers(population)),
+            "outliers": ("Outliers", *_outliers(population)),
             "fits": ("How well the law fits", *_fits(population)),
             "parameters": ("The parameters that were determined", *_parameters(population)),
             "missing": ("Unusable files and dampers", *_missing(found)),
         }
         notice = (
             f"{len(population.dampers)} of {len(found.documents)} dampers were identified, each "
-            "from all recordings of its own. Forces are compared, not parameters. Spreads are "
-            "standard deviations from the median absolute deviation, those of most dampers."
+            "from all its recordings. Forces are compared, not parameters. Standard deviations "
+            "are computed from the median absolute deviation, so outliers do not affect them."
         )
         return write_report(
             folder,
@@ -94,7 +94,7 @@ _NO_DAMPER = "no damper was identified"
 def _forces(population: Population) -> _Part:
     spreads = [spread for spread in population.forces if spread.known.size]
     if not spreads:
-        return "there are not enough dampers to tell a spread", [
+        return "there are too few dampers to estimate the variation", [
             Text("There is no damper whose force is known.")
         ]
     names, rows = [damper.name for damper in population.dampers], []
@@ -114,13 +114,13 @@ def _forces(population: Population) -> _Part:
         )
     table = Table(
         "forces",
-        "Largest force of a cycle in extension [N], of the dampers that were identified at this "
-        "peak velocity and current. Own error: the median standard error of a single damper.",
+        "Largest force [N] in extension within a cycle, for the dampers that were identified at "
+        "this peak velocity and current. Own error: the median standard error of a single damper.",
         ("at", "dampers", "median", "spread", "relative", "own error", "least", "most"),
         rows,
     )
     shares = [s.deviation / s.median for s in spreads if s.known.size > 1 and s.median]
-    headline = "there are not enough dampers to tell a spread"
+    headline = "there are too few dampers to estimate the variation"
     if shares:
         headline = f"it differs from damper to damper by {min(shares):.1%} to {max(shares):.1%}"
     return headline, [_spread_figure(population, spreads), table]
@@ -144,8 +144,8 @@ def _spread_figure(population: Population, spreads: Sequence[Spread]) -> Picture
     axis.set_xlabel("force against the median of the lot [%]")
     return Picture(
         "forces",
-        "Every damper at every operating point: dots, those that stand out as crosses. The height "
-        "within a row has no meaning.",
+        "Every damper at every operating point, outliers as crosses. The height within a row has "
+        "no meaning.",
         figure,
     )
 
@@ -158,9 +158,9 @@ def _outliers(population: Population) -> _Part:
         few = Text(f"In lots of fewer than {LEAST_DAMPERS} dampers, no outliers are flagged.")
         return headline, [few]
     rule = Text(
-        f"A damper stands out that is more than {population.limit:.1f} standard deviations of the "
-        "lot from its median, and more than three of its own standard errors. In a lot without "
-        "outliers, chance alone would name one in two lots."
+        f"An outlier is more than {population.limit:.1f} standard deviations of the lot, and more "
+        "than three of its own standard errors, from the median. Chance alone gives one outlier in "
+        "two lots."
     )
     if not found:
         return headline, [rule, Text("None does.")]
@@ -187,7 +187,7 @@ def _fits(population: Population) -> _Part:
 
 
 def _parameters(population: Population) -> _Part:
-    headline = "undetermined parameters are not shown, because they say nothing about a damper"
+    headline = "undetermined values are omitted, because they contain no information on a damper"
     if not population.dampers:
         return headline, [Text(f"{_NO_DAMPER.capitalize()}.")]
     rows = []
@@ -203,7 +203,7 @@ def _parameters(population: Population) -> _Part:
         told = with_error(middle, error) if error > 0.0 else middle
         rows.append((parameter.name, parameter.unit, len(seen), told, low, high))
     columns = ("parameter", "unit", "dampers", "median ± own error", "5 %", "95 %")
-    caption = "Over the dampers whose data determined it."
+    caption = "For each parameter, only the dampers whose data determine it."
     return headline, [Table("parameters", caption, columns, rows)]
 
 
@@ -214,9 +214,9 @@ def _missing(found: ManyDampers) -> _Part:
         return "everything was used", [Text("Everything was used.")]
     tables = (
         ("failures", "Dampers that were not identified.", ("damper", "why"), failures),
-        ("left-out", "Files that were left out.", ("file", "why"), files),
+        ("left-out", "Unused files.", ("file", "why"), files),
     )
-    return f"{len(files)} files were left out, and {len(failures)} dampers were not identified", [
+    return f"{len(files)} files were not used, and {len(failures)} dampers were not identified", [
         Table(name, caption, columns, rows[:_MOST_SHOWN])
         for name, caption, columns, rows in tables
         if rows

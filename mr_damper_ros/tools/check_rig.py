@@ -14,8 +14,8 @@ _WRONG = 1
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
         prog="check_rig",
-        description="Check the live signals of a rig and report what is wrong. Let the machine "
-        "move; several frequencies also reveal the skew of the channels.",
+        description="Check the live signals of a rig and report faults. The machine must move; "
+        "motion at several frequencies also reveals the skew of the channels.",
     )
     parser.add_argument("--namespace", default="/", help="namespace of the damper (default /)")
     parser.add_argument(

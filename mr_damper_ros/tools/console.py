@@ -46,9 +46,9 @@ def run_tool(
 ) -> int:
     """Parse the arguments (None: those of the process) and return the exit code of ``run``.
 
-    A user error gives one sentence on standard error and exit code 2: ValueError and its subclasses
-    in this package, OSError, data larger than the memory, a missing ROS. Any other exception is a
-    fault of the program and keeps its traceback.
+    A user error gives one sentence on standard error and exit code 2. User errors are ValueError
+    and its subclasses in this package, OSError, a lack of memory, and a missing ROS. Any other
+    exception is a fault of the program and keeps its traceback.
     """
     given = sys.argv[1:] if arguments is None else arguments
     try:
@@ -59,8 +59,7 @@ def run_tool(
         sys.stderr.write(f"\n{parser.prog}: stopped by Ctrl-C\n")
         return INTERRUPTED
     except BrokenPipeError:
-        # The reader of the pipe has closed it; without this, Python would fail again in its final
-        # flush.
+        # The reader has closed the pipe; without this, Python would fail again in its final flush.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 0
     except OSError as error:
@@ -74,8 +73,8 @@ def run_tool(
             raise
         return _fail(
             parser,
-            f"it needs ROS 2, and Python does not find {missing}: source the setup file of the "
-            "workspace that this package was built in, or env.bash of its folder",
+            f"it needs ROS 2, but Python does not find {missing}: source the setup file of the "
+            "workspace in which this package was built, or env.bash of its folder",
         )
     except MemoryError:
         return _fail(parser, "there is not enough memory for these data: use a part of them")
@@ -112,8 +111,8 @@ _TYPES = {"int": int, "float": float}
 def parameter_texts(function: Callable[..., object]) -> dict[str, str]:
     """The parameters of a function by name, with their descriptions in its docstring (numpydoc).
 
-    Of each description, the first paragraph is used: what follows concerns Python only. Names of
-    parameters become those of options.
+    Only the first paragraph of each description is used; further ones concern Python only. Names of
+    parameters become names of options.
     """
     section = (inspect.getdoc(function) or "").partition("Parameters\n----------\n")[2]
     found = {}
@@ -139,9 +138,9 @@ def add_arguments(
 ) -> None:
     """Add an option for each named parameter of a function.
 
-    Type, default and help text are those of the function (:func:`parameter_texts`). The unit in the
-    help text, such as [A], becomes the placeholder of the value. ``flags`` gives the option if its
-    name differs from the parameter.
+    Type, default and help text are taken from the function (:func:`parameter_texts`). The unit in
+    the help text, such as [A], becomes the placeholder of the value. ``flags`` gives the names of
+    options that differ from their parameters.
     """
     parameters, texts = inspect.signature(function).parameters, parameter_texts(function)
     for name in names:
@@ -178,7 +177,7 @@ def arguments_of(
 
 
 def add_run_options(parser: argparse.ArgumentParser) -> None:
-    """Add the options common to programs that read runs."""
+    """Add the options of all programs that read runs."""
     parser.add_argument(
         "bags", nargs="+", type=Path, metavar="BAG", help="bag folder or .mcap file"
     )
@@ -218,11 +217,11 @@ def write_plots(options: argparse.Namespace, comparisons: Iterable[Comparison]) 
 
 
 _LATE = 0.5
-"""If the displayed time left is below this fraction of the estimate, a sentence replaces it."""
+"""If the displayed time is below this fraction of the new estimate, a sentence replaces it."""
 
 
 class StatusLine:
-    """A context with one line on the terminal that is updated in place; none without a terminal."""
+    """A context with one line that is updated in place, if the output is a terminal."""
 
     _shown = False
 
@@ -242,7 +241,7 @@ class StatusLine:
 
 
 class ProgressLine(StatusLine):
-    """The progress of a search; a call returns whether the search should go on.
+    """The progress of a search; a call returns whether the search should continue.
 
     Within the context, Ctrl-C asks the search to stop; a second Ctrl-C ends the program.
     """
@@ -264,8 +263,8 @@ class ProgressLine(StatusLine):
         if self.stopped:
             raise KeyboardInterrupt
         self.stopped = True
-        # Not through sys.stderr: the signal may interrupt a write to it.
-        os.write(2, b"\nstopping with the best so far (Ctrl-C again ends at once)\n")
+        # Not through sys.stderr, because the signal may interrupt a write to it.
+        os.write(2, b"\nstopping with the best result so far (Ctrl-C again ends at once)\n")
 
     def __call__(self, progress: GlobalProgress) -> bool:
         """Show the progress of the search; False after Ctrl-C."""

@@ -1,8 +1,7 @@
 """``demo``: demonstrates identifier and model as processes, on a bag or on the emulated rig.
 
-It plays a bag once and shows the results, or with ``--live`` serves the page until Ctrl-C. Its
-table and figures are those of the other tools. It uses ROS only through an observer from the nodes,
-which it loads at run time.
+It plays a bag once and shows the results. With ``--live`` it serves the page until Ctrl-C. It uses
+ROS only through an observer from the nodes, which it loads at run time.
 """
 
 from __future__ import annotations
@@ -33,15 +32,15 @@ if TYPE_CHECKING:
 _NODES = ("identifier", "model")
 _START_LIMIT = 30.0
 _SETTLE = 2.0
-"""Seconds without a new report after which the identifier has finished."""
+"""Time [s] without a new report after which the identifier has finished."""
 
 
 _LOOK = 0.2
-"""Seconds between two checks that all nodes are still running."""
+"""Time [s] between two checks that all nodes are still running."""
 
 
 class DemoError(ValueError):
-    """The demonstration cannot go on, because a node is missing or has failed."""
+    """The demonstration cannot continue, because a node is missing or has failed."""
 
 
 def _parser() -> argparse.ArgumentParser:
@@ -84,7 +83,7 @@ def _demo(options: argparse.Namespace) -> int:
     with _own_domain() as stack:
         running = {name: stack.enter_context(closing(start_node(name))) for name in _NODES}
         running["live"] = stack.enter_context(closing(start_node("live", port=0)))
-        print(f"page of this run, while it lasts: {page_of(running['live'])}")
+        print(f"live page during this run: {page_of(running['live'])}")
         from mr_damper_ros.nodes.observer import Observer
 
         heard = _Messages(stack.enter_context(Observer("demo")))
@@ -108,7 +107,7 @@ def _demo(options: argparse.Namespace) -> int:
         nrmse = validate(known, recording).nrmse
         print(f"NRMSE with the set {known.set_id}, {when}: {nrmse:.2%}")
     comparison = heard.predicted(recording)
-    print(f"NRMSE of the force predicted while it ran: {comparison.error.nrmse:.2%}")
+    print(f"NRMSE of the force predicted during the run: {comparison.error.nrmse:.2%}")
     figures = save_figures(
         [comparison], options.output, ["png"], "predicted while the bag was playing"
     )
@@ -148,7 +147,7 @@ def start_node(name: str, **parameters: object) -> Program:
     """Start a node of this installation; raises DemoError if the package is not built."""
     path = Path(sys.argv[0]).resolve().parent / name
     if not path.exists():
-        raise DemoError(f"{path} is not there: build the package with `make setup`")
+        raise DemoError(f"{path} does not exist: build the package with `make setup`")
     return Program([str(path), *node_arguments(parameters)])
 
 
@@ -196,17 +195,17 @@ class _Messages:
 
     def receive(self, running: Mapping[str, Program]) -> None:
         """Receive until the bag has ended and the identifier has finished. Raises DemoError."""
-        print("\nwindow        held-back samples: before -> after the fit")
+        print("\nwindow        validation samples: before -> after the fit")
         while running["replay"].running or time.monotonic() - self._last < _SETTLE:
             check_running(running)
             self.observer.spin_once()
 
     def predicted(self, recording: Recording) -> Comparison:
-        """The force that was predicted while it ran. Raises DemoError."""
+        """The force that was predicted during the run. Raises DemoError."""
         samples = {message.seq: message for message in self.samples}
         forces = {m.seq: m.force for m in self.forces if m.valid and m.seq in samples}
         if not forces:
-            raise DemoError("the model node predicted nothing valid: see /diagnostics")
+            raise DemoError("the model node predicted no valid force: see /diagnostics")
         numbers, period = sorted(forces), recording.period
         moved, measured = (
             np.concatenate([getattr(samples[seq], name) for seq in numbers])

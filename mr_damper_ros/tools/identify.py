@@ -27,7 +27,7 @@ from mr_damper_ros.tools.console import (
 )
 
 EXPLAINS_TOO_LITTLE = 3
-"""Exit code if the fitted set leaves a larger error than a user would accept."""
+"""Exit code if the NRMSE of a run exceeds the acceptable limit."""
 
 SEARCH_OPTIONS = ("model", "method", "start", "seed", "generations")
 """Options of every program that identifies."""

@@ -27,7 +27,7 @@ from mr_damper_ros.tools.console import (
 from mr_damper_ros.tools.identify import SEARCH_CHOICES, SEARCH_OPTIONS
 
 LEFT_OUT = 3
-"""Exit code if a file was left out or a damper not identified; all other results are complete."""
+"""Exit code if a file was not used or a damper not identified; all other results are complete."""
 
 _MOST_NAMED = 10
 """Largest number of faults shown on the terminal; the report lists all."""
@@ -46,7 +46,7 @@ examples:
   identify_many "bench/**/*.mcap" --damper "(D[0-9]+)_" --output results/bench --workers 8
   identify_many --list runs.csv --columns time:s,displacement:mm,force:N --output results/runs
 
-Exit code: 0: success; {LEFT_OUT}: a file was left out or a damper not identified, all other results
+Exit code: 0: success; {LEFT_OUT}: a file was not used or a damper not identified, all other results
 are written; {FAILED}: an option cannot be used; {INTERRUPTED}: Ctrl-C.
 """
 
@@ -95,16 +95,16 @@ def _identify_many(options: argparse.Namespace) -> int:
 
 def _tell(found: ManyDampers, page: Path) -> None:
     identified = len(found.documents) - len(found.failures)
-    before = f", {found.kept} of them before" if found.kept else ""
+    before = f", {found.kept} of them in an earlier call" if found.kept else ""
     print(f"{identified} of {len(found.documents)} dampers identified{before}")
     for outlier in found.population.outliers[:_MOST_NAMED]:
-        print(f"stands out: {outlier.sentence}")
+        print(f"outlier: {outlier.sentence}")
     wrong = [f"not identified: {name}: {why}" for name, why in found.failures.items()]
-    wrong += [f"left out: {entry.path}: {entry.reason}" for entry in found.left_out]
+    wrong += [f"not used: {entry.path}: {entry.reason}" for entry in found.left_out]
     for line in wrong[:_MOST_NAMED]:
         print(line)
     if len(wrong) > _MOST_NAMED:
-        print(f"and {len(wrong) - _MOST_NAMED} more, which the report names")
+        print(f"and {len(wrong) - _MOST_NAMED} more, see the report")
     print(f"report: {page}")
 
 

@@ -16,10 +16,11 @@ from mr_damper_ros.signals.recording import Recording
 from mr_damper_ros.tools.console import add_arguments, arguments_of, program
 
 _EPILOG = f"""\
-columns: QUANTITY:UNIT for each column from the left; - skips one, ... at the end skips all that
-follow. Or QUANTITY=HEADER:UNIT for each, where HEADER is the heading of the column (in a MAT file:
-a variable). 980.665*N-12N multiplies by 980.665, then subtracts 12 N; a negative factor reverses
-the sign. Extension and tension are positive. Without a displacement, the velocity is integrated.
+columns: QUANTITY:UNIT for each column from the left; - skips a column, ... at the end skips all
+further columns. Or QUANTITY=HEADER:UNIT for each column, where HEADER is its heading (in a MAT
+file: a variable). 980.665*N-12N multiplies by 980.665, then subtracts 12 N; a negative factor
+reverses the sign. Extension and tension are positive. Without a displacement column, the velocity
+is integrated.
 {chr(10).join(f"  {name:<13} {', '.join(units)}" for name, units in UNITS.items())}
 
 examples:
@@ -67,8 +68,8 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument(
         "--currents",
         metavar="A,A,...",
-        help="with --split: coil current [A] of each run, - to leave a run out; by default the "
-        "program asks for the currents, unless a column gives them",
+        help="with --split: coil current [A] of each run, - to omit a run; by default the program "
+        "asks for the currents, unless a column contains them",
     )
     parser.add_argument("--overwrite", action="store_true", help="replace an existing bag")
     return parser
@@ -76,11 +77,11 @@ def _parser() -> argparse.ArgumentParser:
 
 def _import(options: argparse.Namespace) -> int:
     if options.begins_in_motion and options.moving_average is None:
-        raise RecordError("--begins-in-motion says how to undo an average: give its length too")
+        raise RecordError("--begins-in-motion also needs --undo-moving-average")
     if options.split:
         return _import_runs(options)
     if options.currents is not None:
-        raise RecordError("--currents is for the runs of --split: give --current for one run")
+        raise RecordError("--currents needs --split: give --current for a single run")
     recording = read_record(options.file, **arguments_of(options, read_record))
     _write(options.output, recording, options.overwrite)
     return 0
@@ -88,11 +89,9 @@ def _import(options: argparse.Namespace) -> int:
 
 def _import_runs(options: argparse.Namespace) -> int:
     if options.start is not None or options.stop is not None:
-        raise RecordError("--from and --to are for one run: leave them out, or leave out --split")
+        raise RecordError("--from and --to apply to a single run: omit them, or omit --split")
     if options.moving_average is not None:
-        raise RecordError(
-            "--undo-moving-average is for one run: leave it out, or leave out --split"
-        )
+        raise RecordError("--undo-moving-average applies to a single run: omit it, or omit --split")
     runs = RunsOfFile(
         options.file, options.columns, options.period, options.variable, options.maximum_samples
     )
@@ -104,9 +103,9 @@ def _import_runs(options: argparse.Namespace) -> int:
 
 
 def _currents(options: argparse.Namespace, runs: RunsOfFile) -> list[float | None] | None:
-    """The current [A] of each run, None for a run to leave out.
+    """The current [A] of each run, None for a run to omit.
 
-    The whole result is None if no currents are given, as for a file with a current column.
+    The whole result is None if a column of the file contains the current.
     """
     if options.currents is not None:
         return [_ampere(text) for text in options.currents.split(",")]
@@ -115,7 +114,7 @@ def _currents(options: argparse.Namespace, runs: RunsOfFile) -> list[float | Non
     if not runs.asks or not sys.stdin.isatty():
         return None
     numbers = range(1, len(runs.summaries) + 1)
-    return [_ampere(input(f"current of run {k} [A], - to leave it out: ")) for k in numbers]
+    return [_ampere(input(f"current of run {k} [A], - to omit it: ")) for k in numbers]
 
 
 def _ampere(text: str) -> float | None:

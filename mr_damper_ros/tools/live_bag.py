@@ -16,19 +16,19 @@ from mr_damper_ros.tracking.state_directory import read_parameter_file
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
         prog="live",
-        description="Show a recording on the page of the running system, until Ctrl-C: what "
-        "identifier and model say of it, from the set that was in use when it began. Without --bag "
-        "it is the node live, which shows the running system.",
+        description="Show a recording on the live page, until Ctrl-C, with the results of "
+        "identifier and model, from the set that was in use when the recording began. Without "
+        "--bag, the node live shows the running system.",
     )
     parser.add_argument("--bag", type=Path, required=True, metavar="FILE", help="the recording")
     parser.add_argument(
-        "--parameters", type=Path, metavar="FILE", help="parameter set to begin with instead"
+        "--parameters", type=Path, metavar="FILE", help="parameter set to start from instead"
     )
     parser.add_argument(
         "--port",
         type=int,
         default=8770,
-        help="of the page (default %(default)s; 0: any that is free)",
+        help="port of the page (default %(default)s; 0: any free port)",
     )
     return parser
 
@@ -39,7 +39,7 @@ def _serve(options: argparse.Namespace) -> int:
     with closing(PageServer(record, "127.0.0.1", options.port)) as server:
         print(f"the page is at {server.address}; Ctrl-C ends it", flush=True)
         replay_into(record, options.bag, start)
-        print("the whole recording is there", flush=True)
+        print("the whole recording is shown", flush=True)
         threading.Event().wait()
     return 0
 

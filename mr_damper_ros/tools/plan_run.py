@@ -1,7 +1,7 @@
-"""``plan_run``: recommends the next run to know the force accurately after few runs, without ROS.
+"""``plan_run``: recommends runs by which few runs give an accurate force, without ROS.
 
-It computes a single plan, or with ``--keep`` runs a campaign whose runs and plans are kept in a
-folder.
+It computes a single plan, or with ``--keep`` conducts a campaign whose runs and plans are stored in
+a folder.
 """
 
 from __future__ import annotations
@@ -53,7 +53,7 @@ _MACHINE = {
     "frequency": ("lowest_frequency", "highest_frequency"),
     "rate": ("sample_rate",),
 }
-"""Options of the tables by the argument that gives them; two of them are a range."""
+"""Options of the tables, by argument; an argument with two options is a range."""
 
 _EPILOG = f"""\
 With --keep, the folder holds a campaign. The first call needs the goal and the limits of the
@@ -76,8 +76,8 @@ def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
         prog="plan_run",
         formatter_class=argparse.RawDescriptionHelpFormatter,
-        description="Recommend the run of the test machine after which the force of the damper is "
-        "known best over a range\nof peak velocity and current; without bags, the first run.",
+        description="Recommend the run of the test machine that makes the force of the damper most "
+        "accurate over a range\nof peak velocity and current; without bags, the first run.",
         epilog=_EPILOG,
     )
     parser.add_argument(
@@ -136,7 +136,7 @@ def _add_options(
         if name in _NEEDED:
             default = None
         elif name.startswith("top_"):
-            default, text = None, f"{text} (default: that of the goal)"
+            default, text = None, f"{text} (default: the value of the goal)"
         else:
             text += " (default %(default)s)"
         group.add_argument(
@@ -173,7 +173,7 @@ def _plan(options: argparse.Namespace) -> int:
     missing = [f"--{name}" for name in _NEEDED if getattr(options, name) is None]
     if options.keep is not None:
         if options.signal is not None or options.json is not None:
-            raise ValueError("--signal and --json are for a single plan: the folder holds both")
+            raise ValueError("--signal and --json are for a single plan: omit them with --keep")
         return _continue_campaign(options, missing)
     if missing:
         raise ValueError(f"a plan needs {', '.join(missing)} too")
@@ -201,8 +201,8 @@ def _plan(options: argparse.Namespace) -> int:
 def _print_accuracy(plan: Plan, goal: ForceGoal) -> None:
     speed, current = plan.now.worst_point
     print(
-        f"the force is known to {plan.now.sentence}, where {goal.error:.2%} is wanted; "
-        f"least at {speed:.3g} m/s and {current:.3g} A"
+        f"the force is known to {plan.now.sentence}; the goal is {goal.error:.2%}; the force is "
+        f"least accurate at {speed:.3g} m/s and {current:.3g} A"
     )
 
 
@@ -242,7 +242,7 @@ def _continue_campaign(options: argparse.Namespace, missing: Sequence[str]) -> i
 
 
 def _process_recordings(course: CampaignCourse, waiting: Sequence[Recording]) -> None:
-    """Identify from the runs so far, and add waiting recordings; those added before are skipped."""
+    """Identify from the runs so far, and add waiting recordings that are new to the campaign."""
     remaining = [
         one
         for one in waiting
@@ -269,7 +269,7 @@ def _add_recording(course: CampaignCourse, run: PlannedRun, recording: Recording
         except RunNotFoundError as unsteady:
             refusal = f"{missing}, and {unsteady}"
         else:
-            print(f"{missing}; it is taken as a run of its own: {made.sentence}")
+            print(f"{missing}; it is added as an unplanned run: {made.sentence}")
             refusal = fault_of_run(made, recording) or course.add_recording(recording, made)
     if refusal:
         print(f"run {course.number} is rejected: {refusal}")

@@ -22,14 +22,14 @@ def _parser() -> argparse.ArgumentParser:
     )
     parser.add_argument("bag", type=Path, metavar="BAG", help="bag folder or .mcap file")
     parser.add_argument(
-        "--parameters", type=Path, metavar="FILE", help="set to begin with (default: none)"
+        "--parameters", type=Path, metavar="FILE", help="initial parameter set (default: none)"
     )
     parser.add_argument(
         "--model",
         choices=(OF_THE_SET, *MODELS),
         default=OF_THE_SET,
-        help=f"force law to identify (default {OF_THE_SET}: that of --parameters, "
-        f"{DEFAULT_MODEL} without)",
+        help=f"force law to identify (default {OF_THE_SET}: the law of --parameters, or "
+        f"{DEFAULT_MODEL} without --parameters)",
     )
     parser.add_argument("--output", type=Path, metavar="FILE", help="write the newest set as YAML")
     add_json_option(parser, "the result")

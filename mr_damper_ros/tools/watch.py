@@ -20,14 +20,14 @@ _INDENT = 25
 """Width of the column before the text of a line."""
 
 _ENTRY = 28
-"""Width of a parameter; three more columns separate two of them."""
+"""Width of a parameter on the screen; three more columns separate two parameters."""
 
 _ERROR_OVER = 500
-"""Number of samples for the present error."""
+"""Number of samples over which the present error is computed."""
 
 
 def summary(record: LiveRecord, width: int = 80) -> str:
-    """The newest signals, window, set and diagnostics; no line is longer than ``width``."""
+    """The newest signals, window, set and diagnostics, in lines of at most ``width`` characters."""
     parts = (_signals(record), _window(record), _parameters(record, width), _concerns(record))
     wrapper = textwrap.TextWrapper(max(width, 2 * _INDENT), subsequent_indent=" " * _INDENT)
     return "\n".join(wrapper.fill(line) for lines in parts for line in (*lines, "")).rstrip("\n")
@@ -123,13 +123,13 @@ def _since(silence: float) -> str:
     if silence < SILENT_AFTER:
         return ""
     clock = time.strftime("%H:%M:%S", time.localtime(time.time() - silence))
-    return f"not heard since {clock} ({silence:.0f} s)"
+    return f"no message since {clock} ({silence:.0f} s)"
 
 
 _HOME_AND_CLEAR = "\x1b[H\x1b[J"
 _WITHOUT_CURSOR, _WITH_CURSOR = "\x1b[?25l", "\x1b[?25h"
 _AT_LEAST = 3.0
-"""Seconds after which every running node has been heard: diagnostics come once a second."""
+"""Time [s] after which every running node has sent diagnostics, which come once a second."""
 
 
 def _parser() -> argparse.ArgumentParser:

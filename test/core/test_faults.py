@@ -121,7 +121,7 @@ def test_a_text_is_read(text: str, expected: tuple[float, float, float, str]) ->
         ("gain:10", "is unknown"),
         ("force_stuck:3", "takes no value"),
         ("force_gain:1e999", "must be finite"),
-        ("force_gain:2@30-20", "end after that"),
+        ("force_gain:2@30-20", "end after its beginning"),
         ("force_noise:-1", "at least 0"),
     ],
 )

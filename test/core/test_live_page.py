@@ -528,9 +528,9 @@ def test_what_is_not_heard_any_more_is_grey_and_says_since_when(browser: Browser
             *("Force scale", "Temperature", "Motion", "Drift", "Operating-point coefficients"),
             *("Windows", "identifier: window", "identifier: state"),
         }
-        assert browser.text("#state") == "✕ live; not heard: identifier"
+        assert browser.text("#state") == "✕ live; no messages from identifier"
         shown = browser.text('[data-name="identifier: window"]')
-        assert re.search(r"not heard since \d\d:\d\d:\d\d \(12 s\)", shown)
+        assert re.search(r"no message since \d\d:\d\d:\d\d \(12 s\)", shown)
         assert "good" not in shown
 
         clock = 124.0

@@ -119,7 +119,7 @@ def test_only_the_damper_whose_files_have_changed_is_done_again(
 def test_results_of_other_options_are_not_mixed_with_these(
     found: mr.ManyDampers, lot: Path, results: Path
 ) -> None:
-    with pytest.raises(ValueError, match="with another method: choose another folder"):
+    with pytest.raises(ValueError, match="with a different method: choose another folder"):
         mr.identify_many(lot, folder=results, **{**options(lot), "method": "nelder_mead"})
 
 
@@ -130,8 +130,8 @@ def test_the_program_writes_table_and_report_and_says_what_was_left_out(
     code = identify_many.main([str(lot), "--output", str(results), *given])
     assert code == identify_many.LEFT_OUT
     said = capsys.readouterr().out
-    assert "6 of 7 dampers identified, 7 of them before" in said
-    assert "stands out: D4" in said
+    assert "6 of 7 dampers identified, 7 of them in an earlier call" in said
+    assert "outlier: D4" in said
     assert "broken.csv" in said
     with (results / "dampers.csv").open(newline="") as file:
         assert [row["damper"] for row in csv.DictReader(file)] == [*STRENGTHS, "D7"]

@@ -141,18 +141,18 @@ MALFORMED = {
     "no host": (b"GET / HTTP/1.1\r\n", "one Host"),
     "two hosts": (b"GET / HTTP/1.1\r\nHost: localhost\r\nHost: localhost\r\n", "one Host"),
     "open bracket": (b"GET / HTTP/1.1\r\nHost: [\r\n", "neither a name nor an address"),
-    "target with host": (b"GET http://[ HTTP/1.1\r\nHost: localhost\r\n", "begins with a slash"),
+    "target with host": (b"GET http://[ HTTP/1.1\r\nHost: localhost\r\n", "not begin with a slash"),
     "words for rows": (
         b"GET /tables/signals?after=ten HTTP/1.1\r\nHost: localhost\r\n",
-        "after is a whole number",
+        "after must be a whole number",
     ),
     "raised length": (
         "POST /command HTTP/1.1\r\nHost: localhost\r\nContent-Length: ²\r\n".encode("latin-1"),
-        "Content-Length is one whole number",
+        "Content-Length must be one whole number",
     ),
     "two lengths": (
         b"GET / HTTP/1.1\r\nHost: localhost\r\nContent-Length: 0\r\nContent-Length: 1\r\n",
-        "Content-Length is one whole number",
+        "Content-Length must be one whole number",
     ),
     "long body": (
         b"POST /command HTTP/1.1\r\nHost: localhost\r\nContent-Length: 1001\r\n",

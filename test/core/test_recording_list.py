@@ -56,7 +56,7 @@ def test_recordings_are_found_and_named_as_asked(lot: Path) -> None:
         ("nowhere", {}, "there is no "),
         ("lot/*/none*", {}, "there is no recording in"),
         ("lot/notes.txt", {}, "there is no recording in"),
-        ("lot", {"pattern": "(D"}, "is no regular expression"),
+        ("lot", {"pattern": "(D"}, "is not a regular expression"),
         ("lot", {"pattern": "D."}, "has no group"),
     ],
 )

@@ -126,12 +126,12 @@ def test_each_run_is_asked_for_its_current(two_runs: Path, monkeypatch: pytest.M
 @pytest.mark.parametrize(
     ("arguments", "sentence"),
     [
-        (("--split",), "two.csv holds 2 runs and 0 currents are given: give one [A] for each run"),
-        (("--split", "--currents", "1"), "2 runs and 1 currents are given"),
+        (("--split",), "two.csv holds 2 runs, but 0 currents are given: give one [A] for each run"),
+        (("--split", "--currents", "1"), "2 runs, but 1 currents are given"),
         (("--split", "--currents", "1,x"), "the current 'x' is not a number"),
-        (("--split", "--currents", "1,1", "--from", "1"), "leave out --split"),
-        (("--currents", "1,1"), "--currents is for the runs of --split"),
-        (("--current", "1"), "jumps by 3.005 s where 0.005 s is usual: choose a part of the"),
+        (("--split", "--currents", "1,1", "--from", "1"), "omit --split"),
+        (("--currents", "1,1"), "--currents needs --split"),
+        (("--current", "1"), "increases by 3.005 s instead of 0.005 s: choose a part of the"),
     ],
 )
 def test_what_is_missing_is_one_sentence(

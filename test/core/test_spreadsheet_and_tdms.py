@@ -65,7 +65,7 @@ def test_a_sheet_is_a_record(tmp_path: Path) -> None:
 def test_a_sheet_is_chosen_by_its_name(tmp_path: Path) -> None:
     path = workbook(tmp_path / "run.xlsx", [[1, 2, 3]], HEAD + ROWS)
     assert_is_the_run(path, variable="Run 2")
-    assert "several sheets: choose one as the variable, of Run 1, Run 2" in refused(path)
+    assert "several sheets: choose one of Run 1, Run 2 by the option" in refused(path)
     assert "no sheet 'Run 3'" in refused(path, variable="Run 3")
 
 
@@ -75,7 +75,7 @@ def test_what_is_wrong_in_a_sheet_is_named(tmp_path: Path) -> None:
     rows[20][2] = "broken"
     path = workbook(tmp_path / "run.xlsx", HEAD + rows)
     assert "column 3 in line 24 of run.xlsx is 'broken', not a number" in refused(path)
-    assert "is not a spreadsheet that can be read" in refused(damaged(tmp_path / "other.xlsx"))
+    assert "cannot be read as a spreadsheet" in refused(damaged(tmp_path / "other.xlsx"))
     whole = workbook(tmp_path / "whole.xlsx", HEAD + ROWS)
     assert "holds more than 100 samples" in refused(whole, maximum_samples=100)
 
@@ -130,7 +130,7 @@ def test_a_waveform_tells_the_time_between_samples(tmp_path: Path) -> None:
     path = channels(tmp_path / "run.tdms", waveforms, wf_increment=0.01)
     assert_is_the_run(path, "displacement:mm,force:N")
     without = channels(tmp_path / "without.tdms", waveforms)
-    assert "the time between samples is not known" in refused(without, "displacement:mm,force:N")
+    assert "the time between samples is unknown" in refused(without, "displacement:mm,force:N")
 
 
 @with_nptdms
@@ -138,7 +138,7 @@ def test_a_group_is_chosen_by_its_name(tmp_path: Path) -> None:
     path = channels(tmp_path / "run.tdms", GROUP, GROUP)
     assert_is_the_run(path, variable="Run 2")
     sentence = refused(path)
-    assert "holds 2 groups of numbers with 3 columns or more: choose one" in sentence
+    assert "holds 2 groups of numbers with at least 3 columns: choose one" in sentence
     assert "it holds Run 1, Run 2" in sentence
     # A group without these columns cannot be meant.
     assert_is_the_run(channels(tmp_path / "one.tdms", {"Other": TIME}, GROUP))
@@ -153,7 +153,7 @@ def test_what_is_wrong_in_a_tdms_file_is_named(tmp_path: Path) -> None:
     assert "say what column 3 holds" in refused(path, "displacement:mm,force:N", period=0.01)
     other = tmp_path / "other.tdms"
     other.write_bytes(b"TDSm" + bytes(1000))
-    assert "is not a TDMS file that can be read" in refused(other)
+    assert "cannot be read as a TDMS file" in refused(other)
 
 
 @pytest.mark.parametrize(("ending", "library"), [("xlsx", "openpyxl"), ("tdms", "nptdms")])

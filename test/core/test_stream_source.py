@@ -454,7 +454,7 @@ def test_blocks_hold_what_came_and_none_has_a_gap(taken: set[int], size: int) ->
         ({"columns": "count:12,displacement:mm,force:N"}, "a count of 12 bits"),
         ({"columns": "displacement=x:mm,force=y:N", "rate": 1e3}, "by a header"),
         ({"columns": "time:datetime,displacement:mm,force:N"}, "cannot hold dates"),
-        ({"columns": "time:s,displacement:mm,force:lb"}, "'lb' is no unit"),
+        ({"columns": "time:s,displacement:mm,force:lb"}, "'lb' is not a known unit"),
         ({"columns": TIMED, "mark": "AA"}, "stream.layout is empty"),
         ({"columns": TIMED, "layout": "fff"}, "begin with <"),
         ({"columns": TIMED, "layout": "<ff"}, "holds 2 numbers"),

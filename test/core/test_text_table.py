@@ -89,7 +89,7 @@ def test_what_may_never_end_is_not_read(tmp_path: Path, kind: str, suffix: str) 
 # -- mAT files are read in a process of their own, which may crash or hang -------------------------
 
 MATRIX = np.arange(12.0).reshape(4, 3)
-UNREADABLE = "run.mat is not a MAT file that can be read: save it again, or export it as CSV"
+UNREADABLE = "run.mat cannot be read as a MAT file: save it again, or export it as CSV"
 
 COLUMNS = parse_columns("time:s,displacement:m,force:N")
 

@@ -108,7 +108,7 @@ def test_columns_are_found_by_their_headers(write: Any) -> None:
 def test_a_surplus_column_of_numbers_is_refused_unless_skipped(write: Any, rest: str) -> None:
     path = write([f"{row} 7" for row in rows()])
     sentence = refused(lambda: read_record(path, COLUMNS, current=0.5))
-    assert "run.txt holds 4 columns of numbers and 3 are described: say what column 4" in sentence
+    assert "run.txt holds 4 columns of numbers, but 3 are described: say what column 4" in sentence
     assert_is_the_run(path, COLUMNS + rest)
 
 
@@ -214,11 +214,11 @@ def test_vectors_in_a_mat_file(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("columns", "variable", "sentence"),
     [
-        (COLUMNS, None, "choose one as the variable; it holds a (40 x 3), b (40 x 3)"),
+        (COLUMNS, None, "choose one by the option variable; it holds a (40 x 3), b (40 x 3)"),
         (COLUMNS, "c", "has no variable 'c': it holds a (40 x 3)"),
         (COLUMNS + ",current:A", "a", "has no column '4'"),
         ("time=t:s,displacement=x:mm,force=F:N", None, "no variable 't': it holds a"),
-        ("time=t:s,displacement=x:mm,force=F:N", "a", "choose no variable"),
+        ("time=t:s,displacement=x:mm,force=F:N", "a", "omit the option variable"),
     ],
 )
 def test_what_a_mat_file_lacks_is_named(
@@ -235,8 +235,11 @@ def test_what_a_mat_file_lacks_is_named(
     ("content", "sentence"),
     [
         (b"MATLAB 7.3 MAT-file".ljust(124) + b"\x00\x02IM" + b"\0" * 400, "of version 7.3"),
-        (b"MATLAB 5.0 MAT-file".ljust(124) + b"\x00\x01IM" + b"\x0f\0\0\0\xff", "not a MAT file"),
-        (b"nothing", "not a MAT file that can be read: save it again, or export it as CSV"),
+        (
+            b"MATLAB 5.0 MAT-file".ljust(124) + b"\x00\x01IM" + b"\x0f\0\0\0\xff",
+            "cannot be read as a MAT file",
+        ),
+        (b"nothing", "cannot be read as a MAT file: save it again, or export it as CSV"),
     ],
 )
 def test_mat_files_that_cannot_be_read(write: Any, content: bytes, sentence: str) -> None:
@@ -251,8 +254,11 @@ def test_mat_files_that_cannot_be_read(write: Any, content: bytes, sentence: str
     ("columns", "sentence"),
     [
         ("time,displacement:mm,force:N", "the column 'time' has no unit"),
-        ("tme:s,displacement:mm,force:N", "'tme' is no quantity of a record: use time, displace"),
-        ("time:s,displacement:mm,force:lb", "'lb' is no unit of force that is known: use N, kN"),
+        (
+            "tme:s,displacement:mm,force:N",
+            "'tme' is not a quantity of a record: use time, displace",
+        ),
+        ("time:s,displacement:mm,force:lb", "'lb' is not a known unit of force: use N, kN"),
         ("time:s,displacement:mm", "no column holds the force"),
         ("time:s,force:N,-", "no column holds the displacement"),
         ("displacement:mm,displacement:mm,force:N", "name displacement twice"),
@@ -262,8 +268,8 @@ def test_mat_files_that_cannot_be_read(write: Any, content: bytes, sentence: str
             "displacement:nan*mm,force:N",
             "the factor 'nan' in 'displacement:nan*mm' is not a number",
         ),
-        ("time:-1*s,displacement:mm,force:N", "time must rise"),
-        ("displacement=Stroke:mm,force:N", "name all by header"),
+        ("time:-1*s,displacement:mm,force:N", "time must increase"),
+        ("displacement=Stroke:mm,force:N", "select all by header"),
         ("displacement=:mm,force=F:N", "has no header name"),
     ],
 )
@@ -276,11 +282,11 @@ def test_columns_that_cannot_be_meant(columns: str, sentence: str) -> None:
 @pytest.mark.parametrize(
     ("columns", "options", "sentence"),
     [
-        (COLUMNS, {}, "the coil current is not known"),
+        (COLUMNS, {}, "the coil current is unknown"),
         (COLUMNS, {"current": float("nan")}, "the current is nan A"),
         (COLUMNS, {"current": 1.0, "period": 0.01}, "the time is given twice"),
         (COLUMNS + ",current:A", {"current": 1.0}, "the current is given twice"),
-        ("-,displacement:mm,force:N", {"current": 1.0}, "time between samples is not known"),
+        ("-,displacement:mm,force:N", {"current": 1.0}, "time between samples is unknown"),
         ("-,displacement:mm,force:N", {"current": 1.0, "period": 0.0}, "must be positive"),
         ("-,displacement:mm,force:N", {"current": 1.0, "period": -0.1}, "must be positive"),
         (COLUMNS, {"current": 1.0, "start": 2.0}, "0 samples from 2 s to its end: it lasts 0.39 s"),
@@ -302,7 +308,7 @@ def test_a_header_that_is_not_there_is_named_with_those_that_are(write: Any) -> 
     sentence = refused(
         lambda: read_record(path, "time=t:s,displacement=x:mm,force=Force:N", current=0.0)
     )
-    assert "missing Force in 't; x; F'" in sentence
+    assert "Force is missing in 't; x; F'" in sentence
 
 
 @pytest.mark.parametrize(
@@ -316,7 +322,7 @@ def test_a_velocity_that_contradicts_the_displacement_is_said(
     columns = f"{COLUMNS},velocity:{factor * 1e3:g}*m/s"
     if wrong:
         sentence = refused(lambda: read_record(write(lines), columns, current=0.5))
-        assert "times the rate of the displacement" in sentence
+        assert "times the derivative of the displacement" in sentence
     else:
         read_record(write(lines), columns, current=0.5)
 
@@ -337,9 +343,12 @@ def with_line(index: int, text: str) -> list[str]:
         (with_line(7, "0.070000 1 inf"), "the force in line 8 of run.txt is inf"),
         (with_line(7, "nan 1 2"), "the time in line 8 of run.txt is nan"),
         (with_line(7, "0.070000 oops 3"), "column 2 in line 8 of run.txt is 'oops'"),
-        (with_line(7, "0.070000 1"), "line 8 of run.txt has 2 columns, but column 3 is wanted"),
-        (with_line(7, "0.060000 1 2"), "the time in line 8 of run.txt does not rise"),
-        (rows()[:5] + rows()[9:], "the time in line 6 of run.txt jumps by 0.05 s where 0.01 s"),
+        (with_line(7, "0.070000 1"), "line 8 of run.txt has 2 columns, but column 3 is needed"),
+        (with_line(7, "0.060000 1 2"), "the time in line 8 of run.txt does not increase"),
+        (
+            rows()[:5] + rows()[9:],
+            "the time in line 6 of run.txt increases by 0.05 s instead of 0.01 s",
+        ),
         (rows()[:1], "holds one row of numbers"),
         (["time displacement force"], "holds no row with numbers in columns 1, 2, 3"),
         (["", "  "], "holds no row with numbers in columns 1, 2, 3: it is empty"),
@@ -360,7 +369,7 @@ def test_an_uneven_pace_is_refused(write: Any) -> None:
     ("content", "sentence"),
     [
         (b"", "is empty"),
-        (b"PK\x03\x04 and so on", "save it as XLSX or CSV first"),
+        (b"PK\x03\x04 and so on", "first save it as XLSX or CSV"),
         (b"\x7fELF\0\0\0", "is not a text file"),
     ],
 )
@@ -390,7 +399,7 @@ def test_a_file_becomes_a_bag_and_its_ranges_are_shown(
 @pytest.mark.parametrize(
     ("arguments", "sentence"),
     [
-        (["{path}", "--columns", COLUMNS], "the coil current is not known"),
+        (["{path}", "--columns", COLUMNS], "the coil current is unknown"),
         (["{path}.not", "--columns", COLUMNS, "--current", "1"], "No such file or directory"),
         (["{folder}", "--columns", COLUMNS, "--current", "1"], "is a folder"),
     ],
@@ -440,7 +449,7 @@ def test_without_ros_a_program_that_needs_it_says_so(
     monkeypatch.setitem(sys.modules, "rclpy", None)
     assert tool.main([]) == 2
     # The first import that fails is named; which one that is depends on what else is missing.
-    assert "it needs ROS 2, and Python does not find " in capsys.readouterr().err
+    assert "it needs ROS 2, but Python does not find " in capsys.readouterr().err
 
 
 # ---- recordings from a laboratory ----

@@ -21,7 +21,7 @@ def test_it_identifies_a_bag_and_draws_the_figures(tmp_path: Path) -> None:
     assert program.wait() == 0, program.log
     assert "accepted" in program.output
     assert re.search(r"page of this run, while it lasts: http://127\.0\.0\.1:\d+/", program.output)
-    assert "NRMSE of the force predicted while it ran" in program.output
+    assert "NRMSE of the force predicted during the run" in program.output
     assert {path.suffix for path in tmp_path.iterdir()} == {".png"}
     program.close()
 

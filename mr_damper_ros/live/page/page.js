@@ -467,7 +467,7 @@ function showSilence() {
     const silence = silenceOf(...(shown.dataset.source === "concern" ? [shown.dataset.name] : shown.dataset.source.split(" ")));
     const gone = isSilent(silence), since = shown.querySelector(".since");
     shown.classList.toggle("gone", gone);
-    const text = gone ? `not heard since ${new Date(Date.now() - 1000 * silence).toTimeString().slice(0, 8)} (${clock(Math.round(silence))})` : "";
+    const text = gone ? `no message since ${new Date(Date.now() - 1000 * silence).toTimeString().slice(0, 8)} (${clock(Math.round(silence))})` : "";
     if (since.textContent !== text) since.textContent = text;
   }
 }
@@ -592,7 +592,7 @@ function showState() {
   const [text, level] = failing.size ? ["✕ no connection: trying again", "bad"]
     : status === null ? ["… connecting", ""]
     : status.recorded ? [`■ recorded: ${status.recorded}`, "good"]
-    : lost.length ? [`✕ ${paused ? "paused" : signals}; not heard: ${lost.join(", ")}`, "bad"]
+    : lost.length ? [`✕ ${paused ? "paused" : signals}; no messages from ${lost.join(", ")}`, "bad"]
     : paused ? ["❚❚ paused", "warn"]
     : signals === "live" ? ["● live", "good"] : [`▲ ${signals}`, "warn"];
   const shown = byId("state");
@@ -602,12 +602,12 @@ function showState() {
 
 // -- the alarm bar ------------------------------------------------------------------------------
 
-/** How one thing stands, by a diagnostic that tells it; grey once that is not heard any more. */
+/** How one thing stands, by a diagnostic for it; grey if it is no longer received. */
 function showAlarm(name, known, text) {
   const shown = byId(`alarm-${name}`), silent = known && isSilent(silenceOf(known.name));
   const [mark, , colour] = LEVELS[known?.level] ?? ["", "", ""];
   shown.className = !known ? "unknown" : silent ? "bad" : colour;
-  shown.textContent = !known ? text : silent ? `✕ not heard, was ${text}` : `${mark} ${text}`;
+  shown.textContent = !known ? text : silent ? `✕ no messages, was ${text}` : `${mark} ${text}`;
   shown.title = known?.message ?? "";
 }
 
