@@ -14,8 +14,7 @@ from __future__ import annotations
 import math
 import warnings
 from collections.abc import Callable
-from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -62,29 +61,18 @@ Force = Callable[[float], float]
 """Force [N] of a sample at a current [A]."""
 
 
-@dataclass(frozen=True, eq=False)
-class Inversion:
-    """Currents for desired forces; all of shape (n,).
+class Inversion(NamedTuple):
+    """Currents for desired forces, all of shape (n,), or the current of one sample.
 
     ``current`` [A] is the coil current and ``force`` [N] its force; ``attainable`` says whether
     this is the desired force. ``least`` and ``most`` [N] are the limits of the attainable forces.
     """
 
-    current: Array
-    force: Array
-    attainable: np.ndarray
-    least: Array
-    most: Array
-
-
-class SampleInversion(NamedTuple):
-    """The :class:`Inversion` of one sample."""
-
-    current: float
-    force: float
-    attainable: bool
-    least: float
-    most: float
+    current: Any
+    force: Any
+    attainable: Any
+    least: Any
+    most: Any
 
 
 class SampleResponse(NamedTuple):
@@ -143,7 +131,7 @@ class InverseModel:
         near: list[float] | list[None] = [None] * forces.size
         if last is not None:
             near = np.broadcast_to(np.asarray(last, dtype=float), forces.shape).tolist()
-        found: list[SampleInversion] = []
+        found: list[Inversion] = []
         for first in range(0, forces.size, _TOGETHER):
             part = slice(first, first + _TOGETHER)
             samples = MotionSample.each(motion.part(part).held_within(*self._range))
@@ -203,7 +191,7 @@ class InverseModel:
 
     def current(
         self, response: SampleResponse, wanted: float, last: float | None = None
-    ) -> SampleInversion:
+    ) -> Inversion:
         """The current for a force [N] at one sample, as in :meth:`currents`; see :meth:`at`."""
         return _search(response.force, self._node_list, response.at_nodes(), wanted, last)
 
@@ -216,7 +204,7 @@ class InverseModel:
         currents, the one nearest to the previous current is used.
         """
         forces = np.broadcast_to(np.asarray(wanted, dtype=float), motion.velocity.shape)
-        found: list[SampleInversion] = []
+        found: list[Inversion] = []
         last: float | None = None
         for place, force in enumerate(forces.tolist()):
             response = self.at(MotionSample.of(motion, place), period=period, state=state)
@@ -227,7 +215,7 @@ class InverseModel:
         return _together(found), state
 
 
-def _together(found: list[SampleInversion]) -> Inversion:
+def _together(found: list[Inversion]) -> Inversion:
     return Inversion(*(np.array(part) for part in zip(*found, strict=True)))
 
 
@@ -257,7 +245,7 @@ def _search(
     forces: list[float],
     wanted: float,
     last: float | None,
-) -> SampleInversion:
+) -> Inversion:
     """The inversion of one sample with these node forces [N]."""
     least, most = min(forces), max(forces)
     # Only at an extremum between two nodes can this force be attained.
@@ -275,7 +263,7 @@ def _search(
     beside = slice(cell, cell + 2)
     current, force = _root(force_at, aimed, nodes[beside], forces[beside], close)
     attainable = abs(force - wanted) <= max(TOLERANCE * span, 2.0 * floor)
-    return SampleInversion(current, force, attainable, least, most)
+    return Inversion(current, force, attainable, least, most)
 
 
 def _cell(nodes: list[float], above: list[bool], last: float | None) -> int:

@@ -17,10 +17,13 @@ from mr_damper_ros.nodes.diagnostics import OK, STALE, WARN, Diagnostics, Findin
 from mr_damper_ros.nodes.inputs import Inputs
 from mr_damper_ros.nodes.node_parameters import NodeParameters
 from mr_damper_ros.nodes.parameter_input import ParameterInput, SetOptions
-from mr_damper_ros.processes.deferred import PostponedWork
 from mr_damper_ros.signals.blocks import SampleBlock
 from mr_damper_ros.signals.error_sums import RunningError
 from mr_damper_ros.tracking.predictor import ForcePredictor
+
+_HEAD_START = 1e-3
+"""Time [s] from publishing to the remaining work. If no core is free, a subscriber may have to run
+on the core of this process, and would have to wait for this work."""
 
 Options = TypeVar("Options", bound=SetOptions)
 Answer = TypeVar("Answer")
@@ -42,7 +45,9 @@ class BlockNode(Node, Generic[Options, Answer]):
     def __init__(self, name: str, table: type[Options], cli_args: list[str] | None = None) -> None:
         super().__init__(name, cli_args=cli_args)
         self._options: Options = NodeParameters(self, table).values
-        self._postponed = PostponedWork()
+        # The remaining work on the newest block, and when it is due.
+        self._work: Callable[[], None] | None = None
+        self._due = math.inf
         self._late = math.inf
         self._slowest, self._oldest, self._skipped = 0.0, math.nan, 0
 
@@ -87,7 +92,7 @@ class BlockNode(Node, Generic[Options, Answer]):
 
     def _take_block(self, block: SampleBlock) -> None:
         began = time.perf_counter()
-        self._postponed.finish()
+        self._finish_work()
         now_ns = self.get_clock().now().nanoseconds
         freshness = self._predictor.freshness
         if freshness.are_older(block.end_ns, now_ns, self._late):
@@ -95,13 +100,23 @@ class BlockNode(Node, Generic[Options, Answer]):
             self._skipped += skipped
             now_ns = self.get_clock().now().nanoseconds
         answer = self._publish_answer(block, now_ns)
-        self._postponed.postpone(partial(self._finish, answer, block))
+        self._work = partial(self._finish, answer, block)
+        self._due = time.perf_counter() + _HEAD_START
         self._slowest = max(self._slowest, time.perf_counter() - began)
         self._oldest = float(np.fmax(self._oldest, freshness.age))
 
+    def _finish_work(self) -> None:
+        work, self._work = self._work, None
+        if work is not None:
+            work()
+
     def finish_in_time(self) -> float:
-        """Complete the remaining work on the last block; see :class:`PostponedWork`."""
-        return self._postponed.finish_in_time()
+        """Complete the remaining work if it is due; returns the time [s] until it is."""
+        left = math.inf if self._work is None else self._due - time.perf_counter()
+        if left > 0.0:
+            return left
+        self._finish_work()
+        return math.inf
 
     def _latency_finding(self) -> Finding:
         slowest, oldest, skipped = self._slowest, self._oldest, self._skipped

@@ -1,8 +1,7 @@
-"""Work that must not hold up a node: writing to disk, and work after publishing."""
+"""Writing to disk that must not hold up a node."""
 
 from __future__ import annotations
 
-import math
 import threading
 import time
 from collections import deque
@@ -104,36 +103,3 @@ class Outbox(Generic[T]):
         items = [item for item, _, _ in self._waiting]
         self._waiting.clear()
         return items
-
-
-_HEAD_START = 1e-3
-"""Time [s] from publishing to the remaining work. If no core is free, a subscriber may have to run
-on the core of this process, and would have to wait for this work."""
-
-
-class PostponedWork:
-    """The remaining work on the newest block, done when it is due."""
-
-    def __init__(self) -> None:
-        self._work: Callable[[], None] | None = None
-        self._due = math.inf
-
-    def postpone(self, work: Callable[[], None]) -> None:
-        """Do this work after a short time; the previous work must have been finished."""
-        self._work, self._due = work, time.perf_counter() + _HEAD_START
-
-    def finish(self) -> None:
-        """Do the work now if it is not done yet."""
-        work, self._work = self._work, None
-        if work is not None:
-            work()
-
-    def finish_in_time(self) -> float:
-        """Do the work if it is due; returns the time [s] until it is, infinite without any."""
-        if self._work is None:
-            return math.inf
-        left = self._due - time.perf_counter()
-        if left > 0.0:
-            return left
-        self.finish()
-        return math.inf

@@ -1,14 +1,10 @@
-"""What waits for the disk goes out in order, the newest is kept, and work waits but a moment."""
+"""What waits for the disk goes out in order, and the newest is kept."""
 
 from __future__ import annotations
 
-import math
 import threading
 
-import pytest
-
-from mr_damper_ros.processes import deferred as postponed_work
-from mr_damper_ros.processes.deferred import BackgroundWriter, Outbox, PostponedWork
+from mr_damper_ros.processes.deferred import BackgroundWriter, Outbox
 
 
 class Clock:
@@ -120,46 +116,3 @@ def test_what_waits_is_written_before_the_end() -> None:
     disk.free.set()
     keeper.close(PATIENCE)
     assert disk.written == ["first", "last"]
-
-
-# -- work that waits a moment, and is done once ----------------------------------------------------
-
-
-class SteppedClock:
-    """A clock that is set."""
-
-    def __init__(self) -> None:
-        self.now = 10.0
-
-    def perf_counter(self) -> float:
-        return self.now
-
-
-@pytest.fixture
-def clock(monkeypatch: pytest.MonkeyPatch) -> SteppedClock:
-    clock = SteppedClock()
-    monkeypatch.setattr(postponed_work, "time", clock)
-    return clock
-
-
-def test_it_waits_until_its_time_has_come(clock: SteppedClock) -> None:
-    done: list[str] = []
-    rest = PostponedWork()
-    rest.postpone(lambda: done.append("rest"))
-    left = rest.finish_in_time()
-    assert left > 0.0
-    assert done == []
-    clock.now += left
-    assert math.isinf(rest.finish_in_time())
-    assert done == ["rest"]
-
-
-def test_it_is_done_once(clock: SteppedClock) -> None:
-    done: list[str] = []
-    rest = PostponedWork()
-    rest.postpone(lambda: done.append("rest"))
-    rest.finish()
-    rest.finish()
-    clock.now += 1.0
-    assert math.isinf(rest.finish_in_time())
-    assert done == ["rest"]
