@@ -76,8 +76,8 @@ def failures_in_words(name: str) -> Iterator[None]:
     except Exception as error:
         told = (str(error).strip() or type(error).__name__).splitlines()[0].rstrip(".")
         raise BagError(
-            f"the bag '{name}' is damaged or was cut off while it was written: record it again "
-            f"or mend it with 'mcap recover' ({told})"
+            f"the bag '{name}' is damaged or incomplete: record it again, or repair it with "
+            f"'mcap recover' ({told})"
         ) from error
 
 

@@ -179,7 +179,7 @@ def _assemble(
     displacement = np.concatenate([block.displacement for block in blocks])
     force = np.concatenate([block.force for block in blocks])
     start_ns, period = blocks[0].start_ns, blocks[0].period
-    # The tolerance prevents the loss of a sample by rounding of the stamps to nanoseconds.
+    # Because of the tolerance, no sample is lost by rounding of the stamps to nanoseconds.
     unknown = math.ceil((known_ns - start_ns) / (period * NANOSECONDS) - 1e-3)
     first = max(unknown, 0)
     if first >= force.size:

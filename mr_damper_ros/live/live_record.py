@@ -227,9 +227,9 @@ class Concern:
 
 @dataclass
 class Fault:
-    """An error that stays listed until a viewer acknowledges it, even if it is over.
+    """An error that remains listed until a viewer acknowledges it, even if it has ended.
 
-    ``name`` is that of the diagnostic or of the silent node, ``since`` a time [s] of the record.
+    ``name`` names the diagnostic or the silent node; ``since`` is a time [s] of the record's clock.
     """
 
     number: int

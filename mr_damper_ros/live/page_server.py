@@ -290,7 +290,7 @@ class _Handler(BaseHTTPRequestHandler):
         if name not in page.commands:
             raise _RequestError(f"the commands are {', '.join(page.commands)}")
         if not page.command(name, {key: values[0] for key, values in query.items()}):
-            raise _RequestError("too many commands wait already", HTTPStatus.SERVICE_UNAVAILABLE)
+            raise _RequestError("too many commands are waiting", HTTPStatus.SERVICE_UNAVAILABLE)
         self._answer(HTTPStatus.ACCEPTED)
 
     def log_message(self, format: str, *arguments: Any) -> None:
@@ -305,25 +305,27 @@ class _Handler(BaseHTTPRequestHandler):
     def _target(self) -> tuple[str, dict[str, list[str]]]:
         path, _, query = self.path.partition("?")
         if not path.startswith("/"):
-            raise _RequestError(f"the target of a request begins with a slash, unlike {path!r}")
+            raise _RequestError(f"the target {path!r} of the request does not begin with a slash")
         return path, parse_qs(query)
 
     def _body(self) -> bytes:
         lengths = self.headers.get_all("Content-Length", ["0"])
         if len(lengths) > 1 or not _WHOLE_NUMBER.fullmatch(lengths[0]) or int(lengths[0]) < 0:
-            raise _RequestError(f"Content-Length is one whole number, not {', '.join(lengths)!r}")
+            raise _RequestError(
+                f"Content-Length must be one whole number, not {', '.join(lengths)!r}"
+            )
         if "Transfer-Encoding" in self.headers:
-            raise _RequestError("a body comes with its Content-Length, without a Transfer-Encoding")
+            raise _RequestError("a body needs a Content-Length, and no Transfer-Encoding")
         body = self.rfile.read(min(int(lengths[0]), _DRAINED))
         if int(lengths[0]) > _LONGEST_BODY:
-            raise _RequestError(f"a body has at most {_LONGEST_BODY} bytes, not {lengths[0]}")
+            raise _RequestError(f"a body may have at most {_LONGEST_BODY} bytes, not {lengths[0]}")
         return body
 
     def _check_host(self) -> None:
         """Reject requests with a foreign host name (DNS rebinding)."""
         hosts = self.headers.get_all("Host", [])
         if len(hosts) != 1:
-            raise _RequestError(f"a request has one Host, not {len(hosts)}")
+            raise _RequestError(f"a request must have one Host, not {len(hosts)}")
         host = _host_in("Host", hosts[0])
         if host not in self.server.page.hosts and host != _spelling(
             self.connection.getsockname()[0]
@@ -342,7 +344,7 @@ class _Handler(BaseHTTPRequestHandler):
             _host_in("Origin", netloc)
         if scheme not in ("http", "https") or netloc.lower() != self.headers["Host"].lower():
             raise _RequestError(
-                "commands are taken from the page itself alone", HTTPStatus.FORBIDDEN
+                "commands are accepted only from the page itself", HTTPStatus.FORBIDDEN
             )
 
     def _refuse(self, status: HTTPStatus, sentence: str) -> None:
@@ -380,5 +382,5 @@ def _host_in(header: str, netloc: str) -> str:
 def _number(query: dict[str, list[str]], name: str, default: int) -> int:
     text = query.get(name, [str(default)])[0]
     if not _WHOLE_NUMBER.fullmatch(text):
-        raise _RequestError(f"{name} is a whole number, not {text!r}")
+        raise _RequestError(f"{name} must be a whole number, not {text!r}")
     return int(text)
