@@ -134,7 +134,7 @@ def models_page() -> str:
         title = model.title[0].upper() + model.title[1:]
         parts += [f"## {title}", "", f"`{name}`", "", "$$", _drawable(model.equation), "$$", ""]
         parts += [f"{SYMBOLS.get(name, '')} Source: {model.source}.", ""]
-        meanings = {quantity.name: quantity.meaning for quantity in model.coefficient_quantities}
+        meanings = {quantity.name: quantity.meaning for quantity in model.at_one_current}
         rows = [
             (f"`{p.name}`", p.unit, _bounds(p.low, p.high), meanings.get(p.name, ""))
             for p in model.parameters

@@ -552,7 +552,7 @@ def _store(path: Path, record: SearchRecord) -> None:
 
 def _fitted(searches: MultiStart, runs: Sequence[MeasuredRun]) -> tuple[FittedRun, ...]:
     fit = searches.best
-    quantities = fit.parameter_set.law.coefficient_quantities
+    quantities = fit.parameter_set.law.at_one_current
     levels = dict(enumerate(record_levels(fit, all_windows(runs))))
     fitted = []
     for place, run in enumerate(runs):

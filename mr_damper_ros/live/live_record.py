@@ -601,7 +601,7 @@ def _units(seen: ParameterSet | None) -> dict[str, str]:
     """Units of all columns by name, including the parameters and coefficients of a set."""
     if seen is None:
         return UNITS
-    coefficients = {quantity.name: quantity.unit for quantity in seen.law.coefficient_quantities}
+    coefficients = {quantity.name: quantity.unit for quantity in seen.law.at_one_current}
     return {**UNITS, **coefficients, **seen.law.units}
 
 

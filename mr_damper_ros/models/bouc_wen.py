@@ -23,13 +23,12 @@ import numpy as np
 
 from mr_damper_ros.kinematics.motion import Motion
 from mr_damper_ros.models.current_dependence import (
-    Coefficient,
     DifferentiatedModel,
     IntegratedModel,
     Recursion,
 )
 from mr_damper_ros.models.machine_code import run_loop
-from mr_damper_ros.models.quantities import LoopReading
+from mr_damper_ros.models.quantities import Coefficient, LoopReading
 from mr_damper_ros.signals.arrays import Array
 
 HYSTERESIS = (

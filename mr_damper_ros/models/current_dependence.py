@@ -38,7 +38,6 @@ from mr_damper_ros.models.quantities import (
     LawSearch,
     LoopReading,
     Parameter,
-    Quantity,
     State,
 )
 from mr_damper_ros.signals.arrays import Array
@@ -49,46 +48,9 @@ LARGEST_GROWTH = 100.0
 _FAINTEST = 0.01
 """Lower limit of a multiplied coefficient at 0 A, relative to its mean over the currents."""
 
-_ORDER = (("", ""), ("_1", "/A"), ("_2", "/A²"), ("_3", "/A³"))
-
-
-@dataclass(frozen=True)
-class Coefficient:
-    """A coefficient of a law at one current: its unit, bounds and meaning.
-
-    ``degree`` is the degree of the polynomial of its current dependence.
-    """
-
-    name: str
-    unit: str
-    low: float = -np.inf
-    high: float = np.inf
-    degree: int = 0
-    meaning: str = ""
-
-    @property
-    def grows(self) -> bool:
-        """Whether the current multiplies it; if not, the current shifts it."""
-        return self.low >= 0.0
-
-    @property
-    def dependence(self) -> tuple[Parameter, ...]:
-        """The parameters of its current dependence."""
-        return tuple(
-            Parameter(
-                f"{self.name}{suffix}",
-                ("1" if self.grows else self.unit) + per,
-                currents=order,
-                default=0.0,
-            )
-            for order, (suffix, per) in enumerate(_ORDER[1 : self.degree + 1], start=2)
-        )
-
 
 class CurrentDependentModel(Model):
     """A law with coefficients at one current, and the current dependence of these coefficients."""
-
-    at_one_current: ClassVar[tuple[Coefficient, ...]] = ()
 
     def __init_subclass__(cls, **options: Any) -> None:
         """Derive the parameters from the coefficients."""
@@ -98,9 +60,6 @@ class CurrentDependentModel(Model):
         every = tuple(parameter for group in groups for parameter in group)
         cls.parameters = (*plain, *every, coil_parameter())
         cls.free_in_one_run = tuple(c.name for c in cls.at_one_current)
-        cls.coefficient_quantities = tuple(
-            Quantity(c.name, c.unit, c.meaning) for c in cls.at_one_current
-        )
         cls.linear = tuple(parameter.name for parameter in (*plain, *every))
         cls.shape_groups = tuple(tuple(p.name for p in group) for group in groups if group)
         cls.strength = tuple(

@@ -31,11 +31,11 @@ from mr_damper_ros.models.quantities import (
     DIFFERENCE,
     FORGOTTEN,
     NOTICED,
+    Coefficient,
     CoefficientTable,
     LawSearch,
     LoopReading,
     Parameter,
-    Quantity,
     SearchEffort,
     State,
 )
@@ -55,7 +55,7 @@ class Model(ABC):
     reversal of the motion; the state of the coil follows them. A law whose last parameter is the
     time constant of the coil depends on the coil current. ``strength`` names the gain
     parameters, which scale with the strength of the damper; by default these are all parameters
-    with a force in their unit. ``effort``: search effort for a window. ``coefficient_quantities``:
+    with a force in their unit. ``effort``: search effort for a window. ``at_one_current``:
     the coefficients of the force at one operating point. ``linear`` names the parameters that enter
     the laws over operating points linearly; ``shape_groups`` lists the shape parameters of each
     law.
@@ -72,7 +72,7 @@ class Model(ABC):
     turning: int = 0
     strength: ClassVar[tuple[str, ...]] = ()
     effort: ClassVar[SearchEffort] = SearchEffort()
-    coefficient_quantities: ClassVar[tuple[Quantity, ...]] = ()
+    at_one_current: ClassVar[tuple[Coefficient, ...]] = ()
     linear: ClassVar[tuple[str, ...]] = ()
     shape_groups: ClassVar[tuple[tuple[str, ...], ...]] = ()
 
@@ -114,7 +114,7 @@ class Model(ABC):
     @property
     def coefficient_names(self) -> tuple[str, ...]:
         """Names of the coefficients at one operating point; empty if the model has none."""
-        return tuple(quantity.name for quantity in self.coefficient_quantities)
+        return tuple(each.name for each in self.at_one_current)
 
     def places(self, names: Sequence[str]) -> np.ndarray:
         """Indices of the named parameters in a parameter array."""

@@ -7,8 +7,8 @@ from collections.abc import Sequence
 import numpy as np
 
 from mr_damper_ros.kinematics.motion import Motion
-from mr_damper_ros.models.current_dependence import Coefficient, CurrentDependentModel
-from mr_damper_ros.models.quantities import LoopReading, State
+from mr_damper_ros.models.current_dependence import CurrentDependentModel
+from mr_damper_ros.models.quantities import Coefficient, LoopReading, State
 from mr_damper_ros.signals.arrays import Array
 
 

@@ -57,12 +57,40 @@ class Parameter:
     default: float | None = None
 
 
-class Quantity(NamedTuple):
-    """A coefficient at one operating point: its name, unit and meaning."""
+_ORDER = (("", ""), ("_1", "/A"), ("_2", "/A²"), ("_3", "/A³"))
+
+
+@dataclass(frozen=True)
+class Coefficient:
+    """A coefficient of a law at one current: its unit, bounds and meaning.
+
+    ``degree`` is the degree of the polynomial of its current dependence.
+    """
 
     name: str
     unit: str
+    low: float = -np.inf
+    high: float = np.inf
+    degree: int = 0
     meaning: str = ""
+
+    @property
+    def grows(self) -> bool:
+        """Whether the current multiplies it; if not, the current shifts it."""
+        return self.low >= 0.0
+
+    @property
+    def dependence(self) -> tuple[Parameter, ...]:
+        """The parameters of its current dependence."""
+        return tuple(
+            Parameter(
+                f"{self.name}{suffix}",
+                ("1" if self.grows else self.unit) + per,
+                currents=order,
+                default=0.0,
+            )
+            for order, (suffix, per) in enumerate(_ORDER[1 : self.degree + 1], start=2)
+        )
 
 
 class LoopReading(NamedTuple):

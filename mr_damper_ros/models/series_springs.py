@@ -28,9 +28,9 @@ import numpy as np
 
 from mr_damper_ros.kinematics.motion import Motion
 from mr_damper_ros.kinematics.window import Window
-from mr_damper_ros.models.current_dependence import Coefficient, DifferentiatedModel, Recursion
+from mr_damper_ros.models.current_dependence import DifferentiatedModel, Recursion
 from mr_damper_ros.models.machine_code import run_loop, runs_machine_code
-from mr_damper_ros.models.quantities import FORGOTTEN, SETTLING, LoopReading, State
+from mr_damper_ros.models.quantities import FORGOTTEN, SETTLING, Coefficient, LoopReading, State
 from mr_damper_ros.signals.arrays import Array
 
 _GAMMA = 1.0 - math.sqrt(0.5)

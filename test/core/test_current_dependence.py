@@ -14,8 +14,8 @@ from mr_damper_ros.estimation.global_fit import GlobalFit, identify_global
 from mr_damper_ros.kinematics.motion import Motion
 from mr_damper_ros.kinematics.window import Window
 from mr_damper_ros.models import MODELS
-from mr_damper_ros.models.current_dependence import COIL, Coefficient, CurrentDependentModel
-from mr_damper_ros.models.quantities import LoopReading, State
+from mr_damper_ros.models.current_dependence import COIL, CurrentDependentModel
+from mr_damper_ros.models.quantities import Coefficient, LoopReading, State
 from mr_damper_ros.signals.arrays import Array
 from mr_damper_ros.tracking.operating_point import thinned_to_keep
 

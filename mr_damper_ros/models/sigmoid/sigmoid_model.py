@@ -37,11 +37,11 @@ from mr_damper_ros.models.formulas import WrittenLaw, staged
 from mr_damper_ros.models.published import LITERATURE
 from mr_damper_ros.models.quantities import (
     SETTLING,
+    Coefficient,
     CoefficientTable,
     LawSearch,
     LoopReading,
     Parameter,
-    Quantity,
     SearchEffort,
     State,
 )
@@ -228,14 +228,14 @@ class SigmoidModel(Model):
     parameters = _SIXTEEN
     free_in_one_run: ClassVar[tuple[str, ...]] = SCALE_PARAMETER_NAMES
     strength = ("f0",)
-    coefficient_quantities = (
-        Quantity("f_t", "N", "yield force"),
-        Quantity("alpha", "s/m", "steepness"),
-        Quantity("k_c", "s/m", "viscous slope, extension"),
-        Quantity("k_e", "s/m", "viscous slope, compression"),
-        Quantity("v_h", "m/s", "hysteresis velocity"),
-        Quantity("v_d", "m/s", "velocity offset"),
-        Quantity("f_d", "N", "force offset, subtracted"),
+    at_one_current = (
+        Coefficient("f_t", "N", meaning="yield force"),
+        Coefficient("alpha", "s/m", meaning="steepness"),
+        Coefficient("k_c", "s/m", meaning="viscous slope, extension"),
+        Coefficient("k_e", "s/m", meaning="viscous slope, compression"),
+        Coefficient("v_h", "m/s", meaning="hysteresis velocity"),
+        Coefficient("v_d", "m/s", meaning="velocity offset"),
+        Coefficient("f_d", "N", meaning="force offset, subtracted"),
     )
     linear = (*SCALE_PARAMETER_NAMES, "k2", "k3")
     shape_groups = (("a1", "k2", "a2", "I0"), ("k0",), ("a4",), ("k3", "a3", "I1"))
