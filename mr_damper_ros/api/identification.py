@@ -552,21 +552,21 @@ def _store(path: Path, record: SearchRecord) -> None:
 
 def _fitted(searches: MultiStart, runs: Sequence[MeasuredRun]) -> tuple[FittedRun, ...]:
     fit = searches.best
-    quantities = fit.parameter_set.law.at_one_current
+    law = fit.parameter_set.law
     levels = dict(enumerate(record_levels(fit, all_windows(runs))))
     fitted = []
     for place, run in enumerate(runs):
         point = run.longest.operating_point
         coefficients = {
-            name: Estimate(
+            each.name: Estimate(
                 value,
                 error if error > 0.0 else math.nan,
-                unit,
-                meaning=meaning,
+                each.unit,
+                meaning=each.meaning,
                 discrepancy=discrepancy,
             )
-            for (name, unit, meaning), value, error, discrepancy in zip(
-                quantities, *(each.tolist() for each in fit.coefficients(point)), strict=True
+            for each, value, error, discrepancy in zip(
+                law.at_one_current, *(row.tolist() for row in fit.coefficients(point)), strict=True
             )
         }
         comparison = compare(fit.parameter_set, run)
