@@ -6,6 +6,7 @@ import math
 import re
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -203,8 +204,7 @@ class RecordError(ValueError):
     """An error in reading a record; the message says what to change."""
 
 
-@dataclass(frozen=True, eq=False)
-class RawTable:
+class RawTable(NamedTuple):
     """Raw values (n,) by quantity.
 
     ``place`` describes the location of a row in words, for messages. ``period`` is the sample
@@ -214,11 +214,6 @@ class RawTable:
     values: dict[str, Array]
     place: Callable[[int], str]
     period: float | None = None
-
-    @property
-    def row_count(self) -> int:
-        """Number of rows n."""
-        return int(next(iter(self.values.values())).size)
 
 
 def too_long(name: str, maximum_samples: int) -> RecordError:

@@ -55,10 +55,10 @@ class SampledRecord:
     @staticmethod
     def of(path: Path, table: RawTable, columns: Columns, period: float | None) -> SampledRecord:
         """Convert the values of a table, and empty the table, so that there is only one copy."""
-        count = table.row_count
+        values = {c.quantity: c.to_si(table.values.pop(c.quantity)) for c in columns.wanted}
+        count = next(iter(values.values())).size
         if count < 2:
             raise RecordError(f"{path.name} holds one row of numbers: at least two are needed")
-        values = {c.quantity: c.to_si(table.values.pop(c.quantity)) for c in columns.wanted}
         details = {"provenance": f"imported from {path.name}", "columns": columns.text}
         if period is not None:
             time = np.arange(count, dtype=np.float64) * period

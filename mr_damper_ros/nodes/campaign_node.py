@@ -107,7 +107,7 @@ class CampaignNode(Node):
     def __init__(self, worker: Worker) -> None:
         super().__init__("campaign")
         self._options = NodeParameters(self, CampaignParameters).values
-        self._conductor = CampaignConductor(worker, self._options.conduct)
+        self._conductor = conductor = CampaignConductor(worker, self._options.conduct)
         self._last_block = -math.inf
         self._polls = 0
         self._moving: MachineCommand | None = None
@@ -131,10 +131,9 @@ class CampaignNode(Node):
             "~/run_campaign",
             begin=self._begin_goal,
             refusal=self._refusal,
-            cancel=self._cancel,
+            cancel=lambda goal: conductor.stop() if goal == self._goal else None,
             succeeded=lambda result: result.outcome == RunCampaign.Result.MET,
         )
-        conductor = self._conductor
         for name, act, said in (
             ("pause", conductor.pause, "paused: the machine rests until ~/resume is called"),
             ("resume", conductor.resume, "the campaign continues"),
@@ -203,10 +202,6 @@ class CampaignNode(Node):
             self._goals.finish(goal, result)
         else:
             self._goal = goal
-
-    def _cancel(self, goal: ServerGoalHandle) -> None:
-        if goal == self._goal:
-            self._conductor.stop()
 
     def _begin(self, wanted: GoalOptions) -> None:
         """Begin or continue a campaign; raises ValueError or OSError if that is not possible."""

@@ -87,19 +87,16 @@ class Stream:
             return ""
         if self._node.count_publishers(self._topic) == 0:
             return f"nothing publishes {self._topic}: {self._advice}"
-        if self._refuses_all():
+        # A reliable subscription receives nothing from publishers that are all best effort.
+        if self._profile.reliability == ReliabilityPolicy.RELIABLE and all(
+            publisher.qos_profile.reliability == ReliabilityPolicy.BEST_EFFORT
+            for publisher in self._node.get_publishers_info_by_topic(self._topic)
+        ):
             return (
                 f"{self._topic} is published best effort, which a reliable subscription cannot "
                 "receive: set qos_overrides.<topic>.subscription.reliability to best_effort"
             )
         return f"nothing arrives on {self._topic}: has its publisher stopped?"
-
-    def _refuses_all(self) -> bool:
-        """Whether the reliability of every publisher is too low for the subscription."""
-        return self._profile.reliability == ReliabilityPolicy.RELIABLE and all(
-            publisher.qos_profile.reliability == ReliabilityPolicy.BEST_EFFORT
-            for publisher in self._node.get_publishers_info_by_topic(self._topic)
-        )
 
 
 class Inputs:
