@@ -150,7 +150,7 @@ def test_without_a_folder_a_goal_is_told_so(start: Any, listener: Listener) -> N
 @pytest.mark.parametrize(
     ("goal", "part"),
     [
-        ({"error": float("nan")}, "the error to be reached is nan"),
+        ({"error": float("nan")}, "the error of the goal is nan"),
         ({"lowest_current": -5.0}, "must not be negative"),
     ],
 )
