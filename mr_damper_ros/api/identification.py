@@ -81,7 +81,7 @@ class FittedRun(ComparedRun):
 
     ``operating_point``: representative peak velocity [m/s] and current [A] of the run;
     ``coefficients``: the coefficients of the law at this point, by name; ``level``: gain and offset
-    of the run, None without ``level_per_record``. The ``error`` is that of the set without them.
+    of the run, None without ``level_per_record``; ``error``: error of the set without them.
     """
 
     measured: MeasuredRun
@@ -215,8 +215,8 @@ class Identification(ComparedRuns):
     def force_error(self, time: ArrayLike, displacement: ArrayLike, current: ArrayLike) -> Array:
         """Standard error (n,) [N] of the force in a motion that was not measured.
 
-        The arguments are those of :meth:`ParameterSet.force`. The error includes what the law does
-        not follow.
+        The arguments are as in :meth:`ParameterSet.force`. The error includes the model error of
+        the law.
         """
         return self.searches.best.force_error(motion_window(time, displacement, current))
 

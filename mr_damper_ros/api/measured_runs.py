@@ -173,8 +173,8 @@ def _from_arrays(
     missing = [name for name, value in given.items() if value is None]
     if missing or displacement is None or current is None or force is None or period is None:
         raise ValueError(
-            f"{' and '.join(missing)} missing: arrays take displacement [m], force [N], "
-            "current [A] and period [s] together"
+            f"{' and '.join(missing)} missing: give displacement [m], force [N], current [A] "
+            "and period [s] together"
         )
     count = np.size(displacement)
     return Recording(

@@ -126,7 +126,7 @@ class CampaignConductor:
         """Note that samples have stopped; the present run is repeated when they return."""
         self._driver = None
 
-    # --- what comes in --------------------------------------------------------------------------
+    # --- inputs ---------------------------------------------------------------------------------
 
     def add_current(self, stamp_ns: int, current: float) -> None:
         """Add a measured current [A]; raises CurrentError if it is invalid."""
@@ -170,7 +170,7 @@ class CampaignConductor:
             driver.celsius.add(*self._celsius)
         return driver
 
-    # --- what goes out --------------------------------------------------------------------------
+    # --- outputs --------------------------------------------------------------------------------
 
     @property
     def command(self) -> MachineCommand | None:

@@ -286,7 +286,7 @@ _MOST_PLACES = 2000
 """Largest number of starting points that are tried in a recording."""
 
 _SETTINGS = DriveSettings()
-"""The tolerances are those of a driven machine."""
+"""Tolerances for a machine that the program drives."""
 
 
 class RunNotFoundError(ValueError):

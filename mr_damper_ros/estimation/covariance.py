@@ -10,10 +10,10 @@ same motion. *Discrepancy* is the change of the estimates under a different moti
 law. In a steady sine the model error repeats in every cycle. The difference between samples one
 cycle apart therefore contains only noise. In any other single motion, noise and model error cannot
 be separated, and the whole residual counts as noise. With windows of several motions, each motion
-biases the parameters differently. The scatter of the scores (Jacobian times residual) between
-motions, corrected for the part that the fit has absorbed (Bell and McCaffrey, Survey Methodology
-28, 2002), tells whether it exceeds noise. The discrepancy is then the scatter of the fits that
-leave out one motion each (jackknife).
+biases the parameters differently. The scores (Jacobian times residual) are corrected for the part
+that the fit has absorbed (Bell and McCaffrey, Survey Methodology 28, 2002). If they scatter between
+motions by more than noise, the discrepancy is the scatter of the fits that leave out one motion
+each (jackknife).
 """
 
 from __future__ import annotations
@@ -380,8 +380,8 @@ standard error, the discrepancy of the parameter is unknown."""
 def motion_numbers(windows: Sequence[Window]) -> np.ndarray:
     """A number (k,) for each window, from 0; windows of equal motion share it.
 
-    Model error persists over the currents of a motion, so they do not count as different. With
-    fewer than three motions, only windows of equal motion and current share a number.
+    Model error persists over the currents of a motion, so currents do not make motions different.
+    With fewer than three motions, only windows of equal motion and current share a number.
     """
     sizes = [
         (
@@ -414,10 +414,10 @@ def discrepancy_between(
     """Covariance (f, f) from the scatter between motions in excess of ``covariance`` (f, f).
 
     ``jacobian`` (n, f) and ``residual`` (n,) are taken at the minimum; ``motions`` (n,) is the
-    number of the motion of each row, negative for rows of a prior. The result is that of the
-    jackknife, the scatter of the fits that leave out one motion each, because a motion that was not
-    measured is like a motion left out. It is zero if noise explains the scatter. It is NaN for a
-    parameter that only one motion determines; with fewer than three motions it is all NaN.
+    number of the motion of each row, negative for rows of a prior. The result is the scatter of the
+    fits that leave out one motion each (jackknife), because a motion that was not measured is like
+    a motion left out. It is zero if noise explains the scatter, NaN for a parameter that only one
+    motion determines, and all NaN with fewer than three motions.
     """
     unknown = np.full_like(covariance, math.nan)
     numbers = np.unique(motions[motions >= 0])

@@ -23,7 +23,7 @@ _REPORT_PERIOD = 0.2
 
 @dataclass(frozen=True)
 class EvolutionSettings(CheckedSettings):
-    """Settings of differential evolution; the defaults are those of the thesis (2.7.2 and 4.6).
+    """Settings of differential evolution; the defaults follow the thesis (2.7.2 and 4.6).
 
     Raises ValueError for values out of range.
     """

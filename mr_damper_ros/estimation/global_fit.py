@@ -95,7 +95,7 @@ class GlobalFit:
     def force_error(self, window: Window) -> Array:
         """Standard error (n,) [N] of the set's force in a motion that was not measured.
 
-        The errors of the parameters and what the law leaves of the measured forces contribute.
+        It combines the errors of the parameters and the model error of the law.
         """
         model, values = self.parameter_set.law, self.parameter_set.values
         free = np.flatnonzero(np.diag(self.covariance) > 0.0)
@@ -229,7 +229,7 @@ def _scatter(search: GlobalSearch, places: Sequence[int]) -> Array:
     variances = np.array([np.diag(fit.coefficient_errors) for fit in fits])
     typical = np.maximum(np.mean(laws**2, axis=0), np.median(found**2, axis=0))
     sizes = np.maximum(laws**2 + typical, np.finfo(float).tiny)
-    # A coefficient that its window hardly determines tells nothing.
+    # A coefficient has little weight if its window hardly determines it.
     weights = np.nan_to_num(1.0 / (1.0 + np.maximum(variances, 0.0) / sizes))
     excess = ((found - laws) ** 2 - np.nan_to_num(variances)) / sizes
     part = np.sum(weights * excess, axis=0) / np.maximum(np.sum(weights, axis=0), 1e-12)

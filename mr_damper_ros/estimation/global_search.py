@@ -89,7 +89,7 @@ class Prior:
 
 
 class Posterior:
-    """Residual of a pooled problem followed by that of the prior, for unknowns (f,).
+    """Residual of a pooled problem, then of the prior, for unknowns (f,).
 
     The unknowns are the parameters at ``places``, each in units of the width of its prior. All
     other parameters keep their ``values`` (p,). ``noise`` [1], the standard deviation of one
@@ -118,7 +118,7 @@ class Posterior:
 
     @property
     def prior(self) -> PriorRows:
-        """Rows that are not samples: those of the pooled problem and those of the prior."""
+        """Rows of the pooled problem and of the prior that are not samples."""
         own = np.ones(len(self._places), dtype=bool)
         before = self._pooled.prior
         rows = (
@@ -271,7 +271,7 @@ class SeparateFits:
         self.pooled = self._excerpts.misfit(noise, self._levels)
 
     def share(self, other: SeparateFits, owners: Sequence[int]) -> None:
-        """Copy fits and noise from ``other``; window k gets those of its window ``owners[k]``."""
+        """Copy fits and noise from ``other``: window k takes them from its window ``owners[k]``."""
         pairs = zip(other.fits, other._excerpts.owners, strict=True)
         self.fits = [fit for fit, owner in pairs if owner in owners]
         self.weigh(other.noise[list(owners)])
@@ -326,8 +326,8 @@ class SeparateFits:
     def without_search(self, start: Array) -> list[Array]:
         """Approximate parameters (p,) from the windows that were fitted before a stop.
 
-        Returned are the parameters of one window, and those of the laws over all windows with only
-        the linear parameters fitted.
+        The list holds the fit of one window, and the laws over all windows with only their linear
+        parameters fitted.
         """
         fitted = [fit for fit in self.fits if fit.success] or self.fits[:1]
         if not fitted:

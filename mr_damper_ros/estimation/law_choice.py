@@ -74,7 +74,7 @@ class LawTrial:
         return len(MODELS[self.model].parameters)
 
     def behind(self, other: LawTrial) -> tuple[float, float]:
-        """Mean difference of the error [1] from that of another law, and its standard error."""
+        """Mean difference of the error [1] from another law's error, and its standard error."""
         if not math.isfinite(self.nrmse):
             return math.inf, 0.0
         difference = self.errors - other.errors
@@ -155,7 +155,7 @@ def cross_validate(
 ) -> LawChoice:
     """Compare force laws by cross-validation over the runs, each a sequence of windows.
 
-    ``models`` are names of laws; ``settings`` are those of the global identification. ``report``
+    ``models`` are names of laws; ``settings`` apply to the global identification. ``report``
     receives the progress and may stop the comparison, which then covers the finished laws. The
     result does not depend on the number of ``processes``.
 

@@ -78,7 +78,7 @@ class MultiStart:
 
 @dataclass(frozen=True, eq=False)
 class _Search:
-    """One search as a task for a process; the arguments are those of :func:`identify_global`."""
+    """One search as a task for a process; the arguments are as in :func:`identify_global`."""
 
     model: str
     windows: tuple[Window, ...]

@@ -167,7 +167,7 @@ def parameter_spans(
 ) -> Array:
     """Span (p,) of each parameter in its own unit, as defined in the module docstring.
 
-    ``jacobian`` (n, p) is that of the residual at ``parameters`` (p,); ``ranges`` are the plausible
+    ``jacobian`` (n, p): derivatives of the residual at ``parameters`` (p,); ``ranges``: plausible
     ranges of the shape parameters.
     """
     lengths = np.linalg.norm(jacobian, axis=0)

@@ -43,7 +43,7 @@ POOR_START = 0.25
 variance."""
 
 _HOPELESS = 1000.0
-"""A start whose sum of squares exceeds that of the best start by this factor is not refined."""
+"""A start is not refined if its sum of squares exceeds the best start's by this factor."""
 
 _CONTRADICTED = 1e-3
 """Significance level below which a change contradicts the running set."""
@@ -137,7 +137,7 @@ def fit_window(
     (Huber's weights). ``prior`` adds a prior to the samples. It must agree with the start in all
     parameters that a window does not determine. If the window determines the unknowns, the prior
     has little effect. ``tolerance``: relative decrease of the sum of squares at which the search
-    ends, by default that of the model. ``should_stop`` is called at every evaluation; if it returns
+    ends (None: the model's value). ``should_stop`` is called at every evaluation; if it returns
     True, the best fit so far is returned with ``success`` False.
 
     Raises DataError for a constant force, ValueError for an unknown method.
@@ -292,7 +292,7 @@ def _mean_square(search: LocalSearch[WindowProblem]) -> float:
 
 
 class _PriorProblem:
-    """Residual of a window followed by that of the prior, in the unit of the samples' noise.
+    """Residual of a window, then of the prior, in the unit of the samples' noise.
 
     ``width`` (f,): prior standard deviation of the unknowns; ``noise`` [N]: standard deviation of
     white noise that gives the same uncertainty of the unknowns.

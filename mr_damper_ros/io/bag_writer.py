@@ -44,7 +44,7 @@ _FRAME = "damper"
 
 _INFINITE = QosTime(9223372036, 854775807)
 
-# A fast replay must not lose blocks, so the depth equals that of the live publishers.
+# The live publishers have the same depth, so that a fast replay loses no blocks.
 _STREAM_QUALITY = Qos(
     history=QosHistory.KEEP_LAST,
     depth=1000,

@@ -153,13 +153,12 @@ _SMALLEST_RETURN = 1e-4
 """A reversal counts once the motion has returned by this [m] and by a quarter of its span."""
 
 _STILL = 0.01
-"""If the displacement changes by less than this fraction of the amplitude, it counts as still
-..."""
+"""The displacement is still if it changes by less than this fraction of the amplitude."""
 
 _DWELL = 0.4
-"""... and if it is still for longer than this fraction of a half-cycle, the damper is at rest. A
-sine stays within a hundredth of its amplitude for a tenth of a half-cycle. If its amplitude drops
-to a tenth, it stays within a hundredth of the previous one for a third of a half-cycle."""
+"""If the displacement is still for longer than this fraction of a half-cycle, the damper is at
+rest. A sine stays within a hundredth of its amplitude for a tenth of a half-cycle. If its amplitude
+drops to a tenth, it stays within a hundredth of the previous one for a third of a half-cycle."""
 
 _SHORTEST = 0.1
 """Shortest rest [s]; noise and the delay of an observer may look like shorter ones."""

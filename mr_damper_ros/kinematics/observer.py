@@ -143,8 +143,8 @@ def settling_samples(period: float, bandwidth: float) -> int:
 def closed_loop(period: float, bandwidth: float) -> tuple[Array, Array]:
     """Matrix A (4, 4) and gain g (4,) of the state equation x+ = A x + g y.
 
-    A = (1 - g C) F, where F integrates a constant jerk. The gain is that of the fading-memory
-    filter of third degree (Morrison, "Introduction to sequential smoothing and prediction", 1969).
+    A = (1 - g C) F, where F integrates a constant jerk. The gain belongs to a fading-memory filter
+    of third degree (Morrison, "Introduction to sequential smoothing and prediction", 1969).
     """
     pole = math.exp(-2.0 * math.pi * bandwidth * period)
     rest = -math.expm1(-2.0 * math.pi * bandwidth * period)

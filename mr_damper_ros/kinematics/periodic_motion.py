@@ -16,8 +16,7 @@ import numpy as np
 from mr_damper_ros.signals.arrays import Array
 
 _GROWTH_CYCLES = 2.0
-"""Number of cycles over which a sine grows, so that its speed never exceeds that of the full sine.
-"""
+"""Number of cycles over which a sine grows; its speed then never exceeds the full sine's."""
 
 _STEEPEST = 1.875
 """Largest slope [1] of the smooth step with which a motion grows."""

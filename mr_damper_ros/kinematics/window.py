@@ -28,7 +28,7 @@ class MotionHistory:
 
     ``places`` (n,) are the positions of the window's samples, in samples of the history. ``branch``
     (n,) is the sign of the acceleration at them; the sigmoid force jumps where it changes.
-    ``periodic`` means that the history is one period of a motion that has repeated long enough.
+    ``periodic`` means that the history is one period of a motion that repeats.
     """
 
     motion: Motion

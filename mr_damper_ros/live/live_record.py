@@ -526,8 +526,8 @@ class LiveRecord:
     def rows(self, name: str, after: int, generation: int) -> Rows | None:
         """Rows of a table after the index ``after``.
 
-        Returns all rows if ``generation`` differs from that of the present table, and None if the
-        table does not exist yet.
+        Returns all rows if ``generation`` does not match the present table, and None if the table
+        does not exist yet.
         """
         with self._lock:
             if name not in self._tables:

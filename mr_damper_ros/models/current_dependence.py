@@ -7,7 +7,7 @@ and Carlson, 1997; Kwok, Ha, Nguyen, Li and Samali, 2006). A cubic term describe
 saturates. If a parameter file contains only the coefficients at one current, they do not depend on
 the current.
 
-The current is that of the coil, see :mod:`first_order_lag`.
+The current means the coil current, see :mod:`first_order_lag`.
 """
 
 from __future__ import annotations

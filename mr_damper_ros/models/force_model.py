@@ -82,7 +82,7 @@ class Model(ABC):
     def follow_in_coil(
         self, parameters: Array, motion: Motion, current: Array, period: float, state: State | None
     ) -> tuple[Array, State]:
-        """As :meth:`follow`, for the coil current (n,) or (..., n) [A], without its state."""
+        """As :meth:`follow`, for a coil current (..., n) [A]; the state excludes the coil."""
 
     @abstractmethod
     def starts(self, reading: LoopReading) -> Array:
@@ -207,7 +207,7 @@ class Model(ABC):
 
     @cached_property
     def has_coil(self) -> bool:
-        """Whether the current of the coil lags behind that of the supply."""
+        """Whether the coil current lags behind the supply current."""
         return self.parameters[-1].name == COIL
 
     @property
@@ -351,8 +351,8 @@ class Model(ABC):
     ) -> Array:
         """Operating-point coefficients (c, n) of parameters (p,) at n peak velocities and currents.
 
-        Peak velocities are in m/s, currents in A. The order is that of ``coefficient_names``; a
-        model without coefficients returns none.
+        Peak velocities are in m/s, currents in A. The rows follow ``coefficient_names``; a model
+        without coefficients returns no rows.
         """
 
     @abstractmethod
@@ -402,7 +402,7 @@ class Model(ABC):
         free: frozenset[str],
         search: LawSearch,
     ) -> Array:
-        """Parameters (p,) whose laws fit the table best; only those in ``free`` leave the start.
+        """Parameters (p,) whose laws fit the table best; only ``free`` ones differ from the start.
 
         ``search`` minimises over the nonlinear parameters.
         """

@@ -76,7 +76,7 @@ def staged(
     Each part of an expression is computed at the first stage at which its inputs are known, so a
     function kept from an earlier stage does not compute it again. Several results are returned as a
     tuple. The inputs of the first ``scalars`` stages are floats. Other inputs are arrays, which
-    broadcast; those of the first stage may also be floats.
+    broadcast; inputs of the first stage may also be floats.
     """
     known = {name: stage for stage, names in enumerate(stages) for name in names}
     lines = [(name, _tree(text)) for name, text in _needed(formulas, results, known)]

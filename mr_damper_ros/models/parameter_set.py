@@ -285,9 +285,9 @@ class ParameterSet:
         return self
 
     def start_of(self, model: str) -> Array:
-        """Start values (p,) for another model whose parameters include those of this set.
+        """Start values (p,) for another model that has all parameters of this set.
 
-        Raises ParameterError if they do not.
+        Raises ParameterError if one is missing.
         """
         target = known_model(model)
         if not set(self.law.parameter_names) <= set(target.parameter_names):

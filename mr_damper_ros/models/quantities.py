@@ -97,7 +97,7 @@ class LoopReading(NamedTuple):
     """Size of the force-displacement loop of a window, from which starts of a search are derived.
 
     ``force`` [N] is half the span of the force and ``middle`` [N] its middle; ``speed`` [m/s] is
-    the largest speed, ``amplitude`` [m] that of the motion.
+    the largest speed, ``amplitude`` [m] the amplitude of the motion.
     """
 
     force: float
@@ -171,7 +171,7 @@ The last argument is the name of the stage; the result (u,) is the best individu
 
 @dataclass(frozen=True, eq=False)
 class CoefficientTable:
-    """Coefficients of k operating points; those of the sigmoid law have positive f_t.
+    """Coefficients of k operating points; in the sigmoid law, f_t is positive.
 
     ``peak_velocity`` [m/s] and ``current`` [A] have shape (k,), ``coefficients`` and their standard
     ``errors`` shape (k, c).

@@ -7,10 +7,10 @@ integrated sample by sample:
     f tanh(w / w_y) + c w = F = k x,    dx/dt = v - w
 
 When the current changes, and with it the stiffness, the spring keeps its deflection x. The law does
-not need the peak velocity. The loop of a small motion is rounder than that of a large motion
-because of the shorter travel since the reversal, not because of the speed. The law describes this
-by a part of the yield force on a softer spring: two parallel elements, each with its own yield, as
-in Iwan, J. Applied Mechanics 33, 1966.
+not need the peak velocity. The loop of a small motion is rounder because the travel since the
+reversal is shorter, not because of the speed. The law describes this by a part of the yield force
+on a softer spring: two parallel elements, each with its own yield, as in Iwan, J. Applied Mechanics
+33, 1966.
 
 A step uses the two-stage method of second order with gamma = 1 - 1/sqrt(2) (Alexander, SIAM J.
 Numerical Analysis 14, 1977). The method is L-stable: it is stable at any period, and a spring that

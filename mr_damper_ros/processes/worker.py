@@ -126,8 +126,8 @@ class _Task:
 class _Place:
     """One worker process and its task; the process is replaced if it dies or hangs.
 
-    No method ever blocks: threads talk to the process. ``ready`` tells whether it has loaded its
-    module.
+    No method ever blocks: threads talk to the process. ``ready`` says whether the process has
+    loaded its module.
     """
 
     def __init__(self, module: str, grace: float, silence_limit: float) -> None:

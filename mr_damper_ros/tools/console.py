@@ -44,7 +44,7 @@ def run_tool(
     run: Callable[[argparse.Namespace], int],
     arguments: Sequence[str] | None = None,
 ) -> int:
-    """Parse the arguments (None: those of the process) and return the exit code of ``run``.
+    """Parse the arguments (None: the command line) and return the exit code of ``run``.
 
     A user error gives one sentence on standard error and exit code 2. User errors are ValueError
     and its subclasses in this package, OSError, a lack of memory, and a missing ROS. Any other
@@ -243,7 +243,7 @@ class StatusLine:
 class ProgressLine(StatusLine):
     """The progress of a search; a call returns whether the search should continue.
 
-    Within the context, Ctrl-C asks the search to stop; a second Ctrl-C ends the program.
+    Within the context, the first Ctrl-C stops the search, the second ends the program.
     """
 
     def __init__(self) -> None:

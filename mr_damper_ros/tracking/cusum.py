@@ -1,8 +1,8 @@
 """Change detection: a two-sided CUSUM detects a sudden change of the force between two windows.
 
-It sums, over blocks of samples, the logarithm of a likelihood ratio: that of a force changed by a
-few percent to that of an unchanged force (Page, Biometrika 41, 1954). The sum is scaled so that the
-noise of a typical block has a standard deviation of 1.
+It sums, over blocks of samples, the logarithm of the likelihood of a force changed by a few percent
+relative to an unchanged force (Page, Biometrika 41, 1954). The sum is scaled so that the noise of a
+typical block has a standard deviation of 1.
 """
 
 from __future__ import annotations

@@ -29,7 +29,7 @@ from mr_damper_ros.tracking.window_assembler import WindowAssembler, WindowSetti
 
 @dataclass(frozen=True)
 class EngineSettings(CheckedSettings):
-    """Settings of the identification and of the prediction; the defaults are those of the nodes."""
+    """Settings of identification and prediction; the nodes have the same defaults."""
 
     windows: WindowSettings = group(WindowSettings, flat=True)
     tracking: TrackerSettings = group(TrackerSettings, flat=True)
@@ -62,7 +62,7 @@ class Engine:
     never valid. With ``identify`` False no windows are fitted and only the prediction runs. Jobs
     run in this process; their outcomes take effect after the delays in the settings.
 
-    Raises ParameterError if the set belongs to a law other than that of the settings.
+    Raises ParameterError if the set belongs to another law than the settings.
     """
 
     def __init__(

@@ -108,14 +108,14 @@ def _squares(seen: Sequence[WindowScale]) -> list[float]:
 def force_scale(
     model: Model, window: Window, fit: WindowFit, baselines: Sequence[WindowFit]
 ) -> ForceScale:
-    """Least-squares scale that maps the force of the baseline onto that of a window.
+    """Least-squares factor from the force of the baseline to the force of a window.
 
     In a steady sine the force of the window's fit is compared with the force of the baseline, so
-    that their common model error cancels. The standard error is that of the window's fit; the error
-    of the baseline is the same in all reports and is omitted. In any other motion a fit adapts to
-    the motion of its window, so the measured force is compared with the force of the oldest
-    baseline at this current; see :func:`widened` for the standard error. ``baselines`` holds the
-    first accepted fit of each operating point, oldest first.
+    that their common model error cancels. The standard error contains the error of the window's
+    fit; the error of the baseline is the same in all reports and is omitted. In any other motion a
+    fit adapts to the motion of its window, so the measured force is compared with the force of the
+    oldest baseline at this current; see :func:`widened` for the standard error. ``baselines`` holds
+    the first accepted fit of each operating point, oldest first.
     """
     steady = window.motion.sine is not None
     point = fit.operating_point
@@ -342,7 +342,7 @@ def with_temperature(
     """The records with the temperature [°C] and the force scale of a window added, if plausible.
 
     All force scales of one operating point must refer to the same baseline. If there are too many
-    entries, those with neighbouring temperatures are averaged in pairs.
+    entries, pairs of neighbouring temperatures are averaged.
     """
     row = np.array([[celsius, scale.value, scale.standard_error]])
     if not is_plausible(row):

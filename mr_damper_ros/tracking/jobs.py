@@ -94,8 +94,8 @@ class Job:
 
     A window fit and a change check have ``raw`` samples; their ``windows`` are the newest ones at
     the recent operating points, and ``baselines`` the baselines of the force scale. ``state`` is
-    the state of the recursive filter and ``watch`` that of the change detection; None if they do
-    not run. Samples stamped before ``changed_ns`` precede the last sudden change of the damper.
+    the state of the recursive filter, ``watch`` the state of the change detection (None: off).
+    Samples stamped before ``changed_ns`` precede the last sudden change of the damper.
 
     A search has the settings ``evolution``. Its ``windows`` are all in the reservoir, up to
     ``stamp_ns``; the last ``recent`` of them are at the recent operating points. ``asked`` is True

@@ -70,9 +70,9 @@ Span = tuple[float, float]
 class KnownSet:
     """A set, and the stamp up to which it fits the samples (None: the set does not age).
 
-    ``half_cycle`` [s] is that of the motion when the set arrived, NaN if unknown. ``currents`` is
-    the current range of the windows that the set fits; None (unknown) counts as all currents.
-    ``whole`` marks a set for all operating points, as opposed to a window set.
+    ``half_cycle`` [s] is the half-cycle of the motion when the set arrived, NaN if unknown.
+    ``currents`` is the current range of the windows that the set fits; None (unknown) counts as all
+    currents. ``whole`` marks a set for all operating points, as opposed to a window set.
     """
 
     parameters: ParameterSet
@@ -230,7 +230,7 @@ class ModelBank:
         self._half_cycle = 0.0
         self._since_search = math.inf
         self._since_turning = 0.0
-        self._turning = 0.0  # log of the error of a jumping force over that of a gradual one
+        self._turning = 0.0  # log of (error of a jumping force / of a gradual one)
         # The current schedule: the sets of the newest windows at one current each, newest first,
         # and the set for all operating points.
         self._at_currents: list[KnownSet] = []
@@ -457,8 +457,8 @@ class ModelBank:
     ) -> None:
         """Keep the newest samples: motion, current [A], predicted and measured ``forces`` [N].
 
-        Arrays have shape (n,). The samples are ``period`` [s] apart. ``half_cycle`` [s] is that of
-        the motion, NaN if unknown. The force of the first ``bridged`` samples was not measured.
+        Arrays have shape (n,). The samples are ``period`` [s] apart. ``half_cycle`` [s] of the
+        motion is NaN if unknown. The force of the first ``bridged`` samples was not measured.
         """
         count, (predicted, measured) = motion.velocity.size, forces
         self._since_search += count * period

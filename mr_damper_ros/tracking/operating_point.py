@@ -219,10 +219,10 @@ class KnownPoints:
         return bool(self._forces)
 
     def objection(self, found: KnownForce, limit: float, expected: float = math.nan) -> str:
-        """Why a force cannot be that of this damper, in words; empty if it can.
+        """Why this damper cannot give a force, in words; empty if it can.
 
         ``limit`` is the largest factor, up or down, by which a damper changes. ``expected`` [1] is
-        the force relative to that of the first accepted set, NaN if unknown at this point.
+        the force relative to the first accepted set, NaN if unknown at this point.
         """
         here = self.known_force(found.operating_point)
         if here is not None:
@@ -235,13 +235,11 @@ class KnownPoints:
             besides = limit * (_OTHER_CURRENT if current > _COMPARABLE[1] else 1.0)
             low, high = min(1.0, ratio) / besides, max(1.0, ratio) * besides
             if found.size > high * known.size or found.largest > high * known.largest:
-                return (
-                    f"the force reaches {found.largest:.3g} N, but {known.largest:.3g} N at first"
-                )
+                return f"the force reaches {found.largest:.3g} N instead of {known.largest:.3g} N"
             if found.size < low * known.size:
                 return (
-                    f"the standard deviation of the force is {found.size:.3g} N, but "
-                    f"{known.size:.3g} N at first"
+                    f"the standard deviation of the force is {found.size:.3g} N instead of "
+                    f"{known.size:.3g} N"
                 )
         return ""
 

@@ -35,8 +35,8 @@ _SURPRISE = 3.09
 class FilterState:
     """Mean (f,) and covariance (f, f) of the unknowns after the sample stamped ``stamp_ns``.
 
-    The unknowns are those of the model's window problem. ``operating_point`` (peak velocity [m/s],
-    current [A]) is that of the last update.
+    The model's window problem defines the unknowns. ``operating_point`` (peak velocity [m/s],
+    current [A]) belongs to the last update.
     """
 
     scales: Array

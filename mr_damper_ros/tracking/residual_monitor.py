@@ -48,7 +48,7 @@ _LONGEST_STRETCH = 0.25
 
 _PRELOAD = 0.5
 """The offset of the force, which gas pressure causes, counts towards the peak up to this fraction
-of half the span. A larger offset is that of a load cell that was not zeroed, and must not enlarge
+of half the span. A larger offset comes from a load cell that was not zeroed, and must not enlarge
 the peak."""
 
 
@@ -115,8 +115,8 @@ class ForceStatistics:
     ) -> None:
         """Add samples of the predicted and the measured force [N] and the velocity [m/s], (n,).
 
-        ``current`` [A] is a float or has shape (n,). ``half_cycle`` [s] is that of the motion, NaN
-        if unknown. ``steady`` says whether the motion is a continuing sine. ``largest`` returns the
+        ``current`` [A] is a float or has shape (n,). ``half_cycle`` [s] of the motion is NaN if
+        unknown. ``steady`` says whether the motion is a continuing sine. ``largest`` returns the
         largest force [N] that the set gives in a cycle at the present current.
         """
         self._parts.append((*forces, velocity))

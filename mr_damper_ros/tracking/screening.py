@@ -213,7 +213,8 @@ def _is_stuck(displacement: Array, force: Array) -> bool:
 def _mean_frequency(values: Array) -> float:
     """Power-weighted mean frequency of a signal (n,), in cycles per window.
 
-    The force of a damper saturates, so its mean frequency is about that of the velocity or higher.
+    The force of a damper saturates, so its mean frequency is at least about the mean frequency of
+    the velocity.
     """
     power = np.abs(np.fft.rfft((values - values.mean()) * np.hanning(values.size))) ** 2
     return float(power @ np.arange(power.size)) / float(power.sum())

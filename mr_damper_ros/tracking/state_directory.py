@@ -24,8 +24,7 @@ _MEMORY_LINE = "\n# memory "
 """Start of the last line, which is a comment in YAML."""
 
 _FILE_LIMIT = 1 << 26
-"""Largest size in bytes of a file, far above a real file with memory; a set alone is far
-smaller."""
+"""Largest size in bytes of a file; real files are far smaller, even with the tracker's memory."""
 
 
 _ASIDE, _READ = "aside", "aside-read"

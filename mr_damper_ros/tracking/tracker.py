@@ -44,7 +44,7 @@ from mr_damper_ros.tracking.running_set import SteadyMotion, holds_at
 from mr_damper_ros.tracking.window_assembler import RawWindow
 
 OF_THE_SET = "auto"
-"""Option value: the law is that of the initial set."""
+"""Option value: use the law of the initial set."""
 
 
 _GROWTH = 1.5
@@ -112,7 +112,7 @@ class TrackerMemory(Experience):
     - ``searched_points``: number of operating points in the last global identification;
     - ``scales``: force scales in motions other than a sine;
     - ``global_patience``: number of good windows until the next search;
-    - ``other_damper``: whether the damper may differ from that of the running set;
+    - ``other_damper``: whether the running set may describe another damper;
     - ``motion``: motion of the newest good windows;
     - ``unexplained_windows``: number of windows since the last search that the law's dependence on
       the current did not explain;
@@ -180,7 +180,7 @@ class WindowTracker:
             self._now.watch = None
 
     def _start_again(self) -> None:
-        # The number of windows is part of the names of sets, so it continues.
+        # The names of sets contain the number of windows, so the count goes on.
         self._remember(TrackerMemory(windows=self._now.windows))
 
     def _forget_scales(self) -> None:
@@ -207,7 +207,7 @@ class WindowTracker:
         self._now.other_damper = True
 
     def replace(self, parameters: ParameterSet) -> None:
-        """Use this set, loaded by the user, from now on; the records and baselines start anew.
+        """Use this set, loaded by the user, from now on; records and baselines are deleted.
 
         Raises ParameterError if the set belongs to another law.
         """

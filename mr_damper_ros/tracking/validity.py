@@ -38,7 +38,7 @@ class DoubtKind(IntEnum):
     NOT_FINITE = 2
     """The force is NaN or infinite."""
     REPEATED = 3
-    """The block came twice or too late."""
+    """The block was repeated or arrived too late."""
     SETTLING = 4
     """The motion, or the state of a law with memory, has not settled yet."""
     AT_REST = 5
@@ -50,7 +50,7 @@ class DoubtKind(IntEnum):
     TOO_LARGE = 8
     """The force exceeds the largest force measured on this damper."""
     SENSOR = 9
-    """The measured force cannot be that of a damper in this motion."""
+    """No damper gives the measured force in this motion."""
     DRIVING = 10
     """The predicted force is not dissipative."""
     WRONG = 11
@@ -345,7 +345,7 @@ class Freshness:
         self.age = math.nan
 
     def restart(self) -> None:
-        """Decide anew whether the stream is live, after the stamps have jumped back."""
+        """Decide again whether the stream is live, because the stamps have jumped back."""
         self.live = False
         self.age = math.nan
 

@@ -144,8 +144,7 @@ class WindowAssembler:
 
     def _empty(self) -> None:
         # The newest samples: displacement, force, peak velocity, delay of the force [samples], and
-        # the stamp [ns] relative to that of the first sample. A sample's count is its number since
-        # the first one.
+        # the time [ns] since the first sample. A sample's count is its number since the first one.
         self._rows = RollingRows(5)
         self._begin_ns: int | None = None
         self._end = 0

@@ -22,7 +22,7 @@ sigmoid force F_s,
 where the fraction is the equivalent damping of the sigmoid at the velocity x. The lag is therefore
 long near a reversal, where the force is steep, and short while the fluid flows. It increases with
 the yield force, that is with the current. The force is F_l + stiffness u + offset, where stiffness
-and offset are those of the gas (thesis 3.2; the thesis adds 100 N to its records by hand).
+and offset describe the gas (thesis 3.2; the thesis adds 100 N to its records by hand).
 doc/extended_law.md describes the alternatives that were tried. The parameters of the extended law
 are the sixteen of the sigmoid law, the three of :data:`EXTENSION_NAMES` and the time constant of
 the coil.
@@ -337,7 +337,7 @@ class SigmoidCurrentResponse(CurrentResponse):
         return np.asarray(late + self._extension.gas(displacement))
 
     def _lag_before(self, state: State | None) -> LagMemory | None:
-        """The lag before a sample; the state may end with that of the coil."""
+        """The lag before a sample; the state may end with the coil's state."""
         turning = 0 if self._jumps else BRANCH_MEMORY
         return LagMemory.of(None if state is None else state[: turning + LAG_MEMORY])
 

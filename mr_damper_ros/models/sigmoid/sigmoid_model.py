@@ -413,7 +413,7 @@ class SigmoidModel(Model):
     ) -> Array:
         """Fit the decoupled laws one by one."""
         sixteen, rest = np.split(start, [SIGMOID_COUNT])
-        # The empty name stands for the gain of a law without one.
+        # A law without a gain has the empty name there.
         values = {"": 0.0, **dict(zip(PARAMETER_NAMES, sixteen.tolist(), strict=True))}
         top_velocity = float(table.peak_velocity.max())
         bounds = shape_bounds(top_velocity, float(np.abs(table.current).max()))

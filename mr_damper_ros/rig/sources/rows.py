@@ -74,9 +74,9 @@ class RowFormat:
 def parse_row_format(text: str) -> RowFormat:
     """The format from a description such as ``count:16,displacement:mm,-,force:kN``.
 
-    The syntax is that of the columns of a record (:func:`mr_damper_ros.io.columns.parse_columns`),
-    with an additional column ``count``, which the sender increments. Its number of bits follows
-    after a colon (default: 32). Raises ColumnError, with a sentence that says what to change.
+    The columns are described as in a record (:func:`mr_damper_ros.io.columns.parse_columns`); the
+    sender increments the additional column ``count``. Its number of bits follows after a colon
+    (default: 32). Raises ColumnError, with a sentence that says what to change.
     """
     entries = [entry.strip() for entry in text.split(",")]
     counting = [place for place, entry in enumerate(entries) if _COUNT.fullmatch(entry)]
