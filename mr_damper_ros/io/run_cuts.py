@@ -6,7 +6,6 @@ from collections.abc import Iterator
 from itertools import pairwise
 
 import numpy as np
-from numpy.typing import NDArray
 
 from mr_damper_ros.io.sampled_record import GAP, SampledRecord, integrated
 from mr_damper_ros.kinematics.window import turning_points
@@ -138,21 +137,15 @@ def _motions(record: SampledRecord, rows: slice, length: int) -> Iterator[slice]
     resting = np.convolve(spans < still, np.ones(window)) > 0.0
     strokes = max(len(_turns(position)) - 1, 1)
     least = _REST_OF_STROKE * (count - np.count_nonzero(resting)) / strokes
-    for first, last, rests in _equal(resting):
-        if rests and last - first < least:
-            resting[first:last] = False
-    for first, last, rests in _equal(resting):
-        if not rests:
-            start = rows.start + max(first - 1, 0) * length
-            stop = rows.stop if last == count else rows.start + (last + 1) * length
-            yield slice(start, min(stop, rows.stop))
-
-
-def _equal(flags: NDArray[np.bool_]) -> list[tuple[int, int, bool]]:
-    """First index, last index + 1 and value of each section of equal flags."""
-    edges = np.flatnonzero(np.diff(flags)) + 1
-    places = [0, *edges.tolist(), flags.size]
-    return [(first, last, bool(flags[first])) for first, last in pairwise(places)]
+    rests = np.ma.clump_masked(np.ma.array(resting, mask=resting))  # type: ignore[no-untyped-call]
+    for rest in rests:
+        if rest.stop - rest.start < least:
+            resting[rest] = False
+    moves = np.ma.clump_unmasked(np.ma.array(resting, mask=resting))  # type: ignore[no-untyped-call]
+    for moved in moves:
+        start = rows.start + max(moved.start - 1, 0) * length
+        stop = rows.stop if moved.stop == count else rows.start + (moved.stop + 1) * length
+        yield slice(start, min(stop, rows.stop))
 
 
 def _turns(position: Array) -> list[int]:
