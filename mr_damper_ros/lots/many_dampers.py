@@ -99,11 +99,6 @@ def identify_group(group: DamperGroup) -> dict[str, Any]:
     return document | {"duration_s": time.perf_counter() - began}
 
 
-def is_final(document: dict[str, Any]) -> bool:
-    """Whether a repetition would give the same result, so that the document can be stored."""
-    return not document["passing"]
-
-
 def _result(group: DamperGroup, result: Identification) -> dict[str, Any]:
     name = "".join(sign for sign in group.damper if sign.isprintable())[:200]
     return {
@@ -316,7 +311,8 @@ def identify_many(
                 identify_group,
                 workforce,
                 results,
-                final=is_final,
+                # A repetition would give the same result.
+                final=lambda document: not document["passing"],
                 finished=finished,
                 lost=lost,
             )

@@ -66,11 +66,6 @@ class SupplyProfile:
         return max(math.ceil(wanted / self.watchdog_step - 1e-9), 1) * self.watchdog_step
 
 
-def shipped_profiles() -> list[str]:
-    """Names of the profiles that come with the package."""
-    return sorted(path.stem for path in _FOLDER.glob("*.yaml"))
-
-
 def read_profile(name: str) -> SupplyProfile:
     """The profile of a name, or of the path of a YAML file; raises ProfileError."""
     import yaml  # here: a node without a supply needs no YAML
@@ -79,8 +74,9 @@ def read_profile(name: str) -> SupplyProfile:
     try:
         content = yaml.safe_load(path.read_text(encoding="utf-8"))
     except OSError as error:
+        shipped = ", ".join(sorted(each.stem for each in _FOLDER.glob("*.yaml")))
         raise ProfileError(
-            f"the profile '{name}' cannot be read: name one of {', '.join(shipped_profiles())}, or "
+            f"the profile '{name}' cannot be read: name one of {shipped}, or "
             "the path of a YAML file"
         ) from error
     except (yaml.YAMLError, UnicodeDecodeError) as error:
