@@ -10,9 +10,10 @@ from __future__ import annotations
 
 import struct
 import sys
+from collections import defaultdict
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any, BinaryIO, NamedTuple
+from typing import Any, BinaryIO
 from zlib import crc32
 
 from lz4.frame import LZ4FrameDecompressor  # type: ignore[import-untyped]
@@ -36,29 +37,16 @@ class OversizedError(ValueError):
     """The unpacked size of a file exceeds the limit."""
 
 
-class _Record(NamedTuple):
-    """A record whose content has ``length`` bytes from the position ``start``."""
-
-    operation: int
-    start: int
-    length: int
-
-
-class _Guarded(NamedTuple):
-    """The bytes from ``start`` to ``stop``, whose checksum is at the position ``place``."""
-
-    what: str
-    place: int
-    start: int
-    stop: int
+_Records = dict[int, list[tuple[int, int]]]
+"""Start and stop of the content of each record, by operation code."""
 
 
 def add_checksums(path: Path) -> None:
     """Add the checksums to a file with uncompressed chunks and a summary."""
     with path.open("r+b") as file:
-        for guarded in _guarded(file, list(_records(file))):
-            crc = _crc(file, guarded)
-            file.seek(guarded.place)
+        for _, place, start, stop in _guarded(file, _records(file)):
+            crc = _crc(file, start, stop)
+            file.seek(place)
             file.write(crc.to_bytes(4, "little"))
 
 
@@ -70,26 +58,25 @@ def check_mcap(path: Path, maximum_bytes: int | None = None) -> None:
     other exceptions for other damage.
     """
     with path.open("rb") as file:
-        records = list(_records(file))
-        chunks = [record for record in records if record.operation == _CHUNK]
-        unpacked = sum(_number(file, chunk.start + 16, 8) for chunk in chunks)
+        records = _records(file)
+        unpacked = sum(_number(file, start + 16, 8) for start, _ in records[_CHUNK])
         if maximum_bytes is not None and unpacked > maximum_bytes:
             raise OversizedError(f"it unpacks to more than {maximum_bytes // 1_000_000} MB")
-        for guarded in _guarded(file, records):
-            expected = _number(file, guarded.place, 4)
-            if expected and expected != _crc(file, guarded):
-                raise ChecksumError(f"the checksum of {guarded.what} is wrong")
-        for chunk in chunks:
-            _check_size(file, chunk)
+        for what, place, start, stop in _guarded(file, records):
+            expected = _number(file, place, 4)
+            if expected and expected != _crc(file, start, stop):
+                raise ChecksumError(f"the checksum of {what} is wrong")
+        for start, _ in records[_CHUNK]:
+            _check_size(file, start)
 
 
-def _check_size(file: BinaryIO, chunk: _Record) -> None:
+def _check_size(file: BinaryIO, start: int) -> None:
     """Raise ChecksumError if a compressed chunk does not unpack to its stated size."""
-    name_size = _number(file, chunk.start + 28, 4)
+    name_size = _number(file, start + 28, 4)
     if name_size == 0:
         return
-    left = _number(file, chunk.start + 16, 8)
-    file.seek(chunk.start + 32)
+    left = _number(file, start + 16, 8)
+    file.seek(start + 32)
     unpackers = {b"lz4": LZ4FrameDecompressor, b"zstd": ZstdDecompressor}
     unpacker: Any = unpackers[file.read(name_size)]()
     packed = file.read(int.from_bytes(file.read(8), "little"))
@@ -104,40 +91,42 @@ def _check_size(file: BinaryIO, chunk: _Record) -> None:
         raise ChecksumError("a chunk does not unpack to its stated size")
 
 
-def _guarded(file: BinaryIO, records: list[_Record]) -> Iterator[_Guarded]:
-    """The protected parts in writing order; later checksums cover earlier ones."""
-    for record in records:
-        if record.operation == _CHUNK and _number(file, record.start + 28, 4) == 0:
-            end = record.start + record.length
-            yield _Guarded("a chunk", record.start + 24, record.start + 40, end)
-    data_end = [record.start for record in records if record.operation == _DATA_END]
-    footer = [record.start for record in records if record.operation == _FOOTER]
-    if len(data_end) != 1 or len(footer) != 1:
+def _guarded(file: BinaryIO, records: _Records) -> Iterator[tuple[str, int, int, int]]:
+    """The protected parts in writing order, because later checksums cover earlier ones.
+
+    Each is a name, the position of the checksum, and the start and stop of the protected bytes.
+    """
+    for start, stop in records[_CHUNK]:
+        if _number(file, start + 28, 4) == 0:
+            yield "a chunk", start + 24, start + 40, stop
+    if len(records[_DATA_END]) != 1 or len(records[_FOOTER]) != 1:
         raise ChecksumError("its end is missing")
-    yield _Guarded("its data section", data_end[0], 0, data_end[0] - _HEAD.size)
-    begin = _number(file, footer[0], 8) or footer[0] - _HEAD.size
-    yield _Guarded("its summary", footer[0] + 16, begin, footer[0] + 16)
+    (data_end, _), (footer, _) = *records[_DATA_END], *records[_FOOTER]
+    yield "its data section", data_end, 0, data_end - _HEAD.size
+    begin = _number(file, footer, 8) or footer - _HEAD.size
+    yield "its summary", footer + 16, begin, footer + 16
 
 
-def _records(file: BinaryIO) -> Iterator[_Record]:
+def _records(file: BinaryIO) -> _Records:
     end = file.seek(0, 2)
     file.seek(0)
     if file.read(len(_MAGIC)) != _MAGIC:
         raise ChecksumError("it does not begin like an MCAP file")
+    records: _Records = defaultdict(list)
     position = len(_MAGIC)
     while position < end - len(_MAGIC):
         file.seek(position)
         operation, length = _HEAD.unpack(file.read(_HEAD.size))
-        start = position + _HEAD.size
-        if start + length > end:
+        start, position = position + _HEAD.size, position + _HEAD.size + length
+        if position > end:
             raise ChecksumError("it ends within a record")
-        yield _Record(operation, start, length)
-        position = start + length
+        records[operation].append((start, position))
+    return records
 
 
-def _crc(file: BinaryIO, guarded: _Guarded) -> int:
-    crc, left = 0, guarded.stop - guarded.start
-    file.seek(guarded.start)
+def _crc(file: BinaryIO, start: int, stop: int) -> int:
+    crc, left = 0, stop - start
+    file.seek(start)
     while left > 0:
         piece = file.read(min(_PIECE, left))
         if not piece:
