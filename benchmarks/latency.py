@@ -10,7 +10,7 @@ import os
 import struct
 import tempfile
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from contextlib import nullcontext
 from pathlib import Path
 from typing import Any
@@ -26,15 +26,11 @@ from mr_damper_msgs.msg import (
 from rclpy.serialization import deserialize_message, serialize_message
 
 from benchmarks.figure import Measured
-from benchmarks.helper_programs import (
-    RELAY_COMMAND,
-    RELAY_FORCE,
-    RELAY_SAMPLES,
-)
+from benchmarks.helper_programs import RELAY_COMMAND, RELAY_FORCE, RELAY_SAMPLES
 from benchmarks.nodes import Nodes, cpu_seconds, on_cores
 from benchmarks.other_dampers import random_motion
 from mr_damper_ros.emulation.emulator import EmulatedDamper, EmulatedRig, RigSettings
-from mr_damper_ros.emulation.motions import SineMotion
+from mr_damper_ros.emulation.motions import Excitation, SineMotion
 from mr_damper_ros.models.parameter_set import ParameterSet
 from mr_damper_ros.models.published import THESIS_28_CELSIUS
 from mr_damper_ros.nodes import quality
@@ -73,12 +69,12 @@ def blocks_of(motion: str, size: int, duration: float) -> list[SampleBlock]:
 
     The stamps begin at 0.
     """
-    damper, settings = EmulatedDamper(THESIS_28_CELSIUS), RigSettings(RATE, force_noise=0.0)
-    rig = EmulatedRig(damper, SineMotion(0.005, 1.0), CURRENT, settings=settings)
+    excitation: Excitation = SineMotion(0.005, 1.0)
+    settings = RigSettings(RATE, force_noise=0.0)
     if motion == "random":
-        moving = EmulatedDamper(THESIS_28_CELSIUS)
         excitation = random_motion(3e-3, 0.3, 3.0, duration, seed=1)
-        rig = EmulatedRig(moving, excitation, CURRENT, settings=RigSettings(RATE, seed=1))
+        settings = RigSettings(RATE, seed=1)
+    rig = EmulatedRig(EmulatedDamper(THESIS_28_CELSIUS), excitation, CURRENT, settings=settings)
     made = rig.next_block(round(duration * RATE / size) * size)
     return [
         SampleBlock(
@@ -115,23 +111,34 @@ class Route:
         """Whether there are as many answers as blocks."""
         return len(self._heard) >= len(self._sent)
 
+    def answers(self) -> dict[int, tuple[float, bool]]:
+        """Latency [s] of each answered block by its index, and whether the answer has content.
+
+        The content is a valid force, or a current.
+        """
+        # A command has no number: there blocks are answered one after the other.
+        blocks, found = list(self._sent), {}
+        for place, (serialised, arrival) in enumerate(self._heard):
+            message = deserialize_message(serialised, self._kind)
+            is_force = self._kind is PredictedForce
+            number = message.seq if is_force else blocks[place]
+            if number in self._sent:
+                useful = message.valid if is_force else message.current != 0.0
+                found[number] = (arrival - self._sent[number], bool(useful))
+        return found
+
     @property
     def lost(self) -> int:
         """Number of blocks without an answer."""
-        return len(self._sent.keys() - {number for number, *_ in self._read()})
+        return len(self._sent) - len(self.answers())
 
     def latencies(self, first: int) -> Array:
         """Times [s] from publication to answer, for blocks from this index on."""
-        return np.array([late for number, late, _ in self._read() if number >= first])
+        return np.array([late for number, (late, _) in self.answers().items() if number >= first])
 
-    @property
-    def useful(self) -> list[int]:
-        """Indices of the blocks whose answer has content: a valid force, or a current."""
-        return [
-            number
-            for number, _, message in self._read()
-            if (message.valid if self._kind is PredictedForce else message.current != 0.0)
-        ]
+    def useful(self, first: int = 0) -> int:
+        """Number of blocks from this index on whose answer has content."""
+        return sum(useful for number, (_, useful) in self.answers().items() if number >= first)
 
     def forget(self) -> None:
         """Discard the blocks and answers so far."""
@@ -147,15 +154,6 @@ class Route:
 
     def _hear(self, message: bytes) -> None:
         self._heard.append((message, time.monotonic()))
-
-    def _read(self) -> Iterator[tuple[int, float, Any]]:
-        # A command has no number: there blocks are answered one after the other.
-        blocks = list(self._sent)
-        for place, (serialised, arrival) in enumerate(self._heard):
-            message = deserialize_message(serialised, self._kind)
-            number = message.seq if self._kind is PredictedForce else blocks[place]
-            if number in self._sent:
-                yield number, arrival - self._sent[number], message
 
 
 class SideBySide(Nodes):
@@ -273,8 +271,7 @@ def _ratios(commands: bool, duration: float) -> Measured:
     with SideBySide(commands=commands) as both:
         both.send(blocks)
         first = round(SETTLED * RATE)
-        useful = sum(number >= first for number in both.node.useful)
-        if useful < _USEFUL[commands] * (len(blocks) - first // BLOCK):
+        if both.node.useful(first) < _USEFUL[commands] * (len(blocks) - first // BLOCK):
             raise RuntimeError("the answers are not valid: their latency is of no use")
         latencies = both.latencies(first)
     key = "command_latency_ratio" if commands else "latency_ratio"
@@ -305,7 +302,7 @@ def single_sample_figures(duration: float = 60.0) -> Measured:
             both.send(blocks)
             used = (both.cpu_seconds - before) / duration
             late = [1e3 * float(np.quantile(x, 0.99)) for x in both.latencies(round(3.0 * RATE))]
-            valid = len(both.node.useful) / len(blocks)
+            valid = both.node.useful() / len(blocks)
             notes.append(f"{motion}: the relay lost {both.relay.lost}; valid {valid:.1%}")
             lost.append(float(both.node.lost))
         p99.append((late[0] / late[1], "{:.2f} ms beside {:.2f} ms".format(*late)))

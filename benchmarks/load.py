@@ -14,6 +14,7 @@ from collections import Counter, defaultdict
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, closing, contextmanager, nullcontext
 from dataclasses import dataclass, field
+from functools import partial
 
 from diagnostic_msgs.msg import DiagnosticArray
 from lifecycle_msgs.msg import Transition
@@ -81,42 +82,37 @@ class Fleet(Nodes):
         self.names = [f"damper_{number}" for number in numbers] if load.dampers > 1 else [""]
         self._said: dict[str, dict[str, str]] = {}
         self.skipped = 0
-        self.reports: dict[str, list[FitReport]] = defaultdict(list)
+        self.fits: Counter[str] = Counter()
+        self._fitted: Counter[str] = Counter()
         self._missing: Counter[str] = Counter()
+        self._ends: Counter[str] = Counter()
         self._last_report = time.monotonic()
         self.observer.listen(DiagnosticArray, "/diagnostics", quality.stream(), self._take)
+        topics: dict[str, type] = {
+            "mts/samples": MtsSamples,
+            "damper/predicted_force": PredictedForce,
+        }
         for name in self.names:
-            self._listen(FitReport, name, "damper/fit_report", self._keep(name))
-            if load.listens:
-                self._listen(MtsSamples, name, "mts/samples", self._count("mts/samples"))
-                topic = "damper/predicted_force"
-                self._listen(PredictedForce, name, topic, self._count(topic))
+            self._listen(FitReport, name, "damper/fit_report", partial(self._report, name))
+            for topic, kind in topics.items() if load.listens else ():
+                self._missing[topic] = 0
+                self._listen(kind, name, topic, partial(self._count, topic))
 
     def _listen(self, kind: type, name: str, topic: str, hear: Callable[..., None]) -> None:
         self.observer.listen(kind, _full(name, topic), quality.lossless(), hear)
 
-    def _keep(self, name: str) -> Callable[[FitReport], None]:
-        def keep(report: FitReport) -> None:
-            self._last_report = time.monotonic()
-            if report.verdict != Verdict.ACCEPTED_EARLY:
-                self.reports[name].append(report)
+    def _report(self, name: str, report: FitReport) -> None:
+        self._last_report = time.monotonic()
+        self.fits[name] += report.verdict != Verdict.ACCEPTED_EARLY
+        self._fitted[name] += report.verdict not in (Verdict.ACCEPTED_EARLY, Verdict.FAILED)
 
-        return keep
-
-    def _count(self, topic: str) -> Callable[[MtsSamples | PredictedForce], None]:
+    def _count(self, topic: str, message: MtsSamples | PredictedForce) -> None:
         """Count the samples that are missing from a stream of blocks, which begins with sample 0.
 
         Samples of a delayed block remain counted as missing.
         """
-        end = 0
-        self._missing[topic] = 0
-
-        def count(message: MtsSamples | PredictedForce) -> None:
-            nonlocal end
-            self._missing[topic] += max(message.seq - end, 0)
-            end = max(end, message.seq + len(message.force))
-
-        return count
+        self._missing[topic] += max(message.seq - self._ends[topic], 0)
+        self._ends[topic] = max(self._ends[topic], message.seq + len(message.force))
 
     def _take(self, message: DiagnosticArray) -> None:
         for status in message.status:
@@ -130,21 +126,11 @@ class Fleet(Nodes):
         said = self._said.get(f"{name}/bridge: source".lstrip("/"), {})
         return int(said.get("samples sent", 0))
 
-    def losses(self) -> dict[str, int]:
-        """Number of samples that were lost or could not be used, by place."""
-        lost: Counter[str] = Counter()
-        for node in ("identifier", "model"):
-            for name in self.names:
-                said = self._said[f"{name}/{node}: input".lstrip("/")]
-                lost[f"at the {node}"] += int(said["lost"]) + int(said["rejected messages"])
-        return {**lost, **{f"of {topic}": count for topic, count in self._missing.items()}}
-
     def unfitted(self, name: str) -> int:
         """Number of windows of the sent samples that were not fitted or whose fit failed."""
         known = self.sent(name) / self._load.rate - _CURRENT_PERIOD
         windows = int((known - WindowSettings.window) / WindowSettings.hop + 1e-9) + 1
-        fitted = [r for r in self.reports[name] if r.verdict != Verdict.FAILED]
-        return max(windows - len(fitted), 0)
+        return max(windows - self._fitted[name], 0)
 
     def begin(self) -> None:
         """Start all nodes, and wait for samples of all bridges."""
@@ -192,9 +178,14 @@ class Fleet(Nodes):
     @property
     def told(self) -> tuple[float, str]:
         """Number of samples lost, and details."""
-        losses = self.losses()
+        lost: Counter[str] = Counter()
+        for node in ("identifier", "model"):
+            for name in self.names:
+                said = self._said[f"{name}/{node}: input".lstrip("/")]
+                lost[f"at the {node}"] += int(said["lost"]) + int(said["rejected messages"])
+        losses = {**lost, **{f"of {topic}": count for topic, count in self._missing.items()}}
         where = ", ".join(f"{count} {place}" for place, count in losses.items())
-        sent, fits = sum(map(self.sent, self.names)), sum(map(len, self.reports.values()))
+        sent, fits = sum(map(self.sent, self.names)), self.fits.total()
         note = f"{where}; {sent} sent, {fits} fits, {self.skipped} blocks skipped by a model."
         return float(sum(losses.values())), note
 
