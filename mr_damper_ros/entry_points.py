@@ -24,10 +24,13 @@ from importlib.util import find_spec
 from types import FrameType
 
 _WORK = {
-    "identifier": "mr_damper_ros.tracking.worker_preload",
-    "campaign": "mr_damper_ros.campaign.worker_preload",
+    "identifier": "scipy.optimize mr_damper_ros.tracking.jobs",
+    "campaign": "scipy.optimize mr_damper_ros.campaign.course",
 }
-"""The module that the worker of each node loads for its tasks."""
+"""Modules that the worker of each node loads before its first task, outside its time.
+
+Of SciPy it loads only the part that most tasks need, so that a killed worker restarts quickly.
+"""
 
 _SIGNALS = (signal.SIGINT, signal.SIGTERM)
 

@@ -130,8 +130,8 @@ class _Place:
     loaded its module.
     """
 
-    def __init__(self, module: str, grace: float, silence_limit: float) -> None:
-        self._module, self._grace, self._silence_limit = module, grace, silence_limit
+    def __init__(self, modules: str, grace: float, silence_limit: float) -> None:
+        self._modules, self._grace, self._silence_limit = modules, grace, silence_limit
         self.task: _Task | None = None
         self.replaced = 0
         self._checked_at = time.monotonic()
@@ -143,7 +143,7 @@ class _Place:
         ours, theirs = socket.socketpair()
         with theirs:
             self._child: subprocess.Popen[bytes] | None = subprocess.Popen(
-                child_process.command(serve, str(theirs.fileno()), self._module),
+                child_process.command(serve, str(theirs.fileno()), self._modules),
                 stdin=subprocess.DEVNULL,
                 pass_fds=[theirs.fileno()],
                 # Ctrl-C goes to the whole group of the terminal; the worker must not receive it.
@@ -273,11 +273,11 @@ def _receive(connection: Connection, sending: threading.Lock, inbox: queue.Simpl
 
 
 class WorkerPool:
-    """``count`` supervised processes, which load ``module`` before their first task.
+    """``count`` supervised processes, which load modules before their first task.
 
-    ``module`` contains the tasks. Loading it may take seconds, which do not count towards the time
-    budget of a task. A user of the pool creates a :meth:`worker` and polls it regularly, which also
-    supervises all processes.
+    ``modules`` are names, separated by blanks. Loading them may take seconds, which do not count
+    towards the time budget of a task. A user of the pool creates a :meth:`worker` and polls it
+    regularly, which also supervises all processes.
 
     A process is killed if its task does not stop within ``grace`` [s] after it was asked to, or if
     there is no sign of life for ``silence_limit`` [s].
@@ -285,13 +285,13 @@ class WorkerPool:
 
     def __init__(
         self,
-        module: str,
+        modules: str,
         count: int = 1,
         *,
         grace: float = _GRACE,
         silence_limit: float = _SILENCE_LIMIT,
     ) -> None:
-        self._places = [_Place(module, grace, silence_limit) for _ in range(count)]
+        self._places = [_Place(modules, grace, silence_limit) for _ in range(count)]
         self._waiting: deque[_Task] = deque()
         self._tickets = itertools.count(1)
         self.notices: list[str] = []
@@ -409,10 +409,11 @@ class Worker:
         return notices
 
 
-def serve(descriptor: str, module: str) -> None:
-    """Run the tasks of a module as the worker at this socket, until the socket closes."""
-    import_module(module)
-    keep_one_thread(with_scipy=False)  # the module has loaded all libraries of its tasks
+def serve(descriptor: str, modules: str) -> None:
+    """Run tasks as the worker at this socket, until the socket closes."""
+    for name in modules.split():
+        import_module(name)
+    keep_one_thread(with_scipy=False)  # they have loaded all libraries of the tasks
     connection = Connection(int(descriptor))
     tasks: queue.SimpleQueue[tuple[int, bytes]] = queue.SimpleQueue()
     stopped: set[int] = set()
