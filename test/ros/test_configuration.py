@@ -20,7 +20,6 @@ TOPICS = {
 PARAMETERS: list[tuple[str, dict[str, object], str]] = [
     ("bridge", {"source": "tape"}, "source must be one of bag, record, quarter_car, emulated"),
     ("bridge", {"sorce": "bag"}, "there is no parameter sorce: did you mean source?"),
-    ("bridge", {"rate": ".inf"}, "rate must be a finite number"),
     ("bridge", {"source": "bag", "bag": "/nowhere/at/all"}, "there is no bag"),
     ("bridge", {"source": "record", "record__file": "/nowhere"}, "record.columns is empty"),
     ("bridge", {"emulated__damper": "5mm"}, "no condition '5mm'"),
@@ -34,7 +33,6 @@ PARAMETERS: list[tuple[str, dict[str, object], str]] = [
     ("identifier", {"hop": 3.0}, "hop (3 s) is longer than window (2 s)"),
     ("identifier", {"initial_parameters": "/nowhere.yaml"}, "initial_parameters: cannot"),
     ("identifier", {"state_dir": "/dev/null/state"}, "state_dir: cannot"),
-    ("identifier", {"evolution__mutation": 3.0}, "evolution.mutation must be from"),
     ("live", {"port": 0, "allowed_hosts": "http://rig"}, "allowed_hosts"),
     ("model", {"parameter_file": "/nowhere.yaml"}, "No such file"),
     ("replay", {}, "no bag is given"),
@@ -51,12 +49,10 @@ ARGUMENTS = [
     ("bridge", ["--rate=2"], "--rate"),
     ("identifier", ["--namespace"], "the name is ''"),
     ("identifier", ["--namespace", "left", "--namespace", "left"], "left is given twice"),
-    ("identifier", ["--namespace", "left-hand"], "the name is 'left-hand'"),
     ("identifier", ["--namespace", "left=/nowhere.yaml"], "/nowhere.yaml"),
     ("identifier", ["--workers", "none"], "--workers: the number is 'none'"),
     ("model", ["--workers", "2"], "unknown argument --workers"),
     ("model", ["--ros-args", "-p", f"{OVERRIDE}.reliability:=foo"], "must be one of reliable"),
-    ("model", ["--ros-args", "-p", f"{OVERRIDE}.depth:=many"], "must be an integer of at least 1"),
     ("model", ["--ros-args", "-p", f"{OVERRIDE}.durability:=volatile"], "is not an override"),
 ]
 
