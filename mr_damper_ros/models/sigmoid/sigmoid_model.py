@@ -16,10 +16,10 @@ and are solved for. Differential evolution searches the other unknowns of a grou
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from functools import cached_property
 from itertools import product
-from typing import ClassVar, NamedTuple
+from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -33,7 +33,7 @@ from mr_damper_ros.models.first_order_lag import (
     coil_parameter,
 )
 from mr_damper_ros.models.force_model import CurrentResponse, Model
-from mr_damper_ros.models.formulas import WrittenLaw, staged
+from mr_damper_ros.models.formulas import WrittenLaw, gradient, staged
 from mr_damper_ros.models.published import LITERATURE
 from mr_damper_ros.models.quantities import (
     SETTLING,
@@ -151,27 +151,12 @@ class _Law(NamedTuple):
 
     def _basis(self, table: CoefficientTable, values: Values) -> tuple[Array, Array]:
         """Constant and step (s, k) at the operating points of the table."""
-        coefficient = _ONE_COEFFICIENT[self.coefficients[0]]
-        unit = dict(values) | dict.fromkeys(SCALE_PARAMETER_NAMES, 1.0)
-        constant, whole = (
-            np.atleast_2d(
-                coefficient(
-                    *((unit | {self.gain: gain})[name] for name in PARAMETER_NAMES),
-                    table.peak_velocity,
-                    table.current,
-                )
-            )
-            for gain in (0.0, 1.0)
-        )
-        constant, step = np.broadcast_arrays(constant, whole - constant)
+        at_unit = dict(values) | dict.fromkeys(SCALE_PARAMETER_NAMES, 1.0) | {self.gain: 0.0}
+        given = [at_unit[name] for name in PARAMETER_NAMES]
+        found = _BASES[self](*given, table.peak_velocity, table.current)
+        constant, step = np.broadcast_arrays(*(np.atleast_2d(each) for each in found))
         return constant, step
 
-
-_ONE_COEFFICIENT = {
-    name: staged(COEFFICIENTS, [(*PARAMETER_NAMES, "v_m", "i")], [name])
-    for name in COEFFICIENT_NAMES
-}
-"""Compiled formulas of the coefficients."""
 
 _LAWS = (
     _Law("yield force", ("f_t",), "k2", ("a1", "a2", "I0")),
@@ -180,6 +165,18 @@ _LAWS = (
     _Law("hysteresis", ("v_h",), "k3", ("a3", "I1")),
     _Law("velocity offset", ("v_d",)),
 )
+
+
+def _basis_of(law: _Law) -> Callable[..., Any]:
+    """Compiled derivatives of the first coefficient by its scale and gain: constant and step."""
+    name = law.coefficients[0]
+    scale = SCALE_PARAMETER_NAMES[COEFFICIENT_NAMES.index(name)]
+    by = (scale, law.gain or scale)  # a law without a gain has no use for the step
+    lines = gradient(COEFFICIENTS, name, by)
+    return staged(lines, [(*PARAMETER_NAMES, "v_m", "i")], [f"{name}_by_{each}" for each in by])
+
+
+_BASES = {law: _basis_of(law) for law in _LAWS}
 
 
 def shape_bounds(top_velocity: float, top_current: float) -> dict[str, tuple[float, float]]:
