@@ -16,8 +16,9 @@ import numpy as np
 from mr_damper_ros.estimation.covariance import NoiseModel
 from mr_damper_ros.kinematics.window import Window
 from mr_damper_ros.models.parameter_set import ParameterSet
+from mr_damper_ros.models.quantities import SAME_CURRENT
 from mr_damper_ros.settings.option_table import CheckedSettings, option
-from mr_damper_ros.signals.arrays import Array
+from mr_damper_ros.signals.arrays import Array, span_of
 from mr_damper_ros.tracking.operating_point import (
     MOST_WINDOWS,
     KnownForce,
@@ -88,9 +89,8 @@ class Evidence:
 
     @property
     def loses_elsewhere(self) -> bool:
-        """Whether the running set is good at all points and the new one much worse elsewhere."""
-        good = max(self.nrmse_before, self.nrmse_elsewhere) <= GOOD_NRMSE
-        return good and self.loss > _LARGEST_LOSS
+        """Whether the new set is much worse at other points where the running set is good."""
+        return self.loss > _LARGEST_LOSS and self.nrmse_elsewhere <= GOOD_NRMSE
 
 
 @dataclass(frozen=True)
@@ -183,6 +183,10 @@ def evidence_of(
     one = Lead.of(old, new, window.force, judged, noise)
     evidence = replace(evidence, lead=Lead.together([one] if fresh >= CHUNKS else []))
     if not elsewhere or before <= after:
+        return evidence
+    currents = [span_of(each.current) for each in (window, *elsewhere)]
+    if before > GOOD_NRMSE * spread and np.ptp(currents) <= SAME_CURRENT:
+        # The running set is wrong in this motion. With the other motions it comes back into use.
         return evidence
     left, lost = (_mean_square(each, elsewhere) for each in (running, found))
     means = [float(np.mean(each.force)) for each in elsewhere]

@@ -46,6 +46,10 @@ _STRETCHES = 32
 _LONGEST_STRETCH = 0.25
 """The memory is divided into this many stretches, each no longer than this time [s]."""
 
+_STEADY_CURRENT = 1.0
+"""Time [s] after which a constant current is steady: the largest time for which a wrong force may
+be valid (``foreign_wrong_valid_s``)."""
+
 _PRELOAD = 0.5
 """The offset of the force, which gas pressure causes, counts towards the peak up to this fraction
 of half the span. A larger offset comes from a load cell that was not zeroed, and must not enlarge
@@ -81,10 +85,10 @@ class ForceStatistics:
     its span, without outliers; NaN before the first stretch. If the motion is not steady, they
     cover the longer of ten seconds and a cycle. Forces at other currents count for at most ten
     seconds, and only until the present current has lasted for a cycle. If a cycle takes longer than
-    ten seconds, they count up to the largest force of the set at the present current. ``noise`` [N]
-    is the standard deviation of the white part of the measured force. ``stuck`` says that the
-    measured force has been constant for a half-cycle. ``measured_drives`` and ``predicted_drives``
-    say that the measured or predicted force is not dissipative.
+    ten seconds, then once the current is steady they count up to the largest force of the set at
+    this current. ``noise`` [N] is the standard deviation of the white part of the measured force.
+    ``stuck`` says that the measured force has been constant for a half-cycle. ``measured_drives``
+    and ``predicted_drives`` say that the measured or predicted force is not dissipative.
     """
 
     def __init__(self, period: float) -> None:
@@ -200,7 +204,7 @@ class ForceStatistics:
             ages = (counts.cumsum() - counts) * self._period
             counted = list(compress(stretches, here | (ages < others)))
         top, bottom = max(s.top for s in counted), min(s.bottom for s in counted)
-        if not all(here) and cycle > RECENT:
+        if not all(here) and cycle > RECENT and stayed >= _STEADY_CURRENT:
             same = list(compress(stretches, here))
             most = largest()
             top = max([min(top, most), *(s.top for s in same)])

@@ -16,6 +16,7 @@ from mr_damper_ros.kinematics.window import Window
 from mr_damper_ros.models.parameter_set import ParameterSet
 from mr_damper_ros.signals.arrays import Array
 from mr_damper_ros.tracking.acceptance import (
+    GOOD_NRMSE,
     Lead,
     evidence_of,
     rival_wins,
@@ -102,6 +103,27 @@ def loss_of(values: Array) -> float:
     return evidence_of(
         running, found, run.window, validation, fresh=count, elsewhere=elsewhere
     ).loss
+
+
+@pytest.mark.parametrize(("current", "counts"), [(1.0, False), (1.4, True)])
+def test_the_loss_in_other_motions_counts_for_nothing_once_the_set_is_wrong_here(
+    current: float, counts: bool
+) -> None:
+    other = known.PLAUSIBLE.copy()
+    other[known.index("k4")] *= 5.0
+    run, elsewhere = known.run(), known.run(other, current=current, seed=1)
+    running = ParameterSet(other, observable=np.ones(16, dtype=bool))
+    count = run.force.size
+    evidence = evidence_of(
+        running,
+        ParameterSet(known.PLAUSIBLE),
+        run.window,
+        validation_mask(count),
+        fresh=count,
+        elsewhere=(elsewhere.window,),
+    )
+    assert evidence.nrmse_before > GOOD_NRMSE
+    assert evidence.loses_elsewhere is counts
 
 
 def test_a_set_that_is_right_here_alone_loses_elsewhere() -> None:
