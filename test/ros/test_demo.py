@@ -20,7 +20,7 @@ def test_it_identifies_a_bag_and_draws_the_figures(tmp_path: Path) -> None:
     program = demo("--rate", "4", "--output", str(tmp_path))
     assert program.wait() == 0, program.log
     assert "accepted" in program.output
-    assert re.search(r"page of this run, while it lasts: http://127\.0\.0\.1:\d+/", program.output)
+    assert re.search(r"live page during this run: http://127\.0\.0\.1:\d+/", program.output)
     assert "NRMSE of the force predicted during the run" in program.output
     assert {path.suffix for path in tmp_path.iterdir()} == {".png"}
     program.close()

@@ -87,7 +87,7 @@ def test_a_source_of_another_package_comes_by_its_entry_point(
     assert bridge.stop() == 0, bridge.log
     # Those that are none are told, and hold up nothing.
     assert "the source broken cannot be loaded" in bridge.errors
-    assert "the source wrong is no Source" in bridge.errors
+    assert "the source wrong is not a Source" in bridge.errors
     bridge.close()
 
 

@@ -142,7 +142,7 @@ def test_the_output_is_on_only_while_the_node_is_active(
     listener.until(gives(server, 0.5), "the current")
     assert not change(listener, Transition.TRANSITION_CONFIGURE)
     assert not change(listener, 77)
-    assert "no transition number 77 from the state active" in node.log
+    assert "transition number 77 is not possible in the state active" in node.log
     assert gives(server, 0.5)()
     assert change(listener, Transition.TRANSITION_DEACTIVATE)
     assert server.instrument.is_off

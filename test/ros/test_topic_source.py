@@ -148,4 +148,4 @@ def test_a_field_that_is_not_in_the_messages_and_a_topic_of_nobody_are_told(
     start("bridge", **{**JOINTS, "topics__force_field": "effort[piston]"})
     listener.wait_for_finding("bridge: source", "nothing publishes /press/joints")
     Controller(listener)
-    listener.wait_for_finding("bridge: source", "hold no effort[piston] for the force")
+    listener.wait_for_finding("bridge: source", "have no field effort[piston] for the force")
