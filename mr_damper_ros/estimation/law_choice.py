@@ -232,9 +232,9 @@ def _folds_of_segments(windows: Sequence[Window]) -> list[Fold]:
     count = min(MOST_FOLDS, shortest // _SHORTEST_SEGMENT)
     if count < FEWEST_MOTIONS:
         raise ValueError(
-            f"a comparison of laws needs {MOST_FOLDS} runs, or runs without gaps of "
-            f"{FEWEST_MOTIONS * _SHORTEST_SEGMENT} samples; the shortest has {shortest}: give more "
-            "or longer runs, or name the law"
+            f"a comparison of laws needs {MOST_FOLDS} runs, or at least "
+            f"{FEWEST_MOTIONS * _SHORTEST_SEGMENT} samples without a gap in every run, but one has "
+            f"{shortest}: give more or longer runs, or name the law"
         )
     result = []
     for place in range(count):

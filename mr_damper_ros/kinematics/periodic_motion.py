@@ -69,15 +69,15 @@ class MotionKind(str, Enum):
 class PeriodicMotion:
     """A motion about zero that repeats, as a function of time.
 
-    ``amplitude`` [m] is its largest displacement.
+    ``amplitude`` [m] is the largest displacement. The motion is one of these:
 
     - A sine of ``frequency`` [Hz].
     - A swept sine. Its frequency changes as a cosine of time from ``frequency`` to
       ``highest_frequency`` and back within ``period`` [s]. The highest frequency is lowered
       slightly if necessary, so that the period holds whole cycles.
-    - Random motion: a sum of the multiples of 1/``period`` from ``frequency`` to
-      ``highest_frequency``, all with the same velocity amplitude. ``seed`` chooses their phases. It
-      repeats after the period ("random-phase multisine", Pintelon and Schoukens, "System
+    - Random motion: a sum of sines at all multiples of 1/``period`` from ``frequency`` to
+      ``highest_frequency``, with equal velocity amplitudes. ``seed`` chooses the phases. The
+      motion repeats after the period ("random-phase multisine", Pintelon and Schoukens, "System
       identification", 2012).
 
     Raises ValueError if a value is out of range, or if too few multiples lie within the band.

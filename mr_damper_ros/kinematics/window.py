@@ -270,7 +270,7 @@ class Window:
 
     @classmethod
     def of_sine(cls, peak_velocity: float, frequency: float, current: float) -> Window:
-        """One cycle of a sine ([m/s], [Hz]) at a current [A], with zero force, for any law."""
+        """One cycle of a sine (velocity [m/s], frequency [Hz]) at a current [A], without force."""
         sine = Sine(peak_velocity / (2.0 * np.pi * frequency), frequency, 0.0, 0.0, 0.0)
         count = _FEWER_PER_CYCLE
         period = 1.0 / (frequency * count)

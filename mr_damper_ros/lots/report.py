@@ -155,7 +155,7 @@ def _outliers(population: Population) -> _Part:
     shown = ", ".join(outlier.damper for outlier in found[:5])
     headline = shown + (f" and {len(found) - 5} more" if len(found) > 5 else "") or "none"
     if len(population.dampers) < LEAST_DAMPERS:
-        few = Text(f"In lots of fewer than {LEAST_DAMPERS} dampers, no outliers are flagged.")
+        few = Text(f"A lot of fewer than {LEAST_DAMPERS} dampers is too small to find outliers.")
         return headline, [few]
     rule = Text(
         f"An outlier is more than {population.limit:.1f} standard deviations of the lot, and more "

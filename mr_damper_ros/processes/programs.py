@@ -91,7 +91,7 @@ def _positive(text: str) -> int:
 def hosting(arguments: Sequence[str], *, shared_workers: bool = True) -> Hosting:
     """Parse the arguments of a program, without its name and the ROS arguments.
 
-    Raises ValueError, with a sentence, if the arguments are invalid.
+    Raises ValueError if the arguments are invalid.
     """
     parser = hosting_parser(shared_workers=shared_workers)
     options, rest = parser.parse_known_args(arguments)

@@ -141,9 +141,9 @@ def _joined(one: Span | None, other: Span | None) -> Span | None:
 def force_ratio(present: Array, whole: Array) -> float:
     """Force scale of the present set relative to the set for all operating points, (n,) [N].
 
-    The scale will be applied at another current, where the model error is different. It is
-    therefore moved towards 1, the more the less a single factor explains the difference between the
-    two forces.
+    The scale will be applied at another current, where the model error is different. The less a
+    single factor explains the difference between the two forces, the closer the scale is moved to
+    1.
     """
     power = float(whole @ whole)
     if not power > 0.0:

@@ -38,7 +38,7 @@ tolerances every window would be a new point."""
 
 MOST_SAMPLES = 500
 MOST_WINDOWS = 100
-"""At most this many windows are kept, one per operating point, thinned to this many samples."""
+"""Largest numbers of samples of a kept window, and of kept windows, one per operating point."""
 
 RECENT = MEMORY
 """Seconds for which an operating point counts as recent. A set must hold at all recent points."""

@@ -63,7 +63,7 @@ def test_nothing_is_judged_on_what_it_was_fitted_to() -> None:
 
 def test_too_little_to_leave_out_is_refused() -> None:
     short = run(damper("bingham"), "bingham", 5e-3, samples=500)
-    with pytest.raises(ValueError, match="needs 5 runs, or runs without gaps of 600"):
+    with pytest.raises(ValueError, match="needs 5 runs, or at least 600 samples without a gap"):
         folds([[short]])
 
 

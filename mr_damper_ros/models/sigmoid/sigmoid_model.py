@@ -125,10 +125,10 @@ class _Law(NamedTuple):
     def solve(
         self, table: CoefficientTable, values: Values, free: frozenset[str]
     ) -> tuple[Array, dict[str, float]]:
-        """Weighted misfit (s,) to the table with the free linear parameters solved for.
+        """Weighted misfit (s,) of s trials to the table, with the free linear parameters fitted.
 
-        ``values`` are numbers, or have shape (s, 1). Also returns the linear parameters of the last
-        trial.
+        ``values`` are numbers, or have shape (s, 1). Also returns the fitted linear parameters (of
+        the last trial).
         """
         constant, step = self._basis(table, values)
         parts = [constant, step] if self.gain in free else [constant + values[self.gain] * step]
@@ -368,7 +368,7 @@ class SigmoidModel(Model):
     def coefficient_gradient(
         self, parameters: Array, peak_velocity: float, current: float
     ) -> Array:
-        """Derivatives (7, p) of the coefficients with positive f_t."""
+        """Derivatives (7, p) of the coefficients by the parameters, for positive f_t."""
         sixteen = parameters[:SIGMOID_COUNT]
         gradient = coefficient_parameter_jacobian(sixteen, peak_velocity, current)[0]
         f_t = operating_point_coefficients(sixteen, peak_velocity, current).f_t
