@@ -13,8 +13,11 @@ from support import Listener
 
 POLICY = Path(__file__).parents[2] / "config" / "security" / "policy.xml"
 ROOT = Path(__file__).parents[2]
-NODES = (*("bridge", "campaign", "controller", "identifier", "live", "model", "replay", "supply"),)
-CONCERNS = {"bridge": "source", "replay": "replay", "supply": "supply"}
+NODES = (
+    *("bridge", "campaign", "controller", "identifier", "live", "model", "replay", "supply"),
+    "suspension",
+)
+CONCERNS = {"bridge": "source", "replay": "replay", "supply": "supply", "suspension": "force"}
 
 ACTION_TOPICS = ("feedback", "status")
 ACTION_SERVICES = ("cancel_goal", "get_result", "send_goal")
