@@ -5,7 +5,6 @@ Files may be of any size: only the numbers are kept in memory.
 
 from __future__ import annotations
 
-import codecs
 import csv
 import re
 from array import array
@@ -207,9 +206,8 @@ class TextFile:
     def _middle_row(self, skipped: int) -> str:
         """Description of a row in the middle of the file, as an example for a message."""
         middle = skipped + (self._row_count - skipped) // 2
-        for index, (line, fields) in enumerate(self._rows()):
-            if index == middle:
-                return f"its line {line} has {len(fields)} columns, '{'; '.join(fields)}'"
+        for line, fields in islice(self._rows(), middle, middle + 1):
+            return f"its line {line} has {len(fields)} columns, '{'; '.join(fields)}'"
         return "it is empty"
 
     def _filled_lines(self) -> Iterator[tuple[int, str]]:
@@ -256,14 +254,12 @@ def _encoding(path: Path) -> str:
             )
         if b"\0" in start:
             raise RecordError(f"{path.name} is not a text file: export it as text, CSV or MAT")
-        decoder = codecs.getincrementaldecoder("utf-8")()
-        try:
-            while start:
-                decoder.decode(start)
-                start = file.read(_CHUNK)
-            decoder.decode(b"", final=True)
-        except UnicodeDecodeError:
-            return "latin-1"
+    try:
+        with path.open(encoding="utf-8") as text:
+            while text.read(_CHUNK):
+                pass
+    except UnicodeDecodeError:
+        return "latin-1"
     return "utf-8-sig"
 
 
@@ -284,13 +280,9 @@ def _separator(sample: Sequence[str]) -> str:
 
 def _numbers(fields: list[str], cells: Sequence[Cell]) -> list[float] | None:
     """The numbers in the cells of a row; None if one is missing."""
-    numbers: list[float] = []
-    for position, read in cells:
-        number = read(fields[position]) if position < len(fields) else None
-        if number is None:
-            return None
-        numbers.append(number)
-    return numbers
+    found = [read(fields[p]) if p < len(fields) else None for p, read in cells]
+    numbers = [number for number in found if number is not None]
+    return numbers if len(numbers) == len(cells) else None
 
 
 def _unreadable(name: str, line: int, fields: list[str], cells: Sequence[Cell]) -> str:

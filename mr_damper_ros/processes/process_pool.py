@@ -39,7 +39,7 @@ present result soon."""
 Listen = Callable[[int, Any], bool]
 """Receives the index of a task and its progress; returning False stops all tasks."""
 
-_PATIENCE = 0.01
+_PATIENCE = 0.005
 """Seconds between two polls of the processes."""
 
 _LOADED = "scipy.linalg"
