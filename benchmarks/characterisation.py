@@ -31,7 +31,7 @@ from mr_damper_ros.models.parameter_set import ParameterSet
 from mr_damper_ros.processes.files import write_text
 from mr_damper_ros.signals.recording import Recording
 from mr_damper_ros.tracking.engine import EngineSettings
-from studies import earthquake, recordings
+from studies import recordings
 
 KEPT = Path(__file__).with_suffix(".json")
 
@@ -87,7 +87,9 @@ def streams() -> dict[str, Callable[[], Said]]:
         for law in ("sigmoid_lag", "series_springs"):
             for number in (0, 2, 4, 7):
                 found[f"raw record {number} by {law}"] = partial(_record, raw_records, number, law)
-            found[f"earthquake by {law}"] = partial(_record, earthquake.unsmoothed_records, 1, law)
+            found[f"earthquake by {law}"] = partial(
+                _record, recordings.unsmoothed_earthquakes, 1, law
+            )
     return found
 
 

@@ -40,7 +40,7 @@ from mr_damper_ros.tracking.reports import Report
 from mr_damper_ros.tracking.tracker import TrackerSettings, WindowTracker
 from mr_damper_ros.tracking.window_assembler import RawWindow, WindowSettings
 from studies import recordings
-from studies.thesis.published_runs import PHASE
+from studies.thesis.runs import PHASE
 
 WINDOW, HOP = WindowSettings.window, WindowSettings.hop
 """Defaults of the identifier node [s]."""

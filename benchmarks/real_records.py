@@ -24,7 +24,7 @@ from mr_damper_ros.signals.blocks import NANOSECONDS
 from mr_damper_ros.signals.recording import Recording
 from mr_damper_ros.tracking.acceptance import Verdict
 from mr_damper_ros.tracking.engine import EngineSettings
-from studies import earthquake, recordings
+from studies import recordings
 
 LAWS = ("sigmoid", EXTENDED_MODEL)
 
@@ -96,7 +96,7 @@ def cold_start_figures() -> Measured:
     place = recordings.folder()
     if place is None:
         return _unmeasured("cold_start_windows", "cold_start_largest_force")
-    begins = [_begin_of(record) for record in earthquake.unsmoothed_records(place)]
+    begins = [_begin_of(record) for record in recordings.unsmoothed_earthquakes(place)]
     found = [_windows_until_good(record, law) for law in LAWS for record in begins]
     return {
         "cold_start_windows": [count for count, _ in found],
@@ -118,7 +118,7 @@ def _worst_jump(records: Iterable[Recording], parameters: ParameterSet) -> tuple
     """Largest step of the predicted force over that of the measured force, and the record name."""
     return max(
         (
-            _largest_step(earthquake.predicted(record, parameters, identify=False), record.period)
+            _largest_step(recordings.predicted(record, parameters, identify=False), record.period)
             / _largest_step(record.force, record.period),
             record.name,
         )
@@ -133,10 +133,10 @@ def jump_figures(laws: Sequence[str] = LAWS) -> Measured:
         return _unmeasured("reversal_jump", "reversal_jump_smoothed")
     rough, smoothed = [], []
     for law in laws:
-        known = earthquake.sinusoid_set(place, law)
+        known = recordings.sinusoid_set(place, law)
         rough += [
             _worst_jump(records, known)
-            for records in (raw_records(place), earthquake.unsmoothed_records(place))
+            for records in (raw_records(place), recordings.unsmoothed_earthquakes(place))
         ]
         smoothed.append(_worst_jump(recordings.processed_records(place), known))
     return {

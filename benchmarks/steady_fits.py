@@ -56,7 +56,7 @@ from mr_damper_ros.models.sigmoid.sigmoid_model import shape_bounds
 from mr_damper_ros.signals.arrays import Array
 from mr_damper_ros.signals.recording import Recording
 from studies.recordings import window_of
-from studies.thesis.published_runs import DISPLACEMENT_NOISE, PHASE, synthesise
+from studies.thesis.runs import DISPLACEMENT_NOISE, PHASE, synthesise
 from studies.thesis.searches import fminsearch
 
 _LAW = MODELS["sigmoid"]
@@ -66,7 +66,7 @@ def steady_window(parameters: Array, condition: Condition, *, samples: int, seed
     """Steady run of a damper of known parameters (16,) in a condition, at 1 kHz.
 
     The force has the noise of the thesis, the displacement that of
-    :mod:`studies.thesis.published_runs`.
+    :mod:`studies.thesis.runs`.
     """
     rig = EmulatedRig(
         EmulatedDamper(parameters),

@@ -11,7 +11,7 @@ from mr_damper_ros.io.bag_writer import write_bag
 from mr_damper_ros.models.published import CONDITIONS, ERRATA, Condition, find, is_clean
 from mr_damper_ros.tools.console import run_tool
 from studies.program import say
-from studies.thesis.published_runs import recording_name, synthesise
+from studies.thesis.runs import recording_name, synthesise
 
 
 def main(arguments: Sequence[str]) -> int:

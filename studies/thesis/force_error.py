@@ -21,8 +21,7 @@ from studies.drawing import line
 from studies.program import Campaign
 from studies.thesis import facts
 from studies.thesis.compared import Compared, comparison
-from studies.thesis.published_runs import DISPLACEMENT_NOISE
-from studies.thesis.runs import recording, window
+from studies.thesis.runs import DISPLACEMENT_NOISE, recording, window
 from studies.thesis.searches import fminsearch
 
 CONDITION = "2.5mm_1Hz_0.0A"

@@ -22,7 +22,7 @@ from studies.thesis import (
     repeated,
     sensitivity,
 )
-from studies.thesis.published_runs import PROVENANCE
+from studies.thesis.runs import PROVENANCE
 
 
 def _part(name: str, title: str, section: ModuleType) -> Callable[[Campaign], Part]:

@@ -6,7 +6,7 @@ import math
 from dataclasses import dataclass
 
 from mr_damper_ros.models import MODELS
-from studies import earthquake
+from studies import recordings
 from studies.program import Campaign
 
 
@@ -23,7 +23,7 @@ class Extent:
     laws: tuple[str, ...] = tuple(MODELS)
     online: tuple[str, ...] = tuple(MODELS)
     every: int = 1
-    currents: tuple[float, ...] = earthquake.CURRENTS
+    currents: tuple[float, ...] = recordings.EARTHQUAKE_CURRENTS
     longest: float = math.inf
     count: int = 8192
     steps: int = 20

@@ -20,7 +20,7 @@ from mr_damper_ros.models.parameter_set import ParameterSet
 from mr_damper_ros.processes.files import json_ready
 from mr_damper_ros.report import document
 from mr_damper_ros.report.document import GREY, INK, MARKS, Cell, Chapter, Picture, Table, Text
-from studies import earthquake, recordings
+from studies import recordings
 from studies.drawing import draw_rows, line, name_rows
 from studies.program import Campaign, Part, Task
 from studies.truth.extent import extent_of
@@ -94,13 +94,13 @@ def judge_earthquake(
     ``follows`` says whether the identifier runs. Returns the ``fit`` [%] and ``series`` (3, n):
     time [s], measured and predicted force [N] of some samples.
     """
-    record = earthquake.unsmoothed_records(utfsm)[earthquake.CURRENTS.index(current)]
+    record = recordings.unsmoothed_earthquakes(utfsm)[recordings.EARTHQUAKE_CURRENTS.index(current)]
     if longest < record.force.size * record.period:
         record = recordings.cut(record, slice(0, round(longest / record.period)))
-    force = earthquake.predicted(record, known, identify=follows)
+    force = recordings.predicted(record, known, identify=follows)
     passed = record.period * np.arange(force.size)
     series = np.stack([passed, record.force, force])[:, ::_SHOWN_EVERY]
-    return {"fit": earthquake.fit_percent(record, force), "series": series}
+    return {"fit": recordings.fit_percent(record, force), "series": series}
 
 
 def microseconds_per_sample(found: ParameterSet, window: Window) -> float:

@@ -25,7 +25,7 @@ from mr_damper_ros.models.published import (
 )
 from mr_damper_ros.models.sigmoid.law import sine_force
 from studies.thesis import bags as thesis_bags
-from studies.thesis.published_runs import PHASE, synthesise
+from studies.thesis.runs import PHASE, synthesise
 
 
 def test_a_run_is_the_published_force_with_the_published_noise() -> None:

@@ -19,7 +19,7 @@ from mr_damper_ros.report.document import (
 )
 from studies.program import Campaign
 from studies.thesis import facts, identifiability, one_set, optimisers, sensitivity
-from studies.thesis.optimiser_methods import available
+from studies.thesis.optimisers import available
 
 
 @pytest.mark.parametrize("method", available())

@@ -27,7 +27,7 @@ from mr_damper_ros.models.published import CONDITIONS, LITERATURE, is_clean
 from mr_damper_ros.models.sigmoid.following import without_extension
 from mr_damper_ros.tools import identify, validate
 from mr_damper_ros.tools.console import ProgressLine
-from studies.thesis.published_runs import synthesise
+from studies.thesis.runs import synthesise
 
 BAGS = Path(__file__).parents[2] / "bags"
 ONE_RUN = BAGS / "5.0mm_1Hz_1.5A"

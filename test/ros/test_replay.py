@@ -32,7 +32,7 @@ from mr_damper_ros.io.bag_writer import write_bag
 from mr_damper_ros.models.published import find
 from mr_damper_ros.nodes import quality
 from mr_damper_ros.nodes.messages import to_nanoseconds
-from studies.thesis import published_runs as thesis
+from studies.thesis import runs as thesis
 
 BAG = Path(__file__).parents[2] / "bags" / "5.0mm_1Hz_1.5A"
 SAMPLES = "/mts/samples"
