@@ -223,11 +223,17 @@ class Model(ABC):
         ``current`` [A] is a number or has shape (n,). Raises ValueError if the number of parameters
         is wrong or the period is not positive.
         """
-        return self.stream(period).follow(parameters, motion, current)
-
-    def stream(self, period: float) -> ForceStream:
-        """A stream for samples ``period`` [s] apart; raises ValueError like :meth:`force`."""
-        return ForceStream(self, period)
+        values = np.asarray(parameters, dtype=float)
+        if values.shape[-1:] != (len(self.parameters),):
+            raise ValueError(
+                f"model '{self.name}' has {len(self.parameters)} parameters "
+                f"({', '.join(self.parameter_names)}): got shape {values.shape}"
+            )
+        if not period > 0.0:
+            raise ValueError(f"the sample period is {period} s: it must be positive")
+        amperes = np.broadcast_to(np.asarray(current, dtype=float), motion.velocity.shape)
+        with np.errstate(over="ignore", invalid="ignore"):
+            return self.follow(values, motion, amperes, period, None)[0]
 
     # A set may hold any finite values. An overflow, here and below, gives a large misfit.
     @as_machine_code()
@@ -475,34 +481,3 @@ class CurrentResponse(ABC):
         return lambda current: float(
             self.forces([sample], np.array([current]), period, state)[0, 0]
         )
-
-
-class ForceStream:
-    """Force of a continuing motion; the result does not depend on the division into blocks."""
-
-    def __init__(self, model: Model, period: float) -> None:
-        if not period > 0.0:
-            raise ValueError(f"the sample period is {period} s: it must be positive")
-        self._model = model
-        self._period = period
-        self._state: State | None = None
-
-    def follow(self, parameters: ArrayLike, motion: Motion, current: ArrayLike) -> Array:
-        """Force [N] of the next samples, shape (..., n), for parameters of shape (..., p).
-
-        ``current`` [A] is a number or has shape (n,). The state continues when the parameters
-        change. Raises ValueError if the number of parameters is wrong.
-        """
-        values = np.asarray(parameters, dtype=float)
-        count = len(self._model.parameters)
-        if values.shape[-1:] != (count,):
-            raise ValueError(
-                f"model '{self._model.name}' has {count} parameters "
-                f"({', '.join(self._model.parameter_names)}): got shape {values.shape}"
-            )
-        amperes = np.broadcast_to(np.asarray(current, dtype=float), motion.velocity.shape)
-        with np.errstate(over="ignore", invalid="ignore"):
-            force, self._state = self._model.follow(
-                values, motion, amperes, self._period, self._state
-            )
-        return force

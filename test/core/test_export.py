@@ -167,14 +167,16 @@ def expected_stream(law: ExportedLaw, displacement: Array, current: Array, centr
     period = law.settings.period
     observer = CausalDifferentiator(period, law.settings.bandwidth)
     peak = PeakVelocity(period, MEMORY)
-    stream = law.parameters.law.continuous.stream(period)
-    forces = []
+    state, forces = None, []
     for place in range(displacement.size):
         here = slice(place, place + 1)
         u, v, a = observer.follow(displacement[here])
         v_m = peak.follow(v, a) if observer.settled else np.abs(v)
         motion = Motion(u - centre, v, a, v_m, None).held_within(*law.held)
-        forces.append(stream.follow(law.parameters.values, motion, current[here]))
+        found, state = law.parameters.law.continuous.follow(
+            law.parameters.values, motion, current[here], period, state
+        )
+        forces.append(found)
     return np.concatenate(forces)
 
 

@@ -93,8 +93,7 @@ def test_the_law_without_jumps_is_inverted_along_a_motion(name):
         sine=None,
     )
     found, _ = inverse.follow(motion, 4000.0 * motion.velocity, PERIOD)
-    stream = inverse.law.stream(PERIOD)
-    force = stream.follow(inverse.values, motion, found.current)
+    force = inverse.law.force(inverse.values, motion, found.current, PERIOD)
     np.testing.assert_allclose(force, found.force, rtol=1e-9, atol=ROUNDING)
     got = found.attainable
     assert got.mean() > 0.3

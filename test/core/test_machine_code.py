@@ -91,7 +91,7 @@ from mr_damper_ros.kinematics.motion import Motion
 for name in ("series_springs", "bouc_wen", "modified_bouc_wen"):
     model = MODELS[name]
     motion = Motion(*(np.linspace(0.0, 0.1, 3000) for _ in range(4)), sine=None)
-    model.stream(1e-3).follow(model.initial_values()[0], motion, 1.0)
+    model.force(model.initial_values()[0], motion, 1.0, 1e-3)
 print("numba" in sys.modules)
 """
     assert alone(code).strip() == "False"

@@ -92,11 +92,12 @@ def test_the_force_does_not_depend_on_how_the_motion_is_cut_into_blocks(model, s
         values[-1] = coil
     # A current that changes within blocks makes the lag change too.
     current = np.where(np.arange(400) // 37 % 2, 0.5, 1.5)
-    stream = model.stream(5e-3)
-    parts, first, place = [], 0, 0
+    state, parts, first, place = None, [], 0, 0
     while first < 400:
         last = first + sizes[place % len(sizes)]
-        parts.append(stream.follow(values, cut(w, first, last), current[first:last]))
+        part = cut(w, first, last)
+        force, state = model.follow(values, part, current[first:last], 5e-3, state)
+        parts.append(force)
         first, place = last, place + 1
     whole = model.force(values, w, current, 5e-3)
     np.testing.assert_allclose(np.concatenate(parts), whole, rtol=0.0, atol=ROUNDING)

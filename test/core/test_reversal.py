@@ -96,7 +96,7 @@ SMEARED = 0.65
 def force(*, gradual: bool) -> Array:
     """The force of a cycle of the damper [N], if it turns so."""
     law = SET.law.continuous if gradual else SET.law
-    return law.stream(RUN.period).follow(SET.values, MOTION, np.full(CYCLE, CURRENT))
+    return law.force(SET.values, MOTION, CURRENT, RUN.period)
 
 
 JUMPING, GRADUAL = force(gradual=False), force(gradual=True)
