@@ -7,7 +7,6 @@ the set states, and of the force of its law over its stated range.
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
 
 import numpy as np
 
@@ -42,72 +41,66 @@ _SAMPLES = 32
 
 
 def check_plausible(parameters: ParameterSet) -> ParameterSet:
-    """Return the set if it is plausible for a damper over its stated range.
+    """Return the set if it is plausible; raises ParameterError with :func:`implausible`."""
+    reason = implausible(parameters)
+    if reason:
+        raise ParameterError(reason)
+    return parameters
+
+
+def implausible(parameters: ParameterSet) -> str:
+    """Why a set is not plausible for a damper over its stated range; empty if it is plausible.
 
     The force is computed over cycles at the smallest, middle and largest peak velocity and current
     of the range. It must be dissipative, and must exceed neither the physical limit nor three times
     the largest force of the identification. For an unbounded range, some typical values are
     checked, and one of them must be plausible.
-
-    Raises ParameterError if the set is not plausible.
     """
     if not (math.isnan(parameters.nrmse) or 0.0 <= parameters.nrmse <= LARGEST_NRMSE):
-        raise ParameterError(
+        return (
             f"the parameters state an nrmse of {parameters.nrmse:.3g}, but it must be between 0 "
             f"and {LARGEST_NRMSE:g}: identify the damper again"
         )
-    speeds = _places(parameters.peak_velocity_range, _USUAL_SPEEDS, least=0.0)
-    currents = _places(parameters.current_range, _USUAL_CURRENTS)
     reason = ""
     for frequency in _FREQUENCIES:
-        reason = _doubt(parameters, speeds, currents, frequency)
+        reason = _implausible_at(parameters, frequency)
         if not reason:
-            return parameters
-    raise ParameterError(reason)
+            break
+    return reason
 
 
-def implausible(parameters: ParameterSet) -> str:
-    """Why a set is not plausible, in a sentence; empty if it is plausible."""
-    try:
-        check_plausible(parameters)
-    except ParameterError as error:
-        return str(error)
-    return ""
-
-
-class _Places(NamedTuple):
-    """Values at which a law is checked, and whether it must be plausible at all of them."""
-
-    values: Array
-    all_count: bool
-
-
-def _places(
+def _points(
     stated: tuple[float, float], usual: tuple[float, ...], least: float = -math.inf
-) -> _Places:
+) -> tuple[Array, bool]:
+    """Values at which a law is checked, and whether it must be plausible at all of them."""
     low, high = stated
     if not (math.isfinite(low) and math.isfinite(high)) or high <= least:
-        return _Places(np.array(usual), all_count=False)
+        return np.array(usual), False
     low = max(low, least)
-    return _Places(np.unique([low, 0.5 * low + 0.5 * high, high]), all_count=True)
+    return np.unique([low, 0.5 * low + 0.5 * high, high]), True
 
 
-def _doubt(parameters: ParameterSet, speeds: _Places, currents: _Places, frequency: float) -> str:
+def _implausible_at(parameters: ParameterSet, frequency: float) -> str:
     """Why the law is not plausible at this frequency [Hz]; empty if it is."""
-    peaks, works, most = _cycles(parameters, speeds.values, currents.values, frequency)
+    speeds, all_speeds = _points(parameters.peak_velocity_range, _USUAL_SPEEDS, least=0.0)
+    currents, all_currents = _points(parameters.current_range, _USUAL_CURRENTS)
+    peaks, works, most = _cycles(parameters, speeds, currents, frequency)
+
+    def everywhere(sound: np.ndarray) -> bool:
+        at_currents = sound.all(axis=0) if all_speeds else sound.any(axis=0)
+        return bool(at_currents.all() if all_currents else at_currents.any())
+
     known = parameters.largest_force > 0.0
     limit = min(_EXCESS * parameters.largest_force, LARGEST_FORCE) if known else LARGEST_FORCE
-    with np.errstate(invalid="ignore"):
+    with np.errstate(all="ignore"):
         sizes = peaks <= limit
+        if all_speeds:
+            # A law for random motion may be inaccurate at low speed, so the work is summed.
+            works, most = (np.sum(each, axis=0, keepdims=True) for each in (works, most))
         damping = works >= -_LARGEST_RETURN * most
-    if speeds.all_count:
-        # A law for random motion may be inaccurate at low speed, so the work is summed over speeds.
-        with np.errstate(all="ignore"):
-            damping[:] = np.sum(works, axis=0) >= -_LARGEST_RETURN * np.sum(most, axis=0)
-    sound = _everywhere(sizes & damping, speeds, currents)
-    if sound:
+    if everywhere(sizes & damping):
         return ""
-    if not _everywhere(sizes, speeds, currents):
+    if not everywhere(sizes):
         largest = float(np.max(np.where(np.isfinite(peaks), peaks, math.inf)))
         return (
             f"within their range the parameters give a force of {largest:.3g} N, more than the "
@@ -117,12 +110,6 @@ def _doubt(parameters: ParameterSet, speeds: _Places, currents: _Places, frequen
         "within their range the parameters give a force that is not dissipative: were the signs "
         "of force and displacement right during the identification?"
     )
-
-
-def _everywhere(sound: np.ndarray, speeds: _Places, currents: _Places) -> bool:
-    """Whether the checks hold at all points; for an unbounded range one point is enough."""
-    of_currents = sound.all(axis=0) if speeds.all_count else sound.any(axis=0)
-    return bool(of_currents.all() if currents.all_count else of_currents.any())
 
 
 def _cycles(
