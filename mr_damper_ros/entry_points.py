@@ -1,9 +1,9 @@
 """Entry points of the programs; they handle stop signals from the beginning.
 
-Loading rclpy and SciPy takes a second or two. A stop signal during this time ends the program as it
-does later: a node exits with code 0, a tool prints a message, and neither prints a traceback. The
-installed programs block the signals while Python itself starts (see setup.py). After the program
-has ended, the signals are ignored.
+Loading rclpy and SciPy takes a second or two. A stop signal during this time has the usual effect:
+a node exits with code 0, a tool prints a message, and neither prints a traceback. The installed
+programs block the signals while Python itself starts (see setup.py). After the program has ended,
+the signals are ignored.
 
 SciPy takes most of the loading time. A killed node should restart quickly, so the modules of a node
 import SciPy only inside the functions that use it. The identifier's worker loads SciPy before its
@@ -27,9 +27,10 @@ _WORK = {
     "identifier": "scipy.optimize mr_damper_ros.tracking.jobs",
     "campaign": "scipy.optimize mr_damper_ros.campaign.course",
 }
-"""Modules that the worker of each node loads before its first task, outside its time.
+"""Modules that the worker of each node loads before the time budget of its first task starts.
 
-Of SciPy it loads only the part that most tasks need, so that a killed worker restarts quickly.
+The worker loads only the part of SciPy that most tasks need, so that a killed worker restarts
+quickly.
 """
 
 _SIGNALS = (signal.SIGINT, signal.SIGTERM)

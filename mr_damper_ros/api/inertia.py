@@ -42,7 +42,7 @@ def _less(window: Window, mass: float) -> Window:
 
 def fitted_mass(fit: GlobalFit, windows: Sequence[Window]) -> Estimate:
     """The mass [kg], by least squares together with the observable parameters of the law."""
-    from scipy.optimize import least_squares  # here: see mr_damper_ros.entry_points
+    from scipy.optimize import least_squares  # late: see mr_damper_ros.entry_points
 
     found = fit.parameter_set
     few = [window.thinned(_SAMPLES // len(windows)) for window in windows]

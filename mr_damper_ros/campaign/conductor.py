@@ -174,7 +174,7 @@ class CampaignConductor:
 
     @property
     def command(self) -> MachineCommand | None:
-        """The command for the machine; None without a campaign, or with an operator."""
+        """The command for the machine; None without a campaign, or if an operator sets it."""
         if self._course is None or self._settings.manual:
             return None
         return REST if self._driver is None else self._driver.command

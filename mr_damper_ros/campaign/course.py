@@ -197,8 +197,8 @@ class CampaignCourse:
     def add_recording(self, recording: Recording, made: PlannedRun | None = None) -> str:
         """Add a recording of the next run; returns the reason to reject it, or empty.
 
-        ``made``: the run that was made, if it differs. A run that is rejected twice ends the
-        campaign; nothing is lost. Raises OSError.
+        ``made``: the run that was made, if it differs from ``next_run``. A run that is rejected
+        twice ends the campaign; nothing is lost. Raises OSError.
         """
         run = made or self.next_run
         assert run is not None, "there is no run to make now"

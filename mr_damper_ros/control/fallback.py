@@ -3,7 +3,7 @@
 During fallback, the current does not jump and does not move away from the safe current. At first,
 it stays constant or moves slowly towards the safe current. After ``doubt_time`` of invalid force,
 minus the time of valid force, it goes to the safe current. Control returns after the same time of
-valid force. If control is lost again soon, this wait doubles; without this rule, a force that is
+valid force. If control is lost again soon, this time doubles; without this rule, a force that is
 valid only at the safe current would switch control on and off for ever.
 """
 

@@ -346,8 +346,8 @@ class ForceController:
         """The command without a valid force."""
         self._feedback.expect(math.nan)
         safe = self.settings.fallback.safe_current
-        # With a lagging coil, the command overshoots the setpoint of the coil current. The one of
-        # the two that is closer to the safe current is held.
+        # With a lagging coil, the command overshoots the setpoint of the coil current. Of these
+        # two, the one closer to the safe current is held.
         held = self._commanded if self._wanted is None else self._wanted
         held = min(held, self._commanded, key=lambda current: abs(current - safe))
         if self._inverse is not None:
@@ -460,8 +460,8 @@ class _Inverse:
             responses.append(self._model.at(sample.moved_on(later), period=later, state=memory))
         found = self._model.current(responses[_MIDDLE], wanted, last)
         currents = found.current, self._lowest, self._lowest if last is None else last
-        # Just before a reversal, a current that is right now is wrong a little later, and the coil
-        # cannot follow. Therefore each candidate is judged at several times.
+        # Just before a reversal, a suitable current soon becomes wrong, and the coil cannot follow.
+        # Therefore each candidate is judged at several times.
         forces = [[response.force(current) for response in responses] for current in currents]
         # The desired force is limited to the range of the candidates, because their errors relative
         # to a far larger force would be almost equal.

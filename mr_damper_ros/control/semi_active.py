@@ -33,7 +33,7 @@ def regulator_gain(
     The cost is the integral of ``weights`` (k,) times the squared outputs, ``outputs`` (k, n) x +
     ``direct`` (k,) F, plus ``effort`` F².
     """
-    from scipy.linalg import solve_continuous_are  # here: see mr_damper_ros.entry_points
+    from scipy.linalg import solve_continuous_are  # late: see mr_damper_ros.entry_points
 
     states = outputs.T @ (weights[:, np.newaxis] * outputs)
     crossed = (outputs.T @ (weights * direct))[:, np.newaxis]

@@ -50,8 +50,9 @@ def triangular_factor(matrix: Array) -> Array:
     """Factor R (min(n, p), p) of the QR decomposition of a matrix (n, p), up to signs of rows.
 
     R has the same singular values and right singular vectors as the matrix. A long matrix is
-    factorised in chunks, and then their stacked factors; for 200 000 rows this is four times as
-    fast (Demmel, Grigori, Hoemmen and Langou, SIAM Journal on Scientific Computing 34, 2012).
+    factorised in chunks, then the stacked factors of the chunks; for 200 000 rows this is four
+    times as fast (Demmel, Grigori, Hoemmen and Langou, SIAM Journal on Scientific Computing 34,
+    2012).
     """
     if matrix.shape[0] > _CHUNK:
         chunks = np.array_split(matrix, math.ceil(matrix.shape[0] / _CHUNK))
@@ -396,7 +397,7 @@ def motion_numbers(windows: Sequence[Window]) -> np.ndarray:
 
 
 def _numbers(sizes: Array) -> np.ndarray:
-    """A number (k,) for each row (k, n), which rows share that differ by less than 1 everywhere."""
+    """A number (k,) for each row (k, n); rows that differ by less than 1 everywhere share it."""
     seen: list[Array] = []
     numbers = []
     for size in sizes:

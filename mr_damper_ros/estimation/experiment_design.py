@@ -125,9 +125,9 @@ class PointErrors:
 
     ``worst`` is the median and ``bound`` the 95 % quantile (NaN: unknown) of the worst error over
     all points and phases. If the errors at many points are independent, ``worst`` exceeds every
-    standard error. If they are proportional, because one direction of the parameters dominates, it
-    may be as low as 0.67 of the largest standard error. All include the model error, which is
-    ``model_error`` at the worst point.
+    standard error. If the errors are proportional, because one direction of the parameters
+    dominates, ``worst`` may be as low as 0.67 of the largest of them. All include the model error,
+    which is ``model_error`` at the worst point.
     """
 
     points: Sequence[tuple[float, float]]
@@ -426,7 +426,7 @@ class RunPlanner:
         """The prior for any damper before the first run, centred on ``parameters`` (p,).
 
         A shape parameter has the scatter of plausible values. The standard deviation of a scale
-        parameter is its own size, or the change that changes the force by a tenth if that is more.
+        parameter is the larger of its own size and the change that alters the force by a tenth.
         """
         rng = np.random.default_rng(0)
         draws = [self.model.draw_shape(rng, *self._top) for _ in range(_DRAWS)]

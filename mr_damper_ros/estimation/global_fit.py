@@ -37,7 +37,7 @@ _MOST_ROUNDS = 3
 """Largest number of updates of the sample count that sets the weight of the record levels."""
 
 _SETTLED = 0.3
-"""The updates end when the logarithm of this count changes by less."""
+"""The updates end when the logarithm of this count changes by less than this."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -129,15 +129,16 @@ def identify_global(
     """Identify one parameter set from all windows.
 
     ``start`` (p,) holds the values that undetermined parameters keep. If the windows cannot be
-    fitted with this value, the parameter gets the value of :meth:`Model.without_dependence`. A
+    fitted with such a value, the parameter gets the value of :meth:`Model.without_dependence`. A
     parameter that would leave its bounds is held at the bound and counts as undetermined.
     ``method``: "global" is described in :mod:`global_search`; "nelder_mead" and "least_squares"
-    search on the samples, starting from its laws of the coefficients; "differential_evolution"
-    searches on the samples over all free parameters at once, like the thesis. ``report`` receives
-    the progress and may stop the search, which then returns the best set so far with ``success``
-    False. ``known`` (p,): the result of an earlier search, used as an additional start. ``levels``:
-    each record has its own gain and offset. A search without levels then comes first, because the
-    weight of their prior follows from the residual of an approximate set.
+    search on the samples, starting from the laws of the coefficients of that module;
+    "differential_evolution" searches on the samples over all free parameters at once, like the
+    thesis. ``report`` receives the progress and may stop the search, which then returns the best
+    set so far with ``success`` False. ``known`` (p,): the result of an earlier search, used as an
+    additional start. ``levels``: each record has its own gain and offset. A search without levels
+    then comes first, because the weight of their prior follows from the residual of an approximate
+    set.
 
     Raises DataError if there are no windows or a force is constant, ValueError for an unknown
     method.

@@ -150,8 +150,8 @@ class Posterior:
 
 _SEARCH_SAMPLES = 8000
 FEW_SAMPLES = 250
-"""A search thins the windows to this total number of samples or steps, or represents each window by
-the second number. The last search uses all samples."""
+"""A search thins the windows: to the first number of samples or steps in total or, if that is more,
+to the second number per window. The last search uses all samples."""
 
 _PIECE = 600
 """Length of a piece of a window in steps, for a law with memory. A piece holds about three cycles,

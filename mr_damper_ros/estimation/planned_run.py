@@ -282,7 +282,7 @@ def first_run(goal: ForceGoal, limits: MachineLimits) -> PlannedRun:
     if not runs:
         raise ValueError(
             f"a run of {limits.duration:g} s at a peak velocity of {goal.peak_velocity[0]:g} m/s "
-            "does not hold a cycle: allow longer runs"
+            "is shorter than a cycle: allow longer runs"
         )
     return max(runs, key=lambda run: len(run.currents))
 

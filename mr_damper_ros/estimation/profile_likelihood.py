@@ -66,9 +66,9 @@ class Profile:
     """The profile likelihood of parameter ``name``.
 
     ``ratio`` (m,): twice the decrease of the log-likelihood at the increasing ``values`` (m,). At
-    the true value it is chi-squared with one degree of freedom. ``best``: the value at the minimum;
-    ``lowest`` (p,): all parameters there. ``interval``: the values that are not rejected at 95 %
-    confidence, infinite on a side without a bound within the plausible range.
+    the true value, the ratio is chi-squared with one degree of freedom. ``best``: the value at the
+    minimum; ``lowest`` (p,): all parameters there. ``interval``: the values that are not rejected
+    at 95 % confidence, infinite on a side without a bound within the plausible range.
     """
 
     name: str

@@ -8,12 +8,12 @@ not depend on the current: an offset that grows with the force belongs to the da
 part of the law. The problem is linear in s and z, so they are integrated out: the search minimises
 the misfit at their most probable values, with the prior included (a linear mixed model: Laird and
 Ware, Biometrics 38, 1982). Let r be the residual and X = U S V' the effect of gain and offset in
-units of their standard deviations. Then only U'r is reduced, by the factor 1 / sqrt(1 + S²). It
-gets two rows of its own after the rows of the record, so that each record counts as one draw in the
-standard errors.
+units of their standard deviations. Then only U'r is reduced, by the factor 1 / sqrt(1 + S²). The
+reduced part gets two rows after the rows of the record, so that each record counts as one draw in
+the standard errors.
 
 Thousands of samples with the same model error contain no more information about gain and offset
-than a few samples. If all of them counted, they would outweigh any prior, and gain and offset would
+than a few samples. If all samples counted, they would outweigh any prior, and gain and offset would
 take any value that reduces the misfit, even one that makes the law a fraction of the damper's
 force. The weight of the prior therefore follows from the variance of the misfit times its
 correlation length (:func:`counted_samples`), for an approximate set from a search without record

@@ -55,7 +55,7 @@ def read_bag(path: str | Path, *, maximum_samples: int = MAXIMUM_SAMPLES) -> lis
     """
     with opened_bag(path, maximum_samples) as bag:
         # Consecutive blocks, with the number of earlier jumps back in time. The held current from a
-        # stamp [ns] on until the next such jump: a bag of a looped replay has several.
+        # stamp [ns] on until the next such jump: a bag of a looped replay has several jumps.
         segments: list[tuple[int, list[SampleBlock]]] = []
         rounds: list[tuple[int, ZeroOrderHold]] = []
         celsius: list[TemperatureReading] = []

@@ -221,7 +221,7 @@ def _limit_memory(size: int) -> None:
 
 def _matrices(file: BinaryIO, variable: str | None, most_samples: int) -> list[Group]:
     """The real numeric matrices; their samples may be rows or columns."""
-    from scipy.io import loadmat  # here: see mr_damper_ros.entry_points
+    from scipy.io import loadmat  # late: see mr_damper_ros.entry_points
 
     groups = []
     for name, value in loadmat(file).items():

@@ -24,12 +24,12 @@ from mr_damper_ros.kinematics.peak_velocity import PeakVelocity
 from mr_damper_ros.signals.arrays import Array, RollingRows
 
 _CYCLES = 1.5
-"""Longest fit in cycles; the first fit takes one. A longer fit averages more; a shorter one adapts
-sooner."""
+"""Longest fit in cycles; the first fit covers one cycle. A longer fit averages more; a shorter one
+adapts sooner."""
 
 _POINTS = 256
 """The fit uses about this many samples, thinned by a constant stride, so that its cost does not
-depend on the sample rate. The noise is estimated from the newest samples, as many as this."""
+depend on the sample rate. The noise is estimated from the same number of newest samples."""
 
 _FITS_PER_CYCLE = 25
 """Number of fits per cycle. More fits would not follow a steady sine better, and with small blocks
@@ -164,8 +164,8 @@ _SHORTEST = 0.1
 """Shortest rest [s]; noise and the delay of an observer may look like shorter ones."""
 
 _SLOW, _SLOW_DWELL = 2.0, 0.16
-"""In slow motion, a rest is detected after this time [s], but not before this fraction of a
-half-cycle, the longest for which a slow sine stays at its dead centre."""
+"""In slow motion, a rest is detected after this time [s], or after this fraction of a half-cycle if
+that is longer. A slow sine stays at its dead centre for at most this fraction."""
 
 
 class MotionCentre:

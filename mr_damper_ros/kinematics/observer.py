@@ -203,7 +203,7 @@ _SHOWS = 2.0
 """The motion is visible in a residual with more than this multiple of the power of the noise."""
 
 _FORGETTING = 0.93
-"""Factor on the largest recent change after each stretch; after ten stretches it has halved."""
+"""Factor on the largest recent change after each stretch; ten stretches halve the change."""
 
 _NOISES = 9
 """Number of stretches over which the noise is the median, so that a kink has no effect."""

@@ -27,7 +27,7 @@ class MotionHistory:
     """Motion and current (m,), ``period`` [s] apart, that underlie the n samples of a window.
 
     ``places`` (n,) are the positions of the window's samples, in samples of the history. ``branch``
-    (n,) is the sign of the acceleration at them; the sigmoid force jumps where it changes.
+    (n,) is the sign of the acceleration at the samples; the sigmoid force jumps where it changes.
     ``periodic`` means that the history is one period of a motion that repeats.
     """
 
@@ -69,7 +69,7 @@ class MotionHistory:
 
     @cached_property
     def _between(self) -> tuple[np.ndarray, np.ndarray, Array]:
-        """For each sample, the history indices around it and its fraction of the step between."""
+        """The history indices around each sample, and its position between them (0 to 1)."""
         count = self.current.size
         earlier = np.floor(self.places).astype(int)
         if not self.periodic:

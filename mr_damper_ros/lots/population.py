@@ -210,7 +210,7 @@ class Population:
         worst: dict[str, Outlier] = {}
         for outlier in sorted(in_force, key=lambda one: -abs(one.score)):
             worst.setdefault(outlier.damper, outlier)
-        # The residual of a poor fit is far larger than that of the other dampers.
+        # The residual of a poor fit is far larger than the residuals of the other dampers.
         logarithms = np.array([math.log(max(damper.nrmse, 1e-9)) for damper in self.dampers])
         fits = Spread("NRMSE", "", logarithms, np.zeros(logarithms.size))
         poor = [

@@ -143,10 +143,11 @@ def follow_inner_point(
 def step_derivatives(
     z: Array, velocity: Array, length: Array, share: Array, power: Array, period: float
 ) -> tuple[Array, ...]:
-    """Derivatives (n,) of :func:`hysteresis_step` along the states z (n,) after each step.
+    """Derivatives (n,) of :func:`hysteresis_step`; ``z`` (n,) are the states after each step.
 
-    By the previous state, the yield length, the share and the power. The driving velocity is the
-    mean of two samples and does not depend on z. The first elements belong to the start at rest.
+    The derivatives are by the previous state, the yield length, the share and the power. The
+    driving velocity is the mean of two samples and does not depend on z. The first elements belong
+    to the start at rest.
     """
     before = np.concatenate(([0.0], z[:-1]))
     w = np.concatenate(([0.0], 0.5 * (velocity[1:] + velocity[:-1])))

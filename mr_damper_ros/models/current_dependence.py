@@ -276,7 +276,7 @@ class IntegratedModel(CurrentDependentModel):
     def force_at(
         self, coefficients: Sequence[Array], motion: Motion, period: float, state: State | None
     ) -> tuple[Array, State]:
-        """Force [N] of the sets one after the other; arrays are faster only above about thirty."""
+        """Force [N] of the sets one after the other; arrays are faster for more than thirty."""
         shape = np.broadcast_shapes(*(c.shape[:-1] for c in coefficients))
         every = [np.broadcast_to(c, (*shape, c.shape[-1])) for c in coefficients]
         result = np.empty((*shape, motion.velocity.size))

@@ -22,8 +22,8 @@ from mr_damper_ros.signals.error_sums import RunningError
 from mr_damper_ros.tracking.predictor import ForcePredictor
 
 _HEAD_START = 1e-3
-"""Time [s] from publishing to the remaining work. If no core is free, a subscriber may have to run
-on the core of this process, and would have to wait for this work."""
+"""Delay [s] of the remaining work after publishing, so that the subscribers of the answer run first
+if they share a core with this process."""
 
 Options = TypeVar("Options", bound=SetOptions)
 Answer = TypeVar("Answer")

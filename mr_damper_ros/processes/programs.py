@@ -279,7 +279,7 @@ def _content(file: int) -> str:
 
 
 _NUMBERS = range(61, 101)
-"""Candidate domains: above the usual numbers, and below 102, from which ports may be in use."""
+"""Candidate domains: above the usual numbers, and below 102, because higher ports may be in use."""
 
 _FIRST_PORT = 20_000
 """A domain is reserved by opening the port with this number plus the number of the domain."""

@@ -39,8 +39,8 @@ _NEAR, _BESIDE = 0.5, 6.0
 """Half-widths [Hz] of the band around a mains frequency and of the band for comparison."""
 
 _HARMONICS = 2.2
-"""Half-width of the comparison in multiples of the motion frequency, of which odd harmonics lie two
-apart."""
+"""Half-width of the comparison in multiples of the motion frequency, whose odd harmonics are two
+multiples apart."""
 
 _STANDS_OUT, _HUMS = 3.0, {"displacement": 1e-3, "force": 5e-3}
 """A spectral line is hum if it exceeds this multiple of its neighbours, and this fraction of the

@@ -17,7 +17,8 @@ _ENOUGH = 32_768
 """Number of samples that are analysed, taken from the middle of a longer record."""
 
 _DEPTH = 1e-2
-"""The signal is averaged if the ratio of the power at the zeros to the power between is below this.
+"""A signal is averaged if its power at the zeros, relative to the power between them, is below
+this.
 """
 
 _SLOPE = 0.1
@@ -83,7 +84,7 @@ def find_average(values: Array) -> int:
         )
         # Most of the zeros must be present; at twice the true count, every second one is missing.
         # An averaged signal also has the zeros of each divisor of its count, so the longest count
-        # is chosen. Half way up there must be power; without it, the zeros are only the gaps
+        # is chosen. Beside the zeros there must be power; if not, the zeros are only the gaps
         # between the lines of a periodic signal.
         deep = float(np.quantile(in_holes / between, 0.7)) < _DEPTH
         if deep and float(np.median(near / between)) > _SLOPE:

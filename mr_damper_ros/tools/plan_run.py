@@ -1,4 +1,4 @@
-"""``plan_run``: recommends runs by which few runs give an accurate force, without ROS.
+"""``plan_run``: recommends the runs that make the force accurate soonest, without ROS.
 
 It computes a single plan, or with ``--keep`` conducts a campaign whose runs and plans are stored in
 a folder.
@@ -123,7 +123,7 @@ def _parser() -> argparse.ArgumentParser:
 def _add_options(
     group: argparse._ArgumentGroup, table: type, names: Mapping[str, Sequence[str]]
 ) -> None:
-    """Add an argument for each option of a table, or for two of them."""
+    """Add an argument for each option of a table, or for a pair of options."""
     known = {item.name: item for item in table_options(table)}
     for name, keys in names.items():
         items = [known[key] for key in keys]
@@ -150,7 +150,7 @@ def _add_options(
 
 
 def _given(options: argparse.Namespace, names: Mapping[str, Sequence[str]]) -> dict[str, float]:
-    """The options of a table that are given, by their names in it."""
+    """The options of a table that are given, by their names in the table."""
     values = {name: getattr(options, name) for name in names}
     return {
         key: value

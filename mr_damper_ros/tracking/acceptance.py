@@ -186,7 +186,8 @@ def evidence_of(
         return evidence
     currents = [span_of(each.current) for each in (window, *elsewhere)]
     if before > GOOD_NRMSE * spread and np.ptp(currents) <= SAME_CURRENT:
-        # The running set is wrong in this motion. With the other motions it comes back into use.
+        # The running set is wrong in this motion. The model bank uses it again in the other
+        # motions.
         return evidence
     left, lost = (_mean_square(each, elsewhere) for each in (running, found))
     means = [float(np.mean(each.force)) for each in elsewhere]
@@ -387,8 +388,8 @@ class Gatekeeper:
     _PATIENCE = 4
     """After this many rejections in a row for the residual, the residual baseline is reset."""
     _PATIENCE_WHERE_KNOWN = 12
-    """Such number of rejections at an operating point where the running set has been identified. A
-    faulty sensor is usually repaired within that time."""
+    """The same number at an operating point where the running set has been identified. A faulty
+    sensor is usually repaired within that time."""
 
     def __init__(self, settings: AcceptanceSettings, known: Experience | None = None) -> None:
         self._settings = settings

@@ -181,7 +181,7 @@ class ForceInUse:
         )
         if parameters.law.remembers:
             way = float(np.abs(motion.velocity).sum()) * self._period
-            # The longest memory at any current so far, because each of them may return.
+            # The longest memory at any current so far, because each of these currents may return.
             low, high = self._way_of
             lowest, highest = span_of(current)
             for amperes in {lowest, highest}:

@@ -52,7 +52,7 @@ _TURNING_EVERY = 5.0
 """Seconds between two comparisons of the branch rules."""
 
 _BETTER_RATIO = 0.6
-"""A set replaces a wrong one if its error is below this multiple of the wrong one's."""
+"""A set replaces a wrong set if its error is below this multiple of the wrong set's error."""
 
 _EVIDENCE_DECAY = 0.5
 """Factor on earlier evidence for a branch rule at each new comparison. The evidence is the
@@ -60,7 +60,8 @@ logarithm of the ratio of the errors of the two rules. A single cycle is weak ev
 at most twice the value that changes the rule."""
 
 _MOST_TRIED = 2000
-"""Largest number of samples on which a set is tried. Twenty times as many are kept, and thinned."""
+"""Largest number of samples on which a set is tried. Twenty times as many are kept; a trial thins
+them."""
 
 Span = tuple[float, float]
 """The lowest and the highest current [A] of one window, or of several."""
@@ -297,7 +298,8 @@ class ModelBank:
         whole = searched and parameters.law.knows_currents(parameters.observable)
         reported_id, currents = self._reported
         if whole:
-            # The set holds at all currents, but the schedule may have a better one for another.
+            # The set holds at all currents, but the schedule may have a better set for another
+            # current.
             currents = None if math.isnan(self._current) else (self._current, self._current)
         elif reported_id != parameters.set_id:
             currents = None

@@ -44,7 +44,7 @@ RECENT = MEMORY
 """Seconds for which an operating point counts as recent. A set must hold at all recent points."""
 
 _OTHER_CURRENT = 30.0
-"""Largest factor between the forces of such dampers at two currents. At two speeds the force is
+"""Largest factor between the forces of an MR damper at two currents. At two speeds the force is
 between unchanged and proportional to the speed."""
 
 

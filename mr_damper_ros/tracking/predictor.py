@@ -501,5 +501,5 @@ class ForcePredictor:
 def _speed(motion: Motion, follower: MotionFollower) -> float:
     """The representative peak velocity [m/s] of a block."""
     speed = middle(motion.peak_velocity)
-    # In a motion other than a sine, a low value does not mean a small motion.
+    # In a motion other than a sine, a low peak velocity does not mean a small motion.
     return speed if follower.steady else max(speed, follower.usual_peak_velocity)

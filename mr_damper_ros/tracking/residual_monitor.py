@@ -27,17 +27,17 @@ from mr_damper_ros.tracking.validity import NO_DOUBT, Doubt, DoubtKind
 _SHORTEST_MEMORY = 2.0
 _LONGEST_MEMORY = 120.0
 """The memory covers ``HALF_CYCLES`` half-cycles, limited to these times [s]. If the motion is not
-steady, these may all be small or belong to an earlier motion; the peak then covers ``RECENT``
-seconds, or a cycle if that is longer. The power is averaged over half of the half-cycles, in which
-a spring returns its energy."""
+steady, the half-cycles may all be small or belong to an earlier motion; the peak then covers
+``RECENT`` seconds, or a cycle if that is longer. The power is averaged over half as many
+half-cycles, in which a spring returns its energy."""
 
 _SHORTEST = 0.2
-"""Shortest time [s] over which the root mean square error is computed. Twice this time is the
-shortest for which a constant force counts as a fault, because the half-cycle of a fast motion is
-estimated too inaccurately to be used."""
+"""Shortest time [s] over which the root mean square error is computed. A force must be constant for
+at least twice this time to count as a fault, because the half-cycle of a fast motion is
+inaccurate."""
 
 _OUTLIER_EVERY = 20
-"""The span excludes the highest and the lowest one in this many samples as possible outliers."""
+"""At either end, the span excludes one in this many samples, as possible outliers."""
 
 _FEWEST = 4
 """The span of this many samples or fewer excludes none."""
@@ -85,10 +85,11 @@ class ForceStatistics:
     its span, without outliers; NaN before the first stretch. If the motion is not steady, they
     cover the longer of ten seconds and a cycle. Forces at other currents count for at most ten
     seconds, and only until the present current has lasted for a cycle. If a cycle takes longer than
-    ten seconds, then once the current is steady they count up to the largest force of the set at
-    this current. ``noise`` [N] is the standard deviation of the white part of the measured force.
-    ``stuck`` says that the measured force has been constant for a half-cycle. ``measured_drives``
-    and ``predicted_drives`` say that the measured or predicted force is not dissipative.
+    ten seconds and the current is steady, forces at other currents are limited to the largest force
+    of the set at this current. ``noise`` [N] is the standard deviation of the white part of the
+    measured force. ``stuck`` says that the measured force has been constant for a half-cycle.
+    ``measured_drives`` and ``predicted_drives`` say that the measured or predicted force is not
+    dissipative.
     """
 
     def __init__(self, period: float) -> None:
@@ -232,8 +233,8 @@ _USED_PART = 0.98
 """Fraction of the limit that is used for the error of a sample, because the peak is uncertain."""
 
 _HIDDEN_SIGMAS = 3.0
-"""Number of standard deviations of the noise by which this limit is reduced, because noise may hide
-that much of an error."""
+"""The limit for the error of a sample is reduced by this many standard deviations of the noise,
+because noise may hide that much of an error."""
 
 _NOISY_PART, _NOISY_SIGMAS = 0.68, 2.0
 """With much noise the limit is this fraction of the nominal limit plus this many standard
@@ -301,8 +302,9 @@ class ResidualMonitor:
     def forget_error(self, known: float = math.nan) -> None:
         """Reset the root mean square error after a change of parameters.
 
-        If the previous parameters were wrong, the error restarts at the limit, so that the new ones
-        must first prove correct. If their error ``known`` [N] is given, it restarts at that value.
+        If the previous parameters were wrong, the error restarts at the limit, so that the new
+        parameters must first prove correct. If their error ``known`` [N] is given, it restarts at
+        that value.
         """
         if known < math.inf and self._recent.peak > 0.0:
             self._square = (known / self._recent.peak) ** 2

@@ -29,12 +29,13 @@ fraction of the standard deviation in the whole window, or if its force spans mo
 fraction of the largest known force. The displacement is then at fault."""
 
 _APPROACH = 8
-"""A signal that stays at its extreme for n samples, at least this many, approached it over n / 4
-samples. The first and the second half of this approach, n / this many samples, are compared."""
+"""If a signal stays at its extreme for n samples, the n / 4 samples on either side are its
+approach. The first and the second half of the approach, n / 8 samples each, are compared; n is at
+least 8."""
 
 _ARRIVAL_PART = 0.37
-"""A signal is clipped if it covers more than this fraction of the approach in the second half. It
-covers a half at constant speed, and a quarter if the rod comes to rest."""
+"""A signal is clipped if it covers more than this fraction of the approach in the second half. At
+constant speed this fraction is a half; if the rod comes to rest, it is a quarter."""
 
 _SMALLEST_APPROACH = 3.0
 """Shortest approach that is judged, in steps of the finest digit."""

@@ -53,8 +53,8 @@ _GROWTH = 1.5
 
 
 _SEVERAL = 3
-"""Number of windows of one motion after which the shape of its force is known; also the initial
-number of windows not explained by the law's dependence on the current that triggers a search."""
+"""Number of windows of one motion after which the shape of its force is known. A search also starts
+after this many windows (initially) that the law's dependence on the current does not explain."""
 
 _OF_SENSORS = (Verdict.FAULT_OF_DATA, Verdict.DISTURBED, Verdict.BEYOND_LIMITS)
 """Verdicts that a sensor fault may cause. A window with such a verdict does not select a set."""

@@ -294,7 +294,7 @@ class TrackerState:
 
     @property
     def progress(self) -> tuple[int, int]:
-        """Numbers of the newest state given to the writer, and of the newest written or failed."""
+        """Numbers of the newest state given to the writer, and of the newest finished or failed."""
         return (self._writer.given, self._writer.done) if self._writer else (0, 0)
 
     def resume(self) -> str:

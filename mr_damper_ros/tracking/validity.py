@@ -283,7 +283,7 @@ def doubts_of_range(
     """Whether currents [A], force [N] or peak velocity [m/s] are outside the range of a set.
 
     ``current`` and ``force`` have shape (n,). ``tried`` [A] is the highest current under trial;
-    currents up to it are allowed. The largest force is that measured on this damper.
+    currents up to it are allowed. The largest force was measured on this damper.
     """
     of_current = of_force = of_speed = NO_DOUBT
     low, high = parameters.current_range
@@ -387,7 +387,7 @@ _DISTRUST = {
 """Verdicts that count as rejections of a window, in words."""
 
 _IN_A_ROW = 2
-"""Number of windows rejected in a row that makes the force invalid; a short fault spoils only one.
+"""This many windows rejected in a row make the force invalid; a short fault spoils only one window.
 """
 
 

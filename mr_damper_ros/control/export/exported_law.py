@@ -17,7 +17,7 @@ from mr_damper_ros.settings.option_table import CheckedSettings, option
 from mr_damper_ros.signals.arrays import Array
 
 _SATURATED, _BEYOND = 0.1, 1e4
-"""Fraction of the test vectors with extreme values, and their factor."""
+"""Fraction of the test vectors with extreme values, and the factor on these values."""
 
 
 class ExportError(UserError):

@@ -94,8 +94,7 @@ _SMOOTH_SLOPE = 2.0
 
 _STEEPNESS = (2.0, 6.0, 20.0, 60.0)
 _HYSTERESIS = (0.0, -0.2, -0.4)
-"""Starts of a search: the steepness times, and the hysteresis velocity over, the largest velocity.
-"""
+"""Starts of a search: steepness times largest velocity, and hysteresis velocity relative to it."""
 
 _K5 = PARAMETER_NAMES.index("k5")
 _K5_SCALE = SCALE_PARAMETER_NAMES.index("k5")
@@ -410,7 +409,7 @@ class SigmoidModel(Model):
     ) -> Array:
         """Fit the decoupled laws one by one."""
         sixteen, rest = np.split(start, [SIGMOID_COUNT])
-        # A law without a gain has the empty name there.
+        # A law without a gain has the gain "", which is zero.
         values = {"": 0.0, **dict(zip(PARAMETER_NAMES, sixteen.tolist(), strict=True))}
         top_velocity = float(table.peak_velocity.max())
         bounds = shape_bounds(top_velocity, float(np.abs(table.current).max()))

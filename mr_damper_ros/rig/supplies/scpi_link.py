@@ -189,8 +189,8 @@ _DELAY, _WATCHDOG = "OUTP:PROT:WDOG:DEL", "OUTP:PROT:WDOG"
 class EmulatedInstrument:
     """One output on a coil of ``time_constant`` [s], up to ``largest_current`` [A].
 
-    ``clock`` returns seconds. Several threads may use the instrument, which is also a link to
-    itself.
+    ``clock`` returns seconds. The object is both the instrument and the link to it; several threads
+    may use it.
     """
 
     def __init__(
