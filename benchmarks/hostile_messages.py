@@ -10,9 +10,8 @@ import hashlib
 import math
 import time
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from builtin_interfaces.msg import Time
@@ -62,8 +61,7 @@ _OPTIONS: dict[str, dict[str, object]] = {
 }
 
 
-@dataclass(frozen=True)
-class HostileMessage:
+class HostileMessage(NamedTuple):
     """A named message to a topic, or a request to a service of a ``kind``."""
 
     name: str
@@ -72,38 +70,23 @@ class HostileMessage:
     kind: type | None = None
 
 
-@dataclass(frozen=True)
-class Harm:
-    """Effect of a message on a node.
-
-    ``deaf`` is the longest unresponsive time [s], and ``grown`` the growth of the memory of the
-    node with its child processes [MB].
-    """
-
-    case: str
-    node: str
-    deaf: float
-    grown: float
+Harm = tuple[float, float, str]
+"""Longest unresponsive time of a node [s], growth of the memory of the node with its child
+processes [MB], and node and message in words."""
 
 
 def figures() -> Measured:
-    """Worst effect of all messages."""
-    harms = campaign()
-    deaf = max(harms, key=lambda harm: harm.deaf)
-    grown = max(harms, key=lambda harm: harm.grown)
-    count = len({harm.case for harm in harms})
-    return {
-        "hostile_message_s": (deaf.deaf, f"The {deaf.node}, after {deaf.case}; of {count}."),
-        "hostile_message_mb": (grown.grown, f"The {grown.node}, after {grown.case}."),
-    }
-
-
-def campaign(chosen: Callable[[HostileMessage], bool] = lambda _: True) -> list[Harm]:
-    """Effect of each message; raises RuntimeError if a node ends."""
+    """Worst effect of all messages; raises RuntimeError if a node ends."""
     with three_nodes(_OPTIONS) as rig:
         rig.observer.until(lambda: rig.sets and rig.reports[-1].accepted, "the first set")
         sender = _Sender(rig)
-        return [harm for case in cases() if chosen(case) for harm in sender.harm(case)]
+        harms = [harm for case in cases() for harm in sender.harm(case)]
+    deaf = max(harms, key=lambda harm: harm[0])
+    grown = max(harms, key=lambda harm: harm[1])
+    return {
+        "hostile_message_s": (deaf[0], f"{deaf[2]}; of {len(harms) // len(_NODES)}."),
+        "hostile_message_mb": (grown[1], f"{grown[2]}."),
+    }
 
 
 class _Sender:
@@ -132,7 +115,9 @@ class _Sender:
             if not node.running:
                 raise RuntimeError(f"the {name} has ended after {case.name}: {node.last_words}")
             peak = sum(_peak_bytes(pid) for pid in (node.pid, *node.children))
-            result.append(Harm(case.name, name, deaf[name], (peak - before[name]) / _MB))
+            result.append(
+                (deaf[name], (peak - before[name]) / _MB, f"The {name}, after {case.name}")
+            )
         return result
 
     def _publisher(self, kind: type, topic: str) -> Any:

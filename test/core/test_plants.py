@@ -12,7 +12,6 @@ from mr_damper_ros.control.linear_plant import Bump, IsoRoad, MovingPlant, Quart
 from mr_damper_ros.control.semi_active import (
     Controller,
     SuspensionSettings,
-    SuspensionState,
     Weights,
     acceleration_driven,
     controller_of,
