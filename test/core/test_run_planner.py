@@ -230,7 +230,7 @@ def test_the_program_goes_on_from_bags(tmp_path: Path, capsys: pytest.CaptureFix
 def test_the_program_says_when_a_goal_is_out_of_reach(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    mr.write_bag(tmp_path / "run", perform(RUNS[1]))
+    mr.write_bag(tmp_path / "run", perform(RUNS[0]))
     code = plan_run.main([str(tmp_path / "run"), *PROGRAM, "--top-current", "1"])
     assert code == plan_run.OUT_OF_REACH
     assert "the supply reaches only 1 A" in capsys.readouterr().out
