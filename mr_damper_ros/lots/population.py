@@ -15,10 +15,11 @@ from typing import Any
 
 import numpy as np
 
+from mr_damper_ros.estimation.experiment_design import Cycles
+from mr_damper_ros.estimation.planned_run import steady_cycle
 from mr_damper_ros.kinematics.window import Window
-from mr_damper_ros.models.misfit import Misfit
 from mr_damper_ros.models.parameter_set import ParameterSet
-from mr_damper_ros.signals.arrays import Array
+from mr_damper_ros.signals.arrays import NORMAL_MEDIAN, Array
 
 LEAST_DAMPERS = 5
 """In lots of fewer dampers, no outliers are flagged."""
@@ -37,12 +38,6 @@ _POOR = 1.5
 
 _OWN_ERRORS = 3.0
 """Smallest deviation of an outlier, in standard errors of its own value."""
-
-_TO_SIGMA = 1.0 / NormalDist().inv_cdf(0.75)
-"""Standard deviation over median absolute deviation of a normal distribution."""
-
-_PHASES = 64
-"""Number of samples of the cycle in which the force is evaluated."""
 
 _EDGE = 0.02
 """Relative tolerance at the limits of the identified range."""
@@ -79,23 +74,19 @@ class KnownDamper:
 
     def peak_forces(self, points: Sequence[tuple[float, float]]) -> tuple[Array, Array]:
         """Largest force [N] of a cycle in extension at (m/s, A), and its standard error, (k,)."""
-        cycles = [_cycle(*point) for point in points]
-        values = self.parameter_set.values
-        problem = Misfit(self.parameter_set.law, cycles, [1.0] * len(cycles), values)
-        # The force of the cycles is zero, so that the residual is the force of the set.
-        force = problem.residual(values).reshape(len(points), _PHASES)
-        gradient = problem.jacobian(values).reshape(len(points), _PHASES, values.size)
-        places = np.arange(len(points)), np.argmax(force, axis=1)
-        slope = gradient[places]
-        return force[places], np.sqrt(np.einsum("kp,pq,kq->k", slope, self.covariance, slope))
+        cycles = Cycles(self.parameter_set.law, [_cycle(*point) for point in points])
+        values, rows = self.parameter_set.values, np.arange(len(points))
+        force = cycles.force(values)
+        largest = np.argmax(force, axis=1)
+        slope = cycles.gradient(values)[rows, largest]
+        errors = np.sqrt(np.einsum("kp,pq,kq->k", slope, self.covariance, slope))
+        return force[rows, largest], errors
 
 
 @lru_cache(maxsize=64)
 def _cycle(peak_velocity: float, current: float) -> Window:
     amplitude = 0.01  # [m]; at one peak velocity, the force hardly depends on it
-    phase = 2.0 * math.pi * (np.arange(_PHASES) + 0.5) / _PHASES
-    period = 2.0 * math.pi * amplitude / (peak_velocity * _PHASES)
-    return Window.from_samples(amplitude * np.sin(phase), np.zeros(_PHASES), current, period)
+    return steady_cycle(amplitude, peak_velocity / (2.0 * math.pi * amplitude), current)
 
 
 @dataclass(frozen=True, eq=False)
@@ -126,7 +117,7 @@ class Spread:
         """Robust standard deviation over the lot."""
         if not self.known.size:
             return math.nan
-        return _TO_SIGMA * float(np.median(np.abs(self.known - self.median)))
+        return float(np.median(np.abs(self.known - self.median))) / NORMAL_MEDIAN
 
     @property
     def scores(self) -> Array:

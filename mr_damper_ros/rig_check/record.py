@@ -17,7 +17,7 @@ from enum import Enum
 import numpy as np
 
 from mr_damper_ros.kinematics.motion import SavitzkyGolay
-from mr_damper_ros.signals.arrays import Array
+from mr_damper_ros.signals.arrays import NORMAL_MEDIAN, Array
 from mr_damper_ros.signals.blocks import NANOSECONDS
 
 _BRIDGED = 0.1
@@ -290,7 +290,7 @@ def _line(lags: Array, cycles: Array) -> ChannelLag:
     for _ in range(3):
         weights = np.linalg.lstsq(columns[kept], parts[kept], rcond=None)[0]
         rest = parts - columns @ weights
-        kept = np.abs(rest) <= _OUTLIER * max(1.4826 * float(np.median(np.abs(rest))), 1e-6)
+        kept = np.abs(rest) <= _OUTLIER * max(float(np.median(np.abs(rest))) / NORMAL_MEDIAN, 1e-6)
         if np.count_nonzero(kept) < _FEWEST:
             return unknown
     variance = float(np.sum(rest[kept] ** 2)) / (np.count_nonzero(kept) - 2)
