@@ -243,7 +243,7 @@ def fault_of_run(run: PlannedRun, recording: Recording) -> str:
         return str(error)
     needed = round(run.duration / recording.period)
     if recording.sample_count < needed:
-        return f"the recording lasts {recording.duration:.3g} s, but the run {run.duration:.3g} s"
+        return f"the recording lasts {recording.duration:.3g} s instead of {run.duration:.3g} s"
     parts = run.parts(recording.period)
     # A part of a motion other than a sine may begin at any phase.
     for part in parts if run.kind is MotionKind.SINE else [slice(needed)]:

@@ -46,7 +46,7 @@ class FallbackSettings(CheckedSettings):
     fade_time: float = option(
         0.1,
         "Time [s] in which the current would ramp through its whole range on the way to the safe "
-        "current; also the shortest such time on the way back.",
+        "current; the way back is at most as fast.",
         minimum=0.001,
         maximum=60.0,
     )

@@ -139,7 +139,7 @@ class PointErrors:
     @property
     def sentence(self) -> str:
         """The accuracy of the force and its confidence in words."""
-        known = f"{self.worst:.2%} at worst, at even odds"
+        known = f"{self.worst:.2%} at worst with 50 % confidence"
         if not math.isnan(self.bound):
             known += f", and {self.bound:.2%} with 95 % confidence"
         if self.model_error > 0.0:
@@ -647,7 +647,7 @@ class ExtraRun:
         """The recommendation in words."""
         gain = f"it would determine {', '.join(self.determines)}"
         if not self.determines:
-            gain = "alone it would determine nothing, but together with the next run it would"
+            gain = "it would determine parameters only together with the next run"
         return (
             f"run {1e3 * self.amplitude:.3g} mm at {self.frequency:.3g} Hz "
             f"with {self.current:.3g} A: {gain}"

@@ -57,14 +57,14 @@ class ForceGoal:
         low, high = self.peak_velocity
         if not 0.0 < low <= high < math.inf:
             raise ValueError(
-                f"the peak velocities of the goal are {low:g} to {high:g} m/s: they must be "
-                "positive, the lower first"
+                f"the peak velocities of the goal are {low:g} to {high:g} m/s: give two "
+                "positive values, the lower one first"
             )
         low, high = self.current
         if not 0.0 <= low <= high < math.inf:
             raise ValueError(
-                f"the currents of the goal are {low:g} to {high:g} A: they must not be negative, "
-                "the lower first"
+                f"the currents of the goal are {low:g} to {high:g} A: give the lower one first, "
+                "and none below 0"
             )
 
     @property
@@ -131,7 +131,7 @@ class MachineLimits:
         if not 0.0 < self.frequency[0] < self.frequency[1]:
             raise ValueError(
                 f"the machine's frequencies are {self.frequency[0]:g} to {self.frequency[1]:g} Hz: "
-                "they must be positive, the lower first"
+                "give two positive values, the lower one first"
             )
 
 

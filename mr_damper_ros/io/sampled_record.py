@@ -90,8 +90,8 @@ class SampledRecord:
         if not 2 <= count < self.time.size:
             raise RecordError(
                 f"a moving average over {count} samples cannot be undone in a record of "
-                f"{self.time.size} samples: its length must be at least 2, and less than that of "
-                "the record"
+                f"{self.time.size} samples: average over at least 2 samples, but "
+                "not over the whole record"
             )
         values = dict(self.values)
         for quantity in _AVERAGED & set(values):

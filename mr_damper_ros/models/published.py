@@ -99,7 +99,7 @@ _COPIED = (
     "tables 31 and 32 (5.0 mm, 1.0 A) repeat tables 19 and 20 (5.0 mm, 0 A) digit for digit: "
     "these are not data for 1.0 A"
 )
-_MIRRORED = "the loop mirrors, or is far from, the loop of the other method: a sign is lost"
+_MIRRORED = "a sign is lost: the loop mirrors the loop of the other method, or is far from it"
 
 ROW_ERRATA = {
     (_named(name), method): reason

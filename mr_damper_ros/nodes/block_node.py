@@ -125,7 +125,7 @@ class BlockNode(Node, Generic[Options, Answer]):
             return Finding(STALE, "no block since the last report")
         sentence = f"at most {1e3 * slowest:.2f} ms from a block to its {self.answer}"
         if math.isnan(oldest):
-            sentence += "; the stamps are not those of a live machine, so the age is unknown"
+            sentence += "; the stamps are not from a live machine, so the age is unknown"
         else:
             sentence += f"; the samples were up to {1e3 * oldest:.0f} ms old"
         if skipped:

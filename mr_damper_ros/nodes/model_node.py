@@ -94,7 +94,7 @@ class ModelNode(BlockNode[ModelParameters, Prediction]):
             f"waiting for {self.resolve_topic_name(SAMPLES_TOPIC)}, "
             f"{self.resolve_topic_name(CURRENT_TOPIC)} and "
             f"{self.resolve_topic_name(PARAMETERS_TOPIC)}"
-            + (f"; until then the parameters are those of {file}" if file else "")
+            + (f"; until then the parameters of {file} are used" if file else "")
         )
 
     def _publish_answer(self, block: SampleBlock, now_ns: int) -> Prediction:

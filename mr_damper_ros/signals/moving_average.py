@@ -53,8 +53,8 @@ def undo_average_in_motion(values: Array, count: int) -> Array:
     rows = values.size // count
     if rows < _FEWEST_ROWS:
         raise ValueError(
-            f"an average over {count} samples that began before the record cannot be undone in "
-            f"{values.size} samples: {_FEWEST_ROWS * count} are needed"
+            f"a moving average over {count} samples cannot be undone in a record of {values.size} "
+            f"samples that begins in motion: {_FEWEST_ROWS * count} are needed"
         )
     undone = undo_average(values, count)
     weights = np.hanning(undone.size + 2)[1:-1]

@@ -158,7 +158,7 @@ class GridSettings(CheckedSettings):
         "auto",
         "Meaning of stamp jitter. 'clock': the sampling is uniform and the stamps are "
         "inaccurate, as with the controller of a machine; 'sampling': each sample was taken at the "
-        "time of its stamp; 'auto': decided from the motion, 'clock' at first.",
+        "time of its stamp; 'auto': 'clock', until the motion shows which one holds.",
         choices=("auto", "clock", "sampling"),
     )
     longest_gap: float = option(

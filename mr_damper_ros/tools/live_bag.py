@@ -16,9 +16,9 @@ from mr_damper_ros.tracking.state_directory import read_parameter_file
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
         prog="live",
-        description="Show a recording on the live page, until Ctrl-C, with the results of "
-        "identifier and model, from the set that was in use when the recording began. Without "
-        "--bag, the node live shows the running system.",
+        description="Show a recording on the live page until Ctrl-C, with the results of "
+        "identifier and model. They start from the set in use at the beginning of the recording. "
+        "Without --bag, the node live shows the running system.",
     )
     parser.add_argument("--bag", type=Path, required=True, metavar="FILE", help="the recording")
     parser.add_argument(

@@ -133,7 +133,7 @@ def test_a_run_that_is_not_the_one_wanted_is_refused(
 
 def test_a_run_that_is_too_short_is_refused() -> None:
     short = perform(replace(RUNS[1], duration=1.0))
-    assert "lasts 1 s, but the run 2 s" in fault_of_run(RUNS[1], short)
+    assert "lasts 1 s instead of 2 s" in fault_of_run(RUNS[1], short)
 
 
 def test_a_damaged_step_is_named(quick: list[int], tmp_path: Path) -> None:

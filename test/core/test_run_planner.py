@@ -57,7 +57,9 @@ def campaign(machine: Machine) -> ForceCampaign:
 def test_a_campaign_reaches_its_goal_and_claims_what_is_true(campaign: ForceCampaign) -> None:
     now = campaign.steps[-1].plan.now
     assert now.bound > now.worst
-    sure = f"{now.worst:.2%} at worst, at even odds, and {now.bound:.2%} with 95 % confidence"
+    sure = (
+        f"{now.worst:.2%} at worst with 50 % confidence, and {now.bound:.2%} with 95 % confidence"
+    )
     assert sure in campaign.reason
     assert campaign.reached
     assert campaign.reason.startswith("the goal is met: ")
@@ -186,8 +188,8 @@ def test_the_next_run_helps_within_the_limits(planner: RunPlanner) -> None:
     ("change", "sentence"),
     [
         ({"error": 0.0}, "fraction of the force"),
-        ({"peak_velocity": (0.2, 0.1)}, "the lower first"),
-        ({"current": (-1.0, 1.0)}, "must not be negative"),
+        ({"peak_velocity": (0.2, 0.1)}, "the lower one first"),
+        ({"current": (-1.0, 1.0)}, "none below 0"),
     ],
 )
 def test_a_goal_that_cannot_be_meant_is_refused(change: dict[str, object], sentence: str) -> None:

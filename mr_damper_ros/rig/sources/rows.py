@@ -265,8 +265,8 @@ def check_layout(layout: str, form: RowFormat) -> None:
         bits = 8 * struct.calcsize("<" + letter)
         if letter in "efd" or bits != form.bits:
             raise ValueError(
-                f"the count has {form.bits} bits, and {letter} in the layout '{layout}' is "
-                + ("no integer" if letter in "efd" else f"one of {bits}: write count:{bits}")
+                f"the count has {form.bits} bits, but {letter} in the layout '{layout}' "
+                + ("is no integer" if letter in "efd" else f"has {bits}: write count:{bits}")
             )
 
 
