@@ -71,6 +71,9 @@ LARGEST_RUN_NRMSE = 0.3
 """Largest acceptable NRMSE of a run; above it, the set explains too little of the force."""
 
 
+_MOST_MASSES = 3
+"""Largest number of sets that are identified without the inertia; each gives a better mass."""
+
 AUTO = "auto"
 """Value of ``model`` for which the law is chosen by cross-validation."""
 
@@ -504,9 +507,14 @@ def identify_measured(
         fit, found = profiled(searches.best, windows, options.profile, settings, processes, report)
         searches, profiles = searches.replaced(fit), findings.profiles(fit, found)
     if options.fit_mass and not searches.best.stopped:
-        mass = fitted_mass(searches.best, windows)
         without = replace(options, fit_mass=False, resume=None)
-        again = identify_measured(without_inertia(measured, mass.value), without, processes, report)
+        mass = fitted_mass(searches.best, windows)
+        for _ in range(_MOST_MASSES):
+            rest = without_inertia(measured, mass.value)
+            again = identify_measured(rest, without, processes, report)
+            before, mass = mass, fitted_mass(again.searches.best, windows, mass.value)
+            if abs(mass.value - before.value) <= mass.standard_error:
+                break
         return replace(again, mass=mass, duration=time.monotonic() - began)
     duration = time.monotonic() - began
     fitted = _fitted(searches, measured)

@@ -40,8 +40,11 @@ def _less(window: Window, mass: float) -> Window:
     return replace(window, force=window.force - mass * window.motion.acceleration)
 
 
-def fitted_mass(fit: GlobalFit, windows: Sequence[Window]) -> Estimate:
-    """The mass [kg], by least squares together with the observable parameters of the law."""
+def fitted_mass(fit: GlobalFit, windows: Sequence[Window], mass: float = 0.0) -> Estimate:
+    """The mass [kg], by least squares together with the observable parameters of the law.
+
+    ``windows`` include its inertia; the search starts from ``mass`` [kg] and the set of the fit.
+    """
     from scipy.optimize import least_squares  # late: see mr_damper_ros.entry_points
 
     found = fit.parameter_set
@@ -65,7 +68,7 @@ def fitted_mass(fit: GlobalFit, windows: Sequence[Window]) -> Estimate:
         np.append(bound[places], end)
         for bound, end in zip(found.law.bounds, (0.0, np.inf), strict=True)
     )
-    start = np.clip(np.append(found.values[places], 0.0), low, high)
+    start = np.clip(np.append(found.values[places], mass), low, high)
     best = least_squares(
         residual, start, jacobian, (low, high), x_scale="jac", max_nfev=_MOST_STEPS
     ).x

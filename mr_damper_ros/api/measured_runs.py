@@ -90,7 +90,7 @@ def measured_run(
             recording.displacement, recording.force, recording.current, recording.period
         )
         reject(fault_of_sign(window.motion.velocity, window.force), recording)
-        windows.append(window)
+        windows.append(window.resolved())
     first_ns = recordings[0].start_ns
     return MeasuredRun(
         name=name,

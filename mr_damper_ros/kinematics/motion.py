@@ -265,19 +265,19 @@ def _smooth(displacement: Array, period: float) -> tuple[Array, Array, Array]:
     emulated random motion with eight kinds of noise, the velocity error is 1.0 times the error with
     the best length (median; at most 3.1 times).
     """
-    noise = noise_power(displacement)
+    # A motion near the sample rate shows in the lower differences, too.
+    noise = min(noise_power(displacement), noise_power(displacement, 8))
     length = _POLYNOMIAL_ORDER + 3
-    best, least = SavitzkyGolay(length, _POLYNOMIAL_ORDER), math.inf
-    shorter, before = best, displacement
+    # The polynomial through all samples of the shortest filter has hardly any bias.
+    best = shorter = SavitzkyGolay(length, length - 1)
+    least, before = noise * best.squared_change(), best.derivative(displacement, 1)
     while length < displacement.size // 2:
         smoother = SavitzkyGolay(length, _POLYNOMIAL_ORDER)
         velocity = smoother.derivative(displacement, 1)
-        bias = 0.0
-        if smoother.length > shorter.length:
-            half = smoother.length // 2
-            change = (velocity - before)[half:-half]
-            passed = noise * smoother.squared_change(shorter)
-            bias = max(float(change @ change) / change.size - passed, 0.0)
+        half = smoother.length // 2
+        change = (velocity - before)[half:-half]
+        passed = noise * smoother.squared_change(shorter)
+        bias = max(float(change @ change) / change.size - passed, 0.0)
         error = bias + noise * smoother.squared_change()
         if error < least:
             best, least = smoother, error

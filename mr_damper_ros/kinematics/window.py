@@ -122,15 +122,35 @@ class MotionHistory:
         return np.asarray(since < min(duration, since[int(LONGEST_SETTLING * since.size)]))
 
 
-def following_stride(
-    motion: Motion, period: float, samples_per_cycle: int = _SAMPLES_PER_CYCLE
-) -> int:
-    """Largest stride, in samples of a motion, with ``samples_per_cycle`` samples in each cycle."""
+_PER_CYCLE = 50
+"""Samples per cycle that the motion of a run needs. In random motion up to 12 Hz at 100 Hz, four
+steps per sample reduce the error of laws with memory from 4 to 13 % to 1 %."""
+
+
+def samples_per_cycle(motion: Motion, period: float) -> float:
+    """Samples in a cycle of a sine of the motion's velocity and acceleration; infinite at rest."""
     power = float(np.mean(motion.velocity**2))
     if power == 0.0:
-        return 1
+        return math.inf
     rate = math.sqrt(float(np.mean(motion.acceleration**2)) / power)
-    return max(int(2.0 * math.pi / max(rate, 1e-12) / period / samples_per_cycle), 1)
+    return 2.0 * math.pi / max(rate, 1e-12) / period
+
+
+def following_stride(motion: Motion, period: float, per_cycle: int = _SAMPLES_PER_CYCLE) -> int:
+    """Largest stride, in samples of a motion, that still resolves the motion in a history."""
+    samples = samples_per_cycle(motion, period)
+    return max(int(samples / per_cycle), 1) if math.isfinite(samples) else 1
+
+
+def _between(values: Array, changes: Array, places: Array) -> Array:
+    """Cubic Hermite interpolation at places [samples] of values with their changes per sample."""
+    first = np.minimum(places.astype(int), values.size - 2)
+    part = places - first
+    rest = 1.0 - part
+    return np.asarray(
+        rest**2 * ((1.0 + 2.0 * part) * values[first] + part * changes[first])
+        + part**2 * ((1.0 + 2.0 * rest) * values[first + 1] - rest * changes[first + 1])
+    )
 
 
 _TURN = 0.05
@@ -309,6 +329,31 @@ class Window:
             return cut
         inside = (self.places >= begin) & (self.places <= begin + cut.sample_count - 1)
         return replace(self.part(inside), places=self.places[inside] - begin, whole=cut)
+
+    def resolved(self) -> Window:
+        """The window with a whole that resolves a hysteresis in fast motion.
+
+        Between its samples, displacement and velocity are cubic polynomials with the derivatives at
+        both ends. The current is held. The window stays as it is if it is a sine, if its samples
+        are close enough, or if it is a part of another one.
+        """
+        motion, size = self.motion, self.sample_count
+        stride = math.ceil(_PER_CYCLE / max(samples_per_cycle(motion, self.period), 2.0))
+        if stride == 1 or self.whole is not None or self.steady:
+            return self
+        places: Array = np.arange((size - 1) * stride + 1) / stride
+        u, v, a, v_m = motion.arrays
+        fine = Motion(
+            _between(u, v * self.period, places),
+            _between(v, a * self.period, places),
+            np.interp(places, np.arange(size), a),
+            np.interp(places, np.arange(size), v_m),
+            motion.sine,
+        )
+        force = np.interp(places, np.arange(size), self.force)
+        current = self.current[np.floor(places).astype(int)]
+        whole = Window(fine, force, current, self.period / stride)
+        return replace(self, places=stride * np.arange(size, dtype=float), whole=whole)
 
     def held_within(self, low: float, high: float) -> Window:
         """The same window with its peak velocity clipped; see :meth:`Motion.held_within`."""

@@ -83,7 +83,7 @@ def motion_window(time: ArrayLike, displacement: ArrayLike, current: ArrayLike) 
             f"the times are from {np.min(steps):g} to {np.max(steps):g} s apart: give uniform "
             "samples"
         )
-    return Window.from_samples(moved, np.zeros_like(moved), amperes, period)
+    return Window.from_samples(moved, np.zeros_like(moved), amperes, period).resolved()
 
 
 @dataclass(frozen=True, eq=False)
