@@ -17,13 +17,12 @@ None of them changes identified parameters.
 from __future__ import annotations
 
 import math
-from collections import deque
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from mr_damper_ros.settings.option_table import CheckedSettings, option
-from mr_damper_ros.signals.arrays import Array
+from mr_damper_ros.signals.arrays import Array, RollingRows
 from mr_damper_ros.signals.blocks import LATE_NS, NANOSECONDS, SampleBlock
 from mr_damper_ros.signals.clocks import StampClock
 
@@ -233,8 +232,8 @@ class UniformGrid:
         """The last block on the grid."""
         self._clock: StampClock | None = None
         self._sampling = NonUniformSampling()
-        # The latest blocks and the delays of their stamps [sample periods].
-        self._recent: deque[tuple[SampleBlock, float]] = deque()
+        # Time [sample periods], displacement and force of the latest samples.
+        self._past = RollingRows(3)
         self._delay = 0.0
         self.lost_samples = 0
         self.bridged_samples = 0
@@ -332,7 +331,7 @@ class UniformGrid:
         self.lost_samples += verdict.lost
         if verdict.restarts or self._clock is None:
             self._clock = StampClock(block.sequence, block.start_ns, block.period)
-            self._recent.clear()
+            self._past.keep(0)
             self.last = block
             self._remember(block, 0.0)
             return Placed(block, block, 0, verdict, block.start_ns)
@@ -374,7 +373,7 @@ class UniformGrid:
         delays = np.clip(self._delay + step * np.arange(1.0, count + 1.0), 0.0, _DELAY)
         self._delay = float(delays[-1])
         wanted = np.arange(count) - delays
-        places, displacement, force = self._tail()
+        places, displacement, force = self._past.newest
         places = np.concatenate([places - first, np.arange(lost, count) + late])
         displacement = np.concatenate([displacement, block.displacement])
         known = places.size - block.sample_count
@@ -400,20 +399,11 @@ class UniformGrid:
         return placed, delays + late
 
     def _remember(self, block: SampleBlock, late: float) -> None:
-        recent = self._recent
-        recent.append((block, late))
-        while len(recent) > _AROUND or (len(recent) > 1 and recent[1][0].sample_count >= _AROUND):
-            recent.popleft()
-
-    def _tail(self) -> tuple[Array, Array, Array]:
-        """Times of the latest samples [sample periods], their displacement and their force."""
-        blocks = [block for block, _ in self._recent]
-        places = [b.sequence + late + np.arange(b.sample_count) for b, late in self._recent]
-        return (
-            np.concatenate(places)[-_AROUND:],
-            np.concatenate([block.displacement for block in blocks])[-_AROUND:],
-            np.concatenate([block.force for block in blocks])[-_AROUND:],
-        )
+        few = slice(-_AROUND, None)
+        places: Array = block.sequence + late + np.arange(block.sample_count, dtype=float)
+        rows = [places[few], block.displacement[few], block.force[few]]
+        self._past.add(rows, rows[0].size)
+        self._past.keep(_AROUND)
 
 
 def _measured(force: Array, after: Array, lost: int) -> tuple[Array, Array]:
