@@ -1,11 +1,11 @@
-"""Identify many dampers at once, each in a namespace of its own, from a bridge each.
+"""Identify many dampers at once, each with its own namespace and bridge.
 
-One process holds the identifiers of all of them, which share its workers, and one the models.
+One process runs all identifiers, which share its workers; another process runs all models.
 
 ros2 launch mr_damper_ros fleet.launch.py dampers:="left right"
 ros2 launch mr_damper_ros fleet.launch.py dampers:=8 bridge_config:=/path/to/{damper}.yaml
 
-It ends as soon as a node fails, then with exit code 1.
+The launch ends with exit code 1 as soon as a node fails.
 """
 
 import re
@@ -25,30 +25,30 @@ SHARE = Path(get_package_share_directory(PACKAGE))
 NODES = ("bridge", "identifier", "model")
 
 HOSTED = NODES[1:]
-"""Those of all dampers are in one process."""
+"""Nodes of which one process runs those of all dampers."""
 
 PLACE = "{damper}"
-"""Stands for the name of the damper in the path of a parameter file."""
+"""Placeholder for the name of the damper in the path of a parameter file."""
 
 NAME = re.compile(r"[A-Za-z_][A-Za-z0-9_]*")
-"""What ROS takes for a namespace."""
+"""A namespace that ROS accepts."""
 
 
 def arguments() -> list[DeclareLaunchArgument]:
-    """What the user may set."""
+    """The launch arguments."""
     return [
         DeclareLaunchArgument(
             "dampers",
             default_value="2",
-            description="Names of the dampers, separated by blanks, each a namespace; or how many, "
-            "which are then called damper_1, damper_2 and so on.",
+            description="Names of the dampers, separated by blanks, which are also their "
+            "namespaces; or the number of dampers, which are then called damper_1, damper_2, ...",
             choices=None,
         ),
         *(
             DeclareLaunchArgument(
                 f"{node}_config",
                 default_value=str(SHARE / "config" / f"{node}.yaml"),
-                description=f"Parameter file of the {node}; {PLACE} in it is the damper's name.",
+                description=f"Parameter file of the {node}; {PLACE}: the damper's name.",
                 choices=None,
             )
             for node in NODES
@@ -57,13 +57,13 @@ def arguments() -> list[DeclareLaunchArgument]:
 
 
 def names_of(text: str) -> list[str]:
-    """The names of the dampers; raises RuntimeError where one cannot be used."""
+    """The names of the dampers; raises RuntimeError if a name is invalid."""
     if text.isdecimal():
         names = [f"damper_{number}" for number in range(1, int(text) + 1)]
     else:
         names = text.split()
     if not names:
-        raise RuntimeError("dampers is empty: give names, or how many there are")
+        raise RuntimeError("dampers is empty: give names or a number")
     for name in names:
         if not NAME.fullmatch(name):
             raise RuntimeError(f"a damper cannot be called {name!r}: use letters, digits and _")
@@ -73,7 +73,7 @@ def names_of(text: str) -> list[str]:
 
 
 def failed(name: str) -> Callable[..., None]:
-    """What follows the end of a node."""
+    """Handler of the end of a node; raises RuntimeError if the node has failed."""
 
     def handle(event: object, context: LaunchContext) -> None:
         code = event.returncode  # type: ignore[attr-defined]
@@ -84,7 +84,7 @@ def failed(name: str) -> Callable[..., None]:
 
 
 def file_of(values: Mapping[str, str], node: str, damper: str) -> str:
-    """Parameter file of a node of a damper; raises RuntimeError where there is none."""
+    """Parameter file of a node of a damper; raises RuntimeError if it does not exist."""
     path = values[f"{node}_config"].replace(PLACE, damper)
     if not Path(path).is_file():
         raise RuntimeError(f"{node}_config: there is no file {path}")
@@ -92,7 +92,7 @@ def file_of(values: Mapping[str, str], node: str, damper: str) -> str:
 
 
 def nodes(context: LaunchContext) -> list[Node]:
-    """Identifiers and models of all dampers, and a bridge for each."""
+    """The processes of identifiers and models, and a bridge for each damper."""
     values = {item.name: LaunchConfiguration(item.name).perform(context) for item in arguments()}
     dampers = names_of(values["dampers"])
     places = {
@@ -114,7 +114,7 @@ def nodes(context: LaunchContext) -> list[Node]:
             executable="bridge",
             name="bridge",
             namespace=damper,
-            # Identifier and model are there before the first sample.
+            # Sending starts when identifier and model have subscribed.
             parameters=[file_of(values, "bridge", damper), {"wait_for_subscribers": len(HOSTED)}],
             output="screen",
             on_exit=failed(f"{damper}/bridge"),

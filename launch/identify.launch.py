@@ -1,4 +1,4 @@
-"""Identify a damper and predict its force: from a bag, or from the bridge where none is given.
+"""Identify a damper and predict its force, from a bag or, without a bag, from the bridge.
 
 ros2 launch mr_damper_ros identify.launch.py
 ros2 launch mr_damper_ros identify.launch.py bag:=/path/to/bag rate:=2.0
@@ -6,7 +6,7 @@ ros2 launch mr_damper_ros identify.launch.py live:=true
 ros2 launch mr_damper_ros identify.launch.py control:=true parameters:=/path/to/damper.yaml
 ros2 launch mr_damper_ros identify.launch.py namespace:=left bridge_config:=/path/to/bridge.yaml
 
-It ends some seconds after the bag, and as soon as a node fails, then with exit code 1.
+The launch ends some seconds after the bag. If a node fails, it ends at once with exit code 1.
 """
 
 import os
@@ -25,26 +25,26 @@ PACKAGE = "mr_damper_ros"
 SHARE = Path(get_package_share_directory(PACKAGE))
 
 RECORDED_TOPICS = ("mts/samples", "supply/current", "temperature")
-"""Recorded names are absolute; made relative, they follow the namespace."""
+"""Recorded topics, which are absolute, are remapped to these relative names in the namespace."""
 
 PROFILES = ("FASTRTPS_DEFAULT_PROFILES_FILE", "FASTDDS_DEFAULT_PROFILES_FILE")
-"""Where either is set, it holds; Fast DDS of Jazzy reads the first."""
+"""If one of them is set, the user has chosen a profile; Fast DDS of Jazzy reads the first."""
 
 LAST_FITS = 5.0
-"""Seconds after the end of the bag, in which the last windows are fitted."""
+"""Seconds after the end of the bag for the fits of the last windows."""
 
 TAKES_PARAMETERS = {
     "identifier": "initial_parameters",
     "model": "parameter_file",
     "controller": "parameter_file",
 }
-"""What each node calls a set that the user gives."""
+"""Parameter of each node that names the parameter file of the user."""
 
 YES_OR_NO = ["true", "false", "True", "False"]
 
 
 def arguments() -> list[DeclareLaunchArgument]:
-    """What the user may set."""
+    """The launch arguments."""
 
     def argument(
         name: str, default: str, description: str, choices: list[str] | None = None
@@ -54,64 +54,64 @@ def arguments() -> list[DeclareLaunchArgument]:
         )
 
     return [
-        argument("bag", "", "Bag to play; empty starts the bridge instead."),
-        argument("rate", "1.0", "Speed; 0.0 is as fast as possible."),
-        argument("loop", "false", "Play the recording again and again.", YES_OR_NO),
+        argument("bag", "", "Bag to play; empty: the bridge is started instead."),
+        argument("rate", "1.0", "Speed relative to the recording; 0.0: as fast as possible."),
+        argument("loop", "false", "Repeat the recording for ever.", YES_OR_NO),
         argument(
             "topics",
             "inputs",
-            "Topics of the bag to play, as recorded, separated by blanks; inputs: those of the "
-            "test machine, not what an identifier and a model have published then.",
+            "Topics of the bag to play, as recorded, separated by blanks; inputs: topics of the "
+            "test machine, without recorded results of an identifier or a model.",
         ),
         argument(
             "at_end",
             "stop",
-            f"What to do at the end of the bag: stop, {LAST_FITS:g} s later, or stay. With a rate "
-            "of 0.0 many windows may still wait to be fitted then.",
+            f"Action at the end of the bag: stop (after {LAST_FITS:g} s) or stay. With a rate of "
+            "0.0, many windows may still wait for their fits at that time.",
             ["stop", "stay"],
         ),
         argument(
             "control",
             "false",
-            "Command the supply too, so that the damper gives the force on damper/desired_force.",
+            "Also command the supply, so that the damper gives the force on damper/desired_force.",
             YES_OR_NO,
         ),
         argument(
             "parameters",
             "",
-            "Parameter file of what is known of the damper: the identifier starts from it, in its "
-            "law, and model and controller begin with it. Empty: what the parameter files say.",
+            "Parameter file of the damper: identifier, model and controller start with this set, "
+            "and the identifier uses its law. Empty: as in the configuration files.",
         ),
         argument("namespace", "", "Namespace; one for each damper."),
         argument(
             "live",
             "false",
-            "Serve a page that shows the running system; the node live says where.",
+            "Serve a page that shows the running system; the node live logs its address.",
             YES_OR_NO,
         ),
         argument(
             "use_sim_time",
             "auto",
-            "Take the time from the clock topic; auto: where a bag is played, which provides it.",
+            "Take the time from the clock topic; auto: only if a bag is played.",
             ["auto", *YES_OR_NO],
         ),
         argument(
             "clock",
             "/clock",
-            "Topic of that time. Where two bags are played at once, give each launch its own, such "
-            "as /left/clock.",
+            "Topic of the clock. If two bags are played at once, give each launch its own topic, "
+            "such as /left/clock.",
         ),
         argument(
             "enclave",
             "/mr_damper",
-            "Where the nodes' enclaves lie in the keystore, such as /mr_damper/model; used where "
-            "ROS_SECURITY_ENABLE is true.",
+            "Parent of the nodes' enclaves in the keystore; the model uses /mr_damper/model. Only "
+            "used if ROS_SECURITY_ENABLE is true.",
         ),
         *(
             argument(
                 f"{node}_config",
                 str(SHARE / "config" / f"{node}.yaml"),
-                f"Parameter file of the {node}.",
+                f"Configuration file of the {node}.",
             )
             for node in ("bridge", "replay", "identifier", "model", "live", "controller")
         ),
@@ -119,7 +119,7 @@ def arguments() -> list[DeclareLaunchArgument]:
 
 
 def check(values: Mapping[str, str]) -> None:
-    """Raise RuntimeError, before anything is started, where a value cannot be used."""
+    """Raise RuntimeError, before a node is started, if a value is invalid."""
     try:
         rate = float(values["rate"])
     except ValueError:
@@ -135,7 +135,7 @@ def check(values: Mapping[str, str]) -> None:
 
 
 def after(name: str, values: Mapping[str, str]) -> Callable[..., list[TimerAction] | None]:
-    """What follows the end of a node."""
+    """Handler of the end of a node; raises RuntimeError if the node has failed."""
 
     def handle(event: object, context: LaunchContext) -> list[TimerAction] | None:
         if context.is_shutdown:
@@ -151,7 +151,7 @@ def after(name: str, values: Mapping[str, str]) -> Callable[..., list[TimerActio
 
 
 def nodes(context: LaunchContext) -> list[Node]:
-    """The nodes that the arguments ask for."""
+    """The nodes selected by the arguments."""
     values = {item.name: LaunchConfiguration(item.name).perform(context) for item in arguments()}
     check(values)
     played = bool(values["bag"])
@@ -161,13 +161,13 @@ def nodes(context: LaunchContext) -> list[Node]:
     source = {
         "rate": float(values["rate"]),
         "loop": values["loop"].lower() == "true",
-        # They are there before the first sample.
+        # Sending starts when these nodes have subscribed.
         "wait_for_subscribers": len(followers),
     }
     sim_time = played if values["use_sim_time"] == "auto" else values["use_sim_time"]
     time = {"use_sim_time": str(sim_time).lower() == "true"}
     clock = [("/clock", values["clock"])]
-    # Nodes that are started again are found at once.
+    # With this profile, restarted nodes are found at once.
     profiles = str(SHARE / "config" / "fastdds.xml")
     environment = {} if any(map(os.environ.get, PROFILES)) else {PROFILES[0]: profiles}
 

@@ -568,7 +568,7 @@ class RunPlanner:
     def _look_ahead(
         self, windows: Sequence[Window], parameters: Array, noise: Sequence[float], first: int
     ) -> tuple[int | None, float, float]:
-        """Runs until the goal is met, and the worst errors after the first and the last."""
+        """Runs until the goal is met, and the worst error after the first and the last of them."""
         model_errors = self._model_errors(windows, parameters)
         gradient = self._cycles.relative_gradient(parameters)[:, ::_FEW_PHASES]
         gains = self._candidates.gains(parameters, *_noise_by_motion(windows, noise))

@@ -265,7 +265,7 @@ class Model(ABC):
         return ~(self.unsettled(window, parameters) | coil_unsettled(window, coil))
 
     def unsettled(self, window: Window, parameters: Array | None) -> np.ndarray:
-        """Mask (n,) of samples that depend on the time before the window, apart from the coil."""
+        """Mask (n,) of samples at which the law alone depends on the time before the window."""
         if parameters is None or not (self.remembers or self.turning) or window.history.periodic:
             return np.zeros(window.sample_count, dtype=bool)
         history = window.history.coarse

@@ -431,8 +431,8 @@ class ResidualMonitor:
             )
         return Doubt(
             DoubtKind.WRONG,
-            f"the error of the predicted force is {float(sizes[wrong].max()):.3g} N, more than "
-            f"{self._limit:.0%} (maximum_error) of the measured peak of {peak:.3g} N",
+            f"the error of the predicted force is {float(sizes[wrong].max()):.3g} N at a "
+            f"measured peak of {peak:.3g} N: maximum_error is {self._limit:.0%}",
             wrong,
         )
 

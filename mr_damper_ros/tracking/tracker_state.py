@@ -391,7 +391,7 @@ class TrackerState:
         if path != self._directory.file(self._name):
             if self._directory.is_of_a_node(name):
                 raise StateError(
-                    f"{path} is the state of another node, which would continue from it: give "
+                    f"{path} is the state of another node, which would load this set: give "
                     "another name"
                 )
             return self._directory.save(name, self._tracker.parameters)

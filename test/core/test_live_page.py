@@ -302,7 +302,7 @@ def test_events_are_marked_and_lead_to_their_place(browser: Browser) -> None:
         told = browser.text("#mark-rows")
         assert "current: 0.5 to 1.2 A" in told
         assert "fault: supply: supply: its watchdog has tripped" in told
-        assert "set taken: nelder_mead-5 (nelder mead)" in told
+        assert "set accepted: nelder_mead-5 (nelder mead)" in told
         step = (
             "[...document.querySelectorAll('#mark-rows tr')].find(r => /1.2 A/.test(r.innerText))"
         )

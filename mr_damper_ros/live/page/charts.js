@@ -15,12 +15,12 @@ function axis(label, size) {
   };
 }
 
-/** Room for the marks beside an axis: small numbers have many letters. */
+/** Width of the labels of an axis; small numbers are long. */
 function beside(_, marks) {
   return Math.max(48, 12 + 6.5 * Math.max(0, ...(marks ?? []).map((mark) => mark.length)));
 }
 
-/** A number in few letters, for axes and captions. */
+/** A number as short text, for axes and captions. */
 export function short(value, digits = 4) {
   if (value === null || value === undefined || !Number.isFinite(value)) return "–";
   if (value === 0) return "0";
@@ -38,13 +38,13 @@ function padded({ low, high }, log = false) {
   return [low - room, high + room];
 }
 
-const OUTLIERS = 0.01; // the largest share of values that may lie outside the view on each side
-const ROOM = 0.5; // of the range of the others, in which a value is no outlier
+const OUTLIERS = 0.01; // largest fraction of values outside the view on each side
+const ROOM = 0.5; // a value within this multiple of the range of the others is no outlier
 
 /**
- * The range to show of these lists, and how many values lie outside it. A few values far from the
+ * The range to show of these lists, and the number of values outside it. A few values far from the
  * others do not flatten a chart; the newest of each list is always in view. Lists that are
- * `clipped` count only where the others are empty.
+ * `clipped` count only if the others are empty.
  */
 function extent(lists, lines = []) {
   const counted = lists.filter((list, k) => !lines[k]?.clipped && list.some((value) => value !== null));
@@ -59,7 +59,7 @@ function extent(lists, lines = []) {
   return { low, high, outside: sorted.filter((value) => value < low || value > high).length };
 }
 
-/** What both kinds have: a plot that fills its place, says values, and is made anew in other colours. */
+/** Base of both kinds: a plot that fills its place, shows values, and is redrawn in other colours. */
 class Chart {
   constructor(place, options) {
     this.place = place;
@@ -69,13 +69,13 @@ class Chart {
     new ResizeObserver(() => this.resize()).observe(place);
   }
 
-  /** What the caption says while no pointer is on the chart. */
+  /** The caption while no pointer is on the chart. */
   rest() {
     const outside = this.outside ? `${this.outside} outside the view` : "";
     return [this.resting, outside].filter(Boolean).join(" · ");
   }
 
-  /** The range of an axis; remembers how many values lie outside it. */
+  /** The range of an axis; stores the number of values outside it. */
   range(lists, lines, log) {
     const found = extent(lists, lines);
     this.outside = found.outside;
@@ -105,7 +105,7 @@ class Chart {
 }
 
 /** Curves that run back and forth: data is a list of [x, y], in the order of options.lines.
- *  Dragging over a part shows that alone, a double click all of it again. */
+ *  Dragging enlarges a part, a double click shows the whole curve again. */
 export class LoopChart extends Chart {
   show(data) {
     this.data = data;
@@ -141,13 +141,13 @@ export class LoopChart extends Chart {
     this.showPart([x, y]);
   }
 
-  /** Show a part, [[left, right], [bottom, top]]; null: all. */
+  /** Show a part, [[left, right], [bottom, top]]; null: the whole curve. */
   showPart(part) {
     this.part = part;
     if (this.data) this.show(this.data);
   }
 
-  /** Say in the caption where the pointer is. */
+  /** Show the position of the pointer in the caption. */
   tell(u) {
     const { left, top } = u.cursor, { x, y } = this.options;
     const at = (label, value) => `${short(value)} ${label.match(/\[(.*)\]/)[1]}`;
@@ -178,12 +178,12 @@ export class LoopChart extends Chart {
   }
 }
 
-const SMALLEST = 4; // pixels that a pointer must be dragged to mean a part of a chart
+const SMALLEST = 4; // shortest drag of the pointer, in pixels, that selects a part of a chart
 const MARKS = { set: ["S", "good"], fault: ["F", "bad"], current: ["I", "soft"], record: ["R", "accent"] };
 
 /**
- * What charts over the same time share: the part of it in view, two cursors and marks of events.
- * `view` is [from, to], null for what is newest; `changed` is called after a viewer's doing.
+ * Shared state of charts over the same time: the part in view, two cursors and marks of events.
+ * `view` is [from, to], null for the newest data; `changed` is called after a viewer's action.
  */
 export class TimeAxis {
   constructor(changed) {
@@ -205,19 +205,19 @@ export class TimeAxis {
 
   follow() { this.view = null; this.changed(); }
 
-  /** Make the part in view so many times as long, about a time. */
+  /** Multiply the length of the part in view by a factor, about a time. */
   zoom(factor, about = (this.shown[0] + this.shown[1]) / 2) {
     const [from, to] = this.shown;
     this.show(about + factor * (from - about), about + factor * (to - about));
   }
 
-  /** Move on by a part of what is in view. */
+  /** Move by a fraction of the part in view. */
   pan(part) {
     const [from, to] = this.shown, by = part * (to - from);
     this.show(from + by, to + by);
   }
 
-  /** Place the first cursor, or the second; a third begins anew. */
+  /** Place the first or the second cursor; a third click starts again with the first. */
   place(time) {
     this.cursors = this.cursors.length === 1 ? [...this.cursors, time] : [time];
     this.changed();
@@ -236,7 +236,7 @@ export class TimeChart extends Chart {
     if (options.axis) this.listen(options.axis);
   }
 
-  /** The wheel zooms, with Shift it moves on; a click places a cursor. */
+  /** The wheel zooms, with Shift it moves; a click places a cursor. */
   listen(axis) {
     const at = (event) => this.plot.posToVal(event.clientX - this.plot.over.getBoundingClientRect().left, "x");
     let begin = null;
@@ -263,7 +263,7 @@ export class TimeChart extends Chart {
     this.options.axis.show(from, to);
   }
 
-  /** Draw the marks, the cursors, and on a chart of the whole run the part in view. */
+  /** Draw the marks, the cursors, and in the chart of the whole run the part in view. */
   drawOver(u) {
     const { axis, leads } = this.options, { ctx, bbox } = u, ratio = devicePixelRatio;
     const px = (time) => Math.round(u.valToPos(time, "x", true));
@@ -291,7 +291,7 @@ export class TimeChart extends Chart {
     ctx.restore();
   }
 
-  /** Values of the lines at a time, from the sample next to it. */
+  /** Values of the lines at the sample nearest to a time. */
   valuesAt(time) {
     const times = this.data?.[0] ?? [];
     let best = -1;
@@ -344,7 +344,7 @@ export class TimeChart extends Chart {
     };
   }
 
-  /** Say in the caption what lies under the pointer. */
+  /** Show the values under the pointer in the caption. */
   tell(u) {
     const k = u.cursor.idx;
     if (k === null || k === undefined) { this.say(""); return; }

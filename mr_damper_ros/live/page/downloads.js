@@ -1,4 +1,4 @@
-// What the page saves: figures of a section as one picture, a table as text.
+// Downloads of the page: the figures of a section as one picture, a table as text.
 
 function save(blob, name) {
   const link = document.createElement("a");
@@ -16,7 +16,7 @@ function fileName(section, ending) {
 
 const YES_OR_NO = { 0: "no", 1: "yes" };
 
-/** The table as comma-separated values, with units and in words: `status` has both. */
+/** The table as comma-separated values, with units and words from `status`. */
 export function saveTable(section, { columns, rows }, { units, verdicts }) {
   const unit = (name) => units[name] ?? units[name.replace(/_error$/, "")];
   const words = columns.map((name) => ({ verdict: verdicts, accepted: YES_OR_NO, valid: YES_OR_NO })[name]);
@@ -27,7 +27,7 @@ export function saveTable(section, { columns, rows }, { units, verdicts }) {
   save(new Blob(["\ufeff", lines.join("\n"), "\n"], { type: "text/csv" }), fileName(section, "csv"));
 }
 
-/** All figures of a section as they lie on the page, with their captions. */
+/** All figures of a section as arranged on the page, with their captions. */
 export function savePicture(section, legend) {
   const colours = getComputedStyle(document.documentElement), ratio = devicePixelRatio;
   const colour = (name) => colours.getPropertyValue(`--${name}`).trim();

@@ -1,24 +1,24 @@
-// The page: asks for what is new, keeps the newest rows of each table, and shows them.
+// The page: requests new data, keeps the newest rows of each table, and shows them.
 
 import { LoopChart, TimeAxis, TimeChart, short } from "/charts.js";
 import { savePicture, saveTable } from "/downloads.js";
 
 const SIGNALS_EVERY = 100, SAMPLES_EVERY = 250, STATUS_EVERY = 500, RETRY_AFTER = 1000; // milliseconds
 const KEPT = { signals: 300000, samples: 10000, history: 40000 }, KEPT_OF_OTHERS = 2000;
-const LIVE_SIGNALS = 6000; // that are kept of a running system
-const DRAWN = 12000; // signals at most in a figure: more are shown by their history
-const LOOP = 5; // seconds that a loop shows at most: more is a blot
+const LIVE_SIGNALS = 6000; // kept for a running system
+const DRAWN = 12000; // most signals in a figure; longer spans use the history
+const LOOP = 5; // longest duration of a loop [s]; longer loops are a blot
 const SHOWN_WINDOWS = 60;
 const LEVELS = [["✓", "good", "good"], ["▲", "warning", "warn"], ["✕", "error", "bad"], ["…", "stale", "warn"]];
 const byId = (id) => document.getElementById(id);
 
 const tables = {}; // by name: generation, columns, rows (arrays of numbers), column (index by name)
-const failing = new Set(); // what is asked for in vain
-const windows = []; // what became of them, in words, oldest first
+const failing = new Set(); // requests without a result
+const windows = []; // results of commands, in words, oldest first
 let status = null, received = 0, paused = false, span = 10, origin = null;
 const time = new TimeAxis(() => { showSignals(); showCursors(); });
 
-// -- what comes in ------------------------------------------------------------------------------
+// -- new data -----------------------------------------------------------------------------------
 
 async function fetchRows(name) {
   const table = tables[name] ?? { generation: -1, rows: [] };
@@ -40,7 +40,7 @@ async function fetchRows(name) {
   return anew || numbers.length > 0;
 }
 
-/** Join each two rows of the older half of the history: the whole run stays, more coarsely. */
+/** Join pairs of rows in the older half of the history, so that the whole run fits, coarser. */
 function joinOlder(rows) {
   const older = 2 * Math.floor(rows.length / 4), joined = [];
   for (let k = 0; k < older; k += 2) {
@@ -58,7 +58,7 @@ async function fetchStatus() {
   const answer = await fetch(`/status?windows=${windows.at(-1)?.number ?? 0}&marks=${time.marks.at(-1)?.number ?? 0}`);
   if (!answer.ok) throw new Error(await answer.text());
   const told = await answer.json();
-  // A node that was started again counts from the beginning.
+  // A restarted node counts from the beginning.
   if (status && told.tables.windows.generation !== status.tables.windows.generation) {
     windows.length = 0;
     time.marks.length = 0;
@@ -86,7 +86,7 @@ async function fetchStatus() {
   return true;
 }
 
-/** Ask again and again, slower while nobody answers or looks, and show what is new. */
+/** Request and show new data repeatedly, slower without an answer or while the page is hidden. */
 async function repeat(name, ask, show, every) {
   for (;;) {
     const began = performance.now();
@@ -116,11 +116,11 @@ async function repeat(name, ask, show, every) {
 
 const place = (name) => document.querySelector(`[data-chart="${name}"] > div`);
 const line = (label, colour, dash = "solid", width = 1.5, band = false) => ({ label, colour, dash, width, band });
-const MEASURED = line("measured", "measured", "solid", 3.2); // broad and pale: what lies on it is seen
+const MEASURED = line("measured", "measured", "solid", 3.2); // broad and pale, so that lines on it are visible
 const PREDICTED = line("predicted", "predicted", "dashed", 1.7);
 const DOUBTED = { ...line("invalid", "doubted", "dotted", 1.7), clipped: true };
 
-/** A time since the beginning of the record, in words. */
+/** A time since the beginning of the record, as text. */
 function clock(since) {
   if (since === null || since === undefined) return "–";
   const size = Math.abs(since), sign = since < 0 ? "−" : "";
@@ -150,7 +150,7 @@ const charts = {
   nrmse: times("nrmse", "[%]", [line("set in use", DATA), line("fitted", FIT, "dashed", 1.8)], true, true),
   "fit-duration": times("fit-duration", "[ms]", [line("duration", DATA)], true),
 };
-const stale = new Set(); // tables of which the figures do not show everything yet
+const stale = new Set(); // tables with rows that the figures do not show yet
 const traced = { coefficients: {}, parameters: {} };
 
 const number = (value) => (Number.isNaN(value) ? null : value);
@@ -160,7 +160,7 @@ const withBand = (values, errors) => [
   values.map((value, k) => (value === null || errors[k] === null ? null : value + errors[k])),
 ];
 
-/** Seconds since the beginning of the record; what has no time was there from the beginning. */
+/** Seconds since the beginning of the record; 0 without a time. */
 function timesOf(table, rows) {
   let last = -Infinity;
   return rows.map((row) => (last = Math.max(last, row[table.column.time] - origin || 0)));
@@ -182,7 +182,7 @@ function between(table, from, to) {
 
 const sinceBegin = (table, k) => table.rows.at(k)[table.column.time] - origin;
 
-/** Rows with an empty one where signals are missing: a line across would be an invention. */
+/** Rows with an empty row at each gap, so that no line crosses the gap. */
 function withGaps(rows, at) {
   if (rows.length < 3) return rows;
   const steps = rows.slice(-50).map((row, k, last) => (k ? row[at] - last[k - 1][at] : Infinity)).sort((a, b) => a - b);
@@ -195,7 +195,7 @@ function withGaps(rows, at) {
   });
 }
 
-/** Where the motion began its last whole cycle: a dashed line over itself is none. */
+/** Start of the last whole cycle; a dashed line drawn over itself would look solid. */
 function lastCycle(velocities) {
   const fastest = velocities.reduce((most, velocity) => Math.max(most, Math.abs(velocity) || 0), 0);
   let begins = 0, below = false;
@@ -207,7 +207,7 @@ function lastCycle(velocities) {
   return 0;
 }
 
-/** Slope of a column over time by a line through a few milliseconds around each row. */
+/** Slope of a column over time: of a line fitted to a few milliseconds around each row. */
 function slope(rows, at, name) {
   const step = rows.length > 1 ? (rows.at(-1)[at.time] - rows[0][at.time]) / (rows.length - 1) : 1;
   const half = Math.min(Math.max(Math.round(0.004 / step), 1), 20);
@@ -221,7 +221,7 @@ function slope(rows, at, name) {
   });
 }
 
-/** The loops of some seconds before a time: at the full rate where it is there, else of the signals. */
+/** Loops of some seconds before a time, from samples at the full rate if present, else from signals. */
 function loopsBefore(end, seconds) {
   const full = tables.samples;
   const covered = Boolean(full?.rows.length && sinceBegin(full, 0) <= end - 0.5 * seconds && sinceBegin(full, -1) >= end - 0.5);
@@ -237,7 +237,7 @@ function loopsBefore(end, seconds) {
     .map(([name, xs]) => [name, [xs, measured], [xs.slice(cycle), reliable], [xs.slice(cycle), doubted]]);
 }
 
-let loopsAreFull = false; // then they are drawn as samples come, and not also as signals do
+let loopsAreFull = false; // then new samples redraw them, and new signals do not
 
 function showLoops() {
   if (!tables.signals?.rows.length || origin === null) return;
@@ -249,7 +249,7 @@ function showLoops() {
 
 let reference = JSON.parse(localStorage.getItem("reference") ?? "null");
 
-/** Keep the measured loops in view behind later ones, also after the page was left; or drop them. */
+/** Keep the measured loops in view behind later loops, even after the page is closed; or drop them. */
 function keepReference() {
   const loop = (name) => charts[`force-${name}`].data?.[1].map((list) => list.slice(-3000));
   reference = reference || !charts["force-velocity"].data ? null
@@ -269,7 +269,7 @@ function showReference() {
   showLoops();
 }
 
-/** What the figures over time show: from signals, or from their history where that is more than they hold. */
+/** Data of the figures over time: from the signals, or from the history if the span is too long. */
 function framed(from, to) {
   const fine = tables.signals, history = tables.history;
   const rows = fine?.rows.length ? between(fine, from, to + 1e-6) : [];
@@ -280,7 +280,7 @@ function framed(from, to) {
     const where = (name, valid) => shown.map((row) => (row[at.valid] > 0 === valid ? number(row[at[name]]) : null));
     return { times: timesOf(fine, shown), of, where, rows };
   }
-  // Up and down within each part of the history: its whole range is drawn.
+  // The line goes to both ends of the range in each part of the history.
   const parts = between(history, from, to), at = history.column;
   const every = Math.max(Math.ceil(parts.length / (DRAWN / 2)), 1);
   const shown = parts.filter((_, k) => k % every === 0);
@@ -312,7 +312,7 @@ function showSignals() {
   if (rows.length) showError(rows, table.column);
 }
 
-/** The measured force of the whole run, to see and to choose from. */
+/** The measured force of the whole run, to select a part. */
 function showRun() {
   const table = tables.history;
   if (!table?.rows.length || origin === null) return;
@@ -325,7 +325,7 @@ function showRun() {
 const READ = [["measured force [N]", "force-time", 0], ["predicted force [N]", "force-time", 1],
   ["displacement [mm]", "displacement-time", 0], ["velocity [m/s]", "velocity-time", 0], ["current [A]", "current-time", 0]];
 
-/** Values at the two cursors, and by how much they differ. */
+/** Values at the two cursors, and their differences. */
 function showCursors() {
   byId("cursors").hidden = !time.cursors.length;
   const [a, b] = time.cursors, two = b !== undefined;
@@ -350,7 +350,7 @@ function showMarks() {
   if ((time.marks.at(-1)?.number ?? 0) === shownMark) return;
   shownMark = time.marks.at(-1)?.number ?? 0;
   byId("marks").classList.toggle("waiting", !time.marks.length);
-  const words = { set: "set taken", fault: "fault", current: "current", record: "recording" };
+  const words = { set: "set accepted", fault: "fault", current: "current", record: "recording" };
   byId("mark-rows").replaceChildren(...time.marks.slice(-200).reverse().map((mark) => {
     const row = document.createElement("tr"), look = document.createElement("button");
     for (const text of [clock(mark.time), `${words[mark.kind]}: ${mark.text}`]) row.insertCell().textContent = text;
@@ -374,7 +374,7 @@ function showWindows() {
   charts["fit-duration"].show([time, of("fit_duration", 1e3)]);
 }
 
-/** Small figures, one a name, made when the names are known. */
+/** Small figures, one for each name, created once the names are known. */
 function showTraces(section) {
   const table = tables[section];
   if (!table?.rows.length) return;
@@ -409,7 +409,7 @@ function showTraces(section) {
 
 // -- words --------------------------------------------------------------------------------------
 
-/** A sign and word of how something stands; hidden once that is no longer heard. */
+/** Sign and word of a state; hidden once its source is silent. */
 function sign(text) {
   const shown = document.createElement("span");
   shown.className = "sign";
@@ -448,7 +448,7 @@ function showError(rows, at) {
 const concern = (name) => status.concerns.find((known) => known.name === name);
 const nodeOf = (known) => known.name.split(": ")[0];
 
-/** Seconds since one of these sources was heard: "signals", nodes, or names of diagnostics. */
+/** Seconds since the last message of one of these sources: "signals", nodes, or diagnostics. */
 function silenceOf(...sources) {
   const since = (performance.now() - received) / 1000;
   const silences = status.concerns.filter((known) => sources.includes(known.name) || sources.includes(nodeOf(known)))
@@ -459,7 +459,7 @@ function silenceOf(...sources) {
 
 const isSilent = (silence) => !status.recorded && silence !== null && silence > status.silent_after;
 
-/** What has not been heard for a while is grey, and says since when. */
+/** Values without updates turn grey and show the time of the last update. */
 function showSilence() {
   showState();
   if (status === null) return;
@@ -476,7 +476,7 @@ function showTiles() {
   const prediction = concern("model: prediction");
   if (prediction) {
     const [mark, word, colour] = LEVELS[prediction.level] ?? LEVELS[2];
-    // The error tile says how large the error is: two figures of two spans would only differ.
+    // The error tile shows the error; an NRMSE of another span here would only confuse.
     tile("prediction", prediction.message.split("; NRMSE")[0], "", `sentence ${colour}`, `${mark} `);
     byId("tile-prediction").title = word;
   }
@@ -501,7 +501,7 @@ function showTiles() {
   if (status.set) tile("set", status.set.set_id, `${status.set.model}, ${status.set.source.replaceAll("_", " ")}`);
 }
 
-/** Controller, supply and campaign, where there are any: what is commanded against what there is. */
+/** Tiles of controller, supply and campaign, if present: commanded and actual values. */
 function showMachines() {
   const told = {
     controller: [concern("controller: command"), ({ values }) => [`${values["desired force [N]"]} N desired`,
@@ -527,7 +527,7 @@ function motion(told) {
 }
 
 const percent = (value) => (value === null ? "–" : `${short(100 * value, 3)} %`);
-const LEFT_ALONE = ["NO_BETTER", "TOO_LITTLE_MOTION"]; // nothing is wrong with these
+const LEFT_ALONE = ["NO_BETTER", "TOO_LITTLE_MOTION"]; // no fault
 let shownWindow = 0;
 
 function showWindowRows() {
@@ -553,13 +553,13 @@ function showWindowRows() {
   }));
 }
 
-const entries = new Map(); // of the concerns shown, by name, so that what is open stays open
+const entries = new Map(); // of the concerns shown, by name, so that open details stay open
 
 function showConcerns() {
   if (status.concerns.length) byId("health").classList.remove("waiting");
   for (const [name, entry] of entries) {
     if (concern(name)) continue;
-    entry.remove(); // the page's node was started again, and has not heard of it
+    entry.remove(); // the page's node was restarted and does not know it yet
     entries.delete(name);
   }
   for (const { name, level, message, values } of status.concerns) {
@@ -602,7 +602,7 @@ function showState() {
 
 // -- the alarm bar ------------------------------------------------------------------------------
 
-/** How one thing stands, by a diagnostic for it; grey if it is no longer received. */
+/** A state in the alarm bar, from its diagnostic; grey if this is no longer received. */
 function showAlarm(name, known, text) {
   const shown = byId(`alarm-${name}`), silent = known && isSilent(silenceOf(known.name));
   const [mark, , colour] = LEVELS[known?.level] ?? ["", "", ""];
@@ -617,17 +617,17 @@ function showAlarms() {
   const measured = Number(command?.values["measured [A]"]);
   const output = supply ? ofSupply + (ofSupply === "on" && Number.isFinite(measured) ? `, ${short(measured, 3)} A` : "")
     : { HAND: "set by hand", COMMAND: "commanded", TIMED_OUT: "0 A: commands have stopped" }[origin];
-  // The worse of what the supply says of itself and of its current.
+  // The worse state of the supply and of its current.
   const telling = supply && (command?.level ?? 0) <= supply.level ? supply : command;
-  showAlarm("output", output && telling, output ?? "no supply heard");
+  showAlarm("output", output && telling, output ?? "no supply");
   const motion = concern("bridge: motion"), excitation = motion?.values.excitation;
-  showAlarm("excitation", excitation && motion, excitation ?? "no machine heard");
+  showAlarm("excitation", excitation && motion, excitation ?? "no machine");
   const interlock = status.concerns.find((known) => /interlock/i.test(known.name));
   showAlarm("interlock", interlock, interlock?.message ?? "none reported");
   showFaults();
 }
 
-/** What is wrong, or was, until somebody has seen it: the newest that nobody has. */
+/** The newest fault that nobody has acknowledged; it may be over. */
 function showFaults() {
   const unseen = status.faults.filter((fault) => !fault.seen), active = status.faults.filter((fault) => fault.active);
   const newest = unseen.reduce((last, fault) => (fault.number > (last?.number ?? 0) ? fault : last), null);
@@ -667,7 +667,7 @@ async function command(name, told = {}) {
   if (!answer.ok) alert(await answer.text());
 }
 
-/** Ask for a name and begin to record, or end the recording. */
+/** Ask for a name and begin a recording, or end it. */
 function record() {
   if (byId("record").hidden) return;
   if (status.recording) command("stop_recording");
@@ -715,7 +715,7 @@ function showStatus() {
   stale.clear();
 }
 
-// -- what a visitor does ------------------------------------------------------------------------
+// -- controls -----------------------------------------------------------------------------------
 
 const sections = [...document.querySelectorAll("main > section")];
 const inView = () => sections.findLast((section) => section.getBoundingClientRect().top < innerHeight / 3) ?? sections[0];

@@ -129,7 +129,7 @@ class LagMemory(NamedTuple):
 
     @classmethod
     def of(cls, state: State | None) -> LagMemory | None:
-        """The end of a state of the extended law; None at a start."""
+        """The memory of the lag from a state of the extended law; None at a start."""
         return None if state is None else cls(*map(float, state[-LAG_MEMORY:]))
 
 
