@@ -52,20 +52,17 @@ class MotionHistory:
         return cls(motion, np.full(count, current), period, places, branch, periodic=True)
 
     @cached_property
-    def _picked(self) -> np.ndarray | None:
-        """Places (n,) as indices; None if a place lies between two samples of the history."""
+    def _picked(self) -> np.ndarray | slice | None:
+        """Places (n,) as indices, a slice of all; None if one lies between two samples."""
+        if np.array_equal(self.places, np.arange(self.current.size)):
+            return slice(None)
         places = self.places.astype(int)
         return places if not self.periodic and np.array_equal(places, self.places) else None
 
     @property
     def holds_samples(self) -> bool:
-        """Whether the history contains all samples of the window, so that none is interpolated."""
+        """Whether the history contains all samples of the window, so no sample is interpolated."""
         return self._picked is not None
-
-    @cached_property
-    def is_window(self) -> bool:
-        """Whether the history and the window have the same samples."""
-        return np.array_equal(self.places, np.arange(self.current.size))
 
     @cached_property
     def _between(self) -> tuple[np.ndarray, np.ndarray, Array]:
@@ -100,7 +97,7 @@ class MotionHistory:
 
     def at_samples(self, values: Array) -> Array:
         """Values (m, ...) along the history, interpolated at the samples of the window (n, ...)."""
-        if self.is_window:
+        if isinstance(self._picked, slice):
             return values
         if self._picked is not None:
             # Derivatives are stored by columns, so they are also processed by columns.

@@ -99,26 +99,27 @@ class CurrentDependentModel(Model):
         """Force over the current; the coefficients are computed at all currents at once."""
         return _CurrentResponse(self, parameters)
 
-    def number_at(self, values: Sequence[float], place: int, current: float) -> float:
-        """One coefficient of a set (p,) at one current [A], in floating-point scalars."""
-        change = 0.0
-        for column in self._orders[place][::-1]:
-            change = (change + values[column]) * current
-        coefficient, value = self.at_one_current[place], values[place]
-        low = coefficient.low
-        value = value * (1.0 + change) if low >= 0.0 else value + change
-        return low if value < low else min(value, coefficient.high)
+    def numbers_at(self, values: Sequence[float], current: float) -> list[float]:
+        """The coefficients of a set (p,) at one current [A], in floating-point scalars."""
+        found = []
+        for coefficient, value, columns in zip(
+            self.at_one_current, values, self._orders, strict=False
+        ):
+            change = 0.0
+            for column in columns[::-1]:
+                change = (change + values[column]) * current
+            low = coefficient.low
+            value = value * (1.0 + change) if low >= 0.0 else value + change
+            found.append(low if value < low else min(value, coefficient.high))
+        return found
 
     def all_at(self, parameters: Array, current: Array) -> list[Array]:
         """The coefficients, each (..., n or 1), at currents (n,) or (..., n)."""
         if np.all(current == current[..., :1]):
             current = current[..., :1]
         if parameters.ndim == 1 and current.size == 1:  # scalar code for a frequent case
-            values, one = parameters.tolist(), float(current.item())
-            return [
-                np.full(current.shape, self.number_at(values, place, one))
-                for place in range(len(self.at_one_current))
-            ]
+            found = self.numbers_at(parameters.tolist(), float(current.item()))
+            return [np.full(current.shape, value) for value in found]
         return [self._at(parameters, place, current) for place in range(len(self.at_one_current))]
 
     def _at(self, parameters: Array, place: int, current: Array) -> Array:

@@ -238,7 +238,13 @@ class SeriesSprings(DifferentiatedModel):
             return super().follow_in_coil(parameters, motion, current, period, state)
         amperes = current.tolist()
         constant = amperes.count(amperes[0]) == len(amperes)
-        paths, (gas, offset) = self._numbers_at(parameters, amperes[:1] if constant else amperes)
+        # Strength, width, damping and stiffness of each path, one row if the current is constant.
+        paths: tuple[list[tuple[float, ...]], list[tuple[float, ...]]] = [], []
+        values = parameters.tolist()
+        for ampere in amperes[:1] if constant else amperes:
+            f_y, w_y, c, stiffness, share, softer, gas, offset = self.numbers_at(values, ampere)
+            paths[0].append(((1.0 - share) * f_y, w_y, c, stiffness))
+            paths[1].append((share * f_y, w_y, 0.0, softer))
         velocity = motion.velocity.tolist()
         memory = [math.nan] * self.memory if state is None else [float(s) for s in state]
         force: Array = gas * motion.displacement + offset
@@ -249,21 +255,6 @@ class SeriesSprings(DifferentiatedModel):
             kept += follow_path(velocity, path, forces, early, flows, period, *start)
             force += forces
         return force, tuple(np.array(value) for value in (*kept, velocity[-1]))
-
-    def _numbers_at(
-        self, parameters: Array, amperes: list[float]
-    ) -> tuple[tuple[_Numbers, _Numbers], tuple[float, float]]:
-        """The two paths at these currents [A], one row for each current, and k0 and f0."""
-        values = parameters.tolist()
-        share, gas, offset = (self.number_at(values, place, 0.0) for place in (4, 6, 7))
-        first, second = [], []
-        for current in amperes:
-            f_y, w_y, c, stiffness, softer = (
-                self.number_at(values, place, current) for place in (0, 1, 2, 3, 5)
-            )
-            first.append(((1.0 - share) * f_y, w_y, c, stiffness))
-            second.append((share * f_y, w_y, 0.0, softer))
-        return (first, second), (gas, offset)
 
     def memory_length(self, parameters: Array, current: float) -> float:
         """A multiple of the deflection of the softer spring at its yield force.
@@ -315,7 +306,3 @@ def _paths(coefficients: Sequence[Array]) -> tuple[Path, Path]:
     f_y, width, damping, stiffness, share, softer = coefficients[:6]
     first = (1.0 - share) * f_y, width, damping, stiffness
     return first, (share * f_y, width, np.zeros_like(damping), softer)
-
-
-_Numbers = list[tuple[float, float, float, float]]
-"""Strength, width, damping and stiffness of a path, at each sample or one row for all samples."""
