@@ -22,11 +22,11 @@ help: ## List the targets
 setup: ## Install what is missing and build both packages (a second call does nothing)
 	@scripts/setup.bash
 
-demo: setup ## Play a bag to identifier and model; table and figures at the end
+demo: setup ## Play a bag to identifier and model, then show a table and figures
 	@. ./env.bash
 	exec $(PROGRAMS)/demo $(ARGS)
 
-live: setup ## Serve a page that shows the emulated rig under identification, until Ctrl-C
+live: setup ## Serve a page on which an emulated rig is identified, until Ctrl-C
 	@. ./env.bash
 	exec $(PROGRAMS)/demo --live $(ARGS)
 
@@ -34,11 +34,11 @@ thesis: setup ## Reproduce the thesis' results into build/thesis/report.html (AR
 	@. ./env.bash
 	exec python -m studies thesis $(ARGS)
 
-control: setup ## Compare controllers of the damper in car and buildings: build/control/report.html
+control: setup ## Compare controllers in a car and in buildings: build/control/report.html
 	@. ./env.bash
 	exec python -m studies control $(ARGS)
 
-truth: setup ## Judge every force law on recordings and a benchmark: build/truth/report.html
+truth: setup ## Compare the force laws on recordings and a benchmark: build/truth/report.html
 	@. ./env.bash
 	exec python -m studies truth $(ARGS)
 
@@ -51,25 +51,25 @@ doc: ## Build the documentation into build/doc/index.html; warnings are errors
 	exec env -u PYTHONPATH .venv-doc/bin/python -m sphinx -W --keep-going -q \
 	  -d build/doc-cache doc build/doc $(ARGS)
 
-bench: setup ## Measure the figures of the identification; writes build/bench.json
+bench: setup ## Measure accuracy and speed; writes build/bench.json
 	@. ./env.bash
 	exec python -m benchmarks.bench $(ARGS)
 
-soak: setup ## Kill, interrupt, stream for hours, feed what is hostile: 90 minutes; writes build/soak.json
+soak: setup ## Test killed and interrupted nodes, hostile data, hours of streams (90 minutes): build/soak.json
 	@. ./env.bash
 	exec python -m benchmarks.bench --soak $(ARGS)
 
 test: setup ## Run all tests: core, packaging, and nodes over real DDS
 	@. ./env.bash
 	export ROS_PYTHON_CHECK_FIELDS=1 ROS_AUTOMATIC_DISCOVERY_RANGE=LOCALHOST
-	unset PYTHONDONTWRITEBYTECODE # hundreds of processes would each compile what they import
+	unset PYTHONDONTWRITEBYTECODE # otherwise hundreds of processes would each compile their imports
 	exec python -m $(TESTED) $(ARGS)
 
 test-noble: ## Run the core tests with the package versions of Ubuntu 24.04, without ROS
 	@scripts/setup.bash noble
 	exec env -u PYTHONPATH -u PYTHONDONTWRITEBYTECODE .venv-noble/bin/python -m $(TESTED) test/core $(ARGS)
 
-test-wheel: ## Build the wheel and try it in an environment of nothing else, without ROS
+test-wheel: ## Build the wheel and test it in an empty environment, without ROS
 	@scripts/try_wheel.bash
 
 lint: setup ## Check style, types and the package.xml files
@@ -79,14 +79,14 @@ lint: setup ## Check style, types and the package.xml files
 	mypy
 	python scripts/check_package_xml.py package.xml msg_defs/package.xml
 
-format: setup ## Bring the code into the form that `make lint` wants
+format: setup ## Format the code for `make lint`
 	@. ./env.bash
 	ruff check --fix $(STYLED)
 	ruff format $(STYLED)
 
-clean: ## Remove what was built
+clean: ## Remove build results
 	@rm -rf build install log doc/generated .setup.lock .hypothesis .mypy_cache .pytest_cache .ruff_cache
 	find mr_damper_ros studies test scripts -name __pycache__ -prune -exec rm -rf {} +
 
-distclean: clean ## Remove the environments too
+distclean: clean ## Also remove the environments
 	@rm -rf .venv .venv-noble .venv-doc

@@ -34,7 +34,7 @@ _mr_damper_env() {
   flags=$-
   set +eu # the scripts of colcon are not written for these
   if [ "$mode" != jazzy ]; then
-    unset AMENT_PREFIX_PATH # another clone's, it would be mixed with this
+    unset AMENT_PREFIX_PATH # the path of another clone would be mixed with this
     foreign=$(printf '%s\n' "${PYTHONPATH:-}" | tr ':' '\n' | grep -v "^$root/" | tr '\n' ' ')
     case $foreign in
       *[!\ ]*) echo "mr_damper_ros: PYTHONPATH is set anew, without ${foreign% }: what lies there" \
@@ -46,10 +46,10 @@ _mr_damper_env() {
   case $flags in *e*) set -e ;; esac
   case $flags in *u*) set -u ;; esac
 
-  # No traffic with other machines unless it is asked for.
+  # No traffic with other machines by default.
   export ROS_AUTOMATIC_DISCOVERY_RANGE="${ROS_AUTOMATIC_DISCOVERY_RANGE:-LOCALHOST}"
 
-  # Nodes that are started again are found at once, unless there are profiles of the user's own.
+  # With this profile, restarted nodes are found at once; profiles of the user have priority.
   profiles=$root/install/mr_damper_ros/share/mr_damper_ros/config/fastdds.xml
   if [ -z "${FASTRTPS_DEFAULT_PROFILES_FILE:-}${FASTDDS_DEFAULT_PROFILES_FILE:-}" ] \
     && [ -f "$profiles" ]; then

@@ -34,32 +34,32 @@ TOOLS = (
 
 
 HEAR = ["/usr/bin/env", "--block-signal=INT,TERM"]
-"""Starts a program with these signals held back until it says that it hears them."""
+"""Command that starts a program with these signals blocked until the program unblocks them."""
 
 PROGRAM = """\
 #!{interpreter}
-# A signal that comes while Python starts is held back until the program hears it.
+# Signals are blocked while Python starts; the program unblocks them.
 import sys
 
 from {package}.entry_points import {function}
 
-# Processes that a program starts read this file too.
+# Child processes of a program also import this file.
 if __name__ == "__main__":
     sys.exit({function}({arguments}))
 """
 
 
 def interpreter() -> str:
-    """Return what runs a program; without holding signals back where `env` cannot."""
+    """Return the interpreter line; signals are not blocked if `env` does not support it."""
     hears = subprocess.run([*HEAR, "true"], capture_output=True, check=False).returncode == 0
     return f"{HEAR[0]} -S {' '.join(HEAR[1:])} {sys.executable}" if hears else sys.executable
 
 
 class Programs:
-    """Part of the commands that install programs: ours are shorter, and hear signals."""
+    """Mix-in of install commands: shorter program files, which handle signals from the start."""
 
     def write_script(self, script_name: str, contents: str, *arguments: object) -> None:
-        """Write a program; setuptools calls it."""
+        """Write a program file; called by setuptools."""
         if script_name in (*NODES, *TOOLS):
             is_node = script_name in NODES
             contents = PROGRAM.format(
@@ -72,10 +72,10 @@ class Programs:
 
 
 class BuildPy(build_py):
-    """Modules, with the definitions of the messages in a bag: writing one needs no workspace."""
+    """Modules and the message definitions of a bag, so that writing bags needs no workspace."""
 
     def run(self) -> None:
-        """Copy them; setuptools calls it."""
+        """Copy the files; called by setuptools."""
         super().run()
         if not self.editable_mode:
             folder = Path(self.build_lib, NAME, "io", "msg")
@@ -93,7 +93,7 @@ class InstallScripts(Programs, install_scripts):
 
 
 def data_files(*patterns: str) -> list[tuple[str, list[str]]]:
-    """Return the files that match, each with the folder under ``share`` it is installed to."""
+    """Return the matching files by the folder under ``share`` into which they are installed."""
     folders: dict[str, list[str]] = {}
     for pattern in patterns:
         for path in sorted(Path().glob(pattern)):
@@ -108,9 +108,8 @@ assert maintainer is not None
 
 if {"develop", "install"} & set(sys.argv) and not importlib.util.find_spec("mr_damper_msgs"):
     print(
-        "The messages, mr_damper_msgs, are not built, and no node starts without them: link their "
-        "folder beside this package (ln -s mr_damper_ros/msg_defs src/mr_damper_msgs) and build "
-        "again.",
+        "The package mr_damper_msgs is not built, and no node starts without it: link its folder "
+        "beside this package (ln -s mr_damper_ros/msg_defs src/mr_damper_msgs) and build again.",
         file=sys.stderr,
     )
 

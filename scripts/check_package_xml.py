@@ -12,7 +12,7 @@ SCHEMA = Path(__file__).resolve().parent.parent / "test" / "schema" / "package_f
 
 
 def problems(path: Path) -> list[str]:
-    """Return what is wrong with the file, in words; nothing where it is valid."""
+    """Return the faults of the file, in words; empty if it is valid."""
     schema = etree.XMLSchema(etree.parse(str(SCHEMA)))
     try:
         document = etree.parse(str(path))
@@ -29,7 +29,7 @@ def problems(path: Path) -> list[str]:
 
 
 def main() -> int:
-    """Check the files named on the command line; the exit code is 1 where one is not valid."""
+    """Check the files named on the command line; the exit code is 1 if one is invalid."""
     paths = [Path(name) for name in sys.argv[1:]]
     found = [problem for path in paths for problem in problems(path)]
     for problem in found:

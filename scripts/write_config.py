@@ -22,13 +22,13 @@ NODES = (
 )
 
 MANAGED = ("bridge", "supply")
-"""Lifecycle nodes: what is fixed may be set as long as they are not configured."""
+"""Lifecycle nodes, whose fixed parameters may be set while the node is not configured."""
 
 EXAMPLES = {"campaign": "-p folder:=/data/damper_7", "replay": "-p bag:=bags/5.0mm_1Hz_1.5A"}
-"""What a node cannot do without, on the command line of its file."""
+"""Arguments that a node needs in addition to its parameter file."""
 
 COIL = 0.01
-"""Time constant [s] of the coil of the invented damper, as the bridge has it."""
+"""Coil time constant [s] of the invented damper, the default of the bridge."""
 
 WIDTH = 100
 
@@ -41,7 +41,7 @@ def table_of(node: str) -> type[ParameterTable]:
 
 
 def config_text(node: str) -> str:
-    """The parameter file of a node with its defaults and their explanations."""
+    """The parameter file of a node: its defaults with descriptions."""
     table = table_of(node)
     _, _, purpose = (inspect.getdoc(table) or "").partition("\n\n")
     command = f"ros2 run mr_damper_ros {node} --ros-args --params-file {node}.yaml"
@@ -70,7 +70,7 @@ def config_text(node: str) -> str:
 
 
 def _fixed(node: str, table: type[ParameterTable]) -> str:
-    """Which parameters may be changed, and when."""
+    """A sentence on which parameters are fixed, and when."""
     free = [item.name for item in options(table) if not item.read_only]
     all_but = f"All but {', '.join(free)} are" if free else "All are"
     if node not in MANAGED:
@@ -83,7 +83,7 @@ def _fixed(node: str, table: type[ParameterTable]) -> str:
 
 
 def _headings(table: type, prefix: str = "") -> Iterator[tuple[str, str]]:
-    """What is said of each group of options: the first paragraph of its table's docstring."""
+    """Heading of each group of options: the first paragraph of its table's docstring."""
     for field in dataclasses.fields(table):
         for own, part in tables_of(field).values():
             if own:
@@ -111,7 +111,7 @@ def _value(item: Option) -> str:
 
 
 def texts() -> dict[str, str]:
-    """Every file that is generated, by its name."""
+    """The text of every generated file, by file name."""
     files = {f"{node}.yaml": config_text(node) for node in NODES}
     return files | {"invented_damper.yaml": invented_damper(COIL).to_yaml()}
 

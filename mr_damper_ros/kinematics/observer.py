@@ -200,7 +200,7 @@ _BEHIND = 2
 """Smallest number of bandwidth steps between the first and the narrower second observer."""
 
 _SHOWS = 2.0
-"""The motion is visible in a residual with more than this multiple of the power of the noise."""
+"""The motion is visible in a residual whose power exceeds the noise power by this factor."""
 
 _FORGETTING = 0.93
 """Factor on the largest recent change after each stretch; ten stretches halve the change."""

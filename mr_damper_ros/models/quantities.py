@@ -76,7 +76,7 @@ class Coefficient:
 
     @property
     def grows(self) -> bool:
-        """Whether the current multiplies it; if not, the current shifts it."""
+        """Whether the current multiplies the coefficient; if not, the current shifts it."""
         return self.low >= 0.0
 
     @property

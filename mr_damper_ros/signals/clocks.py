@@ -68,7 +68,7 @@ _SECONDS = 60
 """Duration [s] of the arrivals to which the line is fitted."""
 
 _CHECKED = 5
-"""Time [s] of arrivals after which the rate is estimated; before that, only the offset is."""
+"""Time [s] of arrivals before the rate is estimated; at first only the offset is estimated."""
 
 
 class ArrivalClock:
