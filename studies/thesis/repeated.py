@@ -165,17 +165,13 @@ def _table(data: dict[str, Any], statistic: str) -> Table:
     )
 
 
-def outliers(sets: Array) -> dict[str, int]:
-    """Number of outliers of each parameter of sets (r, 16): beyond 1.5 boxes from the box."""
+def _outliers(sets: Array) -> str:
+    """Outliers of each parameter of sets (r, 16) in words: beyond 1.5 boxes from the box."""
     low, high = np.quantile(sets, [0.25, 0.75], axis=0)
     reach = 1.5 * (high - low)
     count = np.sum((sets < low - reach) | (sets > high + reach), axis=0)
-    return {name: int(n) for name, n in zip(PARAMETER_NAMES, count, strict=True)}
-
-
-def _outliers(sets: Array) -> str:
-    counted = {name: count for name, count in outliers(sets).items() if count > 0}
-    return ", ".join(f"{count} of {name}" for name, count in counted.items()) or "none"
+    named = [f"{n} of {name}" for name, n in zip(PARAMETER_NAMES, count, strict=True) if n]
+    return ", ".join(named) or "none"
 
 
 def _box_figure(data: dict[str, Any]) -> Picture:

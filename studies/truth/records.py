@@ -20,6 +20,7 @@ from mr_damper_ros.models.parameter_set import ParameterSet
 from mr_damper_ros.processes.files import json_ready
 from mr_damper_ros.report import document
 from mr_damper_ros.report.document import GREY, INK, MARKS, Cell, Chapter, Picture, Table, Text
+from mr_damper_ros.signals.arrays import Array
 from studies import recordings
 from studies.drawing import draw_rows, line, name_rows
 from studies.program import Campaign, Part, Task
@@ -44,33 +45,24 @@ def judge_records(utfsm: Path, law: str, left_out: str | None, every: int) -> di
         motion: windows[::every] for motion, windows in recordings.processed_motions(utfsm).items()
     }
     began = time.process_time()
-    found = set_without(motions, law, left_out)
+    windows = [w for motion, each in motions.items() if motion != left_out for w in each]
+    start = MODELS[law].initial_values()[0]
+    found = identify_global(MODELS[law], windows, start, EvolutionSettings()).parameter_set
     seconds = time.process_time() - began
     judged = motions if left_out is None else {left_out: motions[left_out]}
-    nrmse = {
-        f"{motion}, {window.current[0]:g} A": error_of(found, window)
-        for motion, windows in judged.items()
-        for window in windows
-    }
+    nrmse = {}
+    for motion, windows in judged.items():
+        for window in windows:
+            error = recordings.rms(_left(found, window)) / float(np.std(window.force))
+            nrmse[f"{motion}, {window.current[0]:g} A"] = error
     raw = {} if left_out is not None else _raw_errors(found, utfsm)
     return {"set": found, "nrmse": nrmse, "raw": raw, "seconds": seconds}
 
 
-def set_without(
-    motions: Mapping[str, Sequence[Window]], law: str, left_out: str | None
-) -> ParameterSet:
-    """One set of a law for the windows of all motions except the one left out."""
-    model = MODELS[law]
-    windows = [w for motion, each in motions.items() if motion != left_out for w in each]
-    start = model.initial_values()[0]
-    return identify_global(model, windows, start, EvolutionSettings()).parameter_set
-
-
-def error_of(found: ParameterSet, window: Window) -> float:
-    """RMSE/std [1] of the force of a set, the peak velocity held within the set's range."""
+def _left(found: ParameterSet, window: Window) -> Array:
+    """Error [N] of the force of a set (n,), the peak velocity held within the set's range."""
     held = window.held_within(*found.peak_velocity_range)
-    residual = found.law.window_force(held, found.values) - window.force
-    return float(np.sqrt(np.mean(residual**2)) / np.std(window.force))
+    return np.asarray(found.law.window_force(held, found.values) - window.force)
 
 
 def _raw_errors(found: ParameterSet, utfsm: Path) -> dict[str, float]:
@@ -79,10 +71,8 @@ def _raw_errors(found: ParameterSet, utfsm: Path) -> dict[str, float]:
     for path in sorted((utfsm / "raw").glob("*.txt")):
         for run in read_runs(path, _RAW_COLUMNS, currents=_RAW_CURRENTS):
             window = recordings.window_of(run)
-            held = window.held_within(*found.peak_velocity_range)
-            residual = found.law.window_force(held, found.values) - window.force
             name = f"{path.stem.removeprefix('ME')}, {run.current[0]:g} A"
-            errors[name] = float(np.std(residual) / np.std(window.force))
+            errors[name] = float(np.std(_left(found, window)) / np.std(window.force))
     return errors
 
 
