@@ -278,6 +278,10 @@ class IntegratedModel(CurrentDependentModel):
         self, coefficients: Sequence[Array], motion: Motion, period: float, state: State | None
     ) -> tuple[Array, State]:
         """Force [N] of the sets one after the other; arrays are faster for more than thirty."""
+        if all(c.ndim == 1 for c in coefficients):  # one set, which streams ask for often
+            memory = [math.nan] * self.memory if state is None else [float(s) for s in state]
+            found = self.integrate(list(coefficients), motion, period, memory)
+            return self.force_from(coefficients, motion, found), tuple(map(np.array, memory))
         shape = np.broadcast_shapes(*(c.shape[:-1] for c in coefficients))
         every = [np.broadcast_to(c, (*shape, c.shape[-1])) for c in coefficients]
         result = np.empty((*shape, motion.velocity.size))

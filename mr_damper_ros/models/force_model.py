@@ -197,7 +197,9 @@ class Model(ABC):
         For parameters (..., p), a motion and currents (n,) [A], the ``period`` [s] between samples
         and the state after the previous sample.
         """
-        if not (self.has_coil and np.any(parameters[..., -1] > 0.0)):
+        # Without np.any for one set, because it takes as long as the lag itself.
+        lags = parameters[-1] > 0.0 if parameters.ndim == 1 else np.any(parameters[..., -1] > 0.0)
+        if not (self.has_coil and lags):
             own = state if state is None else state[: self.memory]
             return self.follow_in_coil(parameters, motion, current, period, own)
         own, coil = (None, ()) if state is None else (state[: self.memory], state[self.memory :])
