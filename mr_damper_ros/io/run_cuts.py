@@ -12,7 +12,7 @@ from mr_damper_ros.kinematics.window import turning_points
 from mr_damper_ros.signals.arrays import NOISE_SPAN, Array, white_noise
 
 _BLOCK = 0.1
-"""Length of a block [s]. It is the resolution of rests, and the part of a rest that a run keeps."""
+"""Length of a block [s]. Rests are detected block by block, and a run keeps one block of a rest."""
 
 _REST = 1.0
 """Shortest duration of a rest [s]."""

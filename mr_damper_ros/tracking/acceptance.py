@@ -47,14 +47,16 @@ LARGEST_EXCESS = 0.03
 
 _LARGEST_LOSS = 0.5
 """Largest increase of a window set's mean square error at the other operating points, relative to
-its decrease in the window. A window set is fitted to that window alone (``foreign_worse_sets``)."""
+its decrease in the window. A window set is fitted to that window alone (benchmark figure
+``foreign_worse_sets``)."""
 
 GOOD_NRMSE = 0.3
 """Up to this NRMSE the running set counts as good, and replacing it is a risk."""
 
 WORTHWHILE_RATIO = 0.9
 """A good set is replaced only by a set with an NRMSE below this multiple of its NRMSE. A set that
-is equally good at the tested operating points may be worse at others (``foreign_worse_sets``)."""
+is equally good at the tested operating points may be worse at others (benchmark figure
+``foreign_worse_sets``)."""
 
 
 @dataclass(frozen=True)
@@ -261,8 +263,9 @@ def _mean_square(found: ParameterSet, windows: Sequence[Window]) -> float:
 
 LARGE_SHAPE_CHANGE = 0.2
 """A larger shape change [1] must be confirmed by the next window if the running set has been
-identified at this operating point (``foreign_worse_sets``). Between two windows of one steady
-motion, temperature and wear do not change the shape as much; a delay between the sensors does."""
+identified at this operating point (benchmark figure ``foreign_worse_sets``). Between two windows of
+one steady motion, temperature and wear do not change the shape as much; a delay between the sensors
+does."""
 
 SAME_FORCE = 0.1
 """Largest relative change of a force that counts as unchanged. If the force at a new operating

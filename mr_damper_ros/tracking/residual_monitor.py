@@ -48,7 +48,7 @@ _LONGEST_STRETCH = 0.25
 
 _STEADY_CURRENT = 1.0
 """Time [s] after which a constant current is steady: the largest time for which a wrong force may
-be valid (``foreign_wrong_valid_s``)."""
+be valid (benchmark figure ``foreign_wrong_valid_s``)."""
 
 _PRELOAD = 0.5
 """The offset of the force, which gas pressure causes, counts towards the peak up to this fraction
