@@ -7,8 +7,8 @@ the signals are ignored.
 
 SciPy takes most of the loading time. A killed node should restart quickly, so the modules of a node
 import SciPy only inside the functions that use it. The identifier's worker loads SciPy before its
-first task. It starts before the node is loaded, because loading SciPy takes longer than loading the
-node and receiving its first window.
+first task. The worker starts before the node is loaded, because loading SciPy takes longer than
+loading the node and receiving its first window.
 """
 
 from __future__ import annotations

@@ -107,7 +107,7 @@ def judge_run(
 ) -> str:
     """Reason to reject a run, or empty; with a folder, the run is always stored.
 
-    It can run in a worker, like :func:`find_step`. Raises OSError.
+    This function can run in a worker, like :func:`find_step`. Raises OSError.
     """
     refusal = fault_of_run(*made)
     if folder is not None:

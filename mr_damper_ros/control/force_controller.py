@@ -29,9 +29,8 @@ from mr_damper_ros.tracking.validity import NO_DOUBT, Doubt, DoubtKind
 def coil_command(wanted: float, coil: float, horizon: float, time_constant: float) -> float:
     """Supply current [A] that moves the coil current from ``coil`` to ``wanted`` [A].
 
-    The coil current reaches ``wanted`` at the end of the ``horizon`` [s]. It follows the supply
-    with a first-order lag (:mod:`mr_damper_ros.models.first_order_lag`) of ``time_constant`` [s]; 0
-    means no lag.
+    The coil current reaches ``wanted`` at the end of the ``horizon`` [s]. It lags behind the supply
+    current by the ``time_constant`` [s] (:mod:`mr_damper_ros.models.first_order_lag`); 0: no lag.
     """
     if time_constant == 0.0:
         return wanted

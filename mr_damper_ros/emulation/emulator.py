@@ -37,7 +37,7 @@ _COLD, _HOT = 28.0, 71.0
 CHUNK = 100
 """Number of samples that have the same temperature and are computed with one draw of noise.
 
-It is fixed, so that the samples do not depend on the block size.
+This number is fixed, so that the samples do not depend on the block size.
 """
 
 

@@ -148,8 +148,8 @@ class LocalSearch(Generic[P]):
 
         Without bounds it uses Levenberg-Marquardt (MINPACK). With bounds it uses the trust-region
         method of Branch, Coleman and Li (SIAM J. Scientific Computing 21, 1999), which takes
-        several times as long if evaluations are cheap. It ends when a step reduces the sum of
-        squares by less than the relative ``tolerance``.
+        several times as long if evaluations are cheap. The search ends when a step reduces the sum
+        of squares by less than the relative ``tolerance``.
         """
         root = None if weights is None else np.sqrt(weights)
 

@@ -179,7 +179,7 @@ class ProfileLikelihood:
     def _starts(self, before: Array, here: Array, place: int, target: float) -> list[Array]:
         """Starts with the parameter at its target.
 
-        They are an extrapolation of the last step, the present parameters, and the present
+        The starts are an extrapolation of the last step, the present parameters, and the present
         parameters with the linear ones refitted.
         """
         value, moved = float(here[place]), float(here[place] - before[place])

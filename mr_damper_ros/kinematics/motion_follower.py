@@ -1,8 +1,8 @@
 """Causal estimate of the motion from a stream of displacement, block by block.
 
-A sine fitted to the latest cycles follows steady sinusoidal motion. It gives velocity and
-acceleration without delay and nearly without noise, because it averages over a whole cycle, while
-an observer averages over some milliseconds. As soon as the newest samples deviate from the sine by
+A sine fitted to the latest cycles follows steady sinusoidal motion. The sine gives velocity and
+acceleration without delay and nearly without noise, because the fit averages over a whole cycle; an
+observer averages over some milliseconds. As soon as the newest samples deviate from the sine by
 more than their noise, :mod:`mr_damper_ros.kinematics.observer` estimates the motion.
 """
 
@@ -100,7 +100,7 @@ class SineFollower:
     def learn(self, displacement: Array, half_cycle: float) -> None:
         """Add these samples, and fit the sine again if a fit is due.
 
-        ``half_cycle`` [s] is the time between the last two reversals, NaN while unknown. It gives
+        ``half_cycle`` [s] is the time between the last two reversals, NaN while unknown; it gives
         the initial frequency.
         """
         samples = self._samples

@@ -198,8 +198,8 @@ class WindowProblem:
     def usual_change(self, part: float, fastest: float) -> Array:
         """Change (f,) of each unknown that changes the force by the relative amount ``part``.
 
-        It is evaluated in the window and, if ``fastest`` [m/s] is finite, in a sine of this peak
-        velocity. It is infinite if the force is zero.
+        The force is evaluated in the window and, if ``fastest`` [m/s] is finite, in a sine of this
+        peak velocity. The change is infinite if the force is zero.
         """
         change = self._relative_change(part)
         if not math.isfinite(fastest):

@@ -44,10 +44,10 @@ def newest() -> QoSProfile:
 def lossless() -> QoSProfile:
     """For a subscriber that must receive every message at any rate.
 
-    It is also for a service, because the default queue holds ten requests, and further requests are
-    never answered. With "keep all" the middleware stops acknowledging once a few thousand messages
-    wait. A sender that waits for acknowledgements (:mod:`mr_damper_ros.nodes.pacing`) therefore
-    sends exactly as fast as its slowest such subscriber receives.
+    Also for a service, because the default queue holds ten requests, and further requests are never
+    answered. With "keep all" the middleware stops acknowledging once a few thousand messages wait.
+    A sender that waits for acknowledgements (:mod:`mr_damper_ros.nodes.pacing`) therefore sends
+    exactly as fast as its slowest such subscriber receives.
     """
     return QoSProfile(reliability=ReliabilityPolicy.RELIABLE, history=HistoryPolicy.KEEP_ALL)
 

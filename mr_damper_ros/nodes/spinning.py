@@ -186,10 +186,10 @@ def _spin(
 def _end_in_any_case() -> None:
     """End the process soon, even if the destruction of the node never returns.
 
-    Fast DDS 2.14 sometimes deadlocks if a writer is deleted while another participant leaves. It
-    then holds Python's global lock, so that neither Python code nor signal handlers can run. The
-    thread of faulthandler does not need this lock. All state of the node is on disk before its
-    publishers are destroyed.
+    Fast DDS 2.14 sometimes deadlocks if a writer is deleted while another participant leaves. The
+    deadlocked thread holds Python's global lock, so that neither Python code nor signal handlers
+    can run. The thread of faulthandler does not need this lock. All state of the node is on disk
+    before its publishers are destroyed.
     """
     nowhere = os.open(os.devnull, os.O_WRONLY)
     faulthandler.dump_traceback_later(_DESTROY_LIMIT, exit=True, file=nowhere)
@@ -210,8 +210,8 @@ def make_executor(context: Context | None = None) -> Executor:
 
     The events executor (Jazzy since rclpy 7.1.4) takes half of the processor time of the
     single-threaded one, and long latencies are rarer. It was tested with services, timers,
-    lifecycle transitions and actions. It must be driven by ``spin_once`` with a timeout, because
-    before rclpy 7.1.8 the waiting time of its ``spin`` is undefined.
+    lifecycle transitions and actions. The executor must be driven by ``spin_once`` with a timeout,
+    because before rclpy 7.1.8 the waiting time of its ``spin`` is undefined.
     """
     try:
         from rclpy.experimental import EventsExecutor

@@ -128,7 +128,7 @@ def _weights(delay: float) -> tuple[int, Array]:
 class Decimator:
     """Picks at most ``rate`` samples per second of data; with 0, none.
 
-    It restarts if the stamps jump back.
+    The selection restarts if the stamps jump back.
     """
 
     def __init__(self, rate: float) -> None:

@@ -1,7 +1,7 @@
 """``demo``: demonstrates identifier and model as processes, on a bag or on the emulated rig.
 
-It plays a bag once and shows the results. With ``--live`` it serves the page until Ctrl-C. It uses
-ROS only through an observer from the nodes, which it loads at run time.
+It plays a bag once and shows the results. With ``--live`` it serves the page until Ctrl-C. ROS is
+only used by an observer from the room ``nodes``, which is loaded at run time.
 """
 
 from __future__ import annotations

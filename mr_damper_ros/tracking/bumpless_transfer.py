@@ -3,8 +3,8 @@
 Two sets never give exactly the same force, and neither does a set whose law restarts from a
 different state. The damper makes no such step, and a controller would react to it. The new force
 therefore starts at the force of the previous set, and the difference fades to zero. The state of
-the law (a lag, a hysteresis) is recomputed with the new set over the recent motion. It then has the
-value that it would have if the new set had been in use all the time.
+the law (a lag, a hysteresis) is recomputed with the new set over the recent motion. The state is
+then as if the new set had been in use all the time.
 """
 
 from __future__ import annotations

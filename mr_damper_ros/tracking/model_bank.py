@@ -160,7 +160,7 @@ def force_ratio(present: Array, whole: Array) -> float:
 def _times_force(whole: ParameterSet, factor: float, present: ParameterSet) -> ParameterSet:
     """The set for all operating points, with its force multiplied by ``factor``.
 
-    It gets the peak velocity range of the ``present`` set if this range is wider than its own.
+    The result has the peak velocity range of ``present`` if this includes the range of ``whole``.
     """
     values, errors = whole.values.copy(), whole.standard_errors.copy()
     strength = whole.law.strength_indices

@@ -9,8 +9,8 @@ Visintin, Differential Models of Hysteresis, 1994),
 
     s[k] = clip(s[k-1] + (v[k] - v[k-1]) / |v_h|, -1, 1)    instead of sgn(a).
 
-The branch s depends on the path of the velocity, not on its rate. It agrees with the law once the
-velocity has changed by 2 |v_h| after a reversal. It needs no additional parameter.
+The branch s depends on the path of the velocity, not on its rate. The branch agrees with the law
+once the velocity has changed by 2 |v_h| after a reversal. This rule needs no additional parameter.
 
 *The extended law* adds a compliance, a stiffness and an offset. The fluid, the rod and the mounts
 are elastic; such a spring in series with the damper (a Maxwell element) delays the force. With the
@@ -20,9 +20,9 @@ sigmoid force F_s,
     x = v + sgn(a) v_h + v_d,
 
 where the fraction is the equivalent damping of the sigmoid at the velocity x. The lag is therefore
-long near a reversal, where the force is steep, and short while the fluid flows. It increases with
-the yield force, that is with the current. The force is F_l + stiffness u + offset, where stiffness
-and offset describe the gas (thesis 3.2; the thesis adds 100 N to its records by hand).
+long near a reversal, where the force is steep, and short while the fluid flows. The lag increases
+with the yield force, that is with the current. The force is F_l + stiffness u + offset, where
+stiffness and offset describe the gas (thesis 3.2; the thesis adds 100 N to its records by hand).
 doc/extended_law.md describes the alternatives that were tried. The parameters of the extended law
 are the sixteen of the sigmoid law, the three of :data:`EXTENSION_NAMES` and the time constant of
 the coil.

@@ -31,8 +31,8 @@ _IDLE = 0.005
 
 Portions = Generator[T | None, None, None]
 """The data of a connected device. The first value is None, as soon as the device is connected; None
-also follows if there was no data for about 0.1 s. It may raise any exception; closing it releases
-the device."""
+also follows if there was no data for about 0.1 s. The generator may raise any exception; closing it
+releases the device."""
 
 
 class Portion(NamedTuple, Generic[T]):
