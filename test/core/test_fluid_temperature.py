@@ -236,7 +236,6 @@ def test_a_sudden_change_forgets_the_map() -> None:
 # -- temperature maps of bags: from those with a thermometer, and only from those ------------------
 
 COLD_SET = ParameterSet(THESIS_28_CELSIUS)
-COLD, HOT = 28.0, 71.0
 
 
 def heated(current: float = 1.5, *, thermometer: bool = True) -> Recording:

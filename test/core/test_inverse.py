@@ -169,8 +169,6 @@ def test_a_set_of_one_current_is_warned_of() -> None:
 # -- the inverse of one sample against a scan of the currents, by all ways to ask for it -----------
 
 
-LOWEST, HIGHEST = 0.0, 2.0
-
 SAME = 1e-9
 """Relative: the same operations, in another order."""
 

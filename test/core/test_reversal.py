@@ -82,7 +82,6 @@ def test_the_branch_is_that_sample_by_sample(
 CYCLE = 1000
 """Samples; one comes a millisecond."""
 
-CURRENT = 1.0
 SET = ParameterSet(THESIS_28_CELSIUS, set_id="thesis")
 RUN = known.run(current=CURRENT, samples=CYCLE, seed=None)
 MOTION = Motion(
