@@ -1,13 +1,27 @@
-"""Covariances tell the truth for white and for correlated residuals, and NaN for the unknown."""
+"""Covariances of windows, and what motions that bend the parameters differently tell."""
 
 from __future__ import annotations
 
+import math
+from functools import cache
+
+import known
 import numpy as np
 import pytest
 from scipy.signal import lfilter
 
-from mr_damper_ros.estimation.covariance import correlation_length, least_squares_covariance
+from mr_damper_ros.estimation.covariance import (
+    correlation_length,
+    discrepancy_between,
+    least_squares_covariance,
+    motion_numbers,
+)
+from mr_damper_ros.estimation.differential_evolution import EvolutionSettings
+from mr_damper_ros.estimation.global_fit import GlobalFit, identify_global
+from mr_damper_ros.estimation.record_levels import LevelledProblem, LevelPrior
+from mr_damper_ros.kinematics.window import Window
 from mr_damper_ros.models import MODELS
+from mr_damper_ros.models.misfit import Misfit
 from mr_damper_ros.signals.arrays import Array
 
 N = 2000
@@ -72,3 +86,120 @@ def test_the_error_of_k5_is_that_of_a_quotient() -> None:
     errors = MODELS["sigmoid"].fitted_errors(scales, covariance)[1]
     assert errors[6] == pytest.approx(np.std(draws[:, 6] / draws[:, 0]), rel=0.02)
     np.testing.assert_allclose(errors[:6], np.sqrt(np.diag(covariance))[:6])
+
+
+# -- motions that bend the parameters differently tell what another motion would say ---------------
+
+SAMPLES, MOTIONS, TRIALS = 100, 20, 200
+
+SCATTER = (0.8, 1.25)
+"""Of a standard deviation from 200 trials (5 %); each estimate is from twenty motions (16 %)."""
+
+LEVELS = 0.25
+"""Relative scatter of the strength from motion to motion."""
+
+
+def trial(bend: float, seed: int) -> tuple[Array, Array, Array, Array]:
+    """Jacobian (n, 2), residual (n,), motions (n,), and the fit (2,) whose truth is (3, 1)."""
+    rng = np.random.default_rng(seed)
+    columns, measured = [], []
+    for _ in range(MOTIONS):
+        angle = np.linspace(0.0, 2.0 * np.pi, SAMPLES) * rng.uniform(1.0, 3.0)
+        own = np.column_stack((np.sin(angle), np.cos(angle) ** 2))
+        truth = np.array([3.0, 1.0]) + bend * rng.standard_normal(2)
+        columns.append(own)
+        measured.append(own @ truth + 0.1 * rng.standard_normal(SAMPLES))
+    jacobian, force = np.concatenate(columns), np.concatenate(measured)
+    fit = np.linalg.lstsq(jacobian, force, rcond=None)[0]
+    return jacobian, jacobian @ fit - force, np.repeat(np.arange(MOTIONS), SAMPLES), fit
+
+
+def test_the_error_covers_what_other_motions_would_say() -> None:
+    fits, claimed = [], []
+    for seed in range(TRIALS):
+        jacobian, residual, motions, fit = trial(LEVELS, seed)
+        noise = least_squares_covariance(jacobian, residual)
+        found = discrepancy_between(jacobian, residual, motions, noise)
+        fits.append(fit)
+        claimed.append(np.diag(noise + found))
+    ratio = np.sqrt(np.mean(claimed, axis=0)) / np.std(fits, axis=0)
+    assert np.all((ratio > SCATTER[0]) & (ratio < SCATTER[1]))
+
+
+def test_noise_alone_is_no_discrepancy() -> None:
+    seen = 0
+    for seed in range(TRIALS):
+        jacobian, residual, motions, _ = trial(0.0, seed)
+        noise = least_squares_covariance(jacobian, residual)
+        seen += bool(np.any(discrepancy_between(jacobian, residual, motions, noise) != 0.0))
+    # Part of the trials that may show a discrepancy where there is none: four errors are rare.
+    assert seen <= 0.05 * TRIALS
+
+
+def test_what_one_motion_alone_determines_is_unknown_and_leaves_the_others_alone() -> None:
+    jacobian, residual, motions, _ = trial(LEVELS, 1)
+    alone = np.where(motions == 0, jacobian[:, 0], 0.0)
+    wider = np.column_stack((jacobian, alone * np.linspace(0.0, 1.0, alone.size)))
+    found = discrepancy_between(wider, residual, motions, np.eye(3) * 1e-6)
+    assert np.isnan(np.diag(found)).tolist() == [False, False, True]
+
+
+def sine(
+    amplitude: float, *, strength: float = 1.0, samples: int = 500, start: float = 0.0
+) -> Window:
+    """A steady run of the known damper at 2 Hz and 1 A, with another strength."""
+    run = known.run(amplitude=amplitude, frequency=2.0, samples=samples, start=start, period=2e-3)
+    return Window.from_samples(run.displacement, strength * run.force, run.current, run.period)
+
+
+def test_windows_of_one_motion_count_once() -> None:
+    windows = [sine(5e-3), sine(5e-3, start=0.1), sine(8e-3), sine(5e-3)]
+    assert motion_numbers(windows).tolist() == [0, 0, 1, 0]
+
+
+@cache
+def fitted(spread: float) -> GlobalFit:
+    """Bingham's law, fitted to eight motions whose strength scatters by this part."""
+    rng = np.random.default_rng(3)
+    windows = [
+        sine(amplitude, strength=1.0 + spread * rng.standard_normal())
+        for amplitude in np.geomspace(2e-3, 12e-3, 8)
+    ]
+    law = MODELS["bingham"]
+    start = law.initial_values()[0]
+    return identify_global(law, windows, start, EvolutionSettings(generations=20, population=8))
+
+
+def test_a_set_tells_of_motions_that_disagree_and_of_none_that_agree() -> None:
+    place = MODELS["bingham"].parameter_names.index("f_y")
+    found = [
+        fit.parameter_set.discrepancies[place] / abs(fit.parameter_set.values[place])
+        for fit in (fitted(0.0), fitted(LEVELS))
+    ]
+    assert found[1] > LEVELS / math.sqrt(8) / 2.0 > found[0]
+
+
+def test_a_coefficient_in_another_motion_is_known_to_what_the_law_does_not_follow() -> None:
+    found = []
+    for fit in (fitted(0.0), fitted(LEVELS)):
+        values, errors, _ = fit.coefficients((0.1, 1.0))
+        found.append(float(errors[0] / abs(values[0])))
+    assert found[1] > LEVELS / 2.0 > found[0]
+
+
+def test_so_is_the_force() -> None:
+    window = sine(5e-3)
+    found = [
+        float(np.sqrt(np.mean(fitted(spread).force_error(window) ** 2)) / np.std(window.force))
+        for spread in (0.0, LEVELS)
+    ]
+    assert found[1] > LEVELS > found[0]
+
+
+def test_a_record_with_a_level_of_its_own_keeps_its_rows() -> None:
+    windows = [sine(4e-3), sine(5e-3, samples=300), sine(6e-3)]
+    pooled = Misfit(known.SIGMOID, windows, [5.0, 5.0, 5.0])
+    levelled = LevelledProblem(pooled, LevelPrior((0, 1, 1), 0.1))
+    rows = levelled.row_windows
+    assert rows.size == levelled.residual(known.PLAUSIBLE).size
+    assert np.bincount(rows).tolist() == [502, 300, 502]
