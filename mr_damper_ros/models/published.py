@@ -91,8 +91,15 @@ CONDITIONS = tuple(dict.fromkeys(condition for condition, _ in _TABLE))
 """The 34 conditions in the order of the tables."""
 
 
-def _named(name: str) -> Condition:
-    return next(condition for condition in CONDITIONS if condition.name == name)
+def find(name: str) -> Condition:
+    """Condition by its name; raises ConditionError, which lists all names, for an unknown one."""
+    for condition in CONDITIONS:
+        if condition.name == name:
+            return condition
+    raise ConditionError(
+        f"the thesis has no condition '{name}'; it has "
+        f"{', '.join(condition.name for condition in CONDITIONS)}"
+    )
 
 
 _COPIED = (
@@ -102,7 +109,7 @@ _COPIED = (
 _MIRRORED = "a sign is lost: the loop mirrors the loop of the other method, or is far from it"
 
 ROW_ERRATA = {
-    (_named(name), method): reason
+    (find(name), method): reason
     for name, method, reason in (
         *(
             (f"5.0mm_{f}Hz_1.0A", method, _COPIED)
@@ -156,14 +163,3 @@ def parameters(condition: Condition, method: str = PUBLISHED_METHODS[0]) -> Arra
             f"the tables have no row for {condition.name} by {method}: "
             f"the methods are {' and '.join(PUBLISHED_METHODS)}"
         ) from error
-
-
-def find(name: str) -> Condition:
-    """Condition by its name; raises ConditionError, which lists all names, for an unknown one."""
-    for condition in CONDITIONS:
-        if condition.name == name:
-            return condition
-    raise ConditionError(
-        f"the thesis has no condition '{name}'; it has "
-        f"{', '.join(condition.name for condition in CONDITIONS)}"
-    )
