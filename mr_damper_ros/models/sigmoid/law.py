@@ -110,13 +110,6 @@ class Coefficients(NamedTuple):
     f_d: Array
 
 
-class ForceAndDamping(NamedTuple):
-    """Force [N] and equivalent damping [N s/m] of the sigmoid law."""
-
-    force: Array
-    damping: Array
-
-
 def gradients(results: Sequence[str], by: Sequence[str]) -> Formulas:
     """Formulas of the derivatives of these results, on a given branch."""
     return tuple(
@@ -194,13 +187,13 @@ def force_from_coefficients(
 @quiet
 def force_and_damping(
     coefficients: Coefficients, velocity: Array, acceleration: Array
-) -> ForceAndDamping:
+) -> tuple[Array, Array]:
     """Force and damping of shape (..., n), for coefficients that broadcast against velocity (n,).
 
     The velocity is in m/s. The damping is f_t tanh(alpha x / 2) / x, with x = v + sgn(a) v_h + v_d.
     """
-    found = _force_and_damping(*coefficients, *_moving(velocity, acceleration))
-    return ForceAndDamping(*found)
+    force, damping = _force_and_damping(*coefficients, *_moving(velocity, acceleration))
+    return force, damping
 
 
 @quiet

@@ -513,7 +513,7 @@ class ExtendedSigmoidModel(SigmoidModel):
         if parameters is not None:
             sixteen, motion = parameters[:SIGMOID_COUNT], history.motion
             along = operating_point_coefficients(sixteen, motion.peak_velocity, history.current)
-            damping = force_and_damping(along, motion.velocity, motion.acceleration).damping
+            _, damping = force_and_damping(along, motion.velocity, motion.acceleration)
             lag = float(np.max(extension_of(parameters).time_constant(damping)))
         return history.unsettled(SETTLING * lag)
 
