@@ -304,7 +304,7 @@ class SigmoidModel(Model):
         return LITERATURE.copy(), "literature", _LITERATURE_PEAK_VELOCITY
 
     def window_forces(self, windows: Sequence[Window]) -> SigmoidForces:
-        """Forces of all windows by one evaluation of the laws."""
+        """Forces with exact derivatives."""
         return SigmoidForces(self, windows)
 
     def window_force(self, window: Window, parameters: Array) -> Array:
@@ -382,7 +382,7 @@ class SigmoidModel(Model):
         """
         values = np.array(parameters, dtype=float)
         values[self.places(("a1", "k0", "a4", "k2", "k3", "I0", "I1"))] = 0.0
-        values[self.places(("a2", "a3"))] = 2.0 / max(top_current, 1e-12)
+        values[self.places(("a2", "a3"))] = _SMOOTH_SLOPE / max(top_current, 1e-12)
         return values
 
     def plausible_ranges(
