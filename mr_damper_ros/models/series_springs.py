@@ -62,9 +62,9 @@ def _followed(
 
 
 def _deflection(path: Path, velocity: Array, period: float) -> tuple[Array, Array, list[Array]]:
-    """Deflection of the spring of a path (n,) each: its values [m] and the terms of its recursion.
+    """Deflection [m] of the spring of a path, and the terms of its recursion, each (n,).
 
-    The terms are the derivatives of a step by the deflection before and by the four coefficients.
+    The terms are the derivatives of a step by the previous deflection and by the four coefficients.
     """
     (forces, early, flow), _ = _followed(path, velocity, period, math.nan, math.nan, math.nan)
     strength, width, damping, stiffness = path
@@ -109,8 +109,8 @@ def follow_path(
 ) -> tuple[float, float]:
     """Follow a path; fills the force and the flows of both stages, each (n,).
 
-    Returns the last deflection and flow. ``numbers`` are the values of a :class:`SpringPath` at
-    each sample, or one row for all samples.
+    Returns the last deflection and flow. ``numbers`` are the values of a ``Path`` at each
+    sample, or one row for all samples.
     """
     constant = len(numbers) == 1
     for k in range(len(velocity)):
