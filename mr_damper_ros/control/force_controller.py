@@ -88,13 +88,13 @@ class ForceFeedback:
         self.factor = min(max(self.factor + step, 1.0 - limit), 1.0 + limit)
 
 
-_CONFIRMED = 1.0
+_CONFIRMING_TIME = 1.0
 """Time [s] of valid force, while more current is needed, before the next step."""
 
-_REFUTED = 30.0
+_PROBE_PAUSE = 30.0
 """Time [s] for which probing stops after the force was wrong."""
 
-_REFUTES = (DoubtKind.WRONG, DoubtKind.DRIVING, DoubtKind.TOO_LARGE, DoubtKind.SENSOR)
+_PROBE_FAULTS = (DoubtKind.WRONG, DoubtKind.DRIVING, DoubtKind.TOO_LARGE, DoubtKind.SENSOR)
 
 
 class Probe:
@@ -113,24 +113,24 @@ class Probe:
         if self._step == 0.0:
             return
         self._refuted = max(self._refuted - duration, 0.0)
-        if doubt.kind in _REFUTES and self.beyond > 0.0:
-            self.beyond, self._refuted = 0.0, _REFUTED
+        if doubt.kind in _PROBE_FAULTS and self.beyond > 0.0:
+            self.beyond, self._refuted = 0.0, _PROBE_PAUSE
         if doubt or self._refuted > 0.0:
             self._needed = 0.0
         elif needed:
             self._needed += duration
-        if self._needed >= _CONFIRMED:
+        if self._needed >= _CONFIRMING_TIME:
             self._needed = 0.0
             self.beyond += self._step
 
 
-_MOMENTS = (0.5, 1.0, 1.5)
+_JUDGED_TIMES = (0.5, 1.0, 1.5)
 """Times at which the force of a current is evaluated, as fractions of the horizon."""
 
 _MIDDLE = 1
 """Index of the time for which the current is computed."""
 
-_FOUND, _LOWEST, _KEPT = range(3)
+_INVERSE, _LOWEST, _LAST = range(3)
 """Indices of the candidate currents: the current of the inverse, the lowest, the last one."""
 
 
@@ -454,7 +454,7 @@ class _Inverse:
         """
         ahead = horizon if self.time_constant > 0.0 else 0.5 * horizon
         responses = []
-        for part in _MOMENTS:
+        for part in _JUDGED_TIMES:
             later = part * ahead
             responses.append(self._model.at(sample.moved_on(later), period=later, state=memory))
         found = self._model.current(responses[_MIDDLE], wanted, last)
@@ -466,11 +466,11 @@ class _Inverse:
         # to a far larger force would be almost equal.
         every = [each for several in forces for each in several]
         sought = min(max(wanted, min(every)), max(every))
-        misses = [math.dist(force, [sought] * len(_MOMENTS)) for force in forces]
+        misses = [math.dist(force, [sought] * len(_JUDGED_TIMES)) for force in forces]
         best = misses.index(min(misses))
-        deadband = self._deadband * math.sqrt(len(_MOMENTS))
-        if last is not None and misses[_KEPT] <= misses[best] + deadband:
-            best = _KEPT
+        deadband = self._deadband * math.sqrt(len(_JUDGED_TIMES))
+        if last is not None and misses[_LAST] <= misses[best] + deadband:
+            best = _LAST
         # The current of the inverse is rejected if its error over these times is larger.
         given_up = best == _LOWEST and found.current != self._lowest
         met = found.attainable and not given_up

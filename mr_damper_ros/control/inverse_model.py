@@ -33,16 +33,16 @@ TOLERANCE = 1e-6
 """Tolerance of the force, relative to the span of attainable forces. A supply resolves only about a
 thousandth of its range."""
 
-_WITHIN = 0.4
+_END_MARGIN = 0.4
 """Margin at both ends of the span, relative to the tolerance, so that the ends are attainable."""
 
-_CLOSE = 1e-3
+_SEARCH_PRECISION = 1e-3
 """The search ends at an error of this part of the tolerance."""
 
 _MOST_STEPS = 80
 """Largest number of search steps; bisection alone would need 55."""
 
-_LEAST_GAIN = 0.5
+_LARGEST_REMAINDER = 0.5
 """A secant step that leaves more than this fraction of the error is followed by a bisection."""
 
 _GOLDEN = 0.5 * (math.sqrt(5.0) - 1.0)
@@ -250,15 +250,15 @@ def _search(
     least, most = min(forces), max(forces)
     # Only at an extremum between two nodes can this force be attained.
     if wanted < least or wanted > most:
-        bend = _furthest_bend(force_at, nodes, forces, 1.0 if wanted > most else -1.0)
+        bend = _with_extremum(force_at, nodes, forces, 1.0 if wanted > most else -1.0)
         if bend is not None:
             nodes, forces = bend
             least, most = min(forces), max(forces)
     span = most - least
-    margin = _WITHIN * TOLERANCE * span
+    margin = _END_MARGIN * TOLERANCE * span
     aimed = min(max(wanted, least + margin), most - margin)
     floor = _ROUNDING * max(abs(least), abs(most))
-    close = max(_CLOSE * TOLERANCE * span, floor)
+    close = max(_SEARCH_PRECISION * TOLERANCE * span, floor)
     cell = _cell(nodes, [force > aimed for force in forces], last)
     beside = slice(cell, cell + 2)
     current, force = _root(force_at, aimed, nodes[beside], forces[beside], close)
@@ -309,14 +309,14 @@ def _root(
         run = error - at_other
         secant = current - error * (current - other) / run if run else math.nan
         other, at_other = current, error
-        if low < secant < high and size <= _LEAST_GAIN * before:
+        if low < secant < high and size <= _LARGEST_REMAINDER * before:
             current, before = secant, size
         else:
             current, before = 0.5 * (low + high), math.inf
     return found
 
 
-def _furthest_bend(
+def _with_extremum(
     force_at: Force, nodes: list[float], forces: list[float], sign: float
 ) -> tuple[list[float], list[float]] | None:
     """Nodes and forces with one node moved to the largest maximum (or lowest minimum, by ``sign``).
@@ -339,7 +339,7 @@ def _furthest_bend(
         return None
     best = max(bends, key=heights.__getitem__)
     low, high = nodes[max(best - 1, 0)], nodes[min(best + 1, last)]
-    close = _CLOSE * TOLERANCE * (max(forces) - min(forces))
+    close = _SEARCH_PRECISION * TOLERANCE * (max(forces) - min(forces))
     found = _extremum(force_at, low, high, sign, close)
     force = force_at(found)
     if sign * force <= heights[best]:

@@ -37,7 +37,7 @@ _DIFFERENT_VELOCITY = 1.2
 _DIFFERENT_CURRENT = 0.02
 """Smallest distance of two different currents [A]."""
 
-_SHARES = np.array([0.1, 0.3, 0.5, 0.7, 0.9])
+_CURRENT_QUANTILES = np.array([0.1, 0.3, 0.5, 0.7, 0.9])
 """Quantiles of a varying current, weighted by travelled distance, that represent the current."""
 
 SURE = 0.25
@@ -83,7 +83,7 @@ def operating_points_within(windows: Sequence[Window]) -> tuple[list[float], lis
         if current_varies(window):
             order = np.argsort(window.current)
             travelled = np.cumsum(np.abs(window.motion.velocity[order]))
-            places = np.searchsorted(travelled, _SHARES * travelled[-1])
+            places = np.searchsorted(travelled, _CURRENT_QUANTILES * travelled[-1])
             currents += window.current[order[np.minimum(places, order.size - 1)]].tolist()
         currents += [float(window.current.min()), float(window.current.max())]
     return speeds, currents
@@ -103,11 +103,11 @@ the force below this part of the largest change."""
 
 _MOST_WORDS = 5
 
-_AS_A_PRODUCT = 0.1
+_EQUAL_MOVES = 0.1
 """Two parameters are known only as a product or a ratio if the magnitudes of their relative moves
 agree within this part."""
 
-_LEADS_BY = 0.1
+_LEADING_MOVE = 0.1
 """Relative move of the leading parameter that a message describes."""
 
 _PREFER_SHAPE = 1e2
@@ -269,12 +269,12 @@ def _words(moves: Mapping[str, tuple[float, float]], units: Mapping[str, str]) -
     relative = {name: move / value if value else math.inf for name, (value, move) in moves.items()}
     if len(others) == 1:
         ratio = relative[lead] / relative[others[0]]
-        if abs(ratio + 1.0) < _AS_A_PRODUCT:
+        if abs(ratio + 1.0) < _EQUAL_MOVES:
             return f"{lead} and {others[0]} only as a product"
-        if abs(ratio - 1.0) < _AS_A_PRODUCT:
+        if abs(ratio - 1.0) < _EQUAL_MOVES:
             return f"{lead} and {others[0]} only as a ratio"
     _, move = moves[lead]
-    step = _LEADS_BY if math.isinf(relative[lead]) else _LEADS_BY / abs(relative[lead])
+    step = _LEADING_MOVE if math.isinf(relative[lead]) else _LEADING_MOVE / abs(relative[lead])
     # The linearisation does not hold beyond the plausible range, so the move is limited to it.
     step = math.copysign(min(step, 1.0), move)
     changes = [

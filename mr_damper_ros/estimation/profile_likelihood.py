@@ -52,12 +52,12 @@ CONFIDENCE = 0.95
 _BOUND = math.sqrt(float(chdtri(1, 1.0 - CONFIDENCE)))
 """Root of the likelihood ratio at the ends of an interval."""
 
-_WANTED_RISE = 0.5
+_STEP_RISE = 0.5
 """Intended increase of the root of the likelihood ratio in one step."""
 
 _MOST_STEPS = 30
 
-_BLIND_STEP = 0.01
+_FIRST_STEP = 0.01
 """First step, in spans, if there is no standard error."""
 
 
@@ -132,9 +132,9 @@ class ProfileLikelihood:
             )
         place = names.index(name)
         scale = self._freedom * float(self._shrinkage[place])
-        step = _WANTED_RISE * float(self._errors[place])
+        step = _STEP_RISE * float(self._errors[place])
         if math.isnan(step):
-            step = _BLIND_STEP * float(self._spans[place])
+            step = _FIRST_STEP * float(self._spans[place])
         low, high = self._limits(name, place)
         # Visited sets and their costs. The given parameters may not be at the minimum over the
         # other parameters, so they are refitted first.
@@ -216,7 +216,7 @@ class ProfileLikelihood:
             visited.append(self._refitted(place, self._starts(before, here, place, target), enough))
             last, root = root, _roots([cost for _, cost in visited], scale)[-1]
             before, here = here, visited[-1][0]
-            step *= min(max(_WANTED_RISE / max(root - last, 1e-9), 0.5), 3.0)
+            step *= min(max(_STEP_RISE / max(root - last, 1e-9), 0.5), 3.0)
 
     def _profile(self, visited: Sequence[tuple[Array, float]], place: int, scale: float) -> Profile:
         ordered = sorted(visited, key=lambda each: float(each[0][place]))

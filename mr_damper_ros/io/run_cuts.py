@@ -26,16 +26,16 @@ _STILL = 0.002
 _CURRENT_STEP = 0.05
 """Smallest change of a measured current [A] that starts a new run."""
 
-_JOLT = 0.02
+_SMALLEST_RUN = 0.02
 """Smallest span of a run, relative to the largest span in the file."""
 
-_TURNED = 0.1
+_REVERSAL = 0.1
 """Fraction of the span by which the motion must go back at a reversal."""
 
-_SAME = 0.2
+_PHASE_CHANGE = 0.2
 """Largest change of the logarithm of height, duration or force within a phase."""
 
-_LATEST = 4
+_REFERENCE_STROKES = 4
 """Number of previous strokes whose median is the reference for a change."""
 
 _STROKES = 6
@@ -65,7 +65,7 @@ def find_runs(record: SampledRecord) -> list[slice]:
     return [
         phase
         for motion, span in zip(motions, spans, strict=True)
-        if span > _JOLT * max(spans)
+        if span > _SMALLEST_RUN * max(spans)
         for phase in _phases(record, motion)
     ]
 
@@ -150,7 +150,7 @@ def _motions(record: SampledRecord, rows: slice, length: int) -> Iterator[slice]
 
 def _turns(position: Array) -> list[int]:
     """Indices of the reversals of the motion."""
-    return turning_points(position.tolist(), _TURNED * float(np.ptp(position)))[1:-1].tolist()
+    return turning_points(position.tolist(), _REVERSAL * float(np.ptp(position)))[1:-1].tolist()
 
 
 def _phases(record: SampledRecord, rows: slice) -> list[slice]:
@@ -172,8 +172,8 @@ def _phases(record: SampledRecord, rows: slice) -> list[slice]:
     features = np.log(heights)
     phases, first = [], 0
     for k in range(1, len(strokes) + 1):
-        before = np.median(features[max(first, k - _LATEST) : k], axis=0)
-        if k == len(strokes) or np.max(np.abs(features[k] - before)) > _SAME:
+        before = np.median(features[max(first, k - _REFERENCE_STROKES) : k], axis=0)
+        if k == len(strokes) or np.max(np.abs(features[k] - before)) > _PHASE_CHANGE:
             if k - first >= _STROKES:
                 phases.append(slice(rows.start + strokes[first][0], rows.start + strokes[k - 1][1]))
             first = k

@@ -183,32 +183,32 @@ def _observer(period: float, bandwidth: float) -> tuple[Array, Array]:
 _STRETCH = 120
 """Number of samples between two choices of the bandwidth."""
 
-_GROUP, _SURPRISE = 10, 6.0
+_GROUP, _GROUP_EXCESS = 10, 6.0
 """The bandwidth increases at once if the residual of a group of ten samples has six times the
 expected power, which occurs by chance once in 280 million groups of white noise. In 160 emulated
 starts from rest, at 200 and 1000 Hz, the velocity error of the first one and a half cycles is then
 4.4 and 2.2 % of the peak velocity (median), but 9.7 and 7.4 % without this rule. Groups of 5 with a
 factor of 8 give 3.4 and 1.7 %, but a block of ten samples takes twice the time."""
 
-_START, _NARROWEST = 40.0, 0.5
+_INITIAL, _LOWEST = 40.0, 0.5
 """Initial and lowest bandwidth [Hz]."""
 
-_NOTCH = math.sqrt(2.0)
+_RATIO = math.sqrt(2.0)
 """Ratio of neighbouring bandwidths."""
 
-_BEHIND = 2
+_TRIAL_STEPS = 2
 """Smallest number of bandwidth steps between the first and the narrower second observer."""
 
-_SHOWS = 2.0
+_VISIBLE_RATIO = 2.0
 """The motion is visible in a residual whose power exceeds the noise power by this factor."""
 
-_FORGETTING = 0.93
+_CHANGE_DECAY = 0.93
 """Factor on the largest recent change after each stretch; ten stretches halve the change."""
 
-_NOISES = 9
+_NOISE_STRETCHES = 9
 """Number of stretches over which the noise is the median, so that a kink has no effect."""
 
-_JUMP, _SUDDEN = 8.0, 5.0
+_JUMP, _STEP = 8.0, 5.0
 """The sensor has jumped if the displacement changes between two samples by more than the first
 factor times the largest recent change, and by more than the second factor times the previous
 change."""
@@ -229,18 +229,18 @@ class AdaptiveObserver:
 
     def __init__(self, period: float) -> None:
         lowest, highest = possible_bandwidths(period)
-        count = 1 + int(math.log(highest / max(lowest, min(_NARROWEST, highest)), _NOTCH))
+        count = 1 + int(math.log(highest / max(lowest, min(_LOWEST, highest)), _RATIO))
         self._period = period
         # The highest bandwidth first.
-        self._bandwidths = highest / _NOTCH ** np.arange(count)
+        self._bandwidths = highest / _RATIO ** np.arange(count)
         self._rates = 2.0 * math.pi * self._bandwidths
         gains = [noise_gains(period, float(bandwidth)) for bandwidth in self._bandwidths]
         self._acceleration_gains, self._residual_gains = np.array(gains).T
-        self._start = int(np.argmin(np.abs(np.log(self._bandwidths / _START))))
-        self._place, self._trial_place = self._start, min(self._start + _BEHIND, count - 1)
+        self._start = int(np.argmin(np.abs(np.log(self._bandwidths / _INITIAL))))
+        self._place, self._trial_place = self._start, min(self._start + _TRIAL_STEPS, count - 1)
         self._observer = CausalDifferentiator(period, self.bandwidth)
         self._trial = CausalDifferentiator(period, float(self._bandwidths[self._trial_place]))
-        self._whites: deque[float] = deque(maxlen=_NOISES)
+        self._whites: deque[float] = deque(maxlen=_NOISE_STRETCHES)
         # Power [m²] of the white noise and of the steps of a digital sensor.
         self._white = self._steps = 0.0
         # Estimate of the fourth derivative [m/s⁴]; an upper bound until the motion is visible.
@@ -304,7 +304,7 @@ class AdaptiveObserver:
         largest = changes.max()
         if largest > _JUMP * self._largest_change:
             before = np.concatenate(([self._last_change], changes[:-1]))
-            sudden = (changes > _JUMP * self._largest_change) & (changes > _SUDDEN * before)
+            sudden = (changes > _JUMP * self._largest_change) & (changes > _STEP * before)
             if sudden[0]:
                 self._observer.reset()
                 self._trial.reset()
@@ -334,10 +334,10 @@ class AdaptiveObserver:
         if not (self._whites and moved and self._observer.seen >= settling):
             return
         rate = self._rates[self._place]
-        if power > _SURPRISE * (self._noise(self._place) + (self._snap / rate**4) ** 2):
+        if power > _GROUP_EXCESS * (self._noise(self._place) + (self._snap / rate**4) ** 2):
             self._snap, self._visible = rate**4 * math.sqrt(power), True
             self._use_best()
-            self._move_trial(min(self._trial_place, self._place + _BEHIND))
+            self._move_trial(min(self._trial_place, self._place + _TRIAL_STEPS))
 
     def _choose(self, stretch: Array) -> None:
         """Estimate noise and fourth derivative from a stretch (n,), and choose the bandwidth."""
@@ -347,7 +347,7 @@ class AdaptiveObserver:
         largest = float(changes.max())
         if largest == 0.0:
             return
-        self._largest_change = float(np.fmax(largest, _FORGETTING * self._largest_change))
+        self._largest_change = float(np.fmax(largest, _CHANGE_DECAY * self._largest_change))
         if not settled:
             return
         self._whites.append(noise_power(stretch, 8))
@@ -357,14 +357,14 @@ class AdaptiveObserver:
         self._steps = 0.0 if moved.size == changes.size else float(moved.min()) ** 2 / 12.0
         noise = self._noise(self._trial_place)
         bias = float(np.mean(residual**2)) - noise
-        visible = bias > (_SHOWS - 1.0) * noise
+        visible = bias > (_VISIBLE_RATIO - 1.0) * noise
         snap = self._rates[self._trial_place] ** 4 * math.sqrt(bias if visible else noise)
         # Until the motion is visible, each stretch improves the upper bound.
-        self._snap = max(snap, _FORGETTING * self._snap) if self._visible else snap
+        self._snap = max(snap, _CHANGE_DECAY * self._snap) if self._visible else snap
         self._visible = self._visible or visible
         if not visible:
             self._move_trial(self._trial_place + 1)
-        elif bias > _SHOWS**8 * noise:
+        elif bias > _VISIBLE_RATIO**8 * noise:
             self._move_trial(self._trial_place - 1)
         self._use_best()
 

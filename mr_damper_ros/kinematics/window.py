@@ -157,13 +157,13 @@ _LARGEST_TURN = 0.25
 """... if it also exceeds the span of the noise. A return by this larger fraction always suffices,
 because motion near the sample rate cannot be distinguished from noise."""
 
-_EACH_WAY = 0.75
+_COVERED_PART = 0.75
 """Fraction of the span that the strokes of each direction must cover in total."""
 
 _WHOLE_STROKE = 0.5
 """Smallest fraction of the span that a whole stroke at the edge of the samples covers."""
 
-_SLOWER = 0.8
+_SLOW_START = 0.8
 """A stroke that begins at a reversal is slow at first: the distance of its first third is below
 this fraction of the distance of its middle third."""
 
@@ -199,13 +199,13 @@ def holds_cycle(displacement: Array) -> bool:
     if turns >= 1:
         turns += _is_whole(u[places[0] : places[1] + 1], span)
         turns += _is_whole(u[places[-2] : places[-1] + 1][::-1], span)
-    return turns >= 2 and min(up, down) >= _EACH_WAY * span
+    return turns >= 2 and min(up, down) >= _COVERED_PART * span
 
 
 def _is_whole(stroke: Array, span: float) -> bool:
     """Whether a stroke (n,) is whole: it covers enough of the span and begins slowly."""
     thirds = np.abs(np.diff(stroke[[0, stroke.size // 3, 2 * stroke.size // 3]]))
-    return bool(np.ptp(stroke) >= _WHOLE_STROKE * span and thirds[0] < _SLOWER * thirds[1])
+    return bool(np.ptp(stroke) >= _WHOLE_STROKE * span and thirds[0] < _SLOW_START * thirds[1])
 
 
 def turning_points(u: list[float], turn: float) -> np.ndarray:
@@ -230,10 +230,10 @@ def turning_points(u: list[float], turn: float) -> np.ndarray:
     return np.array(places)
 
 
-_FOLLOWS_CURRENT = 1e-3
+_COIL_PERIOD = 1e-3
 """Sample period [s] of a history that resolves how the coil follows a step of the current."""
 
-_ALL_BUT_SPIKES = 0.995
+_SPIKE_QUANTILE = 0.995
 """Fraction of the samples that is assumed free of spikes."""
 
 
@@ -368,7 +368,7 @@ class Window:
         whole = few.whole
         coarser = following_stride(whole.motion, whole.period)
         if not whole.has_constant_current:
-            coarser = max(min(coarser, int(_FOLLOWS_CURRENT / whole.period)), 1)
+            coarser = max(min(coarser, int(_COIL_PERIOD / whole.period)), 1)
         if coarser == 1:
             return few
         motion = whole.part(slice(None, None, coarser))
@@ -416,7 +416,7 @@ class Window:
     @cached_property
     def largest_force(self) -> float:
         """Largest absolute force [N], without spikes of the sensor."""
-        return float(np.quantile(np.abs(self.force), _ALL_BUT_SPIKES))
+        return float(np.quantile(np.abs(self.force), _SPIKE_QUANTILE))
 
     @property
     def peak_velocity_range(self) -> tuple[float, float]:

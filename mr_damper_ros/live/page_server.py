@@ -53,7 +53,7 @@ _REQUEST = 5.0
 """Longest time [s] from the first byte of a request to the last."""
 
 _LONGEST_BODY = 1000
-_DRAINED = 1 << 16
+_LARGEST_REJECTED_BODY = 1 << 16
 """Largest number of bytes read from a rejected body. If a connection is closed with unread bytes,
 the answer is lost."""
 
@@ -316,7 +316,7 @@ class _Handler(BaseHTTPRequestHandler):
             )
         if "Transfer-Encoding" in self.headers:
             raise _RequestError("a body needs a Content-Length, and no Transfer-Encoding")
-        body = self.rfile.read(min(int(lengths[0]), _DRAINED))
+        body = self.rfile.read(min(int(lengths[0]), _LARGEST_REJECTED_BODY))
         if int(lengths[0]) > _LONGEST_BODY:
             raise _RequestError(f"a body may have at most {_LONGEST_BODY} bytes, not {lengths[0]}")
         return body

@@ -29,7 +29,7 @@ SAME_CURRENT = 0.05
 DIFFERENCE = 1e-6
 """Step of a finite difference, relative to the size of a parameter, or in seconds."""
 
-_OUTERMOST = 0.98
+_QUANTILE = 0.98
 """Quantile of speed and displacement that is used as the maximum."""
 
 State = tuple[Array, ...]
@@ -109,8 +109,8 @@ class LoopReading(NamedTuple):
     def of(cls, window: Window) -> LoopReading:
         """The reading of a window."""
         top, bottom = float(window.force.max()), float(window.force.min())
-        speed = float(np.quantile(np.abs(window.motion.velocity), _OUTERMOST))
-        amplitude = float(np.quantile(np.abs(window.motion.displacement), _OUTERMOST))
+        speed = float(np.quantile(np.abs(window.motion.velocity), _QUANTILE))
+        amplitude = float(np.quantile(np.abs(window.motion.displacement), _QUANTILE))
         return cls(
             max(0.5 * (top - bottom), 1e-9),
             0.5 * (top + bottom),
@@ -159,7 +159,7 @@ class SearchEffort:
 _RELATIVE_ERROR = 0.05
 """Smallest relative error of a coefficient, because every law has model error."""
 
-_OPEN = 1e3
+_UNKNOWN = 1e3
 """Standard error of an undetermined coefficient, relative to its size."""
 
 LawSearch = Callable[[Callable[[Array], Array], Sequence[tuple[float, float]], Array, str], Array]
@@ -193,5 +193,5 @@ class CoefficientTable:
         usual = float(np.sqrt(np.mean(values[known if known.any() else slice(None)] ** 2)))
         # The weight of a coefficient that is always zero must be finite, and so must its square.
         floor = _RELATIVE_ERROR * max(usual, 1.0 / LIMIT)
-        errors = np.where(np.isnan(errors), _OPEN * np.maximum(floor, np.abs(values)), errors)
+        errors = np.where(np.isnan(errors), _UNKNOWN * np.maximum(floor, np.abs(values)), errors)
         return 1.0 / np.sqrt(errors**2 + floor**2 + (_RELATIVE_ERROR * values) ** 2)

@@ -40,7 +40,7 @@ _CLOSE = 4e-3
 """The iteration ends when a step changes the flow by less than this part of the yield width.
 Because convergence is cubic, the next step would be smaller than about the cube of this part."""
 
-_MOST_BENT = 0.5
+_LARGEST_CORRECTION = 0.5
 """Limit of Halley's correction; with more curvature within a step, it is not reliable."""
 
 _MOST_STEPS = 60
@@ -154,7 +154,7 @@ def flow_of(strength: float, width: float, held: float, load: float, guess: floa
         step = (load - strength * tanh - held * flow) / (steep + held)
         # Halley's step includes the curvature.
         bent = step * steep * tanh / (width * (steep + held))
-        if -_MOST_BENT < bent < _MOST_BENT:
+        if -_LARGEST_CORRECTION < bent < _LARGEST_CORRECTION:
             step /= 1.0 - bent
         flow += step
         if flow < least:

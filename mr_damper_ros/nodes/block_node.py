@@ -21,7 +21,7 @@ from mr_damper_ros.signals.blocks import SampleBlock
 from mr_damper_ros.signals.error_sums import RunningError
 from mr_damper_ros.tracking.predictor import ForcePredictor
 
-_HEAD_START = 1e-3
+_WORK_DELAY = 1e-3
 """Delay [s] of the remaining work after publishing, so that the subscribers of the answer run first
 if they share a core with this process."""
 
@@ -101,7 +101,7 @@ class BlockNode(Node, Generic[Options, Answer]):
             now_ns = self.get_clock().now().nanoseconds
         answer = self._publish_answer(block, now_ns)
         self._work = partial(self._finish, answer, block)
-        self._due = time.perf_counter() + _HEAD_START
+        self._due = time.perf_counter() + _WORK_DELAY
         self._slowest = max(self._slowest, time.perf_counter() - began)
         self._oldest = float(np.fmax(self._oldest, freshness.age))
 

@@ -25,7 +25,7 @@ from rclpy.parameter import Parameter
 from mr_damper_ros.nodes import quality, rclpy_internals
 from mr_damper_ros.settings.option_table import Option, ParameterTable, build, options
 
-_NOT_OURS = ("use_sim_time", "start_type_description_service")
+_RCLPY_PARAMETERS = ("use_sim_time", "start_type_description_service")
 """Parameters that rclpy itself declares."""
 
 T = TypeVar("T", bound=ParameterTable)
@@ -79,7 +79,7 @@ class NodeParameters(Generic[T]):
             if name.startswith(quality.OVERRIDES):
                 _refuse(quality.objection(name, value))
                 continue  # rclpy declares it with its publisher or subscription
-            if name.startswith(_NOT_OURS):
+            if name.startswith(_RCLPY_PARAMETERS):
                 continue
             if name not in self._options:
                 close = difflib.get_close_matches(name, self._options, n=1)

@@ -27,7 +27,7 @@ from rclpy.publisher import Publisher
 from mr_damper_ros.nodes import quality
 from mr_damper_ros.settings.option_table import CheckedSettings, option
 
-_FORGIVEN_NS = 250_000_000
+_CATCH_UP_NS = 250_000_000
 """Longest delay that the sender catches up with; see above."""
 
 _QUEUE = 100
@@ -176,7 +176,7 @@ class PacedSender:
                 start, origin = self._anchor
                 early = start + int((data_ns - origin) / self._rate) - now
                 if early <= 0:
-                    if -early > _FORGIVEN_NS:
+                    if -early > _CATCH_UP_NS:
                         self._anchor = (now, data_ns)
                         self.left_out_ns += int(-early * self._rate)
                     return True

@@ -318,7 +318,7 @@ def finish(
                     lost(task)
                     continue
                 except (Exception, CancelledError) as error:
-                    raise _useless(error) from error
+                    raise _workers_error(error) from error
                 keep(task, document)
     finally:
         for future in under_way:
@@ -326,7 +326,7 @@ def finish(
         workers.end()
 
 
-def _useless(error: BaseException) -> WorkersError:
+def _workers_error(error: BaseException) -> WorkersError:
     if isinstance(error, WorkersError):
         return error
     return WorkersError(f"the workers cannot run the tasks: {type(error).__name__}: {error}")
@@ -337,7 +337,7 @@ def _document(function: Callable[[Any], Document], argument: Any, *_: Notify) ->
         with one_thread():  # the process may belong to another program
             return function(argument)
     except Exception as error:
-        raise _useless(error) from error
+        raise _workers_error(error) from error
 
 
 def fingerprint(content: Mapping[str, Any]) -> str:

@@ -19,7 +19,7 @@ from mr_damper_ros.rig_check.record import (
 from mr_damper_ros.signals.arrays import Array, white_noise
 from mr_damper_ros.signals.blocks import NANOSECONDS
 
-_CUT, _ROW = 0.01, 5
+_CLIPPED_PART, _CLIPPED_IN_A_ROW = 0.01, 5
 """A channel is clipped if this fraction of samples is exactly at the extreme, this many in a
 row."""
 
@@ -30,19 +30,19 @@ _NOISY = {"displacement": (0.002, 1e-5), "force": (0.03, 10.0)}
 """Limits of white noise, in standard deviations of the channel and in its unit. Noise is excessive
 if it exceeds both, because without current the force is small."""
 
-_WILD, _JUMP = 12.0, 0.1
+_OUTLIER, _JUMP = 12.0, 0.1
 """An outlier deviates from its neighbours by this multiple of the noise and this fraction of the
 range."""
 
 _MAINS = (50.0, 60.0)
-_NEAR, _BESIDE = 0.5, 6.0
+_MAINS_BAND, _COMPARISON_BAND = 0.5, 6.0
 """Half-widths [Hz] of the band around a mains frequency and of the band for comparison."""
 
 _HARMONICS = 2.2
 """Half-width of the comparison in multiples of the motion frequency, whose odd harmonics are two
 multiples apart."""
 
-_STANDS_OUT, _HUMS = 3.0, {"displacement": 1e-3, "force": 5e-3}
+_HUM_RATIO, _HUM_PARTS = 3.0, {"displacement": 1e-3, "force": 5e-3}
 """A spectral line is hum if it exceeds this multiple of its neighbours, and this fraction of the
 channel's standard deviation."""
 
@@ -56,21 +56,22 @@ def channel_findings(
     if step:
         yield Trouble.COARSE.found(name, step=step, unit=unit)
     else:
-        clipped = [f"{limit:.4g}" for limit in (values.min(), values.max()) if _cut(values, limit)]
+        limits = values.min(), values.max()
+        clipped = [f"{limit:.4g}" for limit in limits if _clips(values, limit)]
         if clipped:
             yield Trouble.CLIPPED.found(name, how=f" at {' and '.join(clipped)}")
         part, least = _NOISY[name]
         if noise > max(part * spread, least):
             yield Trouble.NOISE.found(name, noise=noise, unit=unit, share=noise / spread)
     middle = np.median(np.stack([values[:-2], values[1:-1], values[2:]]), axis=0)
-    wild = np.abs(values[1:-1] - middle) > max(_WILD * noise, 2.0 * _JUMP * _half_range(values))
+    wild = np.abs(values[1:-1] - middle) > max(_OUTLIER * noise, 2.0 * _JUMP * _half_range(values))
     if wild.any():
         yield Trouble.SPIKES.found(name, count=np.count_nonzero(wild))
         return
-    reach = max(_BESIDE, _HARMONICS * frequency)
+    reach = max(_COMPARISON_BAND, _HARMONICS * frequency)
     for mains in _MAINS:
         amplitude, beside = _line_at(mains, reach, values, period)
-        if amplitude > max(_STANDS_OUT * beside, _HUMS[name] * spread):
+        if amplitude > max(_HUM_RATIO * beside, _HUM_PARTS[name] * spread):
             yield Trouble.HUM.found(name, size=amplitude, unit=unit, mains=mains)
 
 
@@ -82,22 +83,22 @@ def coarse_step(values: Array) -> float:
     return step if step > _COARSE * float(np.std(values)) else 0.0
 
 
-def _cut(values: Array, limit: float) -> bool:
+def _clips(values: Array, limit: float) -> bool:
     """Whether many values, and several in a row, are exactly at this limit."""
     there = values == limit
-    in_a_row = np.convolve(there, np.ones(_ROW), "valid").max() >= _ROW
-    return bool(in_a_row and there.mean() >= _CUT)
+    in_a_row = np.convolve(there, np.ones(_CLIPPED_IN_A_ROW), "valid").max() >= _CLIPPED_IN_A_ROW
+    return bool(in_a_row and there.mean() >= _CLIPPED_PART)
 
 
 def _line_at(mains: float, reach: float, values: Array, period: float) -> tuple[float, float]:
     """Amplitudes of the lines at and beside the mains frequency; 0 if they are not resolved."""
-    if mains + reach > 0.5 / period or values.size * period < 2.0 / _NEAR:
+    if mains + reach > 0.5 / period or values.size * period < 2.0 / _MAINS_BAND:
         return 0.0, 0.0
     weights = np.hanning(values.size)
     lines = np.abs(np.fft.rfft((values - values.mean()) * weights)) * 2.0 / weights.sum()
     away = np.abs(np.fft.rfftfreq(values.size, period) - mains)
-    beside = lines[(away > 2.0 * _NEAR) & (away <= reach)]
-    return float(lines[away <= _NEAR].max()), float(beside.max())
+    beside = lines[(away > 2.0 * _MAINS_BAND) & (away <= reach)]
+    return float(lines[away <= _MAINS_BAND].max()), float(beside.max())
 
 
 _RATE = 0.003
@@ -106,10 +107,10 @@ _RATE = 0.003
 _JITTER = 0.1
 """Tolerated stamp jitter in sample periods (doc/time.md)."""
 
-_BURST = 0.1
+_PAUSE = 0.1
 """Delay of a block [s] above which the stream counts as paused."""
 
-_TOLD_LATE = 2.0
+_COUNT_TOLERANCE = 2.0
 """Tolerated difference [s] between two counts that are reported once a second."""
 
 _CURRENT_OFF, _SETTLING = 0.05, 1.0
@@ -140,7 +141,7 @@ def stream_findings(record: RigRecord) -> Iterator[RigFinding]:
         longest = max(block.force.size * block.period for block in record.blocks)
         pauses = np.diff(arrivals) / NANOSECONDS
         # Without samples, there was no pause.
-        held_up = pauses[pauses - np.clip(np.diff(times), longest, None) > _BURST]
+        held_up = pauses[pauses - np.clip(np.diff(times), longest, None) > _PAUSE]
         if held_up.size > 1:
             yield Trouble.BURSTS.found(count=held_up.size, pause=held_up.max())
 
@@ -169,7 +170,7 @@ def _count_findings(record: RigRecord) -> Iterator[RigFinding]:
         if count:
             yield Trouble.CLIPPED.found(name, how=f", and its source omitted {count} samples")
     known = sum(left_out.values())
-    if lost and not (known and (lost - known) * record.period < _TOLD_LATE):
+    if lost and not (known and (lost - known) * record.period < _COUNT_TOLERANCE):
         whole = lost + record.sample_count
         yield Trouble.LOST.found(count=lost, whole=whole, share=lost / whole)
     if restarts:
@@ -223,7 +224,7 @@ _DISPLACEMENT, _FORCE = (5e-5, 0.5), (2.0, 5e5)
 _OFFSET = 0.25
 """Largest mean force, relative to half the range, that gas pressure explains."""
 
-_SMOOTHER = 0.9
+_EXCHANGED_RATIO = 0.9
 """A machine moves smoothly and a damper force reverses sharply, so the force has the larger steps.
 """
 
@@ -327,7 +328,7 @@ def _exchanged(displacement: Array, force: Array) -> bool:
     if coarse_step(displacement):
         return False  # coarse quantisation is also rough
     noises = [white_noise(values) / float(np.std(values)) for values in (displacement, force)]
-    rougher = _roughness(displacement) * _SMOOTHER > _roughness(force)
+    rougher = _roughness(displacement) * _EXCHANGED_RATIO > _roughness(force)
     return rougher and noises[0] > noises[1]
 
 

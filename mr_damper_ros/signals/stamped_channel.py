@@ -24,7 +24,7 @@ _MARGIN = 0.12
 _WAITING = 3
 """Number of samples that wait until later ones confirm their index; if all are late, more wait."""
 
-_LONGEST = 1.0
+_SILENCE = 1.0
 """After this time [s] without a stamp, the clock is too uncertain to count lost samples. A new
 clock is estimated once the stamps span this time."""
 
@@ -32,19 +32,19 @@ _ENOUGH, _FEWEST = 256, 12
 """Number of stamps from which a clock is estimated, and with which it is checked; for slow samples
 the second number suffices."""
 
-_DOUBTFUL = 0.2
+_LARGEST_UNTIMELY_PART = 0.2
 """If more than this fraction of these stamps is too early or late, the clock is estimated again."""
 
 _STRETCH = 16
 """Number of successive sample intervals whose total duration is measured."""
 
-_GUESSES, _BEGINS = (0.1, 0.25, 0.5), (-0.4, 0.0, 0.4)
+_PERIOD_QUANTILES, _INITIAL_DELAYS = (0.1, 0.25, 0.5), (-0.4, 0.0, 0.4)
 """Initial values that are tried: for the period, quantiles of these durations, because the shortest
 durations contain no lost samples; for the mean delay of the first stamps, values in sample periods.
 With half a period of jitter and a twentieth of the samples lost, 36 of 40 streams are numbered
 correctly from the first second, but only 25 if one value of each is tried."""
 
-_FOLLOWS = (0.05, 0.001)
+_CLOCK_GAINS = (0.05, 0.001)
 """Gains by which a tried clock corrects its offset and its rate for the error of a stamp. With
 twice the first and five times the second gain, only 30 of the 40 streams are numbered correctly."""
 
@@ -128,8 +128,8 @@ class StampedChannel(Generic[V]):
         certain: list[NumberedSample[V]] = []
         if self._clock is not None:
             late_ns = stamp_ns - self._clock.at(self._next)
-            doubtful = sum(self._doubts) > _DOUBTFUL * _ENOUGH
-            if abs(late_ns) < _LONGEST * NANOSECONDS and not doubtful:
+            doubtful = sum(self._doubts) > _LARGEST_UNTIMELY_PART * _ENOUGH
+            if abs(late_ns) < _SILENCE * NANOSECONDS and not doubtful:
                 return self._place(stamp_ns, value, late_ns / (self.period * NANOSECONDS))
             self._doubts.clear()
             certain = [sample for sample, _ in self._waiting]
@@ -139,7 +139,7 @@ class StampedChannel(Generic[V]):
             self._clock, self._waiting = None, []
         self._begun.append((stamp_ns, value))
         since = (stamp_ns - self._begun[0][0]) / NANOSECONDS
-        if len(self._begun) >= _ENOUGH or (len(self._begun) >= _FEWEST and since >= _LONGEST):
+        if len(self._begun) >= _ENOUGH or (len(self._begun) >= _FEWEST and since >= _SILENCE):
             certain += self._begin()
         return certain
 
@@ -204,13 +204,13 @@ def _count(stamps_ns: list[int]) -> tuple[float, np.ndarray, int]:
     half = max(stretch // 2, 1)
     # Averages over a few stamps have less jitter.
     means = np.convolve(stamps, np.full(half, 1.0 / half), "valid")
-    guesses = np.quantile(means[stretch:] - means[:-stretch], _GUESSES) / stretch
+    guesses = np.quantile(means[stretch:] - means[:-stretch], _PERIOD_QUANTILES) / stretch
     best = (math.inf, 1.0, np.arange(stamps.size), 0.0)
     for guess in guesses.tolist():
         times = stamps / guess
         mean = float(np.mean(times[:half] - np.arange(half)))
-        for begin in _BEGINS:
-            numbers, _ = _numbered(times - mean + begin, _FOLLOWS)
+        for begin in _INITIAL_DELAYS:
+            numbers, _ = _numbered(times - mean + begin, _CLOCK_GAINS)
             slope, offset, against = 1.0, 0.0, 0
             for _ in range(4):
                 slope, offset = (float(value) for value in np.polyfit(numbers, stamps, 1))

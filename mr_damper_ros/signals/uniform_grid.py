@@ -26,7 +26,7 @@ from mr_damper_ros.signals.arrays import Array, RollingRows
 from mr_damper_ros.signals.blocks import LATE_NS, NANOSECONDS, SampleBlock
 from mr_damper_ros.signals.clocks import StampClock
 
-_AROUND = 12
+_NEIGHBOURS = 12
 """Largest number of samples that determine the slope at a gap. It is also the number of stored past
 samples, and of neighbours that interpolate a sample."""
 
@@ -42,7 +42,7 @@ def on_a_cubic(before: Array, after: Array, count: int) -> Array:
     width = count + 1.0
     place = np.arange(1.0, width) / width
     rise = float(after[0] - before[-1])
-    points = min(max(count + 2, 3), _AROUND)
+    points = min(max(count + 2, 3), _NEIGHBOURS)
     # Slopes minus the slope of the straight line, times the width of the gap.
     start = width * _end_slope(before[-points:]) - rise
     end = -width * _end_slope(after[:points][::-1]) - rise
@@ -62,7 +62,7 @@ def at_uniform_times(wanted: Array, places: Array, values: Array) -> Array:
     the distance from the samples; it would no longer be white, and a filter that recognises noise
     by its whiteness would interpret the remaining noise as motion.
     """
-    width = min(_AROUND + 1, places.size)
+    width = min(_NEIGHBOURS + 1, places.size)
     powers = np.arange(min(3, width - 1) + 1)
     own = np.arange(places.size - wanted.size, places.size)
     first = np.clip(own - width // 2, 0, places.size - width)
@@ -84,7 +84,7 @@ def _end_slope(values: Array) -> float:
     return float(np.polynomial.polynomial.polyfit(np.arange(1 - values.size, 1), values, 2)[1])
 
 
-_DECIDED, _ENOUGH = 3.0, 30
+_DECIDING_ERRORS, _DECIDING_SAMPLES = 3.0, 30
 """Number of standard errors by which the share must differ from one half for a decision, and the
 smallest number of samples for it."""
 
@@ -128,11 +128,11 @@ class NonUniformSampling:
         self._sums *= _FORGETTING**count
         self._sums += [off @ expected, expected @ expected, off @ off, count]
         product, square, rest, count = self._sums.tolist()
-        if count < _ENOUGH or square == 0.0:
+        if count < _DECIDING_SAMPLES or square == 0.0:
             return
         share = product / square
         noise = max(rest / square - share**2, 0.0) / count
-        if abs(share - 0.5) > _DECIDED * noise**0.5:
+        if abs(share - 0.5) > _DECIDING_ERRORS * noise**0.5:
             self.found = share > 0.5
 
 
@@ -144,7 +144,7 @@ _EVEN = 0.02
 """A stamp with an error of at most this fraction of a period is used unchanged. Stamps with larger
 errors show whether the sampling is non-uniform."""
 
-_DELAY, _SLEW = 0.5, 0.01
+_DELAY, _DELAY_STEP = 0.5, 0.01
 """Delay of the grid with non-uniform sampling, in sample periods, so that its points lie between
 samples that have arrived; and the change of this delay per sample, which avoids a step."""
 
@@ -369,7 +369,7 @@ class UniformGrid:
         assert self._clock is not None
         first = block.sequence - lost
         count = lost + block.sample_count
-        step = _SLEW if self.non_uniform else -_SLEW
+        step = _DELAY_STEP if self.non_uniform else -_DELAY_STEP
         delays = np.clip(self._delay + step * np.arange(1.0, count + 1.0), 0.0, _DELAY)
         self._delay = float(delays[-1])
         wanted = np.arange(count) - delays
@@ -399,11 +399,11 @@ class UniformGrid:
         return placed, delays + late
 
     def _remember(self, block: SampleBlock, late: float) -> None:
-        few = slice(-_AROUND, None)
+        few = slice(-_NEIGHBOURS, None)
         places: Array = block.sequence + late + np.arange(block.sample_count, dtype=float)
         rows = [places[few], block.displacement[few], block.force[few]]
         self._past.add(rows, rows[0].size)
-        self._past.keep(_AROUND)
+        self._past.keep(_NEIGHBOURS)
 
 
 def _measured(force: Array, after: Array, lost: int) -> tuple[Array, Array]:

@@ -115,7 +115,7 @@ class Identifier:
         self._search: Search | None = None
         self._given_up: list[Event] = []
         # Whether the set from which the job started is no longer in use.
-        self._overtaken = False
+        self._superseded = False
         self._outbox: Outbox[Publication] = Outbox(DISK_PATIENCE)
         self._late = 0
 
@@ -195,7 +195,7 @@ class Identifier:
         job, search, before = self._job, self._search, self.tracker.parameters
         assert job is not None
         self._job = self._search = None
-        if self._overtaken:
+        if self._superseded:
             return [] if search is None else [SearchEnded(search)]
         report = self.tracker.complete(job, outcome)
         if report is not None:
@@ -220,7 +220,7 @@ class Identifier:
             budget = self._settings.fit_time_budget
         else:
             return
-        self._overtaken = False
+        self._superseded = False
         self._number = self.worker.submit(run, self._job, budget=budget)
 
     def take_notices(self) -> list[str]:
@@ -245,7 +245,7 @@ class Identifier:
         """
         self.assembler.reset()
         self._windows.clear()
-        self._overtake()
+        self._supersede()
         self.tracker.reset()
         self.last_report = None
         return self.state.keep_now()
@@ -257,13 +257,13 @@ class Identifier:
         """
         if self._job is not None and self._job.raw is not None:
             self._windows.appendleft(self._job.raw)
-        self._overtake()
+        self._supersede()
         self.tracker.replace(parameters)
         return self.state.keep_now()
 
-    def _overtake(self) -> None:
+    def _supersede(self) -> None:
         if self._job is not None:
-            self._overtaken = True
+            self._superseded = True
             self.worker.cancel()
 
     def close(self) -> None:

@@ -170,13 +170,13 @@ def _dataclass(kind: Any, data: Any, where: str) -> Any:
 
 def check(memory: TrackerMemory, model: Model) -> TrackerMemory:
     """Return the memory unchanged; raises StateError if it contains impossible values."""
-    for sound, what in _soundness(memory, len(model.parameters)):
+    for sound, what in _checks_of_memory(memory, len(model.parameters)):
         if not sound:
             raise StateError(f"the memory of the tracker contains an invalid {what}")
     return memory
 
 
-def _soundness(memory: TrackerMemory, parameter_count: int) -> Iterator[tuple[bool, str]]:
+def _checks_of_memory(memory: TrackerMemory, parameter_count: int) -> Iterator[tuple[bool, str]]:
     watch, state, records = memory.watch, memory.state, memory.points.records
     counts = (
         *(memory.windows, memory.accepted, memory.accepted_since_global),
@@ -209,10 +209,10 @@ def _soundness(memory: TrackerMemory, parameter_count: int) -> Iterator[tuple[bo
         yield min(sums) >= 0 and _finite(*sums), "sum of the change detection"
     yield _finite(*(number for point in points for number in point)), "operating point"
     for record in records:
-        yield from _record_soundness(record, parameter_count)
+        yield from _checks_of_record(record, parameter_count)
 
 
-def _record_soundness(record: PointRecord, parameter_count: int) -> Iterator[tuple[bool, str]]:
+def _checks_of_record(record: PointRecord, parameter_count: int) -> Iterator[tuple[bool, str]]:
     seen, force, fit = record.temperatures, record.force, record.baseline
     sound = seen.ndim == 2 and seen.shape[1] == 3 and is_plausible(seen)
     yield sound, "temperature or force scale"
@@ -231,10 +231,10 @@ def _record_soundness(record: PointRecord, parameter_count: int) -> Iterator[tup
         for array in (fit.parameters, fit.scales, fit.coefficients, fit.operating_point):
             yield bool(np.all(np.isfinite(array))), "value in a fit"
     if record.window is not None:
-        yield from _window_soundness(record.window)
+        yield from _checks_of_window(record.window)
 
 
-def _window_soundness(window: Window) -> Iterator[tuple[bool, str]]:
+def _checks_of_window(window: Window) -> Iterator[tuple[bool, str]]:
     motion, shape = window.motion, window.force.shape
     yield len(shape) == 1 and window.force.size > 0, "window without samples"
     for array in (motion.displacement, motion.velocity, motion.acceleration, motion.peak_velocity):
@@ -244,7 +244,7 @@ def _window_soundness(window: Window) -> Iterator[tuple[bool, str]]:
     yield math.isnan(window.period) or 0.0 < window.period < math.inf, "sample period"
     places, whole = window.places, window.whole
     if whole is not None:
-        yield from _window_soundness(whole)
+        yield from _checks_of_window(whole)
     if places is None:
         yield whole is None, "part of a window: it has no places"
     else:

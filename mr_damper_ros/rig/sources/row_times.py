@@ -14,10 +14,10 @@ from mr_damper_ros.signals.stamped_channel import StampedChannel
 _WRONG_RATE = 0.02
 """Relative rate error of a sender's clock above which its time unit must be wrong."""
 
-_ODD_AHEAD, _ODD_BACK = 10.0, 1.0
+_LARGEST_ADVANCE, _LARGEST_STEP_BACK = 10.0, 1.0
 """Largest plausible jump [s] of a stamp, ahead of the elapsed time and back."""
 
-_ODD_IN_A_ROW = 16
+_IMPLAUSIBLE_IN_A_ROW = 16
 """After this number of implausible stamps in a row, the clock was set; fewer are errors."""
 
 
@@ -146,9 +146,9 @@ class StampedRows:
         if half < last - turns < self._around and time < last - turns - half:
             turns += self._around
         passed = (arrival_ns - last_ns) / NANOSECONDS
-        goes_on = last - _ODD_BACK < time + turns < last + passed + _ODD_AHEAD
+        goes_on = last - _LARGEST_STEP_BACK < time + turns < last + passed + _LARGEST_ADVANCE
         if not goes_on:
-            if self._odd_in_a_row < _ODD_IN_A_ROW:
+            if self._odd_in_a_row < _IMPLAUSIBLE_IN_A_ROW:
                 self._odd_in_a_row += 1
                 self._odd += 1
                 return None
