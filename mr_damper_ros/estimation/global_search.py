@@ -542,7 +542,7 @@ class GlobalSearch:
         simpler = self.model.simpler
         if simpler is None:
             return None
-        start = self.model.to_simpler(self._start)
+        start = self._start[: len(simpler.parameters)]
         search = GlobalSearch(
             simpler, self.windows, start, self._settings, self._clock, None, later, self.levels
         )

@@ -123,16 +123,15 @@ class Model(ABC):
 
     @property
     def simpler(self) -> Model | None:
-        """The simpler law that this law contains as a special case; None if there is none."""
-        return None
+        """The simpler law that this law contains as a special case; None if there is none.
 
-    def to_simpler(self, values: Array) -> Array:
-        """The parameters with which the simpler law is closest to the law with ``values`` (p,)."""
-        return values
+        Its parameters are the first ones of this law; the forces agree if the others are zero.
+        """
+        return None
 
     def from_simpler(self, simple: Array) -> Array:
         """The parameters (p,) with the same force as the simpler law with parameters ``simple``."""
-        return simple
+        return np.pad(simple, (0, len(self.parameters) - simple.size))
 
     def completed(self, values: Array) -> Array:
         """The values (p,) with defaults appended for omitted parameters at the end."""

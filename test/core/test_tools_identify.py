@@ -22,9 +22,8 @@ from mr_damper_ros.estimation.differential_evolution import GlobalProgress
 from mr_damper_ros.io.bag_reader import read_bag
 from mr_damper_ros.io.bag_writer import write_bag
 from mr_damper_ros.kinematics.motion import window_motion
-from mr_damper_ros.models.parameter_set import ParameterSet
-from mr_damper_ros.models.published import CONDITIONS, LITERATURE, is_clean
-from mr_damper_ros.models.sigmoid.following import without_extension
+from mr_damper_ros.models.parameter_set import ParameterSet, start_set
+from mr_damper_ros.models.published import CONDITIONS, is_clean
 from mr_damper_ros.tools import identify, validate
 from mr_damper_ros.tools.console import ProgressLine
 from studies.thesis.runs import synthesise
@@ -130,7 +129,7 @@ def test_a_start_with_a_lag_is_refused_for_the_law_without_one(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     start = tmp_path / "start.yaml"
-    start.write_text(ParameterSet(without_extension(LITERATURE), model="sigmoid_lag").to_yaml())
+    start.write_text(start_set("sigmoid_lag").to_yaml())
     assert identify.main([str(ONE_RUN), "--start", str(start)]) != 0
     assert "give a set of model 'sigmoid'" in capsys.readouterr().err
 

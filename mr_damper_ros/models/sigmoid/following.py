@@ -115,11 +115,6 @@ def extension_of(parameters: Array) -> Extension:
     return Extension(*parameters[SIGMOID_COUNT:-1].tolist())
 
 
-def without_extension(sixteen: Array) -> Array:
-    """Parameters (20,) of the extended law with the same force as these (16,)."""
-    return np.concatenate((sixteen, np.zeros(len(EXTENDED_NAMES) - SIGMOID_COUNT)))
-
-
 class LagMemory(NamedTuple):
     """State of the lag: force and lagged force of the sigmoid [N] and time constant [s]."""
 

@@ -56,7 +56,6 @@ from mr_damper_ros.models.sigmoid.following import (
     SigmoidCurrentResponse,
     extension_of,
     follow,
-    without_extension,
 )
 from mr_damper_ros.models.sigmoid.law import (
     COEFFICIENT_NAMES,
@@ -487,14 +486,6 @@ class ExtendedSigmoidModel(SigmoidModel):
         """The sixteen-parameter law."""
         return SigmoidModel()
 
-    def to_simpler(self, values: Array) -> Array:
-        """The sixteen parameters (16,) of the sigmoid law."""
-        return values[:SIGMOID_COUNT]
-
-    def from_simpler(self, simple: Array) -> Array:
-        """The set without lag, stiffness and offset."""
-        return without_extension(simple)
-
     def starts(self, reading: LoopReading) -> Array:
         """The starts of the sigmoid law with a small compliance."""
         starts = super().starts(reading)
@@ -504,7 +495,7 @@ class ExtendedSigmoidModel(SigmoidModel):
     def initial_values(self) -> tuple[Array, str, float]:
         """The set from the literature, without lag, stiffness and offset."""
         values, name, speed = super().initial_values()
-        return without_extension(values), name, speed
+        return self.from_simpler(values), name, speed
 
     def unsettled(self, window: Window, parameters: Array | None) -> np.ndarray:
         """Mask (n,) of samples at which the lag depends on the time before the window."""
