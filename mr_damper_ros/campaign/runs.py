@@ -28,10 +28,10 @@ _STEADY = 0.02
 _SINE = 0.1
 """Largest RMS residual of the sine fitted to one cycle, relative to the amplitude."""
 
-_LATE = 1.0
+_CURRENT_DELAY = 1.0
 """Largest delay [s] of current readings behind the samples."""
 
-_REACH = 1.05
+_AMPLITUDE_LIMIT = 1.05
 """Limit of the measured amplitude, relative to the limit of the machine; it allows for noise."""
 
 
@@ -160,7 +160,7 @@ class RunDriver:
         self._blocks = self._blocks[-needed:]
         displacement = np.concatenate([one.displacement for one in self._blocks])
         span = 0.5 * float(np.ptp(displacement))
-        if span > _REACH * self._limits.amplitude:
+        if span > _AMPLITUDE_LIMIT * self._limits.amplitude:
             self._break(
                 f"the amplitude reached {1e3 * span:.3g} mm, above "
                 f"{1e3 * self._limits.amplitude:.3g} mm"
@@ -220,7 +220,7 @@ class RunDriver:
         known = self.current.last_stamp_ns
         needed_ns = first.start_ns + round(count * first.period * NANOSECONDS)
         late = (last.end_ns - needed_ns) / NANOSECONDS
-        if (known is None or known < needed_ns) and late < _LATE:
+        if (known is None or known < needed_ns) and late < _CURRENT_DELAY:
             return
         displacement, force = (
             np.concatenate([getattr(block, name) for block in self._blocks])[:count]
@@ -280,10 +280,10 @@ def write_signal(run: PlannedRun, path: Path, sample_rate: float = 1000.0) -> No
     write_text(path, text.getvalue())
 
 
-_PLACES = 8
+_STARTS_PER_CYCLE = 8
 """Number of possible starting points of the run per shortest cycle."""
 
-_MOST_PLACES = 2000
+_MOST_STARTS = 2000
 """Largest number of starting points that are tried in a recording."""
 
 _SETTINGS = DriveSettings()
@@ -311,9 +311,9 @@ def cut_run(run: PlannedRun, recording: Recording) -> Recording:
         begins = steps - round(run.stretch / period)
     else:
         highest = max(run.frequency, run.highest_frequency)
-        stride = max(round(1.0 / (_PLACES * highest * period)), 1)
+        stride = max(round(1.0 / (_STARTS_PER_CYCLE * highest * period)), 1)
         begins = np.arange(
-            0, recording.sample_count, max(stride, displacement.size // _MOST_PLACES)
+            0, recording.sample_count, max(stride, displacement.size // _MOST_STARTS)
         )
     best, nearest = None, math.inf
     for begin in begins[(begins >= 0) & (begins + count <= displacement.size)].tolist():

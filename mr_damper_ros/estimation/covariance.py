@@ -243,14 +243,14 @@ class NoiseModel:
         return np.asarray((transformed.conj().T @ weighted).real)
 
 
-_LEAST_PART = 0.25
+_SECOND_CYCLE = 0.25
 """Smallest fraction of a second cycle that a window needs to separate model error from noise."""
 
 _ORDERS_PER_CYCLE = 4
 
-_MOST_TAKEN = 0.5
+_MOST_ABSORBED = 0.5
 
-_DRAWS = 8
+_CYCLE_PARTS = 8
 """Number of parts of a cycle with independent model errors."""
 
 
@@ -299,7 +299,7 @@ def error_covariances(
         scores = noise.score_covariance(jacobian)
         # The fit absorbs more of correlated noise than of white noise (unknowns / samples).
         taken = float(np.sum(bread * scores)) / max(count * noise.variance, 1e-300)
-        all_of_it = spread(scores) / max(1.0 - taken, _MOST_TAKEN)
+        all_of_it = spread(scores) / max(1.0 - taken, _MOST_ABSORBED)
         steady = math.isfinite(cycle)
         return ErrorCovariances(all_of_it, np.zeros_like(all_of_it) if steady else all_of_it)
     noise, phases, seen, misfit = split
@@ -325,7 +325,7 @@ def _split(
     ``freedom``: number of samples over degrees of freedom.
     """
     count = residual.size
-    if not math.isfinite(cycle) or not 8 <= round(cycle) < count / (1.0 + _LEAST_PART):
+    if not math.isfinite(cycle) or not 8 <= round(cycle) < count / (1.0 + _SECOND_CYCLE):
         return None
     length = round(cycle)
     apart = (residual[length:] - residual[:-length]) / math.sqrt(2.0)
@@ -355,7 +355,7 @@ def _of_phase(over_cycle: Array, count: int, cycle: float) -> Array:
 
 
 def _of_misfit(over_cycle: Array) -> Array:
-    edges = np.linspace(0, over_cycle.shape[0], _DRAWS, endpoint=False).astype(int)
+    edges = np.linspace(0, over_cycle.shape[0], _CYCLE_PARTS, endpoint=False).astype(int)
     draws = np.add.reduceat(over_cycle, edges, axis=0)
     return np.asarray(draws.T @ draws)
 

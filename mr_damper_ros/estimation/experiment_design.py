@@ -58,7 +58,7 @@ _DRAWS = 200
 _FEWEST_IN_PART = 8
 """Smallest number of samples in a part of a cycle, needed to estimate the noise."""
 
-_BETWEEN = 1.35
+_UNMEASURED_FACTOR = 1.35
 """Factor on the model error between and beyond the windows. With it, for eleven laws that differ
 from the damper, the true worst error is at most 1.3 to 1.44 times the stated error in 90 % of the
 cases."""
@@ -84,7 +84,7 @@ contain a whole number of parts."""
 _FEW_PHASES = 4
 """When runs are compared, every fourth phase of a cycle is used."""
 
-_FASTER = 5.0
+_SPEED_STEP = 5.0
 """Largest peak velocity of the next run relative to the fastest run so far."""
 
 _CURRENT_STEP = 0.5
@@ -488,7 +488,7 @@ class RunPlanner:
 
         apart = places(goal.points)[:, None] - places([w.operating_point for w in windows])
         weights = 1.0 / (_NEAR + np.linalg.norm(apart, axis=-1)) ** 4
-        return np.asarray(_BETWEEN * np.sqrt(weights @ squares / weights.sum(axis=1)))
+        return np.asarray(_UNMEASURED_FACTOR * np.sqrt(weights @ squares / weights.sum(axis=1)))
 
     def _errors(self, parameters: Array, information: Array, model_errors: Array) -> PointErrors:
         gradient = self._cycles.relative_gradient(parameters)
@@ -558,7 +558,7 @@ class RunPlanner:
         low, high = self.goal.current
         top = highest + _CURRENT_STEP * (high - low) + 1e-9
         gentle = [
-            run.peak_velocity <= _FASTER * fastest and max(run.currents) <= top
+            run.peak_velocity <= _SPEED_STEP * fastest and max(run.currents) <= top
             for run in self.candidates
         ]
         force, heat = self._candidates.demands(sets)

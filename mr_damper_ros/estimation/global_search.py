@@ -76,7 +76,7 @@ def no_search(
 
 # -- the prior and the posterior -----------------------------------------------------------------
 
-_RIDGE = 1e-4
+_WEAK_PRIOR = 1e-4
 """Relative weight of a weak prior that only keeps undetermined directions bounded."""
 
 
@@ -110,7 +110,7 @@ class Posterior:
         self._places = list(places)
         self.widths = prior.width[self._places]
         self._centre = prior.centre[self._places] / self.widths
-        self._weight = _RIDGE * math.sqrt(pooled.sample_count) if noise is None else noise
+        self._weight = _WEAK_PRIOR * math.sqrt(pooled.sample_count) if noise is None else noise
         self.start = self._values[self._places] / self.widths
         low, high = (bound[self._places] / self.widths for bound in pooled.model.bounds)
         unbounded = bool(np.all(np.isinf(low)) and np.all(np.isinf(high)))
@@ -162,7 +162,7 @@ _SEPARATE = 1e-3
 
 _STAGE = "each run by itself"
 
-_OTHER_DIRECTION = 0.1
+_ONE_SIDED = 0.1
 """A window with less than this part of its samples in one direction of motion is one-sided."""
 
 
@@ -308,7 +308,7 @@ class SeparateFits:
             squares.append(float(np.mean(residual[settled] ** 2)))
             sizes.append(float(np.mean(stretch.force**2)))
             rising = float(np.mean(stretch.motion.velocity > 0.0))
-            one_sided.append(abs(rising - 0.5) > 0.5 - _OTHER_DIRECTION)
+            one_sided.append(abs(rising - 0.5) > 0.5 - _ONE_SIDED)
         usual = sum(squares) / sum(sizes) * np.array(sizes)
         left = np.where(one_sided, np.maximum(squares, usual), squares)
         owners = self._excerpts.owners
@@ -369,10 +369,10 @@ _NEGLIGIBLE_STEP = 0.01
 """A search ends when a step reduces the sum of squares by less than this multiple of the noise
 variance, which corresponds to a step of a tenth of a standard error."""
 
-_SMALLEST = 0.05
+_SMALLEST_WIDTH = 0.05
 """Lower limit of the prior standard deviation of a scale, relative to its typical size."""
 
-_WIDE = 3.0
+_SCALE_WIDTH = 3.0
 """Prior standard deviation of a scale about zero, relative to its median size in the separate fits.
 """
 
@@ -383,13 +383,13 @@ range are then two standard deviations from its middle."""
 _ON_BOUND = 1e-3
 """A parameter closer to a bound than this part of its prior width counts as being on the bound."""
 
-_POOR = 4.0
+_POOR_COST = 4.0
 """Further starts are tried above this mean square of the weighted residual (twice the noise)."""
 
-_MOST_OWN = 4
+_MOST_SEPARATE = 4
 """Number of separate fits that serve as further starts."""
 
-_HOPELESS = 30.0
+_SKIPPED_COST = 30.0
 """A start whose misfit exceeds the best one by this factor is skipped."""
 
 KNOWN = "an earlier search"
@@ -588,11 +588,11 @@ class GlobalSearch:
     def _prior(self) -> Prior:
         """The prior of the parameters, centred on the start where it is plausible."""
         model = self.model
-        sizes = _SMALLEST * model.typical_sizes(self.windows)
+        sizes = _SMALLEST_WIDTH * model.typical_sizes(self.windows)
         if self.fits:
             of_fits = np.abs([fit.parameters for fit in self.fits])
             sizes = np.maximum(sizes, np.median(of_fits, axis=0))
-        centre, width = np.zeros(sizes.size), _WIDE * np.maximum(sizes, np.abs(self._start))
+        centre, width = np.zeros(sizes.size), _SCALE_WIDTH * np.maximum(sizes, np.abs(self._start))
         for place, name in enumerate(model.parameter_names):
             if name in self._ranges:
                 low, high = self._ranges[name]
@@ -615,18 +615,18 @@ class GlobalSearch:
             starts.items(), key=lambda item: self.pooled.mean_square(item[1])
         ):
             least = min((each.cost for each in found), default=math.inf)
-            if not self.pooled.mean_square(start) < _HOPELESS * least:
+            if not self.pooled.mean_square(start) < _SKIPPED_COST * least:
                 continue
             ended = self._rough(start, self.free)
             found.append(Candidate(origin, ended, self.pooled.mean_square(ended)))
         least = min(candidate.cost for candidate in found)
         cycles = any(holds_cycle(window.motion.displacement) for window in self.windows)
-        if least > _POOR and not cycles and method != "differential_evolution":
+        if least > _POOR_COST and not cycles and method != "differential_evolution":
             # If windows hold only parts of strokes, the separate fit of one of them may be a better
             # start than the laws.
             scales = self.free.intersection(self.model.linear)
             own = [self._least_squares(self.pooled, fit.parameters, scales) for fit in self.fits]
-            for start in sorted(own, key=self.pooled.mean_square)[:_MOST_OWN]:
+            for start in sorted(own, key=self.pooled.mean_square)[:_MOST_SEPARATE]:
                 ended = self._least_squares(self.pooled, start, self.free)
                 found.append(Candidate("one window", ended, self.pooled.mean_square(ended)))
         self.candidates += found

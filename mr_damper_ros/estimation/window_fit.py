@@ -42,7 +42,7 @@ POOR_START = 0.25
 """Further starts are tried if the residual of the given start exceeds this part of the force
 variance."""
 
-_HOPELESS = 1000.0
+_SKIPPED_COST = 1000.0
 """A start is not refined if its sum of squares exceeds the best start's by this factor."""
 
 _CONTRADICTED = 1e-3
@@ -266,7 +266,7 @@ class _StartSelection:
         hopeful = [
             search
             for search in (first, *cold)
-            if _mean_square(search) < _HOPELESS * _mean_square(cold[0])
+            if _mean_square(search) < _SKIPPED_COST * _mean_square(cold[0])
         ]
         if len(hopeful) > 1:
             for search in hopeful:

@@ -21,7 +21,7 @@ import numpy as np
 from mr_damper_ros.io.columns import Columns, RawTable, RecordError, too_long
 from mr_damper_ros.signals.arrays import Array
 
-_MOMENT = re.compile(
+_DATE_AND_TIME = re.compile(
     r"\s*(\d{1,4}[-/.]\d{1,2}[-/.]\d{1,4})[ T]+(\d{1,2}):(\d{2})(?::(\d{2}(?:[.,]\d+)?))?"
     r"\s*(?:([AaPp])\.?[Mm]\.?)?\s*(Z|[+-]\d{2}:?\d{2})?\s*"
 )
@@ -35,7 +35,7 @@ def seconds_since_1970(text: str) -> float | None:
     year, month, day. Otherwise, with slashes and a first number of at most 12, it is month, day,
     year; in all other cases, it is day, month, year.
     """
-    found = _MOMENT.fullmatch(text)
+    found = _DATE_AND_TIME.fullmatch(text)
     if found is None:
         return None
     date, hour, minute, second, half, zone = found.groups()
@@ -75,7 +75,7 @@ _LONGEST_LINE = 100_000
 Lines of tables are far shorter, and the library limits the length of a field.
 """
 
-_LOOKED_AT = 50
+_LAST_LINES = 50
 """Number of lines at the end of a file from which the separator is detected."""
 
 _CHUNK = 1 << 20
@@ -115,7 +115,7 @@ class TextFile:
     ) -> None:
         self._open = opened
         self._name = name
-        last: deque[str] = deque(maxlen=_LOOKED_AT)
+        last: deque[str] = deque(maxlen=_LAST_LINES)
         self._row_count = 0
         for _, line in self._filled_lines():
             self._row_count += 1

@@ -43,7 +43,7 @@ _NOISE_FACTOR = 1.5
 """Allowed residual in standard deviations of the noise. It exceeds the factor for a window, because
 few samples give a less accurate estimate of the noise."""
 
-_LEAVING = 5.0
+_END_OF_SINE = 5.0
 """A sample that deviates by more than this multiple of the allowed residual ends the sine."""
 
 
@@ -87,7 +87,7 @@ class SineFollower:
         angle = self._omega * self._period * np.arange(first, first + displacement.size)
         sine, cosine = np.sin(angle), np.cos(angle)
         centred = by_sine * sine + by_cosine * cosine
-        if np.abs(centred + offset - displacement).max() > _LEAVING * self._allowed:
+        if np.abs(centred + offset - displacement).max() > _END_OF_SINE * self._allowed:
             return None
         return Motion(
             displacement=centred,
@@ -155,7 +155,7 @@ _SMALLEST_RETURN = 1e-4
 _STILL = 0.01
 """The displacement is still if it changes by less than this fraction of the amplitude."""
 
-_DWELL = 0.4
+_REST_PART = 0.4
 """If the displacement is still for longer than this fraction of a half-cycle, the damper is at
 rest. A sine stays within a hundredth of its amplitude for a tenth of a half-cycle. If its amplitude
 drops to a tenth, it stays within a hundredth of the previous one for a third of a half-cycle."""
@@ -199,7 +199,7 @@ class MotionCentre:
     def resting(self) -> bool:
         """Whether the displacement has hardly changed for longer than a reversal takes."""
         half_cycle = self.usual_half_cycle
-        longest = min(_DWELL * half_cycle, max(_SLOW, _SLOW_DWELL * half_cycle))
+        longest = min(_REST_PART * half_cycle, max(_SLOW, _SLOW_DWELL * half_cycle))
         return self._still * self._period > max(_SHORTEST, longest)
 
     def follow(self, displacement: Array) -> float:
@@ -253,7 +253,7 @@ _HALF_CYCLES_FOR_PEAK = 4
 _NOISE_SPEED = 1e-4
 """A sine with a peak velocity [m/s] below this is a fit of noise, and the damper does not move."""
 
-_TOGETHER = 0.02
+_BATCH_TIME = 0.02
 """Time [s] of a steady sine that the observer and the fit process at once; a hundred samples take
 no longer than one."""
 
@@ -280,7 +280,7 @@ class MotionFollower:
         self._centre = MotionCentre(centre_memory, period)
         self._peak = PeakVelocity(period, centre_memory)
         self._sine = SineFollower(period, centre_memory)
-        self._together = round(_TOGETHER / period)
+        self._together = round(_BATCH_TIME / period)
         self._unlearned: list[Array] = []
         self._unlearned_count = 0
         self.steady = False

@@ -40,7 +40,7 @@ HALF_CYCLES = 8
 MEMORY = 10.0
 """Longest half-cycle [s]; a longer rest is divided into half-cycles of this duration."""
 
-_TURNED = 0.25
+_REVERSAL = 0.25
 """A half-cycle ends when the speed in the other direction reaches this part of the highest
 speed."""
 
@@ -119,7 +119,7 @@ class PeakVelocity:
             if self._sense == 0.0 and v != 0.0:
                 self._sense = math.copysign(1.0, v)
             present = self._present
-            if self._sense * v < -_TURNED * max(self._highest, present.highest, speed):
+            if self._sense * v < -_REVERSAL * max(self._highest, present.highest, speed):
                 self._sense = -self._sense
                 self._finish()
                 present = self._present

@@ -137,7 +137,7 @@ HISTORY_KEPT = 36_000
 _RATE = 100.0
 """Rows of signals per second of data, enough for the display of a motion of a few hertz."""
 
-_ROUNDED = 1e-3
+_TIME_TOLERANCE = 1e-3
 """Tolerance of times, in rows, because seconds since 1970 are rounded to 0.24 µs."""
 
 _SLOPE = 4e-3
@@ -147,10 +147,10 @@ page.js."""
 _HISTORY_STEP = 0.1
 MARKS_KEPT = 500
 
-_LEVEL = 0.05
+_LEVEL_STEP = 0.05
 """Smallest difference [A] between two levels of the current."""
 
-_HELD = 0.5
+_LEVEL_TIME = 0.5
 """Shortest duration [s] of a level, so that continuous changes by a controller are no levels."""
 
 WINDOWS_KEPT = 2000
@@ -343,7 +343,7 @@ class LiveRecord:
             self._tables["samples"][1].extend(rows)
             if velocity is None:
                 rows, velocity = self._with_slope(rows, period)
-            ticks = np.floor(rows[:, 0] * _RATE + _ROUNDED)
+            ticks = np.floor(rows[:, 0] * _RATE + _TIME_TOLERANCE)
             due = np.flatnonzero(np.diff(ticks, prepend=self._tick))
             self._tick = float(ticks[-1]) if ticks.size else self._tick
             chosen = np.column_stack([rows, velocity])[due]
@@ -381,12 +381,12 @@ class LiveRecord:
 
     def _follow_current(self, time_s: float, current: float) -> None:
         """Add a mark for each step of the current from one level to the next."""
-        if not abs(current - self._next_level) <= _LEVEL:
+        if not abs(current - self._next_level) <= _LEVEL_STEP:
             if self._next_level == self._level:
                 self._level_left = time_s
             self._next_level, self._level_since = current, time_s
-        elif self._next_level != self._level and time_s - self._level_since >= _HELD:
-            if abs(self._next_level - self._level) > _LEVEL:
+        elif self._next_level != self._level and time_s - self._level_since >= _LEVEL_TIME:
+            if abs(self._next_level - self._level) > _LEVEL_STEP:
                 step = f"{self._level:.3g} to {self._next_level:.3g} A"
                 self._mark("current", step, self._level_left)
             self._level = self._next_level

@@ -57,7 +57,7 @@ class ParameterError(UserError):
 
 Moved = TypeVar("Moved", Motion, MotionSample, Window)
 
-_UNEVEN = 0.01
+_TIME_TOLERANCE = 0.01
 """Largest deviation of a sample time, relative to the period, as by rounding in a file."""
 
 _UNKNOWN = np.empty(0)
@@ -78,7 +78,7 @@ def motion_window(time: ArrayLike, displacement: ArrayLike, current: ArrayLike) 
         )
     steps = np.diff(times)
     period = float(np.mean(steps))
-    if not (period > 0.0 and np.max(np.abs(steps - period)) <= _UNEVEN * period):
+    if not (period > 0.0 and np.max(np.abs(steps - period)) <= _TIME_TOLERANCE * period):
         raise ValueError(
             f"the times are from {np.min(steps):g} to {np.max(steps):g} s apart: give uniform "
             "samples"

@@ -18,7 +18,7 @@ from mr_damper_ros.signals.recording import LARGEST_FORCE
 LARGEST_NRMSE = 1.0
 """Upper limit of the NRMSE; at 1 the error is as large as the spread of the force."""
 
-_EXCESS = 3.0
+_FORCE_RATIO = 3.0
 """Largest ratio of the law's force to the largest force measured during identification. It exceeds
 1, because the fastest motion and the largest current may not have been measured together."""
 
@@ -91,7 +91,7 @@ def _implausible_at(parameters: ParameterSet, frequency: float) -> str:
         return bool(at_currents.all() if all_currents else at_currents.any())
 
     known = parameters.largest_force > 0.0
-    limit = min(_EXCESS * parameters.largest_force, LARGEST_FORCE) if known else LARGEST_FORCE
+    limit = min(_FORCE_RATIO * parameters.largest_force, LARGEST_FORCE) if known else LARGEST_FORCE
     with np.errstate(all="ignore"):
         sizes = peaks <= limit
         if all_speeds:

@@ -189,19 +189,19 @@ _SMOOTHED = 40.0
 _SMALL = 0.25
 """Fraction of the 90 % quantile of the speed that must be reached between two reversals."""
 
-_FURTHEST = 0.25
+_CROSSING_PART = 0.25
 """Fraction of a cycle around a reversal in which the force must cross zero."""
 
-_SPREAD = 1.3
+_CYCLE_RATIO = 1.3
 """Smallest ratio of the longest to the shortest cycle for the regression."""
 
 _OUTLIER = 4.0
 
-_OF_THE_LAW = 4e-4
+_LAW_ERROR = 4e-4
 """Additional standard error [s], because hysteresis is not exactly a fraction of the cycle. It is
 the error of the skew for emulated dampers without skew."""
 
-_REMEMBERED, _EVEN = 4, 0.05
+_PAST_CYCLES, _EQUAL_CYCLES = 4, 0.05
 """Number of past cycles that affect the hysteresis, and their largest relative difference."""
 
 
@@ -246,7 +246,7 @@ def channel_lag(displacement: Array, force: Array, period: float) -> ChannelLag:
     lags = np.full(cycles.size, math.nan)
     for k, (turn, cycle) in enumerate(zip(turns[1:-1], cycles, strict=True)):
         # Only crossings in the direction of the motion count.
-        near = zeros[(np.abs(zeros - turn) < _FURTHEST * cycle) & (rising == direction[k + 1])]
+        near = zeros[(np.abs(zeros - turn) < _CROSSING_PART * cycle) & (rising == direction[k + 1])]
         if near.size:
             lags[k] = np.median(near) - turn
     # An offset of the force shifts alternate reversals in opposite directions.
@@ -273,16 +273,16 @@ def _steady(cycles: Array) -> np.ndarray:
     The hysteresis depends on the peak velocity of the previous cycles, not on the present one.
     """
     steady = np.ones(cycles.size, dtype=bool)
-    for back in range(1, _REMEMBERED + 1):
+    for back in range(1, _PAST_CYCLES + 1):
         steady[:back] = False
-        steady[back:] &= np.abs(cycles[back:] / cycles[:-back] - 1.0) < _EVEN
+        steady[back:] &= np.abs(cycles[back:] / cycles[:-back] - 1.0) < _EQUAL_CYCLES
     return steady
 
 
 def _line(lags: Array, cycles: Array) -> ChannelLag:
     """Regression of the lags (n,) on the cycle lengths (n,) [s]; errors grow with length."""
     unknown = ChannelLag(lag=float(np.median(lags)))
-    if np.quantile(cycles, 0.9) < _SPREAD * np.quantile(cycles, 0.1):
+    if np.quantile(cycles, 0.9) < _CYCLE_RATIO * np.quantile(cycles, 0.1):
         return unknown
     columns = np.stack([1.0 / cycles, np.ones(cycles.size)], axis=1)
     parts = lags / cycles
@@ -295,5 +295,5 @@ def _line(lags: Array, cycles: Array) -> ChannelLag:
             return unknown
     variance = float(np.sum(rest[kept] ** 2)) / (np.count_nonzero(kept) - 2)
     covariance = variance * np.linalg.inv(columns[kept].T @ columns[kept])
-    error = math.sqrt(float(covariance[0, 0]) + _OF_THE_LAW**2)
+    error = math.sqrt(float(covariance[0, 0]) + _LAW_ERROR**2)
     return ChannelLag(float(weights[0]), error, unknown.lag)

@@ -43,7 +43,7 @@ MOST_WINDOWS = 100
 RECENT = MEMORY
 """Seconds for which an operating point counts as recent. A set must hold at all recent points."""
 
-_OTHER_CURRENT = 30.0
+_CURRENT_FACTOR = 30.0
 """Largest factor between the forces of an MR damper at two currents. At two speeds the force is
 between unchanged and proportional to the speed."""
 
@@ -232,7 +232,7 @@ class KnownPoints:
         for known in self._forces:
             ratio = found.peak_velocity / known.peak_velocity
             _, current = _apart(found.operating_point, known.operating_point)
-            besides = limit * (_OTHER_CURRENT if current > _COMPARABLE[1] else 1.0)
+            besides = limit * (_CURRENT_FACTOR if current > _COMPARABLE[1] else 1.0)
             low, high = min(1.0, ratio) / besides, max(1.0, ratio) * besides
             if found.size > high * known.size or found.largest > high * known.largest:
                 return f"the force reaches {found.largest:.3g} N instead of {known.largest:.3g} N"
@@ -247,7 +247,7 @@ class KnownPoints:
 _NO_NOISE = 1e-4
 """Lower limit of a baseline NRMSE; no load cell reaches a smaller one."""
 
-_ELSEWHERE = 0.05
+_UNFITTED_NRMSE = 0.05
 """Smallest baseline NRMSE at an operating point where the law has not been fitted; for the records
 of a commercial damper the median is 0.08."""
 
@@ -276,5 +276,5 @@ def excess_residual(
     usual_rmse, usual_nrmse = median(e[0] for e in known), median(e[1] for e in known)
     # A simulated force has no noise, and its residual is only rounding error.
     spread = rmse / max(nrmse, _NO_NOISE)
-    usual_nrmse = max(usual_nrmse, _NO_NOISE if near else _ELSEWHERE)
+    usual_nrmse = max(usual_nrmse, _NO_NOISE if near else _UNFITTED_NRMSE)
     return min(rmse / max(usual_rmse, _NO_NOISE * spread), nrmse / usual_nrmse)

@@ -47,16 +47,16 @@ OF_THE_SET = "auto"
 """Option value: use the law of the initial set."""
 
 
-_GROWTH = 1.5
+_POINT_GROWTH = 1.5
 """A global identification is due early if the number of operating points has grown by this factor.
 """
 
 
-_SEVERAL = 3
+_KNOWN_AFTER = 3
 """Number of windows of one motion after which the shape of its force is known. A search also starts
 after this many windows (initially) that the law's dependence on the current does not explain."""
 
-_OF_SENSORS = (Verdict.FAULT_OF_DATA, Verdict.DISTURBED, Verdict.BEYOND_LIMITS)
+_SENSOR_VERDICTS = (Verdict.FAULT_OF_DATA, Verdict.DISTURBED, Verdict.BEYOND_LIMITS)
 """Verdicts that a sensor fault may cause. A window with such a verdict does not select a set."""
 
 
@@ -159,7 +159,7 @@ class WindowTracker:
 
     def _remember(self, memory: TrackerMemory) -> None:
         self._now = replace(memory)
-        self._now.unexplained_patience = memory.unexplained_patience or _SEVERAL
+        self._now.unexplained_patience = memory.unexplained_patience or _KNOWN_AFTER
         self._gatekeeper = Gatekeeper(self._settings.acceptance, self._now)
         self._seen_ns = 0
         # Whether the law's dependence on the current does not explain the newest window.
@@ -322,7 +322,7 @@ class WindowTracker:
             self._forget_scales()
         self._rival = None
         judgement = self._judge(job, outcome)
-        if outcome.rival_wins is None or judgement.verdict in _OF_SENSORS:
+        if outcome.rival_wins is None or judgement.verdict in _SENSOR_VERDICTS:
             self.parameters, self._rival = running, rival
         elif outcome.rival_wins and judgement.verdict is Verdict.NO_BETTER:
             return Judgement(Verdict.ACCEPTED, f"this window confirms {rival.set_id}")
@@ -343,7 +343,7 @@ class WindowTracker:
             evidence,
             force,
             holds=not now.other_damper and holds_at(self.parameters, fit.operating_point),
-            same_motion=now.motion.windows_before(outcome.motion) >= _SEVERAL,
+            same_motion=now.motion.windows_before(outcome.motion) >= _KNOWN_AFTER,
             one_point=parts is None,
             objection=partial(implausible, found),
         )
@@ -430,9 +430,9 @@ class WindowTracker:
         # If the law cannot follow the current, the searches become rarer.
         self._now.unexplained_patience *= 2
         if judgement.verdict is Verdict.UNCONFIRMED:
-            self._now.unexplained_patience, self._rival = _SEVERAL, found
+            self._now.unexplained_patience, self._rival = _KNOWN_AFTER, found
         elif judgement.verdict.accepted and found is not None:
-            self._now.unexplained_patience, self._rival = _SEVERAL, None
+            self._now.unexplained_patience, self._rival = _KNOWN_AFTER, None
             self.parameters = found
             self._forget_scales()
         return judgement
@@ -441,7 +441,7 @@ class WindowTracker:
         now, period, points = self._now, self._settings.global_period, len(self.points.kept)
         if period == 0:
             return False
-        has_grown = points >= _GROWTH * now.searched_points
+        has_grown = points >= _POINT_GROWTH * now.searched_points
         waited = now.unexplained_windows >= now.unexplained_patience
         if self._unexplained and points > 1 and (has_grown or waited):
             return True

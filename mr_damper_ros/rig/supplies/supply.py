@@ -279,7 +279,7 @@ _STOP = 3.0
 _LAST_ANSWER = 0.5 * _STOP
 """Time limit [s] for the last answers over the present link when switching off."""
 
-_RESCUE = 0.5
+_RETRY_PERIOD = 0.5
 """Time [s] between two attempts to switch off a supply that does not answer."""
 
 
@@ -391,7 +391,7 @@ class SupplyDrive:
             try:
                 self._supply.rescue()
             except Exception:  # after any error, as above
-                self._ended.wait(_RESCUE)
+                self._ended.wait(_RETRY_PERIOD)
 
     def _follow(self) -> None:
         due = time.monotonic()
