@@ -43,7 +43,8 @@ def _less(window: Window, mass: float) -> Window:
 def fitted_mass(fit: GlobalFit, windows: Sequence[Window], mass: float = 0.0) -> Estimate:
     """The mass [kg], by least squares together with the observable parameters of the law.
 
-    ``windows`` include its inertia; the search starts from ``mass`` [kg] and the set of the fit.
+    The forces of ``windows`` include the inertia. The search starts from ``mass`` [kg] and the set
+    of the fit.
     """
     from scipy.optimize import least_squares  # late: see mr_damper_ros.entry_points
 
