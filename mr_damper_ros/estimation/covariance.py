@@ -108,14 +108,18 @@ def least_squares_covariance(
     white = float(residual @ residual) / freedom
     if length == 0 and prior is None:
         return np.asarray(white * bread)
-    # Undetermined parameters must not make the others NaN.
-    lost = np.isnan(bread)
-    bread = np.where(lost, 0.0, bread)
     if length == 0:
         scores = white * jacobian.T @ jacobian
     else:
         scores = _block_scores(jacobian, residual, length) * (n / freedom)
-    return np.asarray(np.where(lost, np.nan, bread @ (scores + drawn.T @ drawn) @ bread))
+    return _sandwich(bread, scores + drawn.T @ drawn)
+
+
+def _sandwich(bread: Array, scores: Array) -> Array:
+    """Covariance (p, p) of parameters for that of their scores; NaN where ``bread`` is NaN."""
+    # Undetermined parameters must not make the others NaN.
+    known = np.nan_to_num(bread)
+    return np.asarray(np.where(np.isnan(bread), np.nan, known @ scores @ known))
 
 
 def _block_scores(jacobian: Array, residual: Array, length: int) -> Array:
@@ -285,33 +289,24 @@ def error_covariances(
         root = np.sqrt(weights)
         jacobian, residual = jacobian * root[:, np.newaxis], residual * root
     bread = normal_inverse(jacobian)
-    # Undetermined parameters must not make the others NaN.
-    lost = np.isnan(bread)
-    bread = np.where(lost, 0.0, bread)
-
-    def spread(scores: Array) -> Array:
-        return np.asarray(np.where(lost, np.nan, bread @ scores @ bread))
-
     count, unknowns = jacobian.shape
     split = _split(residual, cycle, count / max(count - unknowns, 1))
     if split is None:
         noise = NoiseModel.of(residual)
         scores = noise.score_covariance(jacobian)
         # The fit absorbs more of correlated noise than of white noise (unknowns / samples).
-        taken = float(np.sum(bread * scores)) / max(count * noise.variance, 1e-300)
-        all_of_it = spread(scores) / max(1.0 - taken, _MOST_ABSORBED)
+        taken = float(np.nansum(bread * scores)) / max(count * noise.variance, 1e-300)
+        all_of_it = _sandwich(bread, scores) / max(1.0 - taken, _MOST_ABSORBED)
         steady = math.isfinite(cycle)
         return ErrorCovariances(all_of_it, np.zeros_like(all_of_it) if steady else all_of_it)
     noise, phases, seen, misfit = split
     scores = jacobian * misfit[phases, np.newaxis]
     over_cycle: Array = np.zeros((misfit.size, unknowns))
     np.add.at(over_cycle, phases, scores)
+    by_phase = _of_phase(over_cycle / seen[:, np.newaxis], count, cycle)
     return ErrorCovariances(
-        spread(
-            noise.score_covariance(jacobian)
-            + _of_phase(over_cycle / seen[:, np.newaxis], count, cycle)
-        ),
-        spread(_of_misfit(over_cycle)),
+        _sandwich(bread, noise.score_covariance(jacobian) + by_phase),
+        _sandwich(bread, _of_misfit(over_cycle)),
     )
 
 
