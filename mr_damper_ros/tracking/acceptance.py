@@ -70,8 +70,9 @@ class Evidence:
     ``shape_change`` [1] is the part of the new set's force that is not proportional to the force of
     the running set. ``loss`` [1] is the increase of the mean square error, summed over the other
     recent operating points, divided by its decrease in this window. ``nrmse_elsewhere`` is the
-    NRMSE of the running set at these other points. ``recent`` is the NRMSE of the running and the
-    new set at the recent operating points, for a global identification.
+    NRMSE of the running set at these other points. For a global identification, ``recent`` is the
+    NRMSE of the running and the new set at the recent operating points, and ``newest`` the NRMSE of
+    the running set in the newest window.
     """
 
     nrmse_before: float
@@ -83,6 +84,7 @@ class Evidence:
     loss: float = 0.0
     nrmse_elsewhere: float = math.inf
     recent: tuple[float, float] = (math.inf, 0.0)
+    newest: float = math.inf
 
     @property
     def better(self) -> bool:
@@ -446,8 +448,8 @@ class Gatekeeper:
     ) -> Judgement:
         """Judge the set of a global identification; the records do not change.
 
-        ``objection`` is as in :meth:`judge`. If ``tentative`` and the running set is still good,
-        the next window must confirm the new set.
+        ``objection`` is as in :meth:`judge`. If ``tentative`` and the running set is good at the
+        recent operating points or in the newest window, the next window must confirm the new set.
         """
         maximum = self._settings.maximum_nrmse
         if not evidence.nrmse_after <= maximum:
@@ -468,7 +470,7 @@ class Gatekeeper:
             )
         if sentence := objection():
             return Judgement(Verdict.POOR_FIT, sentence)
-        if tentative and before <= GOOD_NRMSE:
+        if tentative and min(before, evidence.newest) <= GOOD_NRMSE:
             return Judgement(
                 Verdict.UNCONFIRMED,
                 "the set for all operating points must be confirmed by the next window",

@@ -615,5 +615,6 @@ def _search(job: Job, control: Control | None) -> Outcome:
         leads.append(Lead.of(old, new, window.force, judges, noise))
     else:
         lead = Lead.together(leads)
-    evidence = Evidence(before, after, lead=lead, recent=recent)
+    newest = error_of_set(start, judged[-1:]).nrmse
+    evidence = Evidence(before, after, lead=lead, recent=recent, newest=newest)
     return Outcome(report=report, found=found, evidence=evidence, message=fit.message)

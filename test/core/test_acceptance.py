@@ -184,7 +184,8 @@ def test_a_loop_that_is_another_at_once_is_not_taken_by_repetition() -> None:
 def test_one_set_for_all_waits_where_the_running_set_is_good_and_nobody_asked() -> None:
     gatekeeper = Gatekeeper(AcceptanceSettings())
     good, poor = (Evidence(0.2, 0.1, recent=(before, 0.1)) for before in (0.2, 0.4))
-    assert gatekeeper.judge_global(good, tentative=True).verdict is Verdict.UNCONFIRMED
+    for each in (good, dataclasses.replace(poor, newest=0.1)):
+        assert gatekeeper.judge_global(each, tentative=True).verdict is Verdict.UNCONFIRMED
     assert gatekeeper.judge_global(good) == ACCEPTED
     assert gatekeeper.judge_global(poor, tentative=True) == ACCEPTED
 
