@@ -10,7 +10,7 @@ The Python interface works without ROS::
     result.save("damper.yaml")
     result.plot().savefig("damper.png")
 
-Modules are loaded when a name is first used. All quantities are in SI units; extension and tension
+Modules are loaded at the first use of a name. All quantities are in SI units; extension and tension
 are positive.
 """
 

@@ -218,8 +218,7 @@ class Identification(ComparedRuns):
     def force_error(self, time: ArrayLike, displacement: ArrayLike, current: ArrayLike) -> Array:
         """Standard error (n,) [N] of the force in a motion that was not measured.
 
-        The arguments are as in :meth:`ParameterSet.force`. The error includes the model error of
-        the law.
+        The arguments are as in :meth:`ParameterSet.force`. The error includes the model error.
         """
         return self.searches.best.force_error(motion_window(time, displacement, current))
 

@@ -1,8 +1,8 @@
 """Inertia of the mass between load cell and damper: rod, clevis and half of the load cell.
 
-The load cell measures the force of the damper plus mass * acceleration. The mass belongs to the rig
-and not to the force law. Its inertia is therefore subtracted from the force before a law is fitted
-or validated.
+The load cell measures the force of the damper plus mass * acceleration. The mass belongs to the
+rig, not to the law. Its inertia is therefore subtracted from the force before a law is fitted or
+validated.
 """
 
 from __future__ import annotations
@@ -43,8 +43,7 @@ def _less(window: Window, mass: float) -> Window:
 def fitted_mass(fit: GlobalFit, windows: Sequence[Window], mass: float = 0.0) -> Estimate:
     """The mass [kg], by least squares together with the observable parameters of the law.
 
-    The forces of ``windows`` include the inertia. The search starts from ``mass`` [kg] and the set
-    of the fit.
+    The forces of ``windows`` include the inertia. The search starts from ``mass`` [kg] and the fit.
     """
     from scipy.optimize import least_squares  # late: see mr_damper_ros.entry_points
 

@@ -235,8 +235,8 @@ def _smoothing_remarks(runs: Sequence[MeasuredRun]) -> list[str]:
 def _current_remarks(runs: Sequence[MeasuredRun]) -> list[str]:
     """Remarks on currents that are inconsistent with the heights of the loops.
 
-    The force increases with the current. At equal current and speed, it changes only with the
-    temperature.
+    The force increases with the current. At equal current and speed, only the temperature changes
+    it.
     """
     tables = [_fast_cycles(run.windows) for run in runs]
     remarks = [

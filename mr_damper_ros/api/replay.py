@@ -260,8 +260,7 @@ def follow(
     windows. The set in use is ``tracker.parameters``; ``tracker.identify()`` identifies globally
     from the stored windows.
 
-    Raises ValueError if ``window`` or ``hop`` is not positive, or ``hop`` is longer than
-    ``window``.
+    Raises ValueError if ``window`` or ``hop`` is not positive, or ``hop`` exceeds ``window``.
 
     Examples
     --------

@@ -257,8 +257,7 @@ def signal(run: PlannedRun, sample_rate: float) -> tuple[Array, Array, Array]:
     """Time [s], displacement [m] and current [A] of a run, each of shape (n,).
 
     The run starts and ends at rest. At the first current the motion grows smoothly, within two
-    cycles of a sine or one period of another motion. After the run, the motion fades in the same
-    way.
+    cycles of a sine or one period of another motion. After the run, it fades in the same way.
     """
     motion = run.motion
     grow = motion.growth

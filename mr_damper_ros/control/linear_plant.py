@@ -83,8 +83,7 @@ class MovingPlant:
 
 
 ROUGHNESS = {"A": 16e-6, "B": 64e-6, "C": 256e-6, "D": 1024e-6, "E": 4096e-6}
-"""Spectral density [m³] of a road's height at 0.1 cycles/m: geometric mean of each ISO 8608
-class."""
+"""Spectral density [m³] of road heights at 0.1 cycles/m: geometric mean of each ISO 8608 class."""
 
 _REFERENCE = 0.1
 _LONGEST, _SHORTEST = 0.01, 4.0

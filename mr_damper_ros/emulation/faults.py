@@ -1,7 +1,6 @@
 """Faults of an emulated rig: in the machine, in the instruments and in transmission.
 
-Each kind of fault is a row of :data:`KINDS`, with the stage at which it acts and the function that
-applies it.
+Each kind of fault is a row of :data:`KINDS`, with its stage and the function that applies it.
 """
 
 from __future__ import annotations

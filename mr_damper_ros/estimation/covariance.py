@@ -365,7 +365,7 @@ _LEAST_NOISE = 0.1
 """Lower limit of the noise variance, relative to white noise; a lower estimate is due to chance."""
 
 _ONE_MOTION = 1e-6
-"""A direction is determined by one motion alone if all others contribute less than this part of the
+"""One motion alone determines a direction if all others give less than this part of the
 information."""
 
 _UNKNOWN_PART = 0.01

@@ -76,8 +76,7 @@ class GlobalProgress:
 
 
 Report = Callable[[GlobalProgress], bool]
-"""Callback for progress; returning False stops the search, which then returns the best result so
-far."""
+"""Callback for progress; returning False stops the search, which then returns the best result."""
 
 
 class ProgressClock:

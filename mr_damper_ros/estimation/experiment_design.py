@@ -60,7 +60,7 @@ _FEWEST_IN_PART = 8
 
 _UNMEASURED_FACTOR = 1.35
 """Factor on the model error between and beyond the windows. With it, for eleven laws that differ
-from the damper, the true worst error is at most 1.3 to 1.44 times the stated error in 90 % of the
+from the damper, the true worst error is at most 1.3 to 1.44 times the stated error in 90 % of
 cases."""
 
 _NEAR = 0.1

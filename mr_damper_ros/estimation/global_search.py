@@ -298,8 +298,7 @@ class SeparateFits:
     def _noise(self) -> Array:
         """RMSE [N] of the fits of each window (k,), with a lower limit for one-sided windows.
 
-        Nearly any law fits a part of a stroke, so the RMSE of a one-sided window underestimates the
-        model error.
+        Nearly any law fits a part of a stroke, so the RMSE of a one-sided window is too small.
         """
         squares, sizes, one_sided = [], [], []
         for fit, stretch in zip(self.fits, self._excerpts.stretches, strict=True):
@@ -536,8 +535,7 @@ class GlobalSearch:
     def _by_simpler_law(self, method: str, later: int) -> GlobalSearch | None:
         """The search of the simpler law that the model contains; None if there is none.
 
-        A law with more parameters has more local minima. The result of the simpler law is a good
-        start.
+        A law with more parameters has more local minima; the simpler law gives a good start.
         """
         simpler = self.model.simpler
         if simpler is None:

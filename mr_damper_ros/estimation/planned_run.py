@@ -24,8 +24,7 @@ _MOST_HARMONICS = 100.0
 """Largest number of harmonics of a random motion; with more time, the motion repeats."""
 
 SETTLING = 0.1
-"""Time [s] after a current step that is excluded, because coil current and force are still
-changing."""
+"""Time [s] after a current step that is excluded, because current and force still change."""
 
 PHASES = 64
 """Number of samples of the cycle that represents an operating point."""

@@ -39,7 +39,7 @@ from mr_damper_ros.signals.arrays import Array
 WINDOW_METHODS = ("nelder_mead", "least_squares")
 
 POOR_START = 0.25
-"""Further starts are tried if the residual of the given start exceeds this part of the force
+"""Further starts are tried if the start's mean square residual exceeds this part of the
 variance."""
 
 _SKIPPED_COST = 1000.0
@@ -49,8 +49,7 @@ _CONTRADICTED = 1e-3
 """Significance level below which a change contradicts the running set."""
 
 _WORSE_RATIO = 1.25
-"""In a sine, the window also contradicts the running set if the prior increases the residual by
-this factor."""
+"""A sine also contradicts the running set if the prior increases the residual by this factor."""
 
 _MOST_DOUBLINGS = 10
 

@@ -99,8 +99,8 @@ def read_runs(
     ``currents`` [A] has one value per run if no column holds the current; None omits the run. The
     other parameters are as in :func:`read_record`.
 
-    Raises the exceptions of :func:`read_record`. If the number of currents is wrong, the message
-    lists the runs.
+    Raises the exceptions of :func:`read_record`. For a wrong number of currents, the message lists
+    the runs.
     """
     return RunsOfFile(path, columns, period, variable, maximum_samples).recordings(currents)
 

@@ -41,8 +41,7 @@ MEMORY = 10.0
 """Longest half-cycle [s]; a longer rest is divided into half-cycles of this duration."""
 
 _REVERSAL = 0.25
-"""A half-cycle ends when the speed in the other direction reaches this part of the highest
-speed."""
+"""A half-cycle ends when the opposite speed reaches this part of the highest speed."""
 
 
 def peak_velocity(displacement: ArrayLike, velocity: ArrayLike, acceleration: ArrayLike) -> Array:

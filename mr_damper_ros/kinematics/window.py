@@ -12,8 +12,7 @@ from mr_damper_ros.kinematics.motion import DataError, Motion, Sine, window_moti
 from mr_damper_ros.signals.arrays import NOISE_SPAN, Array, white_noise
 
 _SAMPLES_PER_CYCLE = 1000
-"""Samples per cycle that resolve the steepest sigmoid, which rises within two degrees of a
-cycle."""
+"""Samples per cycle that resolve the steepest sigmoid, which rises within 1/180 of a cycle."""
 
 _FEWER_PER_CYCLE = 200
 """Samples per cycle that resolve a hysteresis, which yields over about a tenth of a cycle."""

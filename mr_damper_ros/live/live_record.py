@@ -141,8 +141,7 @@ _TIME_TOLERANCE = 1e-3
 """Tolerance of times, in rows, because seconds since 1970 are rounded to 0.24 µs."""
 
 _SLOPE = 4e-3
-"""Half-width [s] of the line fitted to the displacement, whose slope is the velocity; see
-page.js."""
+"""Half-width [s] of a line fitted to the displacement, whose slope is the velocity (page.js)."""
 
 _HISTORY_STEP = 0.1
 MARKS_KEPT = 500

@@ -371,8 +371,7 @@ class Model(ABC):
     def without_dependence(self, parameters: Array, top_current: float) -> Array:
         """The set (p,) whose coefficients depend on neither peak velocity nor current.
 
-        From this set, a search can introduce a smooth dependence on currents up to ``top_current``
-        [A].
+        A search can add a smooth dependence on currents up to ``top_current`` [A].
         """
         values = np.array(parameters, dtype=float)
         values[self.places(self.shape_names)] = 0.0

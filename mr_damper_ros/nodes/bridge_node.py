@@ -312,8 +312,7 @@ class BridgeNode(ManagedNode):
         """Yield the blocks of a live source as they arrive, others when their last sample is due.
 
         Live blocks have their own stamps. The stamps of other blocks begin when everything is ready
-        to send. If sending is delayed for longer than the sender can catch up, the stamps also
-        pause.
+        to send. If the sender cannot catch up with a delay, the stamps also pause.
         """
         later_ns = 0 if live else None
         for made in blocks:

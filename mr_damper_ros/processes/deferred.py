@@ -14,8 +14,7 @@ T = TypeVar("T")
 class BackgroundWriter(Generic[T]):
     """Calls ``write`` with the newest item in its own thread; older pending items are skipped.
 
-    ``write`` may raise OSError or ValueError; :attr:`fault` is the message of the last call, or
-    empty.
+    ``write`` may raise OSError or ValueError; :attr:`fault` is the message of the last call.
     """
 
     def __init__(self, write: Callable[[T], object]) -> None:

@@ -339,8 +339,7 @@ class WorkerPool:
 class Worker:
     """Runs one function call at a time in a process of a pool, once a process is free.
 
-    Call :meth:`poll` often: it returns the results, enforces time budgets and replaces a dead
-    process.
+    Call :meth:`poll` often: it returns results, enforces budgets and replaces a dead process.
     """
 
     def __init__(self, pool: WorkerPool) -> None:

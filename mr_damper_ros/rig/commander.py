@@ -11,8 +11,7 @@ from mr_damper_ros.kinematics.periodic_motion import PeriodicMotion
 from mr_damper_ros.settings.option_table import CheckedSettings, option
 
 STAMP_TOLERANCE = 0.05
-"""Largest time [s] by which a stamp may be ahead, because the clocks of two computers may
-differ."""
+"""Largest time [s] by which a stamp may be ahead, because two computers' clocks may differ."""
 
 
 T = TypeVar("T")

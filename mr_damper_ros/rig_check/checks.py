@@ -20,8 +20,7 @@ from mr_damper_ros.signals.arrays import Array, white_noise
 from mr_damper_ros.signals.blocks import NANOSECONDS
 
 _CLIPPED_PART, _CLIPPED_IN_A_ROW = 0.01, 5
-"""A channel is clipped if this fraction of samples is exactly at the extreme, this many in a
-row."""
+"""A channel is clipped if this fraction of samples is at the extreme, this many in a row."""
 
 _COARSE = 0.02
 """Smallest step, in standard deviations of the channel, that counts as coarse quantisation."""
@@ -31,8 +30,7 @@ _NOISY = {"displacement": (0.002, 1e-5), "force": (0.03, 10.0)}
 if it exceeds both, because without current the force is small."""
 
 _OUTLIER, _JUMP = 12.0, 0.1
-"""An outlier deviates from its neighbours by this multiple of the noise and this fraction of the
-range."""
+"""An outlier deviates from its neighbours by this multiple of the noise and part of the range."""
 
 _MAINS = (50.0, 60.0)
 _MAINS_BAND, _COMPARISON_BAND = 0.5, 6.0
@@ -114,8 +112,7 @@ _COUNT_TOLERANCE = 2.0
 """Tolerated difference [s] between two counts that are reported once a second."""
 
 _CURRENT_OFF, _SETTLING = 0.05, 1.0
-"""Tolerated deviation [A] of the measured current from a command that is older than this time
-[s]."""
+"""Tolerated deviation [A] of the measured current from a command older than this time [s]."""
 
 _CURRENT_AHEAD = 0.5
 """Difference [s] between the newest stamps of current and samples above which the clocks differ."""

@@ -3,8 +3,7 @@
 The mean of the last n samples has no component at k / n of the sample rate. The spectrum of an
 averaged signal therefore has zeros at these frequencies, where the signal cannot be recovered. All
 other components can be recovered: y[k] - y[k-1] = (x[k] - x[k-n]) / n, so x[k] = x[k-n] + n (y[k] -
-y[k-1]). This requires the n samples before the record, which are known if the record begins at
-rest.
+y[k-1]). This requires the n samples before the record: it must begin at rest.
 """
 
 from __future__ import annotations

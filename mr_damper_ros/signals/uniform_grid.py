@@ -112,8 +112,8 @@ class NonUniformSampling:
     def learn(self, index: int, late: float, displacement: Array) -> None:
         """Add a block whose stamp is ``late`` [sample periods], negative for early.
 
-        ``index`` is the index of its first sample. Samples on both sides of a jump of the index are
-        not compared.
+        ``index`` is the index of its first sample. Samples across a jump of the index are not
+        compared.
         """
         tail = self._tail if index == self._next else self._tail[:, :0]
         self._next = index + displacement.size
@@ -216,8 +216,7 @@ class UniformGrid:
     """Places the blocks of a stream on a uniform grid and counts interruptions.
 
     A block that arrives out of order waits for the missing blocks until the stream has advanced by
-    ``hold_back`` [s]. Blocks in order never wait. A stream without jitter, gaps or repeats passes
-    unchanged.
+    ``hold_back`` [s]. Blocks in order never wait. A stream without faults passes unchanged.
 
     Attributes count, since the start, the lost samples, the bridged samples among them, the
     repeated or late samples, and the interruptions. ``last_interruption`` describes the last

@@ -1,7 +1,6 @@
 """``plan_run``: recommends the runs that make the force accurate soonest, without ROS.
 
-It computes a single plan, or with ``--keep`` conducts a campaign whose runs and plans are stored in
-a folder.
+It computes a single plan, or with ``--keep`` conducts a campaign that is stored in a folder.
 """
 
 from __future__ import annotations

@@ -265,9 +265,8 @@ def _mean_square(found: ParameterSet, windows: Sequence[Window]) -> float:
 
 LARGE_SHAPE_CHANGE = 0.2
 """A larger shape change [1] must be confirmed by the next window if the running set has been
-identified at this operating point (benchmark figure ``foreign_worse_sets``). Between two windows of
-one steady motion, temperature and wear do not change the shape as much; a delay between the sensors
-does."""
+identified at this operating point (benchmark figure ``foreign_worse_sets``). Between windows of one
+steady motion, temperature and wear change the shape less than a delay between the sensors does."""
 
 SAME_FORCE = 0.1
 """Largest relative change of a force that counts as unchanged. If the force at a new operating

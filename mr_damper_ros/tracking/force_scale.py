@@ -78,8 +78,7 @@ def widened(
     Because of model error, the scale varies with the motion even if the damper does not change. A
     single window does not show this scatter; the differences between windows without common samples
     do. The standard errors are increased until they agree with the median of these differences
-    (Birge ratio, Physical Review 40, 1932). The median is robust against a sudden change of the
-    damper.
+    (Birge ratio, Physical Review 40, 1932). The median is robust against a sudden change.
     """
     if not (math.isfinite(scale.misfit) and scale.standard_error > 0.0):
         return scale, seen

@@ -147,8 +147,7 @@ class Identifier:
     def add_windows(self, windows: list[RawWindow]) -> None:
         """Queue windows and change checks.
 
-        If the queue is full, the oldest window is dropped, with all change checks up to the next
-        window.
+        A full queue drops the oldest window, with all change checks up to the next window.
         """
         for window in windows:
             self._windows.append(window)

@@ -101,8 +101,7 @@ class Job:
     ``stamp_ns``; the last ``recent`` of them are at the recent operating points. ``asked`` is True
     for a requested search and False for a periodic one.
 
-    ``rival`` is a set that the window must confirm. ``number`` becomes part of the name of a new
-    set.
+    ``rival`` is a set that the window must confirm. ``number`` is part of a new set's name.
     """
 
     running: ParameterSet

@@ -60,8 +60,7 @@ logarithm of the ratio of the errors of the two rules. A single cycle is weak ev
 at most twice the value that changes the rule."""
 
 _MOST_TRIED = 2000
-"""Largest number of samples on which a set is tried. Twenty times as many are kept; a trial thins
-them."""
+"""Largest number of samples on which a set is tried; twenty times as many are kept."""
 
 Span = tuple[float, float]
 """The lowest and the highest current [A] of one window, or of several."""

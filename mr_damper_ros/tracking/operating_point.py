@@ -252,8 +252,7 @@ _UNFITTED_NRMSE = 0.05
 of a commercial damper the median is 0.08."""
 
 Residual = tuple[float, ...]
-"""RMSE [N] and NRMSE of a good window; also peak velocity [m/s] and current [A] if the current is
-constant."""
+"""RMSE [N] and NRMSE of a good window; at constant current also its operating point [m/s, A]."""
 
 
 def excess_residual(

@@ -33,8 +33,7 @@ half-cycles, in which a spring returns its energy."""
 
 _SHORTEST = 0.2
 """Shortest time [s] over which the root mean square error is computed. A force must be constant for
-at least twice this time to count as a fault, because the half-cycle of a fast motion is
-inaccurate."""
+at least twice this time to count as a fault, because a short half-cycle is inaccurate."""
 
 _OUTLIER_EVERY = 20
 """At either end, the span excludes one in this many samples, as possible outliers."""
@@ -52,8 +51,7 @@ be valid (benchmark figure ``foreign_wrong_valid_s``)."""
 
 _PRELOAD = 0.5
 """The offset of the force, which gas pressure causes, counts towards the peak up to this fraction
-of half the span. A larger offset comes from a load cell that was not zeroed, and must not enlarge
-the peak."""
+of half the span. A larger offset comes from a load cell that was not zeroed, and does not count."""
 
 
 @dataclass(frozen=True)

@@ -85,8 +85,7 @@ def _wider_speeds(
 ) -> tuple[float, float]:
     """Peak velocity range [m/s] of the running set, extended by the range ``found`` of a window.
 
-    If ``frequency`` is NaN, the motion is not a sine, and the lower end of the range does not
-    change.
+    If ``frequency`` is NaN, the motion is not a sine, and the lower end stays.
     """
     slowest = running.peak_velocity_range[0]
     if math.isnan(frequency):

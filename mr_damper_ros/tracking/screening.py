@@ -30,8 +30,7 @@ fraction of the largest known force. The displacement is then at fault."""
 
 _APPROACH = 8
 """If a signal stays at its extreme for n samples, the n / 4 samples on either side are its
-approach. The first and the second half of the approach, n / 8 samples each, are compared; n is at
-least 8."""
+approach. Its two halves of n / 8 samples are compared; n is at least 8."""
 
 _ARRIVAL_PART = 0.37
 """A signal is clipped if it covers more than this fraction of the approach in the second half. At
@@ -214,8 +213,7 @@ def _is_stuck(displacement: Array, force: Array) -> bool:
 def _mean_frequency(values: Array) -> float:
     """Power-weighted mean frequency of a signal (n,), in cycles per window.
 
-    The force of a damper saturates, so its mean frequency is at least about the mean frequency of
-    the velocity.
+    A damper force saturates, so its mean frequency is hardly below the velocity's.
     """
     power = np.abs(np.fft.rfft((values - values.mean()) * np.hanning(values.size))) ** 2
     return float(power @ np.arange(power.size)) / float(power.sum())

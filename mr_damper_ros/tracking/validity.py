@@ -214,8 +214,7 @@ def doubt_of_motion(motion: MotionFollower) -> Doubt:
 def doubt_of_past(motion: MotionFollower, *, begun: bool) -> Doubt:
     """Whether the past of the motion, or the state of the law, is still unknown.
 
-    ``begun`` says that the law has memory and that the motion has not reversed since its state was
-    initialised.
+    ``begun``: the law has memory, and the motion has not reversed since its state was set.
     """
     state = "the state of the model is unknown until the motion has reversed" if begun else ""
     sentence = motion.doubt or state

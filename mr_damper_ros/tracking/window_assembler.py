@@ -36,8 +36,7 @@ class RawWindow:
     ``peak_velocity`` [m/s] is estimated from the whole stream; None if there is only the window.
     ``look`` is 0 for a window to be fitted. For a change check, which is cut between two windows,
     it is the number of newest samples to compare with the running set. ``force_after`` [sample
-    periods] is the delay from each sample to the measurement of its force; None if there is no
-    delay.
+    periods] is the delay from each sample to the measurement of its force (None: 0).
     """
 
     start_ns: int

@@ -189,8 +189,8 @@ _DELAY, _WATCHDOG = "OUTP:PROT:WDOG:DEL", "OUTP:PROT:WDOG"
 class EmulatedInstrument:
     """One output on a coil of ``time_constant`` [s], up to ``largest_current`` [A].
 
-    ``clock`` returns seconds. The object is both the instrument and the link to it; several threads
-    may use it.
+    ``clock`` returns seconds. The object is instrument and link at once; several threads may use
+    it.
     """
 
     def __init__(
