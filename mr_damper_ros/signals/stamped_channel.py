@@ -39,10 +39,10 @@ _STRETCH = 16
 """Number of successive sample intervals whose total duration is measured."""
 
 _PERIOD_QUANTILES, _INITIAL_DELAYS = (0.1, 0.25, 0.5), (-0.4, 0.0, 0.4)
-"""Initial values that are tried: for the period, quantiles of these durations, because the shortest
-durations contain no lost samples; for the mean delay of the first stamps, values in sample periods.
+"""Initial values that are tried. For the period: quantiles of these durations, of which the
+shortest contain no lost samples. For the mean delay of the first stamps: values in sample periods.
 With half a period of jitter and a twentieth of the samples lost, 36 of 40 streams are numbered
-correctly from the first second, but only 25 if one value of each is tried."""
+correctly from the first second; with a single period and delay, only 25."""
 
 _CLOCK_GAINS = (0.05, 0.001)
 """Gains by which a tried clock corrects its offset and its rate for the error of a stamp. With
