@@ -119,8 +119,8 @@ class MotionHistory:
 
 
 _PER_CYCLE = 50
-"""Samples per cycle that the motion of a run needs. In random motion up to 12 Hz at 100 Hz, laws
-with memory have an error of 4 to 13 % with one step per sample, and of 1 % with four."""
+"""Samples per cycle up to which the motion of a run is divided. In random motion up to 12 Hz at 100
+Hz, laws with memory have an error of 4 to 13 % with one step per sample, and of 1 % with four."""
 
 
 def samples_per_cycle(motion: Motion, period: float) -> float:
@@ -334,8 +334,8 @@ class Window:
         samples per cycle, or is already a part of another window.
         """
         motion, size = self.motion, self.sample_count
-        stride = math.ceil(_PER_CYCLE / max(samples_per_cycle(motion, self.period), 2.0))
-        if stride == 1 or self.whole is not None or self.steady:
+        stride = int(_PER_CYCLE / max(samples_per_cycle(motion, self.period), 2.0))
+        if stride < 2 or self.whole is not None or self.steady:
             return self
         places: Array = np.arange((size - 1) * stride + 1) / stride
         u, v, a, v_m = motion.arrays
