@@ -209,7 +209,7 @@ def _restarted(rig: ThreeNodes, came: list[float]) -> tuple[str, float]:
     newer = _number(again.id) > _number(before.set_id)
     if not _is_next(before, last):
         fault = f"{before.set_id} was kept, but {last.id} had been published"
-    elif f"going on with parameters {before.set_id} " not in identifier.log:
+    elif f"continuing with parameters {before.set_id} " not in identifier.log:
         fault = f"{before.set_id} was kept, but it did not go on with it"
     elif list(again.values) != before.values.tolist() and not newer:
         fault = f"{before.set_id} was kept, but {again.id} was published"

@@ -151,7 +151,7 @@ def test_without_a_folder_a_goal_is_told_so(start: Any, listener: Listener) -> N
     ("goal", "part"),
     [
         ({"error": float("nan")}, "the error of the goal is nan"),
-        ({"lowest_current": -5.0}, "must not be negative"),
+        ({"lowest_current": -5.0}, "none below 0"),
     ],
 )
 def test_a_goal_that_cannot_be_meant_is_refused(
