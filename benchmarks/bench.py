@@ -7,6 +7,7 @@ hostile input. Their figures go to ``build/soak.json``.
 from __future__ import annotations
 
 import argparse
+import signal
 import sys
 import time
 from collections.abc import Sequence
@@ -43,6 +44,8 @@ def measure(part: Part, arguments: Sequence[Any]) -> list[Figure]:
 
 
 def _measured(by: str, arguments: tuple[Any, ...]) -> Measured:
+    # Leave in order, or the programs of the part, in sessions of their own, would go on.
+    signal.signal(signal.SIGTERM, lambda *_: sys.exit(1))
     keep_one_thread()
     module, _, name = by.partition(".")
     found: Measured = getattr(import_module(f"benchmarks.{module}"), name)(*arguments)

@@ -163,7 +163,11 @@ def _run(name: str) -> tuple[str, Said]:
 
 def main() -> int:
     """Run the program; the exit code is 1 if there is a difference."""
-    parser = argparse.ArgumentParser(prog="characterisation", description=__doc__)
+    parser = argparse.ArgumentParser(
+        prog="characterisation",
+        description=__doc__,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
     parser.add_argument("--keep", action="store_true", help="keep what comes out")
     parser.add_argument("part", nargs="?", default="", help="part of the names of streams")
     options = parser.parse_args()

@@ -120,11 +120,12 @@ class MotionHistory:
 
 _PER_CYCLE = 50
 """Samples per cycle up to which the motion of a run is divided. In random motion up to 12 Hz at 100
-Hz, laws with memory have an error of 4 to 13 % with one step per sample, and of 1 % with four."""
+Hz, laws with memory have an error of 4 to 13 % of the force with one step per sample, and of at
+most 1 % with three (``random_current_error``)."""
 
 
-def samples_per_cycle(motion: Motion, period: float) -> float:
-    """Samples in a cycle of a sine of the motion's velocity and acceleration; infinite at rest."""
+def _mean_cycle(motion: Motion, period: float) -> float:
+    """Samples in a cycle of a sine with the RMS velocity and acceleration; infinite at rest."""
     power = float(np.mean(motion.velocity**2))
     if power == 0.0:
         return math.inf
@@ -133,8 +134,8 @@ def samples_per_cycle(motion: Motion, period: float) -> float:
 
 
 def following_stride(motion: Motion, period: float, per_cycle: int = _SAMPLES_PER_CYCLE) -> int:
-    """Largest stride, in samples of a motion, that still resolves the motion in a history."""
-    samples = samples_per_cycle(motion, period)
+    """Largest stride, in samples of a motion, that leaves at least ``per_cycle`` in a cycle."""
+    samples = _mean_cycle(motion, period)
     return max(int(samples / per_cycle), 1) if math.isfinite(samples) else 1
 
 
@@ -334,7 +335,7 @@ class Window:
         samples per cycle, or is already a part of another window.
         """
         motion, size = self.motion, self.sample_count
-        stride = int(_PER_CYCLE / max(samples_per_cycle(motion, self.period), 2.0))
+        stride = int(_PER_CYCLE / max(_mean_cycle(motion, self.period), 2.0))
         if stride < 2 or self.whole is not None or self.steady:
             return self
         places: Array = np.arange((size - 1) * stride + 1) / stride

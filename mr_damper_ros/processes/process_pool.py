@@ -105,6 +105,7 @@ class ProcessPool(AbstractContextManager):
                     keep(index, result)
             return results
         waiting, suspects = deque(range(len(tasks))), deque[int]()
+        suspected: set[int] = set()
         running: dict[Worker, int] = {}
 
         def take(worker: Worker, index: int, outcome: Outcome) -> None:
@@ -124,7 +125,6 @@ class ProcessPool(AbstractContextManager):
                 suspected.add(index)
                 suspects.append(index)
 
-        suspected: set[int] = set()
         pool, idle = self._workers()
         try:
             while running or ((waiting or suspects) and not stopped):

@@ -3,6 +3,10 @@
 from __future__ import annotations
 
 import os
+import socket
+import threading
+import time
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -13,6 +17,8 @@ from support import Listener, installed_programs
 
 from mr_damper_ros.nodes.messages import from_field
 from mr_damper_ros.processes.programs import Program, node_arguments
+
+COLUMNS = "time:us,displacement:mm,force:kN,current:mA"
 
 ONE_FILE = '''
 """Two samples 1 ms apart, and nothing after them."""
@@ -94,8 +100,7 @@ def test_a_source_of_another_package_comes_by_its_entry_point(
 def test_rows_of_a_stream_come_on_the_topics(start: Any, listener: Listener) -> None:
     samples = listener.listen(MtsSamples, "mts/samples")
     current = listener.listen(SupplyCurrent, "supply/current")
-    columns = "time:us,displacement:mm,force:kN,current:mA"
-    start("bridge", source="stream", stream__address="simulated", stream__columns=columns)
+    start("bridge", source="stream", stream__address="simulated", stream__columns=COLUMNS)
     listener.until(lambda: current and sum(len(m.force) for m in samples) >= 1000, "samples")
     moved = np.concatenate([from_field(message.displacement) for message in samples])
     pulled = np.concatenate([from_field(message.force) for message in samples])
@@ -107,3 +112,27 @@ def test_rows_of_a_stream_come_on_the_topics(start: Any, listener: Listener) -> 
     assert {message.current for message in current} == {1.5}
     found = listener.wait_for_finding("bridge: source", "")
     assert {item.key: item.value for item in found.values}["connections"] == "1"
+
+
+def test_a_stream_that_was_cut_is_connected_again(start: Any, listener: Listener) -> None:
+    samples = listener.listen(MtsSamples, "mts/samples")
+    server, ended = socket.create_server(("127.0.0.1", 0)), threading.Event()
+
+    def send() -> None:
+        begin, sent = time.monotonic(), 0
+        for lasts in (1.0, 60.0):
+            with server.accept()[0] as link, suppress(OSError):
+                until = time.monotonic() + lasts
+                while time.monotonic() < until and not ended.wait(0.04):
+                    present = round(500.0 * (time.monotonic() - begin))
+                    rows = (f"{2000 * k},{k % 10},1.0,1500\n" for k in range(sent, present))
+                    link.sendall("".join(rows).encode())
+                    sent = present
+
+    threading.Thread(target=send, daemon=True).start()
+    address = f"tcp:127.0.0.1:{server.getsockname()[1]}"
+    start("bridge", source="stream", stream__address=address, stream__columns=COLUMNS)
+    listener.until(lambda: samples and samples[-1].seq >= 1000, "samples after the cut")
+    ended.set()
+    found = listener.wait_for_finding("bridge: source", "")
+    assert {item.key: item.value for item in found.values}["connections"] == "2"

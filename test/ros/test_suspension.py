@@ -17,8 +17,7 @@ OWN = """
 def floor(now):
     if now.body < 0.0:
         raise RuntimeError("not like this")
-    assert now.apart == now.stroke
-    return 1234.0 * now.stroke
+    return 1234.0 * now.apart
 """
 
 
