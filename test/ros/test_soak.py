@@ -38,6 +38,6 @@ def test_a_stream_at_speed_leaves_no_errors_and_no_leak() -> None:
     growth, errors = load.soak(data_hours, 0.4 * data_hours)
     assert errors == []
     assert sorted(growth) == ["bridge", "identifier", "model", "worker"]
-    # MB that a node may grow by in the last half minute; a leak of the blocks would be 8, and the
-    # windows that wait in the identifier make it vary by 3.
-    assert max(growth.values()) < 5.0, growth
+    # MB that a node may grow by in the last half minute. A leak of the blocks would add 8; blocks
+    # that wait in a busy identifier add up to 5.4, as seen beside two other tests.
+    assert max(growth.values()) < 7.0, growth
