@@ -1,6 +1,6 @@
 """Run any program of the package as ``python -m mr_damper_ros PROGRAM ...``.
 
-Two of their names mean something else in a shell: ``export`` and ``watch``.
+Two program names, ``export`` and ``watch``, have another meaning in a shell.
 """
 
 from __future__ import annotations

@@ -54,7 +54,7 @@ _MISSING = {
 
 def tool(name: str) -> int:
     """Run the module of this name in the package ``tools``; returns its exit code."""
-    # A process in the background of a shell ignores Ctrl-C, and must go on ignoring it.
+    # A background process of a shell ignores Ctrl-C, and must continue to ignore it.
     heeded = _SIGNALS[: signal.getsignal(signal.SIGINT) is not signal.SIG_IGN]
     _end_at_once(heeded, _INTERRUPTED, f"\n{name}: stopped by Ctrl-C\n")
     main: Callable[[], int] = import_module(f"mr_damper_ros.tools.{name}").main

@@ -42,10 +42,9 @@ class Estimate:
     """A value with its standard error, both in ``unit``; an unknown standard error is NaN.
 
     ``observable``: whether the data determine the value; if not, it is the start value.
-    ``discrepancy``: the part of the standard error that is caused by model error, NaN if unknown;
-    model error shows only in a different motion. ``only_with``: names of the
-    parameters that the data determine only jointly with this one, for example as a product. Such a
-    value has no standard error of its own.
+    ``discrepancy``: the part of the standard error caused by model error, which only a different
+    motion reveals; NaN if unknown. ``only_with``: names of the parameters that the data determine
+    only jointly with this one, for example as a product. Such a value has no standard error.
     """
 
     value: float

@@ -72,7 +72,7 @@ LARGEST_RUN_NRMSE = 0.3
 
 
 _MOST_MASSES = 3
-"""Largest number of sets that are identified without the inertia; each gives a better mass."""
+"""Largest number of repetitions of the identification, each with a more accurate mass."""
 
 AUTO = "auto"
 """Value of ``model`` for which the law is chosen by cross-validation."""
@@ -84,7 +84,7 @@ class FittedRun(ComparedRun):
 
     ``operating_point``: representative peak velocity [m/s] and current [A] of the run;
     ``coefficients``: the coefficients of the law at this point, by name; ``level``: gain and offset
-    of the run, None without ``level_per_record``; ``error``: error of the set without them.
+    of the run, None without ``level_per_record``; ``error``: error of the set without this level.
     """
 
     measured: MeasuredRun
@@ -95,7 +95,7 @@ class FittedRun(ComparedRun):
 
     @property
     def level_row(self) -> tuple[Cell, ...]:
-        """NRMSE with gain and offset, and both with their standard errors."""
+        """NRMSE with gain and offset; then gain and offset with their standard errors."""
         if self.level is None:
             return "", "", ""
         scale, zero = (
@@ -122,7 +122,7 @@ class FittedRun(ComparedRun):
 
 
 def _each(estimates: Estimates, name: str) -> dict[str, Any]:
-    """One attribute of all estimates, by their names."""
+    """An attribute of every estimate, by name."""
     found: dict[str, Any] = json_ready({k: getattr(e, name) for k, e in estimates.items()})
     return found
 
@@ -186,7 +186,7 @@ class Identification(ComparedRuns):
     def explains(self) -> bool:
         """Whether the NRMSE is at most 30 % in each run.
 
-        If the runs have gains and offsets of their own, the NRMSE includes them.
+        With a gain and an offset per run, the NRMSE includes them.
         """
         return not self._unexplained
 

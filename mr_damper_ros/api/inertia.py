@@ -45,7 +45,7 @@ def fitted_mass(fit: GlobalFit, windows: Sequence[Window], mass: float = 0.0) ->
 
     The forces of ``windows`` include the inertia. The search starts from ``mass`` [kg] and the fit.
     """
-    from scipy.optimize import least_squares  # late: see mr_damper_ros.entry_points
+    from scipy.optimize import least_squares  # imported late: see entry_points
 
     found = fit.parameter_set
     few = [window.thinned(_SAMPLES // len(windows)) for window in windows]

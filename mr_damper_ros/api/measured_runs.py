@@ -194,7 +194,7 @@ _SAME_SPEED = 0.2
 """Largest difference of the peak velocities of compared runs, relative to the larger one."""
 
 _SAME_CURRENT = 0.05
-"""Largest difference [A] between equal currents."""
+"""Largest difference [A] between currents that count as equal."""
 
 _STROKE_BEGINS = 0.1
 """Fraction of the peak velocity from which a stroke has begun."""
@@ -276,7 +276,8 @@ def _fast_cycles(windows: Sequence[Window]) -> Array:
 def _within(run: MeasuredRun, table: Array) -> list[str]:
     """A remark on different loop heights at one current.
 
-    Each height needs two cycles, so that a single disturbance causes no remark.
+    It compares the second smallest and the second largest height, so that a single disturbance
+    causes no remark.
     """
     _, currents, every = table.T
     for current in np.unique(np.round(currents / _SAME_CURRENT)) * _SAME_CURRENT:

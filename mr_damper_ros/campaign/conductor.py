@@ -217,7 +217,7 @@ class CampaignConductor:
         return notices
 
     def poll(self) -> CampaignCourse | None:
-        """Collect results of the worker and give it new work; returns a course that has ended."""
+        """Collect results of the worker and give it new work; returns the course at its end."""
         outcomes = self._worker.poll()
         course, folder = self._course, self._folder
         if course is None or folder is None:

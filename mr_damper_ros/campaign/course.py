@@ -208,7 +208,7 @@ class CampaignCourse:
         return refusal
 
     def add_run(self, made: MadeRun, refusal: str) -> None:
-        """Add a run that was judged."""
+        """Add a judged run, with the reason to reject it, or empty."""
         if not refusal:
             self.refusals = 0
             self.runs.append(made)

@@ -98,7 +98,7 @@ class CampaignFolder:
 def keep_run(
     folder: Path, number: int, run: PlannedRun, recording: Recording, refusal: str
 ) -> None:
-    """Write a run as a bag, once; a rejected run gets another name, and contains the reason."""
+    """Write a run as a bag, once; a rejected run has another name, and contains the reason."""
     name = f"refused_{number:03d}_{recording.start_ns}" if refusal else f"run_{number:03d}"
     path = folder / "runs" / name
     if path.exists():

@@ -37,7 +37,7 @@ _AMPLITUDE_LIMIT = 1.05
 
 @dataclass(frozen=True)
 class DriveSettings(CheckedSettings):
-    """Criteria by which a machine follows the commanded run."""
+    """Criteria for whether a machine follows the commanded run."""
 
     settle_timeout: float = option(
         60.0,

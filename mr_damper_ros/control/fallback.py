@@ -1,10 +1,10 @@
 """Fallback to the safe current while the force is invalid.
 
 During fallback, the current does not jump and does not move away from the safe current. At first,
-it stays constant or moves slowly towards the safe current. After ``doubt_time`` of invalid force,
-minus the time of valid force, it goes to the safe current. Control returns after the same time of
-valid force. If control is lost again soon, this time doubles; without this rule, a force that is
-valid only at the safe current would switch control on and off for ever.
+it stays constant or moves slowly towards the safe current. When the force has been invalid for
+``doubt_time`` longer than it was valid, the current goes to the safe current. Control returns when
+the force has been valid for this time. If control is lost again soon, this time doubles; without
+this rule, a force that is valid only at the safe current would switch control on and off for ever.
 """
 
 from __future__ import annotations
@@ -113,7 +113,7 @@ class Fallback:
         return not doubted
 
     def away_from(self, current: float, duration: float) -> float:
-        """The current [A] during fallback, ``duration`` [s] after the ``current`` [A]."""
+        """The current [A] during fallback, ``duration`` [s] after it was ``current`` [A]."""
         safe, settings = self._settings.safe_current, self._settings
         time = settings.fade_time
         if not self._lasts:

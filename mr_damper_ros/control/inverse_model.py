@@ -248,7 +248,7 @@ def _search(
 ) -> Inversion:
     """The inversion of one sample with these node forces [N]."""
     least, most = min(forces), max(forces)
-    # Only at an extremum between two nodes can this force be attained.
+    # This force can be attained only at an extremum between two nodes.
     if wanted < least or wanted > most:
         bend = _with_extremum(force_at, nodes, forces, 1.0 if wanted > most else -1.0)
         if bend is not None:

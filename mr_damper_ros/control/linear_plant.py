@@ -44,7 +44,7 @@ class MovingPlant:
     """A linear plant, solved exactly step by step for constant force and input."""
 
     def __init__(self, plant: LinearPlant, period: float) -> None:
-        from scipy.linalg import expm  # late: see mr_damper_ros.entry_points
+        from scipy.linalg import expm  # imported late: see entry_points
 
         count = plant.by_force.size
         whole = np.zeros((count + 2, count + 2))

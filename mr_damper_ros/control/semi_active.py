@@ -30,10 +30,10 @@ def regulator_gain(
 ) -> Array:
     """Gain (n,) that minimises the cost of F = -gain x.
 
-    The cost is the integral of ``weights`` (k,) times the squared outputs, ``outputs`` (k, n) x +
-    ``direct`` (k,) F, plus ``effort`` F².
+    The outputs are ``outputs`` (k, n) x + ``direct`` (k,) F. The cost is the integral of their
+    squares times ``weights`` (k,), plus ``effort`` F².
     """
-    from scipy.linalg import solve_continuous_are  # late: see mr_damper_ros.entry_points
+    from scipy.linalg import solve_continuous_are  # imported late: see entry_points
 
     states = outputs.T @ (weights[:, np.newaxis] * outputs)
     crossed = (outputs.T @ (weights * direct))[:, np.newaxis]
@@ -184,7 +184,7 @@ class SuspensionSettings(CheckedSettings):
 
 
 def controller_of(settings: SuspensionSettings) -> Controller:
-    """The controller of these settings; raises ValueError if the user's own cannot be found."""
+    """The controller of these settings; raises ValueError if a user's controller is missing."""
     if settings.function:
         return _import_controller(settings.function)
     return _CONTROLLERS[settings.controller](settings)

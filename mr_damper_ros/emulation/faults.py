@@ -276,7 +276,7 @@ def _repeated_buffer(fault: Fault, block: RigBlock) -> RigBlock:
 
 
 def _chosen(fault: Fault, block: RigBlock) -> bool:
-    """Draw whether this block has the fault."""
+    """Decide at random whether this block has the fault."""
     return bool(fault.rng.random() < fault.amount) and fault.active_in(block)
 
 

@@ -67,7 +67,7 @@ class SampledMotion:
 
     def __init__(self, displacement: Array, period: float) -> None:
         """Samples [m] of shape (n,), n >= 4, ``period`` [s] apart; raises ExcitationError."""
-        from scipy.interpolate import CubicSpline  # late: see mr_damper_ros.entry_points
+        from scipy.interpolate import CubicSpline  # imported late: see entry_points
 
         _require_positive(period=period)
         samples = np.array(displacement, dtype=np.float64)

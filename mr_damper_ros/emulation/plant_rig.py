@@ -120,7 +120,7 @@ class PlantRig(MeasuredRig):
 
 
 HOT_FORCE = 989.0 / 1332.0
-"""Force at 71 °C relative to 28 °C of the damper in the thesis.
+"""Force of the damper in the thesis at 71 °C, relative to its force at 28 °C.
 
 Tables 8 and 9, at 5 mm, 1 Hz and 1.5 A.
 """

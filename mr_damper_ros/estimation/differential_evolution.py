@@ -159,7 +159,7 @@ def evolve(
         clock.tick(stage, best_cost)
         return clock.stopped
 
-    from scipy.optimize import differential_evolution  # late: see mr_damper_ros.entry_points
+    from scipy.optimize import differential_evolution  # imported late: see entry_points
 
     low, high = (np.array(side, dtype=float) for side in zip(*bounds, strict=True))
     # SciPy rejects a start outside the bounds, even if only rounding has put it there.
@@ -187,6 +187,6 @@ def evolve(
 
 def generator_keyword() -> str:
     """SciPy's name of the argument for the random generator, which changed in SciPy 1.15."""
-    from scipy.optimize import differential_evolution  # late: see mr_damper_ros.entry_points
+    from scipy.optimize import differential_evolution  # imported late: see entry_points
 
     return "rng" if "rng" in inspect.signature(differential_evolution).parameters else "seed"

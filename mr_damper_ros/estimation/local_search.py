@@ -104,7 +104,7 @@ class LocalSearch(Generic[P]):
 
     def nelder_mead(self) -> None:
         """Nelder-Mead from the best unknowns, restarted with new axes while it moves far."""
-        from scipy import optimize  # late: see mr_damper_ros.entry_points
+        from scipy import optimize  # imported late: see entry_points
 
         if math.isinf(self.best_cost):
             self.try_out(self.best)
@@ -161,7 +161,7 @@ class LocalSearch(Generic[P]):
             plain = self.problem.jacobian(unknowns)
             return plain if root is None else plain * root[:, np.newaxis]
 
-        from scipy import optimize  # late: see mr_damper_ros.entry_points
+        from scipy import optimize  # imported late: see entry_points
 
         if weights is None and math.isinf(self.best_cost):
             self.try_out(self.best)

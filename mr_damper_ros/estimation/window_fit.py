@@ -331,7 +331,7 @@ class _PriorProblem:
         The weight of the samples follows from the residual of their best fit, so ``search`` first
         finds the minimum without the prior.
         """
-        from scipy.special import chdtri  # late: see mr_damper_ros.entry_points
+        from scipy.special import chdtri  # imported late: see entry_points
 
         effort = self.problem.model.effort
         # Quantile of the sum of squares of standard normal variables.

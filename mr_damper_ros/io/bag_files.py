@@ -67,7 +67,7 @@ def _files(path: Path) -> Iterator[Path]:
 
 @contextmanager
 def failures_in_words(name: str) -> Iterator[None]:
-    """Convert all other exceptions to a BagError for the bag of this name."""
+    """Convert the exceptions of the library to a BagError about the bag ``name``."""
     # For damaged data, the library raises exceptions of many kinds.
     try:
         yield

@@ -40,7 +40,7 @@ from mr_damper_ros.signals.recording import (
 from mr_damper_ros.signals.uniform_grid import Placed, UniformGrid
 
 _HOLD_BACK = 1.0
-"""Time [s] of the data for which blocks wait for missing earlier blocks."""
+"""Longest time [s], by the stamps, that a block waits for missing earlier blocks."""
 
 
 def read_bag(path: str | Path, *, maximum_samples: int = MAXIMUM_SAMPLES) -> list[Recording]:
@@ -54,8 +54,9 @@ def read_bag(path: str | Path, *, maximum_samples: int = MAXIMUM_SAMPLES) -> lis
     Raises BagError if the bag is damaged, has more than ``maximum_samples``, or lacks a stream.
     """
     with opened_bag(path, maximum_samples) as bag:
-        # Consecutive blocks, with the number of earlier jumps back in time. The held current from a
-        # stamp [ns] on until the next such jump: a bag of a looped replay has several jumps.
+        # The stamps jump back at each repetition of a looped replay. A segment has the number of
+        # earlier jumps and consecutive blocks; a round has the first stamp [ns] of the current
+        # after a jump, and the current held until the next jump.
         segments: list[tuple[int, list[SampleBlock]]] = []
         rounds: list[tuple[int, ZeroOrderHold]] = []
         celsius: list[TemperatureReading] = []

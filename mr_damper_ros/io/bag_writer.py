@@ -62,7 +62,7 @@ def _message_folder() -> Path:
     prefixes = os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep)
     folders = [Path(prefix) / "share" / "mr_damper_msgs" / "msg" for prefix in prefixes if prefix]
     here = Path(__file__).resolve()
-    folders += [here.parent / "msg", here.parents[2] / "msg_defs" / "msg"]  # a wheel, a clone
+    folders += [here.parent / "msg", here.parents[2] / "msg_defs" / "msg"]  # of a wheel, of a clone
     for folder in folders:
         if (folder / "MtsSamples.msg").is_file():
             return folder

@@ -180,7 +180,7 @@ def _unreadable(form: Format, path: Path) -> str:
 def _read(path: Path, variable: str | None, most_samples: int) -> list[Group] | str:
     """Read a file; runs in the child process.
 
-    Raises RecordError, and MemoryError if the file needs more memory than ``most_samples``.
+    Raises RecordError, and MemoryError if the file needs more memory than ``most_samples`` allows.
     """
     form = FORMATS[path.suffix.lower()]
     with path.open("rb") as file:
@@ -221,7 +221,7 @@ def _limit_memory(size: int) -> None:
 
 def _matrices(file: BinaryIO, variable: str | None, most_samples: int) -> list[Group]:
     """The real numeric matrices; their samples may be rows or columns."""
-    from scipy.io import loadmat  # late: see mr_damper_ros.entry_points
+    from scipy.io import loadmat  # imported late: see entry_points
 
     groups = []
     for name, value in loadmat(file).items():

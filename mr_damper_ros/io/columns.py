@@ -193,7 +193,7 @@ UNITS: dict[str, dict[str, float]] = {
 """SI value of each unit, by quantity."""
 
 _ZEROS = {"K": -273.15, "degF": -160.0 / 9.0}
-"""Temperature [°C] at the zero of units whose zero is not 0 °C."""
+"""Temperature [°C] at zero of each unit other than °C."""
 
 
 MAXIMUM_SAMPLES = 10_000_000

@@ -48,7 +48,7 @@ def read_record(
     period
         Time between samples [s], if no column holds it.
     start
-        Begin of the part to read [s after the first sample].
+        Start of the part to read [s after the first sample].
     stop
         End of the part to read [s after the first sample].
     variable

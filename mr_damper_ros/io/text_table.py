@@ -142,7 +142,7 @@ class TextFile:
                 f"{self._name} holds no row with numbers in columns {listed}: "
                 f"{self._middle_row(skipped)}"
             )
-        # Up to the last column with numbers in all of the last rows.
+        # The table ends at the last column that has a number in each of the last rows.
         numeric = [
             {place for place, field in enumerate(fields) if self._number(field) is not None}
             for _, fields in self._split(enumerate(self._last))

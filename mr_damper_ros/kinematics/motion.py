@@ -20,16 +20,15 @@ from mr_damper_ros.kinematics.peak_velocity import peak_velocity_of_window
 from mr_damper_ros.signals.arrays import Array, noise_power, span_of, white_noise
 
 SINE_TOLERANCE = 2e-3
-"""A motion counts as a sine if the residual of the fit is below this fraction of the amplitude [1]
-...
+"""A motion counts as a sine if the residual of the fit is below this fraction of the amplitude [1].
 
 A third harmonic of 0.2 % of the displacement is 0.6 % of the velocity. In all published conditions
 its effect is below the noise of the force. A larger distortion would bias the fit of the force.
 """
 
 _NOISE_FACTOR = 1.2
-"""... or below this multiple of the noise of the displacement. A larger factor would allow a
-distortion that is visible in the force."""
+"""It also counts as a sine if the residual is below this multiple of the noise of the displacement.
+A larger factor would allow a distortion that is visible in the force."""
 
 NO_SINE, _TRIED = 0.25, 3
 """A motion is not a sine if the residual exceeds this fraction of the amplitude after this many
@@ -153,9 +152,9 @@ class SavitzkyGolay:
         return self._offsets.size
 
     def squared_change(self, shorter: SavitzkyGolay | None = None) -> float:
-        """Power of the first derivative of white noise of power 1, one unit of time per sample.
+        """Power of the first derivative, per sample, that this filter gives for unit white noise.
 
-        With a ``shorter`` filter, the power of the difference of both derivatives.
+        With a ``shorter`` filter, the power of the difference between the derivatives of both.
         """
         weights = self._fit[1] / self._half
         if shorter is not None:

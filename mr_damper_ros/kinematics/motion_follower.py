@@ -36,8 +36,8 @@ _FITS_PER_CYCLE = 25
 they would cost more than all other work."""
 
 _PATIENCE = 0.2
-"""Cycles to wait after a fit shows that the motion is far from a sine, because a fit takes as long
-as many predictions."""
+"""Cycles until the next fit if the motion is far from a sine, because a fit takes as long as many
+predictions."""
 
 _NOISE_FACTOR = 1.5
 """Allowed residual in standard deviations of the noise. It exceeds the factor for a window, because
@@ -338,7 +338,7 @@ class MotionFollower:
         self.catch_up()
         motion = self._sine.motion_of(displacement, self._unlearned_count)
         if motion is None:
-            # The sine has ended, so the observer first gets its last samples.
+            # The sine has ended, so the observer first processes the last samples of the sine.
             self._learn()
         self.steady = motion is not None
         self._unlearned.append(displacement)

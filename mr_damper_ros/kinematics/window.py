@@ -18,12 +18,12 @@ _FEWER_PER_CYCLE = 200
 """Samples per cycle that resolve a hysteresis, which yields over about a tenth of a cycle."""
 
 LONGEST_SETTLING = 0.25
-"""Largest fraction of a window that is left out because the motion before it is unknown."""
+"""Largest fraction of a window that is omitted because the motion before the window is unknown."""
 
 
 @dataclass(frozen=True, eq=False)
 class MotionHistory:
-    """Motion and current (m,), ``period`` [s] apart, that underlie the n samples of a window.
+    """Motion and current (m,), ``period`` [s] apart, that determine the n forces of a window.
 
     ``places`` (n,) are the positions of the window's samples, in samples of the history. ``branch``
     (n,) is the sign of the acceleration at the samples; the sigmoid force jumps where it changes.
@@ -151,11 +151,11 @@ def _between(values: Array, changes: Array, places: Array) -> Array:
 
 
 _TURN = 0.05
-"""A return by this fraction of the span is a reversal of the motion ..."""
+"""A reversal is a return by this fraction of the span that also exceeds the span of the noise."""
 
 _LARGEST_TURN = 0.25
-"""... if it also exceeds the span of the noise. A return by this larger fraction always suffices,
-because motion near the sample rate cannot be distinguished from noise."""
+"""A return by this fraction of the span is always a reversal, because motion near the sample rate
+cannot be distinguished from noise."""
 
 _COVERED_PART = 0.75
 """Fraction of the span that the strokes of each direction must cover in total."""

@@ -406,7 +406,7 @@ class LiveRecord:
             self._mark("record", f"recording {'begins' if recording else 'ends'}", self._last_time)
 
     def _mark(self, kind: str, text: str, time_s: float) -> None:
-        """Add an event: a set, a fault, a step of the current, the begin or end of a recording."""
+        """Add an event: a set, a fault, a step of the current, the start or end of a recording."""
         self._mark_count += 1
         self._marks.append({"number": self._mark_count, "time": time_s, "kind": kind, "text": text})
 

@@ -47,7 +47,7 @@ CONNECTIONS_EACH = 24
 """Largest number of simultaneous connections of one client, so that others can connect."""
 
 _IDLE = 30.0
-"""Longest time [s] between requests of a connection, and for an answer."""
+"""Time limit [s] for the next request of a connection, and for an answer."""
 
 _REQUEST = 5.0
 """Longest time [s] from the first byte of a request to the last."""

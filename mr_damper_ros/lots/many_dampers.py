@@ -221,7 +221,7 @@ def identify_many(
     period
         Time between samples [s] of record files, if no column holds it.
     variable
-        Matrix, sheet or group of record files that have several.
+        Matrix, sheet or group to read, if record files have several.
     model, method, start, seed, generations
         As in :func:`identify`.
     accept_doubtful
@@ -246,7 +246,7 @@ def identify_many(
     Raises
     ------
     ValueError
-        If an option is invalid, there is no recording, or the folder holds results of other
+        If an option is invalid, there is no recording, or the folder holds results for other
         options.
     OSError
         If the folder cannot be written, or no worker can run.

@@ -37,7 +37,7 @@ _POOR = 1.5
 """A fit is poor if its residual exceeds this multiple of the median of the lot."""
 
 _OWN_ERRORS = 3.0
-"""Smallest deviation of an outlier, in standard errors of its own value."""
+"""Smallest deviation of an outlier, in its standard errors."""
 
 _EDGE = 0.02
 """Relative tolerance at the limits of the identified range."""
@@ -54,7 +54,7 @@ class KnownDamper:
 
     @classmethod
     def from_document(cls, document: Mapping[str, Any]) -> KnownDamper:
-        """The damper of a document of :func:`identify_group` that has no failure."""
+        """The damper described by a document of :func:`identify_group` without a failure."""
         return cls(
             document["damper"],
             ParameterSet.from_yaml(document["set"]),
@@ -73,7 +73,7 @@ class KnownDamper:
         )
 
     def peak_forces(self, points: Sequence[tuple[float, float]]) -> tuple[Array, Array]:
-        """Largest force [N] of a cycle in extension at (m/s, A), and its standard error, (k,)."""
+        """Largest force [N] in extension at each point (m/s, A), and its standard error, (k,)."""
         cycles = Cycles(self.parameter_set.law, [_cycle(*point) for point in points])
         values, rows = self.parameter_set.values, np.arange(len(points))
         force = cycles.force(values)
@@ -172,7 +172,7 @@ class Population:
 
     @cached_property
     def forces(self) -> list[Spread]:
-        """Largest force at each point, of the dampers that were identified there."""
+        """Spread of the largest force at each point, over the dampers identified there."""
         shape = len(self.dampers), len(self.points)
         values, errors = np.full(shape, math.nan), np.full(shape, math.nan)
         for row, damper in enumerate(self.dampers):
@@ -196,7 +196,7 @@ class Population:
 
     @cached_property
     def outliers(self) -> list[Outlier]:
-        """Outliers in force, each at its largest deviation, followed by outliers in misfit."""
+        """Outliers in force, each at the point of largest deviation; then outliers in misfit."""
         in_force = [outlier for spread in self.forces for outlier in self._beyond(spread)]
         worst: dict[str, Outlier] = {}
         for outlier in sorted(in_force, key=lambda one: -abs(one.score)):

@@ -300,7 +300,7 @@ class ModifiedBoucWen(_Hysteretic):
         return np.asarray(outer_damping * integrated + stiffness * motion.displacement + offset)
 
     def starts_at_one_current(self, reading: LoopReading) -> Array:
-        """Starts of mainly yield force, with a short or long yield length, and soft or stiff."""
+        """Starts of mainly yield force, with short or long yield and low or high series damping."""
         force, middle, speed, amplitude = reading
         viscous = force / speed
         return np.array(

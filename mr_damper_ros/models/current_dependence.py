@@ -277,7 +277,7 @@ class IntegratedModel(CurrentDependentModel):
     def force_at(
         self, coefficients: Sequence[Array], motion: Motion, period: float, state: State | None
     ) -> tuple[Array, State]:
-        """Force [N] of the sets one after the other; arrays are faster for more than thirty."""
+        """Force [N], set by set; array code is faster for more than thirty sets."""
         if all(c.ndim == 1 for c in coefficients):  # one set, which streams ask for often
             memory = [math.nan] * self.memory if state is None else [float(s) for s in state]
             found = self.integrate(list(coefficients), motion, period, memory)
@@ -363,7 +363,7 @@ class _DifferentiatedForces(WindowForces):
 
 
 def _excitation(by: Mapping[int, Array], chain: Array) -> Array:
-    """Sum (n, p) of derivatives (n,) by coefficients times their own (c, n or 1, p)."""
+    """Sum (n, p) over the coefficients: ``by`` (n,) of each times its ``chain`` (n or 1, p)."""
     places = list(by)
     if chain.shape[1] == 1:
         # Columns are contiguous in memory, so each can be solved in place.

@@ -108,7 +108,7 @@ class FirstOrderLag:
 
 def solve_recursion(kept: Array, added: Array) -> Array:
     """Solve y[k] = kept[k] y[k-1] + added[k] for columns (n, ...), which may be overwritten."""
-    from scipy.linalg.lapack import dtbtrs  # late: see mr_damper_ros.entry_points
+    from scipy.linalg.lapack import dtbtrs  # imported late: see entry_points
 
     bands = np.ones((2, kept.size), order="F")
     bands[1, :-1] = -kept[1:]

@@ -151,7 +151,7 @@ class Model(ABC):
 
     @property
     def common_names(self) -> tuple[str, ...]:
-        """Parameters that one run determines and all runs share; they are no scales."""
+        """Parameters that one run determines and all runs share; scales are excluded."""
         return tuple(name for name in self.free_in_one_run if name not in self.scale_names)
 
     @property

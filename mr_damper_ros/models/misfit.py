@@ -133,7 +133,7 @@ class WindowProblem:
         *,
         forces: WindowForces | None = None,
     ) -> None:
-        """``parameters`` (p,) gives the values of all parameters that are no unknowns.
+        """``parameters`` (p,) gives the values of all parameters that are not unknowns.
 
         ``forces``: the forces of the window, if they exist already.
         """

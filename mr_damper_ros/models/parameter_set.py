@@ -69,7 +69,7 @@ def _unknown() -> Array:
 
 
 def motion_window(time: ArrayLike, displacement: ArrayLike, current: ArrayLike) -> Window:
-    """The window without a force of a motion; see :meth:`ParameterSet.force`."""
+    """The window of a motion, without a force; see :meth:`ParameterSet.force`."""
     times, moved, amperes = (np.asarray(a, float) for a in (time, displacement, current))
     if times.ndim != 1 or times.shape != moved.shape or times.size < 2:
         raise ValueError(

@@ -33,7 +33,7 @@ _USUAL_CURRENTS = (0.0, 0.5, 1.0, 2.0)
 """Currents [A] for a law whose range is unbounded."""
 
 _FREQUENCIES = (2.0, 0.5, 8.0)
-"""Frequencies [Hz] that are tried, because the range states none; the law must be plausible at one.
+"""Frequencies [Hz] to try, because the range states none; the law must be plausible at one of them.
 """
 
 _SAMPLES = 32

@@ -49,7 +49,7 @@ def keep_one_thread(*, with_scipy: bool = True) -> None:
 
 def _load() -> None:
     # SciPy has its own BLAS, and a library loaded later would not be limited.
-    import scipy.linalg  # noqa: F401  # late: see mr_damper_ros.entry_points
+    import scipy.linalg  # noqa: F401  # imported late: see entry_points
 
 
 def _limited() -> Any:

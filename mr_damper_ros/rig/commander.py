@@ -161,7 +161,7 @@ class Origin(Enum):
 
 
 class CurrentCommander(Commander[float]):
-    """Current [A] from commands, which hold for a limited time, or set by hand, which lasts.
+    """Current [A] from commands, each for a limited time, or set by hand, without a time limit.
 
     A command replaces a current set by hand. When the commands stop, the current is zero at once,
     until another command arrives or the current is set by hand again. ``cut`` counts the commands

@@ -20,7 +20,7 @@ from mr_damper_ros.signals.arrays import Array, white_noise
 from mr_damper_ros.signals.blocks import NANOSECONDS
 
 _CLIPPED_PART, _CLIPPED_IN_A_ROW = 0.01, 5
-"""A channel is clipped if this fraction of samples is at the extreme, this many in a row."""
+"""Fraction of samples, and number in a row, at the extreme value of a clipped channel."""
 
 _COARSE = 0.02
 """Smallest step, in standard deviations of the channel, that counts as coarse quantisation."""
@@ -37,8 +37,8 @@ _MAINS_BAND, _COMPARISON_BAND = 0.5, 6.0
 """Half-widths [Hz] of the band around a mains frequency and of the band for comparison."""
 
 _HARMONICS = 2.2
-"""Half-width of the comparison in multiples of the motion frequency, whose odd harmonics are two
-multiples apart."""
+"""Half-width of the band for comparison, in multiples of the motion frequency. The odd harmonics
+are two multiples apart."""
 
 _HUM_RATIO, _HUM_PARTS = 3.0, {"displacement": 1e-3, "force": 5e-3}
 """A spectral line is hum if it exceeds this multiple of its neighbours, and this fraction of the
@@ -109,7 +109,7 @@ _PAUSE = 0.1
 """Delay of a block [s] above which the stream counts as paused."""
 
 _COUNT_TOLERANCE = 2.0
-"""Tolerated difference [s] between two counts that are reported once a second."""
+"""Tolerated difference [s] between missing and omitted samples, reported once a second."""
 
 _CURRENT_OFF, _SETTLING = 0.05, 1.0
 """Tolerated deviation [A] of the measured current from a command older than this time [s]."""
@@ -137,7 +137,7 @@ def stream_findings(record: RigRecord) -> Iterator[RigFinding]:
     if (arrivals >= 0.0).all() and arrivals.size > 2:
         longest = max(block.force.size * block.period for block in record.blocks)
         pauses = np.diff(arrivals) / NANOSECONDS
-        # Without samples, there was no pause.
+        # A gap in the stamps, or the length of a block, is not a pause.
         held_up = pauses[pauses - np.clip(np.diff(times), longest, None) > _PAUSE]
         if held_up.size > 1:
             yield Trouble.BURSTS.found(count=held_up.size, pause=held_up.max())
@@ -205,7 +205,7 @@ def _command_findings(
     changed = np.diff(wanted, prepend=np.nan) != 0.0
     since = told[np.maximum.accumulate(np.where(changed, np.arange(told.size), 0))]
     place = np.searchsorted(told, stamps, side="right") - 1
-    # The last command is recent, and has not changed for long enough to be obeyed.
+    # Commands must be recent, and unchanged for long enough that the supply has followed.
     fresh = (place >= 0) & (stamps - told[place] < _SETTLING * NANOSECONDS)
     off = (values - wanted[place])[fresh & (stamps - since[place] > _SETTLING * NANOSECONDS)]
     if off.size and float(np.median(np.abs(off))) > _CURRENT_OFF:

@@ -215,7 +215,7 @@ class ChannelLag:
 
     @property
     def determined(self) -> bool:
-        """Whether skew and hysteresis are separated, to half a millisecond."""
+        """Whether the skew is known to half a millisecond."""
         return self.standard_error <= 5e-4
 
 

@@ -35,7 +35,7 @@ _TYPE_NAMES = {bool: "true or false", int: "an integer", float: "a number", str:
 
 @dataclass(frozen=True)
 class Option:
-    """One parameter of a node; ``minimum`` and ``maximum`` are still valid.
+    """One parameter of a node; ``minimum`` and ``maximum`` are inclusive.
 
     If the default is NaN, NaN is also valid and means "not given".
     """

@@ -440,7 +440,7 @@ class SigmoidModel(Model):
     def draw_shape(
         self, rng: np.random.Generator, top_velocity: float, top_current: float
     ) -> dict[str, float]:
-        """Random shape parameters by which coefficients change by a small factor over the range."""
+        """Random shape parameters for which coefficients change by a small factor in the range."""
         drawn = {
             "a1": rng.uniform(-1.5, 1.5) / top_velocity,
             "k0": rng.uniform(0.0, 10.0) / top_velocity,

@@ -27,7 +27,7 @@ BUFFERED = 10.0
 class Readings(NamedTuple):
     """``values`` (channels, n) [V], in the order of the channels, at a sample ``rate`` [Hz].
 
-    If the device has stamps, ``stamps`` (n,) [s] are by any clock, and ``rate`` has no meaning.
+    If the device gives ``stamps`` (n,) [s], by any clock, ``rate`` has no meaning.
     """
 
     values: Array

@@ -30,9 +30,8 @@ _IDLE = 0.005
 """Pause [s] before the next read of a device without new data."""
 
 Portions = Generator[T | None, None, None]
-"""The data of a connected device. The first value is None, as soon as the device is connected; None
-also follows if there was no data for about 0.1 s. The generator may raise any exception; closing it
-releases the device."""
+"""Yields None as soon as the device is connected, then the data of each read, or None after about
+0.1 s without data. The generator may raise any exception; closing it releases the device."""
 
 
 class Portion(NamedTuple, Generic[T]):
@@ -53,7 +52,7 @@ class DeviceReader(Generic[T]):
         self._ended = threading.Event()
         self.connections = 0
         self.fault = "not connected yet"
-        """The reason why there is no connection, as a sentence; empty while there is one."""
+        """The reason why there is no connection, as a sentence; empty while connected."""
         self._thread = threading.Thread(target=self._run, name="device", daemon=True)
         self._thread.start()
 

@@ -18,7 +18,7 @@ _LARGEST_ADVANCE, _LARGEST_STEP_BACK = 10.0, 1.0
 """Largest plausible jump [s] of a stamp, ahead of the elapsed time and back."""
 
 _IMPLAUSIBLE_IN_A_ROW = 16
-"""After this number of implausible stamps in a row, the clock was set; fewer are errors."""
+"""This number of implausible stamps in a row means that the clock was set; fewer are errors."""
 
 
 class TimedSample(NamedTuple):

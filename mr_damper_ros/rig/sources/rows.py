@@ -141,7 +141,7 @@ class LineDecoder:
         self._skips = True
 
     def begin(self, *, whole: bool) -> None:
-        """Discard incomplete data. ``whole``: the next data begins with a line."""
+        """Discard incomplete data. ``whole``: the next data begins at the start of a line."""
         self._rest, self._skips = b"", not whole
 
     def feed(self, data: bytes) -> list[Row | None]:
@@ -197,7 +197,7 @@ class RecordDecoder:
         self._in_step = True
 
     def begin(self, *, whole: bool) -> None:
-        """Discard incomplete data. ``whole``: the next data begins with a record."""
+        """Discard incomplete data. ``whole``: the next data begins at the start of a record."""
         self._rest, self._in_step = b"", whole or not (self._mark or self._size)
 
     def feed(self, data: bytes) -> list[Row | None]:

@@ -45,7 +45,7 @@ class Source(ABC):
     """Whether the samples are measured live and stamped, and sent as they arrive."""
 
     suspended: ClassVar[bool] = False
-    """Whether the damper is in a suspension; its state is then part of the blocks."""
+    """Whether the damper is in a suspension; the blocks then contain the suspension state."""
 
     commander: CurrentCommander | None = None
     """Takes commands of the current while the source is open; None if it has no supply."""

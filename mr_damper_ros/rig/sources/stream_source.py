@@ -32,7 +32,7 @@ _LARGEST = 65535
 """Largest number of bytes in one read: the size of the largest datagram."""
 
 _KEEP_ALIVE = (("TCP_KEEPIDLE", 2), ("TCP_KEEPINTVL", 1), ("TCP_KEEPCNT", 3))
-"""TCP keep-alive options, without which a disconnected cable of a silent sender is not detected."""
+"""TCP keep-alive options, to detect that the cable of a silent sender is disconnected."""
 
 _FORM = re.compile(
     r"serial:(?P<port>\S+)|(?P<kind>tcp|udp):(?P<host>\[[0-9a-fA-F:.]+\]|[^\s:\[\]]+):"

@@ -68,7 +68,7 @@ class SupplyProfile:
 
 def read_profile(name: str) -> SupplyProfile:
     """The profile of a name, or of the path of a YAML file; raises ProfileError."""
-    import yaml  # here: a node without a supply needs no YAML
+    import yaml  # imported late, because a node without a supply needs no YAML
 
     path = Path(name) if name.endswith((".yaml", ".yml")) else _FOLDER / f"{name}.yaml"
     try:
