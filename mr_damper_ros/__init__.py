@@ -17,96 +17,65 @@ are positive.
 from importlib import import_module
 from typing import TYPE_CHECKING
 
-if TYPE_CHECKING:
-    from mr_damper_ros.api.comparison import Validation, validate
-    from mr_damper_ros.api.identification import Identification, choose_law, identify
-    from mr_damper_ros.api.replay import Replay, follow, replay
-    from mr_damper_ros.campaign.course import ForceCampaign, run_campaign
-    from mr_damper_ros.control.inverse_model import InverseModel
-    from mr_damper_ros.estimation.law_choice import LawChoice
-    from mr_damper_ros.estimation.planned_run import ForceGoal, MachineLimits, PlannedRun
-    from mr_damper_ros.io.bag_reader import read_bag
-    from mr_damper_ros.io.bag_writer import write_bag
-    from mr_damper_ros.io.records import read_record, read_runs
-    from mr_damper_ros.lots.many_dampers import ManyDampers, identify_many
-    from mr_damper_ros.models import MODELS
-    from mr_damper_ros.models.parameter_set import ParameterSet
-    from mr_damper_ros.signals.blocks import SampleBlock
-    from mr_damper_ros.signals.recording import Recording
-    from mr_damper_ros.tracking.engine import Engine, EngineSettings
-    from mr_damper_ros.tracking.predictor import ForcePredictor, PredictorSettings
-    from mr_damper_ros.tracking.tracker import TrackerSettings, WindowTracker
+if TYPE_CHECKING:  # a type checker reads these imports, the program the table below
+    from mr_damper_ros.api.comparison import Validation as Validation
+    from mr_damper_ros.api.comparison import validate as validate
+    from mr_damper_ros.api.identification import Identification as Identification
+    from mr_damper_ros.api.identification import choose_law as choose_law
+    from mr_damper_ros.api.identification import identify as identify
+    from mr_damper_ros.api.replay import Replay as Replay
+    from mr_damper_ros.api.replay import follow as follow
+    from mr_damper_ros.api.replay import replay as replay
+    from mr_damper_ros.campaign.course import ForceCampaign as ForceCampaign
+    from mr_damper_ros.campaign.course import run_campaign as run_campaign
+    from mr_damper_ros.control.inverse_model import InverseModel as InverseModel
+    from mr_damper_ros.estimation.law_choice import LawChoice as LawChoice
+    from mr_damper_ros.estimation.planned_run import ForceGoal as ForceGoal
+    from mr_damper_ros.estimation.planned_run import MachineLimits as MachineLimits
+    from mr_damper_ros.estimation.planned_run import PlannedRun as PlannedRun
+    from mr_damper_ros.io.bag_reader import read_bag as read_bag
+    from mr_damper_ros.io.bag_writer import write_bag as write_bag
+    from mr_damper_ros.io.records import read_record as read_record
+    from mr_damper_ros.io.records import read_runs as read_runs
+    from mr_damper_ros.lots.many_dampers import ManyDampers as ManyDampers
+    from mr_damper_ros.lots.many_dampers import identify_many as identify_many
+    from mr_damper_ros.models import MODELS as MODELS
+    from mr_damper_ros.models.parameter_set import ParameterSet as ParameterSet
+    from mr_damper_ros.signals.blocks import SampleBlock as SampleBlock
+    from mr_damper_ros.signals.recording import Recording as Recording
+    from mr_damper_ros.tracking.engine import Engine as Engine
+    from mr_damper_ros.tracking.engine import EngineSettings as EngineSettings
+    from mr_damper_ros.tracking.predictor import ForcePredictor as ForcePredictor
+    from mr_damper_ros.tracking.predictor import PredictorSettings as PredictorSettings
+    from mr_damper_ros.tracking.tracker import TrackerSettings as TrackerSettings
+    from mr_damper_ros.tracking.tracker import WindowTracker as WindowTracker
 
-__all__ = [
-    "MODELS",
-    "Engine",
-    "EngineSettings",
-    "ForceCampaign",
-    "ForceGoal",
-    "ForcePredictor",
-    "Identification",
-    "InverseModel",
-    "LawChoice",
-    "MachineLimits",
-    "ManyDampers",
-    "ParameterSet",
-    "PlannedRun",
-    "PredictorSettings",
-    "Recording",
-    "Replay",
-    "SampleBlock",
-    "TrackerSettings",
-    "Validation",
-    "WindowTracker",
-    "choose_law",
-    "follow",
-    "identify",
-    "identify_many",
-    "read_bag",
-    "read_record",
-    "read_runs",
-    "replay",
-    "run_campaign",
-    "validate",
-    "write_bag",
-]
-
-_HOMES = {
-    "MODELS": "models",
-    "Engine": "tracking.engine",
-    "EngineSettings": "tracking.engine",
-    "ForceCampaign": "campaign.course",
-    "ForceGoal": "estimation.planned_run",
-    "ForcePredictor": "tracking.predictor",
-    "Identification": "api.identification",
-    "LawChoice": "estimation.law_choice",
-    "MachineLimits": "estimation.planned_run",
-    "ManyDampers": "lots.many_dampers",
-    "InverseModel": "control.inverse_model",
-    "ParameterSet": "models.parameter_set",
-    "PlannedRun": "estimation.planned_run",
-    "PredictorSettings": "tracking.predictor",
-    "Recording": "signals.recording",
-    "Replay": "api.replay",
-    "SampleBlock": "signals.blocks",
-    "TrackerSettings": "tracking.tracker",
-    "Validation": "api.comparison",
-    "WindowTracker": "tracking.tracker",
-    "choose_law": "api.identification",
-    "follow": "api.replay",
-    "identify": "api.identification",
-    "identify_many": "lots.many_dampers",
-    "read_bag": "io.bag_reader",
-    "read_record": "io.records",
-    "read_runs": "io.records",
-    "replay": "api.replay",
-    "run_campaign": "campaign.course",
-    "validate": "api.comparison",
-    "write_bag": "io.bag_writer",
+_NAMES = {
+    "api.comparison": ("Validation", "validate"),
+    "api.identification": ("Identification", "choose_law", "identify"),
+    "api.replay": ("Replay", "follow", "replay"),
+    "campaign.course": ("ForceCampaign", "run_campaign"),
+    "control.inverse_model": ("InverseModel",),
+    "estimation.law_choice": ("LawChoice",),
+    "estimation.planned_run": ("ForceGoal", "MachineLimits", "PlannedRun"),
+    "io.bag_reader": ("read_bag",),
+    "io.bag_writer": ("write_bag",),
+    "io.records": ("read_record", "read_runs"),
+    "lots.many_dampers": ("ManyDampers", "identify_many"),
+    "models": ("MODELS",),
+    "models.parameter_set": ("ParameterSet",),
+    "signals.blocks": ("SampleBlock",),
+    "signals.recording": ("Recording",),
+    "tracking.engine": ("Engine", "EngineSettings"),
+    "tracking.predictor": ("ForcePredictor", "PredictorSettings"),
+    "tracking.tracker": ("TrackerSettings", "WindowTracker"),
 }
-"""The module of each name."""
+"""The names of the interface, by module."""
 
-if not TYPE_CHECKING:  # a type checker sees only the imports above
+_HOMES = {name: module for module, names in _NAMES.items() for name in names}
+__all__ = sorted(_HOMES)
+
+if not TYPE_CHECKING:
 
     def __getattr__(name: str) -> object:
         """Load a name of the interface on its first use."""
