@@ -727,7 +727,9 @@ class GlobalSearch:
         near = _ON_BOUND * self._prior().width
         at_low, at_high = np.abs(found - low) < near, np.abs(found - high) < near
         moved = np.where(at_low, low, np.where(at_high, high, found))
-        if np.array_equal(moved, found):
+        # A set that is much poorer on the bound than beside it does not have its optimum there.
+        limit = AS_GOOD * pooled.mean_square(found)
+        if np.array_equal(moved, found) or not pooled.mean_square(moved) <= limit:
             return found
         inside = names.intersection(every[~(at_low | at_high)])
         moved = self._least_squares(pooled, moved, inside, noise=noise)

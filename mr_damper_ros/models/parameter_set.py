@@ -211,11 +211,27 @@ class ParameterSet:
     def window_force(self, window: Window, *, gradual: bool | None = False) -> Array:
         """Force (n,) [N] predicted at the samples of a window.
 
-        ``gradual`` is as in :meth:`law_turning`; None means True, except for a steady sine, whose
-        acceleration has no noise.
+        ``gradual`` is as in :meth:`law_turning`; None means :meth:`turns_gradually`.
         """
-        law = self.law_turning(gradual=window.motion.sine is None if gradual is None else gradual)
+        law = self.law_turning(gradual=self.turns_gradually(window) if gradual is None else gradual)
         return law.window_force(self.held(window), self.values)
+
+    def turns_gradually(self, window: Window) -> bool:
+        """Whether the law with gradual reversals fits the measured force of a window better.
+
+        A prediction selects the branch rule by the measured force in the same way. Without a
+        measured force, reversals are gradual except in a steady sine, whose acceleration has no
+        noise.
+        """
+        jumping, gradual = self.law, self.law.continuous
+        if gradual is jumping or np.ptp(window.force) == 0.0:
+            return gradual is not jumping and window.motion.sine is None
+        errors = []
+        for law in (jumping, gradual):
+            settled = law.settled(window, self.values)
+            error = (law.window_force(self.held(window), self.values) - window.force)[settled]
+            errors.append(float(error @ error) / error.size if error.size else math.inf)
+        return errors[1] < errors[0]
 
     def force(self, time: ArrayLike, displacement: ArrayLike, current: ArrayLike) -> Array:
         """Force (n,) [N] of the damper in a motion.

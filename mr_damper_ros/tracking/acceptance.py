@@ -162,7 +162,7 @@ def evidence_of(
     was fitted to; ``fresh`` is their number. ``elsewhere`` holds windows at other recent operating
     points.
     """
-    gradual = turns_gradually(found, window)
+    gradual = found.turns_gradually(window)
     settled = found.law_turning(gradual=gradual).settled(window, found.values)
     spread = float(np.std(window.force))
     old, new = (each.window_force(window, gradual=gradual) for each in (running, found))
@@ -202,23 +202,6 @@ def evidence_of(
         loss=len(elsewhere) * (lost - left) / (before**2 - after**2),
         nrmse_elsewhere=math.sqrt(left / variance) if variance > 0.0 else math.inf,
     )
-
-
-def turns_gradually(found: ParameterSet, window: Window) -> bool:
-    """Whether a set reproduces a window better with gradual reversals; see ``law_turning``.
-
-    The prediction selects the branch rule by the measured force. The acceptance test does the same,
-    so it evaluates a set as it will be used.
-    """
-    jumping, gradual = found.law, found.law.continuous
-    if gradual is jumping:
-        return False
-    errors = []
-    for law in (jumping, gradual):
-        settled = law.settled(window, found.values)
-        error = (law.window_force(found.held(window), found.values) - window.force)[settled]
-        errors.append(float(error @ error) / error.size if error.size else math.inf)
-    return errors[1] < errors[0]
 
 
 def rival_wins(

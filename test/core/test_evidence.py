@@ -20,7 +20,6 @@ from mr_damper_ros.tracking.acceptance import (
     Lead,
     evidence_of,
     rival_wins,
-    turns_gradually,
     validation_mask,
 )
 
@@ -88,7 +87,7 @@ def test_a_force_that_does_not_jump_is_judged_as_it_is_predicted() -> None:
     forces = [found.window_force(window, gradual=gradual) for gradual in (False, True)]
     for force in forces:
         measured = replace(window, force=force)
-        assert turns_gradually(found, measured) == (force is forces[1])
+        assert found.turns_gradually(measured) == (force is forces[1])
         evidence = evidence_of(found, found, measured, validation_mask(N), fresh=N)
         assert evidence.nrmse_before == pytest.approx(0.0, abs=1e-9)
 
