@@ -50,9 +50,9 @@ def triangular_factor(matrix: Array) -> Array:
     """Factor R (min(n, p), p) of the QR decomposition of a matrix (n, p), up to signs of rows.
 
     R has the same singular values and right singular vectors as the matrix. A long matrix is
-    factorised in chunks, then the stacked factors of the chunks; for 200 000 rows this is four
-    times as fast (Demmel, Grigori, Hoemmen and Langou, SIAM Journal on Scientific Computing 34,
-    2012).
+    factorised in chunks, and then their stacked factors are factorised; for 200 000 rows this is
+    four times as fast (Demmel, Grigori, Hoemmen and Langou, SIAM Journal on Scientific Computing
+    34, 2012).
     """
     if matrix.shape[0] > _CHUNK:
         chunks = np.array_split(matrix, math.ceil(matrix.shape[0] / _CHUNK))
@@ -116,7 +116,7 @@ def least_squares_covariance(
 
 
 def _sandwich(bread: Array, scores: Array) -> Array:
-    """Covariance (p, p) of parameters for that of their scores; NaN where ``bread`` is NaN."""
+    """Covariance (p, p) of parameters from the covariance of scores; NaN where ``bread`` is NaN."""
     # Undetermined parameters must not make the others NaN.
     known = np.nan_to_num(bread)
     return np.asarray(np.where(np.isnan(bread), np.nan, known @ scores @ known))

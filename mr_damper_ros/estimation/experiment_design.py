@@ -65,8 +65,8 @@ _FEWEST_IN_PART = 8
 """Smallest number of samples in a part of a cycle, needed to estimate the noise."""
 
 _UNMEASURED_FACTOR = 1.35
-"""Factor on the model error between and beyond the windows. With it, for eleven laws that differ
-from the damper, the true worst error in 90 % of cases is at most 0.94 to 1.13 times the stated one.
+"""Factor on the model error between and beyond the windows. With it, the 90 % quantile of the true
+worst error is 0.94 to 1.13 times the stated error, for eleven laws that differ from the damper.
 """
 
 _NEAR = 0.1

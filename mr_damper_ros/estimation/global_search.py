@@ -150,8 +150,8 @@ class Posterior:
 
 _SEARCH_SAMPLES = 8000
 FEW_SAMPLES = 250
-"""A search thins the windows: to the first number of samples or steps in total or, if that is more,
-to the second number per window. The last search uses all samples."""
+"""A search thins the windows to the first number of samples or steps in total, or to the second
+number per window if that is more. The last search uses all samples."""
 
 _PIECE = 600
 """Length of a piece of a window in steps, for a law with memory. A piece holds about three cycles,
@@ -323,10 +323,10 @@ class SeparateFits:
         return _table(self.fits)
 
     def without_search(self, start: Array) -> list[Array]:
-        """Approximate parameters (p,) from the windows that were fitted before a stop.
+        """Approximate sets (p,) from the windows that were fitted before a stop.
 
-        The list holds the fit of one window, and the laws over all windows with only their linear
-        parameters fitted.
+        One is the fit of a window; the other consists of the laws over all windows, with only their
+        linear parameters fitted.
         """
         fitted = [fit for fit in self.fits if fit.success] or self.fits[:1]
         if not fitted:
@@ -425,7 +425,7 @@ class GlobalSearch:
         later: int = 0,
         levels: LevelPrior | None = None,
     ) -> None:
-        """``later``: generations after this search. Raises DataError if there are no windows."""
+        """``later``: generations still to follow. Raises DataError if there are no windows."""
         if not windows:
             raise DataError("there are no windows to identify from")
         self.model = model

@@ -155,7 +155,7 @@ class ProfileLikelihood:
     def _refitted(
         self, place: int, starts: Sequence[Array], enough: float = math.inf
     ) -> tuple[Array, float]:
-        """The best set with all others refitted, and its cost; a cost below ``enough`` suffices."""
+        """Best set with the other parameters refitted, and its cost; below ``enough`` suffices."""
         best, least = starts[0], math.inf
         others = [other for other in range(self._start.size) if other != place]
         for values in sorted(starts, key=self._cost):

@@ -37,10 +37,10 @@ class BlockNode(Node, Generic[Options, Answer]):
     """
 
     answer: ClassVar[str]
-    """Name of the answer in messages, such as "prediction"."""
+    """Word for the answer in messages, such as "prediction"."""
 
     doing: ClassVar[str]
-    """Use of the parameter set in messages, such as "predicting"."""
+    """Word for the use of the parameter set in messages, such as "predicting"."""
 
     def __init__(self, name: str, table: type[Options], cli_args: list[str] | None = None) -> None:
         super().__init__(name, cli_args=cli_args)

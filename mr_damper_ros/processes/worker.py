@@ -4,8 +4,8 @@ A process is a new interpreter that loads only the module of its tasks
 (:mod:`mr_damper_ros.processes.child_process`). Tasks and answers are pickles over a private socket
 pair.
 
-- A worker that dies is replaced at once, and the interrupted task is tried once more. The same
-  holds for a worker without a sign of life, because it was stopped or hangs in a C function.
+- A worker that dies is replaced at once, and the interrupted task is tried once more. A worker
+  without a sign of life (stopped, or hanging in a C function) is treated like a dead one.
 - A task that exceeds its time budget is asked to stop and return its present result. If the worker
   does not answer, it is killed and replaced, and the task has failed.
 - The worker ends with its parent, even if the parent is killed.
@@ -350,7 +350,7 @@ class Worker:
 
     @property
     def busy(self) -> bool:
-        """Whether a task is running: :meth:`poll` has not returned its end."""
+        """Whether there is a task whose outcome :meth:`poll` has not returned yet."""
         return self._task is not None
 
     @property
@@ -412,7 +412,7 @@ def serve(descriptor: str, modules: str) -> None:
     """Run tasks as the worker at this socket, until the socket closes."""
     for name in modules.split():
         import_module(name)
-    keep_one_thread(with_scipy=False)  # they have loaded all libraries of the tasks
+    keep_one_thread(with_scipy=False)  # the modules have loaded SciPy if tasks need it
     connection = Connection(int(descriptor))
     tasks: queue.SimpleQueue[tuple[int, bytes]] = queue.SimpleQueue()
     stopped: set[int] = set()

@@ -16,12 +16,10 @@ _ENOUGH = 32_768
 """Number of samples that are analysed, taken from the middle of a longer record."""
 
 _DEPTH = 1e-2
-"""A signal is averaged if its power at the zeros, relative to the power between them, is below
-this.
-"""
+"""Upper limit of the power at the zeros of an averaged signal, relative to the power between."""
 
 _SLOPE = 0.1
-"""Limit of the same ratio at the frequencies where an average passes half of the power."""
+"""Lower limit of the power at half gain of an average, relative to the power between its zeros."""
 
 _FEWEST_ROWS = 20
 """Shortest record that begins in motion, as a multiple of the length of the average."""

@@ -42,8 +42,7 @@ is rarer still, because its noise increases its error on the validation samples.
 
 
 LARGEST_EXCESS = 0.03
-"""A set that covers more operating points may have an NRMSE higher than the running set's by this.
-"""
+"""Largest excess over the running set's NRMSE for a set that covers more operating points."""
 
 _LARGEST_LOSS = 0.5
 """Largest increase of a window set's mean square error at the other operating points, relative to
@@ -375,8 +374,8 @@ class Gatekeeper:
     _PATIENCE = 4
     """After this many rejections in a row for the residual, the residual baseline is reset."""
     _PATIENCE_WHERE_KNOWN = 12
-    """The same number at an operating point where the running set has been identified. A faulty
-    sensor is usually repaired within that time."""
+    """Number of such rejections at an operating point where the running set has been identified. A
+    faulty sensor is usually repaired within that time."""
 
     def __init__(self, settings: AcceptanceSettings, known: Experience | None = None) -> None:
         self._settings = settings

@@ -1,9 +1,9 @@
 """Bumpless transfer: force of the set in use, without a step when another set takes over.
 
 Two sets never give exactly the same force, and neither does a set whose law restarts from a
-different state. The damper makes no such step, and a controller would react to it. The new force
-therefore starts at the force of the previous set, and the difference fades to zero. The state of
-the law (a lag, a hysteresis) is recomputed with the new set over the recent motion. The state is
+different state. The force of the damper has no step, and a controller would react to one. The new
+force therefore starts at the force of the previous set, and the difference fades to zero. The state
+of the law (a lag, a hysteresis) is recomputed with the new set over the recent motion. The state is
 then as if the new set had been in use all the time.
 """
 

@@ -55,7 +55,7 @@ class PipelineSettings(CheckedSettings):
 
 @dataclass(frozen=True, eq=False)
 class Search:
-    """A global identification: requested with ``settings``, or due without (``settings`` None)."""
+    """A global identification: requested with ``settings``, or periodic with None."""
 
     settings: EvolutionSettings | None = None
 

@@ -97,7 +97,7 @@ class Job:
     the state of the recursive filter, ``watch`` the state of the change detection (None: off).
     Samples stamped before ``changed_ns`` precede the last sudden change of the damper.
 
-    A search has the settings ``evolution``. Its ``windows`` are all in the reservoir, up to
+    A search has the settings ``evolution``. Its ``windows`` are all windows in the reservoir, up to
     ``stamp_ns``; the last ``recent`` of them are at the recent operating points. ``asked`` is True
     for a requested search and False for a periodic one.
 

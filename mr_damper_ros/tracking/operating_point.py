@@ -44,8 +44,8 @@ RECENT = MEMORY
 """Seconds for which an operating point counts as recent. A set must hold at all recent points."""
 
 _CURRENT_FACTOR = 30.0
-"""Largest factor between the forces of an MR damper at two currents. At two speeds the force is
-between unchanged and proportional to the speed."""
+"""Largest factor between the forces of an MR damper at two currents. Between two speeds, the force
+changes by at most the ratio of the speeds."""
 
 
 def nearest_same(points: Sequence[OperatingPoint], wanted: OperatingPoint) -> int | None:

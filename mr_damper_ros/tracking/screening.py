@@ -238,7 +238,7 @@ def _is_clipped(array: Array) -> bool:
 
 
 def _arrives_at_speed(below: Array, stays: list[slice], finest: float) -> bool:
-    """Whether a signal reaches the ``stays`` at its extreme without slowing down.
+    """Whether a signal reaches its extreme, at which it ``stays``, without slowing down.
 
     ``below`` (n,) is the distance from the extreme; ``finest`` is the finest digit of the signal.
     """

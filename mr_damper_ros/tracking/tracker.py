@@ -180,7 +180,7 @@ class WindowTracker:
             self._now.watch = None
 
     def _start_again(self) -> None:
-        # The names of sets contain the number of windows, so the count goes on.
+        # The names of sets contain the number of windows, so the count continues.
         self._remember(TrackerMemory(windows=self._now.windows))
 
     def _forget_scales(self) -> None:

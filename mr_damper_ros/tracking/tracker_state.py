@@ -33,7 +33,7 @@ from mr_damper_ros.tracking.tracker import TrackerMemory, WindowTracker
 T = TypeVar("T")
 
 _DATA = "float64"
-"""Key of an array's doubles (little endian, base64); the shape has a key of its own."""
+"""Key of an array's doubles (little endian, base64); the shape has a separate key."""
 
 
 def to_text(memory: TrackerMemory) -> str:
