@@ -15,7 +15,6 @@ import hashlib
 import json
 import math
 import re
-import time
 from collections import deque
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from concurrent.futures import FIRST_COMPLETED, CancelledError, Executor, Future, wait
@@ -39,8 +38,8 @@ present result soon."""
 Listen = Callable[[int, Any], bool]
 """Receives the index of a task and its progress; returning False stops all tasks."""
 
-_PATIENCE = 0.005
-"""Seconds between two polls of the processes."""
+_PATIENCE = 0.1
+"""Longest wait [s] for a message of a process; time budgets and deaths are then checked."""
 
 _LOADED = "scipy.linalg"
 """Module with the BLAS of SciPy. It is loaded first, because a library loaded later would not be
@@ -104,54 +103,59 @@ class ProcessPool(AbstractContextManager):
                         result = function(task, partial(notify, index))
                     keep(index, result)
             return results
-        waiting, suspects = deque(range(len(tasks))), deque[int]()
-        suspected: set[int] = set()
-        running: dict[Worker, int] = {}
-
-        def take(worker: Worker, index: int, outcome: Outcome) -> None:
-            if isinstance(outcome, Done):
-                keep(index, outcome.result)
-            elif not isinstance(outcome, Failed):
-                if not notify(index, outcome.value):
-                    for each in running:
-                        each.cancel()
-            elif outcome.error is not None:
-                raise outcome.error
-            elif lost is None:
-                raise WorkersError(f"a task cannot be done: {outcome.reason}")
-            elif index in suspected:
-                lost(index)
-            else:
-                suspected.add(index)
-                suspects.append(index)
-
-        pool, idle = self._workers()
         try:
-            while running or ((waiting or suspects) and not stopped):
-                while idle and not stopped and (waiting or (suspects and not running)):
-                    worker = idle.pop()
-                    running[worker] = (waiting or suspects).popleft()
-                    worker.submit(_call, function, tasks[running[worker]])
-                pool.supervise()
-                for worker, index in list(running.items()):
-                    for outcome in worker.collect():
-                        take(worker, index, outcome)
-                    if not worker.busy:
-                        del running[worker]
-                        idle.append(worker)
-                time.sleep(_PATIENCE)
+            for index in self._run(function, list(enumerate(tasks)), self.count, notify, keep):
+                # A second process died with the task: it runs once more, alone.
+                if lost is not None and not stopped:
+                    for died in self._run(function, [(index, tasks[index])], 1, notify, keep):
+                        lost(died)
+                elif lost is None:
+                    raise WorkersError("a task cannot be done: the worker process died")
         except BaseException:
-            pool.close()
-            self._pool = None
+            self.__exit__()
             raise
         return results
 
-    def _workers(self) -> tuple[WorkerPool, list[Worker]]:
+    def _run(
+        self,
+        function: Callable[[Task, Notify], Result],
+        tasks: list[tuple[int, Task]],
+        at_once: int,
+        notify: Callable[[int, Any], bool],
+        keep: Callable[[int, Result], None],
+    ) -> list[int]:
+        """Run tasks with their indices until one stops all; indices of those that lost processes.
+
+        Raises the exception of a task.
+        """
         if self._pool is None:
             # A task may compute for a long time without checking whether it should stop.
             limits = {"grace": math.inf, "silence_limit": math.inf}
             self._pool = WorkerPool(_LOADED, self.count, **limits)
-        return self._pool, [self._pool.worker() for _ in range(self.count)]
+        pool = self._pool
+        waiting, running, died = deque(tasks), dict[int, Worker](), list[int]()
+        while waiting or running:
+            while waiting and len(running) < at_once:
+                index, task = waiting.popleft()
+                running[index] = pool.worker()
+                running[index].submit(_call, function, task)
+            pool.supervise(_PATIENCE)
+            for index, worker in list(running.items()):
+                for outcome in worker.collect():
+                    if isinstance(outcome, Done):
+                        keep(index, outcome.result)
+                    elif not isinstance(outcome, Failed):
+                        if not notify(index, outcome.value):
+                            waiting.clear()
+                            for each in running.values():
+                                each.cancel()
+                    elif outcome.error is not None:
+                        raise outcome.error
+                    else:
+                        died.append(index)
+                if not worker.busy:
+                    del running[index]
+        return died
 
 
 def _call(function: Callable[[Any, Notify], Any], task: Any, control: Control) -> Any:
@@ -170,13 +174,14 @@ def run_apart(module: str, function: Callable[..., Any], *args: Any, budget: flo
     with closing(WorkerPool(module, grace=0.0, silence_limit=math.inf)) as pool:
         worker = pool.worker()
         worker.submit(_without_control, function, *args, budget=budget)
-        while True:
-            for outcome in worker.poll():
-                if isinstance(outcome, Done):
-                    return outcome.result
-                if isinstance(outcome, Failed):
-                    raise outcome.error or ProcessLostError(outcome.reason)
-            time.sleep(_PATIENCE)
+        outcomes: list[Outcome] = []
+        while not outcomes:
+            outcomes = worker.poll(_PATIENCE)
+    outcome = outcomes[-1]
+    if isinstance(outcome, Failed):
+        raise outcome.error or ProcessLostError(outcome.reason)
+    assert isinstance(outcome, Done)
+    return outcome.result
 
 
 def _without_control(function: Callable[..., Any], *args: Any) -> Any:

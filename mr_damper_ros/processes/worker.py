@@ -111,7 +111,7 @@ class Control:
 
 @dataclass(eq=False)
 class _Task:
-    """A task: its number in its worker, its ticket in the pool, and its pickled call."""
+    """A task: its number in its worker, its ticket in the processes, and its pickled call."""
 
     number: int
     ticket: int
@@ -123,153 +123,100 @@ class _Task:
     stop_asked: float | None = None
 
 
-class _Place:
-    """One worker process and its task; the process is replaced if it dies or hangs.
+class _Process:
+    """A worker process and its task; threads talk to the process, so no method blocks.
 
-    No method ever blocks: threads talk to the process. ``ready`` says whether the process has
-    loaded its module.
+    ``ready`` says whether the process has loaded its ``modules``. ``news`` is set when a message
+    of the process has arrived.
     """
 
-    def __init__(self, modules: str, grace: float, silence_limit: float) -> None:
-        self._modules, self._grace, self._silence_limit = modules, grace, silence_limit
+    def __init__(self, modules: str, news: threading.Event) -> None:
         self.task: _Task | None = None
-        self.replaced = 0
-        self._checked_at = time.monotonic()
-        self._start()
-
-    def _start(self) -> None:
         self.ready = False
-        self._started, self._silence = time.monotonic(), 0.0
+        self.started = self._followed = time.monotonic()
+        # The silence of the process [s], and the time at which its task began.
+        self._silence, self._began = 0.0, math.inf
+        self._inbox: queue.SimpleQueue[Any] = queue.SimpleQueue()
         ours, theirs = socket.socketpair()
         with theirs:
-            self._child: subprocess.Popen[bytes] | None = subprocess.Popen(
-                child_process.command(serve, str(theirs.fileno()), self._modules),
+            self._child = subprocess.Popen(
+                child_process.command(serve, str(theirs.fileno()), modules),
                 stdin=subprocess.DEVNULL,
                 pass_fds=[theirs.fileno()],
                 # Ctrl-C goes to the whole group of the terminal; the worker must not receive it.
                 start_new_session=True,
             )
-        self._inbox: queue.SimpleQueue[Any] = queue.SimpleQueue()
+        self.pid = self._child.pid
         self._connection, self._sending = Connection(ours.detach()), threading.Lock()
-        threading.Thread(
-            target=_receive, args=(self._connection, self._sending, self._inbox), daemon=True
-        ).start()
-        if self.task is not None:
-            self.run(self.task)
+        threading.Thread(target=self._receive, args=(news,), daemon=True).start()
 
-    @property
-    def pid(self) -> int | None:
-        """Id of the process; None while there is none."""
-        return None if self._child is None else self._child.pid
+    def _receive(self, news: threading.Event) -> None:
+        message: Any = None
+        while message != ("gone",):
+            try:
+                message = self._connection.recv()
+            except Exception:  # closed, or an incomplete message of a killed process
+                message = ("gone",)
+            self._inbox.put(message)
+            news.set()
+        # A running send ends by itself, because the other end is closed; wait for it.
+        with self._sending:
+            self._connection.close()
 
-    def run(self, task: _Task) -> None:
-        """Run a task in the present process, or in the next one."""
-        self.task = task
-        # The time until the process is ready does not count towards the budget.
-        self._began = time.monotonic() if self.ready else math.inf
-        self._send((task.ticket, task.call))
-        if task.stop_asked is not None:
-            self.stop_task()
-
-    def stop_task(self) -> None:
-        """Ask the task to stop with its present result."""
-        if self.task is not None:
-            self._send((self.task.ticket, None))
-
-    def _send(self, message: Any) -> None:
-        """Send a message in a separate thread, because a stopped process does not read."""
-        connection, sending = self._connection, self._sending
+    def send(self, ticket: int, call: bytes | None) -> None:
+        """Send a task, or without a call ask it to stop, in a thread: the process may not read."""
 
         def work() -> None:
             # A broken pipe means a dead worker, which the receiving thread reports.
-            with sending, contextlib.suppress(OSError):
-                connection.send(message)
+            with self._sending, contextlib.suppress(OSError):
+                self._connection.send((ticket, call))
 
         threading.Thread(target=work, daemon=True).start()
 
-    def supervise(self, notices: list[str]) -> None:
-        """Pass on messages of the process, enforce the time budget, and replace a lost process.
+    def run(self, task: _Task) -> None:
+        """Run a task; the time until the process is ready does not count towards the budget."""
+        self.task = task
+        self._began = time.monotonic() if self.ready else math.inf
+        self.send(task.ticket, task.call)
+        if task.stop_asked is not None:
+            self.send(task.ticket, None)
 
-        ``notices`` receives sentences about a process without a task.
-        """
+    def follow(self, grace: float, silence_limit: float) -> Exception | None:
+        """Take messages and enforce the budget; returns why the process must be replaced."""
         now = time.monotonic()
-        self._silence += min(now - self._checked_at, _LONGEST_PAUSE)
-        self._checked_at = now
-        if self._child is None:
-            if now >= self._started + _RESTART_PAUSE:
-                self._start()
-            return
-        lost = ""
+        self._silence += min(now - self._followed, _LONGEST_PAUSE)
+        self._followed = now
         while not self._inbox.empty():
             kind, *content = self._inbox.get_nowait()
             self._silence = 0.0
             if kind == "gone":
-                lost = "the worker process died"
-            elif kind == "ready":
+                return ChildProcessError("the worker process died")
+            if kind == "ready":
                 self.ready, self._began = True, now
             elif self.task is not None and content:
                 self.task.outcomes.append(_OUTCOMES[kind](self.task.number, *content))
                 self.task = self.task if kind == "progress" else None
-        if not lost and not self.ready and now - self._started > _START_LIMIT:
-            lost = f"the worker did not start within {_START_LIMIT:g} s"
-        elif not lost and self.ready and self._silence > self._silence_limit:
-            lost = "the worker process hangs"
-        if lost:
-            self._lose(lost, notices)
-        elif self.task is not None:
-            self._check_time(self.task, now, notices)
-
-    def _check_time(self, task: _Task, now: float, notices: list[str]) -> None:
-        """Ask an overdue task to stop, and kill its process if it does not."""
+        if not self.ready and now - self.started > _START_LIMIT:
+            return ChildProcessError(f"the worker did not start within {_START_LIMIT:g} s")
+        if self.ready and self._silence > silence_limit:
+            return ChildProcessError("the worker process hangs")
+        task = self.task
+        if task is None:
+            return None
         over_budget = now - self._began > task.budget
         if over_budget and task.stop_asked is None:
             task.stop_asked = now
-            self.stop_task()
-        if task.stop_asked is not None and now > max(task.stop_asked, self._began) + self._grace:
-            why = f"the task exceeded its {task.budget:g} s" if over_budget else "it was cancelled"
-            task.retried = True
-            late = TimeoutError(f"{why} and did not stop when asked to")
-            self._lose(str(late), notices, late)
+            self.send(task.ticket, None)
+        if task.stop_asked is None or now <= max(task.stop_asked, self._began) + grace:
+            return None
+        why = f"the task exceeded its {task.budget:g} s" if over_budget else "it was cancelled"
+        return TimeoutError(f"{why} and did not stop when asked to")
 
-    def _lose(self, why: str, notices: list[str], error: Exception | None = None) -> None:
-        """Kill the process; its task is tried once more in the next one."""
-        self._kill()
-        task = self.task
-        if task is None:
-            notices.append(f"{why}: the worker is replaced")
-            return
-        again = not task.retried and task.stop_asked is None
-        end = "starts again" if again else "is given up"
-        task.notices.append(f"{why}: the worker is replaced and its task {end}")
-        task.retried = True
-        if not again:
-            task.outcomes.append(Failed(task.number, why, error))
-            self.task = None
-
-    def _kill(self) -> None:
-        child, self._child, self.ready = self._child, None, False
-        if child is not None:
-            self.replaced += 1
-            child.kill()
-            with contextlib.suppress(subprocess.TimeoutExpired):
-                child.wait(timeout=_GRACE)
-
-    def close(self) -> None:
-        """End the process for good."""
-        self._kill()
-        self._started = math.inf
-
-
-def _receive(connection: Connection, sending: threading.Lock, inbox: queue.SimpleQueue) -> None:
-    try:
-        while True:
-            inbox.put(connection.recv())
-    except Exception:  # closed, or an incomplete message of a killed process
-        inbox.put(("gone",))
-    finally:
-        # A running send ends by itself, because the other end is closed; wait for it.
-        with sending:
-            connection.close()
+    def kill(self) -> None:
+        """End the process."""
+        self._child.kill()
+        with contextlib.suppress(subprocess.TimeoutExpired):
+            self._child.wait(timeout=_GRACE)
 
 
 class WorkerPool:
@@ -291,21 +238,23 @@ class WorkerPool:
         grace: float = _GRACE,
         silence_limit: float = _SILENCE_LIMIT,
     ) -> None:
-        self._places = [_Place(modules, grace, silence_limit) for _ in range(count)]
+        self._modules, self._count = modules, count
+        self._limits = grace, silence_limit
+        self._news = threading.Event()
+        self._processes: list[_Process] = []
+        self._start_at = -math.inf
         self._waiting: deque[_Task] = deque()
         self._tickets = itertools.count(1)
+        self.replaced = 0
+        """Number of processes replaced so far."""
         self.notices: list[str] = []
         """Messages about processes without a task (deaths, replacements), passed on by a worker."""
+        self.supervise()
 
     @property
     def ready(self) -> bool:
         """Whether at least one process is ready."""
-        return any(place.ready for place in self._places)
-
-    @property
-    def replaced(self) -> int:
-        """Number of processes replaced so far."""
-        return sum(place.replaced for place in self._places)
+        return any(process.ready for process in self._processes)
 
     def worker(self) -> Worker:
         """A worker that runs one task at a time in a process of this pool."""
@@ -313,8 +262,9 @@ class WorkerPool:
 
     def close(self) -> None:
         """End the processes; no data can be lost."""
-        for place in self._places:
-            place.close()
+        self._count = 0
+        while self._processes:
+            self._processes.pop().kill()
 
     def submit(self, number: int, call: bytes, budget: float) -> _Task:
         """Run a pickled call in a process when its turn comes."""
@@ -323,17 +273,46 @@ class WorkerPool:
         self.supervise()
         return task
 
-    def supervise(self) -> None:
-        """Supervise all processes, and assign free ones to waiting tasks, ready ones first."""
-        for place in self._places:
-            place.supervise(self.notices)
-        while self._waiting and (free := self.place_of(None)) is not None:
+    def supervise(self, patience: float = 0.0) -> None:
+        """Supervise all processes, and assign free ones to waiting tasks, ready ones first.
+
+        Waits at most ``patience`` [s] for a message of a process.
+        """
+        self._news.wait(patience)
+        self._news.clear()
+        for process in self._processes.copy():
+            lost = process.follow(*self._limits)
+            if lost is not None:
+                self._replace(process, lost)
+        while len(self._processes) < self._count and time.monotonic() >= self._start_at:
+            self._processes.append(_Process(self._modules, self._news))
+        while self._waiting and (free := self.process_of(None)) is not None:
             free.run(self._waiting.popleft())
 
-    def place_of(self, task: _Task | None) -> _Place | None:
+    def _replace(self, process: _Process, lost: Exception) -> None:
+        """Kill a process; its task is tried once more unless it has had its time."""
+        process.kill()
+        self._processes.remove(process)
+        self._start_at = process.started + _RESTART_PAUSE
+        self.replaced += 1
+        task = process.task
+        if task is None:
+            self.notices.append(f"{lost}: the worker is replaced")
+            return
+        again = not task.retried and task.stop_asked is None
+        end = "starts again" if again else "is given up"
+        task.notices.append(f"{lost}: the worker is replaced and its task {end}")
+        if again:
+            task.retried = True
+            self._waiting.appendleft(task)
+        else:
+            error = lost if isinstance(lost, TimeoutError) else None
+            task.outcomes.append(Failed(task.number, str(lost), error))
+
+    def process_of(self, task: _Task | None) -> _Process | None:
         """The process of a task, or the next free one; None if there is none."""
-        places = [place for place in self._places if place.task is task]
-        return min(places, key=lambda place: not place.ready, default=None)
+        those = [process for process in self._processes if process.task is task]
+        return min(those, key=lambda process: not process.ready, default=None)
 
 
 class Worker:
@@ -356,13 +335,13 @@ class Worker:
     @property
     def waits(self) -> bool:
         """Whether a task waits for a process."""
-        return self._task is not None and self.pool.place_of(self._task) is None
+        return self._task is not None and self.pool.process_of(self._task) is None
 
     @property
     def pid(self) -> int | None:
         """Id of the process for the task, or of the next free one; None if there is none."""
-        place = self.pool.place_of(self._task) or self.pool.place_of(None)
-        return None if place is None else place.pid
+        process = self.pool.process_of(self._task) or self.pool.process_of(None)
+        return None if process is None else process.pid
 
     def submit(self, function: Callable[..., Any], *args: Any, budget: float = math.inf) -> int:
         """Start ``function(*args, control)`` in a process and return the task's number.
@@ -379,24 +358,29 @@ class Worker:
 
     def cancel(self) -> None:
         """Ask the task to stop with its present result; :meth:`poll` still returns it."""
-        if self._task is not None and self._task.stop_asked is None:
-            self._task.stop_asked = time.monotonic()
-            place = self.pool.place_of(self._task)
-            if place is not None:
-                place.stop_task()
+        task = self._task
+        if task is not None and task.stop_asked is None:
+            task.stop_asked = time.monotonic()
+            process = self.pool.process_of(task)
+            if process is not None:
+                process.send(task.ticket, None)
 
-    def poll(self) -> list[Outcome]:
-        """Return the outcomes since the last call, and end overdue tasks. Never blocks."""
-        self.pool.supervise()
+    def poll(self, patience: float = 0.0) -> list[Outcome]:
+        """Return the outcomes since the last call, and end overdue tasks.
+
+        Waits at most ``patience`` [s] for a message of a process of the pool.
+        """
+        self.pool.supervise(patience)
         return self.collect()
 
     def collect(self) -> list[Outcome]:
         """As :meth:`poll`, for a caller that supervises the pool itself."""
-        if self._task is None:
+        task = self._task
+        if task is None:
             return []
-        outcomes, self._task.outcomes = self._task.outcomes, []
-        self._notices += self._task.notices
-        self._task.notices = []
+        outcomes, task.outcomes = task.outcomes, []
+        self._notices += task.notices
+        task.notices = []
         if outcomes and not isinstance(outcomes[-1], Progress):
             self._task = None
         return outcomes
