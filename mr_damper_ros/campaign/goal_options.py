@@ -16,7 +16,7 @@ class GoalOptions(ParameterTable):
 
     error: float = option(
         0.01,
-        "Required worst error of the force, relative to the largest force of a cycle.",
+        "Required error of the force at the worst point, relative to the largest force of a cycle.",
         minimum=1e-5,
         maximum=0.9,
     )

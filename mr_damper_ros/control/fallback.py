@@ -37,15 +37,15 @@ class FallbackSettings(CheckedSettings):
     )
     doubt_time: float = option(
         0.3,
-        "Time [s] of invalid force, minus time of valid force, after which the command goes "
-        "to the safe current. Control returns after the same time of valid force; this wait "
+        "Once the force has been invalid for this time [s] longer than it was valid, the command "
+        "goes to the safe current. Control returns after this time of valid force; the wait "
         "doubles if control is soon lost again.",
         minimum=0.0,
         maximum=60.0,
     )
     fade_time: float = option(
         0.1,
-        "Time [s] in which the current would ramp through its whole range on the way to the safe "
+        "Duration [s] of a ramp through the whole range of currents on the way to the safe "
         "current; the way back is at most as fast.",
         minimum=0.001,
         maximum=60.0,

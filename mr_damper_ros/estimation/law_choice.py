@@ -135,7 +135,7 @@ class LawChoice:
     def _verdict(self) -> str:
         if self.best.nrmse > _PREDICTS:
             return (
-                f"NO LAW PREDICTS WHAT WAS LEFT OUT: {self.chosen.model} is used, but the choice "
+                f"NO LAW PREDICTS THE DATA LEFT OUT: {self.chosen.model} is used, but the choice "
                 "is uncertain; add runs at more amplitudes, frequencies and currents."
             )
         if self.chosen is self.best:

@@ -157,7 +157,7 @@ class GridSettings(CheckedSettings):
         "auto",
         "Meaning of stamp jitter. 'clock': the sampling is uniform and the stamps are "
         "inaccurate, as with the controller of a machine; 'sampling': each sample was taken at the "
-        "time of its stamp; 'auto': 'clock', until the motion shows which one holds.",
+        "time of its stamp; 'auto': 'clock' until the motion shows which of the two applies.",
         choices=("auto", "clock", "sampling"),
     )
     longest_gap: float = option(

@@ -116,5 +116,5 @@ _HELPERS = {
         "r = none + no;\nyes = none + yes;\nplaces = (none + condition) ~= 0;\n"
         "r(places) = yes(places);"
     ),
-    "number": "number(x)\n% 0 where x is none.\nr = x;\nr(isnan(x)) = 0;",
+    "number": "number(x)\n% 0 where x is NaN.\nr = x;\nr(isnan(x)) = 0;",
 }
