@@ -13,7 +13,7 @@ import threading
 import time
 from collections import deque
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -22,6 +22,7 @@ from mr_damper_ros.models.parameter_set import ParameterSet
 from mr_damper_ros.processes.files import json_ready
 from mr_damper_ros.signals.arrays import Array
 from mr_damper_ros.signals.blocks import NANOSECONDS
+from mr_damper_ros.tracking.reports import Report
 
 _PART = 4
 """A full table discards 1 / ``_PART`` of its rows at once, so that the cost per row is small."""
@@ -168,49 +169,11 @@ _JUMP = 1.0
 """Stamps that go back by more than this time [s] start a new recording."""
 
 
-@dataclass(frozen=True)
-class WindowSeen:
-    """The result of a window; times [s] since the epoch, by the stamps of the data."""
-
-    figures: Mapping[str, float]
-    """Values by the names of :data:`WINDOWS`; unknown values are missing."""
-    verdict: str
-    reason: str
-    parameter_set: str
-    accepted: bool
-    coefficients: Mapping[str, tuple[float, float]] = field(default_factory=dict)
-    """Value and standard error of each coefficient, by name."""
-
-
 _OF_A_REPORT = (
     *("nrmse_before", "nrmse_after", "temperature", "current", "peak_velocity", "amplitude"),
-    *("frequency", "verdict"),
+    *("frequency", "verdict", "accepted"),
 )
-"""Field names common to a report, its message and the table ``windows``."""
-
-
-def window_seen(
-    report: Any,
-    names: Sequence[str],
-    values: Sequence[float],
-    errors: Sequence[float],
-    **fields: Any,
-) -> WindowSeen:
-    """The result in a report or in its message, with the ``names`` of its coefficients.
-
-    ``fields`` are the fields of :class:`WindowSeen` whose names differ between the two, and further
-    ``figures``.
-    """
-    figures = {name: float(getattr(report, name)) for name in _OF_A_REPORT} | fields.pop("figures")
-    known = zip(names, values, errors, strict=False)
-    coefficients = {name: (value, error) for name, value, error in known if math.isfinite(value)}
-    return WindowSeen(
-        figures,
-        reason=report.reason,
-        accepted=report.accepted,
-        coefficients=coefficients,
-        **fields,
-    )
+"""Columns of the table ``windows`` that a report has under the same name."""
 
 
 @dataclass(frozen=True)
@@ -273,8 +236,8 @@ class LiveRecord:
         self._generations = secrets.randbits(31)
         self._sentences: deque[dict[str, Any]] = deque(maxlen=SENTENCES_KEPT)
         self._windows_seen = self._fault_count = self._mark_count = 0
-        self.last_window: WindowSeen | None = None
-        """The result of the last window; None before the first."""
+        self.last_report: Report | None = None
+        """The report on the last window; None before the first."""
         self.parameters: ParameterSet | None = None
         """The set in use; None before the first."""
         self._concerns: dict[str, tuple[Concern, float]] = {}
@@ -286,7 +249,6 @@ class LiveRecord:
         self._current = math.nan
         self._recording: Mapping[str, str] | None = None
         self._heard = -math.inf
-        self._fluid = (math.nan, math.nan)
         self._begin()
 
     def _begin(self) -> None:
@@ -410,37 +372,35 @@ class LiveRecord:
         self._mark_count += 1
         self._marks.append({"number": self._mark_count, "time": time_s, "kind": kind, "text": text})
 
-    def add_fluid_temperature(self, celsius: float, error: float) -> None:
-        """Set the fluid temperature [°C] of the next window, estimated from the force."""
-        with self._lock:
-            self._fluid = (celsius, error)
-
-    def add_window(self, window: WindowSeen) -> None:
-        """Add the result of a window."""
+    def add_report(self, report: Report, duration: float) -> None:
+        """Add the result of a window, whose fit took ``duration`` [s]."""
         figures = {
-            "fluid_temperature": self._fluid[0],
-            "fluid_temperature_error": self._fluid[1],
-            "accepted": float(window.accepted),
-            **window.figures,
+            **{name: float(getattr(report, name)) for name in _OF_A_REPORT},
+            "time": report.stamp_ns / NANOSECONDS,
+            "force_scale": report.scale.value,
+            "force_scale_error": report.scale.standard_error,
+            "fluid_temperature": report.fluid.celsius,
+            "fluid_temperature_error": report.fluid.standard_error,
+            "fit_duration": duration,
         }
         with self._lock:
-            self._fluid = (math.nan, math.nan)
-            self._tables["windows"][1].extend([[figures.get(name, math.nan) for name in WINDOWS]])
+            self._tables["windows"][1].extend([[figures[name] for name in WINDOWS]])
             self._windows_seen += 1
-            self.last_window = window
+            self.last_report = report
             self._sentences.append(
                 {
                     **figures,
                     "number": self._windows_seen,
-                    "verdict": window.verdict,
-                    "reason": window.reason,
-                    "accepted": window.accepted,
-                    "parameter_set": window.parameter_set,
+                    "verdict": report.verdict.name,
+                    "reason": report.reason,
+                    "accepted": report.accepted,
+                    "parameter_set": report.set_id,
                 }
             )
-            pairs = window.coefficients
-            if pairs:
-                self._trace("coefficients", figures.get("time", math.nan), pairs, WINDOWS_KEPT)
+            if report.known_coefficients:
+                self._trace(
+                    "coefficients", figures["time"], report.known_coefficients, WINDOWS_KEPT
+                )
 
     def set_parameters(self, seen: ParameterSet) -> None:
         """Set the parameter set in use."""

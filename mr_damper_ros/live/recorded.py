@@ -9,7 +9,7 @@ from pathlib import Path
 
 from mr_damper_ros.io.bag_files import opened_bag
 from mr_damper_ros.io.bag_reader import bag_stream
-from mr_damper_ros.live.live_record import LiveRecord, window_seen
+from mr_damper_ros.live.live_record import LiveRecord
 from mr_damper_ros.models.parameter_set import ParameterSet
 from mr_damper_ros.signals.blocks import NANOSECONDS
 from mr_damper_ros.signals.recording import CurrentReading, StreamItem
@@ -88,24 +88,7 @@ def replay_into(
 def _show_publications(record: LiveRecord, engine: Engine) -> None:
     for published in engine.take_publications():
         report = published.report
-        record.add_window(
-            window_seen(
-                report,
-                report.coefficient_names,
-                report.coefficients.tolist(),
-                report.coefficient_errors.tolist(),
-                figures={
-                    "time": report.stamp_ns / NANOSECONDS,
-                    "force_scale": report.scale.value,
-                    "force_scale_error": report.scale.standard_error,
-                    "fluid_temperature": report.fluid.celsius,
-                    "fluid_temperature_error": report.fluid.standard_error,
-                    "fit_duration": published.duration,
-                },
-                verdict=report.verdict.name,
-                parameter_set=report.set_id,
-            )
-        )
+        record.add_report(report, published.duration)
         if published.parameters is not None:
             record.set_parameters(replace(published.parameters, stamp_ns=report.stamp_ns))
 

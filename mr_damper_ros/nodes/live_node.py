@@ -7,7 +7,7 @@ import time
 from collections import deque
 from collections.abc import Mapping
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -29,21 +29,27 @@ from rclpy.task import Future
 from sensor_msgs.msg import Temperature
 from std_srvs.srv import Trigger
 
-from mr_damper_ros.live.live_record import Concern, LiveRecord, window_seen
+from mr_damper_ros.live.live_record import Concern, LiveRecord
 from mr_damper_ros.live.page_server import PageServer, is_local
 from mr_damper_ros.models.parameter_set import ParameterError, ParameterSet
 from mr_damper_ros.nodes import quality
 from mr_damper_ros.nodes.bag_recorder import BagRecorder
 from mr_damper_ros.nodes.command_topic import COMMAND_TOPIC, DEMAND_TOPIC
 from mr_damper_ros.nodes.inputs import CURRENT_TOPIC
-from mr_damper_ros.nodes.messages import from_field, parameter_set, sample_block, to_seconds
+from mr_damper_ros.nodes.messages import (
+    from_field,
+    parameter_set,
+    report_of,
+    sample_block,
+    to_seconds,
+)
 from mr_damper_ros.nodes.mirrors import JOINED_FORCES_TOPIC, JOINED_SAMPLES_TOPIC
 from mr_damper_ros.nodes.node_parameters import ConfigurationError, NodeParameters
 from mr_damper_ros.nodes.parameter_input import PARAMETERS_TOPIC, REPORT_TOPIC
 from mr_damper_ros.nodes.spinning import run
 from mr_damper_ros.settings.option_table import ParameterTable, option
 from mr_damper_ros.signals.blocks import BlockError
-from mr_damper_ros.tracking.acceptance import Verdict
+from mr_damper_ros.tracking.force_scale import FluidTemperature
 
 _WAITING = 50
 """Queue length; the oldest messages are dropped, so that a viewer exerts no back-pressure."""
@@ -64,6 +70,7 @@ class RecordInput:
         namespace = node.get_namespace().strip("/")
         self._prefix = f"{namespace}/" if namespace else ""
         self._samples: deque[MtsSamples] = deque(maxlen=_WAITING)
+        self._fluid = FluidTemperature()
         self.newest_set: ParameterSet | None = None
         waiting = quality.stream(_WAITING)
         looking = quality.stream(_WAITING)
@@ -109,26 +116,13 @@ class RecordInput:
         self._record.set_point("desired_force", message.force)
 
     def _take_temperature(self, message: Temperature) -> None:
-        self._record.add_fluid_temperature(message.temperature, message.variance**0.5)
+        self._fluid = FluidTemperature(message.temperature, message.variance**0.5)
 
     def _take_report(self, message: FitReport) -> None:
-        named = Verdict.__members__.values()
-        self._record.add_window(
-            window_seen(
-                message,
-                message.coefficient_names,
-                message.coefficients,
-                message.coefficient_standard_errors,
-                figures={
-                    "time": to_seconds(message.header.stamp),
-                    "force_scale": message.force_scale,
-                    "force_scale_error": message.force_scale_standard_error,
-                    "fit_duration": message.duration,
-                },
-                verdict=next((v.name for v in named if v == message.verdict), "NOT_TOLD"),
-                parameter_set=message.parameter_set,
-            )
-        )
+        """Add a report, with the fluid temperature that was published before it."""
+        report = replace(report_of(message), fluid=self._fluid)
+        self._fluid = FluidTemperature()
+        self._record.add_report(report, message.duration)
 
     def _take_parameters(self, message: DamperParameters) -> None:
         try:

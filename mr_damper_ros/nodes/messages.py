@@ -30,6 +30,8 @@ from mr_damper_ros.signals.blocks import (
     check_live,
     fits_a_stamp,
 )
+from mr_damper_ros.tracking.acceptance import Verdict
+from mr_damper_ros.tracking.force_scale import ForceScale
 from mr_damper_ros.tracking.predictor import Prediction
 from mr_damper_ros.tracking.reports import Report
 
@@ -195,8 +197,8 @@ def parameter_set(message: DamperParameters) -> ParameterSet:
 
 
 _OF_A_REPORT = (
-    *("method", "evaluations", "nrmse_before", "nrmse_after", "verdict", "accepted", "confirms"),
-    *("peak_velocity", "amplitude", "frequency", "current", "temperature"),
+    *("method", "evaluations", "nrmse_before", "nrmse_after", "confirms", "peak_velocity"),
+    *("amplitude", "frequency", "current", "temperature"),
 )
 """Names of the fields that the message and the report share."""
 
@@ -209,6 +211,8 @@ def report_message(report: Report, duration: float, frame_id: str, node: str) ->
         window_duration=(report.stamp_ns - report.window_start_ns) * 1e-9,
         samples=report.sample_count,
         duration=duration,
+        verdict=report.verdict,
+        accepted=report.accepted,
         reason=report.reason or "it predicts better than the previous set",
         parameter_set=report.set_id,
         node=node,
@@ -220,6 +224,28 @@ def report_message(report: Report, duration: float, frame_id: str, node: str) ->
         coefficient_standard_errors=to_field(report.coefficient_errors),
         coefficient_discrepancies=to_field(report.coefficient_discrepancies),
         **{name: getattr(report, name) for name in _OF_A_REPORT},
+    )
+
+
+def report_of(message: FitReport) -> Report:
+    """The report in a message; a verdict of an unknown number becomes FAILED."""
+    return Report(
+        window_start_ns=to_nanoseconds(message.window_start),
+        stamp_ns=to_nanoseconds(message.header.stamp),
+        sample_count=message.samples,
+        verdict={int(each): each for each in Verdict}.get(message.verdict, Verdict.FAILED),
+        reason=message.reason,
+        set_id=message.parameter_set,
+        scale=ForceScale(
+            message.force_scale,
+            message.force_scale_standard_error,
+            discrepancy=message.force_scale_discrepancy,
+        ),
+        coefficient_names=tuple(message.coefficient_names),
+        coefficients=from_field(message.coefficients),
+        coefficient_errors=from_field(message.coefficient_standard_errors),
+        coefficient_discrepancies=from_field(message.coefficient_discrepancies),
+        **{name: getattr(message, name) for name in _OF_A_REPORT},
     )
 
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import math
 import shutil
 import sys
 import textwrap
@@ -58,23 +57,19 @@ def _signals(record: LiveRecord) -> list[str]:
 
 
 def _window(record: LiveRecord) -> list[str]:
-    last = record.last_window
+    last = record.last_report
     if last is None:
         return ["no window yet"]
-    figures = last.figures
     silence = _since(_silence_of(record, "identifier"))
-    drift = "force scale {:.3f} ± {:.3f}".format(
-        *(figures.get(name, math.nan) for name in ("force_scale", "force_scale_error"))
-    )
+    drift = f"force scale {last.scale.value:.3f} ± {last.scale.standard_error:.3f}"
     return [
         *([f"{'identifier':24} {silence}; its last window:"] if silence else []),
-        f"{'window':24} {last.verdict.lower().replace('_', ' ')}: {last.reason}",
-        f"{'':24} NRMSE {figures.get('nrmse_before', math.nan):.2%} -> "
-        f"{figures.get('nrmse_after', math.nan):.2%}   {drift}   "
-        f"{figures.get('temperature', math.nan):.1f} °C",
+        f"{'window':24} {last.verdict.name.lower().replace('_', ' ')}: {last.reason}",
+        f"{'':24} NRMSE {last.nrmse_before:.2%} -> {last.nrmse_after:.2%}   {drift}   "
+        f"{last.temperature:.1f} °C",
         *(
             f"{name:>24} {value:12.5g} ± {error:.2g}"
-            for name, (value, error) in last.coefficients.items()
+            for name, (value, error) in last.known_coefficients.items()
         ),
     ]
 

@@ -66,6 +66,13 @@ class Report(WindowVerdict):
         return self.verdict.accepted
 
     @property
+    def known_coefficients(self) -> dict[str, tuple[float, float]]:
+        """Value and standard error of each coefficient that is finite, by name."""
+        pairs = zip(self.coefficients.tolist(), self.coefficient_errors.tolist(), strict=False)
+        named = zip(self.coefficient_names, pairs, strict=False)
+        return {name: pair for name, pair in named if math.isfinite(pair[0])}
+
+    @property
     def line(self) -> str:
         """The set in use with its figures, in one line; unknown figures are omitted."""
         figures = (

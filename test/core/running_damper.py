@@ -9,8 +9,11 @@ from collections.abc import Callable
 import known
 import numpy as np
 
-from mr_damper_ros.live.live_record import Concern, LiveRecord, WindowSeen
+from mr_damper_ros.live.live_record import Concern, LiveRecord
 from mr_damper_ros.models.parameter_set import ParameterSet
+from mr_damper_ros.tracking.acceptance import Verdict
+from mr_damper_ros.tracking.force_scale import FluidTemperature, ForceScale
+from mr_damper_ros.tracking.reports import Report
 
 START = 1_700_000_000.0
 COEFFICIENTS = {"f_t": 620.0, "alpha": 41.0, "k_c": 1.2, "k_e": 1.1, "v_h": -8e-3, "v_d": 2e-4}
@@ -58,34 +61,30 @@ def show_samples(record: LiveRecord, duration: float) -> None:
 
 def show_window(record: LiveRecord, number: int, *, accepted: bool = True) -> None:
     """What became of a window that ended ``number`` seconds after the start."""
-    scale = 1.0 - 0.004 * number
-    names = {**COEFFICIENTS, "f_d": 14.0}
-    record.add_fluid_temperature(24.0 + 0.3 * number, 0.4)
-    record.add_window(
-        WindowSeen(
-            figures={
-                "time": START + number,
-                "nrmse_before": 0.05 + 0.01 * (number % 3),
-                "nrmse_after": 0.045,
-                "force_scale": scale,
-                "force_scale_error": 0.003,
-                "temperature": 24.0 + 0.31 * number,
-                "current": 0.5,
-                "peak_velocity": 0.047,
-                "amplitude": 5e-3,
-                "frequency": 1.5,
-                "fit_duration": 0.012,
-                "verdict": 1.0 if accepted else 6.0,
-            },
-            verdict="ACCEPTED" if accepted else "DISTURBED",
-            reason="it predicts better than the previous set" if accepted else "a hammer blow",
-            parameter_set=f"nelder_mead-{number}",
-            accepted=accepted,
-            coefficients={
-                name: (scale * value, 0.02 * abs(value)) for name, value in names.items()
-            },
-        )
+    scale, end_ns = 1.0 - 0.004 * number, round((START + number) * 1e9)
+    values = np.array([*COEFFICIENTS.values(), 14.0])
+    report = Report(
+        window_start_ns=end_ns - 2_000_000_000,
+        stamp_ns=end_ns,
+        sample_count=2000,
+        method="nelder_mead",
+        verdict=Verdict.ACCEPTED if accepted else Verdict.DISTURBED,
+        reason="it predicts better than the previous set" if accepted else "a hammer blow",
+        set_id=f"nelder_mead-{number}",
+        nrmse_before=0.05 + 0.01 * (number % 3),
+        nrmse_after=0.045,
+        scale=ForceScale(scale, 0.003),
+        fluid=FluidTemperature(24.0 + 0.3 * number, 0.4),
+        temperature=24.0 + 0.31 * number,
+        current=0.5,
+        peak_velocity=0.047,
+        amplitude=5e-3,
+        frequency=1.5,
+        coefficient_names=(*COEFFICIENTS, "f_d"),
+        coefficients=scale * values,
+        coefficient_errors=0.02 * np.abs(values),
     )
+    record.add_report(report, 0.012)
     if accepted:
         show_set(record, number)
 

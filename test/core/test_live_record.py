@@ -12,9 +12,11 @@ import pytest
 import running_damper
 
 from mr_damper_ros.live import live_record
-from mr_damper_ros.live.live_record import Concern, LiveRecord, WindowSeen
+from mr_damper_ros.live.live_record import Concern, LiveRecord
 from mr_damper_ros.models.parameter_set import ParameterSet
 from mr_damper_ros.tools.watch import summary
+from mr_damper_ros.tracking.acceptance import Verdict
+from mr_damper_ros.tracking.reports import Report
 
 T0 = 1_700_000_000.0
 
@@ -24,15 +26,22 @@ def signals(record: LiveRecord, *times: float) -> None:
         running_damper.add_signals(record, stamp, 0.001, 0.02, 0.5, 400.0, 380.0, valid=True)
 
 
-def window(time: float = T0, *, accepted: bool = True, **coefficients: float) -> WindowSeen:
-    return WindowSeen(
-        figures={"time": time, "nrmse_before": 0.1, "nrmse_after": math.nan},
-        verdict="ACCEPTED" if accepted else "NO_BETTER",
+def add_window(record: LiveRecord, time: float = T0, **coefficients: float) -> None:
+    values = np.array([*coefficients.values()])
+    report = Report(
+        window_start_ns=round((time - 1.0) * 1e9),
+        stamp_ns=round(time * 1e9),
+        sample_count=1000,
+        method="nelder_mead",
+        verdict=Verdict.ACCEPTED,
+        nrmse_before=0.1,
         reason="it predicts better",
-        parameter_set="nm-1",
-        accepted=accepted,
-        coefficients={name: (value, 0.1 * value) for name, value in coefficients.items()},
+        set_id="nm-1",
+        coefficient_names=tuple(coefficients),
+        coefficients=values,
+        coefficient_errors=0.1 * values,
     )
+    record.add_report(report, 0.01)
 
 
 def a_set(*, stamp_ns: int = round(T0 * 1e9), observable: bool = True) -> ParameterSet:
@@ -69,7 +78,7 @@ def test_a_viewer_asks_for_what_it_has_not_got() -> None:
 def test_where_the_stamps_fall_back_everything_begins_anew() -> None:
     record = LiveRecord()
     signals(record, T0 + 100.0)
-    record.add_window(window(T0 + 100.0))
+    add_window(record, T0 + 100.0)
     before = record.rows("signals", -1, -1)
     signals(record, T0)
     after = record.rows("signals", 0, before.generation if before else -1)
@@ -102,7 +111,7 @@ def test_the_status_is_json_even_of_what_is_not_known() -> None:
     assert status(record)["set"] is None
     assert status(record)["silence"] is None
     signals(record, T0)
-    record.add_window(window())
+    add_window(record)
     record.set_parameters(a_set())
     record.add_concern(Concern("model: input", 1, "nothing comes", {"lost": "3"}))
     record.add_event("saved")
@@ -119,7 +128,7 @@ def test_the_status_is_json_even_of_what_is_not_known() -> None:
 def test_nothing_grows_without_end() -> None:
     record = LiveRecord()
     for number in range(3 * live_record.SENTENCES_KEPT):
-        record.add_window(window())
+        add_window(record)
         record.add_concern(Concern(f"node{number}: input", 0, "", {}))
         record.add_event("again")
     told = status(record)
@@ -132,7 +141,7 @@ def test_a_summary_says_what_is_missing_and_how_it_stands() -> None:
     assert "is the node model running" in summary(record)
     assert "is the node identifier running" in summary(record)
     signals(record, T0, T0 + 0.01)
-    record.add_window(window(f_t=500.0))
+    add_window(record, f_t=500.0)
     record.set_parameters(a_set(observable=False))
     record.add_concern(Concern("model: input", 1, "nothing comes", {}))
     text = summary(record, width=100)
