@@ -6,7 +6,7 @@ unattainable force is replaced by the nearest attainable one. Because the force 
 inverse then returns the lowest current that gives it.
 
 Each sample is searched separately, in floating-point scalars. The forces at 65 nodes of the current
-give brackets. In a bracket the secant method refines the current, falling back to bisection.
+give brackets, in which false position refines the current.
 """
 
 from __future__ import annotations
@@ -40,10 +40,7 @@ _SEARCH_PRECISION = 1e-3
 """The search ends at an error of this part of the tolerance."""
 
 _MOST_STEPS = 80
-"""Largest number of search steps; bisection alone would need 55."""
-
-_LARGEST_REMAINDER = 0.5
-"""A secant step that leaves more than this fraction of the error is followed by a bisection."""
+"""Largest number of search steps; bisection would need 55."""
 
 _GOLDEN = 0.5 * (math.sqrt(5.0) - 1.0)
 _GOLDEN_STEPS = 30
@@ -250,10 +247,9 @@ def _search(
     least, most = min(forces), max(forces)
     # This force can be attained only at an extremum between two nodes.
     if wanted < least or wanted > most:
-        bend = _with_extremum(force_at, nodes, forces, 1.0 if wanted > most else -1.0)
-        if bend is not None:
-            nodes, forces = bend
-            least, most = min(forces), max(forces)
+        sign = 1.0 if wanted > most else -1.0
+        nodes, forces = _with_extremum(force_at, nodes, forces, sign)
+        least, most = min(forces), max(forces)
     span = most - least
     margin = _END_MARGIN * TOLERANCE * span
     aimed = min(max(wanted, least + margin), most - margin)
@@ -287,79 +283,62 @@ def _cell(nodes: list[float], above: list[bool], last: float | None) -> int:
 def _root(
     force_at: Force, aimed: float, nodes: list[float], forces: list[float], close: float
 ) -> tuple[float, float]:
-    """A current between two nodes with a force within ``close`` [N] of the aim, and its force."""
+    """A current between two nodes with a force within ``close`` [N] of the aim, and its force.
+
+    False position with the Illinois rule: an end that stays a second time counts half.
+    """
     (low, high), (at_low, at_high) = nodes, (force - aimed for force in forces)
-    rises = at_low <= 0.0
-    run = at_low - at_high
-    part = at_low / run if run else 0.5
-    current = low + (part if 0.0 <= part <= 1.0 else 0.5) * (high - low)
-    other, at_other = (low, at_low) if abs(at_low) < abs(at_high) else (high, at_high)
     narrowest = _ROUNDING * max(abs(high), 1.0)
-    before = math.inf
+    moved = 0
     for _ in range(_MOST_STEPS):
-        found = current, force_at(current)
-        error = found[1] - aimed
-        size = abs(error)
-        if not (size > close and high - low > narrowest):
+        run = at_low - at_high
+        part = at_low / run if run else 0.5
+        current = low + (part if 0.0 <= part <= 1.0 else 0.5) * (high - low)
+        force = force_at(current)
+        error = force - aimed
+        if not (abs(error) > close and high - low > narrowest):
             break
-        if (error <= 0.0) == rises:
-            low = current
+        if (error <= 0.0) == (at_low <= 0.0):
+            low, at_low, at_high = current, error, 0.5 * at_high if moved < 0 else at_high
+            moved = -1
         else:
-            high = current
-        run = error - at_other
-        secant = current - error * (current - other) / run if run else math.nan
-        other, at_other = current, error
-        if low < secant < high and size <= _LARGEST_REMAINDER * before:
-            current, before = secant, size
-        else:
-            current, before = 0.5 * (low + high), math.inf
-    return found
+            high, at_high, at_low = current, error, 0.5 * at_low if moved > 0 else at_low
+            moved = 1
+    return current, force
 
 
 def _with_extremum(
     force_at: Force, nodes: list[float], forces: list[float], sign: float
-) -> tuple[list[float], list[float]] | None:
-    """Nodes and forces with one node moved to the largest maximum (or lowest minimum, by ``sign``).
-
-    Returns None if no extremum exceeds the forces of the nodes.
-    """
+) -> tuple[list[float], list[float]]:
+    """Nodes and forces with the node of the largest force (lowest, by ``sign``) at its extremum."""
     heights = [sign * force for force in forces]
-    last = len(heights) - 1
-    bends = [
-        place
-        for place in range(1, last)
-        if heights[place - 1] < heights[place] >= heights[place + 1]
-    ]
-    # Beside the first or last node there is an extremum only if the force increases inwards.
-    if heights[0] >= heights[1] and sign * _slope(force_at, nodes[0]) > 0.0:
-        bends.append(0)
-    if heights[last] > heights[last - 1] and sign * _slope(force_at, nodes[last]) < 0.0:
-        bends.append(last)
-    if not bends:
-        return None
-    best = max(bends, key=heights.__getitem__)
-    low, high = nodes[max(best - 1, 0)], nodes[min(best + 1, last)]
+    best, last = heights.index(max(heights)), len(heights) - 1
+    # At an end there is an extremum only if the force increases inwards.
+    inwards = {0: _STEP, last: -_STEP}.get(best, 0.0)
+    if inwards and sign * force_at(nodes[best] + inwards) <= heights[best]:
+        return nodes, forces
     close = _SEARCH_PRECISION * TOLERANCE * (max(forces) - min(forces))
-    found = _extremum(force_at, low, high, sign, close)
+    found = _extremum(
+        lambda current: sign * force_at(current),
+        nodes[max(best - 1, 0)],
+        nodes[min(best + 1, last)],
+        close,
+    )
     force = force_at(found)
     if sign * force <= heights[best]:
-        return None
+        return nodes, forces
     nodes, forces = nodes.copy(), forces.copy()
     nodes[best], forces[best] = found, force
     return nodes, forces
 
 
-def _slope(force_at: Force, current: float) -> float:
-    return force_at(current + _STEP) - force_at(current - _STEP)
+def _extremum(height: Force, low: float, high: float, close: float) -> float:
+    """The current of the largest height between two currents, by golden-section search.
 
-
-def _extremum(force_at: Force, low: float, high: float, sign: float, close: float) -> float:
-    """The current of the largest force (or the smallest, by ``sign``), by golden-section search.
-
-    The search ends when the forces of two successive pairs differ by less than ``close`` [N].
+    The search ends when the heights of two successive pairs differ by less than ``close`` [N].
     """
     left, right = high - _GOLDEN * (high - low), low + _GOLDEN * (high - low)
-    at_left, at_right = sign * force_at(left), sign * force_at(right)
+    at_left, at_right = height(left), height(right)
     before = math.inf
     for _ in range(_GOLDEN_STEPS):
         difference = abs(at_left - at_right)
@@ -369,9 +348,9 @@ def _extremum(force_at: Force, low: float, high: float, sign: float, close: floa
         if at_left > at_right:
             high, right, at_right = right, left, at_left
             left = high - _GOLDEN * (high - low)
-            at_left = sign * force_at(left)
+            at_left = height(left)
         else:
             low, left, at_left = left, right, at_right
             right = low + _GOLDEN * (high - low)
-            at_right = sign * force_at(right)
+            at_right = height(right)
     return 0.5 * (low + high)
