@@ -145,7 +145,7 @@ _MOST_PARTNERS = 2
 """Largest number of jointly determined parameters that a table names."""
 
 _CYCLES = 2.0
-"""Cycles per piece; in a motion without a single frequency a piece lasts ``_DURATION`` seconds."""
+"""Cycles per piece; in a motion other than a sine, a piece lasts ``_DURATION`` seconds."""
 
 _DURATION = 4.0
 _SAMPLES = 500

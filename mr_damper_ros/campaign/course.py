@@ -198,7 +198,7 @@ class CampaignCourse:
         """Add a recording of the next run; returns the reason to reject it, or empty.
 
         ``made``: the run that was made, if it differs from ``next_run``. A run that is rejected
-        twice ends the campaign; nothing is lost. Raises OSError.
+        twice ends the campaign; the stored runs remain. Raises OSError.
         """
         run = made or self.next_run
         assert run is not None, "there is no run to make now"

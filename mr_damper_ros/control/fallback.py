@@ -123,12 +123,12 @@ class Fallback:
         return self.within_reach(current)
 
     def towards(self, current: float, duration: float) -> float:
-        """The setpoint ``current`` [A], limited by the ramp from the safe current to control."""
+        """The setpoint ``current`` [A], limited by the ramp away from the safe current."""
         step = self._span * duration / self._settings.fade_time
         self._reach = min(self._reach + step, self._span)
         return self.within_reach(current)
 
     def within_reach(self, current: float) -> float:
-        """The current [A], limited to the present distance from the safe current."""
+        """The current [A], limited to the largest present distance from the safe current."""
         safe = self._settings.safe_current
         return min(max(current, safe - self._reach), safe + self._reach)

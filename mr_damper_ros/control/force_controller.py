@@ -449,7 +449,7 @@ class _Inverse:
     ) -> _Aim:
         """The coil current for a desired force [N] within the ``horizon`` [s].
 
-        ``sample`` is the last one of the motion, ``memory`` the state of the law after it, and
+        ``sample`` is the last sample of the motion, ``memory`` the state of the law after it, and
         ``last`` [A] the previous coil current, None without one.
         """
         ahead = horizon if self.time_constant > 0.0 else 0.5 * horizon

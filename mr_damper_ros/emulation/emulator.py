@@ -46,7 +46,7 @@ class EmulatorError(ValueError):
 
 
 def _require(told: str, value: float, *, positive: bool = False) -> None:
-    """Raise EmulatorError if a value is not finite, or negative, or not ``positive``."""
+    """Raise EmulatorError if a value is not finite or negative; if ``positive``, also if zero."""
     if not (math.isfinite(value) and (value > 0.0 if positive else value >= 0.0)):
         raise EmulatorError(
             f"the {told}: it must {'be positive' if positive else 'not be negative'}"
@@ -239,8 +239,8 @@ class MeasuredRig(ABC):
     live = True
     """Whether samples are computed only when they are requested.
 
-    Commands then take effect at once, which takes computing time. If not, the rig computes whole
-    chunks in advance.
+    Commands then take effect at once, at the expense of computing time. If not, the rig computes
+    whole chunks in advance.
     """
 
     def __init__(

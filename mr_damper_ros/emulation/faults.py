@@ -23,7 +23,7 @@ CHANNELS = ("displacement", "force", "current", "temperature")
 """Names of the measured channels in :class:`RigBlock`."""
 
 _ROUNDING = 1e-9
-"""Tolerance [s], so that the fault affects a sample at its beginning."""
+"""Tolerance [s], so that a fault affects the sample at which the fault begins."""
 
 _CHANGE = 0.1
 """Time [s] in which the machine changes its motion."""

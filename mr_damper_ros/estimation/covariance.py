@@ -248,7 +248,7 @@ class NoiseModel:
 
 
 _SECOND_CYCLE = 0.25
-"""Smallest fraction of a second cycle that a window needs to separate model error from noise."""
+"""Smallest fraction of the second cycle that a window needs to separate model error from noise."""
 
 _ORDERS_PER_CYCLE = 4
 

@@ -131,9 +131,9 @@ class PointErrors:
 
     ``worst`` is the median and ``bound`` the 95 % quantile (NaN: unknown) of the worst error over
     all points and phases. If the errors at many points are independent, ``worst`` exceeds every
-    standard error. If the errors are proportional, because one direction of the parameters
-    dominates, ``worst`` may be as low as 0.67 of the largest of them. All include the model error,
-    which is ``model_error`` at the worst point.
+    standard error. If one direction of the parameters dominates, so that the errors are
+    proportional, ``worst`` may be as low as 0.67 times the largest standard error. All errors
+    include the model error, which is ``model_error`` at the worst point.
     """
 
     points: Sequence[tuple[float, float]]
@@ -590,7 +590,7 @@ class RunPlanner:
     def _look_ahead(
         self, windows: Sequence[Window], parameters: Array, noise: Sequence[float], first: int
     ) -> tuple[int | None, float, float]:
-        """Runs until the goal is met, and the worst error after the first and the last of them."""
+        """Number of runs until the goal is met, and worst error after the first and last run."""
         model_errors = self._model_errors(windows, parameters)
         gradient = self._cycles.relative_gradient(parameters)[:, ::_FEW_PHASES]
         gains = self._candidates.gains(parameters, *_noise_by_motion(windows, noise))

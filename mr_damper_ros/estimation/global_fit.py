@@ -34,10 +34,10 @@ from mr_damper_ros.signals.error_sums import ErrorSums, pooled
 GLOBAL_METHODS = (GLOBAL_SOURCE, "nelder_mead", "least_squares", "differential_evolution")
 
 _MOST_ROUNDS = 3
-"""Largest number of updates of the sample count that sets the weight of the record levels."""
+"""Largest number of updates of the weight of the record levels, given as a sample count."""
 
 _SETTLED = 0.3
-"""The updates end when the logarithm of this count changes by less than this."""
+"""The updates end when the logarithm of the sample count changes by less than this."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -271,7 +271,7 @@ class SeparateFits:
         self.pooled = self._excerpts.misfit(noise, self._levels)
 
     def share(self, other: SeparateFits, owners: Sequence[int]) -> None:
-        """Copy fits and noise from ``other``: window k takes them from its window ``owners[k]``."""
+        """Copy fits and noise from ``other``, whose window ``owners[k]`` is window k here."""
         pairs = zip(other.fits, other._excerpts.owners, strict=True)
         self.fits = [fit for fit, owner in pairs if owner in owners]
         self.weigh(other.noise[list(owners)])

@@ -21,7 +21,7 @@ from mr_damper_ros.signals.arrays import Array
 from mr_damper_ros.signals.recording import Recording
 
 _MOST_HARMONICS = 100.0
-"""Largest number of harmonics of a random motion; with more time, the motion repeats."""
+"""Largest number of harmonics of a random motion; a longer motion repeats."""
 
 SETTLING = 0.1
 """Time [s] after a current step that is excluded, because current and force still change."""
@@ -227,7 +227,7 @@ class PlannedRun:
 
 
 def with_motion_before(period: Window) -> Window:
-    """A window of one period of a motion that has lasted for longer, with its peak velocity."""
+    """A window of one period of a motion that began long before, with its peak velocity."""
     motion = period.motion
     if motion.sine is not None:
         return period

@@ -203,13 +203,13 @@ def counted_samples(pooled: Misfit, prior: LevelPrior, parameters: Array) -> flo
 
 
 def _damped(each: _Whitened, values: Array) -> Array:
-    """Rows (n, ...) of a record without the effect of gain and offset, then its two extra rows."""
+    """Rows (n, ...) of a record without the effect of gain and offset, then two extra rows."""
     along = each.left.T @ values
     damping = 1.0 / np.sqrt(1.0 + each.sizes**2)
     return np.concatenate((values - each.left @ along, (damping * along.T).T))
 
 
 def _levels(each: _Whitened, residual: Array) -> Array:
-    """Most probable gain minus 1 and offset [N] of a record: residual (n, ...) to (2, ...)."""
+    """Most probable gain - 1 and offset [N] of a record (2, ...), from its residual (n, ...)."""
     along = each.left.T @ residual[each.rows]
     return np.asarray(-each.right @ ((each.sizes / (1.0 + each.sizes**2) * along.T).T))

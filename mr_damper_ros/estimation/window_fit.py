@@ -49,7 +49,8 @@ _CONTRADICTED = 1e-3
 """Significance level below which a change contradicts the running set."""
 
 _WORSE_RATIO = 1.25
-"""A sine also contradicts the running set if the prior increases the residual by this factor."""
+"""A window with a sine also contradicts the running set if the prior increases its residual by this
+factor."""
 
 _MOST_DOUBLINGS = 10
 

@@ -18,7 +18,7 @@ _REST = 1.0
 """Shortest duration of a rest [s]."""
 
 _REST_OF_STROKE = 0.3
-"""Shortest duration of a rest relative to a stroke, because slow motion reverses slowly."""
+"""Shortest duration of a rest relative to a stroke, because a slow reversal resembles a rest."""
 
 _STILL = 0.002
 """Largest change of the displacement at rest, relative to its span, unless the noise is larger."""
@@ -30,7 +30,7 @@ _SMALLEST_RUN = 0.02
 """Smallest span of a run, relative to the largest span in the file."""
 
 _REVERSAL = 0.1
-"""Fraction of the span by which the motion must go back at a reversal."""
+"""Smallest return of the motion at a reversal, relative to the span."""
 
 _PHASE_CHANGE = 0.2
 """Largest change of the logarithm of height, duration or force within a phase."""
@@ -94,7 +94,7 @@ def _usual_step(time: Array) -> float:
 
 
 def _position(record: SampledRecord, rows: slice) -> Array:
-    """Displacement [m] of some rows, or the integral of the velocity without displacement."""
+    """Displacement [m] of some rows; without displacement, the integral of the velocity."""
     if "displacement" in record.values:
         return record.values["displacement"][rows]
     return integrated(record.values["velocity"][rows], _usual_step(record.time))
@@ -107,7 +107,7 @@ def _between(cuts: list[int], rows: slice) -> Iterator[slice]:
 
 
 def _levels(record: SampledRecord, rows: slice, length: int) -> Iterator[slice]:
-    """Rows at one current; all rows without a measured current."""
+    """Rows at one current; without a measured current, all rows."""
     current = record.values.get("current")
     cuts: list[int] = []
     if current is not None:

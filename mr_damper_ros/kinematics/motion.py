@@ -27,8 +27,8 @@ its effect is below the noise of the force. A larger distortion would bias the f
 """
 
 _NOISE_FACTOR = 1.2
-"""It also counts as a sine if the residual is below this multiple of the noise of the displacement.
-A larger factor would allow a distortion that is visible in the force."""
+"""A motion also counts as a sine if the residual is below this multiple of the noise of the
+displacement. A larger factor would allow a distortion that is visible in the force."""
 
 NO_SINE, _TRIED = 0.25, 3
 """A motion is not a sine if the residual exceeds this fraction of the amplitude after this many
@@ -226,7 +226,7 @@ class Motion:
         return self.displacement, self.velocity, self.acceleration, self.peak_velocity
 
     def held_within(self, low: float, high: float) -> Motion:
-        """The same motion with its peak velocity clipped to ``low`` to ``high`` [m/s].
+        """The same motion with its peak velocity clipped to the range ``low``, ``high`` [m/s].
 
         The dependence of a law's coefficients on the peak velocity is known only within the
         identified range.
@@ -346,7 +346,7 @@ class MotionSample(NamedTuple):
         return [cls(*row) for row in zip(*(column.tolist() for column in columns), strict=True)]
 
     def held_within(self, low: float, high: float) -> MotionSample:
-        """The same with the peak velocity [m/s] clipped; see :meth:`Motion.held_within`."""
+        """The same sample with a clipped peak velocity [m/s]; see :meth:`Motion.held_within`."""
         if low <= self.peak_velocity <= high:
             return self
         return self._replace(peak_velocity=min(max(self.peak_velocity, low), high))

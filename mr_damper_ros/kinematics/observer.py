@@ -33,7 +33,7 @@ _AT_ONCE = 64
 """Number of samples processed by one matrix product."""
 
 _SETTLING = 12.0
-"""Time constants of the poles after which the initial transient has decayed to a thousandth."""
+"""Number of time constants after which the initial transient has decayed to a thousandth."""
 
 
 def possible_bandwidths(period: float) -> tuple[float, float]:
@@ -296,7 +296,7 @@ class AdaptiveObserver:
             self._choose(stretch)
 
     def _up_to_jump(self, displacement: Array) -> Array:
-        """The next samples (n,) up to a jump of the sensor; a jump at the first one restarts."""
+        """Samples (n,) up to a jump of the sensor; after one at the start, restart the observer."""
         changes = np.empty(displacement.size)
         changes[0] = displacement[0] - self._last
         np.subtract(displacement[1:], displacement[:-1], out=changes[1:])

@@ -140,7 +140,7 @@ def following_stride(motion: Motion, period: float, per_cycle: int = _SAMPLES_PE
 
 
 def _between(values: Array, changes: Array, places: Array) -> Array:
-    """Cubic Hermite interpolation at places [samples] of values with their changes per sample."""
+    """Cubic Hermite interpolation of values and their changes per sample, at places [samples]."""
     first = np.minimum(places.astype(int), values.size - 2)
     part = places - first
     rest = 1.0 - part

@@ -151,7 +151,7 @@ _LEVEL_STEP = 0.05
 """Smallest difference [A] between two levels of the current."""
 
 _LEVEL_TIME = 0.5
-"""Shortest duration [s] of a level, so that continuous changes by a controller are no levels."""
+"""Shortest duration [s] of a level, so that a controller's continuous changes are not counted."""
 
 WINDOWS_KEPT = 2000
 SETS_KEPT = 1000

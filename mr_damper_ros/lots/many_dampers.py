@@ -118,7 +118,7 @@ _EVOLUTION = EvolutionSettings()
 _LOST = "the process that identified it died repeatedly: is there enough memory?"
 
 Progress = Callable[[int, int, Mapping[str, Any]], None]
-"""Receives the number of finished dampers, the total, and the document of the last one."""
+"""Receives the number of finished dampers, the total number, and the last damper's document."""
 
 
 @dataclass(frozen=True, eq=False)

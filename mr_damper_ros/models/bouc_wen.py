@@ -241,7 +241,7 @@ class BoucWen(_Hysteretic, DifferentiatedModel):
         return direct, [Recursion(coefficients[3], kept, dict(enumerate(by, start=4)))]
 
     def starts_at_one_current(self, reading: LoopReading) -> Array:
-        """Starts of mainly yield force, with a yield length of 5 % or 20 % of the amplitude."""
+        """Starts dominated by the yield force; its yield length is 5 % or 20 % of the amplitude."""
         force, middle, speed, amplitude = reading
         return np.array(
             [
@@ -300,7 +300,7 @@ class ModifiedBoucWen(_Hysteretic):
         return np.asarray(outer_damping * integrated + stiffness * motion.displacement + offset)
 
     def starts_at_one_current(self, reading: LoopReading) -> Array:
-        """Starts of mainly yield force, with short or long yield and low or high series damping."""
+        """Starts dominated by yield force, with short or long yield, low or high series damping."""
         force, middle, speed, amplitude = reading
         viscous = force / speed
         return np.array(

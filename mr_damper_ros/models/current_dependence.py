@@ -224,7 +224,7 @@ class CurrentDependentModel(Model):
     def draw_shape(
         self, rng: np.random.Generator, top_velocity: float, top_current: float
     ) -> dict[str, float]:
-        """Current dependences that are monotonic in the range, with a small ratio of the ends."""
+        """Current dependences that are monotonic in the range, with a small ratio of end values."""
         drawn = {}
         for coefficient in self.at_one_current:
             if not coefficient.grows:

@@ -465,7 +465,7 @@ class CurrentResponse(ABC):
 
     It does not include the lag of the coil: the inverse gives the coil current, and the supply
     current is computed separately. Each sample comes ``period`` [s] after the same ``state``; for a
-    law with memory, pass only one.
+    law with memory, pass only one sample.
     """
 
     @abstractmethod

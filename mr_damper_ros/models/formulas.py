@@ -42,8 +42,8 @@ class WrittenLaw:
     """A law for other languages: its parameters by name, and its formulas.
 
     ``coefficients`` have the inputs peak velocity v_m [m/s] and coil current i [A] and compute the
-    ``coefficient_names``. ``force`` has the additional inputs velocity v [m/s], previous branch s
-    of the hysteresis and ``change`` of the velocity since then [m/s].
+    ``coefficient_names``. ``force`` has the additional inputs velocity v [m/s], branch s of the
+    hysteresis at the previous sample, and ``change`` of the velocity since that sample [m/s].
     """
 
     parameter_names: tuple[str, ...]

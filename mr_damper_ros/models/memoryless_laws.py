@@ -34,7 +34,7 @@ class Bingham(CurrentDependentModel):
         return np.asarray(f_y * np.sign(v) + c0 * v + f0), ()
 
     def starts_at_one_current(self, reading: LoopReading) -> Array:
-        """One start of mainly yield force."""
+        """One start, dominated by the yield force."""
         force, middle, speed, _ = reading
         return np.array([[0.8 * force, 0.2 * force / speed, middle]])
 

@@ -107,7 +107,7 @@ class CurrentCommands(CommandTopic):
 EXCITATION_TOPIC = "rig/excitation_command"
 
 _KINDS = (MotionKind.SINE, MotionKind.SWEEP, MotionKind.RANDOM)
-"""In the order of the constants in ExcitationCommand.msg."""
+"""Kinds of motion in the order of the constants in ExcitationCommand.msg."""
 
 
 class MotionCommands(CommandTopic):

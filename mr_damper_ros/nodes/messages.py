@@ -46,7 +46,7 @@ def to_stamp(nanoseconds: int) -> Time:
 
 
 def set_stamp(stamp: Time, nanoseconds: int) -> None:
-    """Set a stamp to nanoseconds since the epoch; ValueError as for :func:`to_stamp`."""
+    """Set a stamp to nanoseconds since the epoch; raises ValueError like :func:`to_stamp`."""
     if not fits_a_stamp(nanoseconds):
         raise ValueError(f"{nanoseconds} ns is not a time that a stamp can hold")
     stamp.sec, stamp.nanosec = divmod(nanoseconds, _SECOND)

@@ -28,7 +28,7 @@ from mr_damper_ros.nodes import quality
 from mr_damper_ros.settings.option_table import CheckedSettings, option
 
 _CATCH_UP_NS = 250_000_000
-"""Longest delay that the sender catches up with; see above."""
+"""Longest delay [ns] that the sender catches up with; see the module docstring."""
 
 _QUEUE = 100
 """Number of messages between two waits for acknowledgement, and depth of the publisher. If the

@@ -24,7 +24,7 @@ PARAMETERS_TOPIC = "damper/parameters"
 REPORT_TOPIC = "damper/fit_report"
 
 _UNKNOWN = "_NODE_NAME_UNKNOWN_"
-"""Part of the name in the ROS graph of a node whose name is not yet known."""
+"""Part of the name that the ROS graph gives to a node before its name is known."""
 
 _SHOWN = 100
 """Shown characters of a name: a message may hold a megabyte of them."""
@@ -149,7 +149,7 @@ class ParameterInput:
         )
 
     def finding(self, doing: str) -> Finding:
-        """The set in use; ``doing`` is its use in messages, such as "predicting"."""
+        """The set in use; ``doing`` is the word for its use, such as "predicting"."""
         if self._unattributed is not None:
             self._take(self._unattributed)
         parameters = self._predictor.parameters

@@ -92,7 +92,7 @@ class TopicOptions(ParameterTable):
 
 
 class TopicSource(Source):
-    """Samples from the topics of other nodes; messages are received where the node spins."""
+    """Samples from the topics of other nodes; the thread that spins the node receives them."""
 
     options = TopicOptions
     prefix = "topics."

@@ -124,9 +124,9 @@ class ProcessPool(AbstractContextManager):
         notify: Callable[[int, Any], bool],
         keep: Callable[[int, Result], None],
     ) -> list[int]:
-        """Run tasks with their indices until one stops all; indices of those that lost processes.
+        """Run tasks with their indices until one stops all.
 
-        Raises the exception of a task.
+        Returns the indices of the tasks whose processes died. Raises the exception of a task.
         """
         if self._pool is None:
             # A task may compute for a long time without checking whether it should stop.

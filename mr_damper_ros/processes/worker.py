@@ -164,7 +164,7 @@ class _Process:
             self._connection.close()
 
     def send(self, ticket: int, call: bytes | None) -> None:
-        """Send a task, or without a call ask it to stop, in a thread: the process may not read."""
+        """Send a task, or a request to stop it if ``call`` is None; never wait for the process."""
 
         def work() -> None:
             # A broken pipe means a dead worker, which the receiving thread reports.
@@ -290,7 +290,7 @@ class WorkerPool:
             free.run(self._waiting.popleft())
 
     def _replace(self, process: _Process, lost: Exception) -> None:
-        """Kill a process; its task is tried once more unless it has had its time."""
+        """Kill a process; its task is tried once more unless it was asked to stop."""
         process.kill()
         self._processes.remove(process)
         self._start_at = process.started + _RESTART_PAUSE

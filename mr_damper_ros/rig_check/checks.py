@@ -20,7 +20,7 @@ from mr_damper_ros.signals.arrays import Array, white_noise
 from mr_damper_ros.signals.blocks import NANOSECONDS
 
 _CLIPPED_PART, _CLIPPED_IN_A_ROW = 0.01, 5
-"""Fraction of samples, and number in a row, at the extreme value of a clipped channel."""
+"""Smallest fraction of samples, and number in a row, at the extreme value of a clipped channel."""
 
 _COARSE = 0.02
 """Smallest step, in standard deviations of the channel, that counts as coarse quantisation."""
@@ -30,7 +30,8 @@ _NOISY = {"displacement": (0.002, 1e-5), "force": (0.03, 10.0)}
 if it exceeds both, because without current the force is small."""
 
 _OUTLIER, _JUMP = 12.0, 0.1
-"""An outlier deviates from its neighbours by this multiple of the noise and part of the range."""
+"""An outlier deviates from its neighbours by this multiple of the noise or this part of the range,
+whichever is larger."""
 
 _MAINS = (50.0, 60.0)
 _MAINS_BAND, _COMPARISON_BAND = 0.5, 6.0
@@ -109,7 +110,7 @@ _PAUSE = 0.1
 """Delay of a block [s] above which the stream counts as paused."""
 
 _COUNT_TOLERANCE = 2.0
-"""Tolerated difference [s] between missing and omitted samples, reported once a second."""
+"""Tolerated duration [s] of lost samples beyond reported omissions; reports come once a second."""
 
 _CURRENT_OFF, _SETTLING = 0.05, 1.0
 """Tolerated deviation [A] of the measured current from a command older than this time [s]."""

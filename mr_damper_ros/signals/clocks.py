@@ -14,11 +14,11 @@ _JITTER = 0.3
 """Standard deviation of a stamp [sample periods], for a uniform error within ± half a period."""
 
 _RATE = 0.02
-"""Initial standard deviation of the rate [1]; a stated period is rounded. If the rate of samples
-differs from the stated rate by more than this fraction, they are not used."""
+"""Initial standard deviation of the rate [1], because a stated period is rounded. If the rate of
+samples differs from the stated rate by more than this fraction, they are not used."""
 
 _MEMORY = 2.0
-"""The stamps of about this time [s] determine the present offset."""
+"""Approximate duration [s] of the newest stamps that determine the present offset."""
 
 _OUTLIER = 4.0
 """Errors of a stamp are clipped to this many standard deviations."""

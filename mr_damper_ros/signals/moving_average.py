@@ -16,10 +16,10 @@ _ENOUGH = 32_768
 """Number of samples that are analysed, taken from the middle of a longer record."""
 
 _DEPTH = 1e-2
-"""Upper limit of the power at the zeros of an averaged signal, relative to the power between."""
+"""Upper limit of the power at the zeros of an averaged signal over the power between them."""
 
 _SLOPE = 0.1
-"""Lower limit of the power at half gain of an average, relative to the power between its zeros."""
+"""Lower limit of the power at half gain of an average over the power between its zeros."""
 
 _FEWEST_ROWS = 20
 """Shortest record that begins in motion, as a multiple of the length of the average."""

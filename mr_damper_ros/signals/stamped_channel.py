@@ -33,16 +33,17 @@ _ENOUGH, _FEWEST = 256, 12
 the second number suffices."""
 
 _LARGEST_UNTIMELY_PART = 0.2
-"""If more than this fraction of these stamps is too early or late, the clock is estimated again."""
+"""Fraction of the checked stamps that may be too early or late before the clock is estimated again.
+"""
 
 _STRETCH = 16
 """Number of successive sample intervals whose total duration is measured."""
 
 _PERIOD_QUANTILES, _INITIAL_DELAYS = (0.1, 0.25, 0.5), (-0.4, 0.0, 0.4)
-"""Initial values that are tried. For the period: quantiles of these durations, of which the
-shortest contain no lost samples. For the mean delay of the first stamps: values in sample periods.
-With half a period of jitter and a twentieth of the samples lost, 36 of 40 streams are numbered
-correctly from the first second; with a single period and delay, only 25."""
+"""Initial values that are tried. For the period: quantiles of the durations of ``_STRETCH``
+intervals, of which the shortest contain no lost samples. For the mean delay of the first stamps:
+values in sample periods. With half a period of jitter and a twentieth of the samples lost, 36 of 40
+streams are numbered correctly from the first second; with a single period and delay, only 25."""
 
 _CLOCK_GAINS = (0.05, 0.001)
 """Gains by which a tried clock corrects its offset and its rate for the error of a stamp. With

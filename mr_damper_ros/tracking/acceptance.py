@@ -374,8 +374,8 @@ class Gatekeeper:
     _PATIENCE = 4
     """After this many rejections in a row for the residual, the residual baseline is reset."""
     _PATIENCE_WHERE_KNOWN = 12
-    """Number of such rejections at an operating point where the running set has been identified. A
-    faulty sensor is usually repaired within that time."""
+    """Number of these rejections that resets the baseline at an operating point where the running
+    set has been identified. A faulty sensor is usually repaired within that time."""
 
     def __init__(self, settings: AcceptanceSettings, known: Experience | None = None) -> None:
         self._settings = settings

@@ -118,7 +118,7 @@ class KnownSet:
         return self.currents is None or within(current, self.currents)
 
     def confirmed(self, set_id: str, stamp_ns: int, currents: Span | None) -> KnownSet:
-        """Return the set, confirmed by a window of these currents if its name is ``set_id``."""
+        """Return the set; a window of these currents has confirmed the set named ``set_id``."""
         if self.parameters.set_id != set_id:
             return self
         # A set that does not age gets no stamp.

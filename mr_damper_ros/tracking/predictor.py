@@ -184,7 +184,7 @@ and each part uses what was learnt from the previous part. A long block is there
 well as several short ones."""
 
 _SINE = np.arange(0.0, 2.0, 0.01)
-"""Times, in cycles, of the sine in which the largest force of a set is computed."""
+"""Times [cycles] at which a sine is sampled to find the largest force of a set."""
 
 _SET_AT_FAULT = (DoubtKind.WRONG, DoubtKind.DRIVING, DoubtKind.OUT_OF_RANGE, DoubtKind.TOO_LARGE)
 """Reason codes for which another set is tried."""
@@ -231,7 +231,7 @@ class ForcePredictor:
 
     @property
     def memory(self) -> State | None:
-        """State of the law after the last block; its last value is the coil current, if it lags."""
+        """State of the law after the last block; it ends with the current of a lagging coil."""
         return self._force.state
 
     # Inputs other than samples

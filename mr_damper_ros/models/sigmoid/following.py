@@ -275,7 +275,7 @@ _SEEN = (*_MOTION, "s", "change")
 
 @cache
 def _over_current(extended: bool) -> tuple[Callable[..., Any], Callable[..., Any]]:
-    """Compiled formulas: one sample over currents as scalars, many samples as arrays."""
+    """Compiled formulas over the current: scalar for one sample, arrays for many samples."""
     results = ("force", "damping") if extended else ("force",)
     return (
         staged(LAW, [PARAMETER_NAMES, _SEEN, ("i",)], results, scalars=3),

@@ -93,7 +93,8 @@ _SMOOTH_SLOPE = 2.0
 
 _STEEPNESS = (2.0, 6.0, 20.0, 60.0)
 _HYSTERESIS = (0.0, -0.2, -0.4)
-"""Starts of a search: steepness times largest velocity, and hysteresis velocity relative to it."""
+"""Starts of a search: steepness times largest velocity, hysteresis velocity over largest velocity.
+"""
 
 _K5 = PARAMETER_NAMES.index("k5")
 _K5_SCALE = SCALE_PARAMETER_NAMES.index("k5")
@@ -166,7 +167,7 @@ _LAWS = (
 
 
 def _basis_of(law: _Law) -> Callable[..., Any]:
-    """Compiled derivatives of the first coefficient by its scale and gain: constant and step."""
+    """Compiled constant and step: derivatives of the first coefficient by its scale and gain."""
     name = law.coefficients[0]
     scale = SCALE_PARAMETER_NAMES[COEFFICIENT_NAMES.index(name)]
     by = (scale, law.gain or scale)  # a law without a gain has no use for the step

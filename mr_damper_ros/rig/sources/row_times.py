@@ -15,7 +15,7 @@ _WRONG_RATE = 0.02
 """Relative rate error of a sender's clock above which its time unit must be wrong."""
 
 _LARGEST_ADVANCE, _LARGEST_STEP_BACK = 10.0, 1.0
-"""Largest plausible jump [s] of a stamp, ahead of the elapsed time and back."""
+"""Largest plausible jumps [s] of a stamp: ahead of the elapsed time, and backwards."""
 
 _IMPLAUSIBLE_IN_A_ROW = 16
 """This number of implausible stamps in a row means that the clock was set; fewer are errors."""

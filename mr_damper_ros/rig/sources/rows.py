@@ -33,7 +33,7 @@ class RowFormat:
     """The columns of a sender.
 
     ``width`` is the number of columns, None if others may follow. ``count`` is the index of the
-    sender's count, None without one; the count has ``bits`` bits.
+    column with the sender's count, None without one; the count has ``bits`` bits.
     """
 
     columns: tuple[Column, ...]

@@ -62,7 +62,7 @@ class SupplyProfile:
             raise ProfileError("watchdog_step of the profile must be positive [s]")
 
     def watchdog_delay(self, wanted: float) -> float:
-        """The shortest possible delay [s] of the instrument's watchdog of at least ``wanted``."""
+        """The shortest delay [s] of the instrument's watchdog that is at least ``wanted``."""
         return max(math.ceil(wanted / self.watchdog_step - 1e-9), 1) * self.watchdog_step
 
 
