@@ -413,7 +413,7 @@ def test_it_moves_and_stands_still_while_it_is_paused(page: Browser) -> None:
     page.until(f"document.querySelector('{chart} canvas').toDataURL() !== {first!r}")
     page.press(" ")
     assert page.text("#state") == "❚❚ paused"
-    page.until("document.querySelector('#pause').innerText === 'Go on'")
+    page.until("document.querySelector('#pause').innerText === 'Continue'")
     still = ink_at_rest(page, chart)
     page.press(" ")
     page.until(f"document.querySelector('{chart} canvas').toDataURL() !== {still!r}")

@@ -107,8 +107,8 @@ def functions(law: ExportedLaw) -> dict[str, str]:
 
 
 _HELPERS = {
-    "sat": "sat(x)\n% Within 1e100.\nr = min(max(x, -1e100), 1e100);",
-    "clip": "clip(x, low, high)\n% Within two limits.\nr = min(max(x, low), high);",
+    "sat": "sat(x)\n% Limit to ±1e100.\nr = min(max(x, -1e100), 1e100);",
+    "clip": "clip(x, low, high)\n% Limit to a range.\nr = min(max(x, low), high);",
     "larger": "larger(x, y)\nr = max(x, y);",
     "where": (
         "where(condition, yes, no)\n% One or the other, element by element.\n"

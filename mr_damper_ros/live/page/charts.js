@@ -39,7 +39,7 @@ function padded({ low, high }, log = false) {
 }
 
 const OUTLIERS = 0.01; // largest fraction of values outside the view on each side
-const ROOM = 0.5; // a value within this multiple of the range of the others is no outlier
+const ROOM = 0.5; // a value within this multiple of the range of the others is not an outlier
 
 /**
  * The range to show of these lists, and the number of values outside it. A few values far from the

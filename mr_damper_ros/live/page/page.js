@@ -723,7 +723,7 @@ const inView = () => sections.findLast((section) => section.getBoundingClientRec
 function setPaused(now) {
   paused = now;
   byId("pause").setAttribute("aria-pressed", String(now));
-  byId("pause").textContent = now ? "Go on" : "Pause";
+  byId("pause").textContent = now ? "Continue" : "Pause";
   showState();
 }
 
