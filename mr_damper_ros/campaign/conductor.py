@@ -51,8 +51,7 @@ class ConductSettings(CheckedSettings):
     rest_time: float = option(
         0.0,
         "Rest [s] in which the damper cools before each run; no law models a drifting force.",
-        minimum=0.0,
-        maximum=86400.0,
+        within=(0.0, 86400.0),
     )
     drive: DriveSettings = group(DriveSettings, flat=True)
     grid: GridSettings = group(GridSettings, flat=True)

@@ -17,21 +17,16 @@ class GoalOptions(ParameterTable):
     error: float = option(
         0.01,
         "Required error of the force at the worst point, relative to the largest force of a cycle.",
-        minimum=1e-5,
-        maximum=0.9,
+        within=(1e-5, 0.9),
     )
     lowest_peak_velocity: float = option(
-        0.02, "Lowest peak velocity [m/s] of the goal.", minimum=1e-5, maximum=10.0
+        0.02, "Lowest peak velocity [m/s] of the goal.", within=(1e-5, 10.0)
     )
     highest_peak_velocity: float = option(
-        0.2, "Highest peak velocity [m/s] of the goal.", minimum=1e-5, maximum=10.0
+        0.2, "Highest peak velocity [m/s] of the goal.", within=(1e-5, 10.0)
     )
-    lowest_current: float = option(
-        0.0, "Lowest current [A] of the goal.", minimum=0.0, maximum=50.0
-    )
-    highest_current: float = option(
-        1.5, "Highest current [A] of the goal.", minimum=0.0, maximum=50.0
-    )
+    lowest_current: float = option(0.0, "Lowest current [A] of the goal.", within=(0.0, 50.0))
+    highest_current: float = option(1.5, "Highest current [A] of the goal.", within=(0.0, 50.0))
 
     def goal(self) -> ForceGoal:
         """Return the goal; raises ValueError if it is impossible."""
@@ -46,39 +41,34 @@ class GoalOptions(ParameterTable):
 class MachineOptions(ParameterTable):
     """The limits of the machine; a goal of the action cannot widen them."""
 
-    amplitude: float = option(
-        0.01, "Largest amplitude [m] about the centre.", minimum=1e-5, maximum=0.25
-    )
-    peak_velocity: float = option(0.2, "Largest peak velocity [m/s].", minimum=1e-5, maximum=10.0)
+    amplitude: float = option(0.01, "Largest amplitude [m] about the centre.", within=(1e-5, 0.25))
+    peak_velocity: float = option(0.2, "Largest peak velocity [m/s].", within=(1e-5, 10.0))
     force: float = option(
         2000.0,
         "Largest magnitude of the force [N]. Runs with a larger predicted force are not planned. "
         "If a sample exceeds it, the campaign ends and the machine rests.",
-        minimum=1.0,
-        maximum=1e6,
+        within=(1.0, 1e6),
     )
-    current: float = option(1.5, "Largest current [A].", minimum=0.0, maximum=50.0)
+    current: float = option(1.5, "Largest current [A].", within=(0.0, 50.0))
     duration: float = option(
         4.0,
         "Steady time [s] of a run. In addition, the motion grows within two cycles, two cycles "
         "are checked, and the motion fades within two cycles.",
-        minimum=0.1,
-        maximum=3600.0,
+        within=(0.1, 3600.0),
     )
     heat: float = option(
-        0.0, "Largest heat [J] dissipated in a run; 0: no limit.", minimum=0.0, maximum=1e9
+        0.0, "Largest heat [J] dissipated in a run; 0: no limit.", within=(0.0, 1e9)
     )
     lowest_frequency: float = option(
-        0.1, "Lowest frequency [Hz] of the motion.", minimum=1e-3, maximum=100.0
+        0.1, "Lowest frequency [Hz] of the motion.", within=(1e-3, 100.0)
     )
     highest_frequency: float = option(
-        20.0, "Highest frequency [Hz] of the motion.", minimum=1e-3, maximum=100.0
+        20.0, "Highest frequency [Hz] of the motion.", within=(1e-3, 100.0)
     )
     sample_rate: float = option(
         1000.0,
         "Sample rate of the machine [Hz], used to compute the information of a run.",
-        minimum=10.0,
-        maximum=100_000.0,
+        within=(10.0, 100_000.0),
     )
 
     motions: str = option(

@@ -44,21 +44,18 @@ class DriveSettings(CheckedSettings):
         "Time limit [s] for the machine to reach the commanded steady motion, in addition to ten "
         "cycles of a sine or ten times the length of another motion. After it, the campaign ends "
         "and reports the reason. A manual press has no time limit.",
-        minimum=1.0,
-        maximum=3600.0,
+        within=(1.0, 3600.0),
     )
     amplitude_tolerance: float = option(
         0.1,
         "Largest relative deviation of amplitude and frequency from the command. The "
         "identification uses the motion as measured.",
-        minimum=0.001,
-        maximum=0.3,
+        within=(0.001, 0.3),
     )
     current_tolerance: float = option(
         0.05,
         "Largest deviation of the measured current from the command [A].",
-        minimum=0.001,
-        maximum=10.0,
+        within=(0.001, 10.0),
     )
 
 

@@ -25,8 +25,7 @@ class FallbackSettings(CheckedSettings):
         "Current [A] that is commanded when the predicted force is invalid, and when the node "
         "ends. It must lie within the identified range of currents, because the force is invalid "
         "outside this range, and control would never start.",
-        minimum=-10.0,
-        maximum=10.0,
+        within=(-10.0, 10.0),
     )
     in_doubt: str = option(
         HOLD,
@@ -40,15 +39,13 @@ class FallbackSettings(CheckedSettings):
         "Once the force has been invalid for this time [s] longer than it was valid, the command "
         "goes to the safe current. Control returns after this time of valid force; the wait "
         "doubles if control is soon lost again.",
-        minimum=0.0,
-        maximum=60.0,
+        within=(0.0, 60.0),
     )
     fade_time: float = option(
         0.1,
         "Duration [s] of a ramp through the whole range of currents on the way to the safe "
         "current; the way back is at most as fast.",
-        minimum=0.001,
-        maximum=60.0,
+        within=(0.001, 60.0),
     )
 
 

@@ -52,14 +52,12 @@ class FeedbackSettings(CheckedSettings):
         0.0,
         "Gain [1/s] of the feedback of the measured force. With 1, compensation for a weaker "
         "damper takes about a second. 0: feedforward only, for a rig without a load cell.",
-        minimum=0.0,
-        maximum=100.0,
+        within=(0.0, 100.0),
     )
     feedback_limit: float = option(
         0.2,
         "Largest relative change of the desired force by the feedback.",
-        minimum=0.0,
-        maximum=0.9,
+        within=(0.0, 0.9),
     )
 
 
@@ -141,40 +139,35 @@ class ForceControlSettings(CheckedSettings):
     lowest_current: float = option(
         0.0,
         "Lowest current that is commanded [A], within the identified range.",
-        minimum=-10.0,
-        maximum=10.0,
+        within=(-10.0, 10.0),
     )
     highest_current: float = option(
         2.0,
         "Highest current [A] that is commanded; see the rated current in the damper's data sheet.",
-        minimum=-10.0,
-        maximum=10.0,
+        within=(-10.0, 10.0),
     )
     slew_rate: float = option(
-        0.0, "Largest rate of change of the command [A/s]; 0: no limit.", minimum=0.0, maximum=1e6
+        0.0, "Largest rate of change of the command [A/s]; 0: no limit.", within=(0.0, 1e6)
     )
     fallback: FallbackSettings = group(FallbackSettings, flat=True)
     demand_timeout: float = option(
         0.2,
         "Age [s] of the desired force, by its stamp relative to the samples, after which the "
         "safe current is commanded.",
-        minimum=0.001,
-        maximum=3600.0,
+        within=(0.001, 3600.0),
     )
     horizon: float = option(
         0.01,
         "Time [s] in which a lagging coil should reach its current; at least a block. The lag "
         "is coil_time_constant of the parameters. A shorter time tracks faster and needs "
         "larger steps of the supply current.",
-        minimum=0.0001,
-        maximum=1.0,
+        within=(0.0001, 1.0),
     )
     force_deadband: float = option(
         5.0,
         "Improvement of the force [N] below which the current does not change; it prevents "
         "chatter.",
-        minimum=0.0,
-        maximum=1e6,
+        within=(0.0, 1e6),
     )
     probe_step: float = option(
         0.0,
@@ -185,8 +178,7 @@ class ForceControlSettings(CheckedSettings):
         "force, up to highest_current. If the predicted force becomes wrong, the controller "
         "returns to the identified range for half a minute. Probing needs a load cell "
         "(maximum_error).",
-        minimum=0.0,
-        maximum=1.0,
+        within=(0.0, 1.0),
     )
     feedback: FeedbackSettings = group(FeedbackSettings, flat=True)
     predictor: PredictorSettings = group(PredictorSettings, flat=True)

@@ -94,10 +94,10 @@ _LONGEST, _SHORTEST = 0.01, 4.0
 class QuarterCar(CheckedSettings):
     """A body on a wheel on a road."""
 
-    body: float = option(400.0, "Mass [kg] above the spring.", minimum=1e-3, maximum=1e6)
-    wheel: float = option(50.0, "Mass [kg] of the wheel.", minimum=1e-3, maximum=1e6)
-    spring: float = option(20e3, "Stiffness [N/m] of the spring.", minimum=1.0, maximum=1e9)
-    tyre: float = option(250e3, "Stiffness [N/m] of the tyre.", minimum=1.0, maximum=1e9)
+    body: float = option(400.0, "Mass [kg] above the spring.", within=(1e-3, 1e6))
+    wheel: float = option(50.0, "Mass [kg] of the wheel.", within=(1e-3, 1e6))
+    spring: float = option(20e3, "Stiffness [N/m] of the spring.", within=(1.0, 1e9))
+    tyre: float = option(250e3, "Stiffness [N/m] of the tyre.", within=(1.0, 1e9))
 
     @property
     def plant(self) -> LinearPlant:

@@ -114,15 +114,13 @@ class Weights(CheckedSettings):
     """Weights of the cost of the linear-quadratic regulator of a car."""
 
     weight_acceleration: float = option(
-        1.0, "Weight of the squared body acceleration.", minimum=0.0, maximum=1e12
+        1.0, "Weight of the squared body acceleration.", within=(0.0, 1e12)
     )
     weight_travel: float = option(
-        1e3, "Weight of the squared suspension stroke.", minimum=0.0, maximum=1e12
+        1e3, "Weight of the squared suspension stroke.", within=(0.0, 1e12)
     )
-    weight_tyre: float = option(
-        1e4, "Weight of the squared tyre deflection.", minimum=0.0, maximum=1e12
-    )
-    weight_force: float = option(1e-9, "Weight of the squared force.", minimum=1e-15, maximum=1e6)
+    weight_tyre: float = option(1e4, "Weight of the squared tyre deflection.", within=(0.0, 1e12))
+    weight_force: float = option(1e-9, "Weight of the squared force.", within=(1e-15, 1e6))
 
 
 def optimal_gain(car: QuarterCar, weights: Weights) -> Array:
@@ -164,21 +162,17 @@ class SuspensionSettings(CheckedSettings):
     damping: float = option(
         2500.0,
         "Damping [N s/m] of passive, skyhook, groundhook and hybrid.",
-        minimum=0.0,
-        maximum=1e6,
+        within=(0.0, 1e6),
     )
     share: float = option(
-        0.6, "Share of the skyhook in hybrid; the rest is groundhook.", minimum=0.0, maximum=1.0
+        0.6, "Share of the skyhook in hybrid; the rest is groundhook.", within=(0.0, 1.0)
     )
-    low: float = option(700.0, "Low damping [N s/m] of add and sh_add.", minimum=0.0, maximum=1e6)
-    high: float = option(
-        4000.0, "High damping [N s/m] of add and sh_add.", minimum=0.0, maximum=1e6
-    )
+    low: float = option(700.0, "Low damping [N s/m] of add and sh_add.", within=(0.0, 1e6))
+    high: float = option(4000.0, "High damping [N s/m] of add and sh_add.", within=(0.0, 1e6))
     crossover: float = option(
         12.0,
         "Crossover frequency [rad/s] of sh_add between skyhook and acceleration-driven control.",
-        minimum=0.0,
-        maximum=1e4,
+        within=(0.0, 1e4),
     )
     optimal: OptimalSettings = group(OptimalSettings)
 

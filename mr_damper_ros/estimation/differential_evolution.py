@@ -36,28 +36,24 @@ class EvolutionSettings(CheckedSettings):
     mutation: float = option(
         0.8,
         "Differential weight F, between 0 and 2: the step length.",
-        minimum=0.01,
-        maximum=1.99,
+        within=(0.01, 1.99),
     )
     recombination: float = option(
         0.8,
         "Crossover probability CR, between 0 and 1: the expected fraction of an individual that "
         "is replaced at once.",
-        minimum=0.0,
-        maximum=1.0,
+        within=(0.0, 1.0),
     )
     generations: int = option(
         500,
         "Maximum number of generations; the search ends earlier if the population has converged.",
-        minimum=1,
-        maximum=1_000_000,
+        within=(1, 1_000_000),
     )
-    population: int = option(15, "Individuals per unknown parameter.", minimum=5, maximum=1000)
+    population: int = option(15, "Individuals per unknown parameter.", within=(5, 1000))
     seed: int = option(
         0,
         "Seed of the random numbers; the same seed and data give the same result.",
-        minimum=0,
-        maximum=2**32 - 1,
+        within=(0, 2**32 - 1),
     )
 
 

@@ -115,22 +115,19 @@ class BridgeParameters(ManagedOptions):
         10,
         "Samples per message. 1 has the smallest delay. A message takes about the same processor "
         "time with 1 or 1000 samples, so larger blocks take less time in total.",
-        minimum=1,
-        maximum=MOST_SAMPLES,
+        within=(1, MOST_SAMPLES),
     )
     current_rate: float = option(
         10.0,
         "Readings of the supply current per second of data [Hz]. An extra reading is "
         "published if the current changes by more than 5 mA in between.",
-        minimum=0.01,
-        maximum=100_000.0,
+        within=(0.01, 100_000.0),
     )
     mirror_rate: float = option(
         50.0,
         "Messages per second of data [Hz] on joint_states (position: displacement [m], "
         "effort: force [N], velocity: mean since the last message [m/s]); 0.0: none.",
-        minimum=0.0,
-        maximum=100_000.0,
+        within=(0.0, 100_000.0),
     )
     frame_id: str = option(
         "damper", "Frame of all messages, and name of the joint on joint_states."
@@ -140,8 +137,7 @@ class BridgeParameters(ManagedOptions):
         "Delay [s] of the force relative to the displacement, caused by a filter or a "
         "multiplexer; negative if the force is earlier. The bridge compensates for it; "
         "`check_rig` measures it.",
-        minimum=-0.1,
-        maximum=0.1,
+        within=(-0.1, 0.1),
     )
     sources: dict[str, ParameterTable] = groups(
         {name: (kind.prefix, kind.options) for name, kind in ALL_SOURCES.items()}

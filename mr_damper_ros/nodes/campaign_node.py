@@ -68,7 +68,7 @@ class CampaignParameters(ParameterTable):
         "of the action. The machine then moves when the node starts.",
     )
     model: str = option(DEFAULT_MODEL, "Force law that is identified.", choices=tuple(MODELS))
-    most_runs: int = option(20, "Maximum number of runs of a campaign.", minimum=1, maximum=999)
+    most_runs: int = option(20, "Maximum number of runs of a campaign.", within=(1, 999))
     conduct: ConductSettings = group(ConductSettings, flat=True)
     goal: GoalOptions = group(GoalOptions)
     machine: MachineOptions = group(MachineOptions)
@@ -76,8 +76,7 @@ class CampaignParameters(ParameterTable):
         1.0,
         "Time [s] without samples, on the clock of this computer, after which the machine is "
         "stopped; the run is repeated when samples return.",
-        minimum=0.05,
-        maximum=60.0,
+        within=(0.05, 60.0),
     )
     frame_id: str = option("damper", "Frame of the commands.")
 

@@ -55,8 +55,7 @@ class ControllerParameters(SetOptions):
         0.2,
         "Time [s] without samples, on the clock of this computer, after which the safe "
         "current is commanded repeatedly.",
-        minimum=0.01,
-        maximum=60.0,
+        within=(0.01, 60.0),
     )
     control: ForceControlSettings = group(ForceControlSettings, flat=True)
     grid: GridSettings = group(GridSettings, flat=True)

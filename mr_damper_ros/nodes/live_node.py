@@ -179,8 +179,7 @@ class LiveParameters(ParameterTable):
     port: int = option(
         8770,
         "Port of the page; 0: any free port. The node logs the address of the page at its start.",
-        minimum=0,
-        maximum=65535,
+        within=(0, 65535),
     )
     allow_commands: bool = option(
         False,

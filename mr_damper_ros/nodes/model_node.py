@@ -53,16 +53,14 @@ class ModelParameters(SetOptions):
         "Largest number of messages per second of data on damper/predicted_wrench "
         "(geometry_msgs/WrenchStamped), for standard tools: the last sample of each valid "
         "block; 0: none.",
-        minimum=0.0,
-        maximum=10_000.0,
+        within=(0.0, 10_000.0),
     )
     signals_rate: float = option(
         100.0,
         "Largest number of messages per second of data on damper/signals (DamperSignals): "
         "displacement, velocity, current, measured and predicted force at one stamp, for "
         "plotting tools; 0: none. Increase it for motion faster than a few hertz.",
-        minimum=0.0,
-        maximum=10_000.0,
+        within=(0.0, 10_000.0),
     )
     frame_id: str = option("damper", "Frame of the published forces, x along the damper's rod.")
 

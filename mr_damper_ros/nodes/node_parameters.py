@@ -9,7 +9,6 @@ applies the change in ``changed``.
 from __future__ import annotations
 
 import difflib
-import math
 from collections.abc import Callable, Collection
 from typing import Any, Generic, TypeVar
 
@@ -132,17 +131,11 @@ def _descriptor(item: Option) -> ParameterDescriptor:
         description=item.description,
         additional_constraints=f"one of {', '.join(item.choices)}" if item.choices else "",
     )
-    if item.range_text:
+    if item.within is not None:
+        low, high = map(item.kind, item.within)
+        ranged = {"from_value": low, "to_value": high}
         if item.kind is int:
-            limit = 2**63 - 1
-            low = -limit if item.minimum is None else int(item.minimum)
-            high = limit if item.maximum is None else int(item.maximum)
-            descriptor.integer_range = [IntegerRange(from_value=low, to_value=high)]
+            descriptor.integer_range = [IntegerRange(**ranged)]
         else:
-            descriptor.floating_point_range = [
-                FloatingPointRange(
-                    from_value=-math.inf if item.minimum is None else float(item.minimum),
-                    to_value=math.inf if item.maximum is None else float(item.maximum),
-                )
-            ]
+            descriptor.floating_point_range = [FloatingPointRange(**ranged)]
     return descriptor

@@ -54,20 +54,17 @@ class PacingSettings(CheckedSettings):
         "Speed relative to the time of the data: 2.0 is twice as fast. 0.0: as fast as the "
         "subscribers that keep all messages, such as the identifier, can receive; other "
         "subscribers may lose messages.",
-        minimum=0.0,
-        maximum=1000.0,
+        within=(0.0, 1000.0),
     )
     wait_for_subscribers: int = option(
         0,
         "Number of subscribing nodes to wait for before the first message is sent.",
-        minimum=0,
-        maximum=1000,
+        within=(0, 1000),
     )
     wait_timeout: float = option(
         10.0,
         "Longest time [s] to wait for the subscribers; then sending starts without them.",
-        minimum=0.0,
-        maximum=86400.0,
+        within=(0.0, 86400.0),
     )
 
 

@@ -52,8 +52,7 @@ class SetOptions(ParameterTable):
     error_memory: float = option(
         10.0,
         "Averaging time [s] of the error of the force in the diagnostics.",
-        minimum=0.1,
-        maximum=3600.0,
+        within=(0.1, 3600.0),
     )
 
 

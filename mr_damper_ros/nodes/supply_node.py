@@ -64,41 +64,36 @@ class SupplyParameters(ManagedOptions):
         "can be set while the node runs, and holds until a command arrives or the output is "
         "switched off: `ros2 param set /supply current 0.5`. After a command timeout or an "
         "activation it is not restored: set it again, even to the same value.",
-        minimum=-1000.0,
-        maximum=1000.0,
+        within=(-1000.0, 1000.0),
         read_only=False,
     )
     commands: CommandSettings = group(CommandSettings, flat=True)
     largest_voltage: float = option(
         12.0,
         "Largest voltage [V] at the coil.",
-        minimum=0.0,
-        maximum=1000.0,
+        within=(0.0, 1000.0),
     )
     rate: float = option(
-        20.0, "Readings of the measured current per second [Hz].", minimum=0.1, maximum=1000.0
+        20.0, "Readings of the measured current per second [Hz].", within=(0.1, 1000.0)
     )
     tolerance: float = option(
         0.05,
         "Largest difference [A] between measured current and setpoint; a larger one that lasts "
         "for a second is an error.",
-        minimum=0.0,
-        maximum=1000.0,
+        within=(0.0, 1000.0),
     )
     link_timeout: float = option(
         0.5,
         "Time [s] within which a complete answer must arrive. If it does not, the link counts as "
         "lost: the node becomes inactive at once and switches the output off over a new link.",
-        minimum=0.01,
-        maximum=60.0,
+        within=(0.01, 60.0),
     )
     watchdog: float = option(
         1.0,
         "Time [s] without a command line after which the watchdog of the instrument switches "
         "its output off, if its profile has one; rounded up to the resolution of the "
         "instrument.",
-        minimum=0.05,
-        maximum=3600.0,
+        within=(0.05, 3600.0),
     )
     frame_id: str = option("damper", "Frame of the measured current.")
 

@@ -38,7 +38,7 @@ class SuspensionParameters(ParameterTable):
 
     control: SuspensionSettings = group(SuspensionSettings, flat=True)
     largest_force: float = option(
-        10_000.0, "Largest magnitude of the desired force [N].", minimum=0.0, maximum=1e9
+        10_000.0, "Largest magnitude of the desired force [N].", within=(0.0, 1e9)
     )
     frame_id: str = option("damper", "Frame of the desired forces.")
 

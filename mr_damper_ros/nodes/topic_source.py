@@ -74,8 +74,7 @@ class TopicOptions(ParameterTable):
         0.0,
         "Time [s] for which values wait, so that delayed values can be sorted in. Messages of one "
         "ROS topic are always in order.",
-        minimum=0.0,
-        maximum=1.0,
+        within=(0.0, 1.0),
     )
 
     def objection(self) -> str:

@@ -118,37 +118,32 @@ class CommandSettings(CheckedSettings):
     largest_current: float = option(
         2.0,
         "Rated current of the coil [A]; larger commands are limited to it and counted.",
-        minimum=0.0,
-        maximum=1000.0,
+        within=(0.0, 1000.0),
     )
     smallest_current: float = option(
         0.0,
         "Smallest current [A]; negative for a bipolar supply.",
-        minimum=-1000.0,
-        maximum=0.0,
+        within=(-1000.0, 0.0),
     )
     slew_rate: float = option(
         0.0,
         "Largest rate of change of the current [A/s]; 0: no limit. Switching to a safe state "
         "is immediate.",
-        minimum=0.0,
-        maximum=1e6,
+        within=(0.0, 1e6),
     )
     command_timeout: float = option(
         0.5,
         "Time [s] for which a command holds from its stamp on. When commands stop, the "
         "current is zero until another command arrives or the current is set by hand; a "
         "commanded motion ends. Older commands are rejected.",
-        minimum=0.01,
-        maximum=3600.0,
+        within=(0.01, 3600.0),
     )
     stamp_tolerance: float = option(
         STAMP_TOLERANCE,
         "Largest time [s] by which a command may be stamped ahead of this computer's clock; "
         "commands stamped further ahead are rejected. Increase it only if the clocks of two "
         "computers cannot be synchronised.",
-        minimum=0.0,
-        maximum=3600.0,
+        within=(0.0, 3600.0),
     )
 
 

@@ -6,7 +6,7 @@ the name of the group and a dot as prefix, unless the group is flat::
 
     @dataclass(frozen=True)
     class PredictorSettings(CheckedSettings):
-        timeout: float = option(1.0, "Age [s] of the oldest usable current.", minimum=0.0)
+        timeout: float = option(1.0, "Age [s] of the oldest usable current.", within=(0.0, 60.0))
 
     @dataclass(frozen=True)
     class ModelParameters(ParameterTable):
@@ -35,7 +35,7 @@ _TYPE_NAMES = {bool: "true or false", int: "an integer", float: "a number", str:
 
 @dataclass(frozen=True)
 class Option:
-    """One parameter of a node; ``minimum`` and ``maximum`` are inclusive.
+    """One parameter of a node; both ends of the range ``within`` are allowed.
 
     If the default is NaN, NaN is also valid and means "not given".
     """
@@ -43,8 +43,7 @@ class Option:
     name: str
     default: Value
     description: str
-    minimum: float | None = None
-    maximum: float | None = None
+    within: tuple[float, float] | None = None
     choices: tuple[str, ...] = ()
     read_only: bool = True
     start_only: bool = False
@@ -74,27 +73,17 @@ class Option:
             return f"parameter {self.name} must be a finite number, not {value}"
         if self.choices and value not in self.choices:
             return f"parameter {self.name} must be one of {', '.join(self.choices)}, not {value!r}"
-        if isinstance(value, (int, float)):
-            low = -math.inf if self.minimum is None else self.minimum
-            high = math.inf if self.maximum is None else self.maximum
-            if not low <= value <= high:
-                return f"parameter {self.name} must be {self.range_text}, not {value:g}"
+        if self.within is not None and not self.within[0] <= value <= self.within[1]:
+            return f"parameter {self.name} must be {self.range_text}, not {value:g}"
         return ""
 
     @property
     def range_text(self) -> str:
         """The valid range in words; empty without a range."""
-        if self.minimum is None and self.maximum is None:
+        if self.within is None:
             return ""
-        if self.maximum is None:
-            return f"at least {_shown(self.minimum)}"
-        if self.minimum is None:
-            return f"at most {_shown(self.maximum)}"
-        return f"from {_shown(self.minimum)} to {_shown(self.maximum)}"
-
-
-def _shown(limit: float | None) -> str:
-    return str(limit) if isinstance(limit, int) else f"{limit:g}"
+        low, high = (str(end) if isinstance(end, int) else f"{end:g}" for end in self.within)
+        return f"from {low} to {high}"
 
 
 @dataclass(frozen=True)
@@ -128,8 +117,7 @@ def option(
     default: Value,
     description: str,
     *,
-    minimum: float | None = None,
-    maximum: float | None = None,
+    within: tuple[float, float] | None = None,
     choices: tuple[str, ...] = (),
     read_only: bool = True,
     start_only: bool = False,
@@ -139,7 +127,7 @@ def option(
     ``read_only``: fixed while the node is active. ``start_only``: fixed from the start of a
     lifecycle node, even before it is configured.
     """
-    details = Option("", default, description, minimum, maximum, choices, read_only, start_only)
+    details = Option("", default, description, within, choices, read_only, start_only)
     return dataclasses.field(default=default, metadata={"option": details})
 
 

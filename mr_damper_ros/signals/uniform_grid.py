@@ -164,8 +164,7 @@ class GridSettings(CheckedSettings):
         0.05,
         "Longest gap of lost samples that is interpolated [s]; after a longer gap the estimate of "
         "the motion restarts. 0: no gap is interpolated.",
-        minimum=0.0,
-        maximum=1.0,
+        within=(0.0, 1.0),
     )
 
 

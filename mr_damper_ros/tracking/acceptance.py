@@ -326,15 +326,13 @@ class AcceptanceSettings(CheckedSettings):
         0.5,
         "Largest error on the validation samples, RMSE / standard deviation of the force; a "
         "fit with a larger error is rejected.",
-        minimum=0.0,
-        maximum=10.0,
+        within=(0.0, 10.0),
     )
     residual_factor: float = option(
         3.0,
         "A residual of this many times the residual baseline counts as a disturbance or "
         "sensor fault, unless it lasts for several windows.",
-        minimum=1.0,
-        maximum=1e6,
+        within=(1.0, 1e6),
     )
     change_limit: float = option(
         3.0,
@@ -342,14 +340,12 @@ class AcceptanceSettings(CheckedSettings):
         "that differ more from the first accepted one are always rejected (verdict "
         "BEYOND_LIMITS): check the sensors, and call the service reset if the damper was "
         "replaced.",
-        minimum=1.0,
-        maximum=1e6,
+        within=(1.0, 1e6),
     )
     step_limit: float = option(
         0.5,
         "A larger relative change of the force must be confirmed by the next window.",
-        minimum=0.0,
-        maximum=1e6,
+        within=(0.0, 1e6),
     )
 
 

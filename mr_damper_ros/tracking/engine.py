@@ -39,15 +39,13 @@ class EngineSettings(CheckedSettings):
     fit_delay: float = option(
         0.3,
         "Time [s] of data from the start of a window fit until its outcome takes effect.",
-        minimum=0.0,
-        maximum=3600.0,
+        within=(0.0, 3600.0),
     )
     search_delay: float = option(
         1.0,
         "Time [s] of data from the start of a global identification until its outcome takes "
         "effect.",
-        minimum=0.0,
-        maximum=3600.0,
+        within=(0.0, 3600.0),
     )
 
     def for_law(self, model: str) -> EngineSettings:

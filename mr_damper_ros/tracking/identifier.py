@@ -33,8 +33,7 @@ class PipelineSettings(CheckedSettings):
         30.0,
         "Time limit of a fit [s]; then the best result so far is judged. The limit is "
         "generous, so that results depend on the data and not on the load of the computer.",
-        minimum=0.01,
-        maximum=3600.0,
+        within=(0.01, 3600.0),
     )
     waiting_windows: int = option(
         1000,
@@ -42,14 +41,12 @@ class PipelineSettings(CheckedSettings):
         "and counted in the diagnostics. 1 keeps only the newest window, which suits a live "
         "rig; a large number suits a bag that is played faster than it can be fitted. A "
         "window takes 32 bytes per sample.",
-        minimum=1,
-        maximum=1_000_000,
+        within=(1, 1_000_000),
     )
     search_time_budget: float = option(
         600.0,
         "Time limit of a global identification [s]; then the best result so far is judged.",
-        minimum=0.01,
-        maximum=86_400.0,
+        within=(0.01, 86_400.0),
     )
 
 

@@ -348,8 +348,7 @@ class FitOptions(CheckedSettings):
         "Relative change of the force that triggers an early fit (see looks). If the force is "
         "hardly larger than its noise, a false alarm occurs every few hours; otherwise false "
         "alarms practically never occur.",
-        minimum=0.001,
-        maximum=1.0,
+        within=(0.001, 1.0),
     )
     tracker: str = option(
         "window",
@@ -362,8 +361,7 @@ class FitOptions(CheckedSettings):
         1e-3,
         "For tracker recursive: expected random walk of the force [1/sqrt(s)], relative to "
         "the force. A larger value tracks faster and averages less.",
-        minimum=1e-9,
-        maximum=1.0,
+        within=(1e-9, 1.0),
     )
     method: str = option(
         "nelder_mead",

@@ -160,8 +160,7 @@ class PredictorSettings(ValiditySettings):
         "displacement. A larger bandwidth follows faster motion; a smaller one passes less "
         "displacement noise. 0: it adapts to motion and noise. Other values are limited to "
         "between 0.02 % and a quarter of the sample rate.",
-        minimum=0.0,
-        maximum=10_000.0,
+        within=(0.0, 10_000.0),
     )
     gradual_reversal: bool = option(
         True,
@@ -173,8 +172,7 @@ class PredictorSettings(ValiditySettings):
         10.0,
         "Time [s] over which the centre of the motion is estimated, to which the displacement "
         "is referred. It must cover a whole cycle.",
-        minimum=0.01,
-        maximum=3600.0,
+        within=(0.01, 3600.0),
     )
 
 

@@ -60,15 +60,13 @@ class Screening(CheckedSettings):
         0.5e-3,
         "Smallest amplitude of the motion [m], half the span of the displacement. Below it "
         "the force contains little information on the damper.",
-        minimum=0.0,
-        maximum=1.0,
+        within=(0.0, 1.0),
     )
     current_tolerance: float = option(
         0.05,
         "Largest change of the current [A] within a window of one operating point. With a larger "
         "change the samples are grouped by current.",
-        minimum=0.0,
-        maximum=100.0,
+        within=(0.0, 100.0),
     )
 
 

@@ -77,8 +77,7 @@ class TrackerSettings(FitOptions):
         "windows at two operating points. It runs sooner if the dependence on current does not "
         "fit, and with model sigmoid_lag after the first accepted window, because window fits do "
         "not determine the lag.",
-        minimum=0,
-        maximum=1_000_000,
+        within=(0, 1_000_000),
     )
     evolution: EvolutionSettings = group(EvolutionSettings)
 

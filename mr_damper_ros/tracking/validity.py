@@ -119,16 +119,14 @@ class ValiditySettings(CheckedSettings):
         "invalid: the computer is overloaded, or the clocks differ. It is checked only if the "
         "stamps are within a minute of the clock, so not for a played recording. 0: no limit, "
         "for example to replay a very recent recording at another rate.",
-        minimum=0.0,
-        maximum=3600.0,
+        within=(0.0, 3600.0),
     )
     current_timeout: float = option(
         1.0,
         "Age of the supply current [s] after which the force is invalid; also the longest time "
         "by which the stamp of a current may be ahead of the samples. Set it to a few periods of "
         "the topic of the current.",
-        minimum=0.0,
-        maximum=3600.0,
+        within=(0.0, 3600.0),
     )
     parameters_timeout: float = option(
         600.0,
@@ -136,37 +134,32 @@ class ValiditySettings(CheckedSettings):
         "force is invalid, because the identifier has ended or rejects its input. The damper of "
         "the thesis loses a quarter of its force in ten minutes as it heats up. 0: no limit. "
         "Parameters from parameter_file have no limit.",
-        minimum=0.0,
-        maximum=1e9,
+        within=(0.0, 1e9),
     )
     velocity_margin: float = option(
         0.25,
         "Margin by which the peak velocity may leave the identified range before the force is "
         "invalid, relative to the end of the range: 0.25 is 25 %.",
-        minimum=0.0,
-        maximum=100.0,
+        within=(0.0, 100.0),
     )
     current_margin: float = option(
         0.1,
         "Margin by which the current may leave the identified range before the force is invalid, "
         f"as a fraction of the width of the range; {CURRENT_READING} A are always allowed.",
-        minimum=0.0,
-        maximum=100.0,
+        within=(0.0, 100.0),
     )
     force_margin: float = option(
         0.3,
         "Margin by which the force may exceed the largest measured force of this damper before "
         "it is invalid, relative to that force.",
-        minimum=0.0,
-        maximum=1e6,
+        within=(0.0, 1e6),
     )
     maximum_error: float = option(
         0.2,
         "Largest error of a valid force, relative to the recent peak of the measured force. It "
         "limits the error of each sample and the root mean square error over a half-cycle. 0: the "
         "measured force is ignored, for a rig without a load cell.",
-        minimum=0.0,
-        maximum=100.0,
+        within=(0.0, 100.0),
     )
 
 

@@ -64,30 +64,26 @@ class WindowSettings(CheckedSettings):
         "Length of a window [s]. Longer windows give smaller standard errors and track drift "
         "more slowly. A window with less than a cycle of the motion is extended into the past "
         "(2 s suffice from 0.5 Hz on).",
-        minimum=0.01,
-        maximum=3600.0,
+        within=(0.01, 3600.0),
     )
     hop: float = option(
         1.0,
         "Time from the start of one window to the start of the next [s], at most `window`. "
         "Half a window uses every sample twice.",
-        minimum=0.001,
-        maximum=3600.0,
+        within=(0.001, 3600.0),
     )
     longest_window: float = option(
         30.0,
         "Largest length to which a window is extended [s] to contain a cycle of the motion; "
         "30 s suffice for 0.05 Hz.",
-        minimum=0.01,
-        maximum=3600.0,
+        within=(0.01, 3600.0),
     )
     centre_memory: float = option(
         MEMORY,
         "Time [s] over which the peak velocity is estimated; it must cover a whole cycle. "
         "Keep it equal to `centre_memory` of model and controller, so that all of them compute "
         "the same peak velocity.",
-        minimum=0.01,
-        maximum=3600.0,
+        within=(0.01, 3600.0),
     )
     looks: int = option(
         3,
@@ -95,8 +91,7 @@ class WindowSettings(CheckedSettings):
         "use. After a sudden change of the force, such as a leak, the force scale is fitted at "
         "once, and later windows exclude the samples before the change. 0: no checks; a change is "
         "then detected at the end of a window.",
-        minimum=0,
-        maximum=1000,
+        within=(0, 1000),
     )
 
     def __post_init__(self) -> None:

@@ -23,13 +23,13 @@ from scripts import write_config
 
 @dataclass(frozen=True)
 class Inner(ParameterTable):
-    gain: float = option(2.0, "Gain.", minimum=0.0, maximum=10.0)
+    gain: float = option(2.0, "Gain.", within=(0.0, 10.0))
 
 
 @dataclass(frozen=True)
 class Example(ParameterTable):
     mode: str = option("slow", "Mode.", choices=("slow", "fast"))
-    count: int = option(3, "Count.", minimum=1)
+    count: int = option(3, "Count.", within=(1, 9))
     active: bool = option(True, "Active.")
     maybe: float = option(math.nan, "Not given.")
     inner: Inner = group(Inner)
@@ -37,7 +37,7 @@ class Example(ParameterTable):
 
 @dataclass(frozen=True)
 class Checked(CheckedSettings):
-    speed: float = option(1.0, "Speed.", minimum=0.0, maximum=5.0)
+    speed: float = option(1.0, "Speed.", within=(0.0, 5.0))
     inner: Inner = group(Inner)
 
     def __post_init__(self) -> None:
@@ -82,7 +82,7 @@ def test_settings_cannot_be_made_with_values_that_are_not_allowed(
     [
         ("mode", "medium", "must be one of slow, fast"),
         ("mode", 3, "must be a text"),
-        ("count", 0, "must be at least 1"),
+        ("count", 0, "must be from 1 to 9"),
         ("count", 2.0, "must be an integer"),
         ("count", True, "must be an integer"),
         ("active", 1, "must be true or false"),

@@ -28,18 +28,15 @@ class ExportError(UserError):
 class ExportSettings(CheckedSettings):
     """Options of the target controller."""
 
-    period: float = option(1e-3, "Time between two samples [s].", minimum=1e-6, maximum=1.0)
+    period: float = option(1e-3, "Time between two samples [s].", within=(1e-6, 1.0))
     bandwidth: float = option(
         40.0,
         "Bandwidth [Hz] of the observer of velocity and acceleration.",
-        minimum=0.001,
-        maximum=1e5,
+        within=(0.001, 1e5),
     )
-    lowest_current: float = option(
-        0.0, "Lowest current [A] of the inverse.", minimum=-10.0, maximum=10.0
-    )
+    lowest_current: float = option(0.0, "Lowest current [A] of the inverse.", within=(-10.0, 10.0))
     highest_current: float = option(
-        2.0, "Highest current [A] of the inverse.", minimum=-10.0, maximum=10.0
+        2.0, "Highest current [A] of the inverse.", within=(-10.0, 10.0)
     )
 
 

@@ -42,8 +42,7 @@ def _range(name: str) -> float:
     return option(  # type: ignore[no-any-return]
         10.0,
         f"Range of the {name} channel, plus and minus this [V]; clipped samples are omitted.",
-        minimum=1e-6,
-        maximum=1e12,
+        within=(1e-6, 1e12),
     )
 
 
@@ -65,8 +64,7 @@ class DaqOptions(ParameterTable):
     rate: float = option(
         1000.0,
         "Requested sample rate [Hz]; an LSL stream has its own.",
-        minimum=1.0,
-        maximum=100_000.0,
+        within=(1.0, 100_000.0),
     )
     differential: bool = option(
         True,

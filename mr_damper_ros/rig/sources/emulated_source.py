@@ -56,16 +56,14 @@ class _RigOptions(ParameterTable):
         "Factor on the force at 71 °C, below 1 for a damper that weakens as it heats up; the "
         "force changes linearly from 28 °C to 71 °C. The force of the damper in the thesis falls "
         "to 0.74, which thesis_temperatures already includes.",
-        minimum=0.0,
-        maximum=10.0,
+        within=(0.0, 10.0),
     )
     current: float = option(
         1.5,
         "Manual setpoint of the supply current [A]. It can be set while the rig runs: `ros2 "
         "param set /bridge emulated.current 0.5`. It holds until a command arrives on "
         "supply/current_command.",
-        minimum=-MOST_CURRENT,
-        maximum=MOST_CURRENT,
+        within=(-MOST_CURRENT, MOST_CURRENT),
         read_only=False,
     )
     command_timeout: float = with_default(CommandSettings, "command_timeout", 0.5)
@@ -73,35 +71,31 @@ class _RigOptions(ParameterTable):
         0.0,
         "Time constant [s] with which the coil current, and so the force, follows the supply "
         "current.",
-        minimum=0.0,
-        maximum=1.0,
+        within=(0.0, 1.0),
     )
     force_noise: float = option(
         5.53,
         "Standard deviation of the force noise [N]; 5.53 is the residual error reported in "
         "the thesis.",
-        minimum=0.0,
-        maximum=1e6,
+        within=(0.0, 1e6),
     )
     displacement_noise: float = option(
-        0.0, "Standard deviation [m] of the displacement noise.", minimum=0.0, maximum=0.1
+        0.0, "Standard deviation [m] of the displacement noise.", within=(0.0, 0.1)
     )
-    sample_rate: float = option(1000.0, "Samples per second [Hz].", minimum=1.0, maximum=100_000.0)
+    sample_rate: float = option(1000.0, "Samples per second [Hz].", within=(1.0, 100_000.0))
     initial_temperature: float = option(
-        28.0, "Temperature of the damper at the start [°C].", minimum=-50.0, maximum=200.0
+        28.0, "Temperature of the damper at the start [°C].", within=(-50.0, 200.0)
     )
     heat_capacity: float = option(
         430.0,
         "Heat capacity of the damper [J/K], which absorbs the dissipated power. With a smaller "
         "value, the damper heats up faster.",
-        minimum=0.1,
-        maximum=1e6,
+        within=(0.1, 1e6),
     )
     seed: int = option(
         0,
         "Seed of noise and road; the same seed gives the same samples.",
-        minimum=0,
-        maximum=2**31 - 1,
+        within=(0, 2**31 - 1),
     )
 
 
@@ -126,23 +120,20 @@ class EmulatedOptions(_RigOptions):
     amplitude: float = option(
         0.005,
         "Amplitude of the motion [m], also of random motion.",
-        minimum=1e-6,
-        maximum=0.5,
+        within=(1e-6, 0.5),
     )
     frequency: float = option(
-        1.0, "Frequency of the sine, or the lowest frequency [Hz].", minimum=1e-3, maximum=100.0
+        1.0, "Frequency of the sine, or the lowest frequency [Hz].", within=(1e-3, 100.0)
     )
     highest_frequency: float = option(
         3.0,
         "Highest frequency [Hz] of chirp, steps and random motion.",
-        minimum=1e-3,
-        maximum=100.0,
+        within=(1e-3, 100.0),
     )
     sweep_time: float = option(
         30.0,
         "Duration [s] of a chirp, of four steps or of random motion, which then repeat.",
-        minimum=1.0,
-        maximum=86400.0,
+        within=(1.0, 86400.0),
     )
     motion_file: str = option("", "Path of the text, CSV or MAT file of a recorded motion.")
     motion_columns: str = option(
@@ -151,27 +142,23 @@ class EmulatedOptions(_RigOptions):
     largest_amplitude: float = option(
         0.05,
         "Largest amplitude [m] of a commanded motion; larger commands are rejected.",
-        minimum=1e-6,
-        maximum=0.5,
+        within=(1e-6, 0.5),
     )
     largest_velocity: float = option(
         1.0,
         "Largest peak velocity [m/s] of a commanded motion; larger commands are rejected.",
-        minimum=1e-6,
-        maximum=10.0,
+        within=(1e-6, 10.0),
     )
     ambient_temperature: float = option(
         22.0,
         "Ambient temperature [°C]. It can be changed while the rig runs.",
-        minimum=-50.0,
-        maximum=200.0,
+        within=(-50.0, 200.0),
         read_only=False,
     )
     conductance: float = option(
         0.5,
         "Heat loss to the air [W/K]; 0.0: none.",
-        minimum=0.0,
-        maximum=1e4,
+        within=(0.0, 1e4),
     )
     faults: str = option(
         "",
@@ -350,12 +337,12 @@ class QuarterCarOptions(_RigOptions):
         "start.",
         choices=(*ROUGHNESS, _BUMP),
     )
-    speed: float = option(20.0, "Speed of the car [m/s].", minimum=0.1, maximum=100.0)
+    speed: float = option(20.0, "Speed of the car [m/s].", within=(0.1, 100.0))
     hot_force: float = with_default(_RigOptions, "hot_force", HOT_FORCE)
     current: float = with_default(_RigOptions, "current", 0.0)
     coil_time_constant: float = with_default(_RigOptions, "coil_time_constant", 0.01)
     displacement_noise: float = with_default(_RigOptions, "displacement_noise", 1e-6)
-    sample_rate: float = option(1000.0, "Samples per second [Hz].", minimum=200.0, maximum=10_000.0)
+    sample_rate: float = option(1000.0, "Samples per second [Hz].", within=(200.0, 10_000.0))
 
 
 class QuarterCarSource(_EmulatedSupply):

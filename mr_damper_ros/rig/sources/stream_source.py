@@ -141,7 +141,7 @@ class StreamOptions(ParameterTable):
         "connects), udp:0.0.0.0:5000 (the local address that receives datagrams), or "
         "simulated.",
     )
-    baud: int = option(115200, "Speed of a serial line [Bd].", minimum=50, maximum=20_000_000)
+    baud: int = option(115200, "Speed of a serial line [Bd].", within=(50, 20_000_000))
     columns: str = option(
         "",
         "Columns of a line or record in order, with units, such as "
