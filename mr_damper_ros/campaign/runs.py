@@ -120,16 +120,16 @@ class RunDriver:
 
     def add_block(self, placed: Placed) -> None:
         """Add samples on the uniform grid."""
-        if placed.continuity.restarts:
+        if placed.restarts:
             self._blocks = []
             if self.stage is DriveStage.RECORDING:
                 self.stage = DriveStage.SETTLING
                 self.state = "samples were lost: the run restarts"
-        if placed.continuity.kind == "jump_back":
+        if placed.kind == "jump_back":
             self.current.follow_jump()
             self.celsius.follow_jump()
         over = self.stage in (DriveStage.DONE, DriveStage.BROKEN)
-        if over or placed.continuity.kind == "repeat":
+        if over or placed.kind == "repeat":
             return
         block = placed.block
         force = float(np.max(np.abs(block.force)))

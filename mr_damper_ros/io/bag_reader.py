@@ -145,12 +145,11 @@ def _block(message: Any, stamp_ns: int, bag: str, topic: str) -> SampleBlock:
 def _place(segments: list[tuple[int, list[SampleBlock]]], placed: Iterable[Placed]) -> None:
     """Add blocks of the grid to the last segment, or to a new one after a discontinuity."""
     for one in placed:
-        kind = one.continuity.kind
-        if kind in ("next", "bridged"):
+        if one.kind in ("next", "bridged"):
             segments[-1][1].append(one.block)
-        elif kind != "repeat":
+        elif one.kind != "repeat":
             before = segments[-1][0] if segments else 0
-            segments.append((before + (kind == "jump_back"), [one.block]))
+            segments.append((before + (one.kind == "jump_back"), [one.block]))
 
 
 def _hold(bag: str, rounds: list[tuple[int, ZeroOrderHold]], reading: CurrentReading) -> None:

@@ -168,28 +168,13 @@ class GridSettings(CheckedSettings):
     )
 
 
-@dataclass(frozen=True)
-class Continuity:
-    """Relation of a block to its predecessor.
-
-    ``kind`` is "first", "next", "bridged", "gap", "jump_back", "repeat" or "changed_period".
-    ``lost`` counts the samples missing before the block. ``sentence`` describes the interruption;
-    it is empty for the kinds "first", "next" and "bridged".
-    """
-
-    kind: str
-    lost: int = 0
-    sentence: str = ""
-
-    @property
-    def restarts(self) -> bool:
-        """Whether windows and motion must restart."""
-        return self.kind in ("gap", "jump_back", "changed_period")
-
-
 @dataclass(frozen=True, eq=False)
 class Placed:
-    """A block on the grid; its first ``bridged`` samples were not measured.
+    """A block on the grid, and its relation to its predecessor.
+
+    ``kind`` is "first", "next", "bridged", "gap", "jump_back", "repeat" or "changed_period".
+    ``sentence`` describes an interruption; it is empty for "first", "next" and "bridged". The first
+    ``bridged`` samples of the block were not measured.
 
     ``arrived`` is the new part of the arriving block, with its original stamp. For a repeat,
     ``arrived`` and ``block`` are both the arriving block. ``stamp_ns`` is the time of the first
@@ -198,17 +183,24 @@ class Placed:
     to this force in sample periods; otherwise it is None.
     """
 
+    kind: str
+    sentence: str
     block: SampleBlock
     arrived: SampleBlock
-    bridged: int
-    continuity: Continuity
     stamp_ns: int
+    bridged: int = 0
     measured: tuple[Array, Array] | None = None
 
+    @property
+    def restarts(self) -> bool:
+        """Whether windows and motion must restart."""
+        return self.kind in _RESTARTS
 
-_NEXT = Continuity("next")
-_FIRST = Continuity("first")
-_REPEAT = Continuity("repeat", sentence="a block arrived twice or too late: it is ignored")
+
+_RESTARTS = ("gap", "jump_back", "changed_period")
+
+_Verdict = tuple[str, int, str]
+"""Kind of a block, number of samples lost before it, and sentence, as in :class:`Placed`."""
 
 
 class UniformGrid:
@@ -249,16 +241,20 @@ class UniformGrid:
     def follow(self, block: SampleBlock) -> list[Placed]:
         """Add a block; returns the blocks placed on the grid, which is one block if none waits."""
         verdict = self._judge(block)
-        if self._hold_back == 0.0 or (not self._held and verdict.kind != "bridged"):
+        if self._hold_back == 0.0 or (not self._held and verdict[0] != "bridged"):
             return [self._place(block, verdict)]
         # Blocks still waiting belong to the time before the restart.
-        placed = self.flush() if verdict.restarts else []
+        placed = self.flush() if verdict[0] in _RESTARTS else []
         self._held.append(block)
         self._held.sort(key=lambda held: held.sequence)
+        newest = self._held[-1]
         while self._held:
             verdict = self._judge(self._held[0])
-            if verdict.kind == "bridged" and self._may_wait(self._held[-1]):
-                break
+            if verdict[0] == "bridged":
+                assert self.last is not None
+                since = newest.sequence - _end(self.last)
+                if since * block.period < self._hold_back:
+                    break
             placed.append(self._place(self._held.pop(0), verdict))
         return placed
 
@@ -267,72 +263,56 @@ class UniformGrid:
         held, self._held = self._held, []
         return [self._place(block, self._judge(block)) for block in held]
 
-    def _may_wait(self, newest: SampleBlock) -> bool:
-        assert self.last is not None
-        ahead = newest.sequence + newest.sample_count - _end(self.last)
-        return ahead * self.last.period < self._hold_back + newest.sample_count * newest.period
-
-    def _judge(self, block: SampleBlock) -> Continuity:
+    def _judge(self, block: SampleBlock) -> _Verdict:
         last = self.last
         if last is None or self._clock is None:
-            return _FIRST
+            return "first", 0, ""
         if not math.isclose(block.period, last.period, rel_tol=1e-6):
-            return Continuity(
-                "changed_period",
-                sentence=f"the sample period changed from {last.period:g} s to {block.period:g} s: "
-                "windows and motion restart",
-            )
+            changed = f"the sample period changed from {last.period:g} s to {block.period:g} s"
+            return "changed_period", 0, changed
         due_ns = self._clock.at(_end(last))
         late_ns = block.start_ns - due_ns
+        late = late_ns / NANOSECONDS
         missing = block.sequence - _end(last)
         # Difference between the stamp and the time that follows from the count.
         off_ns = abs(late_ns - missing * block.period * NANOSECONDS)
         allowed_ns = max(_JITTER_NS, _JITTER * block.period * NANOSECONDS)
         if off_ns <= allowed_ns:
             if -block.sample_count < missing <= 0:
-                return _NEXT
+                return "next", 0, ""
             if missing > 0 and missing * block.period <= self._settings.longest_gap + 1e-9:
-                return Continuity("bridged", missing)
-            if missing < 0 and off_ns < abs(late_ns) < LATE_NS:
-                return _REPEAT
+                return "bridged", missing, ""
+        continues = off_ns <= allowed_ns and off_ns < abs(late_ns) < LATE_NS
+        ends_before = block.end_ns <= due_ns + allowed_ns and -LATE_NS < late_ns <= 0
+        if missing < 0 and (continues or (ends_before and abs(late_ns) > allowed_ns)):
+            return "repeat", 0, "a block arrived twice or too late: it is ignored"
         if abs(late_ns) <= allowed_ns and missing != 0:
-            # The stamps continue but the count does not, so the source was restarted.
-            return Continuity(
-                "gap",
-                sentence="the sample count was set back or forward (was the source restarted?): "
-                "windows and motion restart",
-            )
-        late = late_ns / NANOSECONDS
-        if late > 0.0:
-            lost = max(missing, 0)
-            detail = (
-                f"{lost} samples were lost (is the computer or network overloaded, or did the "
-                "source omit them?)"
-                if lost
-                else f"the samples pause for {late:.3g} s"
-            )
-            return Continuity("gap", lost, f"{detail}: windows and motion restart")
-        if block.end_ns <= due_ns + allowed_ns and -late_ns < LATE_NS and missing < 0:
-            return _REPEAT
-        return Continuity(
-            "jump_back",
-            sentence=f"the stamps jump back by {-late:.3g} s: windows and motion restart",
-        )
+            # The stamps continue but the count does not.
+            return "gap", 0, "the sample count was set back or forward (was the source restarted?)"
+        if late <= 0.0:
+            return "jump_back", 0, f"the stamps jump back by {-late:.3g} s"
+        if missing <= 0:
+            return "gap", 0, f"the samples pause for {late:.3g} s"
+        why = "is the computer or network overloaded, or did the source omit them?"
+        return "gap", missing, f"{missing} samples were lost ({why})"
 
-    def _place(self, block: SampleBlock, verdict: Continuity) -> Placed:
-        if verdict.sentence:
+    def _place(self, block: SampleBlock, verdict: _Verdict) -> Placed:
+        kind, lost, sentence = verdict
+        restarts = kind in _RESTARTS
+        if sentence:
+            sentence += ": windows and motion restart" if restarts else ""
             self.interruptions += 1
-            self.last_interruption = verdict.sentence
-        if verdict.kind == "repeat":
+            self.last_interruption = sentence
+        if kind == "repeat":
             self.repeated_samples += block.sample_count
-            return Placed(block, block, 0, verdict, block.start_ns)
-        self.lost_samples += verdict.lost
-        if verdict.restarts or self._clock is None:
+            return Placed(kind, sentence, block, block, block.start_ns)
+        self.lost_samples += lost
+        if restarts or self._clock is None:
             self._clock = StampClock(block.sequence, block.start_ns, block.period)
             self._past.keep(0)
             self.last = block
             self._remember(block, 0.0)
-            return Placed(block, block, 0, verdict, block.start_ns)
+            return Placed(kind, sentence, block, block, block.start_ns)
         assert self.last is not None
         known = _end(self.last) - block.sequence
         if known > 0:
@@ -348,15 +328,15 @@ class UniformGrid:
             if abs(late) > _EVEN:
                 placed = replace(block, start_ns=self._clock.at(block.sequence))
             late = 0.0
-        if moves or verdict.lost:
-            placed, after = self._resampled(block, late, verdict.lost)
-            measured = _measured(block.force, after, verdict.lost)
+        if moves or lost:
+            placed, after = self._resampled(block, late, lost)
+            measured = _measured(block.force, after, lost)
         if moves:
-            stamp_ns = placed.start_ns + round(verdict.lost * block.period * NANOSECONDS)
+            stamp_ns = placed.start_ns + round(lost * block.period * NANOSECONDS)
         self._remember(block, late)
-        self.bridged_samples += verdict.lost
+        self.bridged_samples += lost
         self.last = placed
-        return Placed(placed, block, verdict.lost, verdict, stamp_ns, measured)
+        return Placed(kind, sentence, placed, block, stamp_ns, lost, measured)
 
     def _resampled(self, block: SampleBlock, late: float, lost: int) -> tuple[SampleBlock, Array]:
         """The block, preceded by the ``lost`` samples, moved from the sample times to the grid.

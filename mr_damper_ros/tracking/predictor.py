@@ -357,16 +357,16 @@ class ForcePredictor:
         the present time by the clock of the stamps; None without a clock.
         """
         (placed,) = self.sequence.follow(block)
-        whole, bridged, verdict = placed.block, placed.bridged, placed.continuity
-        if verdict.kind == "repeat":
-            repeated = Doubt(DoubtKind.REPEATED, verdict.sentence)
-            return self._without_force(whole, repeated, verdict.sentence)
-        if verdict.kind == "jump_back":
+        whole, bridged = placed.block, placed.bridged
+        if placed.kind == "repeat":
+            repeated = Doubt(DoubtKind.REPEATED, placed.sentence)
+            return self._without_force(whole, repeated, placed.sentence)
+        if placed.kind == "jump_back":
             self._current.follow_jump()
             self.freshness.restart()
         stale = self.freshness.judge(whole.end_ns, now_ns)
         lost_sight = self._motion is not None and self._motion.lost_sight(bridged * whole.period)
-        if self._motion is None or verdict.restarts or lost_sight:
+        if self._motion is None or placed.restarts or lost_sight:
             self._begin(whole.period)
         together = max(round(_PART_TIME / whole.period), 1)
         # The samples that bridge a gap belong to the first part.
@@ -375,7 +375,7 @@ class ForcePredictor:
             self._predict(
                 whole.part(first, end) if len(ends) > 1 else whole,
                 0 if first else bridged,
-                verdict.sentence,
+                placed.sentence,
                 stale,
             )
             for first, end in pairwise([0, *ends])

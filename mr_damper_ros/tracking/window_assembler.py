@@ -186,16 +186,16 @@ class WindowAssembler:
         return self._ready()
 
     def _add(self, placed: Placed) -> None:
-        block, verdict = placed.block, placed.continuity
-        if verdict.sentence:
-            self._events.append(verdict.sentence)
-        if verdict.kind == "repeat":
+        block = placed.block
+        if placed.sentence:
+            self._events.append(placed.sentence)
+        if placed.kind == "repeat":
             return
-        if verdict.restarts:
+        if placed.restarts:
             self._empty()
-        if self._peak is None or verdict.restarts:
+        if self._peak is None or placed.restarts:
             self._peak = StreamPeakVelocity(block.period, self._settings.centre_memory)
-        if verdict.kind == "jump_back":
+        if placed.kind == "jump_back":
             # The waiting windows belong to the time before the jump.
             self._waiting.clear()
             self._current.follow_jump()

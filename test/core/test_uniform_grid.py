@@ -29,7 +29,7 @@ def followed(*blocks: SampleBlock) -> UniformGrid:
 def test_of_a_block_that_overlaps_what_is_new_is_taken() -> None:
     sequence = followed(block(0))
     (placed,) = sequence.follow(block(5, 10))
-    assert placed.continuity.kind == "next"
+    assert placed.kind == "next"
     assert (placed.block.sequence, placed.block.sample_count) == (10, 5)
     assert placed.block.start_ns == block(10).start_ns
     assert sequence.repeated_samples == 5
@@ -64,7 +64,7 @@ def joined(placed: list[Placed]) -> np.ndarray:
     """Index, displacement and force of all samples on the grid, shape (n, 3)."""
     rows = [
         np.stack([one.sequence + np.arange(one.sample_count), one.displacement, one.force], axis=1)
-        for one in (p.block for p in placed if p.continuity.kind != "repeat")
+        for one in (p.block for p in placed if p.kind != "repeat")
     ]
     return np.concatenate(rows)
 
@@ -134,7 +134,7 @@ def test_stamps_that_were_read_unevenly_are_smoothed_and_the_samples_stay() -> N
     grid = UniformGrid()
     placed = placed_in(grid, blocks)
     assert not grid.non_uniform
-    assert {p.continuity.kind for p in placed} == {"first", "next"}
+    assert {p.kind for p in placed} == {"first", "next"}
     np.testing.assert_array_equal(
         joined(placed), joined(placed_in(UniformGrid(), stream([1] * 3000)))
     )
