@@ -97,7 +97,7 @@ class Campaign:
             try:
                 self._computed(name, function, chosen, len(tasks), keep)
             except KeyboardInterrupt:
-                self.say("what is done is kept: call again to go on")
+                self.say("finished tasks are stored: call again to continue")
                 raise
         return [known[key] for key in keys]
 
@@ -191,7 +191,7 @@ class Study:
         add = parser.add_argument
         names = tuple(self.parts)
         add("--only", choices=names, nargs="+", default=names, help="only these parts")
-        add("--quick", action="store_true", help=f"{self.quick}: a first look")
+        add("--quick", action="store_true", help=f"quick variant: {self.quick}")
         workers = "processes; the results do not depend on it (default: one per core)"
         add("--workers", type=int, default=len(os.sched_getaffinity(0)), help=workers)
         add(
@@ -199,12 +199,12 @@ class Study:
             type=Path,
             default=Path("build", self.name),
             metavar="FOLDER",
-            help="where report.html, figures and tables go (default %(default)s)",
+            help="folder for report.html, figures and tables (default %(default)s)",
         )
         if self.random:
             runs = f"repetitions of random searches (default {RUNS}, quick {QUICK_RUNS})"
             add("--runs", type=int, default=0, help=runs)
-            add("--seed", type=int, default=0, help="of the random numbers (default 0)")
+            add("--seed", type=int, default=0, help="seed of the random numbers (default 0)")
         return parser
 
     @one_thread()

@@ -90,7 +90,7 @@ def simulate(
 
     At most the first ``longest`` seconds of the earthquake are simulated. Returns RMS and peak of
     the roof's ``displacement`` (``farthest``) [m] and absolute ``acceleration`` (``highest``)
-    [m/s²], the ``reversals`` of the commanded current a second, and the RMS ``force`` of all
+    [m/s²], the ``reversals`` of the commanded current per second, and the RMS ``force`` of all
     dampers [N]. ``series`` (4, n), 10 ms apart: time [s], displacement, acceleration, coil current.
     """
     frame, ground = BUILDINGS[building], _ground(earthquake)
@@ -253,7 +253,7 @@ def buildings_part(campaign: Campaign) -> Part:
     fastest = max(found[WEIGHTED, case, LAG]["reversals"] for case in CASES)
     told = (
         "the weighted inverse is better than passive-on and bang-bang in both RMS criteria in "
-        f"{won} of {len(CASES)} cases, with at most {fastest:.0f} reversals of the current a "
+        f"{won} of {len(CASES)} cases, with at most {fastest:.0f} reversals of the current per "
         "second."
     )
     figures = {"cases": len(CASES), "won": won, "reversals_per_second": fastest}
@@ -283,35 +283,34 @@ def _chapter(found: Buildings) -> Chapter:
         "Buildings in earthquakes",
         [
             Text(
-                "Three storeys with dampers between ground and first floor: masses, stiffness, "
-                "damping, weights and estimator of the hybrid simulations that D. Maurel "
-                "(Universidad Técnica Federico Santa María) published "
-                "(github.com/DanielMaurelE/vRTHS_AMBC_MRdamper). Building I has 1000 kg a floor "
+                "The buildings have three storeys and dampers between ground and first floor. "
+                "Masses, stiffness, damping, weights and estimator are those of the hybrid "
+                "simulations of D. Maurel (Universidad Técnica Federico Santa María, "
+                "github.com/DanielMaurelE/vRTHS_AMBC_MRdamper). Building I has 1000 kg per floor "
                 "and 5 % damping, II 1100 kg and 4 %, III 1300 kg and 3 %. "
-                f"{DAMPERS} dampers act side by side, with 0 to {HIGHEST_CURRENT:g} A. All ground "
-                f"motions at {SCALE:.0%} of their size."
+                f"{DAMPERS} dampers act in parallel, with 0 to {HIGHEST_CURRENT:g} A. All ground "
+                f"motions are scaled to {SCALE:.0%}."
             ),
             Text(
                 "The damper is the extended sigmoid law, identified by this package from the "
                 "twenty sinusoid records of the same repository (MIT licence, © 2022 mequiroz); "
-                "the authors simulate with a Bouc–Wen law of their own. Beyond the peak "
-                "velocities of the records, 15 to 63 mm/s, it has the coefficients of the nearest."
+                "the authors use a Bouc–Wen law. Outside the peak velocities of the records, 15 to "
+                "63 mm/s, the coefficients are held at the limits."
             ),
             Text(
-                "El Centro is the record of 1940. Kobe and Maule, which the benchmark uses too, "
-                "are not here: in their place stand two INVENTED motions, noise with a spectrum of "
-                "Kanai and Tajimi, by a fixed seed. Only the figures of El Centro compare with "
-                "those of others."
+                "El Centro is the record of 1940. Two INVENTED motions, noise with a Kanai–Tajimi "
+                "spectrum and a fixed seed, replace Kobe and Maule, which the benchmark also uses. "
+                "Only the figures of El Centro can be compared with published ones."
             ),
             Text(
-                "Bang-bang is the authors' controller: full current where the force of the dampers "
-                "should be larger than it is, else none, every millisecond. Both inverses command "
-                "the current for the wanted force every 5 ms, as the node does. The weighted one "
-                "weighs the roof's acceleration too "
+                "Bang-bang is the authors' controller: every millisecond, it commands full current "
+                "if the dampers should exert a larger force, otherwise none. Both inverses command "
+                "the current for the desired force every 5 ms, as the node does. The weighted "
+                "inverse also weights the acceleration of the roof "
                 f"({_CHOSEN.displacement:.0e} x², {_CHOSEN.acceleration:.0e} a², {_CHOSEN.force:g} "
-                "F²), by the best of five sets of weights that were tried on another invented "
-                "earthquake; where the motion is not known both inverses are stiff. A current has "
-                f"turned where it goes back by more than {REVERSAL:g} A."
+                "F²). Its weights are the best of five sets tried on another invented earthquake. "
+                "While the motion is unknown, both inverses command full current. A reversal of "
+                f"the current is a return by more than {REVERSAL:g} A."
             ),
             Picture(
                 "buildings",
@@ -326,7 +325,7 @@ def _chapter(found: Buildings) -> Chapter:
             ),
             Table(
                 "buildings",
-                f"Coil lag {1e3 * LAG:.0f} ms. In percent of the building without dampers.",
+                f"Results in percent of the building without dampers; coil lag {1e3 * LAG:.0f} ms.",
                 heads(
                     "building | earthquake | controller | RMS displ. | RMS accel. | peak displ. | "
                     "peak accel. | force (kN) | reversals/s"
@@ -336,8 +335,8 @@ def _chapter(found: Buildings) -> Chapter:
             Table(
                 "recreated",
                 "Building I, El Centro, no lag of the coil: RMS displacement and acceleration in "
-                "percent, here and as others re-created the benchmark with the authors' damper.",
-                ("controller", "displ.", "accel.", "displ. of others", "accel. of others"),
+                "percent, here and as reproduced by others with the damper of the benchmark.",
+                ("controller", "displ.", "accel.", "published displ.", "published accel."),
                 compared,
             ),
         ],

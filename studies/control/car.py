@@ -196,14 +196,16 @@ def roads_part(campaign: Campaign) -> Part:
         _lag_chapter(drives),
     ]
     told = [
-        "an invented damper whose truth is known, in a quarter car.",
-        f"on road C {name}, the best by comfort and holding together, gives {here['comfort']:.2f} "
-        f"m/s² and {here['holding']:.0%} of the tyre's load; passive-off {off['comfort']:.2f} and "
-        f"{off['holding']:.0%}, passive-on {on['comfort']:.2f} and {on['holding']:.0%}.",
-        f"over the bump the body's acceleration is {bump['comfort']:.2f} m/s² (RMS; "
-        f"{bump['highest']:.1f} at most) with {name}, {without['comfort']:.2f} "
-        f"({without['highest']:.1f}) with passive-off.",
-        f"a coil that lags by 10 ms costs at most {worst - 1.0:.0%} of comfort on road C.",
+        "an invented damper with known parameters, in a quarter car.",
+        f"on road C, {name} is best in comfort and holding together: {here['comfort']:.2f} m/s² "
+        f"and {here['holding']:.0%} of the tyre load, against {off['comfort']:.2f} m/s² and "
+        f"{off['holding']:.0%} for passive-off, {on['comfort']:.2f} m/s² and {on['holding']:.0%} "
+        "for passive-on.",
+        f"over the bump, the acceleration of the body is {bump['comfort']:.2f} m/s² (RMS; peak "
+        f"{bump['highest']:.1f}) with {name}, and {without['comfort']:.2f} m/s² (peak "
+        f"{without['highest']:.1f}) with passive-off.",
+        f"a coil lag of 10 ms increases the acceleration of the body by at most {worst - 1.0:.0%} "
+        "on road C.",
     ]
     against_passive = {
         f"car_{quantity}_over_{passive.replace('-', '_')}": max(
@@ -248,20 +250,19 @@ def _damper_chapter() -> Chapter:
         "The damper and the car",
         [
             Text(
-                "The damper is an invented one, in the size of the one of the thesis, so that what "
-                "is known of it is the truth: the extended sigmoid law with a compliance, a gas "
-                f"spring and a coil, for 0 to {HIGHEST_CURRENT:g} A. It keeps 74 % of its force at "
-                "71 °C, as that of the thesis does. Its force is reckoned two thousand times a "
-                "second, measured a thousand times a second with 5.53 N of noise, and the current "
-                "is commanded every 5 ms."
+                "The damper is invented, so that its parameters are known exactly, and as large as "
+                "the damper of the thesis. It obeys the extended sigmoid law with a compliance, a "
+                f"gas spring and a coil, for 0 to {HIGHEST_CURRENT:g} A. At 71 °C it has 74 % of "
+                "its force, like the damper of the thesis. Its force is computed at 2 kHz and "
+                "measured at 1 kHz with 5.53 N of noise; the current is commanded every 5 ms."
             ),
             Text(
                 f"The car has a body of {CAR.body:.0f} kg and a wheel of {CAR.wheel:.0f} kg, a "
                 f"spring of {1e-3 * CAR.spring:.0f} kN/m and a tyre of {1e-3 * CAR.tyre:.0f} kN/m "
                 "(Savaresi et al., Semi-Active Suspension Control Design for Vehicles, 2010). Tyre "
-                "and spring are linear: the wheel does not leave the road, and nothing ends the "
-                "suspension's travel. The controllers are given the true motion of body and wheel; "
-                "no sensor of the car is in the study."
+                "and spring are linear: the wheel does not leave the road, and the suspension has "
+                "no end stops. The controllers receive the true motion of body and wheel; the "
+                "study contains no sensors of the car."
             ),
             Picture(
                 "damper",
@@ -291,11 +292,11 @@ def _roads_chapter(drives: Drives, duration: float) -> Chapter:
             )
     table = Table(
         "roads",
-        f"A coil that lags by {1e3 * LAG:.0f} ms. Comfort: RMS of the body's acceleration. Road "
-        "holding: RMS of the tyre's load about the static one, as a part of it. Travel: RMS of the "
-        "suspension's. Power: mean that the damper takes. Coil: mean square of its current. Met: "
-        "share of the time in which the wanted force could be had. The changes are against "
-        "passive-off on the same road.",
+        f"Results with a coil lag of {1e3 * LAG:.0f} ms. Comfort: RMS acceleration of the body. "
+        "Holding: RMS deviation of the tyre load from the static load, relative to it. Travel: RMS "
+        "suspension stroke. Power: mean power dissipated by the damper. Coil: mean square of its "
+        "current. Met: fraction of the time in which the desired force was attainable. Changes are "
+        "relative to passive-off on the same road.",
         heads(
             "road | controller | comfort (m/s²) | change (%) | holding (%) | change (%) | "
             "travel (mm) | power (W) | coil (A²) | met (%)"
@@ -309,28 +310,28 @@ def _roads_chapter(drives: Drives, duration: float) -> Chapter:
         [
             Text(
                 "Each road is a sum of sines of random phases with the density of its class, "
-                f"the same for every controller; {speeds}. {duration - SETTLED:.0f} s "
-                f"count, after {SETTLED:.0f} in which the controller comes to know the motion. "
-                "Every controller has one setting for all roads, and none was tuned to a road."
+                f"the same for every controller; {speeds}. After {SETTLED:.0f} s, in which the "
+                f"estimate of the motion settles, {duration - SETTLED:.0f} s are evaluated. Every "
+                "controller has one setting for all roads; none was tuned to a road."
             ),
             Picture(
                 "trade_off",
-                f"Comfort against road holding on road {_ROAD}; better is below and to "
-                "the left. The line is what constant currents give, from "
-                f"0 to {HIGHEST_CURRENT:g} A. Filled: coil without lag; open: {1e3 * LAG:.0f} ms.",
+                f"Comfort against road holding on road {_ROAD}; lower left is better. Line: "
+                f"constant currents from 0 to {HIGHEST_CURRENT:g} A. Filled: coil without lag; "
+                f"open: coil lag {1e3 * LAG:.0f} ms.",
                 _trade_off(drives),
             ),
             Picture(
                 "by_road",
-                "Comfort, road holding and travel of the suspension on the five roads, against "
-                f"passive-off; coil lag {1e3 * LAG:.0f} ms. Bars that end at {_MOST_SHOWN:.0f} % "
-                "go beyond: the table has their numbers.",
+                "Comfort, road holding and travel of the suspension on the five roads, relative to "
+                f"passive-off; coil lag {1e3 * LAG:.0f} ms. Bars are cut at {_MOST_SHOWN:.0f} %; "
+                "the table has all values.",
                 _by_road(drives),
             ),
             Picture(
                 "spectra",
-                f"Density of the body's acceleration on road {_ROAD}, coil lag "
-                f"{1e3 * LAG:.0f} ms (Welch, stretches of 4 s).",
+                f"Spectral density of the body's acceleration on road {_ROAD}; coil lag "
+                f"{1e3 * LAG:.0f} ms (Welch's method, segments of 4 s).",
                 _spectra(drives),
             ),
             table,
@@ -367,16 +368,16 @@ def _bump_chapter(drives: Drives) -> Chapter:
         "A bump",
         [
             Text(
-                f"A cosine of {1e3 * BUMP.height:.0f} mm by {BUMP.length:g} m at {BUMP.speed:g} "
-                f"m/s, on a road of class A, {BUMP.start:g} s after the start. A controller "
-                "commands the safe current, 0 A, until the motion is known; the peaks are those "
-                f"from {SETTLED:g} s on."
+                f"The bump is a cosine of {1e3 * BUMP.height:.0f} mm by {BUMP.length:g} m, passed "
+                f"at {BUMP.speed:g} m/s on a road of class A, {BUMP.start:g} s after the start. A "
+                "controller commands the safe current, 0 A, until the motion is known; peaks are "
+                f"evaluated from {SETTLED:g} s on."
             ),
             Picture("bump", f"Over the bump, coil lag {1e3 * LAG:.0f} ms.", figure),
             Table(
                 "bump",
-                "Peaks of the body's acceleration, of the tyre's load about the static one and of "
-                "the suspension's travel; RMS of the acceleration.",
+                "Peaks of the acceleration of the body, of the deviation of the tyre load from the "
+                "static load, and of the suspension stroke; RMS acceleration of the body.",
                 ("controller", "peak (m/s²)", "load (kN)", "travel (mm)", "RMS (m/s²)"),
                 rows,
             ),
@@ -400,13 +401,13 @@ def _lag_chapter(drives: Drives) -> Chapter:
         "With and without lag of the coil",
         [
             Text(
-                "The current of the coil follows that of the supply with a first-order lag of "
-                f"{1e3 * LAG:.0f} ms, which the inverse knows and makes up for as far as the "
-                "limits of the supply let it."
+                "The coil current follows the supply current with a first-order lag of "
+                f"{1e3 * LAG:.0f} ms. The controller knows this lag and compensates for it within "
+                "the limits of the supply."
             ),
             Table(
                 "lag",
-                "Without lag and with it.",
+                f"Results without and with a coil lag of {1e3 * LAG:.0f} ms.",
                 heads(
                     "controller | road | comfort, none (m/s²) | 10 ms | change (%) | "
                     "holding, none (%) | 10 ms | change (%)"

@@ -117,7 +117,7 @@ def heated_part(campaign: Campaign) -> Part:
                 *(100.0 * float(holding[time > 5.0].mean()), found[learns]["accepted"]),
             )
         )
-    name_rows(axes, "temperature (°C)", "force missed (%)", "force that came (%)")
+    name_rows(axes, "temperature (°C)", "force error (%)", "force achieved (%)")
     axes[1, 0].set(ylim=(0.0, None))
     legend_above(figure, axes[0, 0], 2)
     chapter = Chapter(
@@ -125,35 +125,36 @@ def heated_part(campaign: Campaign) -> Part:
         "While the damper heats from 28 °C",
         [
             Text(
-                f"Road {_ROAD}, a coil that lags by 10 ms. The damper is to act like a viscous "
-                f"one of {_DAMPING:.0f} N s/m. It takes what it damps as heat and loses 26 % of "
-                "its force on the way to 71 °C, above which it stays as it is. The identifier "
-                "follows it by windows of the measured motion, force and current, and the "
-                "controller takes each set that is accepted. Most of the miss is not the set's: "
-                "the wheel moves on while the coil follows."
+                f"The car drives on road {_ROAD} with a coil lag of 10 ms. The desired force is "
+                f"that of a viscous damper of {_DAMPING:.0f} N s/m. The dissipated power heats the "
+                "damper, which loses 26 % of its force up to 71 °C and none above. The identifier "
+                "tracks it by windows of the measured motion, force and current, and the "
+                "controller uses each accepted set. Most of the error is caused by the lag of the "
+                "coil, not by the set."
             ),
             Picture(
                 "heated",
-                "Temperature; where the wanted force could be had, by how much it was missed, "
-                f"and how much of it came; each over {_STRETCH:g} s.",
+                "Temperature, and error and achieved fraction of the force while the desired force "
+                f"was attainable, each over {_STRETCH:g} s.",
                 figure,
             ),
             Table(
                 "heated",
-                "Where the wanted force could be had, in "
-                f"{_BEGINNING[0]:g} to {_BEGINNING[1]:g} s and in the last {_END:g} s. Missed: "
-                "RMSE over the RMS of the wanted force. Came: the part of the wanted force that "
-                "the damper gave, by least squares.",
+                "Results for the time in which the desired force was attainable: first, from "
+                f"{_BEGINNING[0]:g} to {_BEGINNING[1]:g} s, and last, in the last {_END:g} s. "
+                "Error: RMSE over the RMS of the desired force. Achieved: least-squares fraction "
+                "of the desired force that the damper exerted.",
                 heads(
-                    "set | hottest (°C) | missed, first (%) | missed, last (%) | last/first | "
-                    "came, first (%) | came, last (%) | comfort (m/s²) | holding (%) | sets taken"
+                    "set | hottest (°C) | error, first (%) | error, last (%) | last/first | "
+                    "achieved, first (%) | achieved, last (%) | comfort (m/s²) | holding (%) | "
+                    "accepted sets"
                 ),
                 rows,
             ),
         ],
     )
     told = (
-        f"the force is missed by {growth[False]:.2f} times as much at the end as at the beginning "
-        f"with the set of 28 °C, {growth[True]:.2f} times with the set identified on line."
+        f"with the set of 28 °C, the force error at the end is {growth[False]:.2f} times the error "
+        f"at the beginning; with the set identified on line, {growth[True]:.2f} times."
     )
     return Part([chapter], [told], {"fixed": growth[False], "identified": growth[True]})

@@ -14,7 +14,7 @@ def _notice(campaign: Campaign) -> str:
         "Everything here is simulated: car, buildings and dampers are emulated, and nothing was "
         "tried on hardware. The damper is commanded through the inverse of its identified law, by "
         "the code that the controller node runs. All random numbers have fixed seeds."
-        + " Quick variant: drives and earthquakes are cut short."
+        + " Quick variant: drives and earthquakes are shortened."
         * campaign.quick
     )
 
@@ -31,5 +31,5 @@ main = Study(
         "buildings": buildings_part,
         "hybrid": hybrid_part,
     },
-    "drives and earthquakes cut short",
+    "shortened drives and earthquakes",
 ).main

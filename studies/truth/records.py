@@ -116,7 +116,7 @@ _SHOWN = (10.0, 14.0)
 
 
 Laws = Mapping[str, Any]
-"""What :func:`judge_records` returns for each law, with ``left_out``: NRMSE [1] by record."""
+"""Results of :func:`judge_records` for each law, with ``left_out``: NRMSE [1] by record."""
 
 Shaken = Mapping[tuple[str, float, bool], Any]
 """Results of :func:`judge_earthquake` by law, current [A] and whether the identifier ran."""
@@ -187,11 +187,11 @@ def _headlines(found: Laws, shaken: Shaken) -> list[str]:
     best, safest = (min(errors, key=errors.__getitem__) for errors in (alone, unseen))
     steadiest = max(means, key=means.__getitem__)
     return [
-        f"one set leaves {alone[best]:.1%} of the force ({best}, median over the records), and "
-        f"{unseen[safest]:.1%} of motions that it has not seen ({safest}).",
-        f"the set of the sinusoids alone fits the earthquakes to {means[steadiest]:.1f} % in the "
-        f"mean ({steadiest}).",
-        "those of each law, with their errors.",
+        f"the median NRMSE of one set is {alone[best]:.1%} ({best}), and {unseen[safest]:.1%} for "
+        f"motions left out of the fit ({safest}).",
+        f"the set of the sinusoids alone has a mean fit of {means[steadiest]:.1f} % to the "
+        f"earthquakes ({steadiest}).",
+        "the parameters of each law, with their standard errors.",
     ]
 
 
@@ -238,23 +238,23 @@ def _sinusoids(found: Laws) -> Chapter:
         "Sinusoid records",
         [
             Text(
-                f"{_SOURCE} {len(places)} records at constant currents, ramps included. Each law "
-                "is identified with one set for all of them, and again without one motion (an "
-                "amplitude and frequency, at all its currents), which it then predicts, the peak "
-                "velocity held in the range of the others. The processed records are moving "
-                "averages over a tenth of a cycle, made so by their makers; the raw ones are the "
-                "logger's own, of two of the motions, whose force has no zero: its mean is taken "
-                "off."
+                f"{_SOURCE} There are {len(places)} records at constant currents, with ramps. "
+                "For each law, one set is identified from all records. In addition, each motion "
+                "(an amplitude and frequency, at all its currents) is left out of an "
+                "identification and then predicted, with the peak velocity held within the range "
+                "of the others. The authors smoothed the processed records by a moving average "
+                "over a tenth of a cycle. The raw records of the logger exist for two motions; "
+                "their mean is subtracted, because the zero of their force is unknown."
             ),
             Table(
                 "sinusoids",
-                "NRMSE is RMSE over the standard deviation of the force, in percent: median and "
-                "largest of one set, median and mean of the motions left out, median of the raw "
-                "records. Identification: processor time of one set. Streaming: processor time "
-                "of a sample in blocks of ten. Both are those of the machine that made the report.",
+                "NRMSE (RMSE over the standard deviation of the force) in percent: median and "
+                "largest for one set, median and mean for the motions left out, median for the raw "
+                "records. Identification: processor time for one set. Streaming: processor time "
+                "per sample in blocks of ten. Both hold for the computer that made the report.",
                 (
                     *("law", "parameters", "one set", "largest", "left out", "left out, mean"),
-                    *("raw", "identified in (s)", "streaming (µs)"),
+                    *("raw", "identification (s)", "streaming (µs)"),
                 ),
                 rows,
             ),
@@ -287,7 +287,7 @@ def _earthquakes(found: Laws, shaken: Shaken) -> Chapter:
             if not place:
                 axes[0, 0].plot(passed, measured, color=GREY, linewidth=2.0, label="measured")
             draw_rows(axes, passed, (predicted, predicted - measured), name, **line(place))
-    name_rows(axes, "force (N)", "left (N)")
+    name_rows(axes, "force (N)", "residual (N)")
     document.legend_above(figure, axes[0, 0], 3)
     named = [f"{current:g} A" for current in currents]
     return Chapter(
@@ -295,16 +295,16 @@ def _earthquakes(found: Laws, shaken: Shaken) -> Chapter:
         "Earthquake records",
         [
             Text(
-                "One earthquake motion at each of the currents. As delivered, displacement and "
-                "force are averages over 0.3 s, between which no nonlinear law can hold; the "
-                "average is exactly reversible and was undone. The force of every block of 20 "
-                "samples is predicted before it is used, by the set of the sinusoid records alone "
-                "(static), or with the identifier running from that set on at the nodes' defaults "
-                "(on-line). The first five seconds of motion do not count."
+                "The records contain one earthquake motion at each current. As delivered, "
+                "displacement and force are averages over 0.3 s, for which no nonlinear law holds; "
+                "the averages were undone exactly. The force of every block of 20 samples is "
+                "predicted before it is used: with the set of the sinusoid records alone (static), "
+                "or with the identifier running at the defaults of the nodes, starting from this "
+                "set (on-line). The first five seconds of motion are not evaluated."
             ),
             Table(
                 "earthquakes",
-                "Fit 1 − NRMSE in percent. –: not tried.",
+                "Fit (1 − NRMSE) in percent. –: not computed.",
                 (
                     "law",
                     *(f"static, {current}" for current in named),
@@ -315,7 +315,7 @@ def _earthquakes(found: Laws, shaken: Shaken) -> Chapter:
             ),
             Picture(
                 "earthquakes",
-                f"Force at {middle:g} A, {best}: measured, predicted, and what is left.",
+                f"Measured and predicted force at {middle:g} A ({best}), and the residual.",
                 figure,
             ),
         ],
@@ -326,10 +326,10 @@ def _parameters(found: Laws) -> Chapter:
     """The set of every law."""
     blocks: list[Text | Table] = [
         Text(
-            "The sets that were identified from the sinusoid records. The standard errors contain "
-            "what another motion would say, since no law follows the damper exactly (the "
-            "discrepancy); –: what these data do not determine, which kept the value of its start. "
-            "The records tell nothing of the coil's lag, since each is of one current."
+            "The sets were identified from the sinusoid records. The standard errors include the "
+            "discrepancy, the model error that other motions reveal. –: the data do not determine "
+            "the parameter, which keeps its start value. The records do not determine the lag of "
+            "the coil, because each has a constant current."
         )
     ]
     for law, result in found.items():

@@ -85,7 +85,7 @@ def test_the_report_holds_all_chapters_figures_and_tables(written: Path) -> None
         assert f'<section id="{chapter}">' in page
     assert "Quick variant" in page
     assert "9 of 9 cases" in page
-    assert "1.00 times with the set identified on line" in page
+    assert "with the set identified on line, 1.00 times" in page
     assert len(list((written / "figures").glob("*.svg"))) == 9
     with (written / "tables" / "buildings.csv").open(encoding="utf-8") as file:
         rows = list(csv.DictReader(file))
