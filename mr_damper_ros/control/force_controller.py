@@ -17,7 +17,6 @@ from mr_damper_ros.control.fallback import Fallback, FallbackSettings
 from mr_damper_ros.control.inverse_model import InverseModel, coil_time_constant
 from mr_damper_ros.kinematics.motion import MotionSample
 from mr_damper_ros.models.parameter_set import ParameterSet
-from mr_damper_ros.models.quantities import State
 from mr_damper_ros.settings.option_table import CheckedSettings, group, option
 from mr_damper_ros.signals.arrays import Array
 from mr_damper_ros.signals.blocks import NANOSECONDS, SampleBlock
@@ -222,6 +221,20 @@ REMEDY = (
 )
 """How to extend the identified range of currents."""
 
+
+class _Aim(NamedTuple):
+    """Coil current [A], the resulting force [N], and whether it is the desired force.
+
+    ``unknown``: whether the desired force needs a current within the limits, but outside the
+    identified range.
+    """
+
+    current: float
+    force: float
+    attainable: bool
+    unknown: bool
+
+
 _AT_ONCE = (DoubtKind.MISSING, DoubtKind.OUTDATED)
 """Reasons for immediate fallback, which have already lasted for some time or will not end soon."""
 
@@ -243,7 +256,11 @@ class ForceController:
         self._feedback = ForceFeedback(settings.feedback)
         # Stamp [ns] and value [N] of the desired force.
         self._demand: tuple[int, float] | None = None
-        self._inverse: _Inverse | None = None
+        # The inverse, its coil time constant [s], and the limits within its range of currents,
+        # which also apply to the overshoot that drives the coil.
+        self._inverse: InverseModel | None = None
+        self._time_constant = 0.0
+        self._limits = settings
         # The inverted set, whether its reversals are gradual, and the extension of its range [A].
         self._inverted: tuple[ParameterSet, bool, float] | None = None
         self._unusable = NO_DOUBT
@@ -263,26 +280,36 @@ class ForceController:
     @property
     def highest_known(self) -> float:
         """Highest usable current [A]; NaN if no set can be inverted."""
-        return math.nan if self._inverse is None else self._inverse.highest
+        return math.nan if self._inverse is None else self._limits.highest_current
 
     def _take_set_in_use(self) -> None:
         """Invert the predictor's set in use, if the set or its range has changed."""
         parameters, gradual = self.predictor.parameters, self.predictor.gradual
         if parameters is None:
             return
-        beyond = self._probe.beyond
-        self.predictor.tried = parameters.current_range[1] + beyond
+        settings, beyond = self.settings, self._probe.beyond
+        lowest, highest = parameters.current_range
+        self.predictor.tried = highest + beyond
         if self._inverted is not None:
-            before, were_gradual, reached = self._inverted
-            if parameters is before and gradual == were_gradual and beyond == reached:
+            before, *others = self._inverted
+            if parameters is before and others == [gradual, beyond]:
                 return
         self._inverted = parameters, gradual, beyond
-        try:
-            self._inverse = _Inverse(self.settings, parameters, beyond, gradual=gradual)
-        except ValueError as error:
-            self._inverse, self._unusable = None, Doubt(DoubtKind.OUT_OF_RANGE, str(error))
+        low = max(settings.lowest_current, lowest)
+        high = min(settings.highest_current, highest + beyond)
+        if low < high:
+            self._inverse = InverseModel(parameters, low, high, gradual_reversal=gradual)
+            self._time_constant = coil_time_constant(parameters)
+            self._limits = replace(settings, lowest_current=low, highest_current=high)
+            self._unusable = NO_DOUBT
             return
-        self._unusable = NO_DOUBT
+        self._inverse = None
+        self._unusable = Doubt(
+            DoubtKind.OUT_OF_RANGE,
+            f"the parameters hold for {lowest:.2f} to {highest:.2f} A, which leaves no range of "
+            f"currents between lowest_current ({settings.lowest_current:g} A) and highest_current "
+            f"({settings.highest_current:g} A): identify the damper at several currents, {REMEDY}",
+        )
 
     def want(self, stamp_ns: int, force: float) -> str:
         """Set the desired force [N]; returns an objection, empty if the force is usable."""
@@ -303,21 +330,20 @@ class ForceController:
         self._last_was_unknown = False
         if not self._fallback.follow(duration, doubted=bool(doubt), at_once=at_once):
             return self._fall_back(prediction, doubt, wanted, duration)
-        assert self._inverse is not None
         self._feedback.follow(block.force, duration)
         horizon = max(duration, self.settings.horizon)
         assert prediction.motion is not None
-        sample, memory = MotionSample.of(prediction.motion, -1), self.predictor.memory
-        aim = self._inverse.aim(
-            sample, memory, wanted * self._feedback.factor, self._wanted, horizon
+        aim = self._aim(
+            MotionSample.of(prediction.motion, -1), wanted * self._feedback.factor, horizon
         )
         self._wanted = self._fallback.towards(aim.current, duration)
         attainable = aim.attainable and self._wanted == aim.current
         self._feedback.expect(wanted if attainable else math.nan)
-        supplied = float(np.asarray(prediction.current).flat[-1])
-        coil = self._inverse.coil_current(memory, supplied)
-        command = coil_command(self._wanted, coil, horizon, self._inverse.time_constant)
-        command = self._inverse.limits.limited(command, self._commanded, duration)
+        memory, coil = self.predictor.memory, float(np.asarray(prediction.current).flat[-1])
+        if self._time_constant > 0.0 and memory is not None:
+            coil = float(memory[-1])
+        command = coil_command(self._wanted, coil, horizon, self._time_constant)
+        command = self._limits.limited(command, self._commanded, duration)
         self._commanded = self._fallback.within_reach(command)
         self._last_was_unknown = aim.unknown
         return Command(
@@ -343,7 +369,7 @@ class ForceController:
         held = min(held, self._commanded, key=lambda current: abs(current - safe))
         if self._inverse is not None:
             # A current beyond the identified range, reached by probing, is not held.
-            held = min(held, max(self._inverse.highest, safe))
+            held = min(held, max(self._limits.highest_current, safe))
         self._wanted = self._fallback.away_from(held, duration)
         self._commanded = self.settings.limited(self._wanted, self._commanded, duration)
         doubt = doubt or Doubt(
@@ -387,70 +413,18 @@ class ForceController:
             )
         return NO_DOUBT
 
-
-class _Aim(NamedTuple):
-    """Coil current [A], the resulting force [N], and whether it is the desired force.
-
-    ``unknown``: whether the desired force needs a current within the limits, but outside the
-    identified range.
-    """
-
-    current: float
-    force: float
-    attainable: bool
-    unknown: bool
-
-
-class _Inverse:
-    """Inverse of a parameter set, with its coil lag and its limits of current."""
-
-    def __init__(
-        self,
-        settings: ForceControlSettings,
-        parameters: ParameterSet,
-        beyond: float = 0.0,
-        *,
-        gradual: bool,
-    ) -> None:
-        low = max(settings.lowest_current, parameters.current_range[0])
-        high = min(settings.highest_current, parameters.current_range[1] + beyond)
-        if not low < high:
-            raise ValueError(
-                f"the parameters hold for {parameters.current_range[0]:.2f} to "
-                f"{parameters.current_range[1]:.2f} A, which leaves no range of currents between "
-                f"lowest_current ({settings.lowest_current:g} A) and highest_current "
-                f"({settings.highest_current:g} A): identify the damper at several currents, "
-                f"{REMEDY}"
-            )
-        self._ends_early = high < settings.highest_current
-        self._model = InverseModel(parameters, low, high, gradual_reversal=gradual)
-        self.time_constant = coil_time_constant(parameters)
-        # The limits also apply to the overshoot that drives the coil, because the force is invalid
-        # outside the identified range.
-        self.limits = replace(settings, lowest_current=low, highest_current=high)
-        self._lowest, self.highest = low, high
-        self._deadband = settings.force_deadband
-
-    def aim(
-        self,
-        sample: MotionSample,
-        memory: State | None,
-        wanted: float,
-        last: float | None,
-        horizon: float,
-    ) -> _Aim:
-        """The coil current for a desired force [N] within the ``horizon`` [s].
-
-        ``sample`` is the last sample of the motion, ``memory`` the state of the law after it, and
-        ``last`` [A] the previous coil current, None without one.
-        """
-        ahead = horizon if self.time_constant > 0.0 else 0.5 * horizon
-        responses = []
-        for part in _JUDGED_TIMES:
-            later = part * ahead
-            responses.append(self._model.at(sample.moved_on(later), period=later, state=memory))
-        found = self._model.current(responses[_MIDDLE], wanted, last)
-        currents = found.current, self._lowest, self._lowest if last is None else last
+    def _aim(self, sample: MotionSample, wanted: float, horizon: float) -> _Aim:
+        """The coil current for a desired force [N] within the ``horizon`` [s] after a sample."""
+        model, last = self._inverse, self._wanted
+        assert model is not None
+        ahead = horizon if self._time_constant > 0.0 else 0.5 * horizon
+        responses = [
+            model.at(sample.moved_on(later), period=later, state=self.predictor.memory)
+            for later in (part * ahead for part in _JUDGED_TIMES)
+        ]
+        found = model.current(responses[_MIDDLE], wanted, last)
+        lowest = self._limits.lowest_current
+        currents = found.current, lowest, lowest if last is None else last
         # Just before a reversal, a suitable current soon becomes wrong, and the coil cannot follow.
         # Therefore each candidate is judged at several times.
         forces = [[response.force(current) for response in responses] for current in currents]
@@ -460,19 +434,18 @@ class _Inverse:
         sought = min(max(wanted, min(every)), max(every))
         misses = [math.dist(force, [sought] * len(_JUDGED_TIMES)) for force in forces]
         best = misses.index(min(misses))
-        deadband = self._deadband * math.sqrt(len(_JUDGED_TIMES))
+        deadband = self.settings.force_deadband * math.sqrt(len(_JUDGED_TIMES))
         if last is not None and misses[_LAST] <= misses[best] + deadband:
             best = _LAST
         # The current of the inverse is rejected if its error over these times is larger.
-        given_up = best == _LOWEST and found.current != self._lowest
+        given_up = best == _LOWEST and found.current != lowest
         met = found.attainable and not given_up
         # A desired force of the same sign as the attainable force, but larger, needs more current.
         more = wanted * found.force > 0.0 and abs(wanted) > abs(found.force)
-        unknown = self._ends_early and more and not found.attainable
-        return _Aim(currents[best], forces[best][_MIDDLE], met, unknown)
-
-    def coil_current(self, memory: State | None, supplied: float) -> float:
-        """The present current [A] in the coil, when the supply gives ``supplied`` [A]."""
-        if self.time_constant > 0.0 and memory is not None:
-            return float(memory[-1])
-        return supplied
+        ends_early = self._limits.highest_current < self.settings.highest_current
+        return _Aim(
+            currents[best],
+            forces[best][_MIDDLE],
+            met,
+            unknown=ends_early and more and not found.attainable,
+        )
