@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Protocol
 
 import numpy as np
@@ -110,23 +110,13 @@ def _ramp_integral(time: Array, begin: float, duration: float) -> Array:
     return np.asarray(within + np.maximum(time - begin - duration, 0.0))
 
 
-def _enveloped(motion: Kinematics, envelope: Array, centre: float) -> Kinematics:
-    """A motion about ``centre`` [m] times an envelope (3, n) with its two derivatives."""
-    value, rate, bend = envelope
-    u, v, a = motion
-    u = u - centre
-    return Kinematics(
-        centre + value * u, value * v + rate * u, value * a + 2.0 * rate * v + bend * u
-    )
-
-
 @dataclass(frozen=True)
 class ChangedMotion:
     """A motion whose amplitude and speed differ from ``begin`` to ``end`` [s].
 
-    The amplitude is multiplied by ``factor``, the speed by ``tempo``; a tempo of 0 stops the
-    motion. Both change smoothly within ``duration`` [s] after ``begin``, and back again after
-    ``end``, which may be infinite.
+    The amplitude is multiplied by ``factor``, at other times by ``outside``, and the speed by
+    ``tempo``; a tempo of 0 stops the motion. Both change smoothly within ``duration`` [s] after
+    ``begin``, and back again after ``end``, which may be infinite.
     """
 
     motion: Excitation
@@ -135,11 +125,17 @@ class ChangedMotion:
     duration: float
     factor: float = 1.0
     tempo: float = 1.0
+    outside: float = 1.0
 
     @property
     def centre(self) -> float:
         """Centre of the motion [m]."""
         return self.motion.centre
+
+    @property
+    def over(self) -> float:
+        """Time [s] at which the last change is complete."""
+        return self.end + self.duration
 
     def at(self, time: Array) -> Kinematics:
         """Kinematics at the times [s], shape (n,)."""
@@ -155,9 +151,13 @@ class ChangedMotion:
             u, v, a = self.motion.at(time + more * (passed - left))
             tempo = 1.0 + tempo
             moved = Kinematics(u, v * tempo, a * tempo**2 + v * bend)
-        envelope = (self.factor - 1.0) * (up - down)
-        envelope[0] += 1.0
-        return _enveloped(moved, envelope, self.centre)
+        value, rate, bend = (self.factor - self.outside) * (up - down)
+        value = value + self.outside
+        u, v, a = moved
+        u = u - self.centre
+        return Kinematics(
+            self.centre + value * u, value * v + rate * u, value * a + 2.0 * rate * v + bend * u
+        )
 
 
 _TURN = 0.1
@@ -214,24 +214,6 @@ _FADE_TIME = 2.0
 """Time [s] in which a motion other than a sine fades after the first command."""
 
 
-@dataclass
-class _Stretch:
-    """A motion that starts to grow at ``begin`` [s] and to fade at ``end`` [s].
-
-    Growth and fading take ``change`` [s] each.
-    """
-
-    motion: Excitation
-    begin: float
-    change: float
-    end: float = math.inf
-
-    @property
-    def over(self) -> float:
-        """Time [s] at which the motion has faded."""
-        return self.end + self.change
-
-
 class CommandedMotion:
     """A motion that follows commands.
 
@@ -245,7 +227,7 @@ class CommandedMotion:
         duration = _FADE_TIME
         if isinstance(before, SineMotion):
             duration = PeriodicMotion(MotionKind.SINE, before.amplitude, before.frequency).growth
-        self._stretches = [_Stretch(before, -math.inf, duration, time)]
+        self._stretches = [ChangedMotion(before, -math.inf, time, duration, outside=0.0)]
         self._wanted: PeriodicMotion | None = None
 
     @property
@@ -264,20 +246,19 @@ class CommandedMotion:
             stretches = [stretch for stretch in stretches if stretch.begin <= time]
             if stretches and math.isinf(stretches[-1].end):
                 now = stretches[-1]
-                now.end = max(time, now.begin + now.change)
+                stretches[-1] = replace(now, end=max(time, now.begin + now.duration))
             if motion is not None:
                 free = max([time, *(stretch.over for stretch in stretches)])
-                stretches.append(_Stretch(motion, free, motion.growth))
+                stretches.append(ChangedMotion(motion, free, math.inf, motion.growth, outside=0.0))
         self._stretches = stretches
 
     def at(self, time: Array) -> Kinematics:
         """Kinematics at the times [s], shape (n,)."""
         total = np.zeros((3, time.size))
         total[0] = self.centre
-        for each in self._stretches:
-            envelope = _ramp(time, each.begin, each.change) - _ramp(time, each.end, each.change)
-            u, v, a = each.motion.at(time)
-            total += _enveloped(Kinematics(u - each.motion.centre, v, a), envelope, 0.0)
+        for stretch in self._stretches:
+            u, v, a = stretch.at(time)
+            total += (u - stretch.centre, v, a)
         return Kinematics(*total)
 
 
