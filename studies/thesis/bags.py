@@ -23,7 +23,7 @@ def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
         prog="studies bags",
         formatter_class=argparse.RawDescriptionHelpFormatter,
-        description="Make bags of the thesis' runs, one folder for each condition, from the\n"
+        description="Make bags of the runs in the thesis, one folder for each condition, from the\n"
         "published parameter sets. They are re-synthesised, not the original recordings.",
         epilog="conditions:\n"
         + "\n".join(
@@ -31,21 +31,23 @@ def _parser() -> argparse.ArgumentParser:
             for condition in CONDITIONS
         ),
     )
-    parser.add_argument("folder", type=Path, metavar="FOLDER", help="where the bags go")
+    parser.add_argument("folder", type=Path, metavar="FOLDER", help="folder for the bags")
     parser.add_argument(
         "--conditions",
         nargs="+",
         metavar="NAME",
-        help="make these only, such as 2.5mm_1Hz_0.0A (default: all that are clean)",
+        help="conditions to make, such as 2.5mm_1Hz_0.0A (default: all without errata)",
     )
     parser.add_argument(
         "--errata",
         action="store_true",
-        help="make the conditions, too, whose published row cannot be right; they are marked in "
-        "the name and in the metadata",
+        help="also make the conditions whose published row is in error; name and metadata mark "
+        "them",
     )
-    parser.add_argument("--seed", type=int, default=0, help="of the noise (default %(default)s)")
-    parser.add_argument("--overwrite", action="store_true", help="replace bags that exist")
+    parser.add_argument(
+        "--seed", type=int, default=0, help="seed of the noise (default %(default)s)"
+    )
+    parser.add_argument("--overwrite", action="store_true", help="replace existing bags")
     return parser
 
 
@@ -57,7 +59,7 @@ def _chosen(options: argparse.Namespace) -> list[Condition]:
         if not (options.errata or is_clean(condition)):
             raise ValueError(
                 f"{condition.name} is an erratum ({ERRATA[condition]}): "
-                "add --errata to make it all the same"
+                "add --errata to make it nevertheless"
             )
     return conditions
 

@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from mr_damper_ros.report.document import Table
 
 Compared = tuple[str, str, float, float | str | None, str]
-"""Quantity, unit, our value, that of the thesis (its wording; None if not stated), and where."""
+"""Quantity, unit, our value, value or words of the thesis (None if not stated), and its place."""
 
 
 def percent(difference: float) -> str:
@@ -22,7 +22,7 @@ def comparison(
 ) -> Table:
     """Table of our values, those of the thesis and the relative difference.
 
-    ``zeros`` are quantities whose true value is zero, where that difference is meaningless.
+    ``zeros`` are quantities whose true value is zero, so that a relative difference is meaningless.
     """
     rows = []
     for quantity, unit, ours, thesis, where in values:

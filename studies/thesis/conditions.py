@@ -110,20 +110,20 @@ def show(data: dict[str, Any]) -> list[Block]:
     """Text, tables and figures of the section."""
     blocks: list[Block] = [
         Text(
-            "One set of seven operating-point coefficients per run, found by Nelder–Mead from the "
-            "literature set, beside the loops of both published sets. A run is made from the "
-            "Nelder–Mead set, so ours must agree with that one to within the noise; the difference "
-            "to the DE loop shows how far the two published sets are apart. * marks a row in error "
-            "(see the section on errata)."
+            "For each run, Nelder–Mead identifies seven operating-point coefficients, starting "
+            "from the literature set. The loops are compared with those of both published sets. A "
+            "run is synthesised from the Nelder–Mead set, so our loop must agree with its loop to "
+            "within the noise; the difference from the DE loop shows how far the published sets "
+            "differ. * marks a row in error (see the section on errata)."
         ),
         _overview(data),
         _coefficients(data),
         _published(data),
         Text(
-            "Loops of all conditions, current by current. Lines: Nelder–Mead set (black), DE set "
-            "(dashed), ours (light dots upon the others). Rows in error are not drawn. The small "
-            "step of the force in the middle of the stroke is the law's own: there the "
-            "acceleration changes its sign, and with it the branch of the loop."
+            "The figures show the loops of all conditions, current by current: Nelder–Mead set "
+            "(black), DE set (dashed) and our set (light dots on top). Rows in error are not "
+            "drawn. The small step of the force in the middle of the stroke belongs to the law: "
+            "there the acceleration changes its sign, and the loop changes its branch."
         ),
     ]
     for current in sorted({condition.current for condition in CONDITIONS}):
@@ -151,11 +151,11 @@ def _overview(data: dict[str, Any]) -> Table:
         )
     return Table(
         "conditions",
-        "Peak forces of our identified loops beside those of the thesis' Nelder–Mead sets, and the "
-        "distance of our loop from both published loops.",
+        "Peak forces of our identified loops and of the Nelder–Mead sets of the thesis, and the "
+        "difference between our loop and both published loops.",
         heads(
             "Condition | Max ours [N] | Max thesis [N] | Min ours [N] | Min thesis [N] | "
-            "From NM [%] | From DE [%] | RMSE [N] | NRMSE [%]"
+            "Difference NM [%] | Difference DE [%] | RMSE [N] | NRMSE [%]"
         ),
         rows,
     )
@@ -177,8 +177,8 @@ def _coefficients(data: dict[str, Any]) -> Table:
     heads = (f"{name} [{unit}]" for name, unit in COEFFICIENT_UNITS.items())
     return Table(
         "coefficients",
-        "What one run determines: seven coefficients with standard errors, in every sound "
-        "condition, beside those that follow from both published sets (to the same digits). "
+        "The seven coefficients that one run determines, with standard errors, in every sound "
+        "condition, and the coefficients of both published sets (to the same digits). "
         + _agreement(data),
         ("Condition", "Set", *heads),
         rows,
@@ -201,7 +201,7 @@ def _agreement(data: dict[str, Any]) -> str:
         f"Where the loops of both published sets agree to {100 * _AGREEING:.0f} % "
         f"({len(apart)} conditions), f_t agrees to "
         f"{100 * max(_change(*pair, f_t) for pair in apart.values()):.0f} %. The smaller "
-        "coefficients need not: what one gives another takes, as at "
+        "coefficients may differ, because they compensate for each other, as at "
         f"{title(worst)}, where f_d is {one[f_d]:.1f} and {two[f_d]:.1f} N."
     )
 
@@ -228,8 +228,8 @@ def _published(data: dict[str, Any]) -> Table:
     ]
     return Table(
         "published_parameters",
-        "The published sets (tables 17–40), in the units of the thesis. Their loops agree, their "
-        "parameters do not: a single run does not determine sixteen parameters.",
+        "The published sets (tables 17–40), in the units of the thesis. The loops of both methods "
+        "agree but their parameters differ: a single run does not determine sixteen parameters.",
         ("Condition", "Method", *PARAMETER_NAMES),
         rows,
     )

@@ -115,8 +115,8 @@ def show(data: dict[str, Any]) -> list[Block]:
     ]
     slopes = Table(
         "current_slopes",
-        "Half the force span over current: least-squares slope, and the slope between neighbouring "
-        "currents. Saturation shows in the last step.",
+        "Half the force span over current: least-squares slope, and slopes between neighbouring "
+        "currents. The last slope shows the saturation.",
         ("Amplitude, frequency", "Slope [N/A]", "Steps [N/A]"),
         [
             (key, group["slope"], ", ".join(f"{piece:.0f}" for piece in group["pieces"]))
@@ -136,8 +136,8 @@ def show(data: dict[str, Any]) -> list[Block]:
     ]
     return [
         Text(
-            "Forces are those of the loops identified from the re-synthesised runs. The thesis "
-            "states few numbers here: they stand beside ours, the rest are trends."
+            "The forces are those of the loops identified from the re-synthesised runs. The thesis "
+            "states few numbers here; the tables compare them with ours. The figures show trends."
         ),
         _series_figure(
             "current", "Current dependency, 5 mm, 1 Hz (thesis Fig. 29–31).", CURRENT_SERIES
@@ -154,9 +154,9 @@ def show(data: dict[str, Any]) -> list[Block]:
         comparison("temperature", "Force of the sets of tables 8 and 9.", heat),
         Table(
             "temperature_parameters",
-            "Tables 8 and 9, and their difference. Signs of a0, a1, a2, I0, I1, k0 and k5 differ: "
-            "the two sets lie in different basins, and their differences say nothing about "
-            "temperature.",
+            "Tables 8 and 9, and their difference. The signs of a0, a1, a2, I0, I1, k0 and k5 "
+            "differ: the two sets belong to different local minima, so their differences contain "
+            "no information about temperature.",
             ("Temperature", *PARAMETER_NAMES),
             [
                 ("28 °C", *map(_two_decimals, COLD)),
@@ -210,8 +210,8 @@ def _span_figure(data: dict[str, Any]) -> Picture:
     axes[0, 0].legend(loc="upper left")
     return Picture(
         "force_over_current",
-        "Half the span of the force over the current, identified from the re-synthesised runs. "
-        "5.0 mm, 1.0 A is missing: its tables are copies of 0 A.",
+        "Half the force span over the current, identified from the re-synthesised runs. 5.0 mm, "
+        "1.0 A is missing, because its tables are copies of those of 0 A.",
         figure,
     )
 

@@ -183,8 +183,8 @@ def statements() -> list[dict[str, Any]]:
             "extremes",
             "stated": needed,
             "found": most,
-            "verdict": "at 0 A no set between these extremes reaches the force of this run; "
-            "section on repeated DE: the runs are those of 1.5 A",
+            "verdict": "at 0 A no set within these extremes reaches the force of this run; the "
+            "runs are those of 1.5 A (section on repeated DE)",
         },
         {
             "statement": "parameters whose variance exceeds that of a uniform distribution over "
@@ -198,8 +198,8 @@ def statements() -> list[dict[str, Any]]:
             "table 10",
             "stated": facts.REPEATED["variance"][a0],
             "found": _variance_with_outliers(low[a0], high[a0]),
-            "verdict": "found: the largest variance between the bounds that leaves room for an "
-            "outlier, 1.5 boxes beyond the box; this one leaves none",
+            "verdict": "found: the largest variance within the bounds that permits an outlier, 1.5 "
+            "boxes beyond the box; the stated variance is larger",
         },
         {
             "statement": f"difference of {PARAMETER_NAMES[wrong]} between 28 and 71 °C (table 8)",
@@ -219,7 +219,7 @@ def statements() -> list[dict[str, Any]]:
             "half span at 7.5 mm over 5 mm (1 Hz, 0.5 A)",
             "stated": "> 1",
             "found": strokes[1] / strokes[0],
-            "verdict": "falls, as section 4.4 says itself",
+            "verdict": "falls, as section 4.4 also says",
         },
         {
             "statement": "conditions: table 12 lists 31 runs",
@@ -277,7 +277,7 @@ def headline(data: dict[str, Any]) -> str:
     wrong = sum(bool(row["criteria"]) for row in data["rows"])
     return (
         f"{wrong} of {len(CONDITIONS) * len(PUBLISHED_METHODS)} rows are in error, and "
-        f"{len(data['statements'])} statements do not agree with the thesis' own numbers."
+        f"{len(data['statements'])} statements contradict numbers in the thesis."
     )
 
 
@@ -297,19 +297,19 @@ def show(data: dict[str, Any]) -> list[Block]:
     ]
     return [
         Text(
-            "Each row of tables 17–40 was evaluated and judged by five criteria: copied from "
-            "another current; not dissipative; hysteresis reversed; force out of the family of its "
-            "current (a factor of two); offset implausible where the methods' loops disagree. "
-            "What counts is the loop, not the sign of a parameter: several parameters may change "
-            f"sign together. A condition is called sound where its Nelder–Mead row is: "
-            f"{len(sound_conditions())} of {len(CONDITIONS)}, everywhere in this report."
+            "Each row of tables 17–40 was checked by five criteria: copied from another current; "
+            "not dissipative; hysteresis reversed; force outside the range of its current (a "
+            "factor of two); implausible offset where the loops of both methods disagree. The "
+            "criteria use the loop, because several parameters may change their signs together "
+            "without a change of the loop. In this report, a condition is called sound if its "
+            f"Nelder–Mead row is sound: {len(sound_conditions())} of {len(CONDITIONS)}."
         ),
         Table(
             "errata_rows",
-            "Rows found in error, and one that looks like an error but is none: in the "
-            "Nelder–Mead row of 7.5 mm, 3 Hz, 1.5 A, k4 is positive, but so much current "
-            "dependence is in k3, a3 and I1 that the hysteresis velocity v_h/v_m is negative like "
-            "in all others. The last column is the norm of the difference of both methods' loops.",
+            "Rows in error, and a sound row that looks like an error: in the Nelder–Mead row of "
+            "7.5 mm, 3 Hz, 1.5 A, k4 is positive, but because of k3, a3 and I1 the hysteresis "
+            "velocity v_h/v_m is negative, as in all other rows. The last column is the norm of "
+            "the difference between the loops of both methods.",
             heads(
                 "Condition | Method | Criteria failed | Half span [N] | Offset [N] | "
                 "v_h/v_m [1] | Methods differ by [%]"
@@ -319,17 +319,17 @@ def show(data: dict[str, Any]) -> list[Block]:
         _figure(),
         Table(
             "errata_statements",
-            "Statements that do not agree with the thesis' own numbers.",
+            "Statements that contradict numbers in the thesis.",
             ("Statement", "Stated", "Found", "Verdict"),
             [(s["statement"], s["stated"], s["found"], s["verdict"]) for s in data["statements"]],
         ),
         Text(
-            "The second column of every table of appendix C says 0 A whatever the current; the "
-            "captions are right, but for that of table 20, which is of 5.0 mm. Figure 34 is "
-            "captioned as one of the frequency and shows the displacement; table 13 sends the "
-            "reader to figure 53 for a0 and a4, which are in figures 44 and 45. The routine as "
-            "printed overflows where its exponent is large: "
-            "run from the literature start it returns NaN within a few hundred evaluations."
+            "The second column of every table of appendix C says 0 A for all currents. The "
+            "captions are correct, except for table 20, which belongs to 5.0 mm. The caption of "
+            "figure 34 names the frequency, but the figure shows the displacement. Table 13 refers "
+            "to figure 53 for a0 and a4, which are in figures 44 and 45. The printed routine "
+            "overflows if its exponent is large: started from the literature set, it returns NaN "
+            "within a few hundred evaluations."
         ),
     ]
 
@@ -348,8 +348,8 @@ def _figure() -> Picture:
     axes[0, 0].legend(loc="upper left", fontsize=6.5, handlelength=1.6)
     return Picture(
         "errata",
-        "Loops of the two methods where they disagree and tables were not copied. In all four it "
-        "is the DE row that is wrong: a force four times too large; a loop that gives energy "
-        "(twice); an offset of the wrong sign.",
+        "Loops of the two methods in the conditions where they disagree and no table was copied. "
+        "In all four the DE row is wrong: a force four times too large, a loop that is not "
+        "dissipative (twice), and an offset with the wrong sign.",
         figure,
     )

@@ -149,9 +149,9 @@ def show(data: dict[str, Any]) -> list[Block]:
     begun = data["starts_rmse"]
     fits = Table(
         "force_fit",
-        "Force fitted by Nelder–Mead over all sixteen parameters (the thesis' way) and over the "
-        "seven that one run determines, from the literature set. The noise put in has "
-        f"{THESIS_FORCE_NOISE:.4g} N.",
+        "Force fitted by Nelder–Mead from the literature set, over all sixteen parameters (as in "
+        "the thesis) and over the seven that one run determines. The added noise has a standard "
+        f"deviation of {THESIS_FORCE_NOISE:.4g} N.",
         ("Search", "Evaluations", "RMSE [N]"),
         [
             ("start: literature as printed first (k5 = −0.260)", 1, begun["printed"]),
@@ -168,24 +168,25 @@ def show(data: dict[str, Any]) -> list[Block]:
     )
     return [
         Text(
-            "The run of 2.5 mm, 1 Hz, 0 A: 7001 samples. The noise of the force was made with the "
-            "standard deviation that the thesis reports; that ours agrees with it shows that the "
-            "fit leaves the noise and nothing else. The extremes are single samples: they "
-            "scatter by a newton or two between seeds. The noise of the displacement "
-            f"({1e6 * DISPLACEMENT_NOISE:.0f} µm) is assumed, the thesis states none."
+            "The run of 2.5 mm, 1 Hz, 0 A has 7001 samples. The noise of the force has the "
+            "standard deviation that the thesis reports. Our residual has the same standard "
+            "deviation, so it contains only noise. The extremes are single samples, which scatter "
+            "by a newton or two between seeds. The noise of the displacement "
+            f"({1e6 * DISPLACEMENT_NOISE:.0f} µm) is assumed, because the thesis does not state it."
         ),
         comparison("sine", "Sine fitted to the displacement.", sines),
         _sine_figure(data),
         fits,
         Text(
             "Appendix D prints the literature set twice, once with k5 = −0.260 and once with "
-            "+0.260. Only the positive value moves the loop the way this run lies, so the search "
-            "starts from it."
+            "+0.260. The search starts from the positive value, because only this value shifts the "
+            "loop in the direction of this run."
         ),
         comparison(
             "force_error",
-            "Error of the fitted force. The thesis' own numbers are of two samples: its variance "
-            "of 31.01 N² is not the square of its σ of 5.526 N (30.54 N²), nor its mean its μ.",
+            "Error of the fitted force. The thesis states the numbers of two different samples: "
+            "its variance of 31.01 N² is not the square of its σ of 5.526 N (30.54 N²), and its "
+            "mean differs from its μ.",
             forces,
             zeros=("mean", "mu"),
         ),

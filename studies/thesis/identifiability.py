@@ -119,10 +119,10 @@ def show(data: dict[str, Any]) -> list[Block]:
     steady = _spreads(COEFFICIENT_NAMES, seven, sizes)
     return [
         Text(
-            "One run at one peak velocity and one current depends on seven coefficients of the "
-            "law only. The sixteen parameters enter through them, so nine directions in parameter "
-            "space leave the loop as it is. That, and not the optimiser, is why the thesis' sets "
-            "scatter while every loop fits."
+            "A run at one peak velocity and one current depends on only seven coefficients of the "
+            "law. The sixteen parameters act through these coefficients, so the loop does not "
+            "change along nine directions in parameter space. For this reason the sets in the "
+            "thesis scatter although every loop fits; the optimiser is not the cause."
         ),
         _singular_figure(data),
         _direction_figure(data),
@@ -130,16 +130,16 @@ def show(data: dict[str, Any]) -> list[Block]:
         Table(
             "scatter",
             f"{len(good)} of {data['starts']} least-squares searches from random starts on the run "
-            f"of 5 mm, 1 Hz, 1.5 A ended at the noise ({data['floor']:.2f} N): the range of each "
-            "parameter over these equally good sets, and its standard deviation over the width of "
-            "the search bounds.",
+            f"of 5 mm, 1 Hz, 1.5 A ended at the noise ({data['floor']:.2f} N). The table gives the "
+            "range of each parameter over these equally good sets, and its standard deviation "
+            "relative to the width of the search bounds.",
             ("Parameter", "Smallest", "Largest", "Spread [1]"),
             scatter,
         ),
         Table(
             "scatter_coefficients",
-            "The seven coefficients of the same sets (SI units), and their standard deviation over "
-            "their mean: they agree to the digits shown.",
+            "The seven coefficients of the same sets (SI units), and their standard deviation "
+            "relative to their mean: all sets agree to the digits shown.",
             ("Coefficient", "Smallest", "Largest", "Spread [1]"),
             steady,
         ),
@@ -168,8 +168,9 @@ def _singular_figure(data: dict[str, Any]) -> Picture:
     a.legend(loc="lower left")
     return Picture(
         "singular_values",
-        "Singular values of the Jacobian by relative changes of the parameters, over the noise: "
-        "one run leaves nine directions flat (values of rounding size).",
+        "Singular values of the Jacobian with respect to relative changes of the parameters, "
+        "relative to the noise. With one run, nine of them are zero up to rounding: these "
+        "directions are flat.",
         figure,
     )
 
@@ -191,10 +192,10 @@ def _direction_figure(data: dict[str, Any]) -> Picture:
     a.set(xlim=(-0.6, 15.6), ylim=(15.6, -0.6), xlabel="Parameter", ylabel="Direction")
     return Picture(
         "directions",
-        "Right singular vectors of one run's Jacobian (5 mm, 1 Hz, 1.5 A). Area: part of the "
-        "parameter in the direction; filled positive, open negative. Below the line the loop does "
-        "not notice; f0, a1, k2, a2, I0 may trade against each other, as may a0 and k0; k1c, k1e "
-        "and a4; k4, k3, a3, I1.",
+        "Right singular vectors of the Jacobian of one run (5 mm, 1 Hz, 1.5 A). The area is the "
+        "component of the parameter, filled if positive, open if negative. Directions below the "
+        "line do not change the loop: in them, parameters of one group (f0, a1, k2, a2, I0; a0, "
+        "k0; k1c, k1e, a4; k4, k3, a3, I1) compensate for each other.",
         figure,
     )
 
@@ -210,8 +211,8 @@ def _walk_figure(data: dict[str, Any]) -> Picture:
     a.set_ylim(top=3e4)
     return Picture(
         "walks",
-        "RMSE along straight steps from the published set: steep, middling, weak and flat. A flat "
-        "direction stays flat as far as it is straight.",
+        "RMSE along straight lines from the published set, in a steep, a medium, a weak and a flat "
+        "direction. Far from the set, a flat direction is curved, so the RMSE increases.",
         figure,
     )
 
@@ -226,7 +227,7 @@ def _scatter_figure(good: Array) -> Picture:
         a.locator_params(nbins=4)
     return Picture(
         "scatter",
-        "Sets that fit the same run equally well, to the noise: pairs of parameters that trade "
-        "against each other, in the units of the thesis.",
+        "Sets that fit the same run equally well, to the noise: pairs of parameters that "
+        "compensate for each other, in the units of the thesis.",
         figure,
     )

@@ -82,9 +82,9 @@ def headline(data: dict[str, Any]) -> str:
         for method in ("nelder_mead", "differential_evolution")
     }
     return (
-        "begun near the published sets, Nelder–Mead leaves at most "
-        f"{worst['nelder_mead']:.2f} times the noise, DE {worst['differential_evolution']:.2f} "
-        "times; the thesis finds DE the better of the two."
+        "started near the published sets, Nelder–Mead has a residual of at most "
+        f"{worst['nelder_mead']:.2f} times the noise, DE of at most "
+        f"{worst['differential_evolution']:.2f} times; in the thesis, DE is better."
     )
 
 
@@ -110,18 +110,18 @@ def show(data: dict[str, Any]) -> list[Block]:
     ]
     return [
         Text(
-            "Both methods over all sixteen parameters of the four runs of 2.5 mm, 1 Hz: "
-            "Nelder–Mead from values 5 % off, DE within ±50 % of the published set. The thesis "
-            "concludes that the residual of Nelder–Mead is higher than that of DE (its figure 55 "
-            "has no numbers in the text). On the re-synthesised runs it is the other way round: "
-            "500 generations of rand/1 do not bring DE to the noise in every run, Nelder–Mead gets "
-            "closer. Mind that the runs are made from the Nelder–Mead sets: what the published "
-            "DE sets leave says nothing about the recordings."
+            "Both methods identify all sixteen parameters of the four runs of 2.5 mm, 1 Hz: "
+            "Nelder–Mead starts 5 % off the published set, DE searches within ±50 % of it. The "
+            "thesis concludes that the residual of Nelder–Mead is larger than that of DE (figure "
+            "55, without numbers). On the re-synthesised runs it is smaller: after 500 generations "
+            "of rand/1, DE has not reached the noise in every run. The runs are synthesised from "
+            "the Nelder–Mead sets, so the residual of the published DE sets contains no "
+            "information about the recordings."
         ),
         Table(
             "residuals",
             "Residual: RMSE over the standard deviation of the force, in % (thesis Fig. 55). The "
-            "noise alone is the floor.",
+            "noise is the lower limit.",
             heads(
                 "Current | Noise | Nelder–Mead, ours | DE, ours | Published DE set | "
                 "Evaluations NM | Evaluations DE"
@@ -131,12 +131,12 @@ def show(data: dict[str, Any]) -> list[Block]:
         _residual_figure(data),
         Table(
             "literature",
-            "2.5 mm, 1 Hz, 0 A: literature (Santade 2017), published and our sets (tables 15, 16, "
-            "Fig. 56), and how far both methods are apart (“absolute error” in the thesis). k5 of "
-            "the literature is printed with either sign.",
+            "2.5 mm, 1 Hz, 0 A: literature set (Santade 2017), published and our sets (tables 15, "
+            "16, Fig. 56), and the difference between both methods (“absolute error” in the "
+            "thesis). The thesis prints k5 of the literature set with both signs.",
             heads(
                 "Parameter | Literature | NM, thesis | NM, ours | DE, thesis | DE, ours | "
-                "Apart, thesis | Apart, ours"
+                "Difference, thesis | Difference, ours"
             ),
             literature,
         ),
@@ -184,9 +184,9 @@ def _literature_figure(data: dict[str, Any]) -> Picture:
     a.legend(loc="upper right", ncols=4)
     return Picture(
         "literature",
-        "Parameters of 2.5 mm, 1 Hz, 0 A over those of the literature (thesis Fig. 56); line: "
-        "equal. k0, a0 and f0 agree; those that have no effect at 0 A (I0, I1, a2, a3, k2, k3) "
-        "keep what the search began with.",
+        "Parameters of 2.5 mm, 1 Hz, 0 A relative to the literature set (thesis Fig. 56); line: "
+        "equal. k0, a0 and f0 agree. Parameters without effect at 0 A (I0, I1, a2, a3, k2, k3) "
+        "keep their start values.",
         figure,
     )
 
@@ -207,8 +207,8 @@ def _evolution_figure(data: dict[str, Any]) -> Picture:
     return Picture(
         "parameters_over_current",
         "The sixteen parameters over the current, 2.5 mm, 1 Hz (thesis Fig. 53, 54), in the units "
-        "of the thesis. A run determines seven combinations of them only (section on "
-        "observability): a course of a single parameter means little.",
+        "of the thesis. A run determines only seven combinations of them (section on "
+        "observability), so the curve of a single parameter has little meaning.",
         figure,
     )
 
@@ -229,6 +229,6 @@ def _loops_figure(data: dict[str, Any]) -> Picture:
     return Picture(
         "methods_loops",
         "Loops of both methods, 2.5 mm, 1 Hz, at 0.5, 1.0 and 1.5 A from the inner to the outer "
-        "(thesis Fig. 57).",
+        "loop (thesis Fig. 57).",
         figure,
     )

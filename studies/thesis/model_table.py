@@ -141,27 +141,27 @@ def show(data: dict[str, Any]) -> list[Block]:
             )
         )
     note = (
-        "The real recordings (utfsm: another damper, of an unstated type, in an MTS press) were "
-        "not at hand: the variable MR_DAMPER_DATA was not set."
+        "The real recordings (utfsm: another damper, of an unstated type, in an MTS press) are "
+        "missing, because the variable MR_DAMPER_DATA is not set."
         if records is None
         else f"Real recordings: {len(records)} records of utfsm, another damper of an unstated "
         "type in an MTS press, ramps included; MIT licence, © 2022 mequiroz."
     )
     blocks: list[Block] = [
         Text(
-            "Every model is fitted to each record alone, by bounded least squares from starts read "
-            f"off the record, on about {SAMPLES} of its samples; the error is that of the whole "
-            "record. The re-synthesised runs are made with the sigmoid law, so it must win there; "
-            "only real recordings can tell which model describes a damper. " + note
+            "Every model is fitted to each record separately, by bounded least squares on about "
+            f"{SAMPLES} samples, from starts derived from the record; the error is that of the "
+            "whole record. The re-synthesised runs were made with the sigmoid law, so it must be "
+            "best there; only real recordings show which model describes a damper. " + note
         ),
         Table(
             "models",
-            "Models compared. NRMSE: RMSE over the standard deviation of the force. Table 2 of the "
-            "thesis quotes estimation errors of Yaakub et al. (2020) in a measure that neither "
-            "states: only their order can be compared. Times are processor times on the machine "
-            "that made this report.",
+            "Comparison of the models. NRMSE: RMSE over the standard deviation of the force. Table "
+            "2 of the thesis quotes estimation errors of Yaakub et al. (2020). Neither source "
+            "states their measure, so only their order can be compared. Times are processor times "
+            "on the computer that made this report.",
             heads(
-                f"Model | Parameters free | NRMSE, {len(runs)} runs, median [%] | Largest [%] | "
+                f"Model | Free parameters | NRMSE, {len(runs)} runs, median [%] | Largest [%] | "
                 "NRMSE, real, median [%] | Table 2 | Time per identification [ms] | Evaluations | "
                 "Time per sample [µs]"
             ),

@@ -112,8 +112,7 @@ def headline(data: dict[str, Any]) -> str:
     real = data["records"]
     return (
         "one set of sixteen parameters for all conditions has a median NRMSE of "
-        f"{medians(data['runs'])} on the re-synthesised runs, where the noise alone has less than "
-        "one"
+        f"{medians(data['runs'])} on the re-synthesised runs, whose noise is below 1 %"
         + (
             "."
             if real is None
@@ -141,30 +140,30 @@ def show(data: dict[str, Any]) -> list[Block]:
             )
     blocks: list[Block] = [
         Text(
-            f"One set for all {len(runs['names'])} sound conditions, identified by this package's "
-            "global method (laws by differential evolution, then least squares on every "
-            f"{runs['kept']}th sample). The thesis has one set per condition and says that "
-            "parameters must be estimated anew for each. The honest result is poor where there is "
-            "no current: the law ties the offset of the force to the yield force, but from 0 to "
-            "1.5 A (5 mm, 1 Hz) the yield force grows seventeenfold and the offset not quite "
-            "twofold. An offset of its own helps there, yet no set of either law fits all "
-            "conditions to the noise. Part of it lies in the data: the runs are made from "
-            "published sets that were identified one by one, and how warm the damper was in each "
-            f"the thesis does not say. The median error is {_ratio(data, 'runs'):.0f} times "
-            "that of a set for each run"
+            f"One set for all {len(runs['names'])} sound conditions was identified by the global "
+            "method of this package (differential evolution for the laws of the coefficients, then "
+            f"least squares on every {runs['kept']}th sample). The thesis has one set per "
+            "condition and says that each condition needs its own parameters. The fit is poor "
+            "without current: the law couples the offset of the force to the yield force, but from "
+            "0 to 1.5 A (5 mm, 1 Hz) the yield force grows by a factor of seventeen and the offset "
+            "by almost two. A separate offset improves this, but no set of either law fits all "
+            "conditions to the noise. A part of the error is caused by the data: the runs are made "
+            "from sets that were identified separately, and the thesis does not state the "
+            f"temperature of the damper. The median error is {_ratio(data, 'runs'):.0f} times the "
+            "median error of separate sets"
             + (
-                ". The real recordings were not at hand: the variable MR_DAMPER_DATA was not set."
+                ". The real recordings are missing, because the variable MR_DAMPER_DATA is not set."
                 if real is None
-                else f"; on the real records {_ratio(data, 'records'):.1f} times."
+                else f"; on the real records, {_ratio(data, 'records'):.1f} times."
             )
         ),
         Table(
             "one_set",
-            "One set for all, beside the median where each run or record has a set of its own "
-            "(section on models). Time: processor time on the machine that made this report.",
+            "One set for all, and the median for separate sets of each run or record (section on "
+            "models). Time: processor time on the computer that made this report.",
             heads(
                 "Law | Data | Parameters | Conditions | NRMSE, median [%] | Largest [%] | "
-                "A set for each, median [%] | Evaluations | Time [s]"
+                "Separate sets, median [%] | Evaluations | Time [s]"
             ),
             rows,
         ),
@@ -280,6 +279,7 @@ def _loops_figure(data: dict[str, Any]) -> Picture:
     document.legend_above(figure, axes[0, 0], 3)
     return Picture(
         "one_set_loops",
-        "One set for all conditions: where the sigmoid law errs least, in the median and most.",
+        "One set for all conditions, in the conditions in which the sigmoid law has the smallest, "
+        "the median and the largest error.",
         figure,
     )

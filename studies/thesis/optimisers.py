@@ -353,32 +353,32 @@ def show(data: dict[str, Any]) -> list[Block]:
     floor = next(iter(data["methods"].values()))["floor"]
     blocks: list[Block] = [
         Text(
-            f"The problem is the thesis' own: the run of 5 mm, 1 Hz, 1.5 A, sixteen parameters "
-            f"within the bounds of its tables 10 and 11. {data['runs']} random starts, the same "
-            f"for all; at most {data['budget']} evaluations of the force law over the cycle (250 "
-            "phases). Local methods start again from a new random point until they succeed or the "
-            f"budget is spent; a gradient counts as sixteen evaluations. DE (F = CR = 0.8, "
-            f"{POPULATION} individuals) runs through; the section on repeated differential "
-            "evolution has rand/1 with twice the population and 500 generations. Success: an "
-            f"RMSE within {100 * (SUCCESS - 1):.0f} % of the {floor:.2f} N that the "
-            "truth itself leaves."
+            f"The problem is that of the thesis: the run of 5 mm, 1 Hz, 1.5 A, and sixteen "
+            f"parameters within the bounds of tables 10 and 11. Each method has {data['runs']} "
+            f"runs, with the same random starts, of at most {data['budget']} evaluations of the "
+            "force law over the cycle (250 phases). Local methods start again from a new random "
+            "point until they succeed or the budget is spent; a gradient counts as sixteen "
+            f"evaluations. DE (F = CR = 0.8, {POPULATION} individuals) does not restart; the "
+            "section on repeated differential evolution uses rand/1 with twice the population and "
+            f"500 generations. A run succeeds if its RMSE is within {100 * (SUCCESS - 1):.0f} % of "
+            f"the residual of the true set, {floor:.2f} N."
         ),
         Text(
-            "With seven unknowns the problem is another, smaller one: that is the point. The run "
-            "determines seven coefficients; those two methods are this package's own and may "
-            "start from values read off the data. Their scales have no bounds. Seconds are "
-            "processor time on the machine that made this report."
+            "The problem with seven unknowns is smaller, because the run determines only seven "
+            "coefficients. The two methods for it are those of this package. They may start from "
+            "values derived from the data, and their scales have no bounds. Times are processor "
+            "times on the computer that made this report."
         ),
     ]
     if data["missing"]:
-        blocks.append(Text(f"Not installed, so left out: {', '.join(data['missing'])}."))
+        blocks.append(Text(f"Omitted, because not installed: {', '.join(data['missing'])}."))
     blocks += [
         Table(
             "optimisers",
-            "Success in % with Wilson's 95 % interval, and of the first descent alone; median "
-            "evaluations of the runs that succeed; processor time; final RMSE (median, 10–90 % of "
-            "runs); spread of the parameters (median standard deviation over the width of the "
-            "bounds) and of the loops.",
+            "Success rate in % with Wilson's 95 % interval, and that of the first descent alone; "
+            "median number of evaluations in successful runs; processor time; final RMSE (median, "
+            "10–90 % of runs); spread of the parameters (median standard deviation relative to the "
+            "width of the bounds) and of the loops.",
             heads(
                 "Method | Success [%] | First descent [%] | Evaluations to success | "
                 "Time [s] | RMSE [N] | 10–90 % [N] | Parameter spread [1] | Loop spread [N]"
@@ -410,9 +410,9 @@ def _figure(data: dict[str, Any], floor: float) -> Picture:
     axes[0, 0].text(x[0], 0.93 * floor, "noise", va="top", color="0.3", fontsize=7)
     return Picture(
         "optimisers",
-        "Best RMSE against evaluations: median and quartiles over the random starts. A population "
-        "is booked as a whole, and so are the fits of seven unknowns: their lines begin where they "
-        "end, at the noise. 5 mm, 1 Hz, 1.5 A, re-synthesised.",
+        "Best RMSE over the number of evaluations: median and quartiles over the random starts. A "
+        "population counts as a whole, and so does a fit of seven unknowns, whose line therefore "
+        "begins at the noise. 5 mm, 1 Hz, 1.5 A, re-synthesised.",
         figure,
     )
 
@@ -432,7 +432,7 @@ def _success_figure(data: dict[str, Any]) -> Picture:
     a.grid(axis="x", color="0.9", lw=0.6)
     return Picture(
         "optimiser_success",
-        "Success rate within the budget (dot) with Wilson's 95 % interval (bar), and of the first "
-        "descent alone (tick).",
+        "Success rate within the budget (dot) with Wilson's 95 % interval (bar), and success rate "
+        "of the first descent alone (tick).",
         figure,
     )

@@ -94,8 +94,9 @@ def headline(data: dict[str, Any]) -> str:
     """The result in a sentence."""
     near, far = (data[name]["variance_distance"] for name in (AS_FOUND, AS_CAPTIONED))
     return (
-        f"the scatter of tables 10 and 11 comes out to a median factor of {near:.2f} on the run of "
-        f"1.5 A, and not at all on that of 0 A which the captions name (factor {far:.0f})."
+        "the scatter of tables 10 and 11 is reproduced to within a median factor of "
+        f"{near:.2f} on the run of 1.5 A, but not on the run of 0 A, which the captions name "
+        f"(factor {far:.0f})."
     )
 
 
@@ -109,24 +110,23 @@ def show(data: dict[str, Any]) -> list[Block]:
 
     return [
         Text(
-            f"{data['runs']} runs of differential evolution over all sixteen parameters of one "
-            f"run: rand/1/bin, F = CR = 0.8, {GENERATIONS} generations, {POPULATION} individuals "
-            f"(assumed), on the run averaged into {PHASES} phases, within bounds taken from the "
-            "round extremes of tables 10 and 11, at which "
-            "trial values are clipped."
+            f"Differential evolution over all sixteen parameters of one run was repeated "
+            f"{data['runs']} times: rand/1/bin, F = CR = 0.8, {GENERATIONS} generations, "
+            f"{POPULATION} individuals (assumed), on the run averaged into {PHASES} phases. The "
+            "bounds, to which trial values are clipped, are the round extremes of tables 10 and 11."
         ),
         Text(
-            "The caption says 0 A. But within those bounds no set reaches the force of that run "
-            "(section on errata): there our runs all end at one and the same poor fit, with no "
-            "scatter in ten of the parameters. On the run of 1.5 A the same search gives the "
-            "thesis' scatter, parameter by parameter. Tables 10 and 11 are therefore compared "
-            "with both, and very likely are of 1.5 A, as tables 8 and 9 are."
+            "The caption says 0 A, but within these bounds no set reaches the force of that run "
+            "(section on errata): all our searches end at the same poor fit, without scatter in "
+            "ten of the parameters. On the run of 1.5 A, the same search reproduces the scatter in "
+            "the thesis, parameter by parameter. Tables 10 and 11 are therefore compared with both "
+            "runs; very likely they belong to 1.5 A, like tables 8 and 9."
         ),
         Table(
             "repeated_quality",
-            "Which run fits the tables. The distance is the median factor between our variances "
-            "and the thesis'.",
-            ("Run", "RMSE min/median/max [N]", "Std of force [N]", "Variance off by a factor of"),
+            "Agreement of each run with the tables. The last column is the median factor between "
+            "our variances and those of the thesis.",
+            ("Run", "RMSE min/median/max [N]", "Std of force [N]", "Factor of the variances"),
             [
                 (title(name), quality(part), part["spread"], part["variance_distance"])
                 for name, part in ((AS_CAPTIONED, captioned), (AS_FOUND, found))
@@ -135,8 +135,8 @@ def show(data: dict[str, Any]) -> list[Block]:
         *(_table(data, statistic) for statistic in STATISTICS),
         Text(
             f"Outliers of our box plots: {_outliers(np.array(found['parameters']))}. The thesis "
-            f"names {', '.join(facts.OUTLIERS)}; with the variance of table 10 a0 can have none "
-            "(section on errata)."
+            f"names {', '.join(facts.OUTLIERS)}; with the variance of table 10, a0 cannot have "
+            "outliers (section on errata)."
         ),
         _box_figure(data),
         _variance_figure(data),
@@ -158,7 +158,7 @@ def _table(data: dict[str, Any], statistic: str) -> Table:
     relative = "the thesis' value" if statistic == "variance" else "half the search range"
     return Table(
         f"repeated_{statistic}",
-        f"{statistic.capitalize()} over the runs (tables 10 and 11); difference in parts of "
+        f"{statistic.capitalize()} over the runs (tables 10 and 11); difference relative to "
         f"{relative}.",
         ("Parameter", "Ours, 1.5 A", "Thesis", "Difference", "Ours, 0 A"),
         rows,
@@ -213,8 +213,8 @@ def _variance_figure(data: dict[str, Any]) -> Picture:
     a.legend(ncols=3, loc="upper center")
     return Picture(
         "repeated_variance",
-        "Variance over the runs (thesis Fig. 41). A variance above that of a uniform distribution "
-        "means that results crowd at both bounds.",
+        "Variance over the runs (thesis Fig. 41). If the variance exceeds that of a uniform "
+        "distribution, most results lie at the two bounds.",
         figure,
     )
 
@@ -230,7 +230,7 @@ def _loop_figure(data: dict[str, Any]) -> Picture:
         a.set(title=title(name), xlabel="Velocity [m/s]", ylabel="Force [N]")
     return Picture(
         "repeated_loops",
-        "Loops of all runs (grey) on the run averaged over its cycles (dots), for the captioned "
-        "and for the likely current.",
+        "Loops of all searches (grey) and the averaged cycle of the run (dots), at the current in "
+        "the caption and at the likely current.",
         figure,
     )

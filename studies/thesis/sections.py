@@ -49,14 +49,14 @@ _SECTIONS = (
     ("sensitivity", "Sensitivity of the force", sensitivity),
     ("repeated", "Repeated differential evolution", repeated),
     ("methods", "Both methods, and the literature", methods),
-    ("optimisers", "Optimisers side by side", optimisers),
+    ("optimisers", "Comparison of optimisers", optimisers),
     (
         "observability",
-        "What the thesis could not show: why the parameters scatter",
+        "Beyond the thesis: the reason for the scatter of the parameters",
         identifiability,
     ),
-    ("models", "The reviewed models compared", model_table),
-    ("one-set", "What the thesis could not show: one set for all conditions", one_set),
+    ("models", "Comparison of the reviewed models", model_table),
+    ("one-set", "Beyond the thesis: one set for all conditions", one_set),
     ("errata", "Errata", errata),
 )
 
@@ -64,12 +64,12 @@ _SECTIONS = (
 def _notice(campaign: Campaign) -> str:
     if os.environ.get("MR_DAMPER_DATA") and recordings.folder() is None:
         place = os.environ["MR_DAMPER_DATA"]
-        raise ValueError(f"MR_DAMPER_DATA is {place}, which holds no utfsm: mend or unset it")
+        raise ValueError(f"MR_DAMPER_DATA is {place}, which holds no utfsm: correct or unset it")
     return (
         "The recordings behind the thesis (D. M. D. da Silva, University of Brasília, 2023) were "
         f"not published. All runs here are {PROVENANCE}: the force of the Nelder–Mead set of a "
-        "condition on the fitted sine, with noise of the reported size. Agreement therefore shows "
-        "that methods and numbers are reproducible, not that the damper behaves so. "
+        "condition for the fitted sine, with noise of the reported size. Agreement therefore shows "
+        "that methods and numbers are reproducible; it does not validate the law for the damper. "
         f"Random searches: {campaign.runs} repetitions, seed {campaign.seed}"
         f"{', quick variant' if campaign.quick else ''}."
     )
@@ -77,10 +77,10 @@ def _notice(campaign: Campaign) -> str:
 
 main = Study(
     "thesis",
-    "Make the results of the thesis again, on runs re-synthesised from its published parameter "
-    "sets, and write one report. What was computed earlier is not computed again, so a stopped "
-    "campaign goes on where it was. With the variable MR_DAMPER_DATA set to a folder that holds "
-    "utfsm/processed, the models are compared on those recordings too.",
+    "Reproduce the results of the thesis on runs re-synthesised from its published parameter sets, "
+    "and write one report. Results are stored, so a stopped study continues from them. If the "
+    "variable MR_DAMPER_DATA names a folder that contains utfsm/processed, the models are also "
+    "compared on these recordings.",
     "Parameter identification of the sigmoid model of an MR damper: the thesis reproduced",
     _notice,
     {section[0]: _part(*section) for section in _SECTIONS},

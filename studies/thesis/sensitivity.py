@@ -54,8 +54,9 @@ def headline(data: dict[str, Any]) -> str:
     }
     worst = max(apart, key=lambda name: abs(apart[name]))
     return (
-        f"the force depends most on {', '.join(order[:4])}, as in the thesis; our sums differ from "
-        f"tables 13 and 14, which were read off axes, by up to {percent(apart[worst])} ({worst})."
+        f"the force depends most on {', '.join(order[:4])}, as in the thesis; our sums differ by "
+        f"up to {percent(apart[worst])} ({worst}) from tables 13 and 14, whose values were read "
+        "off figures."
     )
 
 
@@ -73,20 +74,21 @@ def show(data: dict[str, Any]) -> list[Block]:
     ]
     return [
         Text(
-            "The Nelder–Mead set of 2.5 mm, 1 Hz, 0 A, one parameter changed at a time. The "
-            "thesis' numbers are read off its axes and rounded up; “CTE” (constant) in its tables "
-            "is 0 here. At 0 A the two current terms cancel exactly, so I0, I1, a2, a3, k2 and k3 "
-            "have no effect at all: they cannot be identified there. With current they count, "
+            "In the Nelder–Mead set of 2.5 mm, 1 Hz, 0 A, one parameter is changed at a time. The "
+            "numbers in the thesis were read off its figures and rounded up; “CTE” (constant) in "
+            "its tables is 0 here. At 0 A the two current terms cancel exactly, so I0, I1, a2, a3, "
+            "k2 and k3 have no effect and cannot be identified. With current they have an effect, "
             "as the last column of the second table shows."
         ),
         comparison(
             "sensitivity",
-            "Sum of the squared change of the force over 7001 samples, for +20 %.",
+            "Sum of the squared change of the force over 7001 samples for a change of +20 %.",
             values,
         ),
         Table(
             "sensitivity_steps",
-            "The same for all changes, in N²; the last column is 2.5 mm, 1 Hz, 1.0 A.",
+            "Sum of the squared change of the force for all changes, in N²; the last column is for "
+            "2.5 mm, 1 Hz, 1.0 A.",
             ("Parameter", *(f"+{100 * c:.0f} %" for c in CHANGES), "+20 %, 1.0 A"),
             full,
         ),
@@ -146,9 +148,9 @@ def _changes_figure(passive: dict[str, list[float]]) -> Picture:
     document.legend_above(figure, axes[0, 0], 2)
     return Picture(
         "sensitivity_changes",
-        "Change of the force where one parameter is changed, for all that have an effect at 0 A "
-        "(thesis Fig. 42–52), 2.5 mm, 1 Hz. Mind the scales: those of the first row reach from "
-        "twenty newtons to a few, those of the last panels are below one.",
+        "Change of the force after a change of one parameter, for all parameters with an effect at "
+        "0 A (thesis Fig. 42–52), 2.5 mm, 1 Hz. The scales differ: twenty to a few newtons in the "
+        "first row, below one newton in the last panels.",
         figure,
     )
 
