@@ -33,7 +33,7 @@ cure = "install one (on Ubuntu: sudo apt install python3 python3-venv python3-de
 if not (3, 10) <= sys.version_info[:2] <= (3, newest):
     print("%s is Python %d.%d, and 3.10 to 3.%d is needed: %s" % (name, sys.version_info[0], sys.version_info[1], newest, cure))
 elif sys.implementation.name != "cpython" or sysconfig.get_config_var("Py_GIL_DISABLED"):
-    print("%s is not the ordinary CPython, which alone the wheels are for: %s" % (name, cure))
+    print("%s is not the standard CPython, for which the wheels are built: %s" % (name, cure))
 else:
     try:
         import ensurepip, venv
@@ -51,7 +51,7 @@ PYTHON
 }
 
 # Prints a Python of version 3.10 to 3.$1 that can make virtual environments: $PYTHON, or the first
-# suitable of python3, python3.12, ... on PATH. Fails with a sentence where there is none.
+# suitable one of python3, python3.12, ... on PATH. Fails with a sentence if there is none.
 find_python() {
   local newest=$1 candidate problem first=""
   if [ -n "${PYTHON:-}" ]; then
@@ -72,7 +72,7 @@ find_python() {
   fail "${first:-there is no python3: install Python 3.10 to 3.$newest (on Ubuntu: sudo apt install python3 python3-venv python3-dev).}"
 }
 
-# pip_install VENV ARGUMENTS...: quiet, reproducible, and one sentence where it fails.
+# pip_install VENV ARGUMENTS...: quiet and reproducible; one sentence if it fails.
 pip_install() {
   local venv=$1 log=$1/pip.log
   shift
@@ -81,32 +81,32 @@ pip_install() {
     return
   fi
   if grep -qE 'DO NOT MATCH THE HASHES|are required in --require-hashes' "$log"; then
-    fail "a package that pip was given is not the one whose hash is pinned in requirements/: have" \
-      "your mirror serve the original files; pip's own words are in $log."
+    fail "the hash of a downloaded package differs from the hash in requirements/: use a mirror" \
+      "that serves the original files; the output of pip is in $log."
   fi
   if grep -qiE 'NewConnectionError|ConnectTimeout|ReadTimeout|name resolution|ProxyError|Connection (refused|reset)|unreachable|No matching distribution|No route' "$log"; then
     fail "pip could not fetch the packages: connect this machine to the network (or point pip to" \
-      "your mirror or proxy) and call make again; pip's own words are in $log."
+      "your mirror or proxy) and call make again; the output of pip is in $log."
   fi
   grep -E '^ *(ERROR|error):' "$log" | tail -n 3 >&2 || true
-  fail "pip could not install the packages; its own words are in $log."
+  fail "pip could not install the packages; its output is in $log."
 }
 
-# without_hashes FILE: what it pins, for machines that the hashes are not made for.
+# without_hashes FILE: the pinned versions, for machines to which the hashes do not apply.
 without_hashes() {
   grep -v -- '--hash=' "$1" | sed 's/ \\$//'
 }
 
-# check_place FOLDER: fails with a sentence where nothing can be built, rather than midway.
+# check_place FOLDER: fails with a sentence if nothing can be built in the folder.
 check_place() {
   local odd
   odd=$(printf '%s' "$1" | LC_ALL=C sed 's|[A-Za-z0-9/._+@-]*||g; s|\(.\).*|\1|')
   case $1 in
-    *[[:space:]]*) fail "the path '$1' contains a space, which neither CMake packages nor scripts" \
-      "of virtual environments survive: move the folder to a path without spaces." ;;
+    *[[:space:]]*) fail "the path '$1' contains a space, with which CMake packages and scripts of" \
+      "virtual environments fail: move the folder to a path without spaces." ;;
   esac
-  [ -z "$odd" ] || fail "the path '$1' contains more than plain letters, digits and . _ + - @," \
-    "and CMake cannot build messages there: move the folder to a path without accents and signs."
+  [ -z "$odd" ] || fail "the path '$1' contains a character other than ASCII letters, digits and" \
+    ". _ + - @, so CMake cannot build messages there: move the folder to a path without it."
 }
 
 # hash_of FILES...: one hash of the contents and names of the files (folders: of all files below).

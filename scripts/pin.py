@@ -6,8 +6,8 @@ and version, with an environment marker where the versions differ between Python
 
     scripts/pin.py PYTHON3.10 PYTHON3.11 PYTHON3.12 PYTHON3.13
 
-With ``--new`` before the Pythons all pins stay, and only what the ``*.in`` files name without a
-pin is resolved, to go with them: minutes in place of an hour.
+With ``--new`` before the Pythons, existing pins stay, and only packages in the ``*.in`` files
+without a pin are resolved. This takes minutes instead of an hour.
 """
 
 from __future__ import annotations
@@ -25,15 +25,15 @@ PYTHONS = {
     "noble.txt": ("3.10", "3.11", "3.12"),  # NumPy 1.26 ends at 3.12
     "doc.txt": ("3.10", "3.11", "3.12", "3.13"),
 }
-"""Versions that each file is for."""
+"""Python versions by file."""
 SOURCES = {
     "constraints.txt": ["build", "ros", "core", "dev", "devices"],
     "noble.txt": ["noble", "dev"],
     "doc.txt": ["core", "doc"],
 }
-"""The ``*.in`` files that each is made from."""
+"""The ``*.in`` files from which each file is made."""
 NO_WHEEL = ("empy", "uldaq")
-"""What the index has as source only; its hash is that of the source."""
+"""Packages without a wheel; their hash is that of the source."""
 HEADER = "# Written by scripts/pin.py from {sources}; do not edit by hand.\n"
 
 
@@ -45,7 +45,7 @@ def version_of(python: str) -> str:
 
 
 def resolve(python: str, files: list[Path], *more: str) -> dict[str, str]:
-    """Return the version of every package that pip would take, with ``more`` options."""
+    """Return the version of every package that pip selects, with ``more`` options."""
     with tempfile.TemporaryDirectory() as folder:
         venv, report = Path(folder, "venv"), Path(folder, "report.json")
         subprocess.run([python, "-m", "venv", str(venv)], check=True)
@@ -76,13 +76,13 @@ def merge(resolved: dict[str, dict[str, str]]) -> list[str]:
 
 
 def pinned(lines: list[str], python: str) -> list[str]:
-    """Return what the lines pin for a Python ("3.11"), as ``name==version``."""
+    """Return the pins in the lines for a Python ("3.11"), as ``name==version``."""
     parts = (line.partition(" ; ") for line in lines)
     return [spec for spec, _, marker in parts if not marker or f'"{python}"' in marker]
 
 
 def hashes(pins: list[str], python: str) -> dict[str, str]:
-    """Return the SHA-256 of the file that pip takes for each pin with a Python ("3.11")."""
+    """Return the SHA-256 of the file that pip selects for each pin with a Python ("3.11")."""
     tag = "cp" + python.replace(".", "")
     abis = [part for abi in (tag, "abi3", "none") for part in ("--abi", abi)]
     platforms = [f"manylinux_2_{minor}_x86_64" for minor in range(40, 4, -1)]
@@ -112,7 +112,7 @@ def canonical(name: str) -> str:
 
 
 def with_hashes(lines: list[str], pythons: tuple[str, ...]) -> list[str]:
-    """Return the lines, each followed by the hashes of all files that it may stand for."""
+    """Return the lines, each followed by the hashes of all files that pip may select for it."""
     found: dict[str, list[str]] = {line: [] for line in lines}
     for python in pythons:
         pins = pinned(lines, python)
@@ -128,7 +128,7 @@ def with_hashes(lines: list[str], pythons: tuple[str, ...]) -> list[str]:
 
 
 def add_hashes(target: str) -> None:
-    """Write the hashes of what a file pins into it, in place of those that it has."""
+    """Replace the hashes in a file by those of its pins."""
     path = FOLDER / target
     head, *lines = path.read_text().splitlines()
     pins = [line.removesuffix(" \\") for line in lines if "--hash" not in line]
@@ -137,7 +137,7 @@ def add_hashes(target: str) -> None:
 
 
 def add_new(target: str, names: list[str], pythons: dict[str, str]) -> None:
-    """Pin what the ``*.in`` files called ``names`` name and ``target`` does not, and its needs."""
+    """Pin the packages that the ``*.in`` files ``names`` have and ``target`` lacks."""
     path = FOLDER / target
     head, *pins = re.split(r"\n(?=\S)", path.read_text().rstrip("\n"))
     lines = [pin.partition(" \\")[0] for pin in pins]
@@ -169,7 +169,7 @@ def add_new(target: str, names: list[str], pythons: dict[str, str]) -> None:
 
 
 def write(target: str, names: list[str], pythons: list[str]) -> None:
-    """Resolve the ``*.in`` files called ``names`` and write ``target``."""
+    """Resolve the ``*.in`` files ``names`` and write ``target``."""
     files = [FOLDER / f"{name}.in" for name in names]
     resolved = {version_of(python): resolve(python, files) for python in pythons}
     sources = ", ".join(file.name for file in files)
@@ -180,7 +180,7 @@ def write(target: str, names: list[str], pythons: list[str]) -> None:
 
 
 def main() -> None:
-    """Pin everything, or what is new."""
+    """Pin all packages, or only new ones."""
     pythons = sys.argv[1:]
     if pythons == ["--hashes-only"]:
         for target in PYTHONS:

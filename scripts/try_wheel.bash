@@ -1,6 +1,6 @@
 #!/usr/bin/env bash
-# Builds the wheel, installs it into an environment of nothing else, and runs there what needs no
-# ROS: the Python of the README and the programs of a recording's way to code.
+# Builds the wheel, installs it alone into an environment, and runs what needs no ROS: the Python
+# example of the README, and the programs that turn a recording into code.
 set -euo pipefail
 CDPATH="" cd -- "$(dirname -- "${BASH_SOURCE[0]}")/.."
 . scripts/common.bash
