@@ -6,24 +6,178 @@ import math
 import time
 from abc import abstractmethod
 from collections.abc import Callable
+from dataclasses import dataclass
 from functools import partial
 from typing import ClassVar, Generic, TypeVar
 
 import numpy as np
+from mr_damper_msgs.msg import DamperParameters, FitReport
 from rclpy.node import Node
 
+from mr_damper_ros.models.parameter_set import ParameterError
+from mr_damper_ros.models.plausibility import check_plausible
 from mr_damper_ros.nodes import quality
-from mr_damper_ros.nodes.diagnostics import OK, STALE, WARN, Diagnostics, Finding
+from mr_damper_ros.nodes.diagnostics import ERROR, OK, STALE, WARN, Diagnostics, Finding
 from mr_damper_ros.nodes.inputs import Inputs
-from mr_damper_ros.nodes.node_parameters import NodeParameters
-from mr_damper_ros.nodes.parameter_input import ParameterInput, SetOptions
+from mr_damper_ros.nodes.messages import PARAMETERS_TOPIC, REPORT_TOPIC, parameter_set, report_of
+from mr_damper_ros.nodes.node_parameters import ConfigurationError, NodeParameters
+from mr_damper_ros.settings.option_table import ParameterTable, option
 from mr_damper_ros.signals.blocks import SampleBlock
 from mr_damper_ros.signals.error_sums import RunningError
 from mr_damper_ros.tracking.predictor import ForcePredictor
+from mr_damper_ros.tracking.state_directory import StateError, read_parameter_file
 
 _WORK_DELAY = 1e-3
 """Delay [s] of the remaining work after publishing, so that the subscribers of the answer run first
 if they share a core with this process."""
+
+_UNKNOWN = "_NODE_NAME_UNKNOWN_"
+"""Part of the name that the ROS graph gives to a node before its name is known."""
+
+_SHOWN = 100
+"""Shown characters of a name: a message may hold a megabyte of them."""
+
+
+@dataclass(frozen=True)
+class SetOptions(ParameterTable):
+    """Options that choose the parameter set of a node and judge its force."""
+
+    parameter_file: str = option(
+        "",
+        'Parameter file (YAML) to use; "": none. A set from an identifier replaces the file once '
+        "the set covers all currents of the file, or once the force of the file is wrong; the "
+        "start set of an identifier never replaces it. Give the identifier the same file as "
+        "initial_parameters. With a file no identifier is needed.",
+    )
+    trusted_source: str = option(
+        "",
+        "Name of the only node whose parameters and reports are used, such as /identifier; "
+        '"": any. Without a name, two nodes that publish damper/parameters are an error in '
+        "the diagnostics. The ROS graph shows which nodes publish; if several do, the field "
+        "node of the messages is also checked. Both can be forged; only SROS2 authenticates "
+        "(doc/security.md).",
+    )
+    error_memory: float = option(
+        10.0,
+        "Averaging time [s] of the error of the force in the diagnostics.",
+        within=(0.1, 3600.0),
+    )
+
+
+class SetInput:
+    """Subscribes to sets and to the identifier's reports on them, and passes on valid ones.
+
+    A new set resets ``error``. A file is used at once; ConfigurationError if it is invalid.
+
+    With a ``trusted_source``, messages of other nodes are ignored. The ROS graph shows which nodes
+    publish a topic, but rclpy of Jazzy does not show which of them sent a message (later versions
+    have ``publisher_gid``). If several nodes publish, the node name in the message is also checked,
+    which any node can forge. Without SROS2, the names in the graph are not authenticated either.
+    """
+
+    def __init__(
+        self,
+        node: Node,
+        predictor: ForcePredictor,
+        options: SetOptions,
+        error: RunningError | None = None,
+    ) -> None:
+        self._node = node
+        self._predictor = predictor
+        self._trusted = options.trusted_source
+        self._unattributed: DamperParameters | None = None
+        self._error = error
+        self._refused = ""
+        self._from = self._file = options.parameter_file
+        self._given = ""
+        if self._file:
+            try:
+                given = check_plausible(read_parameter_file(self._file))
+            except (StateError, ParameterError) as problem:
+                raise ConfigurationError(f"parameter_file: {problem}") from problem
+            self._given = given.set_id
+            predictor.set_parameters(given, None)
+        node.create_subscription(DamperParameters, PARAMETERS_TOPIC, self._take, quality.latched())
+        quality.subscription(node, FitReport, REPORT_TOPIC, self._take_report, quality.newest())
+
+    def _objection(self, topic: str, claimed: str) -> str:
+        """Reason to ignore a message that names ``claimed`` as its node; empty if there is none."""
+        names = set(quality.publishing_nodes(self._node, topic))
+        if len(names) > 1 and self._trusted in names:
+            names = {claimed[:_SHOWN] or "a node that does not state its name"}
+        if not self._trusted or names == {self._trusted}:
+            return ""
+        found = " or ".join(sorted(names)) or "a node that has ended"
+        return f"they come from {found}, and trusted_source is {self._trusted}"
+
+    def _take(self, message: DamperParameters) -> None:
+        self._unattributed = None
+        self._refused = self._objection(PARAMETERS_TOPIC, message.node)
+        if self._refused:
+            # A message may arrive before the graph knows its publisher; it is checked again later.
+            names = quality.publishing_nodes(self._node, PARAMETERS_TOPIC)
+            if not names or any(_UNKNOWN in name for name in names):
+                self._unattributed = message
+            return
+        try:
+            parameters = check_plausible(parameter_set(message))
+        except ParameterError as error:
+            self._refused = str(error)
+            self._node.get_logger().warning(
+                f"parameters {message.id[:_SHOWN]} are not used: {error}"
+            )
+            return
+        self._from = message.node or "a node that does not state its name"
+        before = self._predictor.parameters
+        # Published parameters that were not identified from samples have the stamp 0.
+        self._predictor.set_parameters(parameters, parameters.stamp_ns or None)
+        if self._predictor.parameters is not before:
+            if self._error is not None:
+                self._error.reset()
+            self._node.get_logger().debug(f"using parameters {parameters.set_id}")
+
+    def _take_report(self, message: FitReport) -> None:
+        if not self._objection(REPORT_TOPIC, message.node):
+            self._predictor.follow_report(report_of(message))
+
+    def finding(self, doing: str) -> Finding:
+        """The set in use; ``doing`` is the word for its use, such as "predicting"."""
+        if self._unattributed is not None:
+            self._take(self._unattributed)
+        parameters = self._predictor.parameters
+        publishers = quality.publishing_nodes(self._node, PARAMETERS_TOPIC)
+        several = f"{PARAMETERS_TOPIC} is published by {' and '.join(publishers)}"
+        if len(publishers) > 1 and not self._trusted:
+            return Finding(
+                ERROR, f"{several}: stop all but one, or name the one to use in trusted_source"
+            )
+        if self._refused:
+            return Finding(WARN, f"the newest parameters are not used: {self._refused}")
+        if parameters is None:
+            return Finding(
+                WARN,
+                "no parameters yet: start the identifier in this namespace, or give parameter_file",
+            )
+        sentence, level = f"{doing} with {parameters.set_id}", OK
+        if len(set(publishers)) > 1:
+            level = WARN
+            sentence += (
+                f"; {several}, and only the node names in their messages distinguish them: end "
+                "all but one, or exclude the others with SROS2"
+            )
+        return Finding(
+            level,
+            sentence,
+            {
+                "id": parameters.set_id,
+                "model": parameters.model,
+                "source": parameters.source,
+                "from": self._file if parameters.set_id == self._given else self._from,
+                "peak velocity [m/s]": "{:.4g} to {:.4g}".format(*parameters.peak_velocity_range),
+                "current [A]": "{:.4g} to {:.4g}".format(*parameters.current_range),
+            },
+        )
+
 
 Options = TypeVar("Options", bound=SetOptions)
 Answer = TypeVar("Answer")
@@ -64,9 +218,7 @@ class BlockNode(Node, Generic[Options, Answer]):
         """
         self._predictor = predictor
         self._max_age = max_age
-        self._parameter_input = ParameterInput(
-            self, predictor.set_parameters, predictor, self._options, error
-        )
+        self._sets = SetInput(self, predictor, self._options, error)
         self._inputs = Inputs(self, quality.stream, self._take_block, predictor.add_current)
 
     def _diagnose(self, concerns: dict[str, Callable[[], Finding]]) -> None:
@@ -76,7 +228,7 @@ class BlockNode(Node, Generic[Options, Answer]):
             {
                 "input": lambda: self._inputs.samples_finding(self._predictor.sequence),
                 "current": self._inputs.current_finding,
-                "parameters": lambda: self._parameter_input.finding(self.doing),
+                "parameters": lambda: self._sets.finding(self.doing),
                 **concerns,
                 "latency": self._latency_finding,
             },

@@ -30,16 +30,15 @@ from mr_damper_ros.nodes.messages import (
     samples_message,
     suspension_message,
 )
-from mr_damper_ros.nodes.mirrors import JointMirror
 from mr_damper_ros.nodes.node_parameters import NodeParameters
 from mr_damper_ros.nodes.pacing import PacedSender, PacingSettings
 from mr_damper_ros.nodes.spinning import run
 from mr_damper_ros.nodes.topic_source import TopicOptions, TopicSource
-from mr_damper_ros.rig.blocks import Meter, Reading, aligned
+from mr_damper_ros.rig.blocks import Decimator, Meter, Reading, aligned
 from mr_damper_ros.rig.sources import SOURCES
 from mr_damper_ros.rig.sources.source import Source, StreamSettings
 from mr_damper_ros.settings.option_table import ParameterTable, group, groups, option
-from mr_damper_ros.signals.blocks import MOST_SAMPLES, RigBlock
+from mr_damper_ros.signals.blocks import MOST_SAMPLES, NANOSECONDS, RigBlock
 
 _MIRROR = "joint_states"
 
@@ -154,6 +153,33 @@ class BridgeParameters(ManagedOptions):
                     "mirror_rate to 0"
                 )
         return self.sources[self.source].objection()
+
+
+class JointMirror:
+    """Converts samples to joint states, at most ``rate`` per second of data.
+
+    The velocity is the mean since the previous message.
+    """
+
+    def __init__(self, rate: float, joint: str) -> None:
+        self._decimator = Decimator(rate)
+        self._joint = joint
+        self._last: tuple[int, float] | None = None
+
+    def messages(self, block: RigBlock, *, subscribed: bool) -> Iterator[JointState]:
+        """Yield the messages of a block; none without subscribers (``subscribed`` is false)."""
+        for k, stamp_ns in self._decimator.due(block.start_ns, block.period, block.sample_count):
+            position = float(block.displacement[k])
+            if subscribed and self._last is not None and stamp_ns > self._last[0]:
+                elapsed = (stamp_ns - self._last[0]) / NANOSECONDS
+                yield JointState(
+                    header=header(stamp_ns, self._joint),
+                    name=[self._joint],
+                    position=[position],
+                    velocity=[(position - self._last[1]) / elapsed],
+                    effort=[float(block.force[k])],
+                )
+            self._last = (stamp_ns, position)
 
 
 class BridgeNode(ManagedNode):

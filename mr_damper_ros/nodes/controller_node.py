@@ -19,12 +19,11 @@ from mr_damper_ros.control.force_controller import (
     ForceControlSettings,
 )
 from mr_damper_ros.nodes import quality
-from mr_damper_ros.nodes.block_node import BlockNode
+from mr_damper_ros.nodes.block_node import BlockNode, SetOptions
 from mr_damper_ros.nodes.command_topic import COMMAND_TOPIC, DEMAND_TOPIC
 from mr_damper_ros.nodes.diagnostics import ERROR, OK, STALE, WARN, Finding
 from mr_damper_ros.nodes.inputs import CURRENT_TOPIC, SAMPLES_TOPIC
 from mr_damper_ros.nodes.messages import set_stamp, to_nanoseconds
-from mr_damper_ros.nodes.parameter_input import SetOptions
 from mr_damper_ros.nodes.spinning import run
 from mr_damper_ros.settings.option_table import group, option
 from mr_damper_ros.signals.blocks import SampleBlock

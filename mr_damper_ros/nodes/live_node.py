@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import queue
+import re
 import time
 from collections import deque
 from collections.abc import Mapping
@@ -17,6 +18,7 @@ from mr_damper_msgs.msg import (
     CurrentCommand,
     DamperParameters,
     DesiredForce,
+    ExcitationCommand,
     FitReport,
     MtsSamples,
     PredictedForce,
@@ -29,23 +31,25 @@ from rclpy.task import Future
 from sensor_msgs.msg import Temperature
 from std_srvs.srv import Trigger
 
+from mr_damper_ros.io.bag_writer import BagStream
 from mr_damper_ros.live.live_record import Concern, LiveRecord
 from mr_damper_ros.live.page_server import PageServer, is_local
 from mr_damper_ros.models.parameter_set import ParameterError, ParameterSet
 from mr_damper_ros.nodes import quality
-from mr_damper_ros.nodes.bag_recorder import BagRecorder
-from mr_damper_ros.nodes.command_topic import COMMAND_TOPIC, DEMAND_TOPIC
-from mr_damper_ros.nodes.inputs import CURRENT_TOPIC
+from mr_damper_ros.nodes.command_topic import COMMAND_TOPIC, DEMAND_TOPIC, EXCITATION_TOPIC
+from mr_damper_ros.nodes.inputs import CURRENT_TOPIC, SAMPLES_TOPIC
 from mr_damper_ros.nodes.messages import (
+    JOINED_FORCES_TOPIC,
+    JOINED_SAMPLES_TOPIC,
+    PARAMETERS_TOPIC,
+    REPORT_TOPIC,
     from_field,
     parameter_set,
     report_of,
     sample_block,
     to_seconds,
 )
-from mr_damper_ros.nodes.mirrors import JOINED_FORCES_TOPIC, JOINED_SAMPLES_TOPIC
 from mr_damper_ros.nodes.node_parameters import ConfigurationError, NodeParameters
-from mr_damper_ros.nodes.parameter_input import PARAMETERS_TOPIC, REPORT_TOPIC
 from mr_damper_ros.nodes.spinning import run
 from mr_damper_ros.settings.option_table import ParameterTable, option
 from mr_damper_ros.signals.blocks import BlockError
@@ -143,6 +147,63 @@ class RecordInput:
                         {entry.key: entry.value for entry in status.values},
                     )
                 )
+
+
+_RECORDED: tuple[tuple[type, str], ...] = (
+    (MtsSamples, SAMPLES_TOPIC),
+    (SupplyCurrent, CURRENT_TOPIC),
+    (Temperature, "temperature"),
+    (PredictedForce, "damper/predicted_force"),
+    (FitReport, REPORT_TOPIC),
+    (DamperParameters, PARAMETERS_TOPIC),
+    (CurrentCommand, COMMAND_TOPIC),
+    (DesiredForce, DEMAND_TOPIC),
+    (ExcitationCommand, EXCITATION_TOPIC),
+)
+
+
+class BagRecorder:
+    """One recording, from its creation until it is closed; messages are written in serialised form.
+
+    ``failure`` gives the reason if the recording stopped by itself. Raises OSError if the folder
+    cannot be written.
+    """
+
+    def __init__(self, node: Node, folder: Path, details: Mapping[str, str]) -> None:
+        plain = re.sub(r"[^\w.+-]+", "_", details["name"]).strip("._")[:60] or "run"
+        self.path = folder / f"{time.strftime('%Y%m%d_%H%M%S')}_{plain}"
+        self.failure = ""
+        self._node = node
+        names = {topic: node.resolve_topic_name(topic) for _, topic in _RECORDED}
+        kinds = {
+            names[topic]: f"{kind.__module__.partition('.')[0]}/msg/{kind.__name__}"
+            for kind, topic in _RECORDED
+        }
+        self._bag = BagStream(self.path, kinds, details)
+        self._subscriptions = [
+            node.create_subscription(
+                kind,
+                topic,
+                lambda data, name=names[topic]: self._write(name, data),
+                quality.latched() if kind is DamperParameters else quality.stream(),
+                raw=True,
+            )
+            for kind, topic in _RECORDED
+        ]
+
+    def _write(self, topic: str, data: Any) -> None:
+        if self.failure:
+            return
+        try:
+            self._bag.write(topic, self._node.get_clock().now().nanoseconds, bytes(data))
+        except OSError as error:
+            self.failure = error.strerror or str(error)
+
+    def close(self) -> None:
+        """End the recording; the finished bag is at ``path``. Raises OSError."""
+        for subscription in self._subscriptions:
+            self._node.destroy_subscription(subscription)
+        self._bag.close()
 
 
 _COMMANDS = {

@@ -35,6 +35,10 @@ from mr_damper_ros.tracking.force_scale import ForceScale
 from mr_damper_ros.tracking.predictor import Prediction
 from mr_damper_ros.tracking.reports import Report
 
+PARAMETERS_TOPIC, REPORT_TOPIC = "damper/parameters", "damper/fit_report"
+JOINED_SAMPLES_TOPIC, JOINED_FORCES_TOPIC = "damper/joined_samples", "damper/joined_forces"
+SUSPENSION_TOPIC = "suspension/motion"
+
 _SECOND = 1_000_000_000
 
 
@@ -110,8 +114,6 @@ def current_message(stamp_ns: int, current: float, frame_id: str) -> SupplyCurre
     """The message for one value of the supply current [A]."""
     return SupplyCurrent(header=header(stamp_ns, frame_id), current=current)
 
-
-SUSPENSION_TOPIC = "suspension/motion"
 
 BODY, WHEEL, SUSPENSION, TYRE = "body", "wheel", "suspension", "tyre"
 """Names of the joints that describe the motion of a suspension."""

@@ -29,7 +29,7 @@ from mr_damper_ros.signals.blocks import KEEP_CURRENT, SampleBlock, ZeroOrderHol
 from mr_damper_ros.signals.uniform_grid import GridSettings, Placed, UniformGrid
 from mr_damper_ros.tracking.bumpless_transfer import ForceInUse
 from mr_damper_ros.tracking.model_bank import Choice, ModelBank
-from mr_damper_ros.tracking.reports import WindowVerdict
+from mr_damper_ros.tracking.reports import Report
 from mr_damper_ros.tracking.residual_monitor import ResidualMonitor
 from mr_damper_ros.tracking.validity import (
     NO_DOUBT,
@@ -251,7 +251,7 @@ class ForcePredictor:
         if self._bank.present is not before:
             self._use_present(fade=confirmed_ns is not None)
 
-    def follow_report(self, report: WindowVerdict) -> None:
+    def follow_report(self, report: Report) -> None:
         """Process the identifier's report on a window."""
         self._refused.follow(report.verdict, report.nrmse_before, confirms=report.confirms)
         if report.confirms:

@@ -12,38 +12,26 @@ from mr_damper_ros.tracking.acceptance import Verdict
 from mr_damper_ros.tracking.force_scale import FluidTemperature, ForceScale
 
 
-@dataclass(frozen=True, eq=False)
-class WindowVerdict:
-    """The part of a report that the force prediction needs, with stamps of samples.
-
-    ``set_id`` names the set in use after the report. ``confirms`` says whether the samples up to
-    ``stamp_ns`` fit this set. ``nrmse_before`` is the error in the window of the set used so far,
-    NaN if unknown.
-    """
-
-    window_start_ns: int
-    stamp_ns: int
-    verdict: int
-    nrmse_before: float
-    confirms: bool
-    set_id: str
-
-
 @dataclass(frozen=True, eq=False, kw_only=True)
-class Report(WindowVerdict):
+class Report:
     """Outcome of one window or one global identification, as published; SI units, NaN = unknown.
 
+    ``set_id`` names the set in use after the report. ``confirms`` says whether the samples up to
+    ``stamp_ns`` fit this set. ``nrmse_before`` is the error in the window of the set used so far.
     ``reason`` explains the ``verdict`` in words. ``temperature`` [°C] is the measured temperature.
     If it is not measured, ``fluid`` is the temperature estimated from the force, once the operating
     point has a temperature map. ``coefficient_errors`` are the standard errors from window to
     window; ``coefficient_discrepancies`` are the model errors.
     """
 
+    window_start_ns: int
+    stamp_ns: int
+    set_id: str
     verdict: Verdict = Verdict.FAILED
     nrmse_before: float = math.nan
     confirms: bool = False
-    sample_count: int
-    method: str
+    sample_count: int = 0
+    method: str = ""
     evaluations: int = 0
     nrmse_after: float = math.nan
     reason: str = ""

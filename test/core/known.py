@@ -27,8 +27,7 @@ from mr_damper_ros.models.sigmoid.law import (
 )
 from mr_damper_ros.signals.arrays import Array
 from mr_damper_ros.signals.blocks import NANOSECONDS, SampleBlock
-from mr_damper_ros.tracking.acceptance import Verdict
-from mr_damper_ros.tracking.reports import Report, WindowVerdict
+from mr_damper_ros.tracking.reports import Report
 from mr_damper_ros.tracking.tracker import TrackerSettings, WindowTracker
 from mr_damper_ros.tracking.window_assembler import RawWindow, WindowAssembler, WindowSettings
 
@@ -289,6 +288,11 @@ def recordings_folder() -> Path:
     return folder
 
 
-def confirmation(set_id: str, start_ns: int, stamp_ns: int) -> WindowVerdict:
+def report(set_id: str, start_ns: int, stamp_ns: int, **fields: Any) -> Report:
+    """A report on the window between two stamps."""
+    return Report(window_start_ns=start_ns, stamp_ns=stamp_ns, set_id=set_id, **fields)
+
+
+def confirmation(set_id: str, start_ns: int, stamp_ns: int) -> Report:
     """A report that a set fits the window between two stamps."""
-    return WindowVerdict(start_ns, stamp_ns, Verdict.NO_BETTER, 0.1, True, set_id)
+    return report(set_id, start_ns, stamp_ns, nrmse_before=0.1, confirms=True)

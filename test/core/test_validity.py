@@ -19,7 +19,6 @@ from mr_damper_ros.signals.arrays import Array
 from mr_damper_ros.signals.blocks import NANOSECONDS, SampleBlock, joined
 from mr_damper_ros.tracking.acceptance import Verdict
 from mr_damper_ros.tracking.predictor import ForcePredictor, Prediction, PredictorSettings
-from mr_damper_ros.tracking.reports import WindowVerdict
 from mr_damper_ros.tracking.validity import DoubtKind, RefusedWindows
 
 PERIOD = 1e-3
@@ -352,7 +351,7 @@ def test_without_a_load_cell_a_refusal_is_believed_until_other_parameters_come()
         made.add_current(block.start_ns, 1.0)
         if number in (400, 450):
             fault = Verdict.FAULT_OF_DATA
-            made.follow_report(WindowVerdict(known.T0, known.T0, fault, math.nan, False, "any"))
+            made.follow_report(known.report("any", known.T0, known.T0, verdict=fault))
         if number == 500:
             made.set_parameters(SET)
         results.append(made.predict(block).doubt.kind)
