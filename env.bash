@@ -37,8 +37,8 @@ _mr_damper_env() {
     unset AMENT_PREFIX_PATH # the path of another clone would be mixed with this
     foreign=$(printf '%s\n' "${PYTHONPATH:-}" | tr ':' '\n' | grep -v "^$root/" | tr '\n' ' ')
     case $foreign in
-      *[!\ ]*) echo "mr_damper_ros: PYTHONPATH is set anew, without ${foreign% }: what lies there" \
-        "would take the place of this environment's packages." >&2 ;;
+      *[!\ ]*) echo "mr_damper_ros: PYTHONPATH is set without ${foreign% }: modules there would" \
+        "replace packages of this environment." >&2 ;;
     esac
     unset PYTHONPATH
   fi

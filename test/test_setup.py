@@ -92,6 +92,6 @@ def test_foreign_packages_do_not_take_the_place_of_the_environment(place: Path) 
     )
     assert done.returncode == 0, done.stderr
     assert done.stderr.splitlines() == [
-        f"mr_damper_ros: PYTHONPATH is set anew, without {place}: what lies there would take the "
-        "place of this environment's packages."
+        f"mr_damper_ros: PYTHONPATH is set without {place}: modules there would replace packages "
+        "of this environment."
     ]

@@ -160,7 +160,7 @@ and the effect of the unknown past ends within the first."""
 _SEPARATE = 1e-3
 """Relative decrease of the sum of squares below which the separate fit of a window ends."""
 
-_STAGE = "each run by itself"
+_STAGE = "separate fits of the runs"
 
 _ONE_SIDED = 0.1
 """A window with less than this part of its samples in one direction of motion is one-sided."""
