@@ -15,8 +15,13 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from mr_damper_ros.api.inertia import without_inertia
-from mr_damper_ros.api.measured_runs import MeasuredRun, RunSource, measured_runs, remarks_on
+from mr_damper_ros.api.measured_runs import (
+    MeasuredRun,
+    RunSource,
+    measured_runs,
+    remarks_on,
+    without_inertia,
+)
 from mr_damper_ros.models.parameter_set import ParameterSet
 from mr_damper_ros.processes.blas_threads import one_thread
 from mr_damper_ros.processes.files import write_bytes

@@ -12,6 +12,7 @@ from functools import cached_property, partial
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 from numpy.typing import ArrayLike
 
 from mr_damper_ros.api import findings
@@ -32,16 +33,18 @@ from mr_damper_ros.api.findings import (
     parameter_estimates,
     temperature_maps,
 )
-from mr_damper_ros.api.inertia import fitted_mass, without_inertia
 from mr_damper_ros.api.measured_runs import (
     MeasuredRun,
     RunSource,
     all_windows,
     measured_runs,
     remarks_on,
+    without_inertia,
 )
+from mr_damper_ros.estimation.covariance import least_squares_covariance
 from mr_damper_ros.estimation.differential_evolution import EvolutionSettings, Report
 from mr_damper_ros.estimation.experiment_design import RigRange
+from mr_damper_ros.estimation.global_fit import GlobalFit
 from mr_damper_ros.estimation.law_choice import LawChoice, cross_validate
 from mr_damper_ros.estimation.multi_start import (
     MultiStart,
@@ -54,6 +57,7 @@ from mr_damper_ros.estimation.profile_likelihood import profiled, profiles_of, r
 from mr_damper_ros.estimation.record_levels import Level, LevelPrior
 from mr_damper_ros.kinematics.window import Window
 from mr_damper_ros.models import MODELS
+from mr_damper_ros.models.misfit import Misfit
 from mr_damper_ros.models.parameter_set import (
     DEFAULT_MODEL,
     ParameterSet,
@@ -507,11 +511,11 @@ def identify_measured(
         searches, profiles = searches.replaced(fit), findings.profiles(fit, found)
     if options.fit_mass and not searches.best.stopped:
         without = replace(options, fit_mass=False, resume=None)
-        mass = fitted_mass(searches.best, windows)
+        mass = _fitted_mass(searches.best, windows)
         for _ in range(_MOST_MASSES):
             rest = without_inertia(measured, mass.value)
             again = identify_measured(rest, without, processes, report)
-            before, mass = mass, fitted_mass(again.searches.best, windows, mass.value)
+            before, mass = mass, _fitted_mass(again.searches.best, windows, mass.value)
             if abs(mass.value - before.value) <= mass.standard_error:
                 break
         return replace(again, mass=mass, duration=time.monotonic() - began)
@@ -531,6 +535,53 @@ def identify_measured(
             ),
         ),
         profiles=profiles,
+    )
+
+
+_MASS_SAMPLES = 8000
+"""Approximate number of samples over all windows; more samples would not help the fit."""
+
+_MASS_STEPS = 40
+
+
+def _fitted_mass(fit: GlobalFit, windows: Sequence[Window], mass: float = 0.0) -> Estimate:
+    """The mass [kg], by least squares together with the observable parameters of the law.
+
+    The forces of ``windows`` include the inertia. The search starts from ``mass`` [kg] and the fit.
+    """
+    from scipy.optimize import least_squares  # imported late: see entry_points
+
+    found = fit.parameter_set
+    few = [window.thinned(_MASS_SAMPLES // len(windows)) for window in windows]
+    misfit = Misfit(found.law, few, fit.noise.tolist(), found.values)
+    places = np.flatnonzero(found.observable)
+    inertia = misfit.sample_weights * np.concatenate([w.motion.acceleration for w in few])
+
+    def values(unknowns: Array) -> Array:
+        changed = found.values.copy()
+        changed[places] = unknowns[:-1]
+        return changed
+
+    def residual(unknowns: Array) -> Array:
+        return np.asarray(misfit.residual(values(unknowns)) + unknowns[-1] * inertia)
+
+    def jacobian(unknowns: Array) -> Array:
+        return np.column_stack((misfit.jacobian(values(unknowns), places.tolist()), inertia))
+
+    low, high = (
+        np.append(bound[places], end)
+        for bound, end in zip(found.law.bounds, (0.0, np.inf), strict=True)
+    )
+    start = np.clip(np.append(found.values[places], mass), low, high)
+    best = least_squares(
+        residual, start, jacobian, (low, high), x_scale="jac", max_nfev=_MASS_STEPS
+    ).x
+    covariance = least_squares_covariance(jacobian(best), residual(best))
+    return Estimate(
+        float(best[-1]),
+        math.sqrt(covariance[-1, -1]),
+        "kg",
+        meaning="mass between load cell and damper",
     )
 
 

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import math
 import os
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import combinations
 from pathlib import Path
 
@@ -124,6 +125,24 @@ def measured_runs(
     tasks = [(source, accept_doubtful) for source in flat]
     found = (processes or ProcessPool()).map(_task, tasks)
     return tuple(run for run in found if run is not None)
+
+
+def without_inertia(runs: Sequence[MeasuredRun], mass: float) -> tuple[MeasuredRun, ...]:
+    """The runs without the inertia of ``mass`` [kg] between load cell and damper.
+
+    The load cell measures the force of the damper plus mass * acceleration. The mass (rod, clevis
+    and half of the load cell) belongs to the rig, not to the law. Raises ValueError if the mass is
+    invalid.
+    """
+    if not (math.isfinite(mass) and mass >= 0.0):
+        raise ValueError(f"the mass is {mass}: give kilograms, or 0 for none")
+    if mass == 0.0:
+        return tuple(runs)
+
+    def less(window: Window) -> Window:
+        return replace(window, force=window.force - mass * window.motion.acceleration)
+
+    return tuple(replace(run, windows=tuple(map(less, run.windows))) for run in runs)
 
 
 def all_windows(runs: Sequence[MeasuredRun]) -> list[Window]:

@@ -1,4 +1,7 @@
-"""``check_rig``: checks the live signals of a rig for half a minute and reports faults in words."""
+"""Check the live signals of a rig and report faults.
+
+The machine must move; motion at several frequencies also reveals the skew of the channels.
+"""
 
 from __future__ import annotations
 
@@ -11,17 +14,11 @@ from mr_damper_ros.tools.console import program
 _WRONG = 1
 
 
-def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(
-        prog="check_rig",
-        description="Check the live signals of a rig and report faults. The machine must move; "
-        "motion at several frequencies also reveals the skew of the channels.",
-    )
+def _options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--namespace", default="/", help="namespace of the damper (default /)")
     parser.add_argument(
         "--seconds", type=float, default=30.0, help="time to listen [s] (default 30)"
     )
-    return parser
 
 
 def _check(options: argparse.Namespace) -> int:
@@ -38,5 +35,5 @@ def _check(options: argparse.Namespace) -> int:
     return _WRONG if check.findings else 0
 
 
-main = program(_parser, _check)
+main = program(__name__, __doc__, _options, _check)
 """Check the rig; returns 1 if the signals have a fault."""

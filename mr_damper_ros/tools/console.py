@@ -33,10 +33,29 @@ INTERRUPTED = 130
 
 
 def program(
-    parser: Callable[[], argparse.ArgumentParser], run: Callable[[argparse.Namespace], int]
+    name: str,
+    description: str | None,
+    options: Callable[[argparse.ArgumentParser], None],
+    run: Callable[[argparse.Namespace], int],
+    epilog: str | None = None,
 ) -> Callable[..., int]:
-    """Return the ``main`` of a program, which takes the arguments of :func:`run_tool`."""
-    return lambda arguments=None: run_tool(parser(), run, arguments)
+    """Return the ``main`` of a program, which takes the arguments of :func:`run_tool`.
+
+    ``name``: the name of the program or of its module; ``description``: the docstring of its
+    module; ``options`` adds the options of the program to a parser.
+    """
+
+    def main(arguments: Sequence[str] | None = None) -> int:
+        parser = argparse.ArgumentParser(
+            prog=name.rpartition(".")[2],
+            formatter_class=argparse.RawDescriptionHelpFormatter,
+            description=description,
+            epilog=epilog,
+        )
+        options(parser)
+        return run_tool(parser, run, arguments)
+
+    return main
 
 
 def run_tool(

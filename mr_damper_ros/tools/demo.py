@@ -1,7 +1,6 @@
-"""``demo``: demonstrates identifier and model as processes, on a bag or on the emulated rig.
+"""Play a bag to the nodes identifier and model, and draw measured and predicted force.
 
-It plays a bag once and shows the results. With ``--live`` it serves the page until Ctrl-C. ROS is
-only used by an observer from the room ``nodes``, which is loaded at run time.
+With --live: serve the live page of the emulated rig, or of a looping bag, until Ctrl-C.
 """
 
 from __future__ import annotations
@@ -43,13 +42,7 @@ class DemoError(ValueError):
     """The demonstration cannot continue, because a node is missing or has failed."""
 
 
-def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(
-        prog="demo",
-        description="Play a bag to the nodes identifier and model, and draw measured and predicted "
-        "force. With --live: serve the live page of the emulated rig, or of a looping bag, until "
-        "Ctrl-C.",
-    )
+def _options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--live", action="store_true", help="serve the page until Ctrl-C")
     parser.add_argument(
         "--bag",
@@ -68,7 +61,6 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument(
         "--output", type=Path, default=Path("build/demo"), help="folder of the figures"
     )
-    return parser
 
 
 def _demo(options: argparse.Namespace) -> int:
@@ -222,4 +214,6 @@ class _Messages:
         )
 
 
-main = program(_parser, lambda options: _live(options) if options.live else _demo(options))
+main = program(
+    __name__, __doc__, _options, lambda options: _live(options) if options.live else _demo(options)
+)

@@ -1,4 +1,4 @@
-"""``export``: writes a parameter set as code for a controller: C, an FMU, M-code."""
+"""Write an identified set as code for a controller, with test vectors."""
 
 from __future__ import annotations
 
@@ -19,11 +19,7 @@ _POINTS = 1000
 """Number of points in the table of test vectors."""
 
 
-def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(
-        prog="export",
-        description="Write an identified set as code for a controller, with test vectors.",
-    )
+def _options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "parameters", type=Path, metavar="PARAMETERS.yaml", help="file of identify --output"
     )
@@ -44,7 +40,6 @@ def _parser() -> argparse.ArgumentParser:
             default=item.default,
             help=item.description.rstrip(".") + " (default %(default)s)",
         )
-    return parser
 
 
 def _export(chosen: argparse.Namespace) -> int:
@@ -71,4 +66,4 @@ _FORMATS: dict[str, Callable[[ExportedLaw, str], dict[str, str | bytes]]] = {
 """The files of each format, by their names."""
 
 
-main = program(_parser, _export)
+main = program(__name__, __doc__, _options, _export)

@@ -1,4 +1,7 @@
-"""``identify``: fits one parameter set of a force law to all given bags."""
+"""Fit one parameter set of a force law to all bags.
+
+The bags may have different amplitudes, frequencies and currents.
+"""
 
 from __future__ import annotations
 
@@ -40,15 +43,14 @@ _OPTIONS = (
 )
 
 
-def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(
-        prog="identify",
-        description="Fit one parameter set of a force law to all bags, which may have different "
-        "amplitudes, frequencies and currents.",
-        epilog=f"Exit code: 0: success; {EXPLAINS_TOO_LITTLE}: the NRMSE of a run exceeds "
-        f"{100 * LARGEST_RUN_NRMSE:.0f} %, all results are written; {FAILED}: a bag or an option "
-        f"cannot be used; {INTERRUPTED}: Ctrl-C was pressed twice.",
-    )
+_EPILOG = f"""\
+Exit code: 0: success; {EXPLAINS_TOO_LITTLE}: the NRMSE of a run exceeds
+{100 * LARGEST_RUN_NRMSE:.0f} %, all results are written; {FAILED}: a bag or an option cannot be used;
+{INTERRUPTED}: Ctrl-C was pressed twice.
+"""
+
+
+def _options(parser: argparse.ArgumentParser) -> None:
     add_run_options(parser)
     choices = {**SEARCH_CHOICES, "model": (*MODELS, AUTO), "strategy": STRATEGIES}
     add_arguments(parser, identify, _OPTIONS, choices)
@@ -65,7 +67,6 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--output", type=Path, metavar="FILE", help="write the set as YAML")
     add_json_option(parser, "all results")
     add_plot_options(parser)
-    return parser
 
 
 def _identify(options: argparse.Namespace) -> int:
@@ -89,4 +90,4 @@ def _identify(options: argparse.Namespace) -> int:
     return 0 if result.explains else EXPLAINS_TOO_LITTLE
 
 
-main = program(_parser, _identify)
+main = program(__name__, __doc__, _options, _identify, _EPILOG)

@@ -1,4 +1,7 @@
-"""``identify_many``: identifies every damper for which there are recordings."""
+"""Identify every damper from all of its recordings.
+
+The report shows the variation of the lot and its outliers.
+"""
 
 from __future__ import annotations
 
@@ -51,14 +54,7 @@ are written; {FAILED}: an option cannot be used; {INTERRUPTED}: Ctrl-C.
 """
 
 
-def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(
-        prog="identify_many",
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-        description="Identify every damper from all of its recordings, and report the variation of "
-        "the lot\nand its outliers.",
-        epilog=_EPILOG,
-    )
+def _options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "sources",
         nargs="*",
@@ -73,7 +69,6 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument(
         "--parquet", action="store_true", help="also write the table as dampers.parquet"
     )
-    return parser
 
 
 def _identify_many(options: argparse.Namespace) -> int:
@@ -123,4 +118,4 @@ class _Progress(StatusLine):
         self.show(f"{done} of {count} dampers, about {left:.0f} s left")
 
 
-main = program(_parser, _identify_many)
+main = program(__name__, __doc__, _options, _identify_many, _EPILOG)

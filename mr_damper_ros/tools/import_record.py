@@ -1,4 +1,4 @@
-"""``import_record``: converts a laboratory's file to a bag, or to one bag per run."""
+"""Convert a text, CSV, MAT, XLSX or TDMS file to a bag."""
 
 from __future__ import annotations
 
@@ -43,13 +43,7 @@ _FLAGS = {"start": "--from", "stop": "--to", "moving_average": "--undo-moving-av
 _LEFT_OUT = "-"
 
 
-def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(
-        prog="import_record",
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-        description="Convert a text, CSV, MAT, XLSX or TDMS file to a bag.",
-        epilog=_EPILOG,
-    )
+def _options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("file", type=Path, metavar="FILE", help="text, CSV, MAT, XLSX or TDMS file")
     parser.add_argument(
         "--output",
@@ -72,7 +66,6 @@ def _parser() -> argparse.ArgumentParser:
         "asks for the currents, unless a column contains them",
     )
     parser.add_argument("--overwrite", action="store_true", help="replace an existing bag")
-    return parser
 
 
 def _import(options: argparse.Namespace) -> int:
@@ -154,4 +147,4 @@ def _range(name: str, values: Array, unit: str) -> str:
     return f"  {name:<13} {shown} {unit}"
 
 
-main = program(_parser, _import)
+main = program(__name__, __doc__, _options, _import, _EPILOG)

@@ -1,4 +1,8 @@
-"""``live --bag``: shows a recording on the page of the running system, without ROS."""
+"""Show a recording on the live page until Ctrl-C, with the results of identifier and model.
+
+They start from the set in use at the beginning of the recording. Without --bag, the node live shows
+the running system.
+"""
 
 from __future__ import annotations
 
@@ -13,13 +17,7 @@ from mr_damper_ros.tools.console import program
 from mr_damper_ros.tracking.state_directory import read_parameter_file
 
 
-def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(
-        prog="live",
-        description="Show a recording on the live page until Ctrl-C, with the results of "
-        "identifier and model. They start from the set in use at the beginning of the recording. "
-        "Without --bag, the node live shows the running system.",
-    )
+def _options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--bag", type=Path, required=True, metavar="FILE", help="the recording")
     parser.add_argument(
         "--parameters", type=Path, metavar="FILE", help="parameter set to start from instead"
@@ -30,7 +28,6 @@ def _parser() -> argparse.ArgumentParser:
         default=8770,
         help="port of the page (default %(default)s; 0: any free port)",
     )
-    return parser
 
 
 def _serve(options: argparse.Namespace) -> int:
@@ -44,4 +41,4 @@ def _serve(options: argparse.Namespace) -> int:
     return 0
 
 
-main = program(_parser, _serve)
+main = program("live", __doc__, _options, _serve)

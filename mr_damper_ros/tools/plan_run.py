@@ -1,6 +1,6 @@
-"""``plan_run``: recommends the runs that make the force accurate soonest, without ROS.
+"""Recommend the run of the test machine that makes the force of the damper most accurate.
 
-It computes a single plan, or with ``--keep`` conducts a campaign that is stored in a folder.
+The goal is a range of peak velocity and current. Without bags, the first run is recommended.
 """
 
 from __future__ import annotations
@@ -71,14 +71,7 @@ Exit code: 0: success; {OUT_OF_REACH}: the goal cannot be met within the limits;
 """
 
 
-def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(
-        prog="plan_run",
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-        description="Recommend the run of the test machine that makes the force of the damper most "
-        "accurate over a range\nof peak velocity and current; without bags, the first run.",
-        epilog=_EPILOG,
-    )
+def _options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "bags",
         nargs="*",
@@ -116,7 +109,6 @@ def _parser() -> argparse.ArgumentParser:
         help="an operator sets machine and supply: only sines at a constant current",
     )
     parser.add_argument("--model", choices=tuple(MODELS), default=DEFAULT_MODEL, help="force law")
-    return parser
 
 
 def _add_options(
@@ -274,4 +266,4 @@ def _add_recording(course: CampaignCourse, run: PlannedRun, recording: Recording
         print(f"run {course.number} is rejected: {refusal}")
 
 
-main = program(_parser, _plan)
+main = program(__name__, __doc__, _options, _plan, _EPILOG)

@@ -1,4 +1,7 @@
-"""``replay_recording``: reports the results of identifier and model for a bag, without ROS."""
+"""Report what identifier and model would have published for a recording.
+
+The report contains the verdict on each window, the predicted force and its validity.
+"""
 
 from __future__ import annotations
 
@@ -14,12 +17,7 @@ from mr_damper_ros.tracking.engine import EngineSettings
 from mr_damper_ros.tracking.tracker import OF_THE_SET
 
 
-def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(
-        prog="replay_recording",
-        description="Report what identifier and model would have published for a recording: the "
-        "verdict on each window, the predicted force and its validity.",
-    )
+def _options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("bag", type=Path, metavar="BAG", help="bag folder or .mcap file")
     parser.add_argument(
         "--parameters", type=Path, metavar="FILE", help="initial parameter set (default: none)"
@@ -36,7 +34,6 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument(
         "--plot", type=Path, metavar="FILE", help=f"draw the result ({', '.join(FORMATS)})"
     )
-    return parser
 
 
 def _replay(options: argparse.Namespace) -> int:
@@ -54,4 +51,4 @@ def _replay(options: argparse.Namespace) -> int:
     return 0
 
 
-main = program(_parser, _replay)
+main = program(__name__, __doc__, _options, _replay)

@@ -1,4 +1,4 @@
-"""``validate``: reports the error of a parameter set on each bag."""
+"""Report the error of a parameter set on each bag."""
 
 from __future__ import annotations
 
@@ -19,10 +19,7 @@ from mr_damper_ros.tools.console import (
 )
 
 
-def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(
-        prog="validate", description="Report the error of a parameter set on each bag."
-    )
+def _options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "parameters", type=Path, metavar="PARAMETERS.yaml", help="file of identify --output"
     )
@@ -30,7 +27,6 @@ def _parser() -> argparse.ArgumentParser:
     add_arguments(parser, identify, ["mass"])
     add_json_option(parser, "the errors")
     add_plot_options(parser)
-    return parser
 
 
 def _validate(options: argparse.Namespace) -> int:
@@ -43,4 +39,4 @@ def _validate(options: argparse.Namespace) -> int:
     return 0
 
 
-main = program(_parser, _validate)
+main = program(__name__, __doc__, _options, _validate)

@@ -1,4 +1,4 @@
-"""``watch``: shows the state of the running system as text in a terminal, updated in place."""
+"""Show the state of the running system, updated in place, until Ctrl-C."""
 
 from __future__ import annotations
 
@@ -127,11 +127,7 @@ _AT_LEAST = 3.0
 """Time [s] after which every running node has sent diagnostics, which come once a second."""
 
 
-def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(
-        prog="watch",
-        description="Show the state of the running system, updated in place, until Ctrl-C.",
-    )
+def _options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--namespace", default="/", help="namespace of the damper (default /)")
     parser.add_argument(
         "--period", type=float, default=0.5, help="seconds between two prints (default 0.5)"
@@ -139,7 +135,6 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument(
         "--once", action="store_true", help=f"print once, after {_AT_LEAST:g} s, and end"
     )
-    return parser
 
 
 def _watch(options: argparse.Namespace) -> int:
@@ -173,4 +168,4 @@ def _width() -> int:
     return shutil.get_terminal_size().columns
 
 
-main = program(_parser, _watch)
+main = program(__name__, __doc__, _options, _watch)
