@@ -45,8 +45,8 @@ _OPTIONS = (
 
 _EPILOG = f"""\
 Exit code: 0: success; {EXPLAINS_TOO_LITTLE}: the NRMSE of a run exceeds
-{100 * LARGEST_RUN_NRMSE:.0f} %, all results are written; {FAILED}: a bag or an option cannot be used;
-{INTERRUPTED}: Ctrl-C was pressed twice.
+{100 * LARGEST_RUN_NRMSE:.0f} %, all results are written; {FAILED}: a bag or an option
+cannot be used; {INTERRUPTED}: Ctrl-C was pressed twice.
 """
 
 
