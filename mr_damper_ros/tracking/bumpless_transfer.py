@@ -20,7 +20,7 @@ from mr_damper_ros.kinematics.motion import Motion
 from mr_damper_ros.models.parameter_set import ParameterSet
 from mr_damper_ros.models.quantities import State
 from mr_damper_ros.signals.arrays import Array, span_of
-from mr_damper_ros.tracking.validity import NO_DOUBT, Doubt, DoubtKind
+from mr_damper_ros.tracking.validity import DoubtKind, Rule
 from mr_damper_ros.tracking.window_assembler import WindowSettings
 
 FADE_TIME = 0.05
@@ -155,21 +155,18 @@ class ForceInUse:
         self._part = self._difference * left
         return np.asarray(force + self._part)
 
-    def doubt(self, allowed: float, force: Array, measured: Array) -> Doubt:
+    def rule(self, allowed: float, force: Array, measured: Array) -> Rule:
         """Whether the error of the blended ``force`` (m,) [N] exceeds ``allowed`` [N].
 
         The error of the set and the remaining difference count together.
         """
-        if not self._part.size:
-            return NO_DOUBT
-        wrong = np.abs(force - measured) > allowed
-        if not wrong.any():
-            return NO_DOUBT
-        return Doubt(
+        return Rule(
             DoubtKind.WRONG,
-            f"bumpless transfer from other parameters: {abs(self._part[0]):.3g} N of the "
-            "difference remain",
-            wrong,
+            self._part.size > 0 and np.abs(force - measured) > allowed,
+            lambda: (
+                f"bumpless transfer from other parameters: {abs(self._part[0]):.3g} N of the "
+                "difference remain"
+            ),
         )
 
     def _of_set(self, motion: Motion, current: Array) -> Array:

@@ -38,14 +38,14 @@ from mr_damper_ros.tracking.validity import (
     DoubtKind,
     Freshness,
     RefusedWindows,
+    Rule,
     ValiditySettings,
-    doubt_of_missing,
-    doubt_of_motion,
-    doubt_of_past,
-    doubts_of_age,
-    doubts_of_range,
-    doubts_of_samples,
+    applying,
+    judge_samples,
+    lack_of_input,
     middle,
+    rules_of_age,
+    rules_of_range,
 )
 
 
@@ -70,29 +70,6 @@ class Prediction:
     continuity: str
     motion: Motion | None = None
     current: Array | float | None = None
-
-    @classmethod
-    def without_force(
-        cls,
-        block: SampleBlock,
-        set_id: str,
-        doubt: Doubt,
-        continuity: str,
-        velocity: Array | None = None,
-    ) -> Prediction:
-        """The prediction for a block without a force: NaN at every sample."""
-        unknown = np.full(block.sample_count, np.nan)
-        return cls(
-            start_ns=block.start_ns,
-            sequence=block.sequence,
-            period=block.period,
-            force=unknown,
-            velocity=unknown if velocity is None else velocity,
-            set_id=set_id,
-            doubts=np.full(block.sample_count, doubt.kind, dtype=np.uint8),
-            doubt=doubt,
-            continuity=continuity,
-        )
 
     @classmethod
     def joined(cls, parts: Sequence[Prediction]) -> Prediction:
@@ -188,6 +165,9 @@ _SET_AT_FAULT = (DoubtKind.WRONG, DoubtKind.DRIVING, DoubtKind.OUT_OF_RANGE, Dou
 """Reason codes for which another set is tried."""
 
 
+_AT_REST = "the damper is at rest: its force depends on how it came to rest"
+
+
 class ForcePredictor:
     """Predicts the force of each block as it arrives."""
 
@@ -212,7 +192,7 @@ class ForcePredictor:
         self._begun_at = 0
         # The work on the newest samples that is left for later.
         self._unlearned: Callable[[], None] | None = None
-        self._newest_doubt = NO_DOUBT
+        self._newest_kind = DoubtKind.NONE
         self.tried = -math.inf
         """Highest current [A] under trial. Up to it, only the measured force decides validity."""
 
@@ -294,33 +274,33 @@ class ForcePredictor:
 
     def _learn(
         self,
-        forces: tuple[Array, Array],
+        block: SampleBlock,
+        bridged: int,
         motion: Motion,
         current: Array,
-        follower: MotionFollower,
+        force: Array,
         *,
         known: bool,
-        period: float,
-        bridged: int,
     ) -> None:
-        """Learn from samples: the predicted and the measured force [N], and the current [A], (n,).
+        """Learn from the predicted ``force`` [N] and the ``current`` [A] of a block, (n,).
 
-        The samples are ``period`` [s] apart. ``known`` says whether the motion determines the
-        force. The force of the first ``bridged`` samples was not measured.
+        ``known`` says whether the motion determines the force. The force of the first ``bridged``
+        samples was not measured.
         """
-        half_cycle = follower.half_cycle
+        follower, kind = self._motion, self._newest_kind
+        assert follower is not None
+        half_cycle, part = follower.half_cycle, slice(bridged, None)
         if known:
-            self._bank.follow(motion, current, forces, period, half_cycle, bridged)
-        part = slice(bridged, None)
+            forces = force, block.force
+            self._bank.follow(motion, current, forces, block.period, half_cycle, bridged)
         self._monitor.learn(
-            (forces[0][part], forces[1][part]),
+            (force[part], block.force[part]),
             motion.velocity[part],
             current[part],
             half_cycle,
             steady=follower.steady,
             largest=partial(self._largest_force, half_cycle, motion, float(current[-1])),
         )
-        kind = self._newest_doubt.kind
         choice: Choice | None = None
         if kind in _SET_AT_FAULT and self._bank.search_is_due():
             wrong = kind in (DoubtKind.WRONG, DoubtKind.DRIVING)
@@ -392,15 +372,14 @@ class ForcePredictor:
         self._unlearned = None
         self._bank.forget_samples()
 
-    def _predict(
-        self, block: SampleBlock, bridged: int, continuity: str, stale: Doubt
-    ) -> Prediction:
+    def _predict(self, block: SampleBlock, bridged: int, continuity: str, stale: str) -> Prediction:
         assert self._motion is not None
         self._finish_learning()
         motion = self._motion.follow(block.displacement)
-        missing = doubt_of_missing(self.parameters, self._current, block.start_ns)
-        if missing:
-            return self._without_force(block, missing, continuity, motion.velocity)
+        if missing := lack_of_input(self.parameters, self._current, block.start_ns):
+            return self._without_force(
+                block, Doubt(DoubtKind.MISSING, missing), continuity, motion.velocity
+            )
         current = self._current.at(block.start_ns, block.period, block.sample_count)
         self._bank.follow_current(float(current[-1]), block.end_ns)
         parameters = self.parameters
@@ -414,15 +393,18 @@ class ForcePredictor:
         of_set = self._force.follow(motion, current, largest)
         if not np.isfinite(of_set).all():
             self._force.forget()
-            sentence = f"the force of {parameters.set_id} overflows"
-            overflow = Doubt(DoubtKind.NOT_FINITE, sentence)
+            overflow = Doubt(DoubtKind.NOT_FINITE, f"the force of {parameters.set_id} overflows")
             return self._without_force(block, overflow, continuity, motion.velocity)
-        doubts = self._doubts(block, bridged, motion, current, of_set)
-        self._newest_doubt = doubts[0] if doubts else NO_DOUBT
+        rules = self._rules_of_set(block, bridged, motion, current, of_set)
+        self._newest_kind = rules[0].kind if rules else DoubtKind.NONE
         force = self._force.blended(of_set)
-        blend = self._force.doubt(self._monitor.allowed, force[bridged:], block.force[bridged:])
-        doubts += [each for each in (blend.after(bridged), stale) if each]
-        codes, doubt = doubts_of_samples(block.sample_count, doubts)
+        rules += applying(
+            [
+                self._force.rule(self._monitor.allowed, force[bridged:], block.force[bridged:]),
+                Rule(DoubtKind.OUTDATED, bool(stale), lambda: stale),
+            ]
+        )
+        codes, doubt = judge_samples(block.sample_count, rules)
         return Prediction(
             start_ns=block.start_ns,
             sequence=block.sequence,
@@ -437,63 +419,71 @@ class ForcePredictor:
             current=current,
         )
 
-    def _doubts(
+    def _rules_of_set(
         self, block: SampleBlock, bridged: int, motion: Motion, current: Array, force: Array
-    ) -> list[Doubt]:
-        """The reasons why the force of a set is invalid, beginning with reasons of the motion."""
-        follower, monitor = self._motion, self._monitor
+    ) -> list[Rule]:
+        """The rules by which the force of a set is invalid, beginning with those of the motion."""
+        follower, monitor, settings = self._motion, self._monitor, self._settings
         assert follower is not None
-        settling = doubt_of_motion(follower)
-        measured: list[Doubt] = []
-        if not settling:
+        unsettled, past = follower.unsettled, follower.doubt
+        resting = not unsettled and not past and follower.resting
+        measured: list[Rule] | None = None
+        if not unsettled and not resting:
             measured = monitor.judge(force[bridged:], block.force[bridged:])
-            if not monitor.holds:
-                begun = self._force.remembers and follower.reversals == self._begun_at
-                settling = doubt_of_past(follower, begun=begun)
-        unlearned = partial(
-            self._learn,
-            *((force, block.force), motion, current, follower),
-            known=not settling,
-            period=block.period,
-            bridged=bridged,
+        if not past and self._force.remembers and follower.reversals == self._begun_at:
+            past = "the state of the model is unknown until the motion has reversed"
+        # If the predicted force has agreed with the measured force for a cycle, it is valid even
+        # if the past is unknown, outside the identified range and after rejected windows.
+        unproven = not monitor.holds
+        settling = applying(
+            [
+                Rule(DoubtKind.SETTLING, bool(unsettled), lambda: unsettled),
+                Rule(DoubtKind.AT_REST, resting, lambda: _AT_REST),
+                Rule(DoubtKind.SETTLING, unproven and bool(past), lambda: past),
+            ]
         )
+        if not resting:
+            self._unlearned = partial(
+                self._learn, block, bridged, motion, current, force, known=not settling
+            )
         if settling:
             # While the motion does not determine the force, a wrong force does not refute the set.
-            if not measured or any(measured):
+            if measured is None or measured:
                 monitor.forget_moment()
             self._bank.forget_samples()
             self._force.forget_known()
-            if settling.kind is not DoubtKind.AT_REST:
-                self._unlearned = unlearned
-            return [settling]
-        self._unlearned = unlearned
-        settings, live, present = self._settings, self.freshness.live, self._bank.present
+            return settling
+        live, present, by_force = self.freshness.live, self._bank.present, measured or []
         assert present is not None
-        by_force = [each.after(bridged) for each in measured]
-        doubts = [
-            *doubts_of_age(self._current, present.confirmed_ns, block.end_ns, settings, live=live)
+        aged = rules_of_age(self._current, present.confirmed_ns, block.end_ns, settings, live=live)
+        if not unproven:
+            return applying(aged) + by_force
+        of_current, *of_others = rules_of_range(
+            present.parameters, settings, current, _speed(motion, follower), force, tried=self.tried
+        )
+        refused = self._refused.sentence
+        return [
+            *applying([*aged, of_current]),
+            *by_force,
+            *applying([*of_others, Rule(DoubtKind.REFUSED, bool(refused), lambda: refused)]),
         ]
-        # If the predicted force has agreed with the measured force for a cycle, it is valid even
-        # outside the identified range and after rejected windows.
-        if monitor.holds:
-            doubts += by_force
-        else:
-            of_current, *of_others = doubts_of_range(
-                present.parameters,
-                settings,
-                current,
-                _speed(motion, follower),
-                force,
-                tried=self.tried,
-            )
-            doubts += [of_current, *by_force, *of_others, self._refused.doubt]
-        return [each for each in doubts if each]
 
     def _without_force(
         self, block: SampleBlock, doubt: Doubt, continuity: str, velocity: Array | None = None
     ) -> Prediction:
-        set_id = self.parameters.set_id if self.parameters else ""
-        return Prediction.without_force(block, set_id, doubt, continuity, velocity)
+        """The prediction for a block without a force: NaN at every sample."""
+        unknown = np.full(block.sample_count, np.nan)
+        return Prediction(
+            start_ns=block.start_ns,
+            sequence=block.sequence,
+            period=block.period,
+            force=unknown,
+            velocity=unknown if velocity is None else velocity,
+            set_id=self.parameters.set_id if self.parameters else "",
+            doubts=np.full(block.sample_count, doubt.kind, dtype=np.uint8),
+            doubt=doubt,
+            continuity=continuity,
+        )
 
 
 def _speed(motion: Motion, follower: MotionFollower) -> float:

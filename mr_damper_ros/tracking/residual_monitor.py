@@ -10,19 +10,16 @@ samples are invalid.
 from __future__ import annotations
 
 import math
-from collections import deque
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
-from itertools import compress, product
+from collections.abc import Callable
 
 import numpy as np
 
 from mr_damper_ros.kinematics.peak_velocity import HALF_CYCLES
 from mr_damper_ros.models.quantities import SAME_CURRENT
-from mr_damper_ros.signals.arrays import Array, Mask, span_of, white_noise
+from mr_damper_ros.signals.arrays import Array, Mask, RollingRows, span_of, white_noise
 from mr_damper_ros.tracking.operating_point import RECENT
 from mr_damper_ros.tracking.screening import NEGATIVE_POWER
-from mr_damper_ros.tracking.validity import NO_DOUBT, Doubt, DoubtKind
+from mr_damper_ros.tracking.validity import DoubtKind, Rule, applying, middle
 
 _SHORTEST_MEMORY = 2.0
 _LONGEST_MEMORY = 120.0
@@ -54,26 +51,12 @@ _PRELOAD = 0.5
 of half the span. A larger offset comes from a load cell that was not zeroed, and does not count."""
 
 
-@dataclass(frozen=True)
-class _Stretch:
-    """Span and noise [N] of the measured force in a stretch of samples.
-
-    ``sums`` (3, 4) holds the sums of velocity, measured and predicted force, and of their products.
-    ``currents`` is the lowest and the highest current [A]. ``settled`` says whether the previous
-    stretch had the same current.
-    """
-
-    count: int
-    top: float
-    bottom: float
-    noise: float
-    sums: Array
-    currents: tuple[float, float]
-    settled: bool
-
-    def had(self, current: float) -> bool:
-        """Whether the current was this one [A] during the stretch and the one before."""
-        return self.settled and all(abs(end - current) <= SAME_CURRENT for end in self.currents)
+_ROWS = 15
+_OF_PREDICTED = slice(12, None)
+"""Rows of the table of stretches: number of samples, highest, lowest and noise of the measured
+force, lowest and highest current, whether the stretch before had the same current; the sums of
+velocity v and measured force f, and of v², v f and f²; last, those of the predicted force p: its
+sum, and those of v p and p²."""
 
 
 class ForceStatistics:
@@ -96,8 +79,7 @@ class ForceStatistics:
         self._currents: list[tuple[float, float]] = []
         self._count = 0
         self._stretch = max(round(_SHORTEST_MEMORY / _STRETCHES / period), 1)
-        self._past: deque[_Stretch] = deque()
-        self._remembered = 0
+        self._past = RollingRows(_ROWS)
         self._unchanged = 0
         self.peak = math.nan
         self.centre = math.nan
@@ -134,8 +116,7 @@ class ForceStatistics:
         """Discard the predicted forces, because they belong to other parameters."""
         self.predicted_drives = False
         self._parts = [(np.zeros(f.size), f, v) for _, f, v in self._parts]
-        for stretch in self._past:
-            stretch.sums[2] = stretch.sums[:, 3] = 0.0
+        self._past.newest[_OF_PREDICTED] = 0.0
 
     def _finish(self, half_cycle: float, steady: bool, largest: Callable[[], float]) -> None:
         predicted, measured, velocity = (
@@ -143,88 +124,79 @@ class ForceStatistics:
         )
         count, self._count = self._count, 0
         lows, highs = zip(*self._currents, strict=True)
-        currents = min(lows), max(highs)
+        low, high = min(lows), max(highs)
         self._parts.clear()
         self._currents.clear()
         if not np.isfinite(predicted).all():
             predicted = np.zeros(count)
-        rows = np.stack((velocity, measured, predicted))
+        noise, unchanged = white_noise(measured), np.ptp(measured) == 0.0
         wild = max(count // _OUTLIER_EVERY, 1) if count > _FEWEST else 0
         bottom, top = np.partition(measured, (wild, count - 1 - wild))[[wild, -1 - wild]].tolist()
-        rows[1] = measured.clip(bottom, top)
-        with np.errstate(over="ignore", invalid="ignore"):
-            sums = np.column_stack((rows.sum(axis=1), rows @ rows.T))
-        before = self._past[-1] if self._past else None
-        unchanged = np.ptp(measured) == 0.0 and (
-            before is None or top == before.top == before.bottom
-        )
+        measured = measured.clip(bottom, top)
+        settled = True
+        if self._past.count:
+            _, top_before, bottom_before, _, low_before, high_before, *_ = self._past.newest[:, -1]
+            unchanged = unchanged and top == top_before == bottom_before
+            settled = max(high - low_before, high_before - low) <= SAME_CURRENT
         self._unchanged = self._unchanged + count if unchanged else 0
-        settled = before is None or all(
-            abs(one - other) <= SAME_CURRENT for one, other in product(currents, before.currents)
-        )
-        noise = white_noise(measured)
-        self._past.append(_Stretch(count, top, bottom, noise, sums, currents, settled))
-        self._remembered += count
+        with np.errstate(over="ignore", invalid="ignore"):
+            sums = (
+                *(velocity.sum(), measured.sum()),
+                *(velocity @ velocity, velocity @ measured, measured @ measured),
+                *(predicted.sum(), velocity @ predicted, predicted @ predicted),
+            )
+        self._past.add((count, top, bottom, noise, low, high, settled, *sums), 1)
         # While the half-cycle is unknown, the memory is as short as possible.
         known = 0.0 if math.isnan(half_cycle) else half_cycle
         memory = min(max(HALF_CYCLES * known, _SHORTEST_MEMORY), _LONGEST_MEMORY)
         self._stretch = max(round(min(memory / _STRETCHES, _LONGEST_STRETCH) / self._period), 1)
         unsteady = min(max(2.0 * known, RECENT), _LONGEST_MEMORY)
-        kept = max(memory, unsteady)
-        while (self._remembered - self._past[0].count) * self._period >= kept:
-            self._remembered -= self._past.popleft().count
-        recent = self._latest(memory)
-        self._judge_span(recent if steady else self._latest(unsteady), 2.0 * known, largest)
-        self.noise = sorted(stretch.noise for stretch in recent)[len(recent) // 2]
-        self._judge_power(known)
+        newest_first = self._past.newest[:, ::-1]
+        # Age [s] of the end of each stretch.
+        ages = (newest_first[0].cumsum() - newest_first[0]) * self._period
+        self._past.keep(int(np.count_nonzero(ages < max(memory, unsteady))))
+        recent = newest_first[:, ages < memory]
+        self.noise = middle(recent[3])
+        self._judge_span(
+            newest_first[:, ages < (memory if steady else unsteady)], 2.0 * known, largest
+        )
+        self._judge_power(newest_first[:, ages < 0.5 * HALF_CYCLES * known], known)
 
-    def _latest(self, time: float) -> list[_Stretch]:
-        """The stretches of the last ``time`` seconds, newest first."""
-        latest: list[_Stretch] = []
-        count = 0
-        for stretch in reversed(self._past):
-            latest.append(stretch)
-            count += stretch.count
-            if count * self._period >= time:
-                break
-        return latest
-
-    def _judge_span(
-        self, stretches: Sequence[_Stretch], cycle: float, largest: Callable[[], float]
-    ) -> None:
+    def _judge_span(self, stretches: Array, cycle: float, largest: Callable[[], float]) -> None:
         """Compute peak and centre from stretches, newest first, with a ``cycle`` [s] of motion."""
-        current = stretches[0].currents[1]
-        here = [stretch.had(current) for stretch in stretches]
-        counts = np.array([stretch.count for stretch in stretches])
-        stayed = int(counts[: (*here, False).index(False)].sum()) * self._period
-        counted: Sequence[_Stretch] = stretches
-        if not all(here):
-            others = 0.0 if stayed >= max(cycle, _SHORTEST_MEMORY) else RECENT
-            ages = (counts.cumsum() - counts) * self._period
-            counted = list(compress(stretches, here | (ages < others)))
-        top, bottom = max(s.top for s in counted), min(s.bottom for s in counted)
-        if not all(here) and cycle > RECENT and stayed >= _STEADY_CURRENT:
-            same = list(compress(stretches, here))
+        counts, tops, bottoms, _, lows, highs, settled, *_ = stretches
+        current = highs[0]
+        here = (settled > 0.0) & (abs(lows - current) <= SAME_CURRENT)
+        here &= abs(highs - current) <= SAME_CURRENT
+        stayed = float(counts[np.logical_and.accumulate(here)].sum()) * self._period
+        ages = (counts.cumsum() - counts) * self._period
+        others = 0.0 if stayed >= max(cycle, _SHORTEST_MEMORY) else RECENT
+        counted = here | (ages < others)
+        top, bottom = float(tops[counted].max()), float(bottoms[counted].min())
+        if not here.all() and cycle > RECENT and stayed >= _STEADY_CURRENT:
             most = largest()
-            top = max([min(top, most), *(s.top for s in same)])
-            bottom = min([max(bottom, -most), *(s.bottom for s in same)])
+            top = max(min(top, most), float(tops[here].max()))
+            bottom = min(max(bottom, -most), float(bottoms[here].min()))
         half, self.centre = 0.5 * (top - bottom), 0.5 * (top + bottom)
         self.peak = half + min(abs(self.centre), _PRELOAD * half)
 
-    def _judge_power(self, half_cycle: float) -> None:
+    def _judge_power(self, stretches: Array, half_cycle: float) -> None:
         self.stuck = self._unchanged * self._period > max(half_cycle, 2.0 * _SHORTEST)
         self.measured_drives = self.predicted_drives = False
-        latest = self._latest(0.5 * HALF_CYCLES * half_cycle)
-        count = sum(stretch.count for stretch in latest)
+        count, *_ = stretches.sum(axis=1)
         if half_cycle == 0.0 or count * self._period < 0.25 * HALF_CYCLES * half_cycle:
             return
         with np.errstate(over="ignore", invalid="ignore"):
-            sums = np.sum([stretch.sums for stretch in latest], axis=0)
-            products = sums[:, 1:] - np.outer(sums[:, 0], sums[:, 0]) / count
-            sizes = np.sqrt(np.maximum(np.diag(products), 0.0))
-            if sizes[0] > 0.0:
-                self.measured_drives = bool(products[0, 1] < -NEGATIVE_POWER * sizes[0] * sizes[1])
-                self.predicted_drives = bool(products[0, 2] < -NEGATIVE_POWER * sizes[0] * sizes[2])
+            v, f, vv, vf, ff, p, vp, pp = stretches[7:].sum(axis=1).tolist()
+            speed, *sizes = (
+                math.sqrt(max(squares - mean * mean / count, 0.0))
+                for squares, mean in ((vv, v), (ff, f), (pp, p))
+            )
+            if speed > 0.0:
+                self.measured_drives, self.predicted_drives = (
+                    bool(power - v * mean / count < -NEGATIVE_POWER * speed * size)
+                    for power, mean, size in zip((vf, vp), (f, p), sizes, strict=True)
+                )
 
 
 _USED_PART = 0.98
@@ -254,6 +226,22 @@ measured samples count as outliers until the error is small again, for at most t
 
 _MOST_NOISE = 0.1
 """Limit of the noise estimate, relative to the peak."""
+
+
+_STUCK = (
+    "the measured force is constant although the damper moves: is the load cell connected? without "
+    "a load cell set maximum_error to 0"
+)
+
+_MEASURED_DRIVES = (
+    "the measured force is not dissipative: has the sign of the force or of the displacement "
+    "changed?"
+)
+
+_DRIVING = (
+    "the predicted force is not dissipative: do the parameters belong to this damper, and are the "
+    "signs of force and displacement right?"
+)
 
 
 class ResidualMonitor:
@@ -316,32 +304,57 @@ class ResidualMonitor:
         self._square = self._compared = self._error = 0.0
         self._wrong, self._wait, self._wild_for = False, 0.0, 0
 
-    def judge(self, predicted: Array, measured: Array) -> list[Doubt]:
-        """Process the forces (n,) [N] of the next samples; returns reasons for invalid ones."""
+    def judge(self, predicted: Array, measured: Array) -> list[Rule] | None:
+        """Process the forces (n,) [N] of the next samples; returns the rules that apply to them.
+
+        Returns None if they could not be compared, because the statistics do not exist yet.
+        """
+        recent, peak = self._recent, self._recent.peak
+        driving = recent.predicted_drives
         if self._limit == 0.0:
-            return [self._doubt_of_power()]
-        peak = self._recent.peak
-        if not peak > 0.0:
-            # The statistics do not exist yet (NaN), or the measured force is constant (zero).
-            return [self._doubt_of_sensor()] if peak == 0.0 else []
+            return applying([Rule(DoubtKind.DRIVING, driving, lambda: _DRIVING)])
+        if math.isnan(peak):
+            return None
+        rules = [
+            Rule(DoubtKind.SENSOR, recent.stuck, lambda: _STUCK),
+            Rule(DoubtKind.SENSOR, recent.measured_drives, lambda: _MEASURED_DRIVES),
+        ]
+        if peak == 0.0:
+            return applying(rules)
         errors = predicted - measured
         sizes = np.abs(errors)
         if not float(sizes.max()) < math.inf:
-            return [Doubt(DoubtKind.WRONG, "the error of the predicted force is not finite")]
+            sentence = "the error of the predicted force is not finite"
+            return [Rule(DoubtKind.WRONG, True, lambda: sentence)]
         wrong, wild = self._wrong_samples(errors, sizes, measured, peak)
-        self._follow(sizes if wild is None else sizes[~wild], peak)
-        doubts = [self._doubt_of_sensor()]
-        if wild is not None:
-            sentence = (
-                f"the measured force jumps to {float(measured[wild][-1]):.4g} N at a peak of "
-                f"{peak:.3g} N: check the load cell's cable for a loose contact or interference"
-            )
-            doubts.append(Doubt(DoubtKind.SENSOR, sentence, wild))
-        if self._wrong or wrong is not None:
-            error = self._doubt_of_error(sizes, peak, wrong)
+        self._follow(sizes if isinstance(wild, bool) else sizes[~wild], peak)
+        if self._wrong:
+            wrong = True
+        rules += [
+            Rule(
+                DoubtKind.SENSOR,
+                wild,
+                lambda: (
+                    f"the measured force jumps to {measured[wild][-1]:.4g} N at a peak of "
+                    f"{peak:.3g} N: check the load cell's cable for a loose contact or interference"
+                ),
+            ),
             # A force that agrees with the measured force is as dissipative as the measured one.
-            doubts += [replace(self._doubt_of_power(), at=error.at), error]
-        return doubts
+            Rule(DoubtKind.DRIVING, driving and wrong, lambda: _DRIVING),
+            Rule(
+                DoubtKind.WRONG,
+                wrong,
+                lambda: (
+                    f"the RMS error of the predicted force was {math.sqrt(self._square):.0%} "
+                    "of the peak over the last half-cycle: valid again below "
+                    f"{_RECOVERED * self._limit:.0%}"
+                    if self._wrong
+                    else f"the error of the predicted force is {sizes[wrong].max():.3g} N at a "
+                    f"measured peak of {peak:.3g} N: maximum_error is {self._limit:.0%}"
+                ),
+            ),
+        ]
+        return applying(rules)
 
     def learn(
         self,
@@ -362,8 +375,8 @@ class ResidualMonitor:
 
     def _wrong_samples(
         self, errors: Array, sizes: Array, measured: Array, peak: float
-    ) -> tuple[Mask | None, Mask | None]:
-        """Masks (n,) of the samples with too large an error and of outliers; None if all are False.
+    ) -> tuple[Mask | bool, Mask | bool]:
+        """Masks (n,) of the samples with too large an error and of outliers; False without any.
 
         ``errors`` [N] are predicted minus ``measured`` force; ``sizes`` [N] are their magnitudes.
         """
@@ -371,7 +384,7 @@ class ResidualMonitor:
         limit, noise = self._limit * peak, self._noise(peak)
         if self._wait == 0.0 and float(sizes.max()) <= self._allowed(limit, noise):
             self._wild_for = 0
-            return None, None
+            return False, False
         # If the force grows beyond the recent peak, the limit grows with it.
         largest = np.maximum(np.abs(measured - self._recent.centre), peak)
         begins, stays = (
@@ -392,7 +405,7 @@ class ResidualMonitor:
             elif self._wait:
                 wrong[k] = self._wait >= 1.0
                 self._wait = max(self._wait - 1.0, 0.0)
-        return wrong if wrong.any() else None, wild if wild.any() else None
+        return wrong if wrong.any() else False, wild if wild.any() else False
 
     def _follow(self, sizes: Array, peak: float) -> None:
         """Update the root mean square error with the error magnitudes (n,) [N]."""
@@ -419,40 +432,3 @@ class ResidualMonitor:
 
     def _noise(self, peak: float) -> float:
         return min(self._recent.noise, _MOST_NOISE * peak)
-
-    def _doubt_of_error(self, sizes: Array, peak: float, wrong: Mask | None) -> Doubt:
-        if self._wrong:
-            return Doubt(
-                DoubtKind.WRONG,
-                f"the RMS error of the predicted force was {math.sqrt(self._square):.0%} of the "
-                f"peak over the last half-cycle: valid again below {_RECOVERED * self._limit:.0%}",
-            )
-        return Doubt(
-            DoubtKind.WRONG,
-            f"the error of the predicted force is {float(sizes[wrong].max()):.3g} N at a "
-            f"measured peak of {peak:.3g} N: maximum_error is {self._limit:.0%}",
-            wrong,
-        )
-
-    def _doubt_of_sensor(self) -> Doubt:
-        sentence = ""
-        if self._recent.stuck:
-            sentence = (
-                "the measured force is constant although the damper moves: is the load cell "
-                "connected? without a load cell set maximum_error to 0"
-            )
-        elif self._recent.measured_drives:
-            sentence = (
-                "the measured force is not dissipative: has the sign of the force or of the "
-                "displacement changed?"
-            )
-        return Doubt(DoubtKind.SENSOR, sentence) if sentence else NO_DOUBT
-
-    def _doubt_of_power(self) -> Doubt:
-        if not self._recent.predicted_drives:
-            return NO_DOUBT
-        return Doubt(
-            DoubtKind.DRIVING,
-            "the predicted force is not dissipative: do the parameters belong to this "
-            "damper, and are the signs of force and displacement right?",
-        )

@@ -1,20 +1,21 @@
-"""The validity rules: the reason codes of an invalid force, and the test for each of them.
+"""The validity rules: the reason codes of an invalid force, and the table that gives them.
 
-Every rule is a function or a small class that returns a :class:`Doubt`. The predictor applies all
-rules. The comparison with the measured force is in :mod:`mr_damper_ros.tracking.residual_monitor`.
+A :class:`Rule` is one row of the table; the first row that applies to a sample gives its reason.
+The predictor puts the table together. The rows that compare with the measured force come from
+:mod:`mr_damper_ros.tracking.residual_monitor`.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
 from enum import IntEnum
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from mr_damper_ros.kinematics.motion_follower import MotionFollower
 from mr_damper_ros.models.parameter_set import ParameterSet
 from mr_damper_ros.settings.option_table import CheckedSettings, option
 from mr_damper_ros.signals.arrays import Array, Mask, span_of
@@ -69,44 +70,56 @@ class DoubtKind(IntEnum):
 
 @dataclass(frozen=True)
 class Doubt:
-    """Why a force is invalid: the reason code, and a sentence with figures.
-
-    ``at`` is a mask (n,) of the samples concerned; None means all samples.
-    """
+    """Why a force is invalid: the reason code, and a sentence with figures."""
 
     kind: DoubtKind = DoubtKind.NONE
     sentence: str = ""
-    at: Mask | None = field(default=None, compare=False)
 
     def __bool__(self) -> bool:
         """Whether the force is invalid."""
         return self.kind is not DoubtKind.NONE
 
-    def after(self, count: int) -> Doubt:
-        """Return the doubt with its mask preceded by ``count`` unaffected samples."""
-        if self.at is None or count == 0:
-            return self
-        return replace(self, at=np.concatenate([np.zeros(count, dtype=bool), self.at]))
-
 
 NO_DOUBT = Doubt()
 
 
-def doubts_of_samples(count: int, doubts: Sequence[Doubt]) -> tuple[Codes, Doubt]:
+class Rule(NamedTuple):
+    """One row of the table of validity rules.
+
+    ``where`` says whether the reason applies: to all samples, or as a mask (m,) to each of the last
+    m samples. The ``sentence`` is formed only if it is needed.
+    """
+
+    kind: DoubtKind
+    where: bool | Mask
+    sentence: Callable[[], str]
+
+
+def applying(rules: Iterable[Rule]) -> list[Rule]:
+    """The rules that apply to at least one sample, in their order."""
+    return [
+        rule for rule in rules if (rule.where if isinstance(rule.where, bool) else rule.where.any())
+    ]
+
+
+def judge_samples(count: int, rules: Sequence[Rule]) -> tuple[Codes, Doubt]:
     """The reason code of each sample (n,), and the doubt of the newest invalid sample.
 
-    If several doubts apply to a sample, the first one counts.
+    If several rules apply to a sample, the first one counts.
     """
     codes = np.zeros(count, dtype=np.uint8)
-    if not doubts:
-        return codes, NO_DOUBT
-    for doubt in reversed(doubts):
-        codes[... if doubt.at is None else doubt.at] = doubt.kind
+    masks = [np.full(count, r.where) if isinstance(r.where, bool) else r.where for r in rules]
+    for (kind, _, _), mask in zip(reversed(rules), reversed(masks), strict=True):
+        codes[count - mask.size :][mask] = kind
     doubted = np.flatnonzero(codes)
     if not doubted.size:
         return codes, NO_DOUBT
-    newest = doubted[-1]
-    return codes, next(doubt for doubt in doubts if doubt.at is None or doubt.at[newest])
+    newest = int(doubted[-1]) - count
+    return codes, next(
+        Doubt(kind, sentence())
+        for (kind, _, sentence), mask in zip(rules, masks, strict=True)
+        if newest >= -mask.size and mask[newest]
+    )
 
 
 @dataclass(frozen=True)
@@ -172,56 +185,30 @@ def current_allowance(current_range: tuple[float, float], margin: float) -> floa
     return max(margin * (high - low), CURRENT_READING)
 
 
-def doubt_of_missing(
-    parameters: ParameterSet | None, current: ZeroOrderHold, start_ns: int
-) -> Doubt:
-    """Whether parameters or current are missing for samples from a stamp on."""
+def lack_of_input(parameters: ParameterSet | None, current: ZeroOrderHold, start_ns: int) -> str:
+    """Why there are no parameters or no current for samples from a stamp on, or an empty text."""
     last = current.last_stamp_ns
     if parameters is None:
-        sentence = "no parameters yet: start the identifier or give parameter_file"
-    elif current.known_from(start_ns):
-        return NO_DOUBT
-    elif last is None:
-        sentence = "no supply current yet: is it published on supply/current?"
-    else:
-        sentence = (
-            "no supply current for these samples yet: the newest one is stamped "
-            f"{(last - start_ns) / NANOSECONDS:.3g} s after the first sample; are currents and "
-            "samples stamped by the same clock?"
-        )
-    return Doubt(DoubtKind.MISSING, sentence)
+        return "no parameters yet: start the identifier or give parameter_file"
+    if current.known_from(start_ns):
+        return ""
+    if last is None:
+        return "no supply current yet: is it published on supply/current?"
+    return (
+        "no supply current for these samples yet: the newest one is stamped "
+        f"{(last - start_ns) / NANOSECONDS:.3g} s after the first sample; are currents and "
+        "samples stamped by the same clock?"
+    )
 
 
-def doubt_of_motion(motion: MotionFollower) -> Doubt:
-    """Whether the damper is at rest, or its velocity has not settled."""
-    if motion.unsettled:
-        return Doubt(DoubtKind.SETTLING, motion.unsettled)
-    if not motion.doubt and motion.resting:
-        return Doubt(
-            DoubtKind.AT_REST,
-            "the damper is at rest: its force depends on how it came to rest",
-        )
-    return NO_DOUBT
-
-
-def doubt_of_past(motion: MotionFollower, *, begun: bool) -> Doubt:
-    """Whether the past of the motion, or the state of the law, is still unknown.
-
-    ``begun``: the law has memory, and the motion has not reversed since its state was set.
-    """
-    state = "the state of the model is unknown until the motion has reversed" if begun else ""
-    sentence = motion.doubt or state
-    return Doubt(DoubtKind.SETTLING, sentence) if sentence else NO_DOUBT
-
-
-def doubts_of_age(
+def rules_of_age(
     current: ZeroOrderHold,
     confirmed_ns: int | None,
     end_ns: int,
     settings: ValiditySettings,
     *,
     live: bool,
-) -> Iterator[Doubt]:
+) -> tuple[Rule, ...]:
     """Whether current or parameters are outdated at the end of a block, or stamped after it.
 
     ``confirmed_ns`` is the stamp of the last window that confirmed the parameters; None for
@@ -229,41 +216,51 @@ def doubts_of_age(
     its samples may be older than the parameters; neither is possible on a running machine
     (``live``).
     """
-    timeout = settings.current_timeout
+    timeout, limit = settings.current_timeout, settings.parameters_timeout or math.inf
     held, following = current.around(end_ns)
     age = (end_ns - held) / NANOSECONDS
     ahead = ((current.last_stamp_ns or held) - end_ns) / NANOSECONDS
     jumped = following is not None and following - held > timeout * NANOSECONDS
-    if age > timeout:
-        yield Doubt(
-            DoubtKind.OUTDATED,
-            f"the supply current is {age:.1f} s old: is it still published, with stamps on the "
-            "clock of the samples?",
-        )
-    elif jumped or (live and ahead > timeout):
-        yield Doubt(
-            DoubtKind.OUTDATED,
-            f"the supply current is stamped {ahead:.1f} s after the samples: are both stamped by "
-            "the same clock?",
-        )
-    if confirmed_ns is None or settings.parameters_timeout == 0.0:
-        return
-    age = (end_ns - confirmed_ns) / NANOSECONDS
-    if age > settings.parameters_timeout:
-        yield Doubt(
-            DoubtKind.OUTDATED,
-            f"no window has confirmed the parameters for {age:.0f} s: "
-            "is the identifier running, and does the damper move?",
-        )
-    elif live and -age > timeout:
-        yield Doubt(
-            DoubtKind.OUTDATED,
-            f"the parameters are stamped {-age:.1f} s after the samples, so their age is unknown: "
-            "was the clock set back?",
-        )
+    ages = confirmed_ns is not None and limit < math.inf
+    since = (end_ns - (confirmed_ns or 0)) / NANOSECONDS
+    outdated = DoubtKind.OUTDATED
+    return (
+        Rule(
+            outdated,
+            age > timeout,
+            lambda: (
+                f"the supply current is {age:.1f} s old: is it still published, with stamps on "
+                "the clock of the samples?"
+            ),
+        ),
+        Rule(
+            outdated,
+            jumped or (live and ahead > timeout),
+            lambda: (
+                f"the supply current is stamped {ahead:.1f} s after the samples: are both "
+                "stamped by the same clock?"
+            ),
+        ),
+        Rule(
+            outdated,
+            ages and since > limit,
+            lambda: (
+                f"no window has confirmed the parameters for {since:.0f} s: is the identifier "
+                "running, and does the damper move?"
+            ),
+        ),
+        Rule(
+            outdated,
+            ages and live and -since > timeout,
+            lambda: (
+                f"the parameters are stamped {-since:.1f} s after the samples, so their age is "
+                "unknown: was the clock set back?"
+            ),
+        ),
+    )
 
 
-def doubts_of_range(
+def rules_of_range(
     parameters: ParameterSet,
     settings: ValiditySettings,
     current: Array,
@@ -271,41 +268,44 @@ def doubts_of_range(
     force: Array,
     *,
     tried: float = -math.inf,
-) -> tuple[Doubt, Doubt, Doubt]:
+) -> tuple[Rule, Rule, Rule]:
     """Whether currents [A], force [N] or peak velocity [m/s] are outside the range of a set.
 
     ``current`` and ``force`` have shape (n,). ``tried`` [A] is the highest current under trial;
     currents up to it are allowed. The largest force was measured on this damper.
     """
-    of_current = of_force = of_speed = NO_DOUBT
     low, high = parameters.current_range
+    slow, fast = parameters.peak_velocity_range
     allowed = current_allowance(parameters.current_range, settings.current_margin)
     lowest, highest = span_of(current)
-    if not (low - allowed <= lowest and highest <= max(high, tried) + allowed):
-        of_current = Doubt(
+    margin, largest = settings.velocity_margin, parameters.largest_force
+    size = np.abs(force)
+    return (
+        Rule(
             DoubtKind.OUT_OF_RANGE,
-            f"the current of {middle(current):.2f} A is outside the identified range of {low:.2f} "
-            f"to {high:.2f} A",
-        )
-    lowest, highest = span_of(force)
-    limit = (1.0 + settings.force_margin) * parameters.largest_force
-    if max(highest, -lowest) > limit:  # False if the largest force is unknown (NaN)
-        of_force = Doubt(
+            not (low - allowed <= lowest and highest <= max(high, tried) + allowed),
+            lambda: (
+                f"the current of {middle(current):.2f} A is outside the identified range of "
+                f"{low:.2f} to {high:.2f} A"
+            ),
+        ),
+        Rule(
             DoubtKind.TOO_LARGE,
-            f"the predicted force reaches {max(highest, -lowest):.4g} N, but the largest measured "
-            f"force of this damper is {parameters.largest_force:.4g} N: do the parameters belong "
-            "to it?",
-            np.abs(force) > limit,
-        )
-    low, high = parameters.peak_velocity_range
-    margin = settings.velocity_margin
-    if not low * (1.0 - margin) <= speed <= high * (1.0 + margin):
-        of_speed = Doubt(
+            size > (1.0 + settings.force_margin) * largest,  # False if it is unknown (NaN)
+            lambda: (
+                f"the predicted force reaches {size.max():.4g} N, but the largest measured "
+                f"force of this damper is {largest:.4g} N: do the parameters belong to it?"
+            ),
+        ),
+        Rule(
             DoubtKind.OUT_OF_RANGE,
-            f"the peak velocity of {speed:.3g} m/s is outside the identified range of {low:.3g} "
-            f"to {high:.3g} m/s",
-        )
-    return of_current, of_force, of_speed
+            not slow * (1.0 - margin) <= speed <= fast * (1.0 + margin),
+            lambda: (
+                f"the peak velocity of {speed:.3g} m/s is outside the identified range of "
+                f"{slow:.3g} to {fast:.3g} m/s"
+            ),
+        ),
+    )
 
 
 def middle(values: Array) -> float:
@@ -345,27 +345,26 @@ class Freshness:
         """Whether live samples up to the stamp are older than the limit [s]."""
         return self.live and (now_ns - stamp_ns) / NANOSECONDS > limit
 
-    def judge(self, stamp_ns: int, now_ns: int | None) -> Doubt:
-        """Whether samples up to the stamp are too old, or in the future, by the clock.
+    def judge(self, stamp_ns: int, now_ns: int | None) -> str:
+        """Why samples up to the stamp are too old, or in the future, by the clock; or empty.
 
         ``now_ns`` is the time by the clock; None without a clock.
         """
         if now_ns is None or self._max_age == 0.0:
-            return NO_DOUBT
+            return ""
         age = (now_ns - stamp_ns) / NANOSECONDS
         self.live = self.live or abs(age) <= _LIVE
         if not self.live:
-            return NO_DOUBT
+            return ""
         self.age = age
         if abs(age) <= self._max_age:
-            return NO_DOUBT
-        return Doubt(
-            DoubtKind.OUTDATED,
+            return ""
+        return (
             f"the samples are {age:.2f} s old, and max_age is {self._max_age:g} s: is the "
             "computer overloaded, or does its clock differ from the clock of the samples?"
             if age > 0.0
             else f"the samples are stamped {-age:.2f} s in the future: are the clocks of the "
-            "computers synchronised? for a replay set max_age to 0",
+            "computers synchronised? for a replay set max_age to 0"
         )
 
 
@@ -391,12 +390,17 @@ class RefusedWindows:
 
     def __init__(self) -> None:
         self._refused = 0
-        self._doubt = NO_DOUBT
+        self._cause = ""
 
     @property
-    def doubt(self) -> Doubt:
-        """Why the newest windows make the force invalid."""
-        return self._doubt if self._refused >= _IN_A_ROW else NO_DOUBT
+    def sentence(self) -> str:
+        """Why the newest windows make the force invalid; empty if they do not."""
+        if self._refused < _IN_A_ROW:
+            return ""
+        return (
+            f"the identifier has rejected {self._refused} windows in a row: {self._cause}; see its "
+            "reports on damper/fit_report"
+        )
 
     def follow(self, verdict: int, nrmse_before: float, *, confirms: bool) -> None:
         """Process a report: its verdict, and the NRMSE of the set in use (NaN if unknown)."""
@@ -404,11 +408,7 @@ class RefusedWindows:
             self.forget()
         elif verdict in _DISTRUST:
             self._refused += 1
-            self._doubt = Doubt(
-                DoubtKind.REFUSED,
-                f"the identifier has rejected {self._refused} windows in a row: "
-                f"{_DISTRUST[Verdict(verdict)]}; see its reports on damper/fit_report",
-            )
+            self._cause = _DISTRUST[Verdict(verdict)]
 
     def forget(self) -> None:
         """Restart the count, after new parameters or a confirmation."""

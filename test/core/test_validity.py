@@ -316,7 +316,7 @@ def verdicts(*reports: tuple[Verdict, float]) -> DoubtKind:
     watch = RefusedWindows()
     for verdict, nrmse_before in reports:
         watch.follow(verdict, nrmse_before, confirms=verdict is Verdict.NO_BETTER)
-    return watch.doubt.kind
+    return DoubtKind.REFUSED if watch.sentence else DoubtKind.NONE
 
 
 FAULT, CONFIRMED = (Verdict.FAULT_OF_DATA, math.nan), (Verdict.NO_BETTER, 0.1)
