@@ -1,4 +1,4 @@
-"""What a bag holds, as rosbags' own reader and its metadata tell: not read by what wrote it."""
+"""Bag contents as rosbags' own reader and the bag metadata give them, for tests of the writer."""
 
 from __future__ import annotations
 
@@ -35,6 +35,6 @@ def information(bag: Path) -> dict[str, Any]:
 
 
 def type_hashes(bag: Path) -> dict[str, str]:
-    """RIHS01 hash by the message types that the metadata of a bag name."""
+    """RIHS01 hash of each message type in the metadata of a bag."""
     topics = (entry["topic_metadata"] for entry in information(bag)["topics_with_message_count"])
     return {topic["type"]: topic["type_description_hash"] for topic in topics}

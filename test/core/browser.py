@@ -1,4 +1,4 @@
-"""A headless Chromium, driven over a pipe by its own protocol: no driver, no further package."""
+"""A headless Chromium, controlled through a pipe by the DevTools protocol without a driver."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from typing import Any
 import pytest
 
 PATIENCE = 60.0
-"""Deadline [s] of what is waited for; generous, for a loaded machine."""
+"""Deadline [s] of all waits; generous, for a loaded machine."""
 
 
 def find_chromium() -> str:
@@ -29,7 +29,7 @@ def find_chromium() -> str:
 
 
 class Browser:
-    """One page in a browser of its own; JavaScript errors on it are kept in ``errors``."""
+    """One page in a separate browser process; its JavaScript errors are kept in ``errors``."""
 
     def __init__(self) -> None:
         self._folder = tempfile.TemporaryDirectory(ignore_cleanup_errors=True)
@@ -37,7 +37,7 @@ class Browser:
         self._read, from_browser = os.pipe()
 
         def connect() -> None:
-            # The browser reads from 3 and writes to 4. Copies first: these may be 3 or 4.
+            # The browser reads from 3 and writes to 4. Copy first: these descriptors may be 3 or 4.
             reads, writes = os.dup(to_browser), os.dup(from_browser)
             os.dup2(reads, 3)
             os.dup2(writes, 4)
@@ -88,7 +88,7 @@ class Browser:
         self._folder.cleanup()
 
     def send(self, method: str, **parameters: Any) -> Any:
-        """Ask something of the page; returns the answer."""
+        """Send a protocol command to the page; returns the answer."""
         return self._send(method, self._session, **parameters)
 
     def _send(self, method: str, session: str | None = None, **parameters: Any) -> Any:
@@ -134,7 +134,7 @@ class Browser:
         return answer["result"].get("value")
 
     def text(self, selector: str) -> str:
-        """Text that an element shows; empty where there is none."""
+        """Text of an element; empty if there is none."""
         return self.evaluate(f"document.querySelector({json.dumps(selector)})?.innerText ?? ''")
 
     def until(self, expression: str) -> Any:
@@ -150,13 +150,13 @@ class Browser:
         return value
 
     def press(self, key: str) -> None:
-        """Press and release a key, named as in JavaScript."""
+        """Press and release a key; the name is that of JavaScript."""
         typed = {"text": key} if len(key) == 1 else {}
         self.send("Input.dispatchKeyEvent", type="keyDown", key=key, **typed)
         self.send("Input.dispatchKeyEvent", type="keyUp", key=key)
 
     def resize(self, width: int, height: int, scale: float = 1.0) -> None:
-        """Show the page as on a screen of this size."""
+        """Set the screen size of the page."""
         self.send(
             "Emulation.setDeviceMetricsOverride",
             width=width,
@@ -166,6 +166,6 @@ class Browser:
         )
 
     def prefer(self, scheme: str) -> None:
-        """Let the system prefer "light" or "dark"."""
+        """Set the colour scheme of the system: "light" or "dark"."""
         feature = {"name": "prefers-color-scheme", "value": scheme}
         self.send("Emulation.setEmulatedMedia", features=[feature])

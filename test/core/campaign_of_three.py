@@ -1,4 +1,4 @@
-"""A campaign of three runs that are planned whatever was found, for tests."""
+"""A campaign of three fixed runs, planned independently of the results, for tests."""
 
 from __future__ import annotations
 
@@ -29,13 +29,13 @@ RUNS = [
     PlannedRun(0.01, 2.0, (1.5,), 2.0),
     PlannedRun(0.005, 3.0, (0.5,), 2.0),
 ]
-"""What the plan of these tests asks for, whatever was found."""
+"""Runs that the plan of these tests requests, independently of the results."""
 
 
 def perform(
     run: PlannedRun, seed: int = 0, *, noise: float = 25.0, rate: float = 500.0
 ) -> Recording:
-    """A run as an emulated rig makes it."""
+    """Recording of a run on an emulated rig."""
     times = [place * run.stretch for place in range(len(run.currents))]
     rig = EmulatedRig(
         EmulatedDamper(known.PLAUSIBLE),
@@ -54,7 +54,7 @@ def _plan_of(count: int, goal: ForceGoal) -> Plan:
 
 
 def played(run: PlannedRun) -> Recording:
-    """A recording of the signal file of a run, with rest before and after it."""
+    """Recording of the signal file of a run, with rest before and after it."""
     _, displacement, current = signal(run, 500.0)
     rest = np.zeros(700)
     motion = SampledMotion(np.concatenate([rest, displacement, rest]), 2e-3)
@@ -70,7 +70,7 @@ def played(run: PlannedRun) -> Recording:
 
 
 def plan_quickly(patch: pytest.MonkeyPatch, goal: ForceGoal = GOAL) -> list[int]:
-    """Nothing is identified; the numbers of windows that it would be from are kept."""
+    """Planner that identifies nothing; it keeps the numbers of windows it was called with."""
     asked: list[int] = []
 
     def planned(_: object, windows: list[object], *__: object) -> tuple[ParameterSet, Plan]:

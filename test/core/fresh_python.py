@@ -1,4 +1,4 @@
-"""What commands say, and what a fresh Python prints."""
+"""Output of commands and of a fresh Python process."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from typing import Any
 
 
 def said(*command: Any, **options: Any) -> str:
-    """What a command prints, which must end well; ``options`` as those of subprocess.run."""
+    """Output of a command that must succeed; ``options`` as those of subprocess.run."""
     entries: dict[str, Any] = {"capture_output": True, "text": True, "timeout": 120, **options}
     done = subprocess.run([str(word) for word in command], check=False, **entries)
     assert done.returncode == 0, done.stderr
@@ -16,5 +16,5 @@ def said(*command: Any, **options: Any) -> str:
 
 
 def alone(code: str) -> str:
-    """What a fresh Python prints that knows the paths of this one, but has loaded nothing."""
+    """Output of a fresh Python process that has the paths of this one, but has imported nothing."""
     return said(sys.executable, "-c", f"import sys; sys.path[:] = {sys.path!r}\n{code}")

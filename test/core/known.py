@@ -1,4 +1,4 @@
-"""Dampers whose parameters are known, runs made from them, and helpers of the core tests."""
+"""Dampers with known parameters, runs made from them, and helpers of the core tests."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ PERIOD = 1e-3
 THESIS_SAMPLES = 7001
 THESIS_PHASE = 4.481
 T0 = 1_700_000_000 * NANOSECONDS
-"""Some stamp [ns] to start a stream at."""
+"""Arbitrary stamp [ns] at which streams start."""
 
 PLAUSIBLE = np.array(
     [
@@ -49,7 +49,7 @@ PLAUSIBLE = np.array(
 
 SIGMOID, EXTENDED = MODELS["sigmoid"], MODELS["sigmoid_lag"]
 
-"""Sixteen parameters of a damper whose laws all show within 0.01 to 0.25 m/s and 0 to 1.5 A."""
+"""Parameters of a damper in which every term of the law matters: 0.01 to 0.25 m/s, 0 to 1.5 A."""
 
 _AT_ANY_CURRENT = {
     "bingham": np.array([500.0, 4000.0, -30.0]),
@@ -66,10 +66,10 @@ EXAMPLES = {
     name: np.pad(values, (0, len(MODELS[name].parameters) - values.size))
     for name, values in _AT_ANY_CURRENT.items()
 }
-"""Parameters of a damper by the name of its model, of one that no current changes."""
+"""Parameters of one damper by model name; its force does not depend on the current."""
 
 _GROWTH = {"_1": 1.2, "_2": -0.2}
-"""How the coefficients of the laws written for one current grow: not beyond 3 A."""
+"""Growth of the coefficients with the current, for laws of one current; monotonic up to 3 A."""
 
 SHAPE_PARAMETER_NAMES = SIGMOID.shape_names
 SHAPE = SIGMOID.places(SHAPE_PARAMETER_NAMES)
@@ -89,7 +89,7 @@ def controllable(name: str) -> ParameterSet:
 
 
 def weaker(strength: float) -> Array:
-    """The sixteen parameters of the known damper with so many times its yield force."""
+    """The sixteen parameters of the known damper with its yield force times ``strength``."""
     return np.asarray(PLAUSIBLE * np.where(np.arange(16) == index("f0"), strength, 1.0))
 
 
@@ -102,7 +102,7 @@ def parameter_jacobian(values: Array, u: Array, v: Array, a: Array, current: Arr
 
 
 def index(name: str) -> int:
-    """Place of a parameter in the array of sixteen."""
+    """Index of a parameter in the array of sixteen."""
     return PARAMETER_NAMES.index(name)
 
 
@@ -143,7 +143,7 @@ class Run:
 
     @property
     def noise_rms(self) -> float:
-        """What the truth itself leaves of this run's force [N]."""
+        """RMSE [N] of the true force against the measured one."""
         return rms(self.force - self.clean)
 
 
@@ -208,20 +208,20 @@ def raw_window(run: Run, *, number: int = 0, temperature: float = math.nan) -> R
 
 
 def window(number: int = 0, strength: float = 1.0, **changes: Any) -> RawWindow:
-    """Window ``number``, of a second, of the known damper with so many times its yield force."""
+    """One-second window ``number`` of the known damper, with its yield force times ``strength``."""
     entries = {"samples": 1000, "seed": number, **changes}
     return raw_window(run(weaker(strength), **entries), number=number)
 
 
 def tracker(start: ParameterSet | None = None, **settings: Any) -> WindowTracker:
-    """A tracker that starts, if nothing is said, from the known damper at four fifths of it."""
+    """A tracker; by default it starts from the known damper with four fifths of its force."""
     entries = {"method": "least_squares", "global_period": 0, **settings}
     start = start or ParameterSet(weaker(0.8), set_id="start")
     return WindowTracker(TrackerSettings(model=start.model, **entries), start)
 
 
 def fed(tracked: WindowTracker, *windows: RawWindow) -> list[Report]:
-    """Reports of a tracker that these windows are given."""
+    """Reports of a tracker after these windows."""
     reports = [tracked.follow(window) for window in windows]
     assert None not in reports
     return reports  # type: ignore[return-value]
@@ -236,7 +236,7 @@ def blocks(
     start_ns: int = T0,
     sequence: int = 0,
 ) -> list[SampleBlock]:
-    """A stream cut into blocks of these sizes, over and over."""
+    """A stream cut into blocks; the list of sizes is repeated."""
     result, first, place = [], 0, 0
     while first < displacement.size:
         last = first + sizes[place % len(sizes)]

@@ -18,7 +18,7 @@ def sum_of_seed(seed: int, notify: Notify) -> float:
 
 
 def patient(seconds: float, notify: Notify) -> str:
-    """Works as long as it is not told to stop."""
+    """Run until told to stop."""
     if seconds < 0.0:
         raise ValueError("not for long")
     until = time.monotonic() + seconds
@@ -36,7 +36,7 @@ def failing(number: int, notify: Notify) -> int:
 
 
 def threads(*anything: object) -> int:
-    """The most threads that one of the libraries of this process computes with."""
+    """Largest number of threads of any numerical library in this process."""
     from threadpoolctl import threadpool_info
 
     return max(library["num_threads"] for library in threadpool_info())
@@ -47,7 +47,7 @@ def told(*arguments: str) -> None:
 
 
 def answering() -> None:
-    """Reads a line and prints it."""
+    """Read a line and print it."""
     print("ready", flush=True)
     print(input(), flush=True)
 
@@ -57,7 +57,7 @@ def crash(*arguments: str) -> None:
 
 
 def journalled(argument: tuple[str, str, float]) -> dict[str, str]:
-    """Writes into a journal that it has begun, takes its time, and tells its process."""
+    """Write the start into a journal, work for a while, and report to the process."""
     journal, name, seconds = argument
     with open(journal, "a", encoding="utf-8") as file:
         file.write(f"{name}\n")
@@ -66,7 +66,7 @@ def journalled(argument: tuple[str, str, float]) -> dict[str, str]:
 
 
 def deadly(argument: tuple[str, str, float]) -> dict[str, str]:
-    """Its process dies with it every time."""
+    """Kill its process on every attempt."""
     document = journalled(argument)
     if argument[1].startswith("deadly"):
         os.kill(os.getpid(), signal.SIGKILL)

@@ -42,7 +42,7 @@ class BandLimitedRandom:
 
 
 class RoundedTriangle:
-    """asin(s sin x) / asin(s) of 5 mm at 3 Hz: a sine for s = 0, a triangle for s = 1."""
+    """asin(s sin x) / asin(s), 5 mm at 3 Hz: a sine for s = 0, a triangle for s = 1."""
 
     centre = 0.0
 

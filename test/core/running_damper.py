@@ -1,4 +1,4 @@
-"""What a damper under identification would show, put into a record without any node."""
+"""Data that a damper shows during identification, put into a record without a node."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ def add_signals(
 
 
 def show_signals(record: LiveRecord, begin: float, duration: float) -> None:
-    """Signals at 100 Hz of a sine; the prediction is not valid in the first second."""
+    """Signals of a sine at 100 Hz; the prediction is invalid during the first second."""
     omega, amplitude = 2.0 * math.pi * 1.5, 5e-3
     at = np.arange(begin, begin + duration - 1e-9, 1.0 / RATE)
     u, v = amplitude * np.sin(omega * at), amplitude * omega * np.cos(omega * at)
@@ -60,7 +60,7 @@ def show_samples(record: LiveRecord, duration: float) -> None:
 
 
 def show_window(record: LiveRecord, number: int, *, accepted: bool = True) -> None:
-    """What became of a window that ended ``number`` seconds after the start."""
+    """Outcome of a window that ended ``number`` seconds after the start."""
     scale, end_ns = 1.0 - 0.004 * number, round((START + number) * 1e9)
     values = np.array([*COEFFICIENTS.values(), 14.0])
     report = Report(
@@ -90,7 +90,7 @@ def show_window(record: LiveRecord, number: int, *, accepted: bool = True) -> No
 
 
 def show_set(record: LiveRecord, number: int) -> None:
-    """A set in use; the last two parameters are not determined."""
+    """A set in use whose last two parameters are undetermined."""
     values = known.PLAUSIBLE * (1.0 + 0.01 * math.sin(number))
     record.set_parameters(
         ParameterSet(
@@ -105,7 +105,7 @@ def show_set(record: LiveRecord, number: int) -> None:
 
 
 def show_health(record: LiveRecord, nodes: str | tuple[str, ...] = "") -> None:
-    """Diagnostics as the nodes give them, or some of the nodes."""
+    """Diagnostics of the nodes, or of some of them."""
     for concern in (
         Concern(
             "model: prediction", 0, "valid; NRMSE 4.1% of the measured force", {"doubt": "NONE"}
@@ -160,7 +160,7 @@ def show_health(record: LiveRecord, nodes: str | tuple[str, ...] = "") -> None:
 
 
 def running(seconds: int = 30, clock: Callable[[], float] = time.monotonic) -> LiveRecord:
-    """A record of so many seconds, with a window each."""
+    """A record of so many seconds with one window per second."""
     record = LiveRecord(clock)
     show_signals(record, 0.0, seconds)
     for number in range(2, seconds + 1):

@@ -1,4 +1,4 @@
-"""A worker that works when it is told to, in the process of the test."""
+"""A worker in the process of the test, whose tasks end on request."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from mr_damper_ros.processes.worker import Done, Failed, Outcome, Progress
 
 @dataclass
 class StepWorker:
-    """Stands for the worker process: a task ends at the poll after :meth:`work` is called."""
+    """Replaces the worker process: a task ends at the poll after :meth:`work` is called."""
 
     failing: bool = False
     function: Callable[..., Any] | None = None

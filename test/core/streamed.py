@@ -1,4 +1,4 @@
-"""A source of samples that runs as the bridge would run it, until something is so."""
+"""A source of samples, run as the bridge runs it, until a condition holds."""
 
 from __future__ import annotations
 
@@ -18,13 +18,13 @@ START = 1_700_000_000_000_000_000
 
 
 def source_of(name: str, block_size: int = 10, **options: Any) -> Source:
-    """A source by its name, with these options of its own."""
+    """A source by its name, with the given options."""
     kind = SOURCES[name]
     return kind(build(kind.options, options), StreamSettings(block_size))
 
 
 class Streamed:
-    """The blocks with samples that an open source has given so far."""
+    """The blocks with samples that an open source has produced so far."""
 
     def __init__(self, name: str, **options: Any) -> None:
         self.source = source_of(name, **options)
@@ -35,7 +35,7 @@ class Streamed:
         self._deadline = time.monotonic() + PATIENCE
 
     def until(self, done: Callable[[], object]) -> None:
-        """Take blocks until something is so; fails after the deadline."""
+        """Take blocks until a condition holds; fails after the deadline."""
         while not done():
             assert time.monotonic() < self._deadline, self.source.state()
             block = next(self._blocks)

@@ -1,4 +1,4 @@
-"""Bad windows are refused with a reason, and good ones are not."""
+"""Bad windows are rejected with a reason, and good ones are accepted."""
 
 from __future__ import annotations
 
@@ -23,16 +23,16 @@ from mr_damper_ros.tracking.operating_point import KnownForce
 ROOT = Path(__file__).resolve().parents[2]
 
 SPREAD = 500.0
-"""Standard deviation of the force [N] that the evidence below is about."""
+"""Standard deviation of the force [N] in the evidence below."""
 
 
 def evidence(before: float, after: float, change: float = 0.0) -> Evidence:
-    """RMSE [N] of the running and of the new set on held-back samples."""
+    """Evidence from the RMSE [N] of the running and of the new set on the validation samples."""
     return Evidence(before / SPREAD, after / SPREAD, after, change)
 
 
 def new() -> Gatekeeper:
-    """A gatekeeper that has seen nothing."""
+    """An acceptance test without history."""
     return Gatekeeper(AcceptanceSettings(maximum_nrmse=0.3))
 
 
@@ -40,7 +40,7 @@ OTHER_SHAPE = Evidence(0.45, 0.01, 5.0, -0.1, shape_change=0.4)
 
 
 def experienced(residual: float = 5.0, **settings: float) -> Gatekeeper:
-    """A gatekeeper that has accepted five usual windows."""
+    """An acceptance test after five normal windows."""
     gatekeeper = Gatekeeper(AcceptanceSettings(**settings))
     for _ in range(5):
         assert gatekeeper.judge(evidence(2.0 * residual, residual)) == ACCEPTED
@@ -114,12 +114,12 @@ def test_a_set_that_fits_is_confirmed_by_an_unusual_window_that_teaches_nothing(
 
 
 def force(factor: float = 1.0, speed: float = 0.03, current: float = 1.0) -> KnownForce:
-    """So many times the force that was known at first at 0.03 m/s and 1 A."""
+    """The initial force envelope at 0.03 m/s and 1 A, times ``factor``."""
     return KnownForce(speed, current, factor * SPREAD, factor * 1.6 * SPREAD)
 
 
 def used_to(*known: KnownForce, **settings: float) -> Gatekeeper:
-    """A gatekeeper that has accepted these forces."""
+    """An acceptance test that has accepted these forces."""
     gatekeeper = Gatekeeper(AcceptanceSettings(**settings))
     for each in known or (force(),):
         assert gatekeeper.judge(evidence(10.0, 5.0), each) == ACCEPTED
@@ -201,12 +201,12 @@ def test_one_set_for_all_that_is_worse_where_the_damper_is_now_is_refused() -> N
 
 def test_a_force_that_is_known_where_the_motion_has_come_back_to_needs_no_confirmation() -> None:
     gatekeeper = used_to(force(), force(0.3, speed=0.006))
-    # The running set is that of the other motion: half of its force there is no change.
+    # The running set belongs to the other motion: half of its force is no change here.
     judgement = gatekeeper.judge(evidence(400.0, 5.0, -0.7), force(0.31, speed=0.006))
     assert judgement == ACCEPTED
 
 
-# -- what is usual at an operating point ------------------------------------------------------
+# -- residual baseline of an operating point --------------------------------------------------
 
 
 def test_what_a_law_leaves_at_another_operating_point_is_no_disturbance() -> None:

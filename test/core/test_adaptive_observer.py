@@ -44,8 +44,8 @@ def test_it_comes_near_to_the_best_fixed_bandwidth(frequency: float, period: flo
     u, a = measured(frequency, period, 40_000)
     fixed = np.geomspace(0.5, possible_bandwidths(period)[1], 12)
     best = min(error_after(CausalDifferentiator(period, b), u, a) for b in fixed)
-    # Most that the error may exceed that of the best fixed bandwidth by: where a motion is a pure
-    # sine the best one lies at the edge of what follows it at all, and the observer keeps off.
+    # The error may be up to four times that of the best fixed bandwidth, because for a pure sine
+    # the best one is only just wide enough, and the observer keeps a margin.
     assert error_after(AdaptiveObserver(period), u, a) < 4.0 * best
 
 
@@ -74,16 +74,16 @@ def test_a_jump_of_the_sensor_leaves_no_trace() -> None:
     jumped[4321:] += AMPLITUDE
     found = other.follow(jumped)[2]
     assert other.bandwidth == pytest.approx(bandwidth_after(u))
-    # Samples after which a start is forgotten, at the bandwidths that come here.
+    # A start transient lasts less than 500 samples at these bandwidths.
     settled = slice(4321 + 500, None)
-    # Largest error of the acceleration, over its largest value, that noise alone may make.
+    # Noise alone causes an acceleration error of less than half the peak.
     assert np.abs(found - a)[settled].max() < 0.5 * np.abs(a).max()
 
 
 @pytest.mark.parametrize(("start", "settled"), [("hard", True), ("jump", False)])
 def test_a_motion_that_starts_hard_is_no_jump(start: str, settled: bool) -> None:
     time = 1e-3 * np.arange(20)
-    moved = AMPLITUDE * (1.0 - np.cos(2.0 * np.pi * 10.0 * time))  # 20 m/s² at once
+    moved = AMPLITUDE * (1.0 - np.cos(2.0 * np.pi * 10.0 * time))  # 20 m/s² from the first sample
     noise = NOISE * np.random.default_rng(0).standard_normal(2020)
     observer = AdaptiveObserver(1e-3)
     observer.follow(noise[:2000])
@@ -102,5 +102,5 @@ def test_a_motion_after_a_rest_is_followed_at_once(frequency: float, rate: float
     noise = 5e-6 * np.random.default_rng(1).standard_normal(truth.size)
     found = AdaptiveObserver(1.0 / rate).follow(truth + noise)[1][rest:]
     error = found - np.gradient(truth, 1.0 / rate)[rest:]
-    # Over the first two cycles; an observer as narrow as the rest makes it is off by 20 to 60 %.
+    # Over the first two cycles; with the bandwidth of the rest the error would be 20 to 60 %.
     assert np.sqrt(np.mean(error**2)) < 0.1 * np.abs(np.gradient(moving, 1.0 / rate)).max()

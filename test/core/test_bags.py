@@ -1,4 +1,4 @@
-"""Bags: what was written comes back, and what cannot be read is said in a sentence."""
+"""Bags: what is written is read back, and unreadable files give one clear sentence."""
 
 from __future__ import annotations
 
@@ -200,7 +200,7 @@ def typestore() -> Any:
 
 
 class Recorder:
-    """Writes any messages on any topics, as a live system may."""
+    """Writes any messages on any topics, like a recording of a running system."""
 
     def __init__(self, path: Path, store: Any) -> None:
         self.writer = Writer(path, version=9, storage_plugin=StoragePlugin.MCAP)
@@ -344,7 +344,7 @@ def test_a_topic_of_another_type_is_named(tmp_path: Path, typestore: Any) -> Non
 
 
 def write_rigs(path: Path, store: Any, *rigs: str) -> None:
-    """A bag of rigs, each in its namespace; the last digit of its name is its current."""
+    """A bag of rigs, each in its own namespace; the current is the last digit of its name."""
     recorder = Recorder(path, store)
     with recorder.writer:
         for rig in rigs:

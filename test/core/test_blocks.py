@@ -1,4 +1,4 @@
-"""Which blocks can be used, which a node takes in, and the times of samples that come evenly."""
+"""Which blocks are valid and accepted by a node, and sample times of uniform streams."""
 
 from __future__ import annotations
 
@@ -59,7 +59,7 @@ def test_a_block_that_cannot_be_used_is_refused(changes: dict[str, object], sent
     assert sentence in str(caught.value)
 
 
-# -- what a node takes in --------------------------------------------------------------------
+# -- blocks that a node accepts --------------------------------------------------------------
 
 
 @pytest.mark.parametrize(
@@ -85,19 +85,19 @@ def test_a_block_beyond_the_limits_is_refused(count: int, period: float, sentenc
         check_live(block(0, count, period=period))
 
 
-# -- samples that come evenly: their numbers and times by a count, by their order, and by arrival --
+# -- times of uniform samples: by a counter, by their order, and by arrival ------------------------
 
 RATE = 1000.0
 BEGIN = 5_000_000_000
 
 ONE_WAY = 1e-3
-"""Seconds: the shortest time on the way is one millisecond here, which stays in the times."""
+"""Shortest transmission delay [s]; it remains in the sample times."""
 
 
 def arrivals(
     count: int, *, rate: float = RATE, burst: int = 1, seed: int = 0
 ) -> Iterator[tuple[int, int, int]]:
-    """Number, when it was taken and when it arrives [ns]: in bursts, after 1 ms and a bit more."""
+    """Sample number, sampling time and arrival [ns]: in bursts, with a delay of at least 1 ms."""
     rng = np.random.default_rng(seed)
     for k in range(count):
         last = k - k % burst + burst - 1

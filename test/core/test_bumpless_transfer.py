@@ -1,4 +1,4 @@
-"""Where another set takes over the force continues; the law's state is that of the new set."""
+"""The force is continuous when a set takes over, and the law's state is that of the new set."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from mr_damper_ros.tracking.predictor import ForcePredictor, Prediction, Predict
 LAWS = ("sigmoid", "modified_bouc_wen")
 
 CHANGED = 333
-"""Blocks after which another set comes."""
+"""Blocks after which the set changes."""
 
 BLOCK = 10
 RUN = known.run(current=1.0, samples=6000, seed=None)
@@ -46,7 +46,7 @@ def predicted(
     aged: bool = True,
     force: Array | None = None,
 ) -> list[Prediction]:
-    """What comes of a stream during which another set comes, of an age unless somebody gave it."""
+    """Predictions of a stream during which the set changes; sets with ``aged`` have an age."""
     sent = blocks(size, force)
     made = ForcePredictor(PredictorSettings(maximum_error=0.0 if force is None else 0.2))
     for k in range(100):
@@ -74,7 +74,7 @@ def test_the_force_continues_and_ends_in_that_of_the_new_set(model: str) -> None
     )
     assert step <= alone + 1.1 * np.abs(before - after)[1000:].max() / FADED
     rest = slice(CHANGED * BLOCK + FADED, None)
-    # [N]: of a kilonewton, nothing but rounding.
+    # [N] of about 1000 N: rounding only.
     np.testing.assert_allclose(found[rest], after[rest], atol=1e-6)
 
 
@@ -100,7 +100,7 @@ def test_what_is_left_of_a_wrong_force_is_not_valid(before: float, after: float)
 
 
 RECOMPUTED = 1e-6
-"""[N]: the half second that is followed again is 280 time constants, which leave rounding only."""
+"""[N]: the recomputed half second is 280 time constants, so only rounding is left."""
 
 
 def in_use(parameters: ParameterSet, period: float = known.PERIOD) -> ForceInUse:
@@ -110,7 +110,7 @@ def in_use(parameters: ParameterSet, period: float = known.PERIOD) -> ForceInUse
 
 
 def follow(made: ForceInUse, motion: Motion, size: int, current: float = 1.0) -> Array:
-    """The force of a motion in blocks of so many samples."""
+    """Force of a motion processed in blocks of this size."""
     count = motion.velocity.size
     parts = [motion.part(slice(first, first + size)) for first in range(0, count, size)]
     return np.concatenate(
@@ -138,7 +138,7 @@ def test_the_state_is_that_of_the_new_set_and_its_range(fastest: float) -> None:
 
 
 def test_as_much_is_followed_again_as_the_law_remembers_at_this_current() -> None:
-    """The yield length grows tenfold with the current, and so does the travel to be remembered."""
+    """The yield length grows tenfold with the current, and so does the travel to be recomputed."""
     model = MODELS["bouc_wen"]
     values = known.EXAMPLES["bouc_wen"].copy()
     values[model.parameter_names.index("yield_length_1")] = 5.0
@@ -147,7 +147,7 @@ def test_as_much_is_followed_again_as_the_law_remembers_at_this_current() -> Non
     softer = values.copy()
     softer[model.parameter_names.index("yield_length")] *= 2.0
     after = ParameterSet(softer, set_id="after", model="bouc_wen")
-    # Smaller than the yield length: no stroke ends the memory.
+    # Shorter than the yield length, so that no stroke resets the memory.
     motion = known.run(amplitude=5e-4, frequency=2.0, samples=5500).window.motion
     made = in_use(before)
     follow(made, motion.part(slice(200)), 50, current=0.0)

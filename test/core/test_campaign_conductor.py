@@ -1,4 +1,4 @@
-"""A campaign conducted on an emulated machine, by the stamps of its samples alone."""
+"""A campaign on an emulated machine, timed by the stamps of the samples only."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ BROAD = [
 
 
 class Inline:
-    """A worker that does each task at once; ``fail`` makes it fail."""
+    """A worker that runs each task at once; ``fail`` makes it fail."""
 
     def __init__(self) -> None:
         self.fail = ""
@@ -74,7 +74,7 @@ class Inline:
 
 
 class EmulatedMachine:
-    """An emulated rig that does what a conductor says; every sample is looked at."""
+    """An emulated rig that obeys a conductor and checks every sample."""
 
     def __init__(self, conductor: CampaignConductor, obeys: bool = True) -> None:
         self.conductor = conductor
@@ -100,7 +100,7 @@ class EmulatedMachine:
             self._currents.append(command.current)
 
     def block(self) -> None:
-        """One block of samples, after what was commanded before it."""
+        """One block of samples that follows the previous commands."""
         command = self.conductor.command
         self.commands.append(command)
         if self.obeys and command is not None:
@@ -119,7 +119,7 @@ class EmulatedMachine:
         )
 
     def until(self, condition: Callable[[], Any], longest: float = 60.0) -> Any:
-        """Go on until something holds, for ``longest`` [s] of its time at the most."""
+        """Run until a condition holds, for at most ``longest`` [s] of simulated time."""
         end = self.time + longest
         while not (found := condition()):
             assert self.time < end, f"in vain waited {longest:g} s: {self.conductor.status()}"
@@ -129,7 +129,7 @@ class EmulatedMachine:
 
 @pytest.fixture
 def planned(monkeypatch: pytest.MonkeyPatch) -> list[PlannedRun]:
-    """The runs that are planned, whatever was found; tests may change them."""
+    """The planned runs, independent of the results; tests may change them."""
     runs = list(RUNS)
 
     def plan(_: object, windows: list[object], *__: object) -> tuple[ParameterSet, Plan]:
@@ -219,7 +219,7 @@ def runs_within(draw: st.DrawFn) -> list[PlannedRun]:
 def test_no_sample_leaves_the_limits(
     tmp_path_factory: pytest.TempPathFactory, runs: list[PlannedRun], disturbed: list[int]
 ) -> None:
-    """Whatever is planned, and paused, resumed or lost at whatever moments."""
+    """For any plan, with pauses, resumptions and losses at any time."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(campaign_course, "planner_of", lambda _: object())
         patch.setattr(campaign_course, "first_run", lambda *_: runs[0])
@@ -243,7 +243,7 @@ def test_no_sample_leaves_the_limits(
     displacement, force, current = machine.seen
     velocity = np.gradient(displacement, 1.0 / RATE)
     assert np.abs(displacement).max() <= LIMITS.amplitude * (1.0 + 1e-9)
-    # A difference over two samples is no more than the velocity in between.
+    # A difference over two samples never exceeds the largest velocity between them.
     assert np.abs(velocity[1:-1]).max() <= LIMITS.peak_velocity * (1.0 + 1e-9)
     assert np.abs(force).max() <= LIMITS.force
     assert 0.0 <= current.min() <= current.max() <= LIMITS.current

@@ -1,4 +1,4 @@
-"""A campaign on disk, by hand, program call by program call, and its report."""
+"""A campaign on disk: by hand, with one program call per step, and its report."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from mr_damper_ros.tools import plan_run
 
 
 class KilledError(BaseException):
-    """Stands for the end of the process at this moment."""
+    """Simulates the death of the process."""
 
 
 @pytest.fixture
@@ -31,7 +31,7 @@ def quick(monkeypatch: pytest.MonkeyPatch) -> list[int]:
 
 
 def state(folder: Path) -> dict[str, int]:
-    """When each finished file was written."""
+    """Modification time of each finished file."""
     return {
         str(path.relative_to(folder)): path.stat().st_mtime_ns
         for kind in ("runs/run_*/*", "steps/*.json")
@@ -62,7 +62,7 @@ def test_a_campaign_is_kept_as_bags_and_steps(quick: list[int], tmp_path: Path) 
 def test_killed_at_any_moment_it_goes_on_where_it_was(
     quick: list[int], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, moment: int
 ) -> None:
-    """Of six moments three are in a run, and three after one, before its step is kept."""
+    """Three of the six moments are during a run; three are after one, before its step is stored."""
     made: list[PlannedRun] = []
     passed = 0
 
@@ -143,7 +143,7 @@ def test_a_damaged_step_is_named(quick: list[int], tmp_path: Path) -> None:
         mr.run_campaign(GOAL, LIMITS, perform, folder=tmp_path)
 
 
-# -- a campaign by hand, program call by program call, and its report ------------------------------
+# -- a campaign by hand, with one program call per step, and its report ----------------------------
 
 BAG = Path(__file__).parents[2] / "bags" / "5.0mm_1Hz_1.5A"
 ASKED = [
@@ -154,7 +154,7 @@ ASKED = [
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A campaign that is over."""
+    """A finished campaign."""
     place = tmp_path_factory.mktemp("campaign")
     with pytest.MonkeyPatch.context() as patch:
         plan_quickly(patch)

@@ -1,4 +1,4 @@
-"""The runs to choose from: within all limits, and worth what they will tell."""
+"""Candidate runs: within all limits, and selected by their information."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ SINE = PlannedRun(0.005, 2.5, (0.3, 0.6, 1.2), 4.0)
 RUNS = pytest.mark.parametrize("run", [SINE, SWEEP, RANDOM], ids=lambda run: run.kind.value)
 
 ROUNDING = 1e-9
-"""Relative."""
+"""Relative tolerance."""
 
 
 @st.composite
@@ -57,14 +57,14 @@ def machines(draw: st.DrawFn) -> tuple[ForceGoal, MachineLimits]:
 @given(machines())
 def test_no_sample_of_any_run_leaves_the_limits(machine: tuple[ForceGoal, MachineLimits]) -> None:
     goal, limits = machine
-    # Runs differ in motion and in currents, each of which is looked at once.
+    # Runs differ in motion and in currents; each is checked once.
     runs = candidate_runs(goal, limits)
     by_motion = {run.motion: run for run in runs}
     for run in by_motion.values():
         time, displacement, _ = signal(run, 40.0 * max(run.frequency, run.highest_frequency))
         velocity = np.diff(displacement) / np.diff(time)
         assert np.abs(displacement).max() <= limits.amplitude * (1.0 + ROUNDING)
-        # Of the speed: a difference of samples that are close.
+        # Tolerance of the velocity, a difference of neighbouring samples.
         assert np.abs(velocity).max() <= limits.peak_velocity * (1.0 + 1e-3)
         assert run.duration <= limits.duration
         assert limits.frequency[0] * (1.0 - ROUNDING) <= run.frequency
@@ -87,7 +87,7 @@ def test_a_run_tells_and_demands_what_was_foreseen(run: PlannedRun) -> None:
     windows = run.windows(recording)
     found = window_information(known.SIGMOID, windows, [20.0] * len(windows), known.PLAUSIBLE)
     seen = np.diag(found) > 1e-9 * np.diag(found).max()
-    # Relative: of the steep parts of a loop few samples hold now more, now less than many.
+    # Relative: the few samples on the steep parts of a loop vary between the two samplings.
     assert np.diag(foreseen)[seen] / np.diag(found)[seen] == pytest.approx(1.0, rel=0.6)
     force, heat = CandidateRuns(known.SIGMOID, [run], 1000.0).demands([known.PLAUSIBLE])
     assert force[0] == pytest.approx(np.abs(recording.force).max(), rel=0.02)

@@ -1,4 +1,4 @@
-"""Windows in which the current changes: taken apart, fitted, learnt from; the lag of the coil."""
+"""Windows with a changing current: split, fitted and learnt from; the lag of the coil."""
 
 from __future__ import annotations
 
@@ -34,13 +34,13 @@ LATE = np.append(known.PLAUSIBLE, [3e-8, 1500.0, -40.0, LAG])
 
 
 def switching(seconds: float = 2.0) -> CurrentSchedule:
-    """Between 0.2 and 1.2 A every 0.4 s."""
+    """Current [A] that switches between 0.2 and 1.2 A every 0.4 s."""
     times = np.arange(0.0, seconds, 0.4)
     return CurrentSchedule(times.tolist(), np.where(np.arange(times.size) % 2, 1.2, 0.2).tolist())
 
 
 def raw(current: CurrentSchedule, *, coil: float = 0.0, number: int = 0) -> RawWindow:
-    """A window of a sine, from a stream that began with it."""
+    """A window of a sine, from a stream that begins with it."""
     rig = EmulatedRig(
         EmulatedDamper(known.PLAUSIBLE),
         SineMotion(5e-3, 1.0),
@@ -98,7 +98,7 @@ def test_a_window_of_changing_current_is_accepted_where_the_law_is_known() -> No
     tracker, verdicts = followed([raw(switching())], start)
     assert verdicts == [Verdict.ACCEPTED]
     f0 = tracker.parameters.values[known.index("f0")] / known.PLAUSIBLE[known.index("f0")]
-    assert f0 == pytest.approx(1.0, abs=0.01)  # ten times its standard error, 0.1 %
+    assert f0 == pytest.approx(1.0, abs=0.01)  # ten times its standard error of 0.1 %
 
 
 def test_the_dependence_on_the_current_is_learnt_from_one_window_that_switches() -> None:
@@ -142,5 +142,5 @@ def test_the_jacobian_by_the_coil_is_that_of_differences() -> None:
     step = 1e-4 * np.eye(20)[-1]
     expected = (misfit.residual(LATE + step) - misfit.residual(LATE - step)) / 2e-4
     got = misfit.jacobian(LATE)[:, -1]
-    # The difference of second order has an error of (step / lag)² of the third derivative.
+    # The central difference has an error of (step / lag)² times the third derivative.
     np.testing.assert_allclose(got, expected, atol=1e-3 * np.abs(expected).max())

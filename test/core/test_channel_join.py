@@ -1,4 +1,4 @@
-"""Channels stamped by themselves: counted, put in order, joined; what is lost is not invented."""
+"""Separately stamped channels: counted, sorted, joined; lost samples are never invented."""
 
 from __future__ import annotations
 
@@ -16,12 +16,12 @@ START = 1_700_000_000_000_000_000
 RATE = 1000.0
 DURATION = 8.0
 PAIRED = 1e-4
-"""Seconds by which two samples that are joined may have been taken apart."""
+"""Largest difference [s] between the sampling times of two joined samples."""
 
 
 @dataclass(frozen=True)
 class Sent:
-    """What a device sends: when each sample was taken [s], its stamp and its arrival [ns]."""
+    """Data of a device: sampling time [s], stamp [ns] and arrival [ns] of each sample."""
 
     taken: np.ndarray
     stamps: np.ndarray
@@ -31,7 +31,7 @@ class Sent:
 def sent(
     seed: int, ppm: float = 0.0, *, jitter: float = 0.5, loss: float = 0.01, own_clock: bool = False
 ) -> Sent:
-    """Samples of some seconds; the device's clock is wrong, or else its rate."""
+    """Some seconds of samples; either the device's clock or its rate is wrong."""
     rng = np.random.default_rng(seed)
     count = round(DURATION * RATE)
     taken = (np.arange(count) + rng.random()) / RATE
@@ -50,7 +50,7 @@ def nanoseconds(seconds: np.ndarray) -> np.ndarray:
 
 
 def joined(leader: Sent, follower: Sent, **how: bool) -> tuple[ChannelJoin, list[JoinedRun]]:
-    """What is joined when each value is the time at which it was taken."""
+    """The joined channels; the value of each sample is its sampling time."""
     join = ChannelJoin(StampedChannel(0.0), StampedChannel(0.0), **how)
     events = heapq.merge(
         *(
@@ -77,10 +77,10 @@ def test_two_clocks_that_drift_jitter_and_lose_are_paired(own_clocks: bool, jitt
     _, runs = joined(leader, follower, own_clocks=own_clocks)
     taken = np.concatenate([run.leading for run in runs])
     apart = np.concatenate([run.following for run in runs]) - taken
-    # In the first second the clock of the stamps is found; what arrives soonest tells the rate of
-    # a device's clock only after some seconds.
+    # The offset of the clock is estimated within the first second; the rate of a device's own
+    # clock, estimated from the earliest arrivals, takes some seconds longer.
     assert np.abs(apart[taken > (6.0 if own_clocks else 1.0)]).max() < PAIRED
-    # Of each channel a hundredth is lost, which costs a sample of its own or of the other's.
+    # Each channel loses 1 % of its samples, and a loss in either channel costs a joined sample.
     assert apart.size > 0.95 * leader.taken.size
 
 
@@ -88,7 +88,7 @@ def test_the_lost_are_counted_and_none_is_invented() -> None:
     leader, follower = sent(3), sent(4, loss=0.0)
     join, runs = joined(leader, follower)
     count = round(DURATION * RATE)
-    # Those at the very end are not missed yet, nor are those at the very beginning.
+    # Losses at the very beginning and end are not counted.
     assert abs(join.leader.lost - (count - leader.taken.size)) <= 3
     assert join.follower.lost == 0
     forces = np.concatenate([run.leading for run in runs])
@@ -104,7 +104,7 @@ def test_what_was_sampled_at_its_stamp_is_brought_to_even_times() -> None:
     _, runs = joined(device, device, sampled_at_stamps=True)
     for run in runs:
         even = (run.start_ns - START) * 1e-9 + np.arange(run.leading.size) / RATE
-        # A value that is the time itself is interpolated without an error.
+        # Interpolation is exact, because each value is its own sampling time.
         np.testing.assert_allclose(run.leading, even, atol=PAIRED)
         np.testing.assert_allclose(run.following, run.leading, atol=1e-9)
 

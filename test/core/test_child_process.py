@@ -1,4 +1,4 @@
-"""Child processes and programs: what they find and say, how they end, domains of their own."""
+"""Child processes and programs: their output, their end, and separate ROS domains."""
 
 from __future__ import annotations
 
@@ -74,13 +74,13 @@ def test_one_whose_parent_has_died_before_ends_at_once() -> None:
     assert (done.returncode, done.stdout) == (1, b"")
 
 
-# -- programs as processes: their output, their end by signal or force, and domains of their own ---
+# -- programs as processes: output, end by signal or force, separate domains -----------------------
 
 TALKS = "import sys; print('out'); sys.stdout.flush(); print('err', file=sys.stderr)"
 WAITS = "import sys, time; print('ready', file=sys.stderr); sys.stderr.flush(); time.sleep(600)"
 DEAF = "import signal; signal.signal(signal.SIGINT, signal.SIG_IGN); " + WAITS
 SHORT = 0.2
-"""Seconds waited for what never comes."""
+"""Seconds to wait for an event that never occurs."""
 
 
 @pytest.fixture
@@ -101,7 +101,7 @@ def test_output_and_errors_are_kept_apart_and_together() -> None:
 
 def test_one_that_is_asked_to_stop_ends_by_an_interrupt(waiting: Program) -> None:
     assert waiting.running
-    assert waiting.stop() != 0  # of this program: a KeyboardInterrupt
+    assert waiting.stop() != 0  # a KeyboardInterrupt in this program
     assert "KeyboardInterrupt" in waiting.errors
     assert not waiting.running
 

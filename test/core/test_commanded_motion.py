@@ -1,4 +1,4 @@
-"""A machine that is told how to move: never beyond its limits, never with a jerk."""
+"""A machine with commanded motion: always within its limits, and free of jumps."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ BY_ITSELF = SineMotion(0.005, 2.0)
 PERIOD = 2e-3
 
 ROUNDING = 1e-9
-"""Relative."""
+"""Relative tolerance."""
 
 Told = list[tuple[float, PeriodicMotion | None]]
 
@@ -35,7 +35,7 @@ RANDOM = PeriodicMotion(MotionKind.RANDOM, 0.008, 0.6, 3.4, 2.0, 3)
 
 
 def moved(commands: Told, duration: float) -> Kinematics:
-    """The motion with these commanded in between, at their times [s]."""
+    """The motion when these commands arrive at their times [s]."""
     motion = CommandedMotion(BY_ITSELF, 0.0)
     time = np.arange(round(duration / PERIOD)) * PERIOD
     parts, done = [], 0
@@ -50,7 +50,7 @@ def moved(commands: Told, duration: float) -> Kinematics:
 
 @st.composite
 def commands(draw: st.DrawFn) -> Told:
-    """Commands within the limits, at any times."""
+    """Commands within the limits, at arbitrary times."""
     found: Told = []
     for _ in range(draw(st.integers(1, 6))):
         time = draw(st.floats(0.0, 8.0))
@@ -68,7 +68,8 @@ def test_no_sample_leaves_the_limits_or_jumps_whatever_is_commanded(told: Told) 
     assert np.abs(u).max() <= AMPLITUDE * (1.0 + ROUNDING)
     assert np.abs(v).max() <= VELOCITY * (1.0 + ROUNDING)
     u, v, a = moved(told, 10.0)
-    # What the velocity makes of a displacement within a period, and the acceleration of it.
+    # Displacement and velocity are continuous: their steps stay within what the next derivative
+    # allows.
     assert np.abs(np.diff(u)).max() <= np.abs(v).max() * PERIOD * 1.01
     assert np.abs(np.diff(v)).max() <= np.abs(a).max() * PERIOD * 1.01
 

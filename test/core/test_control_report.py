@@ -1,4 +1,4 @@
-"""The report of the control study: what it says of results, which are invented here."""
+"""The text of the control study's report for invented results."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from studies.control.buildings import BANG_BANG, ON, WEIGHTED
 
 
 def invented(text: str) -> float:
-    """A number between 0.5 and 1.5 that belongs to a text."""
+    """A number between 0.5 and 1.5, determined by a text."""
     return 0.5 + (sum(map(ord, text)) % 97) / 97.0
 
 

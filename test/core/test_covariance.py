@@ -1,4 +1,4 @@
-"""Covariances of windows, and what motions that bend the parameters differently tell."""
+"""Covariances of windows, and model errors from the differences between motions."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ N = 2000
 
 
 def design(seed: int = 0) -> Array:
-    """Three smooth columns of very different size."""
+    """Three smooth columns of very different magnitude."""
     rng = np.random.default_rng(seed)
     t = np.linspace(0.0, 1.0, N)
     columns = np.column_stack((np.ones(N), np.sin(12.0 * t), t**2 + 0.1 * rng.normal(size=N)))
@@ -62,7 +62,7 @@ def test_the_covariance_is_that_of_repeated_experiments(memory: float) -> None:
         estimates.append(estimate)
         claimed.append(np.diag(least_squares_covariance(jacobian, noise - jacobian @ estimate)))
     ratio = np.mean(claimed, axis=0) / np.var(estimates, axis=0)
-    # Standard errors within a quarter; a variance from 300 draws is good for 8 %.
+    # Standard errors within 25 %; a variance from 300 draws is accurate to 8 %.
     assert np.all((ratio > 0.75**2) & (ratio < 1.25**2)), ratio
 
 
@@ -88,15 +88,15 @@ def test_the_error_of_k5_is_that_of_a_quotient() -> None:
     np.testing.assert_allclose(errors[:6], np.sqrt(np.diag(covariance))[:6])
 
 
-# -- motions that bend the parameters differently tell what another motion would say ---------------
+# -- the differences between motions reveal the model error ----------------------------------------
 
 SAMPLES, MOTIONS, TRIALS = 100, 20, 200
 
 SCATTER = (0.8, 1.25)
-"""Of a standard deviation from 200 trials (5 %); each estimate is from twenty motions (16 %)."""
+"""Allowed ratio of standard deviations: 200 trials (5 %), estimates from twenty motions (16 %)."""
 
 LEVELS = 0.25
-"""Relative scatter of the strength from motion to motion."""
+"""Relative scatter of the gain from motion to motion."""
 
 
 def trial(bend: float, seed: int) -> tuple[Array, Array, Array, Array]:
@@ -132,7 +132,7 @@ def test_noise_alone_is_no_discrepancy() -> None:
         jacobian, residual, motions, _ = trial(0.0, seed)
         noise = least_squares_covariance(jacobian, residual)
         seen += bool(np.any(discrepancy_between(jacobian, residual, motions, noise) != 0.0))
-    # Part of the trials that may show a discrepancy where there is none: four errors are rare.
+    # Share of trials that may show a discrepancy where there is none: four-sigma errors are rare.
     assert seen <= 0.05 * TRIALS
 
 
@@ -147,7 +147,7 @@ def test_what_one_motion_alone_determines_is_unknown_and_leaves_the_others_alone
 def sine(
     amplitude: float, *, strength: float = 1.0, samples: int = 500, start: float = 0.0
 ) -> Window:
-    """A steady run of the known damper at 2 Hz and 1 A, with another strength."""
+    """A steady run of the known damper at 2 Hz and 1 A, with its force times ``strength``."""
     run = known.run(amplitude=amplitude, frequency=2.0, samples=samples, start=start, period=2e-3)
     return Window.from_samples(run.displacement, strength * run.force, run.current, run.period)
 
@@ -159,7 +159,7 @@ def test_windows_of_one_motion_count_once() -> None:
 
 @cache
 def fitted(spread: float) -> GlobalFit:
-    """Bingham's law, fitted to eight motions whose strength scatters by this part."""
+    """Bingham's law, fitted to eight motions whose gains scatter by ``spread``."""
     rng = np.random.default_rng(3)
     windows = [
         sine(amplitude, strength=1.0 + spread * rng.standard_normal())

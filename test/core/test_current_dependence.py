@@ -1,4 +1,4 @@
-"""Laws of one current made laws for all, with a lag of the coil, and the mass before the cell."""
+"""Laws of one current extended to all currents, with a coil lag, and the mass before the cell."""
 
 from __future__ import annotations
 
@@ -29,17 +29,17 @@ FOLLOWING = [name for name, model in MODELS.items() if isinstance(model, Current
 CURRENTS = (0.0, 0.5, 1.0, 1.5)
 
 AT_THE_NOISE = 1.1
-"""Cost, 1 = noise: eight windows of 500 samples tell it to 2 %, their weights to 3 % each."""
+"""Cost, 1 = noise, which eight windows of 500 samples determine to 2 % and their weights to 3 %."""
 
 STANDARD_ERRORS = 5.0
-"""By which an estimate may miss the truth: none of some fifty does by chance."""
+"""Largest error of an estimate in standard errors; never exceeded by chance in some fifty."""
 
 LAG = 0.02
-"""Time constant [s] of the coil where it shows."""
+"""A time constant [s] of the coil that is observable."""
 
 
 class SawTooth(CurrentDependentModel):
-    """A law of nobody's, such as a user adds: one class, and one line in the registry."""
+    """An invented law, such as a user might add: one class, and one line in the registry."""
 
     name = "saw_tooth"
     title = "saw tooth"
@@ -62,7 +62,7 @@ class SawTooth(CurrentDependentModel):
 
 
 def truth(name: str) -> Array:
-    """A damper whose coefficients follow the current as far as they may."""
+    """Parameters of a damper whose coefficients use the full polynomial of the current."""
     model = MODELS[name]
     values = known.EXAMPLES[name].copy() if name in known.EXAMPLES else np.zeros(7)
     growth = {"1/A": 0.8, "1/A²": -0.1, "1/A³": -0.02}
@@ -76,7 +76,7 @@ def truth(name: str) -> Array:
 def moved(
     name: str, values: Array, current: Array | float, *, amplitude: float = 5e-3, seed: int = 0
 ) -> Window:
-    """Two seconds at 2 Hz and 250 Hz, with noise, after a lead-in of a second."""
+    """Two seconds at 2 Hz and 250 Hz, with noise, after a lead-in of one second."""
     period = 4e-3
     time = np.arange(750) * period
     amperes = np.broadcast_to(np.asarray(current, float), time.shape)
@@ -107,8 +107,7 @@ def test_one_set_for_all_currents_is_identified(name: str) -> None:
     missed = np.abs(found.values - truth(name))[seen]
     allowed = STANDARD_ERRORS * found.standard_errors[seen]
     if MODELS[name].remembers:
-        # Relative: the steps of a history are others than those of the record (4 ms of a 3 ms
-        # yield).
+        # Relative: the internal time steps differ from those of the record (4 ms against 3 ms).
         allowed += 0.05 * np.abs(truth(name)[seen])
     assert np.all(missed < allowed)
     determined = dict(zip(MODELS[name].parameter_names, seen, strict=True))
@@ -131,7 +130,7 @@ def test_the_lag_of_the_coil_is_found_where_the_current_switches(name: str) -> N
     start = truth(name)
     found = identify_global(model, windows, start, EvolutionSettings()).parameter_set
     assert found.observable[place]
-    # Relative: what is left of the noise in two seconds of a current that switches.
+    # Relative: the noise in two seconds of a switching current.
     assert found.values[place] == pytest.approx(LAG, rel=0.05)
 
 
@@ -161,19 +160,19 @@ def test_a_window_kept_without_its_past_has_a_force_whatever_the_coil(name: str)
     assert model.settled(kept, values).any()
 
 
-# -- the mass between load cell and damper is found, and its inertia taken off the force -----------
+# -- the mass between load cell and damper is estimated, and its inertia subtracted ----------------
 
 MASS, NOISE, PERIOD = 2.0, 0.03, 0.01
-"""Kilograms; part of the force's standard deviation; seconds."""
+"""Mass [kg], noise relative to the standard deviation of the force, sampling period [s]."""
 
 WEAK = known.PLAUSIBLE.copy()
 WEAK[known.index("f0")] *= 0.2
-"""A damper whose force does not hide the inertia."""
+"""A damper whose force is weak enough for the inertia to be seen."""
 
 
 @cache
 def shaken() -> dict[str, Any]:
-    """Random motion up to 12 Hz for 30 s with a current that is stepped, measured at 100 Hz."""
+    """Random motion up to 12 Hz for 30 s with a stepped current, measured at 100 Hz."""
     fine = PERIOD / 10
     time = np.arange(30_000) * fine
     u, v, a = PeriodicMotion(MotionKind.RANDOM, 0.01, 0.5, 12.0, 30.0, 1).at(time)

@@ -1,4 +1,4 @@
-"""A sudden change of the force is noticed at once, and hardly anything else is taken for one."""
+"""A sudden change of the force is detected at once, with few false alarms."""
 
 from __future__ import annotations
 
@@ -19,18 +19,18 @@ from mr_damper_ros.tracking.tracker import TrackerSettings, WindowTracker
 POINT = (0.03, 1.0)
 
 SCALE_ERROR = 0.01
-"""Relative: a tenth of the change that is found."""
+"""Relative: a tenth of the detected change."""
 
 
 def noise(seed: int, count: int, deviation: float = 1.0) -> Array:
     return np.random.default_rng(seed).normal(0.0, deviation, count)
 
 
-# -- the sum ---------------------------------------------------------------------------------
+# -- the statistic ---------------------------------------------------------------------------
 
 
 def blocks_to_alarm(seed: int, threshold: float, most: int) -> int:
-    """Blocks until a false alarm on white noise, where the force hardly stands out of it."""
+    """Blocks until a false alarm on white noise of the size of the force."""
     watch = ChangeWatch(
         noise=1.0,
         block_norm=1.0,
@@ -60,16 +60,16 @@ def average_run_length(threshold: float) -> float:
 def test_false_alarms_are_as_rare_as_stated() -> None:
     threshold = 3.0
     found = np.mean([blocks_to_alarm(seed, threshold, 5000) for seed in range(150)])
-    # Relative: 150 runs tell their mean to 8 %, for a run length scatters as much as it is long.
+    # Relative: the mean of 150 run lengths is accurate to 8 %.
     assert found == pytest.approx(average_run_length(threshold), rel=0.3)
 
 
 def test_the_swing_of_a_law_that_is_not_exact_is_no_change() -> None:
-    # 15 % of the force in its third harmonic: far more than noise, in every cycle the same.
+    # 15 % of the force in its third harmonic: far above the noise and equal in every cycle.
     phase = np.arange(2000) * 2.0 * math.pi / 1000.0
     predicted = 100.0 * np.tanh(3.0 * np.sin(phase))
     swing = 15.0 * np.sin(3.0 * phase)
-    # What a fit leaves has nothing of the force itself in it.
+    # The residual of a fit is orthogonal to the force.
     swing -= fit_scale(predicted, swing).factor * predicted
     measured = predicted + swing + noise(0, 2000)
     watch = ChangeWatch.after_fit(predicted, measured, POINT, 0.02)
@@ -86,7 +86,7 @@ def test_without_force_there_is_nothing_to_compare() -> None:
         fit_scale(np.zeros(5), np.ones(5))
 
 
-# -- looks -----------------------------------------------------------------------------------
+# -- change checks ---------------------------------------------------------------------------
 
 
 # -- early fits ------------------------------------------------------------------------------
@@ -131,7 +131,7 @@ def test_a_step_is_fitted_before_the_hop_is_over(factor: float, tracker: str) ->
     assert f"the force changed by {factor - 1.0:+.0%} at t = " in report.reason
     assert report.reason.endswith("fitted early")
     told = float(report.reason.split("t = ")[1].split()[0]) - known.T0 * 1e-9
-    # Seconds: the same for a step of a damper that moves at 1 Hz.
+    # Seconds, for a damper that moves at 1 Hz.
     assert told == pytest.approx(STEP, abs=0.02)
     assert report.scale.value == pytest.approx(factor, rel=SCALE_ERROR)
     assert np.isnan(report.coefficient_errors).all()

@@ -1,4 +1,4 @@
-"""A stretch of motion holds a cycle where it shows the force at all signs of v and a."""
+"""A segment contains a cycle if it shows the force at all signs of v and a."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ COUNT = 2000
 
 
 def sine(cycles: float, phase: float = 0.0, noise: float = 0.0) -> np.ndarray:
-    """5 mm, so many cycles in 2000 samples, from a phase [cycles] on."""
+    """So many cycles of a 5 mm sine in 2000 samples, from a phase [cycles] on."""
     t = np.linspace(0.0, cycles, COUNT, endpoint=False)
     error = np.random.default_rng(0).normal(0.0, noise, COUNT) if noise else 0.0
     return np.asarray(5e-3 * np.sin(2.0 * np.pi * (t + phase)) + error)
@@ -34,12 +34,12 @@ def test_half_a_cycle_of_a_sine_is_none(cycles: float, phase: float, noise: floa
 
 @pytest.mark.parametrize("phase", [0.0, 0.5])
 def test_two_thirds_of_a_cycle_with_one_turn_are_none(phase: float) -> None:
-    # One direction is seen at one sign of the acceleration alone.
+    # One direction of motion occurs with only one sign of the acceleration.
     assert not holds_cycle(sine(0.7, phase))
 
 
 def test_a_turn_back_is_no_cycle() -> None:
-    # The parabola at the top of a slow sine moves up and down, but never slows down below.
+    # The parabola at the top of a slow sine moves up and down, but never decelerates at the bottom.
     assert not holds_cycle(sine(0.1, 0.2, 1e-6))
 
 

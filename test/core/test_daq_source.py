@@ -1,4 +1,4 @@
-"""The source `daq`: with devices that are not there, behind the real libraries where installed."""
+"""The source `daq`: with simulated devices, and with the real libraries where installed."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ def rig() -> Iterator[Callable[..., Streamed]]:
 def test_volts_become_metres_newtons_and_amperes(rig: Callable[..., Streamed]) -> None:
     made = rig(displacement_scale=-0.001, force_scale=100.0, force_offset=7.0, current_scale=2.0)
     made.until(lambda: made.samples >= 300)
-    # The simulated device: 5 V and 7 V at 1 Hz, and 1.5 V.
+    # The simulated device gives 5 V and 7 V at 1 Hz, and a constant 1.5 V.
     phase = np.arcsin(made.joined("displacement") / -0.005)
     assert np.ptp(made.joined("displacement")) > 0.002
     expected = 7.0 + 700.0 * np.tanh(3.0 * np.abs(np.cos(phase)))
@@ -64,7 +64,7 @@ def test_a_channel_at_the_end_of_its_range_is_left_out_and_told(
 
 
 def fake_device(portions: list[Any]) -> Portions[Any]:
-    """A device of two channels that gives what a test wants; lost where that is an error."""
+    """A device of two channels that yields these portions; an exception disconnects it."""
     yield None
     for portion in portions:
         if isinstance(portion, Exception):
@@ -81,7 +81,7 @@ def readings(first: int, count: int = 50) -> analog_input.Readings:
 
 @pytest.fixture
 def fake(monkeypatch: pytest.MonkeyPatch, rig: Callable[..., Streamed]) -> Callable[..., Streamed]:
-    """A rig whose device gives these portions, connection by connection."""
+    """A rig whose device yields these portions, one list per connection."""
 
     def make(*connections: list[Any]) -> Streamed:
         turns = iter(connections)
@@ -99,7 +99,7 @@ def test_a_device_that_is_lost_goes_on_after_a_gap(fake: Callable[..., Streamed]
     made = fake([readings(0), OSError("the cable")], [readings(1000)])
     made.until(lambda: made.samples >= 100)
     steps = np.diff(made.numbers())
-    # Half a second passes before it is connected to again.
+    # The source reconnects after half a second.
     assert steps.max() > 300
     assert np.count_nonzero(steps != 1) == 1
     times = [block.start_ns - START for block in made.blocks]
@@ -139,7 +139,7 @@ def test_a_library_that_is_missing_is_one_sentence(
 
 
 def fake_ni(monkeypatch: pytest.MonkeyPatch, volts: np.ndarray) -> Any:
-    """The real nidaqmx on a driver that gives these volts (2, n), then says that it is gone."""
+    """The real nidaqmx on a driver that yields these volts (2, n) and then disconnects."""
     nidaqmx = pytest.importorskip("nidaqmx")
     from nidaqmx._base_interpreter import BaseInterpreter
 
@@ -335,7 +335,7 @@ DEAD_DEVICE = 8
 
 
 class FakeUl:
-    """MCC's library as uldaq calls it: a scan into the ring that it was given, then an error."""
+    """MCC's library as uldaq calls it: a scan into the given ring buffer, then an error."""
 
     def __init__(self, volts: np.ndarray) -> None:
         self._volts = volts
@@ -346,7 +346,7 @@ class FakeUl:
         self.gone = False
 
     def __getattr__(self, name: str) -> Callable[..., int]:
-        """Any other function of it does nothing, well."""
+        """Any other function does nothing and reports success."""
 
         def function(*arguments: Any) -> int:
             self.calls.append(name)
@@ -355,7 +355,7 @@ class FakeUl:
         return function
 
     def loaded(self) -> Any:
-        """Its functions as of a library that was loaded: they can be told their types."""
+        """The functions as those of a loaded library: their argument types can be set."""
 
         class Library:
             def __getattr__(other, name: str) -> Callable[..., int]:  # noqa: N805
@@ -413,14 +413,14 @@ MCC = {"driver": "mcc", "displacement_channel": "3", "force_channel": "1"}
 
 @pytest.fixture
 def fake_mcc(monkeypatch: pytest.MonkeyPatch) -> Iterator[Callable[[np.ndarray], FakeUl]]:
-    """The real uldaq on a library that gives these volts (channels, n)."""
+    """The real uldaq on a library that yields these volts (channels, n)."""
     if find_spec("uldaq") is None:
         pytest.skip("uldaq is not installed")
 
     def make(volts: np.ndarray) -> FakeUl:
         fake = FakeUl(volts)
         with monkeypatch.context() as loading:
-            # It loads the library when it is imported.
+            # uldaq loads the library when it is imported.
             loading.setattr(ctypes, "CDLL", lambda name: fake.loaded())
             import_module("uldaq")
         return fake
@@ -496,7 +496,7 @@ def test_a_stream_of_the_lab_streaming_layer_comes_with_the_stamps_of_its_sender
     sent = 0
 
     def send() -> bool:
-        """Sends all that is due, and goes on until enough has come."""
+        """Send all samples that are due, until enough have arrived."""
         nonlocal sent
         while sent < (pylsl.local_clock() - begin) * 500.0:
             outlets[0].push_sample([float(sent), 2.0 * math.sin(sent / 50.0)], begin + sent / 500.0)

@@ -1,4 +1,4 @@
-"""What samples determine is said rightly, and the advised runs determine what they promise."""
+"""Determined parameters are named correctly, and the advised runs determine the others."""
 
 from __future__ import annotations
 
@@ -83,7 +83,7 @@ def test_open_combinations_are_those_that_the_samples_do_not_notice(seed: int, r
     for combination in result.open:
         if math.isinf(combination.standard_error):
             move = np.array([combination.weights.get(name, 0.0) for name in PARAMETER_NAMES])
-            # Small weights are left out of the words.
+            # The text omits small weights.
             unnoticed = 0.05 * np.linalg.norm(jacobian, axis=0).sum()
             assert np.linalg.norm(jacobian @ move) <= unnoticed
 
@@ -102,7 +102,7 @@ def test_every_current_that_a_window_passes_through_counts(
     held = np.repeat(levels, -(-whole.sample_count // len(levels)))[: whole.sample_count]
     springs = MODELS["series_springs"]
     names = varied_parameters(springs, *operating_points_within([replace(whole, current=held)]))
-    # The yield force is a polynomial of the third order: each coefficient asks for one more.
+    # The yield force is a cubic polynomial: each further coefficient needs one more current.
     terms = [name for name in ("f_y", "f_y_1", "f_y_2", "f_y_3") if name in names]
     assert len(terms) == min(most, 4)
 
@@ -111,7 +111,7 @@ def test_every_current_that_a_window_passes_through_counts(
 
 
 def flags(chosen: list[Window]) -> np.ndarray:
-    """What the identification calls observable."""
+    """Observable flags of the identification."""
     names = varied_parameters(SIGMOID, *operating_points_within(chosen))
     return np.array([name in names for name in PARAMETER_NAMES])
 

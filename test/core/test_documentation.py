@@ -1,4 +1,4 @@
-"""What the README, the documentation, the docstrings and the examples show is run."""
+"""All code in the README, the documentation, the docstrings and the examples is run."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ PROGRAMS = {
 
 
 def blocks(language: str) -> list[tuple[Path, str]]:
-    """The code of a language on all pages that are kept, not made."""
+    """The code blocks of a language on all pages that are not generated."""
     return [
         (page, code)
         for page in PAGES
@@ -37,7 +37,7 @@ def blocks(language: str) -> list[tuple[Path, str]]:
 
 
 def examples() -> list[str]:
-    """Modules without ROS whose docstrings have examples."""
+    """Modules without ROS that have examples in their docstrings."""
     folder = ROOT / "mr_damper_ros"
     return [
         ".".join(path.relative_to(ROOT).with_suffix("").parts).removesuffix(".__init__")
@@ -56,7 +56,7 @@ COMMANDS = [block for block in blocks("bash") if any(f"{name} " in block[1] for 
 
 @pytest.fixture
 def clone(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """A folder in which paths of the clone are right, and files may be written."""
+    """A folder in which paths of the clone are valid and files may be written."""
     for name in ("bags", "doc"):
         (tmp_path / name).symlink_to(ROOT / name)
     monkeypatch.chdir(tmp_path)
@@ -105,7 +105,7 @@ def test_pages_link_to_what_is_there() -> None:
     assert missing == []
 
 
-# -- the examples run, on the data that ships with the package -------------------------------------
+# -- the examples run on the data of the package ---------------------------------------------------
 
 TOP = Path(__file__).parents[2]
 EXAMPLES = sorted((TOP / "examples").glob("*.py"))

@@ -1,4 +1,4 @@
-"""The emulated rig: true kinematics, true physics, and the same stream however it is cut."""
+"""The emulated rig: true kinematics, true physics, and streams independent of the block size."""
 
 from __future__ import annotations
 
@@ -41,12 +41,12 @@ def test_a_motion_has_its_own_derivatives(motion: Excitation) -> None:
     time = np.linspace(0.013, 5.871, 400)
     step = 1e-6
     slope = (motion.at(time + step).displacement - motion.at(time - step).displacement) / 2 / step
-    # [m/s]: curvature and rounding of differences of a motion of 10 mm over 2 µs.
+    # [m/s]: curvature and rounding in differences of a 10 mm motion over 2 µs.
     np.testing.assert_allclose(motion.at(time).velocity, slope, rtol=0.0, atol=1e-9)
     time = np.linspace(0.0131, 5.871, 400)
     step = 1e-6
     slope = (motion.at(time + step).velocity - motion.at(time - step).velocity) / 2 / step
-    # [m/s²]: the same of its velocity.
+    # [m/s²]: curvature and rounding in differences of its velocity.
     np.testing.assert_allclose(motion.at(time).acceleration, slope, rtol=0.0, atol=1e-7)
 
 
@@ -95,7 +95,7 @@ def test_the_size_of_the_blocks_does_not_change_the_stream(sizes: list[int]) -> 
 
 
 def test_the_heat_balance_closes() -> None:
-    # Without convection every joule of the stroke is in the damper.
+    # Without convection all the work of the stroke heats the damper.
     thermal = ThermalModel(capacity=100.0, conductance=0.0)
     rig = EmulatedRig(
         EmulatedDamper(THESIS_28_CELSIUS), SINE, 1.5, settings=SILENT, thermal=thermal
@@ -103,7 +103,7 @@ def test_the_heat_balance_closes() -> None:
     block = rig.next_block(2001)
     velocity = SINE.at(np.arange(2000) * 1e-3).velocity
     energy = float(np.sum(block.force[:2000] * velocity) * 1e-3)
-    # Relative: 2000 roundings of 28 °C are 2e-13 of the rise, if they add up at random.
+    # Relative: 2000 random roundings of 28 °C add up to 2e-13 of the rise.
     assert block.temperature[2000] - 28.0 == pytest.approx(energy / 100.0, rel=1e-12, abs=0.0)
     assert energy > 0.0
 

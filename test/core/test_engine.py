@@ -1,4 +1,4 @@
-"""The engine: identification and prediction of one stream, joined as the nodes are."""
+"""The engine: identification and prediction of one stream, connected as in the nodes."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A set is exchanged only where it is better beyond chance."""
+"""A set is replaced only if the new one is significantly better."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ from mr_damper_ros.tracking.acceptance import (
 N = 1000
 
 CHANCE = 0.15
-"""Three standard errors of the mean of so many leads, of their deviation two more."""
+"""Three standard errors of the mean lead, plus two of its standard deviation."""
 
 
 def noise(memory: float, seed: int) -> Array:
@@ -36,7 +36,7 @@ def noise(memory: float, seed: int) -> Array:
 
 
 def lead(memory: float, seed: int, ahead: float) -> float:
-    """Lead of one of two forces that lie 0.1 apart, the truth ``ahead`` towards the new one."""
+    """Lead of a new force over an old one 0.1 away; the truth lies ``ahead`` of the middle."""
     loop = np.sin(np.arange(N) / 80.0)
     old, new = 100.0 * loop, 100.1 * loop
     measured = 0.5 * (old + new) + ahead * (new - old) + noise(memory, seed)
@@ -63,7 +63,7 @@ def test_without_noise_the_better_force_is_infinitely_ahead() -> None:
 def test_nothing_is_held_back_of_what_was_seen(seen: int) -> None:
     validation = validation_mask(N, N - seen)
     assert not validation[:seen].any()
-    # Samples: a chunk is as many long, but for one more or less, and every fourth is held back.
+    # Every fourth chunk is for validation; the lengths of the chunks differ by one sample.
     assert validation.sum() == pytest.approx((N - seen) / 4, abs=10)
 
 
@@ -79,7 +79,7 @@ def test_the_running_set_is_judged_by_the_force_that_it_predicts() -> None:
 
 
 def test_a_force_that_does_not_jump_is_judged_as_it_is_predicted() -> None:
-    # Where the acceleration turns within a stroke, the law that jumps takes another branch.
+    # Where the acceleration reverses within a stroke, the law that jumps changes its branch.
     time = np.arange(N) * known.PERIOD
     displacement = 5e-3 * np.sin(9.0 * time) + 4e-4 * np.sin(60.0 * time)
     found = ParameterSet(known.PLAUSIBLE)
@@ -93,7 +93,7 @@ def test_a_force_that_does_not_jump_is_judged_as_it_is_predicted() -> None:
 
 
 def loss_of(values: Array) -> float:
-    """Of a set (16,) found at 1 A, where the running set is right at 1.4 A."""
+    """Loss of a set (16,) fitted at 1 A, where the running set is right at 1.4 A."""
     run = known.run(scaled(values, 1.0))
     running = ParameterSet(known.PLAUSIBLE, observable=np.ones(16, dtype=bool))
     elsewhere = (known.run(current=1.4, seed=1).window,)

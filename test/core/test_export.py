@@ -1,4 +1,4 @@
-"""What is exported is the law: point by point, and along a stream."""
+"""Exported code computes the law, both for single points and along a stream."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ from mr_damper_ros.tools import export
 POINTS = 5000
 
 SAME = 1e-9
-"""Relative; of a force next to nothing, of a newton."""
+"""Relative to the force, or to 1 N if the force is smaller."""
 
 LATE = np.array([*PLAUSIBLE, 3e-8, 2000.0, -40.0, 0.008])
 
@@ -121,12 +121,12 @@ def test_the_c_code_is_that_of_the_package(law: ExportedLaw, compiled: Compiled)
     current = np.where(np.sin(7.0 * time) > 0.3, 1.2, 0.2)
     got = compiled.stream(displacement, current, 0.02)
     expected = expected_stream(law, displacement, current, 0.02)
-    # Of the largest force: what the observer has rounded goes through its gain.
+    # Of the largest force: rounding in the observer, amplified by its gain.
     assert np.abs(got - expected).max() <= 1e-7 * np.abs(expected).max()
 
 
 def wanted_forces(law: ExportedLaw, count: int) -> tuple[Array, Array]:
-    """Inputs (n, 5) and forces [N] (n,), some of which no current gives; ``count`` is about n."""
+    """About ``count`` inputs (n, 5) and desired forces [N] (n,), some of them not attainable."""
     inputs = Vectors.of(law, count, seed=1).inputs
     inputs = np.ascontiguousarray(inputs[np.abs(inputs[:, 0]) < 1.0])
     least, most = attainable(law, inputs)
@@ -135,7 +135,7 @@ def wanted_forces(law: ExportedLaw, count: int) -> tuple[Array, Array]:
 
 
 def attainable(law: ExportedLaw, inputs: Array) -> tuple[Array, Array]:
-    """Least and most force [N] (n,) over the current."""
+    """Smallest and largest force [N] (n,) over the current."""
     every = np.linspace(law.nodes[0], law.nodes[-1], 201)
     forces = np.stack(
         [law.formulas.expected(law.parameters.values, _at(inputs, i))[1] for i in every]
@@ -144,15 +144,15 @@ def attainable(law: ExportedLaw, inputs: Array) -> tuple[Array, Array]:
 
 
 def assert_gives(law: ExportedLaw, inputs: Array, wanted: Array, current: Array) -> None:
-    """The currents (n,) give the forces that are wanted, or the nearest."""
+    """Assert that the currents (n,) give the desired forces, or the nearest ones."""
     least, most = attainable(law, inputs)
     assert current.min() >= law.nodes[0]
     assert current.max() <= law.nodes[-1]
     force = law.formulas.expected(law.parameters.values, _at(inputs, current))[1]
     further = np.abs(force - wanted) - np.abs(np.clip(wanted, least, most) - wanted)
     size = np.maximum(np.maximum(np.abs(least), np.abs(most)), 1.0)
-    if law.parameters.model == "sigmoid":  # that of the other is late, and has an offset
-        # Of the span: what the inverse allows itself, and the rounding of that.
+    if law.parameters.model == "sigmoid":  # the force of the other law has a lag and an offset
+        # Of the span: the tolerance of the inverse, and its rounding.
         assert np.all(further <= 1.1e-6 * (most - least) + SAME * size)
 
 
@@ -163,7 +163,7 @@ def _at(inputs: Array, current: Array | float) -> Array:
 
 
 def expected_stream(law: ExportedLaw, displacement: Array, current: Array, centre: float) -> Array:
-    """The force of the stream by the classes of this package."""
+    """Force of the stream, computed by the classes of this package."""
     period = law.settings.period
     observer = CausalDifferentiator(period, law.settings.bandwidth)
     peak = PeakVelocity(period, MEMORY)
@@ -184,7 +184,7 @@ def expected_stream(law: ExportedLaw, displacement: Array, current: Array, centr
 
 
 def test_the_m_code_is_the_law_point_by_point(law: ExportedLaw) -> None:
-    """Its formulas are straight lines of operators and functions that Python has, too."""
+    """Its formulas contain only operators and functions that Python has too."""
     vectors = Vectors.of(law, 2000)
     names: dict[str, Any] = {
         "exp": np.exp,
@@ -211,7 +211,7 @@ needs_octave = pytest.mark.skipif(
 
 
 def octave(law: ExportedLaw, folder: Path, script: str) -> Array:
-    """The numbers that a script prints beside the M-code of a law."""
+    """Numbers that a script prints when it is run with the M-code of a law."""
     for name, text in functions(law).items():
         (folder / name).write_text(text)
     printed = said("octave", "--no-gui", "--quiet", "--eval", script, cwd=folder)

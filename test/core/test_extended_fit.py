@@ -1,4 +1,4 @@
-"""Identification of the extended law: compliance, stiffness and offset with the sixteen."""
+"""Identification of the extended law: compliance, stiffness and offset besides the sixteen."""
 
 from __future__ import annotations
 
@@ -31,24 +31,24 @@ LAW = MODELS["sigmoid_lag"]
 TRUTH = np.append(known.PLAUSIBLE, [3e-8, 1500.0, -40.0, 0.0])
 PERIOD = 1e-3
 LEAD_IN = 500
-"""Samples before a window, in which the lag of the truth settles."""
+"""Samples before a window, in which the true lag settles."""
 
 STANDARD_ERRORS = 4.0
-"""By which an estimate may miss the truth: of a few dozen, one in some hundred tests would not."""
+"""Largest error of an estimate in standard errors; one test in a hundred exceeds it by chance."""
 
 BY_DIFFERENCES = 1e-4
-"""Relative to the largest derivative: what the curvature adds to a difference of such steps."""
+"""Relative to the largest derivative: the curvature error of these finite differences."""
 
 FINE = 1e-3
-"""Relative to the spread of the force: what interpolation may cost."""
+"""Relative to the spread of the force: the interpolation error."""
 
 
 @cache
 def window(
     frequency: float = 1.0, current: float = 1.0, seed: int | None = 0, samples: int = 2000
 ) -> Window:
-    """A window of the known damper: a sine, or a random motion where the frequency is 0."""
-    # A steady sine is known between the samples too: the damper is simulated finer.
+    """A window of the known damper: a sine, or a random motion if the frequency is 0."""
+    # A sine is known between the samples too, so the damper is simulated with a finer step.
     finer = 1 if frequency == 0.0 else 10
     time = np.arange((LEAD_IN + samples) * finer) * PERIOD / finer
     if frequency == 0.0:
@@ -63,7 +63,7 @@ def window(
     return whole.part(slice(LEAD_IN, None))
 
 
-# The slow window is one cycle: in less some of the scales are open.
+# The slow window is one cycle; less would leave some of the scales undetermined.
 MOTIONS = pytest.mark.parametrize("frequency", [0.5, 3.0, 0.0], ids=["slow", "fast", "random"])
 
 
@@ -79,7 +79,7 @@ def test_a_part_sees_the_lag_of_the_whole(frequency):
     thinned = whole.thinned(100)
     assert 100 <= thinned.sample_count < 200
     error = EXTENDED.window_force(thinned, TRUTH) - thinned.force
-    # Times that: what it may cost where samples are left out too.
+    # Leaving out samples may cost five times the interpolation error.
     assert known.rms(error) < 5.0 * FINE * np.std(whole.force)
 
 
@@ -147,11 +147,11 @@ def test_the_extension_is_found_with_the_sixteen(found):
     assert got.model == "sigmoid_lag"
     errors = (got.values - TRUTH)[16:19] / got.standard_errors[16:19]
     assert np.max(np.abs(errors)) < STANDARD_ERRORS
-    # Relative: these runs determine lag and stiffness to this part, so that errors of 4 mean much.
+    # Relative: these runs determine lag and stiffness to 5 %, so that four standard errors are few.
     np.testing.assert_allclose(got.values[16:18], TRUTH[16:18], rtol=0.2)
     windows = runs(TRUTH[16:], CURRENTS)
     left = [EXTENDED.window_force(w, found.parameter_set.values) - w.force for w in windows]
-    # RMSE over the noise, which 9600 samples tell to 0.7 %.
+    # RMSE over the noise, which 9600 samples determine to 0.7 %.
     assert known.rms(np.concatenate(left)) < 1.02 * known.NOISE
     assert found.parameter_set.observable[16:19].all()
     block = found.covariance[16:19, 16:19]
@@ -167,7 +167,7 @@ def test_the_extension_is_found_with_the_sixteen(found):
 
 @pytest.mark.parametrize("seed", [0, 1])
 def test_the_richer_law_leaves_no_more_than_the_one_that_it_contains(seed):
-    """Of a force that neither follows: it starts from what the simpler law has found."""
+    """If neither law follows the force, the extended fit starts from that of the simpler law."""
     run = known.run(seed=seed, samples=500, period=4e-3)
     time = np.arange(run.force.size) * run.period
     force = run.force + 60.0 * np.sin(2.0 * np.pi * 5.0 * time + seed)
@@ -175,7 +175,7 @@ def test_the_richer_law_leaves_no_more_than_the_one_that_it_contains(seed):
     plain = identify_global(SIGMOID, [window], LITERATURE, QUICK)
     start = EXTENDED.from_simpler(LITERATURE)
     rich = identify_global(EXTENDED, [window], start, QUICK)
-    # Factor by which rounding may tell two equal NRMSE apart.
+    # Relative: rounding of two equal NRMSE.
     assert rich.nrmse[0] <= plain.nrmse[0] * (1.0 + 1e-6)
     assert any("simpler law" in candidate.origin for candidate in rich.candidates)
 
@@ -188,7 +188,7 @@ ROUNDING = 1e-9
 """Relative to a signal of unit size."""
 
 LARGEST = 1e3
-"""Largest constant that is lagged; its rounding is as much larger."""
+"""Largest constant that is filtered; rounding grows in proportion."""
 
 CHANGING = 5e-3 + 4e-3 * np.abs(np.sin(np.arange(COUNT) / 50.0))
 
@@ -202,7 +202,7 @@ def constant(tau: float) -> np.ndarray:
 
 
 def recursion(values: np.ndarray, tau: np.ndarray) -> np.ndarray:
-    """The lag as written in its definition, step by step."""
+    """The lag as defined, step by step."""
     late = np.array(values)
     for k in range(1, len(values)):
         ratio = PERIOD / (0.5 * (tau[k - 1] + tau[k]))
@@ -227,7 +227,7 @@ def test_a_periodic_lag_is_the_lag_after_many_periods(tau):
     taus = CHANGING if tau == "changing" else constant(tau)
     often = int(30.0 * taus.max() / (COUNT * PERIOD)) + 2
     expected = FirstOrderLag(np.tile(taus, often), PERIOD)(np.tile(values, often))[-COUNT:]
-    # Where the periods meet, the mean of two time constants is the same in both.
+    # At the boundary of two periods both have the same mean of two time constants.
     np.testing.assert_allclose(
         FirstOrderLag(taus, PERIOD, periodic=True)(values), expected, atol=ROUNDING
     )

@@ -1,4 +1,4 @@
-"""The fault library: each fault does what its name says, when it says, and nothing else."""
+"""The fault library: each fault has the named effect at the given time, and no other."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ HARMLESS = {
     *(f"{channel}_{kind}" for channel in ("current", "temperature") for kind in ("stuck", "delay")),
     *("current_sluggish", "temperature_sluggish"),
 }
-"""What stays the same cannot be seen to be stuck or late."""
+"""Faults that do not show in a constant signal."""
 
 STRONG = {
     **{f"{channel}_clip": 1e-3 for channel in CHANNELS},
@@ -40,13 +40,13 @@ STRONG = {
     **{f"{channel}_{kind}": 50.0 for channel in CHANNELS for kind in ("dropouts", "nan")},
     "lost_blocks": 0.5,
 }
-"""Values that show for certain within 0.3 s, where the usual ones may not."""
+"""Values that show within 0.3 s; the default ones may not."""
 
 OTHER_MOTION = {"amplitude", "tempo"}
 
 
 def sent_each_time(text: str = "", size: int = SIZE) -> list[list[RigBlock]]:
-    """What a rig with a fault sends in 1.2 s, each time that it has made a block."""
+    """Blocks that a rig with a fault sends during 1.2 s, as one list per block made."""
     faults = faults_of(text.split())
     rig = EmulatedRig(
         EmulatedDamper(PLAUSIBLE), SineMotion(0.005, 2.0), 1.0, settings=SETTINGS, faults=faults
@@ -57,7 +57,7 @@ def sent_each_time(text: str = "", size: int = SIZE) -> list[list[RigBlock]]:
 
 
 def sent(text: str = "", size: int = SIZE) -> list[RigBlock]:
-    """The same in a row."""
+    """All blocks that a rig with a fault sends during 1.2 s."""
     return [block for blocks in sent_each_time(text, size) for block in blocks]
 
 
@@ -69,7 +69,7 @@ HEALTHY = sent()
 
 
 def same(one: list[RigBlock], other: list[RigBlock]) -> bool:
-    """Whether two streams are the same to the last bit, stamps and order included."""
+    """Whether two streams are identical to the last bit, stamps and order included."""
     return len(one) == len(other) and all(
         (a.start_ns, a.sequence, a.period, a.supply_ahead_ns)
         == (b.start_ns, b.sequence, b.period, b.supply_ahead_ns)
@@ -97,7 +97,7 @@ def test_a_fault_shows(name: str) -> None:
 def test_a_change_of_motion_does_not_jump(name: str) -> None:
     moved = values(sent(f"{name}@{BEGIN}-{END}"), "displacement")
     fastest = 2.0 * np.pi * 2.0 * 0.005 * 1e-3
-    # The ramp of 0.1 s adds some speed of its own: 5 mm in 0.1 s, twice that at its steepest.
+    # The ramp of 0.1 s adds speed: 5 mm in 0.1 s, twice that at its steepest.
     assert np.abs(np.diff(moved)).max() < fastest + 2.0 * 0.005 / 100.0
 
 

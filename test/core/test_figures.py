@@ -1,4 +1,4 @@
-"""The figure of measured and predicted force: what stands on it, and the files it goes to."""
+"""The figure of measured and predicted force: its content, and its file formats."""
 
 from __future__ import annotations
 
