@@ -256,7 +256,7 @@ def blocks(
 def followed(
     tracker: WindowTracker, displacement: Array, force: Array, current: float
 ) -> list[Report]:
-    """Reports of a tracker fed with a stream: windows of 2 s, one a second, with three looks."""
+    """Reports of a tracker on a stream: 2 s windows, one per second, with three change checks."""
     assembler = WindowAssembler(WindowSettings(2.0, 1.0, looks=3))
     ready = assembler.add_current(T0, current)
     for block in blocks(displacement, force, [100]):

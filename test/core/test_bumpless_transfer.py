@@ -86,7 +86,7 @@ def test_a_set_that_somebody_gives_counts_at_once() -> None:
 
 @pytest.mark.parametrize(("before", "after"), [(1.6, 1.0), (1.3, 1.15)])
 def test_what_is_left_of_a_wrong_force_is_not_valid(before: float, after: float) -> None:
-    """Nor where that of the set in use is off, too, and each of both is within what is allowed."""
+    """A remaining force error is invalid, even if the old set is off too and both are tolerated."""
     truth = forces(predicted(set_of("sigmoid")))
     sets = set_of("sigmoid", before), set_of("sigmoid", after)
     rest = predicted(*sets, force=truth)[CHANGED:]

@@ -1,4 +1,4 @@
-"""The force over temperature: known, learnt by a tracker, and written by a program."""
+"""Temperature maps of the force: known ones, those learnt by a tracker, and those of a program."""
 
 from __future__ import annotations
 
@@ -80,12 +80,12 @@ def test_the_inverse_is_the_inverse(rate: float, span: float, seed: int) -> None
     found = fitted(*observed(seed, rate=rate, span=span))
     for celsius in np.linspace(found.low, found.high, 7)[1:-1]:
         again = found.temperature(found.scale(celsius))
-        # Kelvin: rounding, of which the root of a nearly straight parabola makes more.
+        # Kelvin: rounding, amplified by the root of a nearly straight parabola.
         assert again.celsius == pytest.approx(celsius, abs=1e-6)
 
 
 def test_the_standard_errors_are_true() -> None:
-    """The temperature of a new window lies where its standard error says."""
+    """The errors of the temperature of a new window agree with its standard error."""
     deviations = []
     for seed in range(200):
         found = fitted(*observed(seed))
@@ -93,12 +93,12 @@ def test_the_standard_errors_are_true() -> None:
         value = math.exp(-7e-3 * 20.0) * (1.0 + noise)
         told = found.temperature(ForceScale(value, ERROR * value))
         deviations.append((told.celsius - 50.0) / told.standard_error)
-    # Of a standard deviation of 1 that 200 draws tell: four of its standard errors of 5 %.
+    # Of a standard deviation of 1 from 200 draws: four of its standard errors of 5 %.
     assert np.std(deviations) == pytest.approx(1.0, abs=0.2)
 
 
 def test_the_error_of_the_temperature_holds_the_scatter_about_the_map() -> None:
-    """Though the scales of the windows claim to be ten times as good as they are."""
+    """It is included even if the windows state errors ten times too small."""
     celsius, scales, errors = observed()
     found = fitted(celsius, scales, 0.1 * errors)
     told = found.temperature(ForceScale(found.scale(50.0).value, 0.1 * ERROR))
@@ -146,7 +146,7 @@ def test_what_is_kept_of_a_long_run_is_bounded_and_says_the_same() -> None:
     assert (kept.low, kept.high) == (whole.low, whole.high)
     middle = 0.5 * (whole.low + whole.high)
     expected = whole.scale(middle).value
-    # Of the error of one window, by which a map of kept points may differ from one of all points.
+    # Of the error of one window: difference of maps of the stored points and of all points.
     assert kept.scale(middle).value == pytest.approx(expected, abs=0.2 * ERROR)
 
 
@@ -155,7 +155,7 @@ def test_what_is_kept_of_a_long_run_is_bounded_and_says_the_same() -> None:
 COLD, HOT = 28.0, 71.0
 SAMPLES = 1000
 WARMING = 24
-"""Windows from 28 to 71 °C."""
+"""Number of windows from 28 to 71 °C."""
 
 
 def warmed(number: int, celsius: float, *, thermometer: bool) -> RawWindow:
@@ -177,7 +177,7 @@ def new() -> WindowTracker:
 
 @cache
 def warming() -> tuple[str, ParameterSet, tuple[Report, ...]]:
-    """The memory, the running set and the reports of a tracker that has seen the warming."""
+    """The memory, the running set and the reports of a tracker that has followed the warming."""
     tracked = new()
     reports = [
         known.fed(tracked, warmed(number, celsius, thermometer=True))[0]
@@ -194,22 +194,21 @@ def experienced() -> WindowTracker:
 
 
 def test_where_it_is_not_it_is_estimated_from_the_force() -> None:
-    """Also by a tracker that was started anew with what the other had learnt."""
+    """A tracker restarted with the stored memory estimates it too."""
     tracked = experienced()
     for number, celsius in enumerate((65.0, 50.0, 40.0, 32.0), start=WARMING):
         (report,) = known.fed(tracked, warmed(number, celsius, thermometer=False))
         assert math.isnan(report.temperature)
-        # By which an estimate may miss the truth: one in some ten thousand would by chance.
-        # Kelvin by which a curve in ln s may differ from the known damper's straight line in F.
+        # Four standard errors, and 0.1 K for the map, a curve in ln s, against the straight line in
+        # F.
         allowed = 4.0 * report.fluid.standard_error + 0.1
         assert abs(report.fluid.celsius - celsius) < allowed
-        # Kelvin: a temperature that is known no better than this would say little of 43 K of
-        # warming.
+        # Kelvin: a larger error would be useless for a warming of 43 K.
         assert allowed < 2.0
 
 
 def leaked(tracked: WindowTracker, later: float) -> Report:
-    """A look at a damper that has lost a fifth of its force, so many windows after the last."""
+    """Change check on a damper that lost a fifth of its force ``later`` windows after the last."""
     before = warmed(WARMING, 50.0, thermometer=False)
     known.fed(tracked, before)
     window = warmed(WARMING + 1, 50.0, thermometer=False)
@@ -226,14 +225,14 @@ def leaked(tracked: WindowTracker, later: float) -> Report:
 
 
 def test_a_sudden_change_forgets_the_map() -> None:
-    """A damper that has lost a fifth of its force while one looked on is not a warm one."""
+    """A sudden loss of a fifth of the force must not be taken for warming."""
     tracked = experienced()
     early = leaked(tracked, 0.5)
     assert not any(record.temperatures.size for record in tracked.points.records)
     assert math.isnan(early.fluid.celsius)
 
 
-# -- temperature maps of bags: from those with a thermometer, and only from those ------------------
+# -- temperature maps of bags, for which a thermometer is required ---------------------------------
 
 COLD_SET = ParameterSet(THESIS_28_CELSIUS)
 
@@ -255,12 +254,12 @@ def test_a_bag_with_a_thermometer_gives_the_map(tmp_path: Path) -> None:
     (found,) = temperature_maps([measured_run(tmp_path / "bag")], COLD_SET)
     # [m/s] and [A] of the operating point of a steady run.
     assert found.operating_point == pytest.approx((0.0314, 1.5), abs=1e-3)
-    # Force at 71 °C over that at 28 °C, as the loops of the two published sets have it.
+    # Ratio of the forces at 71 °C and 28 °C in the loops of the two published sets.
     expected = 1.0 - (1.0 - 0.7561) * (found.high - found.low) / (HOT - COLD)
-    # Kelvin of the 43 from cold to hot that the map must reach over: the last windows stay below.
+    # Kelvin: the map must cover most of the 43 K; the last windows end a little earlier.
     assert found.high - found.low > 35.0
     ratio = found.scale(found.high).value / found.scale(found.low).value
-    # Of the ratio of two forces: noise, and a curve in ln s for a straight line in F.
+    # Noise of a ratio of two forces, and the difference between a curve in ln s and a line in F.
     assert ratio == pytest.approx(expected, abs=0.01)
 
 

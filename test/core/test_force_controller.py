@@ -1,4 +1,4 @@
-"""Control of the force: what is wanted comes, and nothing uncertain is commanded."""
+"""Force control: the desired force is reached, and no uncertain current is commanded."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ WHOLE = ParameterSet(
 )
 
 TRACKED = 0.1
-"""NRMSE of the force against the wanted one, where that can be had: the bar for a lag of 10 ms."""
+"""NRMSE against the desired force where it is attainable; the bound for a lag of 10 ms."""
 
 SETTLED = 2.5
 """Seconds after which motion and peak velocity are known."""
@@ -54,7 +54,7 @@ SETTLED = 2.5
 
 @dataclass(frozen=True, eq=False)
 class ControlTrial:
-    """What was wanted, could be had and came; arrays (n,), commands by block."""
+    """Desired, attainable and actual force; arrays (n,), commands by block."""
 
     wanted: Array
     attainable: np.ndarray
@@ -63,13 +63,13 @@ class ControlTrial:
 
     @property
     def nrmse(self) -> float:
-        """Of the samples whose wanted force could be had."""
+        """NRMSE over the samples with an attainable desired force."""
         error = (self.force - self.wanted)[self.attainable]
         return float(np.sqrt(np.mean(error**2)) / np.std(self.force))
 
 
 class ControlLoop:
-    """A rig whose supply does what the controller commands, from the next block on."""
+    """A rig whose supply follows the controller's commands from the next block on."""
 
     def __init__(
         self,
@@ -95,7 +95,7 @@ class ControlLoop:
         self._rig.live = True
 
     def blocks(self, duration: float) -> Iterator[SampleBlock]:
-        """Blocks of samples, whose currents the controller has been told."""
+        """Blocks of samples; the controller has received their currents."""
         for number in range(round(duration / PERIOD / BLOCK)):
             made = self._rig.next_block(BLOCK)
             for place in range(BLOCK):
@@ -104,7 +104,7 @@ class ControlLoop:
             yield SampleBlock(made.start_ns, made.sequence, PERIOD, made.displacement, made.force)
 
     def command(self, current: float) -> None:
-        """Turn the supply."""
+        """Set the supply current."""
         self._times.append(self._now)
         self._currents.append(current)
 
@@ -112,7 +112,7 @@ class ControlLoop:
 def settings(
     feedback_gain: float = 0.0, safe_current: float = 0.0, **changes: float
 ) -> ForceControlSettings:
-    """Of a controller whose samples have no age by the clock."""
+    """Settings of a controller that ignores the age of samples."""
     return ForceControlSettings(
         feedback=FeedbackSettings(feedback_gain=feedback_gain),
         fallback=FallbackSettings(safe_current=safe_current),
@@ -128,7 +128,7 @@ def controlled(parameters: ParameterSet, **changes: float) -> ForceController:
 
 
 def tracked(loop: ControlLoop, demand: float, duration: float = 5.5) -> ControlTrial:
-    """Want a viscous damper of so many N s/m, by the motion of the block before."""
+    """Track the force of a viscous damper [N s/m] at the velocity of the previous block."""
     wanted, attainable, forces, commands = [], [], [], []
     velocity, last = 0.0, None
     for block in loop.blocks(duration):
@@ -151,7 +151,7 @@ def tracked(loop: ControlLoop, demand: float, duration: float = 5.5) -> ControlT
 
 
 def lagging_coil(name: str, time_constant: float) -> ParameterSet:
-    """The damper with a coil that lags."""
+    """The damper with a coil lag."""
     values = np.pad(PLAUSIBLE, (0, 4)) if name == "sigmoid_lag" else EXAMPLES[name].copy()
     values[-1] = time_constant
     return ParameterSet(
@@ -189,7 +189,7 @@ def test_feedback_makes_good_a_damper_that_has_got_weaker() -> None:
     assert controller.feedback_factor == pytest.approx(1.0 / 0.9, abs=0.04)
 
 
-# -- nothing uncertain -----------------------------------------------------------------------------
+# -- uncertain forces ------------------------------------------------------------------------------
 
 
 def after(
@@ -199,7 +199,7 @@ def after(
     noise: float = 0.0,
     damper: Damper | None = None,
 ) -> Command:
-    """The last command of a sine during which a force was wanted all the time."""
+    """The last command after a sine with a constant desired force."""
     loop = ControlLoop(
         controller,
         damper or EmulatedDamper(WHOLE),
@@ -228,7 +228,7 @@ def test_without_a_desired_force_the_current_is_safe() -> None:
 
 
 def test_an_endless_desired_force_is_followed_as_far_as_the_damper_can() -> None:
-    """The highest current where the force resists the motion, the lowest where it would not."""
+    """The highest current if the force opposes the motion, otherwise the lowest."""
     controller = controlled(WHOLE)
     loop = ControlLoop(controller, EmulatedDamper(WHOLE), excitation=SineMotion(5e-3, 1.0))
     currents: dict[bool, list[float]] = {True: [], False: []}
@@ -290,7 +290,7 @@ def test_no_current_beyond_the_identified_ones_is_commanded() -> None:
 
 
 def reached(damper: Damper, duration: float = 12.0, **changes: float) -> tuple[float, bool]:
-    """The highest current of a run of a damper known up to 0.4 A; whether more was asked for."""
+    """Highest current of a damper identified up to 0.4 A, and whether more was requested."""
     known = replace(WHOLE, current_range=(0.0, 0.4))
     trial = tracked(ControlLoop(controlled(known, **changes), damper), 40e3, duration)
     commands = trial.commands
@@ -309,7 +309,7 @@ def test_without_probing_it_says_that_unknown_currents_are_needed() -> None:
 
 
 def test_it_does_not_probe_on_once_the_force_is_wrong() -> None:
-    """A damper that gives no more at more than 0.4 A, unlike its set."""
+    """The force of the damper saturates at 0.4 A, unlike that of its set."""
 
     class Saturated(EmulatedDamper):
         def force(self, motion: Any, current: Array, celsius: float, period: float) -> Array:
@@ -320,7 +320,7 @@ def test_it_does_not_probe_on_once_the_force_is_wrong() -> None:
 
 
 def test_a_coil_that_lags_is_not_hurried_by_currents_beyond_the_identified_ones() -> None:
-    """The force would not be valid for them: each rise would end in the safe current."""
+    """The force would be invalid at such currents, and each rise would end at the safe current."""
     late = replace(lagging_coil("sigmoid_lag", 0.03), current_range=(0.0, 0.4))
     trial = tracked(ControlLoop(controlled(late), EmulatedDamper(late)), 12e3)
     assert max(command.current for command in trial.commands) == 0.4
@@ -337,14 +337,14 @@ def test_a_prediction_that_the_measured_force_belies_commands_nothing() -> None:
     assert command.current == 0.0
 
 
-# -- a doubt of a moment ---------------------------------------------------------------------------
+# -- a short invalid period ------------------------------------------------------------------------
 
 SPAN = 2.0
 STEP = 0.01
 
 
 def currents_of(fallback: Fallback, course: str, wanted: float = 1.0) -> list[float]:
-    """The currents [A] of blocks in control (.) and in doubt (?), each of a hundredth second."""
+    """Currents [A] of blocks of 10 ms with a valid (.) or invalid (?) force."""
     made = [0.0]
     for each in course:
         if fallback.follow(STEP, doubted=each == "?"):
@@ -355,7 +355,7 @@ def currents_of(fallback: Fallback, course: str, wanted: float = 1.0) -> list[fl
 
 
 def begun(**changes: Any) -> Fallback:
-    """One that has been in control for long."""
+    """A fallback after a long time with a valid force."""
     fallback = Fallback(FallbackSettings(**changes), SPAN)
     currents_of(fallback, 100 * ".")
     return fallback

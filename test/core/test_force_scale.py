@@ -23,7 +23,7 @@ from mr_damper_ros.tracking.operating_point import KnownPoints
 WEAKER = known.weaker(0.9)
 
 NOISELESS = 1e-12
-"""Relative: what rounding leaves of the fit to a force without noise."""
+"""Relative: rounding in a fit to a force without noise."""
 
 
 def fit_of(run: known.Run) -> WindowFit:
@@ -50,7 +50,7 @@ def test_the_standard_error_is_the_scatter() -> None:
     baseline = known.run(seed=None)
     scales = [scale_between(baseline, known.run(seed=seed)) for seed in range(60)]
     values, errors = np.array(scales).T
-    # Relative: a standard deviation from 60 draws is good for 9 %.
+    # Relative: a standard deviation from 60 draws is accurate to 9 %.
     assert np.std(values) / np.mean(errors) == pytest.approx(1.0, rel=0.3)
 
 
@@ -70,10 +70,10 @@ def test_another_operating_point_has_another_baseline(elsewhere: dict[str, float
 
 
 EDGE = 0.001
-"""Relative change of the amplitude or current that no controller of a test machine holds."""
+"""Relative change of the amplitude or current, smaller than a test machine can control."""
 
 ACROSS_THE_EDGE = 2.5 * EDGE
-"""Relative: the two runs are two such changes apart, and so are their forces at most."""
+"""Relative: the two runs differ by two such changes, and their forces by no more."""
 
 
 @pytest.mark.parametrize("what", ["peak velocity", "current"])
@@ -111,12 +111,12 @@ def test_a_baseline_beyond_all_measure_tells_no_scale() -> None:
     assert math.isnan(force_scale(SIGMOID, window, fit, known_points.baselines).value)
 
 
-# -- errors of a fit are of two kinds, and a misfit that repeats every cycle is not noise ----------
+# -- fit errors are of two kinds: a misfit that repeats in every cycle is not noise ----------------
 
 N, CYCLE = 2000, 800.0
 
 SCATTER = (0.75, 1.3)
-"""Of a standard deviation from so many runs, and an estimate that is good for a fifth."""
+"""Allowed ratio of standard deviations: scatter of the runs, and 20 % error of the estimate."""
 
 
 def noise(memory: float, seed: int) -> Array:
@@ -132,7 +132,7 @@ def design(phase: float) -> Array:
 
 
 def repeated(memory: float, misfit: float) -> tuple[Array, Array, Array]:
-    """Fits (r, 2) of windows that begin at any phase, and their errors of both kinds (r, 2)."""
+    """Fits (r, 2) of windows with random phases, and their errors of both kinds (r, 2)."""
     fits, repeatabilities, discrepancies = [], [], []
     rng = np.random.default_rng(9)
     for seed in range(300):
@@ -179,8 +179,8 @@ def test_an_irregular_scale_is_as_uncertain_as_it_scatters(widening: float) -> N
         scale = ForceScale(1.0 + widening * 0.01 * rng.standard_normal(), 0.01, 0.1)
         scale, seen = widened(scale, seen, k * 10, k * 10 + 9)
         found.append(scale)
-    assert all(scale.standard_error == 0.1 for scale in found[:5])  # not known yet: the misfit
-    # The same of fewer runs.
+    assert all(scale.standard_error == 0.1 for scale in found[:5])  # the misfit is not known yet
+    # As above, but from fewer runs.
     low, high = (bound * 0.01 * max(widening, 1.0) for bound in (0.6, 1.6))
     assert low < np.median([scale.standard_error for scale in found[20:]]) < high
 

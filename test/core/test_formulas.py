@@ -1,4 +1,4 @@
-"""Formulas compiled for scalars and for arrays, in stages, as machine code; derivatives."""
+"""Formulas compiled for scalars, for arrays, in stages and to machine code; derivatives."""
 
 from __future__ import annotations
 
@@ -84,11 +84,11 @@ def test_what_has_no_derivative_is_refused(text: str) -> None:
         gradient((("result", text),), "result", ["x"])
 
 
-# -- loops as machine code: the same law, only where samples are many, and not without Numba -------
+# -- loops as machine code: the same law, used only for many samples and with Numba ----------------
 
 COUNT = 400
 ALIKE = 1e-12
-"""Of the largest value: the same steps, but the last digit of a hyperbolic tangent is another."""
+"""Of the largest value: the hyperbolic tangents differ in the last digit."""
 
 PERIOD = 2e-3
 RNG = np.random.default_rng(3)

@@ -1,4 +1,4 @@
-"""Hostile input ends in the documented errors; ``make soak`` tries a hundred thousand cases."""
+"""Hostile input causes only documented errors; ``make soak`` tries a hundred thousand cases."""
 
 from __future__ import annotations
 

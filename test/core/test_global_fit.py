@@ -1,4 +1,4 @@
-"""One set for many runs: the truth where the data hold it, the start's value where they do not."""
+"""One set for many runs: the true parameters if determined, otherwise the initial values."""
 
 from __future__ import annotations
 
@@ -29,13 +29,13 @@ from mr_damper_ros.models.sigmoid.law import PARAMETER_NAMES, SCALE_PARAMETER_NA
 from mr_damper_ros.signals.arrays import Array
 
 AT_THE_NOISE = 1.06
-"""RMSE over the noise: two standard errors of 600 samples, which the worst of 24 windows has."""
+"""RMSE over the noise: two standard errors of 600 samples, reached by the worst of 24 windows."""
 
 AT_THE_NOISE_OF_FEW = 1.15
-"""The same of 250 samples, which tell the noise to 4.5 %: three standard errors."""
+"""RMSE over the noise: three standard errors (4.5 % each) of 250 samples."""
 
 ROUNDING = 1e-12
-"""Relative: sums in another order, of residuals that are a two hundredth of the force."""
+"""Relative: different order of summation; the residuals are a two hundredth of the force."""
 
 CURRENTS = (0.0, 0.5, 1.0, 1.5)
 QUICK = EvolutionSettings(generations=150)
@@ -60,7 +60,7 @@ def grid(
 
 
 def rmse(fit: GlobalFit, window: Window) -> float:
-    """What a fit leaves of the force of a window [N]."""
+    """RMSE of a fit to a window [N]."""
     m, values = window.motion, fit.parameter_set.values
     found = sine_force(values, m.displacement, m.velocity, m.acceleration, window.current)
     return known.rms(found - window.force)
@@ -89,7 +89,7 @@ def test_the_known_damper_is_identified_with_honest_errors_and_figures(found: Gl
     assert unobservable(found) == set()
     result = found.parameter_set
     errors = (result.values - known.PLAUSIBLE) / result.standard_errors
-    # By which an estimate may miss the truth: one normal number in 16 000 does.
+    # Largest error of an estimate in standard errors; chance exceeds it once in 16 000.
     assert np.max(np.abs(errors)) < 4.0, errors.round(1)
     jacobian = np.concatenate(
         [
@@ -102,7 +102,7 @@ def test_the_known_damper_is_identified_with_honest_errors_and_figures(found: Gl
     sizes = np.linalg.norm(jacobian, axis=0)
     scaled = jacobian / sizes
     bound = known.NOISE * np.sqrt(np.diag(np.linalg.inv(scaled.T @ scaled))) / sizes
-    # Relative: derivatives at the estimate, and not at the truth, change the errors by up to 8 %.
+    # Relative: derivatives at the estimate instead of the truth change the errors by up to 8 %.
     np.testing.assert_allclose(found.parameter_set.standard_errors, bound, rtol=0.15)
     assert excess(grid(), found) < AT_THE_NOISE
     assert found.success, found.message
@@ -116,16 +116,16 @@ def test_the_known_damper_is_identified_with_honest_errors_and_figures(found: Gl
     assert high == pytest.approx(2.0 * math.pi * 3.0 * 10e-3, rel=ROUNDING, abs=0.0)
     assert found.parameter_set.largest_force == max(window.largest_force for window in grid())
     run = known.run(amplitude=7.5e-3, frequency=2.0, current=0.75, seed=None)
-    # NRMSE: 16 parameters from 14 400 samples leave 1.3e-4 where the noise is 0.4 %.
+    # NRMSE: 16 parameters from 14 400 samples leave 1.3e-4 at a noise of 0.4 %.
     assert rmse(found, run.window) / np.std(run.clean) < 5e-4
 
 
-# -- what the data do not hold ---------------------------------------------------------------
+# -- undetermined parameters -----------------------------------------------------------------
 
 
 @dataclass(frozen=True)
 class Poor:
-    """Data that do not determine all, and what they leave open."""
+    """Insufficient data and the parameters that they leave undetermined."""
 
     windows: tuple[Window, ...]
     open: frozenset[str]
@@ -165,7 +165,7 @@ def test_what_the_data_do_not_determine_keeps_its_value_and_has_no_error(
 
 
 def strokes(number: int) -> list[Window]:
-    """A fifth of a cycle at each of nine currents, as a switched supply leaves them."""
+    """A fifth of a cycle at each of nine currents, as from a switched supply."""
     runs = [
         known.run(
             THESIS_28_CELSIUS,
@@ -181,7 +181,7 @@ def strokes(number: int) -> list[Window]:
 
 def test_strokes_that_leave_coefficients_open_seldom_spoil_the_search() -> None:
     fits = [identify_global(SIGMOID, strokes(number), LITERATURE, FEW) for number in range(5)]
-    # A few searches still end in another basin: which ones, depends on the version of SciPy.
+    # A few searches still end in another basin; which ones depends on the version of SciPy.
     assert sum(fit.cost < AT_THE_NOISE_OF_FEW**2 for fit in fits) > len(fits) / 2
 
 
@@ -206,7 +206,7 @@ def test_what_was_varied_limits_what_can_be_known(
 # -- methods, seeds, progress, stop, errors --------------------------------------------------
 
 SMALL = grid(CURRENTS, (5e-3,), (2.0,), 250)
-"""Four currents at one peak velocity: the two laws over current are searched."""
+"""Four currents at one peak velocity: all current coefficients are searched."""
 
 
 @pytest.mark.parametrize("method", ["global", "least_squares", "nelder_mead"])
@@ -228,7 +228,7 @@ def test_differential_evolution_over_the_samples_mostly_comes_near() -> None:
         )
         for seed in range(3)
     ]
-    # Median NRMSE: a search that is cut short ends at the noise, 0.005, or in a poorer minimum.
+    # Median NRMSE: a shortened search ends at the noise, 0.005, or in a poorer minimum.
     assert sum(fit.median_nrmse < 0.05 for fit in fits) >= 2
 
 
@@ -258,7 +258,7 @@ def test_a_stop_returns_something_better_than_a_poor_start(after: int) -> None:
 
     def report(progress: GlobalProgress) -> bool:
         nonlocal count
-        # On a busy computer single fits tell of themselves, too.
+        # On a busy computer single fits report their progress too.
         count += progress.generation > 0
         return count < after
 
@@ -266,7 +266,7 @@ def test_a_stop_returns_something_better_than_a_poor_start(after: int) -> None:
     assert count == after, "it was asked again after it had said stop"
     assert not fit.success
     assert "best result so far" in fit.message
-    # Mean square over that of the start, whose errors are some 9000 times the noise.
+    # Mean square relative to that of the start, whose errors are some 9000 times the noise.
     assert mean_square(SMALL, fit.parameter_set.values) < 1e-4 * mean_square(SMALL, LITERATURE)
 
 
@@ -320,7 +320,7 @@ def test_settings_out_of_range_are_refused(settings: dict[str, object], sentence
 
 @cache
 def recorded(folder: Path) -> tuple[Window, ...]:
-    """Windows of the records, in the order of their names."""
+    """Windows of the records, sorted by name."""
     windows = []
     for path in sorted(folder.glob("*.txt")):
         match = re.fullmatch(r".*Hz(\d+(?:x\d+)?)A", path.stem)
@@ -338,5 +338,5 @@ def recorded(folder: Path) -> tuple[Window, ...]:
 def test_one_set_fits_all_records_of_a_real_damper() -> None:
     windows = recorded(known.recordings_folder())
     fit = identify_global(SIGMOID, windows, LITERATURE, EvolutionSettings())
-    # Median NRMSE of one set for all twenty records: 9 %, as one law must do for all.
+    # Median NRMSE of one set for all twenty records: 9 %, because one law must fit them all.
     assert fit.median_nrmse <= 0.105

@@ -1,4 +1,4 @@
-"""The identification of a stream without its node: in come samples, out come reports and sets."""
+"""Identification of a stream without a node: samples in, reports and sets out."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ RUN = known.run(samples=3000)
 
 
 class StateByHand:
-    """Stands for the folder: a state is written when :meth:`write` is called."""
+    """Replaces the state folder; a state is written when :meth:`write` is called."""
 
     def __init__(self) -> None:
         self.given = 0

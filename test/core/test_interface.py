@@ -1,4 +1,4 @@
-"""The Python interface, as somebody with recordings and without ROS meets it."""
+"""The Python interface for a user with recordings and without ROS."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ def test_all_names_are_listed_and_no_other_is_made_up() -> None:
         mr.identfy  # type: ignore[attr-defined]  # noqa: B018
 
 
-# -- what is accepted ----------------------------------------------------------------------------
+# -- accepted input ------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(
@@ -107,14 +107,14 @@ def test_what_cannot_be_used_is_one_sentence(
     assert len(str(caught.value).splitlines()) == 1
 
 
-# -- what is found -------------------------------------------------------------------------------
+# -- results -------------------------------------------------------------------------------------
 
 
 def test_the_result_tells_coefficients_and_parameters_with_their_errors(
     result: mr.Identification,
 ) -> None:
     assert result.parameters["f0"].observable
-    # One run knows the yield force, to which f0 contributes with what it says nothing of.
+    # One run determines the yield force, but not the contribution of f0 to it.
     assert result.coefficients["f_t"].standard_error > 0.0
     assert result.parameters["f0"].only_with
     assert math.isnan(result.parameters["f0"].standard_error)
@@ -161,7 +161,7 @@ def test_the_law_that_the_runs_support_can_be_asked_for(monkeypatch: pytest.Monk
     assert str(found).startswith("NRMSE on segments that were left out")
 
 
-# -- parameter files, and the other laws ---------------------------------------------------------
+# -- parameter files and the other laws ----------------------------------------------------------
 
 
 @pytest.mark.parametrize(

@@ -1,4 +1,4 @@
-"""The inverse of every law: of blocks, and of one sample against a scan of the currents."""
+"""The inverse of every law for blocks, and for single samples against a scan of the currents."""
 
 from __future__ import annotations
 
@@ -25,11 +25,11 @@ PERIOD = 1e-3
 LOWEST, HIGHEST = 0.0, 2.0
 
 ROUNDING = 1e-9
-"""[N] for a force of one newton: where the current hardly changes the force, rounding counts."""
+"""[N] for a force of 1 N: rounding, which matters where the current hardly changes the force."""
 
 
 def random_motion(count: int, rng: np.random.Generator) -> Motion:
-    """Samples that have nothing to do with each other."""
+    """Independent samples."""
     velocity = rng.uniform(-0.25, 0.25, count)
     return Motion(
         displacement=rng.normal(0.0, 0.005, count),
@@ -43,7 +43,7 @@ def random_motion(count: int, rng: np.random.Generator) -> Motion:
 def misses(
     force: Array, wanted: Array, least: Array, most: Array, tolerance: float = TOLERANCE
 ) -> Array:
-    """By how much more than allowed the nearest attainable force is missed [N], (n,)."""
+    """Distance [N] (n,) from the nearest attainable force, less the tolerance."""
     nearest = np.clip(wanted, least, most)
     rounding = ROUNDING * np.maximum(1.0, np.maximum(np.abs(least), np.abs(most)))
     further = np.abs(force - wanted) - np.abs(nearest - wanted)
@@ -73,8 +73,7 @@ def test_a_hundred_thousand_forces_of_the_published_sets(first, block):
         assert current.max() <= HIGHEST
         force = law.force(values, motion, current, PERIOD)
         assert misses(force, wanted, least, most).max() <= 0.0
-        # [N]; where the current changes the force by less, whether it is met is a matter of
-        # rounding.
+        # [N]; over a smaller span of the force, rounding decides whether it is attainable.
         inside = (wanted > least) & (wanted < most) & (span > 1e-3)
         assert np.concatenate([part.attainable for part in found])[inside].all()
 
@@ -114,12 +113,12 @@ def test_the_slope_is_the_derivative_of_the_force(name):
         for side in (-step, step)
     )
     slope = inverse.slope(motion, current, period=PERIOD)[0]
-    # Relative: a difference over 2 µA against the derivative, where the law does not bend sharply.
+    # Relative: a difference over 2 µA against the derivative, where the law is smooth.
     assert slope == pytest.approx((high - low) / (2.0 * step), rel=1e-3)
 
 
 def test_of_several_currents_the_lowest_or_the_nearest_to_the_last():
-    # At this motion the force of the thesis' set rises with the current, and falls again.
+    # At this motion the force of the thesis' set first rises with the current, then falls.
     values = PLAUSIBLE.copy()
     values[[2, 6, 12, 13]] = [-1.0, 6.0, 4.0, -0.3]
     velocity = np.array([0.06])
@@ -166,18 +165,18 @@ def test_a_set_of_one_current_is_warned_of() -> None:
         InverseModel(ParameterSet(PLAUSIBLE, current_range=(0.49, 0.51)), LOWEST, HIGHEST)
 
 
-# -- the inverse of one sample against a scan of the currents, by all ways to ask for it -----------
+# -- the inverse of one sample against a scan of the currents, through all interfaces --------------
 
 
 SAME = 1e-9
-"""Relative: the same operations, in another order."""
+"""Relative: the same operations in another order."""
 
 SAME_EXTREMUM = 2e-7
-"""Of the span: an extremum that is a kink is found to a millionth of a cell of the nodes."""
+"""Of the span: an extremum at a kink is found to a millionth of a cell of the nodes."""
 
 
 class Asked(NamedTuple):
-    """A sample that follows another, and what is wanted of it."""
+    """A sample with its predecessor, the desired force and the last current."""
 
     before: MotionSample
     sample: MotionSample
@@ -191,7 +190,7 @@ VELOCITIES = st.floats(-0.4, 0.4)
 
 @st.composite
 def samples(draw: st.DrawFn) -> MotionSample:
-    """A sample of any motion that a press can make."""
+    """A sample of any motion that a test machine can make."""
     velocity = draw(VELOCITIES)
     return MotionSample(
         draw(st.floats(-0.02, 0.02)),
@@ -203,7 +202,7 @@ def samples(draw: st.DrawFn) -> MotionSample:
 
 @st.composite
 def questions(draw: st.DrawFn) -> Asked:
-    """A wanted force that can be had or not, or is no number; a last current within limits or not.
+    """A desired force that is attainable, not attainable or NaN; a last current in or out of range.
 
     Half the samples follow the one before closely, so that the branch is between its ends.
     """
@@ -238,7 +237,7 @@ SCALES = st.lists(st.floats(0.2, 3.0), min_size=5, max_size=5)
 LAWS = [(name, True) for name in MODELS] + [
     (name, False) for name, law in MODELS.items() if law.continuous is not law
 ]
-"""Each law, and whether without its jumps, if it has any."""
+"""Each law, with and without its jumps if it has any."""
 
 
 @pytest.mark.parametrize(("name", "gradual"), LAWS)
@@ -257,7 +256,7 @@ def test_the_current_gives_the_nearest_force_of_a_scan(name: str, gradual: bool)
         least, most = float(found.least[0]), float(found.most[0])
         span, size = most - least, max(abs(least), abs(most), 1.0)
         beyond = SAME_EXTREMUM * span + ROUNDING * size
-        # An extremum between two nodes counts where a force beyond those of the nodes is wanted.
+        # An extremum between two nodes matters for desired forces outside the range at the nodes.
         if asked.wanted < least:
             assert least <= forces.min() + beyond
         if asked.wanted > most:
@@ -269,12 +268,12 @@ def test_the_current_gives_the_nearest_force_of_a_scan(name: str, gradual: bool)
         one = inverse.current(response, asked.wanted, asked.last)
         current, force, attainable = found.current[0], found.force[0], bool(found.attainable[0])
         assert one.attainable == attainable
-        # Of the span: scalars and arrays round differently, and each search ends a tenth of that
-        # off.
+        # Of the span: scalars and arrays round differently, and each search ends within a tenth of
+        # this.
         allowed = (1e-8 if attainable else SAME_EXTREMUM) * span + ROUNDING * size
         assert one.force == pytest.approx(force, abs=allowed)
         between = [response.force(c) for c in np.linspace(one.current, current, 5).tolist()]
-        # Of the span: by less a force does not tell two currents apart.
+        # Of the span: two currents whose forces differ by less are equivalent.
         assert max(between) - min(between) <= 4e-7 * span + ROUNDING * size
 
     check()

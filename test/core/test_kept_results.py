@@ -1,4 +1,4 @@
-"""Results that are kept as they finish: nothing is lost, and nothing is done twice."""
+"""Results stored as they finish: none is lost or computed twice."""
 
 from __future__ import annotations
 
@@ -25,11 +25,11 @@ from mr_damper_ros.processes.process_pool import (
 )
 
 PATIENCE = 60.0
-"""Seconds after which what is waited for will not come."""
+"""Seconds after which a wait fails."""
 
 
 class Work:
-    """Tasks that leave a line in a journal when they begin."""
+    """Tasks that write a journal line when they begin."""
 
     def __init__(self, folder: Path, names: list[str], seconds: float = 0.0) -> None:
         self.journal = folder / "journal"

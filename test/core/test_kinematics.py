@@ -18,7 +18,7 @@ from mr_damper_ros.kinematics.observer import CausalDifferentiator
 from mr_damper_ros.signals.arrays import Array
 
 EXACT = 1e-10
-"""Relative, of a phase in rad: rounding of an offset of a thousand amplitudes, in half a cycle."""
+"""Relative, or phase in rad: rounding over half a cycle at an offset of a thousand amplitudes."""
 
 PERIOD = 1e-3
 TIME = np.arange(2000) * PERIOD
@@ -80,7 +80,7 @@ def test_the_sine_fit_is_at_the_cramer_rao_bound() -> None:
         )
     )
     bound = noise**2 * np.diag(np.linalg.inv(columns.T @ columns))[:2]
-    # Variance over the bound: four of the standard errors that one from 200 draws has.
+    # Variance relative to the bound: four standard errors of a variance from 200 draws.
     np.testing.assert_array_less(np.mean(np.square(errors), axis=0) / bound, 1.4)
 
 
@@ -89,7 +89,7 @@ def test_without_motion_there_is_no_sine(u: Array) -> None:
     assert fit_sine(u, PERIOD) is None
 
 
-# -- which motion is a sine ------------------------------------------------------------------
+# -- detection of a sine ---------------------------------------------------------------------
 
 WIDTHS = [0.6, 1.0, 2.5, 7.0]
 
@@ -152,12 +152,12 @@ RANDOM = BandLimitedRandom(rms=3e-3, low=0.2, high=4.0, seed=4)
 MOTIONS = {"triangle": ROUNDED_TRIANGLE, "random": RANDOM}
 
 NEAR_THE_BEST = 4.0
-"""The filter's length comes from the data: it may cost this factor against the best length."""
+"""Allowed error relative to the best filter length, because the length is chosen from the data."""
 
 
 @functools.cache
 def smoothed(name: str, noise: float) -> tuple[Array, Array]:
-    """Worst of 10 seeds: errors of velocity and acceleration, and those of the best length."""
+    """Worst errors of velocity and acceleration over 10 seeds, and those of the best length."""
     truth = MOTIONS[name].at(TIME)
     found, best = [], []
     for seed in range(10):
@@ -237,7 +237,7 @@ def test_a_cubic_motion_is_followed_without_error(
     tau = 1.0 / (2.0 * math.pi * bandwidth)
     n = math.ceil(60.0 * tau / period) + 50
     t = np.arange(n) * period
-    # In units in which every coefficient matters within the memory of the observer.
+    # Units in which every coefficient matters within the memory of the observer.
     sizes = np.array([1e-2, 1e-2 / tau, 1e-2 / tau**2, 1e-2 / tau**3]) / 60.0 ** np.arange(4)
     c = np.array(coefficients) * sizes
     u = c[0] + c[1] * t + c[2] * t**2 + c[3] * t**3
@@ -246,8 +246,7 @@ def test_a_cubic_motion_is_followed_without_error(
     late = t > 55.0 * tau
     found = followed(u, bandwidth, period)
     for k, (estimate, truth) in enumerate(zip(found, (u, v, a), strict=True)):
-        # Of sizes at which every coefficient matters: what is left after 55 time constants is
-        # rounding.
+        # After 55 time constants only rounding remains, because every coefficient matters.
         assert np.max(np.abs(estimate - truth)[late]) < 1e-11 * 1e-2 / tau**k
 
 
@@ -262,7 +261,7 @@ def test_the_stream_does_not_depend_on_the_size_of_its_blocks(sizes: list[int]) 
         parts.append(observer.follow(u[first:last]))
         first, place = last, place + 1
     for name, complete, pieces in zip("uva", whole, zip(*parts, strict=True), strict=True):
-        # Relative to the largest value: sums taken in another order differ in their last digits.
+        # Relative to the largest value: the order of summation changes the last digits.
         allowed = 1e-11 * np.max(np.abs(complete))
         np.testing.assert_allclose(np.concatenate(pieces), complete, 0.0, allowed, err_msg=name)
 

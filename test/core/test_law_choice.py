@@ -1,4 +1,4 @@
-"""The choice of a law by what it predicts that it was not fitted to."""
+"""A law is chosen by its predictions for data outside the fit."""
 
 from __future__ import annotations
 
@@ -20,18 +20,18 @@ CHEAP = ("bingham", "hyperbolic_tangent")
 
 
 def run(values: Array, model: str, amplitude: float, seed: int = 0, samples: int = 1000) -> Window:
-    """Two cycles of 1 Hz at 1 A of a damper of a law."""
+    """Two cycles at 1 Hz and 1 A of a damper that follows a law."""
     time = PERIOD * np.arange(samples)
     displacement = amplitude * np.sin(2.0 * np.pi * time)
     still = Window.from_samples(displacement, displacement, np.ones(samples), PERIOD)
     force = MODELS[model].window_force(still, values)
-    # Standard deviation of the force's noise [N].
+    # Standard deviation of the force noise [N].
     force = force + np.random.default_rng(seed).normal(0.0, 5.0, samples)
     return Window.from_samples(displacement, force, np.ones(samples), PERIOD)
 
 
 def damper(model: str) -> Array:
-    """Usual values of a law at one current."""
+    """Normal parameter values of a law at one current."""
     return MODELS[model].starts(LoopReading(800.0, 300.0, 0.06, 0.01))[0]
 
 

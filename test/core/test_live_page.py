@@ -1,4 +1,4 @@
-"""What the page shows, in a headless Chromium: figures, words, keys, themes, a telephone."""
+"""The page in a headless Chromium: figures, texts, keys, themes, small screens."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ SECONDS = 12
 
 
 class GoingOn:
-    """A record that goes on: ten times a second a tenth of a second of signals, and diagnostics."""
+    """A record that receives 0.1 s of signals, and diagnostics, ten times per second."""
 
     def __init__(self) -> None:
         self.record = running_damper.running(SECONDS)
@@ -59,14 +59,14 @@ def record() -> Iterator[LiveRecord]:
 
 
 def leave(browser: Browser) -> None:
-    """Go where nothing is asked for any more."""
+    """Leave the page, so that it sends no further requests."""
     browser.open("about:blank")
     browser.until("location.href === 'about:blank'")
 
 
 @contextmanager
 def opened(browser: Browser, record: LiveRecord, *served: Any) -> Iterator[str]:
-    """The page of a record, opened in the browser and left again; its address."""
+    """Open the page of a record, yield its address, and leave the page at the end."""
     with closing(PageServer(record, "127.0.0.1", 0, *served)) as server:
         browser.open(server.address)
         yield server.address
@@ -75,7 +75,7 @@ def opened(browser: Browser, record: LiveRecord, *served: Any) -> Iterator[str]:
 
 @pytest.fixture
 def page(browser: Browser, record: LiveRecord) -> Iterator[Browser]:
-    """The page, open and live; on it no error has been seen at the end."""
+    """The live page; fails if the page has reported an error at the end."""
     with closing(PageServer(record, "127.0.0.1", 0, "/")) as server:
         browser.errors.clear()
         browser.requested.clear()
@@ -92,13 +92,13 @@ def page(browser: Browser, record: LiveRecord) -> Iterator[Browser]:
 
 
 def ink(page: Browser, chart: str) -> str:
-    """What a figure shows, as a text that changes with it."""
+    """Content of a figure, as a text that changes with it."""
     shown: str = page.evaluate(f"document.querySelector('{chart} canvas').toDataURL()")
     return shown
 
 
 def pixels(chart: str, colour: str) -> str:
-    """Expression: how many pixels of a figure are drawn and have a colour."""
+    """JavaScript expression for the number of pixels of a figure with a colour."""
     return f"""(() => {{
       const canvas = document.querySelector('[data-chart="{chart}"] canvas');
       if (!canvas) return 0;
@@ -114,7 +114,7 @@ def pixels(chart: str, colour: str) -> str:
 
 def test_figures_tiles_windows_and_diagnostics_are_shown(page: Browser) -> None:
     names = page.evaluate("[...document.querySelectorAll('figure canvas')].length")
-    # Twelve by name, seven coefficients, sixteen parameters.
+    # Twelve named values, seven coefficients, sixteen parameters.
     assert names == 12 + 7 + 16
     for chart in ("force-velocity", "force-displacement", "force-time"):
         blue = page.evaluate(pixels(chart, "blue > red + 100"))
@@ -151,7 +151,7 @@ def test_figures_tiles_windows_and_diagnostics_are_shown(page: Browser) -> None:
 
 
 def place_of(page: Browser, chart: str, across: float) -> tuple[float, float]:
-    """Where a part of the width of a figure lies on the screen."""
+    """Screen position of a point of a figure, as a fraction of its width."""
     x, y = page.evaluate(
         f"""(() => {{
           const over = document.querySelector('[data-chart="{chart}"] .u-over');
@@ -188,7 +188,7 @@ def test_an_outlier_does_not_flatten_a_figure(browser: Browser) -> None:
 
 
 def drag(page: Browser, chart: str, begin: float, end: float, down: float = 0.0) -> None:
-    """Drag over a part of a figure; of no width: click there."""
+    """Drag from one point of a figure to another; click if the two are equal."""
     first, last = place_of(page, chart, begin), place_of(page, chart, end)
     held = {"button": "left", "buttons": 1, "clickCount": 1}
     page.send("Input.dispatchMouseEvent", type="mouseMoved", x=first[0], y=first[1])
@@ -209,12 +209,12 @@ def wheel(page: Browser, chart: str, amount: float, *, sideways: bool = False) -
 
 NEWEST = "document.querySelector('[data-do=newest]')"
 RUN = running_damper.running(120)
-"""Two minutes, of which the page has the signals of the last one."""
+"""Two minutes; the page has only the signals of the last one."""
 
 
 @pytest.fixture
 def whole(browser: Browser) -> Iterator[Browser]:
-    """The page of a run that stands still."""
+    """The page of a run that does not advance."""
     browser.errors.clear()
     with opened(browser, RUN):
         browser.until("document.querySelectorAll('[data-chart=run] canvas').length")
@@ -224,7 +224,7 @@ def whole(browser: Browser) -> Iterator[Browser]:
 
 
 def first_and_last_time(page: Browser) -> tuple[float, float]:
-    """What the figures over time show, as the cursors at both edges say."""
+    """Time range of the figures, read from the cursors at both edges."""
     page.until("document.querySelectorAll('[data-chart=force-time] .u-over').length")
     page.press("Escape")
     drag(page, "force-time", 0.002, 0.002)
@@ -397,7 +397,7 @@ def record_length(record: LiveRecord) -> float:
 
 
 def ink_at_rest(page: Browser, chart: str) -> str:
-    """What is drawn once that is the same as half a second ago; some of it may be under way."""
+    """Content of a figure after it has not changed for half a second."""
     deadline = time.monotonic() + PATIENCE
     before, now = "", ink(page, chart)
     while now != before:
@@ -457,7 +457,7 @@ def test_a_telephone_shows_it_without_scrolling_sideways(page: Browser) -> None:
 
 
 def saved(folder: Path, pattern: str) -> Path:
-    """The saved file, once it is there and holds something."""
+    """The saved file, once it exists and is not empty."""
     found: Path = until(
         lambda: next((path for path in folder.glob(pattern) if path.stat().st_size), None), pattern
     )
@@ -499,7 +499,7 @@ def test_it_finds_the_node_again(browser: Browser, record: LiveRecord) -> None:
 
 
 def grey(browser: Browser) -> set[str]:
-    """Captions of what is not shown as the present state."""
+    """Captions of values that are not current."""
     expression = (
         "[...document.querySelectorAll('.gone')]"
         ".map((shown) => shown.querySelector('dt, h2, strong').innerText)"
@@ -540,7 +540,7 @@ def test_what_is_not_heard_any_more_is_grey_and_says_since_when(browser: Browser
 
 
 def bar(browser: Browser) -> list[str]:
-    """What the alarm bar says."""
+    """Text of the alarm bar."""
     shown: list[str] = browser.evaluate(
         "[...document.querySelectorAll('#alarms dd')].map(shown => shown.innerText)"
     )

@@ -1,4 +1,4 @@
-"""What is kept of a running system, and what a viewer is given of it."""
+"""The record of a running system, and the data that its viewers receive."""
 
 from __future__ import annotations
 
@@ -151,7 +151,7 @@ def test_a_summary_says_what_is_missing_and_how_it_stands() -> None:
 
 
 class Clock:
-    """Seconds that pass only where a test says so."""
+    """A clock that advances only when a test sets it."""
 
     def __init__(self) -> None:
         self.now = 100.0

@@ -1,4 +1,4 @@
-"""What the nodes load: nothing heavy or unused, and one thread of BLAS."""
+"""Modules that the nodes import: none is heavy or unused, and BLAS uses one thread."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ def test_a_tool_that_needs_ros_says_so_where_it_is_missing(name: str) -> None:
 
 
 def loaded_by(modules: str) -> set[str]:
-    """All modules of a fresh interpreter that has imported these."""
+    """All modules in a fresh interpreter after these imports."""
     return printed_by(f"import {modules}; print(*sys.modules)")
 
 
@@ -58,10 +58,10 @@ def printed_by(code: str) -> set[str]:
     return set(alone(code).split())
 
 
-# -- one thread of BLAS while something is computed, and for all the life of a worker --------------
+# -- one BLAS thread during computations, and in workers for their whole life ----------------------
 
 PATIENCE = 60.0
-"""Seconds after which what is waited for will not come."""
+"""Seconds after which a wait fails."""
 
 
 @pytest.fixture(autouse=True)

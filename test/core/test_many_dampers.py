@@ -1,4 +1,4 @@
-"""Many dampers from many recordings: the whole way, and what becomes of bad files."""
+"""Many dampers from many recordings: the whole procedure, and the handling of bad files."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from mr_damper_ros.tools import identify_many
 
 COLUMNS = "displacement:mm,force:N,current:A"
 STRENGTHS = {"D1": 1.0, "D2": 1.01, "D3": 0.99, "D4": 0.7, "D5": 1.02, "D6": 0.98}
-"""Force of each damper of the lot relative to the usual one; D4 has lost its gas."""
+"""Force of each damper of the lot relative to the normal one; D4 has lost its gas."""
 
 
 def record(path: Path, strength: float, current: float, seed: int) -> None:
@@ -39,7 +39,7 @@ def record(path: Path, strength: float, current: float, seed: int) -> None:
 
 @pytest.fixture(scope="module")
 def lot(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Six dampers with a run each, of D1 two, and two files that nobody can use."""
+    """Six dampers with one run each (D1 has two) and two unusable files."""
     root = tmp_path_factory.mktemp("lot")
     for seed, (name, strength) in enumerate(STRENGTHS.items()):
         record(root / name / "1A.csv", strength, 1.0, seed)
@@ -81,7 +81,7 @@ def test_a_lot_is_identified_and_what_is_bad_or_odd_is_named(found: mr.ManyDampe
     dampers = found.population.dampers
     usual = spread.values[[d.name for d in dampers].index("D1")]
     expected = usual * np.array([STRENGTHS[d.name] for d in dampers])
-    # Six dampers at each of a handful of points: one in a thousand is beyond.
+    # Six dampers at a few points each: one in a thousand exceeds this by chance.
     assert np.all(np.abs(spread.values - expected) < 4.0 * np.hypot(*spread.errors[:2]))
     assert json.loads(json.dumps(found.documents[0], allow_nan=False))
 
@@ -205,7 +205,7 @@ def test_a_folder_in_use_is_left_alone(lot: Path, tmp_path: Path) -> None:
 
 
 def population(factors: np.ndarray, error: float = 0.0) -> Population:
-    """Dampers of these strengths, known to this relative error."""
+    """Dampers with these relative forces, known to this relative error."""
     place = known.SIGMOID.places(["f0"])[0]
     dampers = []
     for number, factor in enumerate(factors):
@@ -222,7 +222,7 @@ LOT = 1.0 + 0.03 * np.random.default_rng(1).standard_normal(60)
 
 def test_the_spread_of_a_lot_is_found() -> None:
     spread = population(LOT).forces[0]
-    # The standard deviation of so many tells that of the lot to 9 %; the robust one to 15 %.
+    # With so many dampers the standard deviation is accurate to 9 %, the robust one to 15 %.
     assert spread.deviation / spread.median == pytest.approx(0.03, rel=0.3)
 
 

@@ -1,4 +1,4 @@
-"""A window weighed against the running set, and what the work of its task brings home."""
+"""Windows weighted against the running set, and the results of a window's task."""
 
 from __future__ import annotations
 
@@ -39,11 +39,11 @@ def random_window(
     unmodelled: float = 0.2,
     seed: int = 0,
 ) -> Window:
-    """A window of random motion of an example of a law, ``size`` [1] of the usual one.
+    """A window of random motion of an example damper, ``size`` [1] times the default motion.
 
     ``unmodelled`` [1]: a slow part of the force that no law has.
     """
-    # Samples that go on after a window, so that its motion has no end.
+    # The motion goes on after the window, so that the window does not end at rest.
     time = np.arange(first + samples + 500) * 1e-3
     whole = size * RANDOM.at(time).displacement
     window = Window.from_samples(whole, np.zeros(whole.size), 1.0, 1e-3)
@@ -79,12 +79,12 @@ def test_what_a_short_window_of_random_motion_leaves_open_stays() -> None:
             ]
         )
     alone_error, weighed_error = np.median(errors, axis=0)
-    # Most that the error elsewhere may be of that of the fit to a short window alone.
+    # Largest allowed ratio of the error elsewhere to that of a fit to the short window only.
     assert weighed_error < 0.5 * alone_error
 
 
 def test_a_running_set_from_part_of_a_cycle_is_given_up_where_a_cycle_refutes_it() -> None:
-    # A damper of another law: what the fit leaves of it is smooth, and counts for few samples.
+    # A damper of another law leaves a smooth residual, which counts as few samples.
     rig = EmulatedRig(
         EmulatedDamper(DAMPERS["modified_bouc_wen"]),
         SineMotion(0.01, 0.1),
@@ -103,7 +103,7 @@ def test_a_running_set_from_part_of_a_cycle_is_given_up_where_a_cycle_refutes_it
     poor = own(window(0.3, 7.0)).parameters
     alone = own(cycle)
     weighed = weigh(cycle, poor)
-    # The same of a window that refutes the running set, which may cost it a quarter.
+    # The same for a window that contradicts the running set; it may cost the set a quarter.
     assert weighed.rmse < 1.3 * alone.rmse
 
 
@@ -114,11 +114,11 @@ def test_a_motion_that_dies_away_spoils_no_law(name: str) -> None:
     window = random_window(1500, 1500, name=name, size=0.15, seed=1)
     weighed = weigh(window, running, name)
     error = known.rms(model.window_force(elsewhere, weighed.parameters) - elsewhere.force)
-    # Least NRMSE in the usual motion of what a window of a small one has spoilt.
+    # Smallest NRMSE in the normal motion of a set spoilt by a window of small motion.
     assert error < 0.1 * np.std(elsewhere.force)
 
 
-# -- what the work of a window's task brings home --------------------------------------------------
+# -- the results of a window's task ----------------------------------------------------------------
 
 SAMPLES = 2000
 START = ParameterSet(known.weaker(0.9))
@@ -143,7 +143,7 @@ def test_an_answer_does_not_bring_the_samples_home_again(motion: str) -> None:
     result = run(WindowTracker(TrackerSettings(), START).job_of(window))
     assert result.fit is not None
     samples = window.displacement.nbytes + window.force.nbytes + window.current.nbytes
-    # Of every fourth sample the force, the current and the motion: three quarters of this.
+    # It holds force, current and motion of every fourth sample only.
     assert len(pickle.dumps(result)) < samples
 
 
@@ -151,7 +151,7 @@ def test_an_answer_does_not_bring_the_samples_home_again(motion: str) -> None:
 def test_what_was_first_found_here_does_not_undo_what_is_known_of_other_currents(
     model: str,
 ) -> None:
-    """The force then is a start to search from; the law over the current is that of now."""
+    """The baseline starts the search; the current dependence is that of the running set."""
     law, current = MODELS[model], 1.0
     truth = {"sigmoid": known.PLAUSIBLE, "hyperbolic_tangent": DAMPERS["viscous_tanh"].values}[
         model

@@ -1,4 +1,4 @@
-"""Bags are written with checksums; what has been changed since, or would never end, is refused."""
+"""Bags are written with checksums; changed or unbounded files are rejected."""
 
 from __future__ import annotations
 
@@ -76,7 +76,7 @@ def test_a_file_without_checksums_is_read(bag: Path) -> None:
 
 
 def packed(file: Path, content: bytes, size: int) -> None:
-    """Replace the file by one with a single chunk, which says that it unpacks to ``size``."""
+    """Replace the file by one with a single chunk whose stated unpacked size is ``size``."""
     stored, name = zstd.compress(content), b"zstd"
     chunk = struct.pack("<QQQII", 0, 0, size, 0, len(name)) + name
     chunk += struct.pack("<Q", len(stored)) + stored
@@ -98,7 +98,7 @@ def test_a_chunk_that_unpacks_to_more_than_it_says_is_refused(bag: Path) -> None
     tracemalloc.start()
     with pytest.raises(BagError, match="a chunk does not unpack to its stated size"):
         check_bag_files(bag, 20_000)
-    # The check itself unpacks no more than a piece.
+    # The check never unpacks more than one piece.
     assert tracemalloc.get_traced_memory()[1] < 30_000_000
     tracemalloc.stop()
 

@@ -1,4 +1,4 @@
-"""A set that takes over goes on from where it would be, had it been in use all the time."""
+"""A set that takes over has the state that it would have had if used from the start."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from mr_damper_ros.models.parameter_set import ParameterSet, start_set
 from mr_damper_ros.models.published import THESIS_28_CELSIUS
 from mr_damper_ros.tracking.model_bank import ModelBank
 
-# -- a set that a user gave ------------------------------------------------------------------------
+# -- sets from the user ----------------------------------------------------------------------------
 
 
 GIVEN = ParameterSet(
@@ -27,7 +27,7 @@ def identified(set_id: str, current_range: tuple[float, float], **changes: Any) 
 
 
 def sets_of(*added: tuple[ParameterSet, int | None]) -> ModelBank:
-    """The known sets after these came, each with its stamp."""
+    """Stamped sets in the model bank after these were added."""
     sets = ModelBank(0.25, gradual=True)
     for parameters, stamp_ns in added:
         sets.add(parameters, stamp_ns)

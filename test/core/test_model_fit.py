@@ -1,4 +1,4 @@
-"""Identification of any model from one window: truth, honest errors, memory, bounds, scale."""
+"""Identification of any model from one window: truth, errors, memory, bounds, scale."""
 
 from __future__ import annotations
 
@@ -19,15 +19,15 @@ LEAD_IN = 1000
 NOISE = 5.0
 
 FITTED = 1.05
-"""RMSE over the noise, which 2000 samples tell to 1.6 %."""
+"""RMSE over the noise, which 2000 samples determine to 1.6 %."""
 
 ROUNDING = 1e-9
-"""Relative, and of numbers of size 1."""
+"""Relative, and absolute for numbers of unit size."""
 
 
 @cache
 def window(name: str, *, sine: bool = True, noise: float = NOISE, seed: int = 0) -> Window:
-    """Two seconds of a damper of this model that has moved for a second before."""
+    """Two seconds of a damper of this model, after one second of motion."""
     time = np.arange(LEAD_IN + 2000) * known.PERIOD
     if sine:
         displacement = 5e-3 * np.sin(2.0 * np.pi * time + known.THESIS_PHASE)
@@ -50,7 +50,7 @@ def test_a_model_is_identified_from_its_own_force_and_its_unknowns_stand_for_its
 ) -> None:
     model, here = MODELS[name], window(name)
     fit = fit_window(model, here, model.initial_values()[0], method="least_squares")
-    # The same of a sigmoid law: one run cannot tell its shape, and another fits nearly as well.
+    # One run cannot determine the shape of a sigmoid law, and another shape fits nearly as well.
     most = 3.0 if name.startswith("sigmoid") else FITTED
     assert fit.rmse < most * NOISE
     assert fit.success
@@ -78,8 +78,8 @@ def test_a_part_of_a_window_remembers_the_whole(name: str, sine: bool) -> None:
     settled = MODELS[name].settled(here, known.EXAMPLES[name])
     part = here.part(settled & (np.arange(2000) // 50 % 4 == 3))
     error = MODELS[name].window_force(part, known.EXAMPLES[name]) - part.force
-    # Relative to the spread of the force: what integration over another time step may cost.
-    # Times that: what it may cost where samples are left out too.
+    # Relative to the spread of the force: the other time step costs 2e-3, and the missing samples
+    # five times that.
     assert known.rms(error) < 5.0 * 2e-3 * np.std(here.force)
 
 
@@ -88,7 +88,7 @@ def test_samples_before_which_the_past_is_unknown_have_no_residual() -> None:
     misfit = WindowProblem(MODELS["bouc_wen"], here, known.EXAMPLES["bouc_wen"])
     residual = misfit.residual(misfit.start)
     unsettled = int(np.argmax(misfit.settled))
-    # Most samples of 2000 that may be left out for want of a past.
+    # At most this many of 2000 samples are left out for lack of history.
     assert 0 < unsettled < 500
     assert not np.any(residual[:unsettled])
     assert known.rms(residual[unsettled:]) < FITTED * NOISE
@@ -99,7 +99,7 @@ def test_the_jacobian_is_that_of_differences(name: str) -> None:
     misfit = WindowProblem(MODELS[name], window(name), known.EXAMPLES[name])
     start = misfit.start
     jacobian = misfit.jacobian(start)
-    # Relative to the largest derivative, and for those that are zero: a bent law in steps of 1e-4.
+    # Relative to the largest derivative; for zero derivatives: curvature over steps of 1e-4.
     relative, least = (0.01, 1e-6)
     for column in range(start.size):
         step = 1e-4 * (abs(start[column]) or 0.1) * np.eye(start.size)[column]

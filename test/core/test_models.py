@@ -1,4 +1,4 @@
-"""The reviewed models: formulas, integration, lag, identification from a model's own force."""
+"""The reviewed models: formulas, integration, lag, identification of a model's own force."""
 
 from __future__ import annotations
 
@@ -17,14 +17,14 @@ from mr_damper_ros.models.sigmoid.law import operating_point_coefficients
 PERIOD = 1e-3
 
 ROUNDING = 1e-9
-"""[N]: the same sums in another order, of forces of a few kilonewtons."""
+"""[N]: different order of summation of forces of a few kilonewtons."""
 
 HALVED = 2.5
-"""Least factor on the error where the step is halved: 4 in the limit, as it is of second order."""
+"""Smallest ratio of the errors when the step is halved; 4 in the limit, for second order."""
 
 
 def motion(samples: int = 1000, period: float = PERIOD):
-    """A sine that starts at rest in its centre of velocity, with its exact derivatives."""
+    """A sine that starts at zero acceleration, with its exact derivatives."""
     return run(samples=samples, period=period, phase=0.0, noise=0.0).window.motion
 
 
@@ -70,7 +70,7 @@ def test_biviscous_is_the_published_six_pieces():
 
 
 def cut(w, first, last):
-    """Samples of a motion."""
+    """A range of samples of a motion."""
     return Motion(
         w.displacement[first:last],
         w.velocity[first:last],
@@ -90,7 +90,7 @@ def test_the_force_does_not_depend_on_how_the_motion_is_cut_into_blocks(model, s
     w, values = motion(400, 5e-3), EXAMPLES[model.name].copy()
     if model.parameter_names[-1] == "coil_time_constant":
         values[-1] = coil
-    # A current that changes within blocks makes the lag change too.
+    # If the current changes within blocks, the lag changes too.
     current = np.where(np.arange(400) // 37 % 2, 0.5, 1.5)
     state, parts, first, place = None, [], 0, 0
     while first < 400:
@@ -169,7 +169,7 @@ def test_integration_converges_to_solve_ivp(name, reference):
         expected = reference(times)
         got = model.force(EXAMPLES[name], w, 0.0, period)
         errors.append(np.sqrt(np.mean((got - expected) ** 2)) / np.std(expected))
-    # RMSE of the integration at steps of 1 ms, relative to the spread of the force.
+    # RMSE of the integration with steps of 1 ms, relative to the spread of the force.
     assert errors[1] < 2e-3
     assert errors[2] < errors[1] / HALVED < errors[0] / (2.0 * HALVED)
 

@@ -1,4 +1,4 @@
-"""What can be done between two blocks is done there, and changes nothing."""
+"""Work done between two blocks does not change the results."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ def test_catching_up_changes_no_prediction(
     prompt, late = predictor(), predictor()
     for number, block in enumerate(blocks(displacement[:2000], *sizes)):
         if rng.random() < 0.1:
-            # What was reckoned ahead does not hold any more.
+            # The value computed in advance is no longer valid.
             change = int(rng.integers(2))
             for made in (prompt, late):
                 if change:
@@ -85,7 +85,7 @@ def test_what_comes_after_a_sine_is_followed_as_if_there_had_been_none(size: int
 
 
 def test_a_rest_is_one_for_as_long_as_it_lasts() -> None:
-    """What does not move is no steady sine, however well a sine describes it."""
+    """Constant displacement is never a steady sine, even if a sine fits it well."""
     time = np.arange(8000) * PERIOD
     moves = (time < 3.0) | (time >= 7.0)
     noise = np.random.default_rng(0).normal(0.0, 1e-6, time.size)

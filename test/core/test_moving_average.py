@@ -1,4 +1,4 @@
-"""Moving averages: seen in a record, undone, and told of."""
+"""Moving averages: detected in a record, reversed, and reported."""
 
 from __future__ import annotations
 
@@ -24,21 +24,21 @@ WRITTEN = 1e-4
 """[mm], [N]: twelve digits of numbers up to 1e4 are written, and thousands of roundings add up."""
 
 LOST = 0.02
-"""Relative: what a steady motion has at the frequencies that the average has lost."""
+"""Relative: content of a steady motion at the frequencies that the average removes."""
 
 SAMPLES = 6000
 COUNT = 50
 
 
 def averaged(values: Array, count: int) -> Array:
-    """Mean of each sample (n,) and the ``count - 1`` before it, at rest before the first."""
+    """Mean (n,) of each sample and its ``count - 1`` predecessors, at rest before the first."""
     sums = np.cumsum(values - values[0])
     before = np.concatenate([np.zeros(count), sums[:-count]])[: sums.size]
     return np.asarray(values[0] + (sums - before) / count)
 
 
 def motion(seed: int = 0, samples: int = SAMPLES) -> Array:
-    """Random motion with a rest of 100 samples at its begin."""
+    """Random motion that begins with a rest of 100 samples."""
     steps = np.random.default_rng(seed).normal(size=samples)
     steps[:100] = 0.0
     return np.asarray(np.convolve(np.cumsum(steps), [0.25, 0.5, 0.25], "same"))
@@ -49,7 +49,7 @@ def motion(seed: int = 0, samples: int = SAMPLES) -> Array:
 def test_undone_is_what_was_averaged(count: int, seed: int) -> None:
     values = motion(seed, 1000)
     size = np.abs(values).max()
-    # Of sums over the whole signal, relative to its size.
+    # Relative: sums over the whole signal.
     assert np.allclose(undo_average(averaged(values, count), count), values, atol=1e-9 * size)
 
 
@@ -128,7 +128,7 @@ def test_the_average_of_a_real_record_is_found() -> None:
     record = mr.read_record(
         path, "displacement:mm,force:N,-,-", current=0.2, period=1e-3, variable="data"
     )
-    # As its makers say.
+    # According to the manufacturer.
     assert [find_average(record.displacement), find_average(record.force)] == [300, 300]
 
 

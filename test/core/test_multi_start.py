@@ -1,4 +1,4 @@
-"""Searches from several seeds, and from a lower minimum that a profile shows."""
+"""Searches from several seeds, and from a lower minimum found by a profile."""
 
 from __future__ import annotations
 
@@ -122,7 +122,7 @@ def test_a_record_of_another_search_is_refused(name: str) -> None:
         empty().take(OTHER[name].document())
 
 
-# -- a fit that its own profile contradicts starts again from the lower minimum --------------------
+# -- a fit restarts if its own profile finds a lower minimum ---------------------------------------
 
 QUICK = EvolutionSettings(generations=20, population=6)
 
@@ -141,7 +141,7 @@ def good(strokes: list[Window]) -> GlobalFit:
 
 
 def off(fit: GlobalFit) -> GlobalFit:
-    """The fit as if it had ended beside its minimum."""
+    """The fit, moved away from its minimum."""
     values = fit.parameter_set.values.copy()
     values[known.index("a0")] *= 1.2
     return replace(fit, parameter_set=replace(fit.parameter_set, values=values))
@@ -161,7 +161,7 @@ def test_a_profile_that_finds_a_lower_minimum_starts_the_fit_again(
         (before,) = profiles_of(off(good), strokes, ["a0"], processes)
         fit, (profile,) = profiled(off(good), strokes, ["a0"], QUICK, processes)
     assert not before.contains(off(good).parameter_set.as_dict()["a0"])
-    # Relative difference of costs at one minimum, searched with a tolerance.
+    # Relative difference of costs at one minimum, due to the tolerance of the search.
     assert fit.cost == pytest.approx(good.cost, rel=1e-3)
     assert profile.contains(fit.parameter_set.as_dict()["a0"])
     assert np.isfinite(profile.lowest).all()

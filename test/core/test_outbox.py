@@ -1,4 +1,4 @@
-"""What waits for the disk goes out in order, and the newest is kept."""
+"""Items waiting for the disk are written in order, and the newest is kept."""
 
 from __future__ import annotations
 
@@ -57,13 +57,13 @@ def test_all_can_be_had_at_once() -> None:
     assert outbox.take(written=9) == []
 
 
-# -- the keeper writes the newest item, and nobody waits for the disk ------------------------------
+# -- the keeper writes the newest item, and callers never wait for the disk ------------------------
 
 PATIENCE = 30.0
 
 
 class Disk:
-    """A disk that writes when it is let."""
+    """A disk that writes only when released."""
 
     def __init__(self) -> None:
         self.written: list[str] = []

@@ -1,4 +1,4 @@
-"""The page as a client gets it: its files, its data, what it refuses, and viewers that are slow."""
+"""The page server for clients: files, data, rejected requests, and slow viewers."""
 
 from __future__ import annotations
 
@@ -116,7 +116,7 @@ def test_another_name_is_refused_whatever_is_asked(
 
 
 class Answer:
-    """What a server says before it closes the connection; status 0 where it says nothing."""
+    """Answer of a server that then closes the connection; status 0 if there is none."""
 
     def __init__(self, said: bytes) -> None:
         self.said = said
@@ -125,7 +125,7 @@ class Answer:
 
 
 def raw(address: tuple[str, int], head: bytes, body: bytes = b"") -> Answer:
-    """Send a request as it is, and nothing after it."""
+    """Send a raw request and nothing after it."""
     with socket.create_connection(address, timeout=PATIENCE) as sent:
         with suppress(ConnectionError):
             sent.sendall(head + b"\r\n" + body)
@@ -189,7 +189,7 @@ def place_of(server: PageServer) -> tuple[str, int]:
 
 
 def own(server: PageServer) -> dict[str, str]:
-    """What the page itself sends along."""
+    """Headers that the page itself sends."""
     netloc = urlsplit(server.address).netloc
     return {"Origin": f"http://{netloc}", "Host": netloc}
 
@@ -255,13 +255,13 @@ def test_a_viewer_that_reads_nothing_holds_up_nobody(
             stuck = stack.enter_context(socket.socket())
             stuck.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
             stuck.connect((parts.hostname, parts.port))
-            stuck.sendall(100 * request)  # five megabytes, of which it takes none
+            stuck.sendall(100 * request)  # five megabytes, none of which it reads
         running_damper.add_signals(record, 1.0, 0.0, 0.0, 0.0, 1.0, 1.0, valid=True)
         assert json.loads(ask(server, "/status")[1])["tables"]["signals"]["next"] == known + 1
 
 
 def eventually_served(server: PageServer) -> bool:
-    """Whether there is room again for one more connection, sooner or later."""
+    """Whether a further connection is accepted eventually."""
     pause = threading.Event()
     for _ in range(300):
         with suppress(ConnectionError):
@@ -306,7 +306,7 @@ def test_a_request_that_comes_byte_by_byte_is_given_up(
 
 
 def dribble(slow: socket.socket) -> None:
-    """Send a byte ten times a second; raises ConnectionError once nobody takes them."""
+    """Send a byte ten times per second; raises ConnectionError once the server has closed."""
     pause = threading.Event()
     for _ in range(300):
         pause.wait(0.1)

@@ -1,4 +1,4 @@
-"""Parameter sets: text and back to the last digit, and one clear sentence for every fault."""
+"""Parameter sets: exact conversion to text and back, and one clear sentence for every fault."""
 
 from __future__ import annotations
 
@@ -64,7 +64,7 @@ def test_text_and_back_is_exact(original: ParameterSet) -> None:
 
 
 def by_hand(**changes: object) -> str:
-    """A file written by hand: sixteen plain numbers, and these top-level entries."""
+    """A file written by hand: sixteen numbers and these top-level entries."""
     document: dict[str, object] = {"parameters": dict(zip(PARAMETER_NAMES, range(16), strict=True))}
     document.update(changes)
     return yaml.safe_dump(document)

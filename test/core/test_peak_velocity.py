@@ -25,14 +25,13 @@ TIME = np.arange(6000) * PERIOD
 RANDOM = BandLimitedRandom(rms=3e-3, low=0.5, high=4.0, seed=4)
 
 SAMPLED = 2e-3
-"""Relative: half-cycles end at a sample, not at the moment when the motion turns."""
+"""Relative: half-cycles end at a sample instead of the reversal itself."""
 
 OF_FEW = 0.02
-"""Relative: how much more that is where there are but one or two of them, and where the speed at
-which they begin is not that at which they end."""
+"""Relative: the additional error with only one or two half-cycles whose speed changes."""
 
 ROUNDING = 1e-12
-"""Relative: sums of other parts of the same samples."""
+"""Relative: sums over different parts of the same samples."""
 
 
 def sine(frequency: float, speed: float | Array = 0.03, time: Array = TIME) -> tuple[Array, Array]:
@@ -51,7 +50,7 @@ def random_motion(time: Array = TIME) -> tuple[Array, Array]:
 @pytest.mark.parametrize("frequency", [1.0, 3.0, 12.0])
 def test_in_a_sine_it_is_the_peak_soon_and_then_more_exactly(frequency: float) -> None:
     found = PeakVelocity(PERIOD).follow(*sine(frequency))
-    # The first half-cycle may have begun before the stream did.
+    # The first half-cycle may have begun before the stream.
     np.testing.assert_allclose(found[1.1 / frequency < TIME], 0.03, rtol=OF_FEW)
     late = (0.5 * HALF_CYCLES + 1.0) / frequency < TIME
     np.testing.assert_allclose(found[late], 0.03, rtol=SAMPLED)
@@ -70,12 +69,12 @@ def test_a_faster_or_larger_motion_has_a_peak_velocity_higher_in_proportion(
 
 
 def test_noise_of_the_velocity_does_not_count_as_half_cycles() -> None:
-    """Else the angular frequency would be that of the noise between two reversals."""
+    """Otherwise the angular frequency would be that of the noise between two reversals."""
     velocity, acceleration = sine(0.5)
     deviation = 1e-3
     noise = np.random.default_rng(1).normal(0.0, deviation, TIME.size)
     found = PeakVelocity(PERIOD).follow(velocity + noise, acceleration)
-    # Standard deviations of the noise of a velocity, which hardly any of 6000 samples exceeds.
+    # Standard deviations of the velocity noise, exceeded by hardly any of 6000 samples.
     assert np.all(np.abs(found[TIME > 2.5] - 0.03) < 5.0 * deviation)
 
 
@@ -110,5 +109,5 @@ def test_the_start_of_a_stream_has_the_same_peak_velocity_in_blocks_of_any_size(
         parts = [displacement[first : first + size] for first in range(0, 1000, size)]
         return np.concatenate([peak.follow(part) for part in parts])
 
-    # Matrix products of other sizes round differently.
+    # Matrix products of different sizes round differently.
     np.testing.assert_allclose(followed(size), followed(7), rtol=1e-9, atol=1e-12)

@@ -1,4 +1,4 @@
-"""Motions that repeat: known exactly, never beyond what they say of themselves."""
+"""Periodic motions are exact and never exceed their stated limits."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from mr_damper_ros.kinematics.periodic_motion import MotionKind, PeriodicMotion, RepeatedMatch
 
 ROUNDING = 1e-9
-"""Relative."""
+"""Relative tolerance."""
 
 SWEEP = PeriodicMotion(MotionKind.SWEEP, 0.008, 0.6, 3.4, 2.0)
 RANDOM = PeriodicMotion(MotionKind.RANDOM, 0.008, 0.6, 3.4, 2.0, 3)
@@ -47,7 +47,7 @@ def test_velocity_and_acceleration_are_derivatives(motion: PeriodicMotion) -> No
     displacement, velocity, acceleration = motion.at(time)
     for value, slope in ((displacement, velocity), (velocity, acceleration)):
         error = np.abs(np.gradient(value, time) - slope)[1:-1].max()
-        # Relative error of a second difference of many samples a cycle.
+        # Relative error of a second difference with many samples per cycle.
         assert error < 1e-4 * np.abs(slope).max()
 
 

@@ -1,4 +1,4 @@
-"""Windows and searches go through in the order of the data, whatever else happens."""
+"""Windows and searches are processed in the order of the data under all circumstances."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ QUICK_SEARCH = EvolutionSettings(generations=3, population=5)
 
 
 def window(number: int, current: float = 1.0, speed: float = 1.0) -> RawWindow:
-    """A window of a damper that weakens by 5 % from one to the next."""
+    """A window of a damper that weakens by 5 % from one window to the next."""
     t = np.arange(COUNT) * PERIOD
     w = 2.0 * math.pi * speed
     u, v, a = 5e-3 * np.sin(w * t), 5e-3 * w * np.cos(w * t), -5e-3 * w * w * np.sin(w * t)
@@ -52,7 +52,7 @@ def window(number: int, current: float = 1.0, speed: float = 1.0) -> RawWindow:
 
 @dataclass
 class Bench:
-    """An identification with its parts."""
+    """An identification with all its parts."""
 
     identifier: Identifier
     worker: StepWorker
@@ -82,7 +82,7 @@ def bench(*, waiting_windows: int = 1000, global_period: int = 0) -> Bench:
 
 
 def of_windows(events: list[Event]) -> list[Report]:
-    """The reports of windows."""
+    """Reports of windows."""
     searches = {id(e.report) for e in events if isinstance(e, SearchEnded)}
     reports = [e.report for e in events if isinstance(e, Publication)]
     return [report for report in reports if id(report) not in searches]
@@ -93,7 +93,7 @@ def starts(events: list[Event]) -> list[int]:
 
 
 def results(events: list[Event]) -> list[tuple[Any, ...]]:
-    """Everything that the reports say, comparable."""
+    """All contents of the reports in a comparable form."""
     return [
         (e.report.stamp_ns, e.report.accepted, e.report.set_id, e.report.coefficients.tobytes())
         for e in events

@@ -1,4 +1,4 @@
-"""Plants with a damper in them, what moves them, and controllers of a suspension."""
+"""Plants that contain a damper, their excitation, and suspension controllers."""
 
 from __future__ import annotations
 
@@ -80,7 +80,7 @@ def test_an_estimator_finds_the_states() -> None:
         read = outputs @ plant.state + direct * force
         plant.step(force, 0.0)
         found = estimator.follow(force, read)
-    # The outputs are held for a sample, in which the building moves on.
+    # The outputs are held for one sample while the building moves on.
     assert np.linalg.norm(found - plant.state) < 0.05 * np.linalg.norm(plant.state)
 
 
@@ -95,7 +95,7 @@ def test_every_controller_has_a_name(name: str) -> None:
 
 
 def stiff_floor(now: SuspensionState) -> float:
-    """Somebody's own controller."""
+    """A user's own controller."""
     return 1000.0 * now.stroke
 
 
@@ -118,11 +118,11 @@ def test_a_function_that_is_not_there_is_named(place: str, reason: str) -> None:
         controller_of(SuspensionSettings(function=place))
 
 
-# -- controllers of a suspension, and the car that they are for ------------------------------------
+# -- suspension controllers and the car model ------------------------------------------------------
 
 PERIOD = 1e-3
 SOFT, HARD = 300.0, 3900.0
-"""Damping [N s/m] that an ideal semi-active damper can have."""
+"""Damping [N s/m] range of an ideal semi-active damper."""
 
 
 def suspension_state(state: Array, acceleration: float) -> SuspensionState:
@@ -130,7 +130,7 @@ def suspension_state(state: Array, acceleration: float) -> SuspensionState:
 
 
 def driven(controller: Controller, road: Array) -> tuple[float, float]:
-    """RMS of body acceleration [m/s²] and of the tyre's load [N], with an ideal damper."""
+    """RMS of body acceleration [m/s²] and tyre load [N] with an ideal damper."""
     car = MovingPlant(CAR.plant, PERIOD)
     force, body, tyre = 0.0, [], []
     for velocity in road.tolist():
@@ -188,7 +188,7 @@ def test_the_car_moves_as_its_equations_say() -> None:
         rtol=1e-9,
         atol=1e-12,
     )
-    # Relative, of a solver with a tolerance of 1e-9.
+    # Relative, for a solver with a tolerance of 1e-9.
     np.testing.assert_allclose(state, run.y[:, -1], rtol=1e-6)
 
 

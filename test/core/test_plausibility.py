@@ -1,4 +1,4 @@
-"""A parameter set is judged alike wherever it comes from; sets that were published pass."""
+"""Plausibility of parameter sets: the same from every source; published sets pass."""
 
 from __future__ import annotations
 
@@ -80,7 +80,7 @@ def test_a_set_that_owns_up_to_explaining_nothing_is_refused(nrmse: float) -> No
 
 
 def test_a_law_is_judged_where_it_says_that_it_holds() -> None:
-    # Twice as fast as the data that this set is from, its law gives 1e8 N.
+    # At twice the speed of its data, the law of this set gives 1e8 N.
     condition = next(c for c in CONDITIONS if c.name == "7.5mm_1Hz_0.5A")
     values = parameters(condition)
     check_plausible(

@@ -1,4 +1,4 @@
-"""The predicted force is right, causal, and says when it should not be relied on."""
+"""The predicted force is correct and causal, and is marked invalid when unreliable."""
 
 from __future__ import annotations
 
@@ -26,13 +26,13 @@ SET = ParameterSet(
 RUN = known.run(current=1.0, samples=SAMPLES, seed=None)
 
 PREDICTED = 0.02
-"""NRMSE of a prediction from the right parameters on a motion well below the bandwidth."""
+"""NRMSE with the right parameters for a motion well below the bandwidth."""
 
 
 def predictor(
     parameters: ParameterSet | None = SET, current: float | None = 1.0, **settings: float
 ) -> ForcePredictor:
-    """A predictor whose current is known from the start of the stream, ten times a second.
+    """A predictor that knows the current of the stream from its start, at ten values per second.
 
     The streams here carry no force.
     """
@@ -85,10 +85,10 @@ def test_the_force_does_not_depend_on_later_blocks() -> None:
 def test_the_force_of_a_steady_motion_does_not_depend_on_the_size_of_the_blocks(
     sizes: list[int],
 ) -> None:
-    # The centre is known after a cycle; from then on the blocks play no part.
+    # The centre is known after a cycle; from then on the blocks have no influence.
     reference = forces(predicted(predictor(), stream(RUN.displacement[:3000], 50)))
     found = forces(predicted(predictor(), stream(RUN.displacement[:3000], *sizes)))
-    # [N]: of a kilonewton, where nothing differs but rounding and what a lag has forgotten.
+    # [N] of about 1000 N: rounding, and the remainder of the settled lag.
     np.testing.assert_allclose(found[2000:], reference[2000:], atol=1e-6)
 
 
@@ -160,7 +160,7 @@ def test_a_current_that_was_not_identified_is_doubtful(current: float) -> None:
 def test_the_law_is_not_extrapolated_beyond_the_identified_peak_velocities(
     frequency: float, edge: float
 ) -> None:
-    """A sine of 0.031 m/s per hertz, below and above."""
+    """A sine with 0.031 m/s per hertz, below and above the range."""
     run = known.run(frequency=frequency, current=1.0, samples=SAMPLES, seed=None)
     limits = (edge, edge) if edge > 0.03 else (0.01, edge)
     limited = dataclasses.replace(SET, peak_velocity_range=limits)
@@ -204,11 +204,11 @@ def test_a_force_beyond_all_numbers_is_no_force() -> None:
 
 
 def test_a_force_that_was_not_measured_says_nothing_of_the_parameters() -> None:
-    """Across a lost reversal the force lies far from the straight line that bridges it."""
+    """The straight line over a gap misses the force of a lost reversal by far."""
     run = known.run(current=1.0, frequency=1.0, samples=1200, period=5e-3, seed=None)
     blocks = known.blocks(run.displacement, run.clean, (10,), period=5e-3)
     turns = {61, 71, 81, 91, 101, 111}
-    # Of the peak force: what is predicted of a motion across a gap is off by less.
+    # Of the peak force: the prediction error of a motion across a gap is smaller.
     made = predictor(maximum_error=0.05)
     kept = [block for block in blocks if block.sequence // 10 not in turns]
     doubts = {p.doubt.kind for p in predicted(made, kept)[55:]}

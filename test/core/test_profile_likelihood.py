@@ -1,4 +1,4 @@
-"""Profile likelihoods: intervals as they must be, and none where the data hold nothing."""
+"""Profile likelihoods: correct intervals, and none for undetermined parameters."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ def pooled(chosen: list[Window]) -> Misfit:
 
 
 def fitted(misfit: Misfit) -> Array:
-    """Least squares over all sixteen, by Gauss and Newton from the truth."""
+    """Gauss-Newton fit of all sixteen parameters, started at the truth."""
     values = known.PLAUSIBLE.copy()
     for _ in range(5):
         jacobian = misfit.jacobian(values)
@@ -66,9 +66,9 @@ def test_the_interval_is_that_of_the_covariance_where_the_law_is_nearly_linear(
     place = known.index(name)
     half = 1.96 * math.sqrt(covariance[place, place])
     low, high = ProfileLikelihood(SIGMOID, misfit, values, ALL, RANGES).of(name).interval
-    # Relative difference of an interval of the likelihood ratio and one of standard errors.
+    # Relative difference between the intervals of the likelihood ratio and the standard errors.
     assert (high - low) / (2.0 * half) == pytest.approx(1.0, abs=0.03)
-    # Of half the interval, by which its middle may lie off the estimate where the law is bent.
+    # Of half the interval: offset of its middle from the estimate of a nonlinear law.
     assert 0.5 * (low + high) == pytest.approx(values[place], abs=0.1 * half)
 
 
@@ -87,4 +87,4 @@ def test_a_name_that_the_law_does_not_have_is_refused() -> None:
         likelihood.of("b9")
 
 
-# -- scales that follow a change of the shape --------------------------------------------------
+# -- scales refitted after a change of the shape -----------------------------------------------

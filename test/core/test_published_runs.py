@@ -1,4 +1,4 @@
-"""The thesis' conditions, the runs made of them, and the bags that come with the package."""
+"""The thesis' conditions, the runs made from them, and the bags of the package."""
 
 from __future__ import annotations
 
@@ -54,7 +54,7 @@ def test_a_run_can_be_made_again_and_every_condition_has_noise_of_its_own() -> N
     assert abs(np.corrcoef(noises)[0, 1]) < 0.1
 
 
-# -- the thesis' table of parameter sets: its conditions, and the rows that must not be used -------
+# -- the thesis' table of parameter sets: conditions, and the rows that must not be used -----------
 
 
 def steady_force(condition: Condition, method: str) -> np.ndarray:
@@ -96,7 +96,7 @@ def test_unknown_conditions_are_refused(call: Any) -> None:
         call()
 
 
-# -- the program that makes the thesis' runs, and the bags that come with the package --------------
+# -- the program that makes the thesis' runs, and the bags of the package --------------------------
 
 COMMITTED = Path(__file__).resolve().parents[2] / "bags"
 NAMES = ["5.0mm_1Hz_0.0A", "5.0mm_1Hz_0.5A", "5.0mm_1Hz_1.5A", "7.5mm_1Hz_1.0A"]

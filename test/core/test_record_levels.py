@@ -1,4 +1,4 @@
-"""A force scale and a zero of each record's own: found with known truth, and told."""
+"""Gain and offset per record: estimated with known truth, and reported."""
 
 from __future__ import annotations
 
@@ -25,15 +25,15 @@ LAW = MODELS["hyperbolic_tangent"]
 TRUTH = known.EXAMPLES[LAW.name]
 
 SCALES = (0.93, 1.08, 0.97, 1.02)
-"""Of the four records; their mean is 1."""
+"""Gains of the four records; their mean is 1."""
 
 ZEROS = (400.0, -300.0, 150.0, -250.0)
-"""[N], their mean is 0; the force goes up to some 800 N."""
+"""[N], with mean 0; the force reaches some 800 N."""
 
 AMPLITUDES = (3e-3, 5e-3, 7e-3, 9e-3)
 
 HONEST = 3.0
-"""Stated standard errors by which the strength, a scale or a zero may miss the truth."""
+"""Largest error of the yield force, a gain or an offset in standard errors."""
 
 
 def record(place: int, scale: float, zero: float) -> Recording:
@@ -67,11 +67,11 @@ def levels() -> list[tuple[float, float, float, float]]:
 
 def test_the_levels_of_the_records_are_found() -> None:
     scales, _, zeros, _ = np.array(levels()).T
-    # What all records have in common, the law itself takes.
-    # Of a scale against the mean of all: 1000 samples with 5 N of noise tell it to 0.0005.
+    # An effect common to all records goes into the law. 1000 samples with 5 N of noise determine a
+    # gain relative to the mean to 0.0005.
     np.testing.assert_allclose(scales / scales.mean(), SCALES, atol=0.005)
     offset = identified(0.1).parameters["f0"].value - TRUTH[LAW.parameter_names.index("f0")]
-    # [N] against the mean of all; the noise leaves 0.2 N.
+    # Error [N] of an offset relative to the mean; the noise leaves 0.2 N.
     np.testing.assert_allclose(zeros + scales * offset, ZEROS, atol=10.0 * 2.0)
 
 
@@ -115,7 +115,7 @@ OTHER_CURRENTS = (0.2, 0.6, 1.0, 0.6)
 OTHER_SCALES = (0.95, 1.05, 1.02, 0.98)
 
 OTHER_ZEROS = (40.0, -30.0, 15.0, -25.0)
-"""[N], of forces that go up to 300 to 1500 N."""
+"""Offsets [N] for forces that reach 300 to 1500 N."""
 
 
 def records_of_another_law(damper: str, zeros: tuple[float, ...]) -> list[Window]:
@@ -146,8 +146,8 @@ NO_ZEROS = (0.0, 0.0, 0.0, 0.0)
 def test_levels_of_a_damper_of_another_law_are_found_and_make_nothing_up() -> None:
     damper = "modified_bouc_wen"
     with_levels, without = (sixteen_of(damper, NO_ZEROS, levels) for levels in (True, False))
-    # What a set leaves of the worst record by itself, over what it leaves where they have no
-    # levels: 0.5 to 1.3; 4 to 11 if each sample counted.
+    # Error in the worst record relative to that without gains and offsets: 0.5 to 1.3; it would be
+    # 4 to 11 if each sample counted as independent.
     assert with_levels.nrmse.max() < 2.0 * without.nrmse.max()
     fit = sixteen_of(damper, OTHER_ZEROS, True)
     found = record_levels(fit, records_of_another_law(damper, OTHER_ZEROS))
