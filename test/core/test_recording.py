@@ -1,4 +1,4 @@
-"""Recordings: what cannot be one is refused with a sentence; which there are, of which damper."""
+"""Recordings: invalid ones are rejected with one sentence; recordings by damper."""
 
 from __future__ import annotations
 
@@ -101,7 +101,7 @@ def test_stamps_follow_the_period_to_the_nanosecond() -> None:
     assert made.duration == pytest.approx(100.0 / 3.0)
 
 
-# -- which recordings there are, and of which damper each one is -----------------------------------
+# -- recordings in a folder, and the damper of each ------------------------------------------------
 
 
 def touch(*paths: Path) -> None:
@@ -112,7 +112,7 @@ def touch(*paths: Path) -> None:
 
 @pytest.fixture
 def lot(tmp_path: Path) -> Path:
-    """Two dampers with a folder each, bags as folders and as files, and what is no recording."""
+    """Two dampers with one folder each, bags as folders and files, and other files."""
     root = tmp_path / "lot"
     touch(
         root / "D1" / "slow" / "metadata.yaml",

@@ -1,4 +1,4 @@
-"""The recursive filter agrees with the window fit, follows drift, and knows its error."""
+"""The recursive filter agrees with the window fit, follows drift, and estimates its error."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ from mr_damper_ros.tracking.window_assembler import RawWindow
 
 SAMPLES = 1000
 STILL = 1e-9
-"""A drift rate [1/sqrt(s)] of nothing: the filter then only averages."""
+"""Negligible drift rate [1/sqrt(s)]: the filter only averages."""
 
 
 def second(stamp: int) -> int:
@@ -48,7 +48,7 @@ def filtered(
     return follower.as_fit(problem)
 
 
-# -- the filter itself -----------------------------------------------------------------------
+# -- the filter ------------------------------------------------------------------------------
 
 
 def test_without_drift_two_halves_give_what_the_fit_of_the_whole_gives() -> None:
@@ -57,9 +57,9 @@ def test_without_drift_two_halves_give_what_the_fit_of_the_whole_gives() -> None
     at_once = fit_window(SIGMOID, whole, known.PLAUSIBLE, method="least_squares")
     in_turn = filtered(fitted(first), last)
     errors = np.sqrt(np.diag(at_once.covariance))
-    # Standard errors: the posterior of a nearly linear problem does not mind the order of samples.
+    # Standard errors: in a nearly linear problem the order of the samples hardly matters.
     assert np.max(np.abs(in_turn.scales - at_once.scales) / errors) < 0.05
-    # Relative: half of the samples tell the noise, and with it all errors, to 1.6 %.
+    # Relative: half of the samples determine the noise, and so all errors, to 1.6 %.
     assert np.sqrt(np.diag(in_turn.covariance)) == pytest.approx(errors, rel=0.05)
 
 
@@ -71,16 +71,16 @@ def test_the_errors_are_as_large_as_it_says() -> None:
         found = filtered(fitted(first.window), last.window)
         errors = np.sqrt(np.diag(found.coefficient_covariance))
         scores.append((found.coefficients - last.coefficients) / errors)
-    # Of a mean square of 1: three standard errors of 40 runs, whose seven scores are correlated.
+    # Of a mean square of 1: three standard errors of 40 runs with seven correlated scores each.
     assert np.mean(np.square(scores)) == pytest.approx(1.0, abs=0.35)
 
 
-# -- as a tracker ----------------------------------------------------------------------------
+# -- the filter as a tracker -----------------------------------------------------------------
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Drifted:
-    """Windows of a drifting force after the first (n,): reports, and true scales [1]."""
+    """Later windows of a drifting force (n,): reports and true scales [1]."""
 
     reports: list[Report]
     truth: np.ndarray
@@ -111,10 +111,10 @@ def drifted() -> Drifted:
 
 def test_it_follows_a_drift_and_knows_its_error(drifted: Drifted) -> None:
     assert all(report.accepted for report in drifted.reports)
-    # Relative: six standard errors of a report, 1.6e-4, as the filter lags behind a little too.
+    # Relative: six standard errors of a report, 1.6e-4, because the filter also lags a little.
     np.testing.assert_allclose(drifted.scales, drifted.truth, rtol=1e-3)
     errors = np.array([report.scale.standard_error for report in drifted.reports])
-    # By which a scale may miss the truth: one normal number in 16 000 does.
+    # Largest error of a scale in standard errors; chance exceeds it once in 16 000.
     assert np.max(np.abs(drifted.scales - drifted.truth) / errors) < 4.0
 
 
@@ -172,5 +172,5 @@ def test_outliers_hardly_move_a_robust_filter() -> None:
         known.rms(filtered(before, spoilt.window, rate=1e-2, robust=r).scales / clean.scales - 1.0)
         for r in (False, True)
     )
-    # Of the error of the plain filter: outliers keep the weight of errors of usual size.
+    # Relative to the plain filter: outliers keep the weight of normal errors.
     assert robust < 0.25 * plain

@@ -1,4 +1,4 @@
-"""What a report says of a window, and the errors of records alone and together."""
+"""Contents of a window report, and the errors of records, singly and pooled."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ def test_a_set_that_cannot_be_bettered_is_confirmed() -> None:
 
 
 def with_misfit(raw: RawWindow) -> RawWindow:
-    """A force in which something repeats with every cycle of 1 Hz that the law does not follow."""
+    """The window with a periodic force added (7 Hz) that the law cannot follow."""
     time = 1e-9 * raw.start_ns + raw.period * np.arange(raw.force.size)
     return replace(raw, force=raw.force + 60.0 * np.sin(2.0 * np.pi * 7.0 * time))
 
@@ -53,7 +53,7 @@ def test_a_misfit_that_repeats_is_told_apart_from_what_scatters(
     _, found = misfitted
     seen = found.observable
     assert np.all(found.discrepancies[seen] < found.standard_errors[seen])
-    # Of the error; noise of 5.5 N would average out, a misfit of 42 N does not.
+    # Of the standard error: noise of 5.5 N averages out; a misfit of 42 N does not.
     assert np.all(found.discrepancies[seen] > 0.7 * found.standard_errors[seen])
     assert np.isnan(found.discrepancies[~seen]).all()
 
@@ -74,7 +74,7 @@ def test_a_line_says_what_is_in_use_and_leaves_out_what_is_not_known() -> None:
     assert "nan" not in report.line
 
 
-# -- rMSE, NRMSE and R² of records, alone and taken together ---------------------------------------
+# -- RMSE, NRMSE and R² of records, singly and pooled ----------------------------------------------
 
 ROUNDING = 1e-9
 """Relative: sums for means and standard deviations of the samples."""

@@ -1,4 +1,4 @@
-"""Samples brought to other times, smoothed, and joined where they were taken apart in time."""
+"""Samples resampled to other times, smoothed, and joined to those of other channels."""
 
 from __future__ import annotations
 
@@ -29,16 +29,16 @@ def test_a_cubic_is_found_at_even_times(seed: int, cubic: list[float], count: in
     places = uneven(count, seed)
     wanted = np.arange(count) - 0.5
     found = at_uniform_times(wanted, places, np.polyval(cubic, places))
-    # Of values of the order of the cubes of the places.
+    # The values are as large as the cubed times.
     np.testing.assert_allclose(found, np.polyval(cubic, wanted), atol=1e-6 * count**3)
 
 
 def test_white_noise_stays_white() -> None:
-    # A smoother finds its length from the noise, which it knows by its being white.
+    # A smoother chooses its length from the noise, which it recognises by its whiteness.
     count = 4000
     noise = np.random.default_rng(1).standard_normal(count)
     brought = at_uniform_times(np.arange(count) - 0.5, uneven(count, seed=2), noise)
-    # Part by which the white noise of a few thousand samples may seem to change.
+    # Relative error of the noise estimated from a few thousand samples.
     assert white_noise(brought) == pytest.approx(white_noise(noise), rel=0.1)
 
 
@@ -48,11 +48,11 @@ def test_few_samples_or_such_of_one_stamp_have_a_finite_value(places: list[float
     assert np.isfinite(at_uniform_times(np.array([0.5]), at, at)).all()
 
 
-# -- the filter of Savitzky and Golay: right for polynomials, and the same as SciPy's --------------
+# -- the Savitzky-Golay filter: exact for polynomials, and equal to SciPy's ------------------------
 
 STEP = 2e-3
 SCIPY_ROUNDING = 1e-6
-"""The same of SciPy's filter, which does not scale the powers, for up to 200 samples."""
+"""As ROUNDING, for SciPy's filter with up to 200 samples; it does not scale the powers."""
 
 
 @known.fixed(40)
@@ -79,7 +79,7 @@ def test_too_few_values_are_refused() -> None:
         SavitzkyGolay(7, 4).derivative(np.zeros(6))
 
 
-# -- channels that were measured apart in time are brought together, at the time of both -----------
+# -- channels sampled at different times are resampled to common times -----------------------------
 
 PERIOD = 1e-3
 START = 1_700_000_000_000_000_000
@@ -94,7 +94,7 @@ def pull(time: np.ndarray) -> np.ndarray:
 
 
 def skewed(lateness: float, sizes: list[int], missing: int = -1) -> list[RigBlock]:
-    """Blocks whose force is that of so long before; one of them never comes."""
+    """Blocks whose force was sampled ``lateness`` seconds earlier; block ``missing`` is lost."""
     blocks, first = [], 0
     for place, size in enumerate(sizes):
         time = (first + np.arange(size)) * PERIOD
@@ -124,7 +124,7 @@ def test_both_are_what_they_were_at_the_stamp(lateness: float, sizes: list[int])
         np.testing.assert_allclose(block.force, pull(time), atol=1e-3)
     numbers = np.concatenate([b.sequence + np.arange(b.sample_count) for b in blocks])
     assert (np.diff(numbers) == 1).all()
-    # Only those at the beginning have no partner.
+    # Only samples at the beginning have no partner.
     assert numbers[-1] == sum(sizes) - 1
     assert numbers[0] <= 6
 

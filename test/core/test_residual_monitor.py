@@ -1,4 +1,4 @@
-"""What counts as a wrong force, by the noise of the load cell and the latest peak."""
+"""Detection of a wrong force from the load cell's noise and the latest peak."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ PEAK = 1000.0
 
 
 def watch_of(noise: float) -> tuple[ResidualMonitor, Array]:
-    """One that has followed a second of a sine force, and the next samples of that."""
+    """A monitor that has followed a sine force for some time, and the next samples."""
     watch = ResidualMonitor(PERIOD, 0.2)
     angle = 2.0 * np.pi * PERIOD * np.arange(3000)
     force = PEAK * np.sin(angle) + noise * np.random.default_rng(0).standard_normal(angle.size)
@@ -43,7 +43,7 @@ def test_after_a_wrong_stretch_the_force_is_valid_only_once_the_error_has_stayed
     watch, _ = watch_of(0.0)
     force = PEAK * np.sin(2.0 * np.pi * PERIOD * np.arange(400))
     off = np.where(np.arange(400) < 40, 0.5 * PEAK, 0.0)
-    off[60:100:10] = 0.19 * PEAK  # below the limit, but not yet far enough
+    off[60:100:10] = 0.19 * PEAK  # below the limit, but the margin is too small
     wrong = np.array(
         [any(watch.judge(force[k : k + 1] + off[k], force[k : k + 1])) for k in range(400)]
     )
@@ -52,7 +52,7 @@ def test_after_a_wrong_stretch_the_force_is_valid_only_once_the_error_has_stayed
     assert np.count_nonzero(np.diff(wrong.astype(int))) == 1, "once valid, it stays valid"
 
 
-# -- the peak that errors are held against ---------------------------------------------------------
+# -- the peak to which errors are relative ---------------------------------------------------------
 
 
 HALF_CYCLE = 0.1
@@ -88,7 +88,7 @@ def test_a_large_force_is_forgotten_in_any_motion(half_cycle: float) -> None:
 def followed(
     force: Array, current: Array, half_cycle: float, largest: float = math.inf
 ) -> ForceStatistics:
-    """What is remembered after a force [N] at a current [A], each of shape (n,).
+    """Force statistics after a force [N] at a current [A], each of shape (n,).
 
     ``largest`` [N] is the largest force of the set at the present current.
     """

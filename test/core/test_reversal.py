@@ -1,4 +1,4 @@
-"""The branch of the hysteresis where the motion turns, and whether the force jumps there."""
+"""The branch of the hysteresis at a reversal, and whether the force jumps there."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ def motion(amplitude: float = 5e-3, frequency: float = 1.0, cycles: float = 2.5)
 
 
 def forces(model_name: str, sine: Motion) -> tuple[Array, Array]:
-    """Of the law, and of the law without its jumps."""
+    """Force of the law, and of the law without its jumps."""
     model = MODELS[model_name]
     values = known.EXAMPLES[model_name]
     return (
@@ -48,7 +48,7 @@ def test_it_is_the_law_once_the_velocity_has_come_back() -> None:
 
 @pytest.mark.parametrize("model_name", ["sigmoid", "sigmoid_lag"])
 def test_there_is_no_jump(model_name: str) -> None:
-    # A slow motion of a wide loop: the law jumps by much of its force.
+    # At a slow motion with a wide loop the jump of the law is a large part of its force.
     sine = motion(frequency=0.25, cycles=1.5)
     exact, gradual = forces(model_name, sine)
     turns = np.diff(np.sign(sine.acceleration)) != 0.0
@@ -77,10 +77,10 @@ def test_the_branch_is_that_sample_by_sample(
     np.testing.assert_allclose(np.concatenate((first, second)), expected, atol=1e-7)
 
 
-# -- whether the force of a damper jumps where the motion turns is told by more than one cycle -----
+# -- several cycles decide whether the force of a damper jumps at reversals ------------------------
 
 CYCLE = 1000
-"""Samples; one comes a millisecond."""
+"""Samples per cycle, at 1 kHz."""
 
 SET = ParameterSet(THESIS_28_CELSIUS, set_id="thesis")
 RUN = known.run(current=CURRENT, samples=CYCLE, seed=None)
@@ -89,11 +89,11 @@ MOTION = Motion(
 )
 
 SMEARED = 0.65
-"""Part of the way from the force that jumps to the gradual one: nearer to that, but not it."""
+"""Fraction of the way from the jumping force to the gradual one: nearer to the gradual one."""
 
 
 def force(*, gradual: bool) -> Array:
-    """The force of a cycle of the damper [N], if it turns so."""
+    """Force of one cycle of the damper [N]."""
     law = SET.law.continuous if gradual else SET.law
     return law.force(SET.values, MOTION, CURRENT, RUN.period)
 
@@ -103,7 +103,7 @@ INDISTINCT = JUMPING + SMEARED * (GRADUAL - JUMPING)
 
 
 def looked_at(*cycles: Array) -> list[bool]:
-    """Whether the force is taken to be gradual after each of these cycles of it [N]."""
+    """After each of these cycles [N]: whether the force is classified as gradual."""
     sets = ModelBank(0.25, gradual=True)
     sets.add(SET, None)
     found = []

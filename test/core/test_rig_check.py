@@ -1,4 +1,4 @@
-"""What is wrong with a rig is named, and nothing is invented where nothing is."""
+"""Faults of a rig are named, and none are reported for a sound rig."""
 
 from __future__ import annotations
 
@@ -96,7 +96,7 @@ FAULTS = {
     "supply_clock:2": Trouble.CURRENT_CLOCK,
     "tempo:0": Trouble.AT_REST,
 }
-"""Expected name of each fault."""
+"""Expected finding for each fault."""
 
 
 def troubles(heard: RigRecord) -> list[Trouble]:
@@ -121,7 +121,7 @@ def test_several_faults_are_all_named(seed: int) -> None:
 
 
 def without_large_forces(heard: RigRecord, limit: float) -> tuple[RigRecord, int]:
-    """What comes of a source that leaves out the samples at a limit [N], and how many it left."""
+    """The record without samples whose force reaches a limit [N], and the number left out."""
     kept = RigRecord(measured=heard.measured, commanded=heard.commanded)
     left_out = 0
     for block in heard.blocks:

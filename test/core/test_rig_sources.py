@@ -1,4 +1,4 @@
-"""The sources of samples: what they open, the blocks they give, and what they refuse."""
+"""The sources of samples: what they open, the blocks they produce, and rejected options."""
 
 from __future__ import annotations
 
@@ -68,9 +68,9 @@ def test_a_command_changes_the_current_with_the_next_block_and_holds_for_its_tim
     blocks = rig.blocks(START)
     assert set(next(blocks).current) == {0.5}
     rig.commander.command(1.0, 0, 0.0, time.monotonic() + 3600.0)
-    list(islice(blocks, 10))  # what was made before the command, up to a hundred samples
+    list(islice(blocks, 10))  # blocks made before the command, up to a hundred samples
     assert set(next(blocks).current) == {1.0}
-    # From now on the rig makes no sample before it is asked for.
+    # From now on the rig makes each sample only on request.
     rig.commander.command(0.8, 1, 0.0, time.monotonic() + 3600.0)
     assert set(next(blocks).current) == {0.8}
     rig.commander.command(0.8, 2, 0.0, time.monotonic() - 3600.0)
@@ -90,7 +90,7 @@ def test_the_emulated_rig_moves_within_its_amplitude_and_band(excitation: str) -
     frequencies = np.fft.rfftfreq(moved.size, 1e-3)
     within = (frequencies > 0.3) & (frequencies < 5.0)
     assert spectrum[within].sum() > 0.98 * spectrum.sum()
-    # It is no single sine.
+    # The result is no longer a single sine.
     share = np.cumsum(spectrum) / spectrum.sum()
     low, high = np.interp((0.1, 0.9), share, frequencies)
     assert high > 1.5 * low

@@ -1,4 +1,4 @@
-"""Tables that never grow: what is dropped, what is thinned, what a reader is given."""
+"""Tables of limited size: dropped rows, thinning, and the data for readers."""
 
 from __future__ import annotations
 

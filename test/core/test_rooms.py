@@ -1,4 +1,4 @@
-"""The rooms of the package: imports point one way."""
+"""Imports between the rooms of the package point in one direction."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ ROOMS = (
     *("control", "io", "emulation", "rig", "report", "api", "campaign", "rig_check", "lots"),
     *("live", "nodes", "tools"),
 )
-"""A room knows those before it, and none after it. The first two know nothing of dampers."""
+"""Each room may import only from those before it. The first two know nothing of dampers."""
 
 ROS = ("rclpy", "rcl_interfaces", "mr_damper_msgs", "sensor_msgs", "diagnostic_msgs", "std_msgs")
 
@@ -33,12 +33,12 @@ def inside(path: Path) -> str:
 
 
 def room(path: Path) -> str:
-    """The room of a module; empty for those at the top of the package."""
+    """Room of a module; empty for modules at the top of the package."""
     return path.relative_to(PACKAGE).parts[0] if path.parent != PACKAGE else ""
 
 
 def imported(path: Path) -> Iterator[str]:
-    """Full names of all that a module imports, wherever in it, under TYPE_CHECKING too."""
+    """Full names of all imports of a module, including local ones and those under TYPE_CHECKING."""
     for node in ast.walk(tree(path)):
         if isinstance(node, ast.Import):
             yield from (name.name for name in node.names)
@@ -57,7 +57,7 @@ def rooms_known_to(path: Path) -> set[str]:
 
 
 def allowed(place: str) -> set[str]:
-    """Rooms that a room may import from."""
+    """Rooms from which a room may import."""
     return set(ROOMS) if place == "" else set(ROOMS[: ROOMS.index(place) + 1])
 
 

@@ -1,4 +1,4 @@
-"""A record of several runs comes apart where one ends: pauses, rests, currents, phases."""
+"""A record of several runs is split at their ends: pauses, rests, currents, phases."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ RATE = 200.0
 COLUMNS = "time:s,displacement:m,force:N"
 
 TO_A_BLOCK = 0.25
-"""[s]: rests are found by blocks of a tenth of a second, and one is left at each end."""
+"""[s]: rests are found with a resolution of 0.1 s, and one block remains at each end."""
 
 
 def cycles(
@@ -39,7 +39,7 @@ def rest(seconds: float) -> np.ndarray:
 
 
 def write(path: Path, parts: Sequence[np.ndarray], *more: np.ndarray, pause: float = 0.0) -> Path:
-    """A file of the parts one after the other, with a pause of the logger between them."""
+    """A file of the parts in sequence, with a pause of the logger between them."""
     values = np.concatenate(parts, axis=1)
     # [m] of the displacement.
     values = values + np.random.default_rng(0).normal(0.0, [[2e-6], [2.0]], values.shape)
@@ -143,7 +143,7 @@ def test_what_is_missing_is_one_sentence(
     assert len(said.strip().splitlines()) == 1
 
 
-# -- currents that the heights of the loops contradict are said, and nothing else is ---------------
+# -- currents that contradict the heights of the loops are reported, and no others -----------------
 
 SAMPLES = 4000
 

@@ -1,4 +1,4 @@
-"""Which run comes next: knowledge of the force, plans within limits, signals, whole campaigns."""
+"""Choice of the next run: errors of the force, plans within limits, signals, whole campaigns."""
 
 from __future__ import annotations
 
@@ -25,14 +25,14 @@ GOAL = ForceGoal(0.06, (0.02, 0.2), (0.0, 1.5), speeds=3, currents=4)
 LIMITS = MachineLimits(0.01, 0.2, 5000.0, 1.5, 2.0, sample_rate=500.0)
 
 CLAIMS = (1.0 / 3.0, 3.0)
-"""Claimed over true error of one damper: of the largest of many normal deviates."""
+"""Allowed ratio of the stated to the true error of one damper; both are largest values."""
 
 LAW = known.SIGMOID
 EVERY = np.ones(len(LAW.parameters), dtype=bool)
 
 
 class Machine:
-    """Makes runs, each with noise of its own, and keeps what it was asked."""
+    """Makes runs with independent noise, and records the requests."""
 
     def __init__(self) -> None:
         self.runs: list[PlannedRun] = []
@@ -119,7 +119,7 @@ MISFIT = 0.05
 
 
 def with_third_harmonic(window: Window, part: float) -> Window:
-    """The window with a force beside, of a part of the largest, that no set of the law has."""
+    """The window with a third harmonic added: a fraction of the largest force that no set fits."""
     largest = np.max(np.abs(LAW.window_force(window, known.PLAUSIBLE)))
     third = np.sin(3.0 * np.arctan2(window.motion.displacement, window.motion.velocity / 10.0))
     return replace(window, force=window.force + part * largest * third)
@@ -134,7 +134,7 @@ def test_noise_alone_is_no_model_error() -> None:
 def test_the_error_of_the_force_includes_what_the_law_does_not_follow(planner: RunPlanner) -> None:
     wrong = [with_third_harmonic(window, MISFIT) for window in windows(first_run(GOAL, LIMITS))]
     now = planner.errors(wrong, known.PLAUSIBLE)
-    # In the short cycle at 0 A the noise adds to the largest of the means.
+    # In the short cycle at 0 A the noise adds to the largest mean.
     assert now.model_error == pytest.approx(1.35 * MISFIT, rel=0.4)
     assert now.worst >= now.model_error
     assert "is model error" in now.sentence

@@ -1,4 +1,4 @@
-"""What makes a window unfit is named before anything is fitted to it."""
+"""Unusable windows are named before they are fitted."""
 
 from __future__ import annotations
 
@@ -67,7 +67,7 @@ def test_a_quantised_force_is_not_taken_for_clipped(step: float) -> None:
 
 @pytest.mark.parametrize("dwell", [0.05, 0.1, 0.2])
 def test_a_crank_that_rests_at_dead_centre_is_not_taken_for_clipped(dwell: float) -> None:
-    # It slows down, stands still to the last digit, and sets off slowly.
+    # It slows down, stops completely, and starts slowly.
     t = np.arange(2000) * 1e-3
     cycle = np.clip((t % 0.5) / 0.5 / (1.0 - dwell), 0.0, 1.0)
     data = {

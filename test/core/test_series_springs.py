@@ -1,4 +1,4 @@
-"""Springs in series with yield and damper: theory, any period, any cut, derivatives, memory."""
+"""Springs in series with yield and damper: theory, periods, block sizes, derivatives, memory."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ PLACE = {name: place for place, name in enumerate(LAW.parameter_names)}
 EXAMPLE = known.EXAMPLES["series_springs"]
 
 EXAMPLE_AT_REST = np.zeros(len(LAW.parameters))
-"""Without the gas, and the same at every current."""
+"""Without the gas force, and independent of the current."""
 EXAMPLE_AT_REST[:6] = EXAMPLE[:6]
 
 
@@ -37,7 +37,7 @@ def test_no_period_makes_it_ring(period: float, stiffness: float, width: float, 
     velocity = np.random.default_rng(seed).uniform(-0.2, 0.2, 200)
     motion = Motion(np.zeros(200), velocity, np.zeros(200), np.abs(velocity), None)
     force = LAW.force(values, motion, 0.0, period) - values[PLACE["f0"]]
-    # No more than the flow at the largest velocity gives, and the overshoot of the second order.
+    # At most the steady force at the largest velocity, plus the overshoot of the second order.
     most = values[PLACE["f_y"]] + values[PLACE["c"]] * 0.2
     assert np.all(np.abs(force) < 1.5 * most)
 
@@ -67,7 +67,7 @@ def test_the_derivatives_are_those_of_differences(name: str, current: str, coil:
         expected = (pooled.residual(values + step) - pooled.residual(values - step)) / (
             2.0 * step[place]
         )
-        # Relative to the largest: differences in steps of 1e-5 of a law that bends.
+        # Relative to the largest: differences with steps of 1e-5 of a nonlinear law.
         np.testing.assert_allclose(
             every[:, place], expected, atol=1e-4 * max(float(np.abs(expected).max()), 1e-9)
         )
@@ -87,5 +87,5 @@ def test_only_samples_that_have_forgotten_the_past_count(stiffening: float) -> N
     settled = LAW.settled(late, values)
     error = LAW.window_force(late, values) - late.force
     assert not settled.all()
-    # Relative to the span of the force: a start is forgotten to a hundredth, at both of its ends.
+    # Relative to the span of the force: the start has decayed to 1 %, at either end.
     assert np.max(np.abs(error[settled])) < 0.02 * np.ptp(late.force)

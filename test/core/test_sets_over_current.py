@@ -1,4 +1,4 @@
-"""Where the current steps, what is known of that current counts, not the window at another one."""
+"""After a current step, the set of that current counts instead of the latest window's."""
 
 from __future__ import annotations
 
@@ -25,13 +25,13 @@ LOW, HIGH = 0.4, 1.2
 """Currents [A] before and after the step."""
 
 STEP, END = 6.0, 7.0
-"""[s]: of the step, and up to when the force counts."""
+"""[s]: time of the step, and end of the evaluated force."""
 
 STRONGER = 1.2
-"""The damper gives so many times the force of when the set for all currents was found."""
+"""Force of the damper relative to that of the set for all currents."""
 
 NEAR = 0.05
-"""NRMSE: what the observer leaves where the motion turns, the coil, and the factor."""
+"""NRMSE: errors of the observer at reversals, the coil lag and the factor."""
 
 SIGMOID = replace(ParameterSet(known.PLAUSIBLE), set_id="sigmoid")
 TANH = DAMPERS["viscous_tanh"]
@@ -39,7 +39,7 @@ LAWS = [pytest.param(SIGMOID, id="sigmoid"), pytest.param(TANH, id="viscous tanh
 
 
 def with_values(parameters: ParameterSet, **factors: float) -> ParameterSet:
-    """A set with so many times these parameters."""
+    """A set with these parameters multiplied by factors."""
     values = parameters.values.copy()
     for name, factor in factors.items():
         values[parameters.law.places((name,))] *= factor
@@ -67,7 +67,7 @@ def whole_of(damper: ParameterSet) -> ParameterSet:
 
 
 def window_of(damper: ParameterSet, current: float, set_id: str) -> ParameterSet:
-    """A set that is right at one current [A] and knows little of the others."""
+    """A set that is right at one current [A] and poorly determined at the others."""
     if damper.model == "sigmoid":
         found = with_values(damper, k2=0.3)
         right, wrong = (
@@ -91,9 +91,9 @@ def poor(damper: ParameterSet) -> ParameterSet:
 
 
 class Said(NamedTuple):
-    """A set that comes at a time [s], so much ``late`` [s] after its window of a ``length`` [s].
+    """A set that arrives at ``time`` [s], ``late`` [s] after its window of ``length`` [s].
 
-    ``reported``: whether its report comes, too.
+    ``reported``: whether its report arrives too.
     """
 
     time: float
@@ -104,13 +104,13 @@ class Said(NamedTuple):
 
 
 class Course(NamedTuple):
-    """What was predicted, block by block, and the force of the damper, (n,) [N]."""
+    """Predictions of each block, and the true force of the damper (n,) [N]."""
 
     predictions: list[Prediction]
     force: Array
 
     def nrmse(self, begin: float = STEP, end: float = END) -> float:
-        """Error from one time [s] to another."""
+        """NRMSE between two times [s]."""
         predicted = np.concatenate([each.force for each in self.predictions])
         part = slice(round(begin / known.PERIOD), round(end / known.PERIOD))
         return float(known.rms((predicted - self.force)[part]) / np.std(self.force[part]))
@@ -129,9 +129,9 @@ def course(
     from_file: bool = False,
     **settings: float,
 ) -> Course:
-    """A sine of 5 mm at 1 Hz; with the set for all currents, then those that are said.
+    """A sine of 5 mm at 1 Hz, predicted with the set for all currents, then with those in ``said``.
 
-    ``from_file``: somebody gave the former, so that it does not age.
+    ``from_file``: the former is from a file, so that it does not age.
     """
     schedule = currents or CurrentSchedule([0.0, STEP], [LOW, HIGH])
     rig = EmulatedRig(EmulatedDamper(damper), SineMotion(5e-3, 1.0), schedule)
@@ -223,7 +223,7 @@ def test_a_wrong_set_for_all_is_not_called_valid() -> None:
     wrong = with_values(poor(SIGMOID), k2=-1.0)
     came = course([Said(5.0, window_of(SIGMOID, LOW, "low"))], whole=wrong)
     assert came.set_at(END - 0.1).startswith("whole")
-    # NRMSE: less than what a set for another current leaves.
+    # NRMSE: smaller than that of a set for another current.
     assert came.nrmse() > 0.1
     assert came.predictions[-1].doubt.kind.grave
 

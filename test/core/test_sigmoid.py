@@ -1,4 +1,4 @@
-"""The force law is the thesis' routine, does not overflow, and has right derivatives."""
+"""The force law equals the thesis' routine, never overflows, and has correct derivatives."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ from mr_damper_ros.models.sigmoid.law import (
 from mr_damper_ros.signals.arrays import Array
 
 ROUNDING = 1e-9
-"""Relative: the routine and the law round differently, no more."""
+"""Relative: rounding of the routine against the law."""
 
 ROWS = [(c, m) for c in thesis.CONDITIONS for m in thesis.PUBLISHED_METHODS]
 ROW_IDS = [f"{c.name}-{m}" for c, m in ROWS]
@@ -43,7 +43,7 @@ def cycle(condition: Condition, samples: int = 240) -> tuple[Array, Array, Array
 
 
 def routine(x: Array, d: Array, v: Array, a: Array, i_ref: float) -> Array:
-    """``mrf_sigmoid`` of appendix D, line by line; overflow gives what MATLAB gives."""
+    """``mrf_sigmoid`` of appendix D, line by line; overflow gives the results of MATLAB."""
 
     def exp(exponent: float) -> float:
         try:
@@ -95,10 +95,10 @@ def test_the_law_is_the_routine_for_the_other_sets_and_any_motion(
 ) -> None:
     rng = np.random.default_rng(3)
     u, v, a = rng.normal(0.0, (5e-3, 0.05, 1.0), (200, 3)).T
-    # Points of no velocity, of no acceleration, and of no motion at all.
+    # Points without velocity, without acceleration, and without either.
     v[:3], a[2:5], u[2] = 0.0, 0.0, 0.0
     expected = routine(values, u, v, a, current)
-    # From the literature's set the routine overflows where the peak velocity is small.
+    # With the literature's set the routine overflows at small peak velocities.
     valid = np.isfinite(expected)
     assert valid.sum() > 150
     np.testing.assert_allclose(
@@ -192,7 +192,7 @@ def test_derivatives_around_a_plausible_damper(
     factors: tuple[float, ...], flips: list[bool], seed: int
 ) -> None:
     signs = np.where(flips, -1.0, 1.0)
-    # 1 + k0 v must keep away from its pole, which is no damper's.
+    # 1 + k0 v must stay away from its pole, which no damper reaches.
     signs[known.index("k0")] = 1.0
     values = known.PLAUSIBLE * np.array(factors) * signs
     rng = np.random.default_rng(seed)
@@ -204,7 +204,7 @@ def test_derivatives_around_a_plausible_damper(
     )
 
 
-# -- what the thesis publishes ---------------------------------------------------------------
+# -- published values ------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(
@@ -218,5 +218,5 @@ def test_peaks_of_the_temperature_sets(
     run = known.run(values, amplitude=5e-3, frequency=1.0, current=1.5, seed=None)
     assert round(run.clean.max()) == top
     assert round(run.clean.min()) == bottom
-    # The sets of the temperature tables have two decimals: their peaks are right within this.
+    # The sets of the temperature tables have two decimals, which limits the peaks to 2 %.
     assert run.clean.max() == pytest.approx(published, rel=0.02)

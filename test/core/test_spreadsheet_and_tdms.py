@@ -1,4 +1,4 @@
-"""XLSX and TDMS files become the recording that the same numbers in a text file are."""
+"""XLSX and TDMS files give the same recording as a text file with the same numbers."""
 
 from __future__ import annotations
 
@@ -140,7 +140,7 @@ def test_a_group_is_chosen_by_its_name(tmp_path: Path) -> None:
     sentence = refused(path)
     assert "holds 2 groups of numbers with at least 3 columns: choose one" in sentence
     assert "it holds Run 1, Run 2" in sentence
-    # A group without these columns cannot be meant.
+    # A group without these columns is not a candidate.
     assert_is_the_run(channels(tmp_path / "one.tdms", {"Other": TIME}, GROUP))
 
 
@@ -160,7 +160,7 @@ def test_what_is_wrong_in_a_tdms_file_is_named(tmp_path: Path) -> None:
 def test_a_missing_library_is_one_sentence(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, ending: str, library: str
 ) -> None:
-    # A module of that name that cannot be loaded, before the real one if there is any.
+    # A broken module of that name hides the real one.
     (tmp_path / f"{library}.py").write_text("raise ImportError", encoding="utf-8")
     monkeypatch.syspath_prepend(tmp_path)
     sentence = refused(damaged(tmp_path / f"run.{ending}"))

@@ -1,4 +1,4 @@
-"""Parameter sets on disk: what was written comes back, and nothing else is believed."""
+"""Parameter sets on disk are read back exactly; damaged ones are rejected."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ def same(a: ParameterSet, b: ParameterSet) -> bool:
         (np.asarray(getattr(a, field.name)), np.asarray(getattr(b, field.name)))
         for field in dataclasses.fields(ParameterSet)
     )
-    # What is unknown is NaN.
+    # Unknown values are NaN.
     return all(np.array_equal(x, y, equal_nan=x.dtype.kind == "f") for x, y in pairs)
 
 
@@ -112,7 +112,7 @@ def test_every_damage_is_noticed(tmp_path: Path, memory: str) -> None:
     whole = path.read_bytes()
     first_line = whole.index(b"\n") + 1
     for position in (*range(first_line), *range(first_line, len(whole), 3)):
-        # The checksum tells of the body; of the first line every bit is tried.
+        # Every bit of the first line is tried; a checksum protects the rest.
         for bit in range(8) if position < first_line else (2,):
             damaged = bytearray(whole)
             damaged[position] ^= 1 << bit

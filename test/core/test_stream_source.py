@@ -1,4 +1,4 @@
-"""The source `stream`: what senders put on a wire, and all that can be wrong with it."""
+"""The source `stream`: data from senders, and every fault that can occur."""
 
 from __future__ import annotations
 
@@ -62,7 +62,7 @@ def up_to(running: Streamed, force: float) -> Callable[[], bool]:
 
 
 class Sender:
-    """A server that hands each connection to the next of ``acts``, in a thread of its own."""
+    """A server that passes each connection to the next of ``acts``, in a separate thread."""
 
     def __init__(self, *acts: Callable[[socket.socket], None]) -> None:
         self._server = socket.create_server(("127.0.0.1", 0))
@@ -97,7 +97,7 @@ def serve() -> Iterator[Callable[..., str]]:
 
 
 def sends(*parts: bytes) -> Callable[[socket.socket], None]:
-    """Sends these and stays connected until the other side goes."""
+    """Send these and stay connected until the peer disconnects."""
 
     def act(connection: socket.socket) -> None:
         for part in parts:
@@ -107,7 +107,7 @@ def sends(*parts: bytes) -> Callable[[socket.socket], None]:
     return act
 
 
-# -- over real links ---------------------------------------------------------------------------
+# -- real links --------------------------------------------------------------------------------
 
 
 def test_datagrams_are_lines_of_one_sender(stream: Callable[..., Streamed]) -> None:
@@ -128,7 +128,7 @@ def test_datagrams_are_lines_of_one_sender(stream: Callable[..., Streamed]) -> N
             return len(running.blocks) >= 20
 
         running.until(sent)
-    # Samples of the other would be a million further on.
+    # Samples of the other connection would be a million further on.
     assert np.ptp(running.joined("force")) < 10_000
 
 
@@ -140,7 +140,7 @@ def test_lines_come_over_a_serial_line_that_is_joined_in_the_middle_of_one_and_u
     name = os.ttyname(slave)
     running = stream(f"serial:{name}")
     running.until(lambda: running.source.state().values["connections"] > 0)
-    # The end of "1007, 1, 2": as a line of its own it would be another sample.
+    # The end of "1007, 1, 2"; as a line of its own it would be another sample.
     os.write(master, b"7, 1, 2\n")
     parts = iter(range(0, 1000, 50))
 
@@ -167,7 +167,7 @@ def test_a_link_that_is_cut_is_made_again_and_leaves_a_gap(
     running.until(up_to(running, 3980))
     force = running.joined("force")
     np.testing.assert_allclose(running.joined("displacement"), 1e-6 * force, atol=1e-12)
-    # The stamps tell how long the gap was; samples that wait for others may be lost with it.
+    # The stamps give the length of the gap; samples waiting for others may be lost with it.
     assert ((np.diff(force) == 1.0) | (np.diff(force) > 1900.0)).all()
     assert len(set((force - running.numbers()).tolist())) == 1
     assert running.blocks[0].period == pytest.approx(1e-3, rel=1e-9)
@@ -231,7 +231,7 @@ def test_a_stream_may_be_simulated(stream: Callable[..., Streamed]) -> None:
     assert running.blocks[0].period == pytest.approx(1e-3, rel=1e-6)
 
 
-# -- what comes over it ------------------------------------------------------------------------
+# -- received data -----------------------------------------------------------------------------
 
 
 def test_a_sender_of_garbage_is_told_and_given_nothing(
@@ -383,7 +383,7 @@ def test_no_record_is_made_of_garbage_in_between(hits: list[tuple[int, bytes]]) 
 
 
 def stamped(rows: StampedRows, times: Iterator[float] | list[float]) -> list[int]:
-    """Numbers of the samples that come of rows with these times [s], which arrive at once."""
+    """Numbers of the samples from rows with these times [s], which arrive at once."""
     return [
         sample.number
         for k, at in enumerate(times)
@@ -434,7 +434,7 @@ def test_blocks_hold_what_came_and_none_has_a_gap(taken: set[int], size: int) ->
         assert math.isnan(block.current[0])
 
 
-# -- what cannot be ----------------------------------------------------------------------------
+# -- invalid options ---------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(

@@ -1,4 +1,4 @@
-"""Streams of dampers met for the first time, of faulty rigs, and of the whole loop."""
+"""Streams of unknown dampers, of faulty rigs, and of the whole control loop."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ def healthy_trial() -> StreamTrial:
 
 @cache
 def outcome(text: str) -> faults.Outcome:
-    """What comes of a fault of two seconds."""
+    """Outcome of a fault of two seconds."""
     return faults.run(healthy_trial(), faults.Scenario(text, begin=6.5, end=8.5), DAMPER)
 
 
@@ -45,16 +45,16 @@ TROUBLE = [
 
 @pytest.mark.parametrize("text", TROUBLE)
 def test_a_fault_is_noticed_and_a_repaired_rig_soon_right_again(text: str) -> None:
-    # Seconds: what the median of all scenarios may take at most.
+    # Seconds: limit for the median of all scenarios.
     assert outcome(text).wrong_valid <= 0.5
     # Windows after the repair, as for all scenarios.
     assert outcome(text).recovery <= 4.0
 
 
-# -- a damper that is met for the first time, and then at another current --------------------------
+# -- an unknown damper at one current, then at another ---------------------------------------------
 
 STEP = 5.0
-"""Seconds at the first current; after three some windows have been fitted."""
+"""Seconds at the first current; after three, some windows have been fitted."""
 
 
 @pytest.mark.parametrize("model", ["sigmoid", "sigmoid_lag"])
@@ -68,15 +68,15 @@ def test_the_next_current_is_given_no_force_beyond_what_a_damper_can(model: str)
     )
     result = trial.run(STEP + 2.0)
     known = result.time > 3.0
-    # Times the largest force of the whole run: what no other current can be taken to give.
+    # Multiple of the largest force of the whole run, which no other current can exceed.
     assert np.nanmax(np.abs(result.predicted[known])) < 2.0 * np.abs(result.true).max()
 
 
-# -- identifier, model and controller together: none of them keeps the others from what they need --
+# -- identifier, model and controller together must not starve each other --------------------------
 
 
 def test_an_identifier_that_starts_from_nothing_leaves_the_controller_its_set() -> None:
-    """The controller has a parameter file; the identifier knows the damper at 0 A alone at first.
+    """The controller has a parameter file; at first the identifier knows the damper at 0 A only.
 
     If its start, or what it has found at the safe current, took the place of the file, nothing but
     that current would be commanded, and nothing else ever be identified.

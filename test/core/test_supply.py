@@ -1,4 +1,4 @@
-"""Supplies: what commands do, and what an instrument behind a real socket makes of it."""
+"""Supplies: effects of commands, also on an instrument behind a real socket."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ from mr_damper_ros.rig.supplies.supply import (
 
 SECOND = 10**9
 TIMEOUT = 0.2
-"""Seconds that the tests' links wait for an answer: each silence costs one."""
+"""Timeout [s] of the links in these tests; each missing answer costs one."""
 
 with_visa = pytest.mark.skipif(find_spec("pyvisa_py") is None, reason="PyVISA-py is missing")
 
@@ -87,7 +87,7 @@ def test_a_command_that_was_overtaken_is_refused_while_the_newer_one_holds() -> 
     tried = commander(command_timeout=0.5)
     assert tried.command(1.0, 2 * SECOND, 0.0, now=0.0) == ""
     assert "older than the last one" in tried.command(0.3, SECOND, 0.1, now=0.1)
-    # Once that has timed out, an earlier stamp is that of a clock which was set.
+    # After a timeout, an earlier stamp means that the clock was set.
     assert tried.command(0.3, SECOND, 0.1, now=0.6) == ""
 
 
@@ -132,7 +132,7 @@ def test_it_says_when_the_current_will_change_by_itself() -> None:
 
 
 class SetClock:
-    """Seconds that pass when the test says so."""
+    """A clock that advances only when the test sets it."""
 
     def __init__(self) -> None:
         self.now = 100.0
@@ -216,7 +216,7 @@ def supply_at(address: str, profile: str = "emulated") -> ScpiSupply:
 
 
 def give(supply: ScpiSupply, current: float) -> None:
-    """Set a current, and wait until the instrument has heard it: lines are not acknowledged."""
+    """Set a current and wait for the instrument to receive it: lines are not acknowledged."""
     supply.give(current)
     assert supply.errors() == []
 
@@ -241,7 +241,7 @@ def test_it_is_off_and_without_current_until_it_is_switched_on(
 
 
 class AnsweringLink(EmulatedInstrument):
-    """A link to an instrument that measures what it is told to."""
+    """A link to an instrument with prescribed measurements."""
 
     def __init__(self, answer: str) -> None:
         super().__init__()
@@ -314,7 +314,7 @@ def test_nobody_at_the_address_is_a_lost_link(server: InstrumentServer) -> None:
 
 
 class SerialInstrument:
-    """An instrument at one end of a serial line, of which the other is ``path``."""
+    """A serial instrument; ``path`` is the other end of its line."""
 
     def __init__(self, instrument: EmulatedInstrument) -> None:
         self._instrument = instrument
@@ -372,7 +372,7 @@ def test_pyvisa_reaches_the_same_instrument_over_a_serial_line(
     supply.close()
 
 
-# --- in a thread of its own ---------------------------------------------------------------------
+# --- in a separate thread -----------------------------------------------------------------------
 
 
 @pytest.fixture

@@ -1,4 +1,4 @@
-"""Text records of any size, and MAT files in a process of their own, which may crash or hang."""
+"""Text records of any size, and MAT files in a separate process, which may crash or hang."""
 
 from __future__ import annotations
 
@@ -37,8 +37,8 @@ def test_memory_is_that_of_the_numbers(tmp_path: Path) -> None:
     _, peak = tracemalloc.get_traced_memory()
     tracemalloc.stop()
     assert table.values["force"].size == rows
-    # Of three numbers of eight bytes, twice: what has been read is joined at the end.
-    # Bytes: fifty thousand lines are parsed at a time.
+    # Three numbers of eight bytes, twice, because the parts are joined at the end; and 12 MB to
+    # parse fifty thousand lines at a time.
     assert peak < 60 * rows + 12_000_000
 
 
@@ -86,7 +86,7 @@ def test_what_may_never_end_is_not_read(tmp_path: Path, kind: str, suffix: str) 
         read_record(path, TEXT_COLUMNS, current=0.5)
 
 
-# -- mAT files are read in a process of their own, which may crash or hang -------------------------
+# -- MAT files are read in a separate process, which may crash or hang -----------------------------
 
 MATRIX = np.arange(12.0).reshape(4, 3)
 UNREADABLE = "run.mat cannot be read as a MAT file: save it again, or export it as CSV"

@@ -26,7 +26,8 @@ from studies.thesis.optimisers import available
 def test_an_optimiser_keeps_budget_and_bounds_and_ends_between_the_noise_and_the_force(method):
     result = optimisers.run(method, 0, [1, 2], 1500)
     assert 0 < result["evaluations"] <= 1500
-    # RMSE [N]: a fit takes 7/14000 of the noise of 7001 samples; without any law 1069 N is left.
+    # RMSE [N]: the fit of 7 parameters to 7001 samples lowers it slightly; without a law it is 1069
+    # N.
     assert result["floor"] / 1.001 <= result["rmse"] < 1069.0
     trace = [x for x in result["trace"] if x is not None]
     assert trace == sorted(trace, reverse=True)
@@ -38,7 +39,7 @@ def test_an_optimiser_keeps_budget_and_bounds_and_ends_between_the_noise_and_the
 @pytest.mark.parametrize("law", one_set.LAWS)
 def test_one_set_for_one_run_leaves_the_noise(law):
     fit = one_set.resynthesised([identifiability.CONDITION], 0, 4, law, generations=20)
-    # Relative: three of the standard errors that a deviation of 1750 samples has.
+    # Relative: three standard errors of a standard deviation from 1750 samples.
     assert fit["rmse"][0] == pytest.approx(THESIS_FORCE_NOISE, rel=0.05)
 
 

@@ -12,31 +12,31 @@ from studies.thesis import dependency, errata, facts, force_error
 from studies.thesis.conditions import identified
 
 SOUND_AFTER_ALL = (find("7.5mm_3Hz_1.5A"), "nelder_mead")
-"""Its k4 has the wrong sign, but so has the factor of the current: its loop is sound."""
+"""Its k4 and its current factor both have the wrong sign, so the loop is right."""
 
 SINE = {"amplitude": 3e-5, "frequency": 3e-6, "phase": 2e-5}
-"""Relative: four of the standard errors that 7001 samples with a noise of 1 µm of 2.5 mm leave."""
+"""Relative: four standard errors for 7001 samples with 1 µm of noise on 2.5 mm."""
 
 SIGMA = 0.015
-"""Relative: the same of a standard deviation and of all that is proportional to it."""
+"""Relative: four standard errors of a standard deviation."""
 
-# Relative: ours and the thesis' are of 7001 samples, which tell a variance to 1.7 % each.
-# Relative: single samples, whose standard deviation between seeds is about 1.5 N of 21.
+# Relative: both variances are from 7001 samples (1.7 % each); extremes are single samples, whose
+# standard deviation between seeds is about 1.5 N of 21 N.
 FORCE_ERROR = {
     "variance": 0.03,
     **dict.fromkeys(("sigma", "sigma_low", "sigma_high"), SIGMA),
     **dict.fromkeys(("minimum", "maximum"), 0.2),
 }
-"""What is compared of the error of the force, and how near it must come."""
+"""Compared statistics of the force error, with their tolerances."""
 
 PEAK_COLD = 0.02
-"""Relative: the peak that the thesis states lies 1.5 % below that of its own set of 28 °C."""
+"""Relative: the stated peak is 1.5 % below that of the thesis' own set for 28 °C."""
 
 PEAK = 0.01
-"""Relative: other peaks that the thesis states lie within 0.6 % of those of its sets."""
+"""Relative: other stated peaks agree with those of their sets to 0.6 %."""
 
 TWO_DECIMALS = 0.005
-"""The ratios stand here with two decimals."""
+"""The published ratios have two decimals."""
 
 
 @pytest.fixture(scope="module")
@@ -75,9 +75,9 @@ def test_force_error_is_normal_about_zero(errors):
     ours = errors["force_statistics"]
     assert ours["mu_low"] < 0.0 < ours["mu_high"]
     assert ours["mu_high"] - ours["mu_low"] == pytest.approx(0.127839 + 0.131098, rel=SIGMA)
-    # [1]: three standard errors of 7001 samples.
+    # Three standard errors for 7001 samples.
     assert abs(ours["skewness"]) < 0.1
-    # [1]: three standard errors of 7001 samples.
+    # Three standard errors for 7001 samples.
     assert abs(ours["excess_kurtosis"]) < 0.2
 
 
@@ -90,7 +90,7 @@ def test_temperature(dependencies):
     ours = dependencies["temperature"]
     assert max(map(abs, ours["cold"])) == pytest.approx(facts.PEAK_COLD, rel=PEAK_COLD)
     assert max(map(abs, ours["warm"])) == pytest.approx(facts.PEAK_WARM, rel=PEAK)
-    # Part of the peak force: what is left of such differences in the drop.
+    # Fraction of the peak force: effect of these differences on the drop.
     assert ours["drop"] == pytest.approx(1.0 - facts.PEAK_WARM / facts.PEAK_COLD, abs=0.01)
     assert max(map(abs, ours["condition"])) == pytest.approx(facts.PEAK_COLD, rel=PEAK)
 
@@ -101,12 +101,12 @@ def test_identified_loops_are_the_published_ones(campaign):
         condition = find(name)
         if (condition, "nelder_mead") in found:
             continue
-        # Relative: 7001 samples tell it to 0.85 %, and the worst of 31 runs is 2.4 % off.
+        # Relative: 7001 samples determine it to 0.85 %, and the worst of 31 runs is 2.4 % off.
         assert run["rmse"] == pytest.approx(THESIS_FORCE_NOISE, rel=0.03), name
-        # Norm over norm: three times what the noise leaves of the smallest force, without current.
+        # Norm over norm: three times the effect of noise on the smallest force, without current.
         assert run["published"]["nelder_mead"]["difference"] < 0.01, name
         if not any((condition, m) in found for m in ("nelder_mead", "differential_evolution")):
-            # Norm over norm: both methods' loops are apart by up to 7.4 %.
+            # Norm over norm: the loops of the two methods differ by up to 7.4 %.
             assert run["published"]["differential_evolution"]["difference"] < 0.08, name
 
 
@@ -118,14 +118,14 @@ def test_errata_are_found_by_criteria():
 def test_statements_of_the_text():
     found = errata.statements()
     velocity, variance, extremes, crowded, outliers, heated, frequency, stroke, count = found
-    # Relative: the factor stands here with three digits.
+    # Relative: the factor has three digits.
     assert velocity["found"] == pytest.approx(velocity["stated"] / 1.91, rel=0.003)
     assert variance["found"] < variance["stated"]
-    # Of the force of the run, the most that sets within the bounds reach.
+    # Fraction of the run's force: the largest value for sets within the bounds.
     assert extremes["found"] < 0.7 * extremes["stated"]
     assert crowded["found"] == 9
     assert outliers["found"] == pytest.approx(46875.0)
-    # Of the variance that the thesis states, the most that leaves room for an outlier.
+    # Fraction of the stated variance: the largest value that leaves room for an outlier.
     assert outliers["found"] < 0.9 * outliers["stated"]
     assert "difference of a0" in heated["statement"]
     # Rounding of a difference of numbers of a few hundred.

@@ -1,4 +1,4 @@
-"""One policy on time: whatever the stamps do, all consumers see it the same way and recover."""
+"""One time policy: all consumers treat irregular stamps in the same way and recover."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ def renumbered(blocks: list[SampleBlock], first: int) -> list[SampleBlock]:
 
 
 def predicted(blocks: list[SampleBlock], made: ForcePredictor | None = None) -> list[Prediction]:
-    """Predictions with a current that is stamped with every block, just before it."""
+    """Predictions with a current message just before every block, with the same stamp."""
     if made is None:
         made = ForcePredictor(PredictorSettings())
         made.set_parameters(SET)
@@ -73,7 +73,7 @@ def test_nothing_depends_on_the_epoch(epoch_ns: int) -> None:
         np.testing.assert_array_equal(w.force, v.force)
 
 
-# -- what may happen to a stream -------------------------------------------------------------
+# -- faults of a stream ----------------------------------------------------------------------
 
 FAULTS: dict[str, Callable[[list[SampleBlock], list[SampleBlock]], list[SampleBlock]]] = {
     "gap": lambda before, after: [*before, *after[7:]],
@@ -119,7 +119,7 @@ def test_no_fault_of_the_stamps_is_for_ever(name: str) -> None:
 
 
 MENDED = {"duplicates", "out of order"}
-"""What interrupts nothing: the one is ignored, the other waited for or bridged."""
+"""Faults without interruption: duplicates are ignored, blocks out of order reordered or bridged."""
 
 
 @pytest.mark.parametrize("name", sorted(set(FAULTS) - MENDED))
@@ -132,7 +132,7 @@ def test_after_a_break_nothing_is_valid_before_the_motion_is_known_again(name: s
 
 @pytest.mark.parametrize("name", FAULTS)
 def test_a_window_never_spans_a_break(name: str) -> None:
-    # The force is the number of the sample, so that a window shows where it comes from.
+    # The force is the sample number, so that the contents of a window show their origin.
     numbered = known.blocks(RUN.displacement, np.arange(RUN.clean.size, dtype=float), (SIZE,))
     found = windows(FAULTS[name](numbered[:300], numbered[300:]))
     assert len(found) > 4
@@ -142,7 +142,7 @@ def test_a_window_never_spans_a_break(name: str) -> None:
 @known.fixed(12)
 @given(st.lists(st.sampled_from(sorted(set(FAULTS) - MENDED)), min_size=1, max_size=3))
 def test_predictor_and_windows_judge_a_stream_alike(names: list[str]) -> None:
-    # Blocks that are out of order only the windows can wait for.
+    # Only the windows can wait for blocks that are out of order.
     blocks = BLOCKS[:200]
     for name in names:
         blocks = FAULTS[name](blocks[: len(blocks) // 2], blocks[len(blocks) // 2 :])
@@ -155,7 +155,7 @@ def test_predictor_and_windows_judge_a_stream_alike(names: list[str]) -> None:
         assert getattr(predictor.sequence, counted) == getattr(assembler.sequence, counted)
 
 
-# -- the supply current has a clock of its own -----------------------------------------------
+# -- the supply current has a separate clock -------------------------------------------------
 
 
 def test_a_current_from_a_clock_far_ahead_is_told() -> None:

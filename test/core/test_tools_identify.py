@@ -1,4 +1,4 @@
-"""The programs identify and validate, as their users meet them."""
+"""The programs identify and validate, from the user's side."""
 
 from __future__ import annotations
 
@@ -46,12 +46,12 @@ def test_a_run_is_identified_down_to_its_noise(tmp_path: Path, method: str) -> N
     bag = tmp_path / "bag"
     write_bag(bag, recording)
     document = identified(tmp_path, bag, "--method", method)
-    # Residual over the noise in the bag: the asked figure.
+    # Residual relative to the noise in the bag.
     assert document["metrics"]["rmse"] <= 1.01 * 5.53
 
 
 def test_validate_does_not_extrapolate_the_law(tmp_path: Path) -> None:
-    # The bag's peak velocity, 31 mm/s, lies below what the set was identified at.
+    # The peak velocity of the bag, 31 mm/s, is below the identified range.
     file, report = tmp_path / "set.yaml", tmp_path / "validation.json"
     found = ParameterSet(known.PLAUSIBLE, peak_velocity_range=(0.05, 0.2))
     file.write_text(found.to_yaml())
@@ -162,9 +162,9 @@ PROGRESS = GlobalProgress("laws", 3, 9, 0.5, 10.0)
 
 
 def shown_progress(monkeypatch: pytest.MonkeyPatch, *told: GlobalProgress) -> list[str]:
-    """What the line shows of each progress, a second after the one before."""
+    """Text of the progress line for each progress, at intervals of one second."""
     clock = iter(float(second) for second in range(len(told)))
-    # Its own alone: others read the clock meanwhile.
+    # Only for this module: others read the clock in the meantime.
     stand_in = SimpleNamespace(monotonic=lambda: next(clock))
     monkeypatch.setattr("mr_damper_ros.tools.console.time", stand_in)
     monkeypatch.setattr("sys.stderr.isatty", lambda: True, raising=False)
@@ -186,7 +186,7 @@ def test_the_time_left_never_counts_up(monkeypatch: pytest.MonkeyPatch) -> None:
     ]
 
 
-# -- what it finds besides the set ----------------------------------------------------------------
+# -- further results ------------------------------------------------------------------------------
 
 
 QUICK = ("--generations", "20")
@@ -197,7 +197,7 @@ PROGRAM = (
     "if __name__ == '__main__':\n"
     "    sys.exit(identify.main(sys.argv[1:]))\n"
 )
-"""A process of its own: BLAS has one thread there from the start."""
+"""Runs in a separate process, in which BLAS has one thread from the start."""
 
 STOPPING = PROGRAM.replace(
     "if __name__",
@@ -211,7 +211,7 @@ STOPPING = PROGRAM.replace(
     "ProgressLine.__call__ = interrupted\n"
     "if __name__",
 ).replace("sys.exit(identify.main(sys.argv[1:]))", "assert identify.main(sys.argv[1:]) in (0, 3)")
-"""The same, interrupted by Ctrl-C as soon as it tells of its progress; its set may be poor."""
+"""As PROGRAM, but Ctrl-C is sent at the first progress; the set may be poor."""
 
 
 @pytest.fixture(scope="module")
@@ -238,7 +238,7 @@ def in_a_process(tmp_path: Path, program: str, *arguments: str | Path) -> dict[s
     return document
 
 
-# -- what is open --------------------------------------------------------------------------------
+# -- undetermined parameters ---------------------------------------------------------------------
 
 
 def test_one_run_determines_seven_combinations_and_the_rest_is_advised(
@@ -291,7 +291,7 @@ def test_a_stopped_search_is_resumed_from_its_file(tmp_path: Path, runs: list[Pa
     assert "stopped" in stopped["message"]
     assert resumed["message"] == "converged"
     assert resumed["searches"][0]["cost"] <= stopped["searches"][0]["cost"]
-    # What is finished is not searched again, so there is nothing to stop.
+    # A finished search is not repeated, so it cannot be stopped.
     assert again["parameters"] == resumed["parameters"]
     assert [path.name for path in tmp_path.iterdir() if "record" in path.name] == ["record.json"]
 

@@ -1,4 +1,4 @@
-"""From a laboratory's file to a bag: every way to write numbers, every way to get them wrong."""
+"""Conversion of laboratory files to bags: all number formats and all errors in files."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ WRITTEN_FORCE = 1e-6
 """[N]: six decimals are written."""
 
 ROUNDING_OF_TIMES = 1e-12
-"""Relative: a period is a difference of times, of up to two thousand periods, over their number."""
+"""Relative: a period is the mean of up to two thousand differences of times."""
 
 
 def rows(separator: str = " ", decimal: str = ".") -> list[str]:
@@ -68,7 +68,7 @@ def refused(call: Any) -> str:
     return str(error.value)
 
 
-# ---- how numbers may be written ----
+# ---- number formats ----------------
 
 
 @pytest.mark.parametrize(
@@ -133,7 +133,7 @@ def test_dates_are_times(write: Any, written: str) -> None:
 
 
 def test_a_velocity_alone_is_integrated_and_it_is_said(write: Any) -> None:
-    # Whole cycles, and an offset of the sensor.
+    # Whole cycles, with an offset of the sensor.
     time = np.arange(1000) * 0.01
     angle = 2.0 * np.pi * time
     velocity = 5.0 * np.cos(angle) + 0.3
@@ -141,17 +141,17 @@ def test_a_velocity_alone_is_integrated_and_it_is_said(write: Any) -> None:
     read = read_record(path, "time:s,velocity:mm/s,force:kN", current=0.5)
     assert "the integral of the velocity" in read.details["note"]
     expected = 5e-3 / (2.0 * np.pi) * np.sin(angle)
-    # Part of the amplitude: the straight line that is taken out leans with the ten cycles, too.
+    # Fraction of the amplitude: the ten cycles tilt the straight line that is subtracted.
     assert np.max(np.abs(read.displacement - expected)) < 0.2 * np.max(expected)
 
 
 def test_current_and_temperature_columns(write: Any) -> None:
     lines = [f"{row} {k * 10} {300 + k}" for k, row in enumerate(rows())]
     read = read_record(write(lines), COLUMNS + ",current:mA,temperature:K")
-    # [A]: milliamperes are one product.
+    # [A]: rounding of the conversion from milliamperes.
     np.testing.assert_allclose(read.current, np.arange(40) * 0.01, rtol=0.0, atol=1e-14)
     assert read.temperature is not None
-    # [degC]: a temperature is a difference from 273.15 K.
+    # [degC]: rounding of the difference from 273.15 K.
     np.testing.assert_allclose(read.temperature, 26.85 + np.arange(40), rtol=0.0, atol=1e-11)
 
 
@@ -442,7 +442,7 @@ def test_without_ros_a_program_that_needs_it_says_so(
         monkeypatch.delitem(sys.modules, name)
     monkeypatch.setitem(sys.modules, "rclpy", None)
     assert tool.main([]) == 2
-    # The first import that fails is named; which one that is depends on what else is missing.
+    # The first failed import is named; which one it is depends on the installation.
     assert "it needs ROS 2, but Python does not find " in capsys.readouterr().err
 
 
@@ -475,6 +475,6 @@ def test_raw_records_come_apart_into_their_five_runs(
     assert [run.current[0] for run in runs] == list(currents)
     assert {run.period for run in runs} == {0.005}
     reached = [np.ptp(run.displacement) / 2.0 for run in runs]
-    # Relative: the press repeats its stroke, and the bounds stand here with three digits.
+    # Relative: the machine repeats its stroke, and the limits here have three digits.
     assert reached == pytest.approx([amplitude] * 5, rel=0.01)
     assert np.all(np.diff([np.ptp(run.force) for run in runs]) > 0.0)

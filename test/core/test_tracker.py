@@ -1,4 +1,4 @@
-"""The tracker follows a damper that drifts, and nothing else moves it."""
+"""The tracker follows a damper that drifts, and ignores all other influences."""
 
 from __future__ import annotations
 
@@ -27,14 +27,14 @@ SCALE_ERROR = 0.01
 """Largest error of the reported force scale."""
 
 FITTED = 2.0
-"""RMSE [N] of a set that was fitted to one window: the noise in 1000 samples makes 0.5 N of it."""
+"""RMSE [N] of a set fitted to one window; the noise in 1000 samples causes 0.5 N."""
 
 SINE_ERROR = 1e-3
 """Relative error of amplitude, frequency and peak velocity of a sine without noise."""
 
 
 def experienced(**settings: object) -> WindowTracker:
-    """A tracker that has seen five usual windows."""
+    """A tracker after five normal windows."""
     tracked = known.tracker(**settings)
     known.fed(tracked, *(known.window(number) for number in range(5)))
     assert tracked.accepted_windows > 0
@@ -42,7 +42,7 @@ def experienced(**settings: object) -> WindowTracker:
 
 
 def error_of(parameters: ParameterSet, run: known.Run | None = None) -> float:
-    """RMSE [N] of a set against the truth of a run."""
+    """RMSE [N] of a set against the true force of a run."""
     run = run or known.run(seed=None)
     predicted = sine_force(
         parameters.values, run.displacement, run.velocity, run.acceleration, run.current
@@ -54,7 +54,7 @@ def error_of(parameters: ParameterSet, run: known.Run | None = None) -> float:
 
 
 def drifting(number: int, noise: float = known.NOISE) -> tuple[RawWindow, float]:
-    """Window of the thesis' damper on its way from 28 to 71 °C, and its true force scale."""
+    """Window of the thesis' damper while it heats from 28 to 71 °C, and its true force scale."""
     run = known.run(
         THESIS_28_CELSIUS, current=1.5, samples=SAMPLES, start=number * SAMPLES * 1e-3, seed=None
     )
@@ -88,7 +88,7 @@ def test_a_drift_is_followed_and_reported(drift: Drift) -> None:
         (report.scale.value - true) / report.scale.standard_error
         for report, true in zip(reports[1:], truth[1:], strict=True)
     ]
-    # Of a standard deviation of 1, which 29 windows tell to 13 %; they share the baseline's error.
+    # Of a standard deviation of 1: 13 % for 29 windows, which share the error of the baseline.
     assert np.std(errors) == pytest.approx(1.0, abs=0.5)
     assert math.isnan(reports[0].scale.value)
     last, _ = drifting(WINDOWS - 1)
@@ -113,7 +113,7 @@ def test_a_drift_is_followed_and_reported(drift: Drift) -> None:
     assert report.evaluations > 7
 
 
-# -- what must not move it -------------------------------------------------------------------
+# -- influences that must not change it ------------------------------------------------------
 
 
 def burst(w: RawWindow) -> RawWindow:
@@ -200,7 +200,7 @@ def test_a_large_step_is_followed_once_it_is_confirmed() -> None:
     assert second.scale.value == pytest.approx(0.4, rel=SCALE_ERROR)
 
 
-# -- held-back samples -----------------------------------------------------------------------
+# -- validation samples ----------------------------------------------------------------------
 
 
 # -- parameter sets --------------------------------------------------------------------------
@@ -219,7 +219,7 @@ def test_after_a_window_the_scales_are_known_and_the_shape_is_not() -> None:
 def known_over(
     *names: str, speeds: tuple[float, float], currents: tuple[float, float]
 ) -> WindowTracker:
-    """A tracker of a set that is nearly right, and known over these ranges by these parameters."""
+    """A tracker of a nearly right set that is known over these ranges through these parameters."""
     tracked = known.tracker()
     observable = np.isin(tracked.parameters.law.parameter_names, ("f0", *names))
     tracked.replace(
@@ -323,7 +323,7 @@ def test_a_search_improves_the_set_on_the_reservoir() -> None:
     assert tracked.parameters.set_id == report.set_id
     assert tracked.parameters.observable[known.index("k2")]
     for current in (0.3, 0.9, 1.4):
-        # RMSE [N] of what a short search finds for the shape: twice the noise.
+        # RMSE [N] after a short search for the shape: twice the noise.
         assert error_of(tracked.parameters, known.run(current=current, seed=None)) < 10.0
 
 
@@ -342,7 +342,7 @@ def test_a_search_is_judged_against_the_running_set() -> None:
 
 
 def waiting(factor: float = 1.0) -> tuple[WindowTracker, ParameterSet]:
-    """A tracker with the set of a search that fell due, its yield force so many times as found."""
+    """A tracker and the result of a due search, with the yield force times ``factor``."""
     tracked = toured()
     job = tracked.search(asked=False)
     outcome = run(job)

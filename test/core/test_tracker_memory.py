@@ -1,4 +1,4 @@
-"""A tracker started again from what it wrote goes on; what cannot be used is set aside."""
+"""A tracker restarted from its stored state continues; unusable states are set aside."""
 
 from __future__ import annotations
 
@@ -39,11 +39,11 @@ def tracker(**changes: Any) -> WindowTracker:
 
 
 def feed(tracked: WindowTracker, first: int, last: int) -> list[Report]:
-    """Windows at two operating points, whose damper gets weaker and, once, too noisy."""
+    """Windows at two operating points of a damper that weakens; one window is too noisy."""
     reports = []
     for number in range(first, last):
         weaker = known.weaker(0.97**number)
-        # A whole cycle: less does not determine the seven scales.
+        # A whole cycle; less would not determine the seven scales.
         run = known.run(
             weaker,
             current=(1.0, 1.5)[number % 2],
@@ -59,7 +59,7 @@ def feed(tracked: WindowTracker, first: int, last: int) -> list[Report]:
 
 
 def resumed(tracked: WindowTracker, **changes: Any) -> WindowTracker:
-    """A new tracker, from the text of another."""
+    """A new tracker with the stored state of another."""
     again = tracker(**changes)
     again.resume(tracked.parameters, from_text(to_text(tracked.memory), SIGMOID))
     return again
@@ -68,7 +68,7 @@ def resumed(tracked: WindowTracker, **changes: Any) -> WindowTracker:
 @pytest.mark.parametrize("kind", TRACKERS)
 def test_a_tracker_goes_on_where_it_was(kind: str) -> None:
     tracked = tracker(tracker=kind)
-    feed(tracked, 0, 7)  # the last window is refused
+    feed(tracked, 0, 7)  # the last window is rejected
     again = resumed(tracked, tracker=kind)
     assert again.accepted_windows == tracked.accepted_windows > 2
     assert len(again.points.windows) == 2
@@ -90,7 +90,7 @@ def test_after_a_reset_the_damper_may_still_be_another_one() -> None:
 
 
 def learnt() -> dict[str, Any]:
-    """The text of a tracker that has seen a few windows, as JSON gives it."""
+    """State of a tracker after a few windows, as parsed JSON."""
     tracked = tracker(tracker="recursive")
     feed(tracked, 0, 3)
     document: dict[str, Any] = json.loads(to_text(tracked.memory))
@@ -101,7 +101,7 @@ DOCUMENT = learnt()
 
 
 def leaves(data: Any, path: tuple[Any, ...] = ()) -> list[tuple[Any, ...]]:
-    """Paths of all entries, the inner ones too."""
+    """Paths of all entries, including the nested ones."""
     found = [path] if path else []
     items = (
         data.items()
@@ -175,12 +175,12 @@ def test_a_place_beyond_the_window_is_refused() -> None:
         from_text(to_text(memory), SIGMOID)
 
 
-# -- what a tracker knows survives in its folder, and a file that cannot be used is set aside ------
+# -- the state survives in its folder, and an unusable file is set aside ---------------------------
 
 FIRST = ParameterSet(known.weaker(0.8), set_id="start")
 
 ROUNDING = 1e-4
-"""Relative: a simplex stops within its tolerance, which rounding may move."""
+"""Relative: a simplex search stops within its tolerance, and rounding may shift its end."""
 
 
 def state_in(folder: Path | str, name: str = "identifier") -> tuple[WindowTracker, TrackerState]:
@@ -315,7 +315,7 @@ def test_a_state_of_the_version_before_is_gone_on_with(tmp_path: Path) -> None:
     run = known.run(current=0.5, samples=240, seed=9, period=5e-3)
     report = tracker.follow(known.raw_window(run, number=9))
     assert report is not None
-    # What that version made of the same window.
+    # Results of that version for the same window.
     assert report.nrmse_before == pytest.approx(0.016445012097722766, rel=ROUNDING)
     assert report.nrmse_after == pytest.approx(0.007296376904043102, rel=ROUNDING)
     # Relative: that version compared the loops of a sine, this one the forces over the window.
@@ -325,7 +325,7 @@ def test_a_state_of_the_version_before_is_gone_on_with(tmp_path: Path) -> None:
 
 
 def test_a_state_from_before_a_model_had_more_parameters_is_gone_on_with(tmp_path: Path) -> None:
-    # Bingham's model had three parameters; those of the current have defaults.
+    # Bingham's model had three parameters then; the coefficients of the current have defaults.
     kept = Path(__file__).parent / "data" / "bingham_before_rooms.yaml"
     (tmp_path / "identifier.yaml").write_bytes(kept.read_bytes())
     settings = TrackerSettings(model="bingham", method="least_squares")

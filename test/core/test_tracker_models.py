@@ -1,4 +1,4 @@
-"""A damper of any model is followed: found, judged, its drift reported, a sudden change seen."""
+"""A damper of any model is identified, judged and followed; a sudden change is detected."""
 
 from __future__ import annotations
 
@@ -18,16 +18,16 @@ from mr_damper_ros.tracking.tracker import TrackerSettings, WindowTracker
 from mr_damper_ros.tracking.window_assembler import RawWindow
 
 SCALE_TOLERANCE = 0.01
-"""Of the force scale: a tenth of the change that is to be seen."""
+"""Of the force scale: a tenth of the change to be detected."""
 
 STANDARD_ERRORS = 5.0
-"""By which an estimate may miss the truth: none of some twenty parameters does by chance."""
+"""Largest error of an estimate in standard errors; no more among twenty parameters by chance."""
 
 NOISE_ERROR = 0.1
-"""Relative: the held-back quarter of a window tells the noise to 4.5 %."""
+"""Relative: the validation quarter of a window determines the noise to 4.5 %."""
 
 UNSEEN_QUARTER = {"series_springs": 2.0}
-"""Times the noise: what three quarters of a cycle leave open of two springs, in the fourth."""
+"""Residual over the noise: three quarters of a cycle do not fully determine the two springs."""
 
 SECONDS = 10
 NOISE = 5.0
@@ -72,7 +72,7 @@ def tracker(model: str, start: ParameterSet | None = None, **settings: object) -
 
 @cache
 def followed(model: str) -> tuple[WindowTracker, list[Report]]:
-    """A tracker that has seen a damper keep its strength, and then lose a tenth of it."""
+    """A tracker after windows of a damper of constant force, which then loses a tenth of it."""
     tracked = tracker(model)
     usual = known.fed(tracked, *(window(model, number) for number in (2, 3)))
     return tracked, usual + known.fed(tracked, *(window(model, number, 0.9) for number in (4, 5)))
@@ -92,8 +92,8 @@ def test_a_damper_of_which_nothing_is_known_is_found_and_its_scale_followed(mode
     reports = followed(model)[1]
     assert math.isnan(reports[0].scale.value)
     for report, truth in zip(reports[1:], (1.0, 0.9, 0.9), strict=True):
-        # What a law cannot follow counts once per correlation length, not once per sample.
-        # Largest standard error of the force scale: one that knew less would let any value pass.
+        # Largest standard error of the force scale; a larger one would allow any value. A misfit
+        # counts once per correlation length, not once per sample.
         assert 0.0 < report.scale.standard_error < 0.02
         assert report.scale.value == pytest.approx(truth, abs=SCALE_TOLERANCE)
 
@@ -128,11 +128,11 @@ def test_compliance_stiffness_and_offset_are_found_after_the_first_window() -> N
     assert error < (1.0 + NOISE_ERROR) * NOISE
     compliance = known.EXAMPLES["sigmoid_lag"][16]
     found = tracked.parameters.as_dict()["compliance"]
-    # Relative error of a compliance that is found from one noisy window.
+    # Relative error of a compliance found from one noisy window.
     assert found == pytest.approx(compliance, rel=0.1)
     (later,) = known.fed(tracked, window("sigmoid_lag", 3, 0.9))
     assert not later.global_due
-    # What is said of the strength does not depend on what was known of the lag.
+    # The force scale does not depend on the earlier knowledge of the lag.
     assert later.scale.value == pytest.approx(0.9, abs=SCALE_TOLERANCE)
 
 
@@ -149,7 +149,7 @@ def test_the_predictor_takes_what_the_tracker_finds(model: str) -> None:
     assert predictions[-1].valid, predictions[-1].reason
     predicted = np.concatenate([p.force for p in predictions])
     late = slice(3000, None)
-    # NRMSE of a prediction from such a set, whose velocity has to be found as well.
+    # NRMSE of a prediction with such a set; the observer's velocity error adds to it.
     assert known.rms(predicted[late] - force[late]) < 0.06 * np.std(force)
 
 

@@ -34,7 +34,7 @@ def test_the_steps_follow_the_equations() -> None:
     def right(t: float, state: np.ndarray) -> list[float]:
         y, v, z = state
         u = np.interp(t, time, force)
-        # As published, with the three constants and not their products.
+        # As published: with the three constants instead of their products.
         rate = 5e4 * v - 1e3 * (0.8 * abs(v) * z - 1.1 * v * abs(z))
         return [v, (u - 10.0 * v - 5e4 * y - z) / 2.0, rate]
 
@@ -44,7 +44,7 @@ def test_the_steps_follow_the_equations() -> None:
     found = TRUTH.simulate(force, step)
     for simulated, expected in zip((found.displacement, found.hysteretic), exact[::2], strict=True):
         off = np.max(np.abs(simulated - expected)) / np.ptp(expected)
-        # Of the span: (omega h)² / 12 of a period at the highest frequency, 150 Hz, and 15 kHz.
+        # Of the span: (omega h)² / 12 for one step at the highest frequency, 150 Hz, and 15 kHz.
         assert off < 2e-4
 
 
@@ -60,7 +60,7 @@ def write_recordings(folder: Path) -> None:
             force = 5.0 * v + (100.0 + 300.0 * float(current.replace("x", "."))) * np.tanh(v)
             np.savetxt(processed / f"{motion}{current}A.txt", np.stack([time, u, v, force], axis=1))
     time = 1e-3 * np.arange(7000)
-    # At rest before, so that the average can be undone.
+    # At rest at first, so that the moving average can be reversed.
     motion = 4.0 * np.sin(9.0 * time) * np.clip(time - 0.5, 0.0, 1.0)
     columns = [motion] + [(k + 1.0) * np.gradient(motion, 1e-3) for k in range(3)]
     columns = [lfilter(np.full(300, 1.0 / 300.0), [1.0], column) for column in columns]

@@ -1,4 +1,4 @@
-"""Parameters that the data do not determine stay where they were, whatever the data."""
+"""Undetermined parameters keep their initial values, whatever the data."""
 
 from __future__ import annotations
 
@@ -55,9 +55,9 @@ def test_what_is_not_observable_is_where_the_start_or_the_neutral_shape_has_it(
     for parameter in hidden(fit):
         value = fit.parameter_set.values[known.index(parameter)]
         assert value in (start[known.index(parameter)], neutral[known.index(parameter)]), parameter
-    # At several currents the value at which a parameter is held may rule the windows out.
+    # At several currents the value of a fixed parameter may contradict the windows.
     if len({POINTS[place][2] for place in places}) == 1:
-        # Cost, 1 = noise, that a fit of a few hundred samples with a prior value may have.
+        # Cost, 1 = noise, of a fit with fixed parameters to a few hundred samples.
         assert fit.cost < 1.2
 
 

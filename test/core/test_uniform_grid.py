@@ -1,4 +1,4 @@
-"""Blocks on an even grid: what follows what, gaps, repeats, and stamps that jitter."""
+"""Blocks on a uniform grid: order, gaps, repetitions, and jitter of stamps."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ HOLD_BACK = 0.05
 AMPLITUDE, FREQUENCY = 5e-3, 1.0
 
 SMOOTHED_NS = 0.15 * PERIOD * NANOSECONDS
-"""Some hundred stamps off by 0.29 periods (RMS) tell the time that well."""
+"""Accuracy from some hundred stamps with errors of 0.29 periods (RMS)."""
 
 
 def followed(*blocks: SampleBlock) -> UniformGrid:
@@ -45,7 +45,7 @@ def at(time: np.ndarray) -> np.ndarray:
 def stream(
     sizes: list[int], late: np.ndarray | None = None, *, sampled: bool = False
 ) -> list[SampleBlock]:
-    """A sine in blocks of these sizes, stamped ``late`` [s]; sampled so late, too, or on time."""
+    """A sine in blocks with stamp errors ``late`` [s]; if ``sampled``, the samples are late too."""
     blocks, first = [], 0
     for number, size in enumerate(sizes):
         off = 0.0 if late is None else float(late[number])
@@ -87,7 +87,7 @@ def test_repeats_and_blocks_out_of_order_change_nothing(
 ) -> None:
     blocks = stream(sizes)
     firsts = [one.sequence * PERIOD for one in blocks]
-    # Each comes later by less than others wait for it; some come again.
+    # Each block is delayed by less than the holding time; some are repeated.
     delays = data.draw(st.lists(st.floats(0.0, 0.02), min_size=len(blocks), max_size=len(blocks)))
     again = data.draw(st.lists(st.integers(0, len(blocks) - 1), max_size=5))
     arrivals = [(0.0, 0)] + [(firsts[k] + delays[k], k) for k in range(1, len(blocks))]
@@ -118,7 +118,7 @@ def test_a_bridge_hits_what_was_lost(size: int) -> None:
     blocks = stream([size] * 40)
     rows = joined(placed_in(UniformGrid(), blocks[:20] + blocks[22:]))
     truth = at(rows[:, 0] * PERIOD)
-    # Of the amplitude: a bridge over a twentieth of a cycle, with a single sample behind it.
+    # Of the amplitude: a bridge over a twentieth of a cycle that ends in a single sample.
     assert np.max(np.abs(rows[:, 1] - truth)) < 1e-3 * AMPLITUDE
 
 
@@ -139,7 +139,7 @@ def test_stamps_that_were_read_unevenly_are_smoothed_and_the_samples_stay() -> N
         joined(placed), joined(placed_in(UniformGrid(), stream([1] * 3000)))
     )
     off = [p.block.start_ns - T0 - p.block.sequence * PERIOD * NANOSECONDS for p in placed[500:]]
-    # A stamp close to that of the clock is taken as it is.
+    # A stamp close to that of the clock is not corrected.
     assert np.max(np.abs(off)) < SMOOTHED_NS + 0.1 * PERIOD * NANOSECONDS
 
 
@@ -159,12 +159,12 @@ def test_samples_that_were_taken_unevenly_are_brought_onto_the_grid(size: int) -
     )
     error = joined(settled)[:, 1] - at(times)
     without = late.std() * AMPLITUDE * 2.0 * np.pi * FREQUENCY / np.sqrt(2.0)
-    # Error of samples brought onto the grid, over that of those that are not.
+    # Error of resampled samples relative to that of the original ones.
     assert np.std(error) < 0.1 * without
 
 
 def test_that_samples_were_taken_unevenly_is_seen_though_some_are_lost() -> None:
-    # Never so many in a row that they would be looked at together.
+    # The losses never leave a gap long enough to restart the detection.
     late = jittered(400)
     blocks = stream([1] * 400, late, sampled=True)
     grid = UniformGrid()

@@ -1,4 +1,4 @@
-"""Each kind of evidence against a predicted force is found, in time, and is no false alarm."""
+"""Each kind of evidence against a predicted force is detected in time, without false alarms."""
 
 from __future__ import annotations
 
@@ -24,10 +24,10 @@ from mr_damper_ros.tracking.validity import DoubtKind, RefusedWindows
 PERIOD = 1e-3
 RUN = known.run(current=1.0, samples=6000, seed=0)
 CHANGE = 4000
-"""The sample from which on something is wrong."""
+"""The sample at which the fault begins."""
 
 SOON = 0.1
-"""Seconds in which a force that is wrong by its whole size must be found."""
+"""Seconds in which a completely wrong force must be detected."""
 
 SET = ParameterSet(
     known.PLAUSIBLE, set_id="known", peak_velocity_range=(0.02, 0.05), current_range=(0.5, 1.5)
@@ -56,13 +56,13 @@ def predicted(
 
 
 def kinds(predictions: list[Prediction], first: int, last: int | None = None) -> set[DoubtKind]:
-    """Kinds of doubt of the blocks that lie within these samples."""
+    """Reason codes of the blocks within these samples."""
     size = predictions[0].force.size
     return {p.doubt.kind for p in predictions[first // size : last and last // size]}
 
 
 def seconds_until_doubt(predictions: list[Prediction]) -> float:
-    """Time from the change to the first doubt; what follows must not be valid again."""
+    """Time from the change to the first invalid block; all later blocks must be invalid too."""
     size = predictions[0].force.size
     after = [bool(p.doubt) for p in predictions[CHANGE // size :]]
     assert all(after[after.index(True) :])
@@ -70,7 +70,7 @@ def seconds_until_doubt(predictions: list[Prediction]) -> float:
 
 
 def spoilt(values: Array, spoil: Array | float) -> Array:
-    """The same values up to the change, others from there on."""
+    """The same values up to the change, then other ones."""
     result = values.copy()
     result[CHANGE:] = spoil
     return result
@@ -88,7 +88,7 @@ def test_a_right_force_stays_valid(size: int) -> None:
 @pytest.mark.parametrize("factor", [1000.0, 10.0, 0.1, 0.001, -1.0])
 def test_a_force_far_from_the_measured_one_is_not_valid(factor: float) -> None:
     predictions = predicted(force=spoilt(RUN.force, factor * RUN.force[CHANGE:]))
-    # A factor shows once the force has left zero.
+    # A wrong factor is visible once the force has left zero.
     assert seconds_until_doubt(predictions) <= SOON
 
 
@@ -108,7 +108,7 @@ def test_each_sample_is_judged_by_itself() -> None:
 
 
 def test_the_valid_share_of_a_stream_does_not_depend_on_its_blocks() -> None:
-    """A force that is wrong at the ends of each half-cycle."""
+    """The force is wrong at the ends of each half-cycle."""
     size = np.abs(RUN.force)
     force = np.where(size > np.quantile(size, 0.9), 1.3 * RUN.force, RUN.force)
     shares = [
@@ -127,7 +127,7 @@ def test_a_measured_force_of_a_cycle_makes_other_currents_valid() -> None:
 
 
 def spiked(size: float) -> Array:
-    """The force with wild samples of this size [N] in the second before the change."""
+    """The force with outliers of this size [N] in the second before the change."""
     force = RUN.force.copy()
     force[CHANGE - 900 : CHANGE - 100 : 200] += size
     return force
@@ -144,7 +144,7 @@ def test_a_wild_sample_of_the_load_cell_is_told_and_spoils_no_other(size: float)
 
 @pytest.mark.parametrize("size", [3000.0, 20_000.0])
 def test_wild_samples_in_a_slow_motion_hide_no_loss_of_force(size: float) -> None:
-    """The peak of a cycle of 20 s would hold them for long."""
+    """The peak of a 20 s cycle would retain them for a long time."""
     run = known.run(amplitude=0.01, frequency=0.05, samples=30_000)
     wild, lost = slice(23_000, 24_000, 200), 24_500
     force = run.force.copy()
@@ -171,11 +171,11 @@ def test_parameters_whose_force_drives_the_motion_are_told_without_a_load_cell()
     assert kinds(predictions, 3000) == {DoubtKind.DRIVING}
 
 
-# -- size and range --------------------------------------------------------------------------
+# -- magnitude and range ---------------------------------------------------------------------
 
 
 def identified_with(factor: float) -> ParameterSet:
-    """The set, identified where the force was so many times smaller."""
+    """The set as if its data had had ``factor`` times less force."""
     return dataclasses.replace(SET, largest_force=float(np.abs(RUN.clean).max()) / factor)
 
 
@@ -202,7 +202,7 @@ STAIR = 6000
 
 
 def stair(law: ParameterSet) -> tuple[Array, Array]:
-    """Displacement and force of 5 mm, 1 mm from the sample STAIR on, at 1 Hz and 1 A."""
+    """Displacement and force at 1 Hz and 1 A, with 5 mm and from sample STAIR on 1 mm."""
     time = np.arange(2 * STAIR) * PERIOD
     amplitude = np.interp(time, (STAIR * PERIOD, STAIR * PERIOD + 0.1), (5e-3, 1e-3))
     u = amplitude * np.sin(2.0 * np.pi * time)
@@ -212,7 +212,7 @@ def stair(law: ParameterSet) -> tuple[Array, Array]:
 
 @functools.cache
 def sets_of_stair(law: ParameterSet) -> list[ParameterSet]:
-    """What a sixteen-parameter fit finds of each amplitude alone."""
+    """Results of a sixteen-parameter fit to each amplitude alone."""
     u, force = stair(law)
     found = []
     parts = {"large": slice(1000, 5000), "small": slice(8000, 12_000)}
@@ -233,7 +233,7 @@ def sets_of_stair(law: ParameterSet) -> list[ParameterSet]:
 
 
 def predicted_of_stair(law: ParameterSet, *sets: ParameterSet) -> list[Prediction]:
-    """Predictions with these sets, given one after the other before the stream begins."""
+    """Predictions with these sets, added one after the other before the stream begins."""
     made = ForcePredictor(PredictorSettings())
     for each in sets:
         made.set_parameters(each, each.stamp_ns or None)
@@ -256,12 +256,12 @@ def test_where_a_motion_comes_back_its_set_is_used_at_once() -> None:
     # The machine takes a tenth of a second to change its amplitude.
     after = predictions[(STAIR + 500) // 20 :]
     assert {p.set_id for p in after} == {"small"}
-    # The sixteen leave nearly a tenth of the force of this damper at 1 mm.
+    # The error of the sixteen-parameter law for this damper at 1 mm is nearly a tenth of the force.
     assert np.mean([p.valid for p in after]) > 0.9
 
 
 def test_a_force_that_jumps_where_the_motion_turns_is_followed() -> None:
-    """As that of this damper does, and of no real one: it is slow at 1 mm, and then hysteresis."""
+    """At the slow motion of 1 mm the force of this model jumps, unlike that of a real damper."""
     damper = DAMPERS["viscous_tanh"]
     _, small = sets_of_stair(damper)
     predictions = predicted_of_stair(damper, small)
@@ -284,12 +284,12 @@ def test_a_force_that_jumps_where_the_motion_turns_is_followed() -> None:
     ],
 )
 def test_samples_of_a_running_machine_have_an_age(late: float, kind: DoubtKind) -> None:
-    """An hour ago nothing was running that still sends: it is a recording."""
+    """A live stream cannot be an hour old: such stamps indicate a recording."""
     assert kinds(predicted(late=late), 3000) == {kind}
 
 
 def current_of(blocks: list[SampleBlock], ahead: float, *, live: bool) -> list[Prediction]:
-    """Predictions where the stamps of the current jump ahead [s] at the change."""
+    """Predictions with stamps of the current that jump ahead [s] at the change."""
     made = ForcePredictor(PredictorSettings())
     made.set_parameters(SET)
     result = []
@@ -360,7 +360,7 @@ def test_without_a_load_cell_a_refusal_is_believed_until_other_parameters_come()
     assert set(results[520:]) == {DoubtKind.NONE}
 
 
-# -- blocks that came late -------------------------------------------------------------------
+# -- delayed blocks --------------------------------------------------------------------------
 
 
 def test_a_load_cell_that_is_not_connected_makes_nothing_valid() -> None:

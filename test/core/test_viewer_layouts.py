@@ -1,4 +1,4 @@
-"""The layouts for ROS viewers show topics and fields that there are."""
+"""The layouts for ROS viewers use existing topics and fields."""
 
 from __future__ import annotations
 
@@ -18,13 +18,13 @@ MESSAGES = {"damper/signals": "DamperSignals", "damper/fit_report": "FitReport"}
 
 
 def scalars(message: str) -> set[str]:
-    """Names of the numbers in a message of this package."""
+    """Names of the numeric fields of a message of this package."""
     text = (ROOT / "msg_defs" / "msg" / f"{message}.msg").read_text(encoding="utf-8")
     return set(re.findall(r"^(?:float64|bool|u?int\d+) (\w+)$", text, re.MULTILINE))
 
 
 def known() -> set[tuple[str, ...]]:
-    """All that may be drawn: topic, then name, or kind and name."""
+    """All drawable values: topic, then name, or kind and name."""
     fields = {(topic, name) for topic, message in MESSAGES.items() for name in scalars(message)}
     named = {
         ("damper/identified", kind, name)

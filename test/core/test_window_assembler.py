@@ -1,4 +1,4 @@
-"""Windows are cut by the data's stamps, whatever the blocks and the order of the messages."""
+"""Windows are cut by the data's stamps, independently of blocks and message order."""
 
 from __future__ import annotations
 
@@ -191,7 +191,7 @@ def test_windows_do_not_depend_on_when_the_current_arrives(turns: list[int], beh
 
 
 def test_after_a_jump_back_no_current_of_the_time_before_is_used() -> None:
-    # The clock was set back: the current of the second pass is 2 A, but comes late.
+    # The clock was set back: the current of the second pass is 2 A, but arrives late.
     made = WindowAssembler(WindowSettings(1.0, 1.0, looks=0))
     made.add_current(at(0.0), 1.0)
     made.add_current(at(3.0), 1.0)
@@ -220,13 +220,13 @@ def test_after_a_reset_the_window_starts_again() -> None:
     assert starts(cut(stream(100, first=800), made)) == [0.8, 1.3, 1.8]
 
 
-# -- each value of the current holds until the next one is stamped ---------------------------------
+# -- each value of the current holds until the stamp of the next one -------------------------------
 
 MILLISECOND = 1_000_000
 
 
 def hold(values: dict[int, float]) -> ZeroOrderHold:
-    """Values [A] by their time in milliseconds."""
+    """Held currents [A], given by their time in milliseconds."""
     made = ZeroOrderHold(keep=60.0)
     for time, value in values.items():
         made.add(time * MILLISECOND, value)
@@ -239,7 +239,7 @@ def test_a_value_holds_from_its_stamp_to_the_next() -> None:
 
 
 def test_values_that_are_too_old_go_many_at_once() -> None:
-    """Each time moves all that stay: at every one of a million values it would hold up a stream."""
+    """Deletion moves all remaining values; after each of a million it would stall the stream."""
     made = ZeroOrderHold(keep=1.0)
     begins = []
     for time in range(5000):

@@ -1,4 +1,4 @@
-"""The fit of one window reaches the noise, finds the truth and knows its own error."""
+"""The fit of one window reaches the noise, finds the truth and estimates its error correctly."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ from mr_damper_ros.models.sigmoid.law import (
 from mr_damper_ros.signals.arrays import Array
 
 STANDARD_ERRORS = 4.0
-"""By which an estimate may miss the truth: one normal number in 16 000 does."""
+"""Largest error of an estimate in standard errors; chance exceeds it once in 16 000."""
 
 CLEAN = [c for c in thesis.CONDITIONS if thesis.is_clean(c)]
 
@@ -76,11 +76,11 @@ def test_a_thesis_condition_is_fitted_down_to_the_noise(
 ) -> None:
     case = cases[condition]
     fit = case.fits["nelder_mead"]
-    # RMSE of a fit over that of the truth: the minimum lies no higher, and the search ends in it.
+    # RMSE of the fit over that of the truth: the search ends in the minimum, which is no higher.
     assert fit.rmse <= 1.0001 * case.run.noise_rms
     assert fit.success, fit.message
     simplex, gauss = (cases[condition].fits[m] for m in WINDOW_METHODS)
-    # Part of a standard error: searches on other ways end in one minimum, to a tenth of this.
+    # In standard errors: both searches end in one minimum, to a tenth of this.
     np.testing.assert_allclose(
         (simplex.coefficients - gauss.coefficients) / standard_errors(gauss), 0.0, atol=3e-4
     )
@@ -107,13 +107,13 @@ def realisations() -> list[WindowFit]:
 
 
 def cramer_rao_bound(run: known.Run) -> Array:
-    """Smallest covariance (7, 7) that unbiased coefficients can have."""
+    """Smallest covariance (7, 7) of unbiased coefficients."""
     jacobian = coefficient_jacobian(Coefficients(*run.coefficients), run.velocity, run.acceleration)
     return np.asarray(known.NOISE**2 * np.linalg.inv(jacobian.T @ jacobian))
 
 
 def within_95_percent(fits: list[WindowFit]) -> Array:
-    """Whether the interval of each fit and coefficient holds the truth, shape (fits, 7)."""
+    """Whether the interval of each fit and coefficient contains the truth, shape (fits, 7)."""
     return np.array(
         [
             np.abs(fit.coefficients - TRUTH.coefficients) <= 1.96 * standard_errors(fit)
@@ -123,22 +123,22 @@ def within_95_percent(fits: list[WindowFit]) -> Array:
 
 
 def test_many_fits_are_unbiased_and_as_certain_as_they_say(realisations: list[WindowFit]) -> None:
-    # Of 0.95: 200 fits tell the share to 0.6 to 1.5 %, as their coefficients are correlated.
+    # Share from 200 fits with correlated coefficients: its standard error is 0.6 to 1.5 %.
     assert np.mean(within_95_percent(realisations)) == pytest.approx(0.95, abs=0.03)
     shares = np.mean(within_95_percent(realisations), axis=0)
     for name, share in zip(COEFFICIENT_NAMES, shares, strict=True):
-        # Of 0.95: three standard errors of a share of 200.
+        # Three standard errors of a share of 200.
         assert share == pytest.approx(0.95, abs=0.046), name
     errors = np.array([fit.coefficients - TRUTH.coefficients for fit in realisations])
     bound = cramer_rao_bound(TRUTH)
     ratio = np.mean(errors**2, axis=0) / np.diag(bound)
-    # Mean variance over the bound: one from 200 draws has a standard error of 0.1.
+    # Mean variance over the bound; a variance from 200 draws has a standard error of 0.1.
     assert np.mean(ratio) <= 1.15, dict(zip(COEFFICIENT_NAMES, ratio.round(2), strict=True))
-    # Least variance over the bound: four such standard errors; less is a fault of the test.
+    # Smallest variance over the bound: four standard errors; a lower value is a fault of the test.
     assert np.min(ratio) >= 0.6, "below the bound: the test itself is wrong"
     reported = np.mean([fit.coefficient_covariance for fit in realisations], axis=0)
     scale = np.sqrt(np.outer(np.diag(bound), np.diag(bound)))
-    # Of the bound's variances: the mean of 200 measured variances of the noise errs by 0.2 %.
+    # Relative to the bound: the mean of 200 measured noise variances is accurate to 0.2 %.
     np.testing.assert_allclose(reported / scale, bound / scale, atol=0.02)
     bias = errors.mean(axis=0) / (errors.std(axis=0) / math.sqrt(SEEDS))
     assert np.max(np.abs(bias)) < STANDARD_ERRORS, bias.round(1)
@@ -183,7 +183,7 @@ def test_a_force_without_noise_is_fitted_exactly_and_without_a_warning(
 
 
 def with_outliers(seed: int) -> known.Run:
-    """A run in which every twentieth sample is far off to one side."""
+    """A run in which every twentieth sample has a large error to one side."""
     run = known.run(current=1.0, seed=seed)
     rng = np.random.default_rng(1000 + seed)
     hit = rng.random(run.force.size) < 0.05
@@ -199,9 +199,9 @@ def test_outliers_hardly_touch_the_robust_fit() -> None:
         errors.append(
             (fit.coefficients - run.coefficients) / np.sqrt(np.diag(cramer_rao_bound(run)))
         )
-    # Bounds: the median of a normal error is 0.7 of them.
+    # In units of the bound; the median of a normal error is 0.7.
     assert np.median(np.abs(errors)) < 1.5
-    # Bounds: one-sided outliers leave Huber's estimate a bias of some bounds in the offset.
+    # In units of the bound; one-sided outliers bias the offset of Huber's estimate.
     assert np.max(np.abs(errors)) < 8.0
 
 
@@ -221,7 +221,7 @@ def test_a_stop_returns_the_best_so_far_and_says_so() -> None:
     assert not fit.success
     assert "best result so far" in fit.message
     assert fit.evaluations == 50
-    # NRMSE: the start's is 39, that of a constant force 1.
+    # NRMSE: 39 at the start, 1 for a constant force.
     assert fit.nrmse < 0.5, "fifty evaluations must have led somewhere"
 
 

@@ -1,4 +1,4 @@
-"""Worker processes: results, turns, cancellation, death, hanging, and never an orphan."""
+"""Worker processes: results, order, cancellation, death, hanging, and no orphans."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from mr_damper_ros.processes.worker import Done, Failed, Outcome, Progress, Work
 
 @pytest.fixture
 def pool() -> Iterator[WorkerPool]:
-    """One process, which several may use."""
+    """One process, shared by several workers."""
     made = WorkerPool("worker_tasks")
     yield made
     made.close()
@@ -32,7 +32,7 @@ def worker(pool: WorkerPool) -> Worker:
 
 
 def ending(worker: Worker, seen: list[Outcome] | None = None) -> Outcome:
-    """The outcome with which the running task ends; its progress is appended to ``seen``."""
+    """Outcome of the running task; its progress is appended to ``seen``."""
     outcomes: list[Outcome] = [] if seen is None else seen
 
     def ended() -> bool:
@@ -137,7 +137,7 @@ def test_a_worker_that_dies_or_is_stopped_without_a_task_is_replaced(
 def test_the_task_of_a_worker_that_dies_or_hangs_starts_again(
     worker: Worker, tmp_path: Path, number: signal.Signals, notice: str
 ) -> None:
-    # No budget is exceeded: of one that hangs it is the silence that tells.
+    # No budget is exceeded: a hanging worker is detected by its silence.
     submitted = worker.submit(tasks.once, number, str(tmp_path / "marker"))
     assert ending(worker) == Done(submitted, "second try")
     assert worker.pool.replaced == 1
@@ -167,7 +167,7 @@ def test_the_worker_stays_light(worker: Worker) -> None:
     outcome = ending(worker)
     assert isinstance(outcome, Done)
     assert "rclpy" not in outcome.result
-    assert "numpy" not in outcome.result  # only what a task needs
+    assert "numpy" not in outcome.result  # only the modules that a task needs
 
 
 def test_a_closed_worker_leaves_no_process(pool: WorkerPool, worker: Worker) -> None:
@@ -203,7 +203,7 @@ def test_the_worker_dies_with_a_killed_parent(task: str) -> None:
     until(lambda: is_gone(pid), "the end of the worker")
 
 
-# -- several that share a process ----------------------------------------------------------------
+# -- workers that share a process ----------------------------------------------------------------
 
 
 def test_first_come_first_served(pool: WorkerPool) -> None:

@@ -1,4 +1,4 @@
-"""Waiting for what other threads and processes do, with a deadline instead of a sleep."""
+"""Waiting for other threads and processes, with a deadline instead of a sleep."""
 
 from __future__ import annotations
 
@@ -8,11 +8,11 @@ from pathlib import Path
 from typing import Any
 
 PATIENCE = 30.0
-"""Deadline [s] of everything that is waited for; generous, for a loaded machine."""
+"""Deadline [s] of all waits; generous, for a loaded machine."""
 
 
 def until(condition: Callable[[], Any], what: str, patience: float = PATIENCE) -> Any:
-    """Ask until the condition holds, and return its value; fails after the deadline."""
+    """Poll until the condition holds, and return its value; fails after the deadline."""
     deadline = time.monotonic() + patience
     while not (value := condition()):
         assert time.monotonic() < deadline, f"not within {patience} s: {what}"
@@ -21,7 +21,7 @@ def until(condition: Callable[[], Any], what: str, patience: float = PATIENCE) -
 
 
 def is_gone(pid: int) -> bool:
-    """Whether a process has ended, though its parent may not have asked for its end yet."""
+    """Whether a process has ended, even if its parent has not collected its exit status."""
     try:
         state = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0]
     except FileNotFoundError:

@@ -12,7 +12,7 @@ from typing import Any
 
 
 def call(function: Callable[..., Any], *args: Any) -> Any:
-    return function(*args[:-1])  # the last is the control
+    return function(*args[:-1])  # the last argument is the control
 
 
 def count(limit: int, control: Any) -> str:
@@ -36,7 +36,7 @@ def deaf(control: Any) -> None:
 
 
 def once(number: int, path: str, control: Any) -> str:
-    """Sends its process a signal the first time that it is done."""
+    """Send a signal to its process on the first call only."""
     marker = pathlib.Path(path)
     if not marker.exists():
         marker.write_text("once")
