@@ -26,7 +26,15 @@ from typing import Any, TypeVar
 
 from mr_damper_ros.processes.blas_threads import one_thread
 from mr_damper_ros.processes.files import write_text
-from mr_damper_ros.processes.worker import Control, Done, Failed, Outcome, Worker, WorkerPool
+from mr_damper_ros.processes.worker import (
+    LONGEST_PAUSE,
+    Control,
+    Done,
+    Failed,
+    Outcome,
+    Worker,
+    WorkerPool,
+)
 
 Task = TypeVar("Task")
 Result = TypeVar("Result")
@@ -37,9 +45,6 @@ present result soon."""
 
 Listen = Callable[[int, Any], bool]
 """Receives the index of a task and its progress; returning False stops all tasks."""
-
-_PATIENCE = 0.1
-"""Longest wait [s] for a message of a process; time budgets and deaths are then checked."""
 
 _LOADED = "scipy.linalg"
 """Module with the BLAS of SciPy. It is loaded first, because a library loaded later would not be
@@ -139,7 +144,7 @@ class ProcessPool(AbstractContextManager):
                 index, task = waiting.popleft()
                 running[index] = pool.worker()
                 running[index].submit(_call, function, task)
-            pool.supervise(_PATIENCE)
+            pool.supervise(LONGEST_PAUSE)
             for index, worker in list(running.items()):
                 for outcome in worker.collect():
                     if isinstance(outcome, Done):
@@ -176,7 +181,7 @@ def run_apart(module: str, function: Callable[..., Any], *args: Any, budget: flo
         worker.submit(_without_control, function, *args, budget=budget)
         outcomes: list[Outcome] = []
         while not outcomes:
-            outcomes = worker.poll(_PATIENCE)
+            outcomes = worker.poll(LONGEST_PAUSE)
     outcome = outcomes[-1]
     if isinstance(outcome, Failed):
         raise outcome.error or ProcessLostError(outcome.reason)

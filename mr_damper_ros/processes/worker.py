@@ -45,7 +45,7 @@ _BEAT = 0.25
 _SILENCE_LIMIT = 1.5
 """Seconds without a sign of life after which a worker counts as hanging."""
 
-_LONGEST_PAUSE = 0.1
+LONGEST_PAUSE = 0.1
 """Largest time [s] between two polls that counts towards the silence of a worker. If the node
 itself was delayed, perhaps with the whole computer, it could not read the signs of life."""
 
@@ -184,7 +184,7 @@ class _Process:
     def follow(self, grace: float, silence_limit: float) -> Exception | None:
         """Take messages and enforce the budget; returns why the process must be replaced."""
         now = time.monotonic()
-        self._silence += min(now - self._followed, _LONGEST_PAUSE)
+        self._silence += min(now - self._followed, LONGEST_PAUSE)
         self._followed = now
         while not self._inbox.empty():
             kind, *content = self._inbox.get_nowait()

@@ -24,10 +24,6 @@ _MARGIN = 0.12
 _WAITING = 3
 """Number of samples that wait until later ones confirm their index; if all are late, more wait."""
 
-_SILENCE = 1.0
-"""After this time [s] without a stamp, the clock is too uncertain to count lost samples. A new
-clock is estimated once the stamps span this time."""
-
 _ENOUGH, _FEWEST = 256, 12
 """Number of stamps from which a clock is estimated, and with which it is checked; for slow samples
 the second number suffices."""
@@ -130,7 +126,8 @@ class StampedChannel(Generic[V]):
         if self._clock is not None:
             late_ns = stamp_ns - self._clock.at(self._next)
             doubtful = sum(self._doubts) > _LARGEST_UNTIMELY_PART * _ENOUGH
-            if abs(late_ns) < _SILENCE * NANOSECONDS and not doubtful:
+            # After a longer silence, the clock is too uncertain to count lost samples.
+            if abs(late_ns) < LATE_NS and not doubtful:
                 return self._place(stamp_ns, value, late_ns / (self.period * NANOSECONDS))
             self._doubts.clear()
             certain = [sample for sample, _ in self._waiting]
@@ -139,8 +136,8 @@ class StampedChannel(Generic[V]):
             self._next += skipped
             self._clock, self._waiting = None, []
         self._begun.append((stamp_ns, value))
-        since = (stamp_ns - self._begun[0][0]) / NANOSECONDS
-        if len(self._begun) >= _ENOUGH or (len(self._begun) >= _FEWEST and since >= _SILENCE):
+        since_ns = stamp_ns - self._begun[0][0]
+        if len(self._begun) >= _ENOUGH or (len(self._begun) >= _FEWEST and since_ns >= LATE_NS):
             certain += self._begin()
         return certain
 
