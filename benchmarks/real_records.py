@@ -13,7 +13,7 @@ from mr_damper_ros.estimation.differential_evolution import EvolutionSettings
 from mr_damper_ros.estimation.global_fit import GlobalFit, identify_global
 from mr_damper_ros.estimation.observability import operating_points_within
 from mr_damper_ros.estimation.profile_likelihood import profiled, search_misfit
-from mr_damper_ros.io.records import read_runs
+from mr_damper_ros.io.run_cuts import read_runs
 from mr_damper_ros.kinematics.window import Window
 from mr_damper_ros.models import MODELS
 from mr_damper_ros.models.parameter_set import ParameterSet

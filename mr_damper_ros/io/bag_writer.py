@@ -26,7 +26,7 @@ from rosbags.interfaces import (
 from rosbags.rosbag2 import StoragePlugin, Writer
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
-from mr_damper_ros.io.bag_files import (
+from mr_damper_ros.io.bag_reader import (
     CURRENT_TOPIC,
     CURRENT_TYPE,
     MTS_TOPIC,

@@ -3,16 +3,272 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
+import numpy as np
+
 from mr_damper_ros.io.binary_tables import FORMATS, read_binary_table
-from mr_damper_ros.io.columns import MAXIMUM_SAMPLES, Columns, RecordError, parse_columns
-from mr_damper_ros.io.run_cuts import find_runs, run_summary
-from mr_damper_ros.io.sampled_record import SampledRecord
+from mr_damper_ros.io.columns import MAXIMUM_SAMPLES, Columns, RawTable, RecordError, parse_columns
 from mr_damper_ros.io.text_table import read_text_table
 from mr_damper_ros.processes.files import irregularity
-from mr_damper_ros.signals.recording import Recording
+from mr_damper_ros.signals.arrays import Array
+from mr_damper_ros.signals.blocks import NANOSECONDS
+from mr_damper_ros.signals.moving_average import undo_average, undo_average_in_motion
+from mr_damper_ros.signals.recording import DEFAULT_START_NS, NotFiniteError, Recording
+
+_JITTER_TO_MENTION = 0.01
+"""Smallest deviation from uniform sampling, in periods, that a note mentions."""
+
+GAP = 1.5
+"""A time step is a gap if it exceeds this multiple of the median step."""
+
+_EPOCH = 1e9
+"""Times above this value [s] are relative to 1970, smaller ones to the start of the record."""
+
+_VELOCITY_TOLERANCE = 2.0
+"""Largest ratio between a velocity column and the derivative of the displacement."""
+
+_AVERAGED = {"displacement", "velocity", "force"}
+_REST = 0.02
+"""Largest change of a quantity at rest, relative to its range."""
+
+INTEGRATED = (
+    "the displacement is the integral of the velocity without its mean and drift: its absolute "
+    "position is unknown"
+)
+
+
+@dataclass(frozen=True, eq=False)
+class SampledRecord:
+    """Columns (n,) of a file in SI units, by quantity.
+
+    ``time`` [s] is the time column of the file, or starts at 0 with the given ``period`` [s].
+    ``place`` describes the location of a row in the file. The recordings receive ``details``.
+    """
+
+    path: Path
+    time: Array
+    values: dict[str, Array]
+    period: float | None
+    place: Callable[[int], str]
+    details: dict[str, str] = field(default_factory=dict)
+
+    @staticmethod
+    def of(path: Path, table: RawTable, columns: Columns, period: float | None) -> SampledRecord:
+        """Convert the values of a table, and empty the table, so that there is only one copy."""
+        values = {c.quantity: c.to_si(table.values.pop(c.quantity)) for c in columns.wanted}
+        count = next(iter(values.values())).size
+        if count < 2:
+            raise RecordError(f"{path.name} holds one row of numbers: at least two are needed")
+        details = {"provenance": f"imported from {path.name}", "columns": columns.text}
+        if period is not None:
+            time = np.arange(count, dtype=np.float64) * period
+        else:
+            time = values.pop("time")
+        record = SampledRecord(path, time, values, period, table.place, details)
+        record.check_finite("time", time)
+        return record
+
+    def part(self, rows: slice) -> SampledRecord:
+        """A part of the record."""
+        first, place = rows.start, self.place
+        return SampledRecord(
+            self.path,
+            self.time[rows],
+            {quantity: array[rows] for quantity, array in self.values.items()},
+            self.period,
+            lambda row: place(first + row),
+            {**self.details, "part": f"rows {first + 1} to {rows.stop}"},
+        )
+
+    def without_average(self, count: int, in_motion: bool = False) -> SampledRecord:
+        """The record without its moving average over ``count`` samples.
+
+        The record must begin at rest, unless ``in_motion``; then the result is approximate, see
+        :func:`undo_average_in_motion`. Raises RecordError if the record does not begin at rest, or
+        is too short for the average.
+        """
+        if not 2 <= count < self.time.size:
+            raise RecordError(
+                f"a moving average over {count} samples cannot be undone in a record of "
+                f"{self.time.size} samples: average over at least 2 samples, but "
+                "not over the whole record"
+            )
+        values = dict(self.values)
+        for quantity in _AVERAGED & set(values):
+            smooth = values[quantity]
+            if in_motion:
+                try:
+                    values[quantity] = undo_average_in_motion(smooth, count)
+                except ValueError as error:
+                    raise RecordError(str(error)) from error
+                continue
+            if np.ptp(smooth[:count]) > _REST * np.ptp(smooth):
+                raise RecordError(
+                    f"the {quantity} does not rest in the first {count} samples, so its moving "
+                    "average cannot be undone exactly: give the record from its very beginning, or "
+                    "say that it begins in motion (--begins-in-motion)"
+                )
+            values[quantity] = undo_average(smooth, count)
+        note = f"a moving average over {count} samples was undone"
+        return replace(self, values=values, details={**self.details, "smoothing": note})
+
+    def between(self, start: float | None, stop: float | None) -> SampledRecord:
+        """The part between two times [s after the first sample]; None means no limit."""
+        # Without limits, decreasing times remain, and a later check reports their row.
+        if start is None and stop is None:
+            return self
+        low = 0.0 if start is None else start
+        high = math.inf if stop is None else stop
+        if not low < high:
+            raise RecordError(
+                f"the part from {low:g} s to {high:g} s has no length: give the earlier time first"
+            )
+        elapsed = self.time - self.time[0]
+        inside = np.flatnonzero((elapsed >= low - 1e-9) & (elapsed <= high + 1e-9))
+        if inside.size < 2:
+            raise RecordError(
+                f"{self.path.name} has {inside.size} samples from {low:g} s to "
+                f"{'its end' if stop is None else f'{high:g} s'}: it lasts {elapsed[-1]:g} s"
+            )
+        return self.part(slice(int(inside[0]), int(inside[-1]) + 1))
+
+    def check_finite(self, quantity: str, values: Array) -> None:
+        """Raise RecordError if a value of the quantity is not finite."""
+        finite = np.isfinite(values)
+        if not finite.all():
+            row = int(np.argmin(finite))
+            raise self._not_finite(quantity, row, values[row])
+
+    def _not_finite(self, quantity: str, row: int, value: float) -> RecordError:
+        return RecordError(
+            f"the {quantity} in {self.place(row)} of {self.path.name} is {value}: "
+            "correct it, or choose a part of the record without it"
+        )
+
+    def recording(self, current: float | None, name: str | None = None) -> Recording:
+        """The recording; ``current`` [A] applies if no column holds the current.
+
+        Raises RecordError or RecordingError if the sampling is not uniform or values are
+        implausible.
+        """
+        velocity = self.values.get("velocity")
+        if velocity is not None:
+            self.check_finite("velocity", velocity)
+        details, notes = dict(self.details), []
+        period = self.period
+        if period is None:
+            period, note = self._even_pace()
+            notes += [note] if note else []
+        displacement = self.values.get("displacement")
+        if displacement is None:
+            assert velocity is not None
+            displacement = integrated(velocity, period)
+            notes.append(INTEGRATED)
+        if notes:
+            details["note"] = "; ".join(notes)
+        first = float(self.time[0])
+        try:
+            recording = Recording(
+                name=name or self.path.stem,
+                start_ns=(0 if first > _EPOCH else DEFAULT_START_NS) + round(first * NANOSECONDS),
+                period=period,
+                displacement=displacement,
+                force=self.values["force"],
+                current=self.values.get("current", np.full(self.time.size, current)),
+                temperature=self.values.get("temperature"),
+                details=details,
+            )
+        except NotFiniteError as error:
+            value = self.values[error.quantity][error.sample]
+            raise self._not_finite(error.quantity, error.sample, value) from error
+        recording.check_plausible()
+        if velocity is not None and "displacement" in self.values:
+            _check_velocity(recording, velocity)
+        return recording
+
+    def _even_pace(self) -> tuple[float, str]:
+        """Period [s] of uniform times, and a note if they jitter.
+
+        Raises RecordError if the times do not increase, have gaps, or are not uniform.
+        """
+        time, name = self.time, self.path.name
+        steps = np.diff(time)
+        backward = np.flatnonzero(steps <= 0.0)
+        if backward.size:
+            row = int(backward[0]) + 1
+            raise RecordError(
+                f"the time in {self.place(row)} of {name} does not increase ({time[row]:.9g} s "
+                f"after {time[row - 1]:.9g} s): choose a part without this row, cut the record "
+                "into its runs (import_record --split), or give the period instead of the column"
+            )
+        usual = float(np.median(steps))
+        gaps = np.flatnonzero(steps > GAP * usual)
+        if gaps.size:
+            row = int(gaps[0]) + 1
+            raise RecordError(
+                f"the time in {self.place(row)} of {name} increases by {steps[row - 1]:.6g} s "
+                f"instead of {usual:.6g} s: choose a part of the record without the gap, or cut it "
+                "into its runs (import_record --split)"
+            )
+        # Unlike the median step, the mean step is not affected by rounding of the printed times.
+        period = _plain(float(time[-1] - time[0]), time.size - 1, float(np.spacing(time[-1])))
+        even = time[0] + np.arange(time.size) * period
+        deviation = float(np.max(np.abs(time - even))) / period
+        if deviation > GAP:
+            raise RecordError(
+                f"the sampling of {name} is not uniform (the times deviate by {deviation:.1f} "
+                f"periods of {period:.6g} s): resample the record, or choose a uniform part of it"
+            )
+        if deviation > _JITTER_TO_MENTION:
+            return period, (
+                f"the times deviate by {deviation:.1%} of a period; uniform sampling with a "
+                f"period of {period:.6g} s is assumed"
+            )
+        return period, ""
+
+
+def _plain(duration: float, steps: int, resolution: float) -> float:
+    """The mean step [s], rounded to the digits that the resolution [s] of the times justifies.
+
+    The result has at most nine digits.
+    """
+    mean = duration / steps
+    rounded = (float(f"{mean:.{digits}g}") for digits in range(1, 10))
+    tellable = (step for step in rounded if abs(step * steps - duration) <= 2.0 * resolution)
+    return next(tellable, float(f"{mean:.9g}"))
+
+
+def integrated(velocity: Array, period: float) -> Array:
+    """Displacement [m], shape (n,): the integral of the velocity [m/s] without mean and drift.
+
+    The offset of the velocity sensor causes the drift.
+    """
+    steps = 0.5 * (velocity[1:] + velocity[:-1]) * period
+    return _without_trend(np.concatenate(([0.0], np.cumsum(steps))))
+
+
+def _without_trend(values: Array) -> Array:
+    """Values (n,) without their regression line."""
+    ramp = np.linspace(-1.0, 1.0, values.size)
+    slope = float(ramp @ values) / float(ramp @ ramp)
+    return np.asarray(values - values.mean() - slope * ramp)
+
+
+def _check_velocity(recording: Recording, velocity: Array) -> None:
+    # The comparison uses displacements, because integration reduces noise, and differentiation
+    # amplifies it.
+    travelled = _without_trend(np.cumsum(velocity) * recording.period)
+    moved = _without_trend(recording.displacement)
+    ratio = float(travelled @ moved / (moved @ moved))
+    if 1.0 / _VELOCITY_TOLERANCE <= ratio <= _VELOCITY_TOLERANCE:
+        return
+    raise RecordError(
+        f"the velocity column is {ratio:.3g} times the derivative of the displacement: correct the "
+        "unit or the sign of time, displacement or velocity (or write - to ignore the velocity)"
+    )
 
 
 def read_record(
@@ -76,78 +332,11 @@ def read_record(
         raise RecordError(
             "the coil current is unknown: name its column (current:A), or give one for all samples"
         )
-    _check_current(wanted, current)
+    check_current(wanted, current)
     record = read_samples(path, wanted, period, variable, maximum_samples)
     if moving_average is not None:
         record = record.without_average(moving_average, begins_in_motion)
     return record.between(start, stop).recording(current)
-
-
-def read_runs(
-    path: str | Path,
-    columns: str,
-    *,
-    currents: Sequence[float | None] | None = None,
-    period: float | None = None,
-    variable: str | None = None,
-    maximum_samples: int = MAXIMUM_SAMPLES,
-) -> list[Recording]:
-    """Read a file with several successive runs into one recording per run.
-
-    A run ends where the time jumps or restarts (the logger has paused), where the rod rests for at
-    least one second, where a measured current changes, and where a steady cycle changes to another.
-    ``currents`` [A] has one value per run if no column holds the current; None omits the run. The
-    other parameters are as in :func:`read_record`.
-
-    Raises the exceptions of :func:`read_record`. For a wrong number of currents, the message lists
-    the runs.
-    """
-    return RunsOfFile(path, columns, period, variable, maximum_samples).recordings(currents)
-
-
-class RunsOfFile:
-    """The runs of a file, before their currents are known.
-
-    ``summaries``: a description of each run; ``asks``: whether currents are needed. Raises the
-    exceptions of :func:`read_runs`.
-    """
-
-    def __init__(
-        self,
-        path: str | Path,
-        columns: str,
-        period: float | None = None,
-        variable: str | None = None,
-        maximum_samples: int = MAXIMUM_SAMPLES,
-    ) -> None:
-        self._wanted = wanted = parse_columns(columns)
-        self._record = read_samples(path, wanted, period, variable, maximum_samples)
-        self._rows = find_runs(self._record)
-        self._name = Path(path).name
-        self.asks = "current" not in wanted.quantities
-        self.summaries = [run_summary(self._record, rows) for rows in self._rows]
-        if not self._rows:
-            raise RecordError(f"{self._name} contains no run, because the displacement is constant")
-
-    def recordings(self, currents: Sequence[float | None] | None) -> list[Recording]:
-        """A recording of each run with a current, or of all runs if a column holds the current."""
-        if not self.asks and currents is not None:
-            raise RecordError("the current is given twice: by a column and for each run")
-        if self.asks and len(currents or ()) != len(self._rows):
-            listed = "; ".join(f"{k}: {text}" for k, text in enumerate(self.summaries, start=1))
-            raise RecordError(
-                f"{self._name} holds {len(self._rows)} runs, but {len(currents or ())} currents "
-                f"are given: give one [A] for each run, or - to omit the run ({listed})"
-            )
-        recordings = []
-        for number, rows in enumerate(self._rows, start=1):
-            current = None if currents is None else currents[number - 1]
-            if self.asks and current is None:
-                continue
-            _check_current(self._wanted, current)
-            run = self._record.part(rows)
-            recordings.append(run.recording(current, f"{Path(self._name).stem}_{number}"))
-        return recordings
 
 
 def read_samples(
@@ -180,7 +369,8 @@ def read_samples(
     return SampledRecord.of(path, table, wanted, period)
 
 
-def _check_current(wanted: Columns, current: float | None) -> None:
+def check_current(wanted: Columns, current: float | None) -> None:
+    """Raise RecordError if a constant current [A] is not finite, or a column holds the current."""
     if current is None:
         return
     if "current" in wanted.quantities:

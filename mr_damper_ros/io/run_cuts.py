@@ -1,15 +1,18 @@
-"""Splitting of a record into runs at pauses, rests, and changes of current or cycle."""
+"""The runs of a record, cut at pauses, rests, and changes of current or cycle."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from itertools import pairwise
+from pathlib import Path
 
 import numpy as np
 
-from mr_damper_ros.io.sampled_record import GAP, SampledRecord, integrated
+from mr_damper_ros.io.columns import MAXIMUM_SAMPLES, RecordError, parse_columns
+from mr_damper_ros.io.records import GAP, SampledRecord, check_current, integrated, read_samples
 from mr_damper_ros.kinematics.window import turning_points
 from mr_damper_ros.signals.arrays import NOISE_SPAN, Array, white_noise
+from mr_damper_ros.signals.recording import Recording
 
 _BLOCK = 0.1
 """Length of a block [s]. Rests are detected block by block, and a run keeps one block of a rest."""
@@ -43,6 +46,73 @@ _STROKES = 6
 
 _STEADY = 0.7
 """If the phases cover less than this fraction of a motion, the whole motion is one run."""
+
+
+def read_runs(
+    path: str | Path,
+    columns: str,
+    *,
+    currents: Sequence[float | None] | None = None,
+    period: float | None = None,
+    variable: str | None = None,
+    maximum_samples: int = MAXIMUM_SAMPLES,
+) -> list[Recording]:
+    """Read a file with several successive runs into one recording per run.
+
+    A run ends where the time jumps or restarts (the logger has paused), where the rod rests for at
+    least one second, where a measured current changes, and where a steady cycle changes to another.
+    ``currents`` [A] has one value per run if no column holds the current; None omits the run. The
+    other parameters are as in :func:`read_record`.
+
+    Raises the exceptions of :func:`read_record`. For a wrong number of currents, the message lists
+    the runs.
+    """
+    return RunsOfFile(path, columns, period, variable, maximum_samples).recordings(currents)
+
+
+class RunsOfFile:
+    """The runs of a file, before their currents are known.
+
+    ``summaries``: a description of each run; ``asks``: whether currents are needed. Raises the
+    exceptions of :func:`read_runs`.
+    """
+
+    def __init__(
+        self,
+        path: str | Path,
+        columns: str,
+        period: float | None = None,
+        variable: str | None = None,
+        maximum_samples: int = MAXIMUM_SAMPLES,
+    ) -> None:
+        self._wanted = wanted = parse_columns(columns)
+        self._record = read_samples(path, wanted, period, variable, maximum_samples)
+        self._rows = find_runs(self._record)
+        self._name = Path(path).name
+        self.asks = "current" not in wanted.quantities
+        self.summaries = [run_summary(self._record, rows) for rows in self._rows]
+        if not self._rows:
+            raise RecordError(f"{self._name} contains no run, because the displacement is constant")
+
+    def recordings(self, currents: Sequence[float | None] | None) -> list[Recording]:
+        """A recording of each run with a current, or of all runs if a column holds the current."""
+        if not self.asks and currents is not None:
+            raise RecordError("the current is given twice: by a column and for each run")
+        if self.asks and len(currents or ()) != len(self._rows):
+            listed = "; ".join(f"{k}: {text}" for k, text in enumerate(self.summaries, start=1))
+            raise RecordError(
+                f"{self._name} holds {len(self._rows)} runs, but {len(currents or ())} currents "
+                f"are given: give one [A] for each run, or - to omit the run ({listed})"
+            )
+        recordings = []
+        for number, rows in enumerate(self._rows, start=1):
+            current = None if currents is None else currents[number - 1]
+            if self.asks and current is None:
+                continue
+            check_current(self._wanted, current)
+            run = self._record.part(rows)
+            recordings.append(run.recording(current, f"{Path(self._name).stem}_{number}"))
+        return recordings
 
 
 def find_runs(record: SampledRecord) -> list[slice]:

@@ -7,8 +7,7 @@ from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 
-from mr_damper_ros.io.bag_files import opened_bag
-from mr_damper_ros.io.bag_reader import bag_stream
+from mr_damper_ros.io.bag_reader import bag_stream, opened_bag
 from mr_damper_ros.live.live_record import LiveRecord
 from mr_damper_ros.models.parameter_set import ParameterSet
 from mr_damper_ros.signals.blocks import NANOSECONDS

@@ -28,7 +28,7 @@ from mr_damper_ros.nodes.messages import from_field, to_nanoseconds
 from mr_damper_ros.nodes.quality import STREAM_DEPTH
 from mr_damper_ros.processes.programs import PATIENCE, RosDomain
 from mr_damper_ros.rig.sources.daq_source import SATURATED
-from mr_damper_ros.rig_check.record import ReceivedBlock, RigRecord
+from mr_damper_ros.rig_check.checks import ReceivedBlock, RigRecord
 
 
 class Observer(AbstractContextManager):

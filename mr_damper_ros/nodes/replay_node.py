@@ -16,7 +16,7 @@ from rosbags.interfaces import Connection, QosDurability
 from rosgraph_msgs.msg import Clock
 from std_srvs.srv import Trigger
 
-from mr_damper_ros.io.bag_files import BagError, opened_bag
+from mr_damper_ros.io.bag_reader import BagError, opened_bag
 from mr_damper_ros.nodes import quality
 from mr_damper_ros.nodes.diagnostics import ERROR, OK, WARN, Diagnostics, Finding
 from mr_damper_ros.nodes.messages import to_stamp

@@ -7,8 +7,7 @@ from __future__ import annotations
 
 import argparse
 
-from mr_damper_ros.rig_check.checks import check_rig
-from mr_damper_ros.rig_check.record import RigRecord
+from mr_damper_ros.rig_check.checks import RigRecord, check_rig
 from mr_damper_ros.tools.console import program
 
 _WRONG = 1

@@ -6,7 +6,7 @@ import argparse
 from collections.abc import Sequence
 from pathlib import Path
 
-from mr_damper_ros.io.bag_files import BagError
+from mr_damper_ros.io.bag_reader import BagError
 from mr_damper_ros.io.bag_writer import write_bag
 from mr_damper_ros.models.published import CONDITIONS, ERRATA, Condition, find, is_clean
 from mr_damper_ros.tools.console import run_tool

@@ -16,7 +16,7 @@ import numpy as np
 import pytest
 from streamed import START, Streamed, source_of
 
-from mr_damper_ros.rig.sources import analog_input, daq_source
+from mr_damper_ros.rig.sources import daq_source
 from mr_damper_ros.rig.sources.device_source import Portions
 
 CHANNELS = {"displacement_channel": "ai0", "force_channel": "ai1"}
@@ -74,9 +74,9 @@ def fake_device(portions: list[Any]) -> Portions[Any]:
         yield None
 
 
-def readings(first: int, count: int = 50) -> analog_input.Readings:
+def readings(first: int, count: int = 50) -> daq_source.Readings:
     ramp = 1e-6 * np.arange(first, first + count)
-    return analog_input.Readings(np.stack([ramp, ramp]), 1000.0)
+    return daq_source.Readings(np.stack([ramp, ramp]), 1000.0)
 
 
 @pytest.fixture
@@ -86,10 +86,10 @@ def fake(monkeypatch: pytest.MonkeyPatch, rig: Callable[..., Streamed]) -> Calla
     def make(*connections: list[Any]) -> Streamed:
         turns = iter(connections)
 
-        def read(library: None, channels: analog_input.AnalogChannels) -> Portions[Any]:
+        def read(library: None, channels: daq_source.AnalogChannels) -> Portions[Any]:
             return fake_device(next(turns, []))
 
-        monkeypatch.setitem(daq_source.DRIVERS, "labjack", analog_input.Driver(read))
+        monkeypatch.setitem(daq_source.DRIVERS, "labjack", daq_source.Driver(read))
         return rig(driver="labjack", **CHANNELS)
 
     return make

@@ -11,8 +11,7 @@ import pytest
 from backports import zstd
 
 from benchmarks.hostile import checksum_places
-from mr_damper_ros.io.bag_files import BagError, check_bag_files
-from mr_damper_ros.io.bag_reader import read_bag
+from mr_damper_ros.io.bag_reader import BagError, check_bag_files, read_bag
 from mr_damper_ros.io.bag_writer import write_bag
 from mr_damper_ros.io.mcap_checksums import ChecksumError, OversizedError, add_checksums, check_mcap
 from mr_damper_ros.signals.recording import Recording

@@ -13,8 +13,7 @@ from mr_damper_ros.emulation.faults import Instruments, faults_of
 from mr_damper_ros.emulation.motions import Excitation, SineMotion, stepped
 from mr_damper_ros.kinematics.periodic_motion import MotionKind, PeriodicMotion
 from mr_damper_ros.models.published import THESIS_28_CELSIUS
-from mr_damper_ros.rig_check.checks import check_rig
-from mr_damper_ros.rig_check.record import ReceivedBlock, RigRecord, Trouble, channel_lag
+from mr_damper_ros.rig_check.checks import ReceivedBlock, RigRecord, Trouble, channel_lag, check_rig
 
 SECONDS = 30.0
 RATE = 1000.0

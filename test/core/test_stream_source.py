@@ -22,8 +22,7 @@ from streamed import START, Streamed, source_of
 from waiting import until
 
 from mr_damper_ros.rig.blocks import BlockMaker, Measured
-from mr_damper_ros.rig.sources.device_source import DeviceReader, HostClock, Portions
-from mr_damper_ros.rig.sources.row_times import StampedRows
+from mr_damper_ros.rig.sources.device_source import DeviceReader, HostClock, Portions, StampedRows
 from mr_damper_ros.rig.sources.rows import (
     CHECKS,
     LineDecoder,

@@ -12,8 +12,17 @@ from functools import partial
 from importlib import import_module
 from typing import Any
 
-from mr_damper_ros.rig.sources.device_source import POLL, SILENCE, DeviceSource, Portion, Portions
-from mr_damper_ros.rig.sources.row_times import CountedRows, RowTimes, StampedRows, TimedSample
+from mr_damper_ros.rig.sources.device_source import (
+    POLL,
+    SILENCE,
+    CountedRows,
+    DeviceSource,
+    Portion,
+    Portions,
+    RowTimes,
+    StampedRows,
+    TimedSample,
+)
 from mr_damper_ros.rig.sources.rows import (
     LineDecoder,
     RecordDecoder,
