@@ -542,6 +542,9 @@ _MASS_SAMPLES = 8000
 """Approximate number of samples over all windows; more samples would not help the fit."""
 
 _MASS_STEPS = 40
+_MASS_RESOLUTION = 100
+"""Samples per cycle to which a motion is resolved for the mass. With half as many, the numerical
+error of the law looks like a mass that is up to half too small (``random_current_mass``)."""
 
 
 def _fitted_mass(fit: GlobalFit, windows: Sequence[Window], mass: float = 0.0) -> Estimate:
@@ -552,7 +555,8 @@ def _fitted_mass(fit: GlobalFit, windows: Sequence[Window], mass: float = 0.0) -
     from scipy.optimize import least_squares  # imported late: see entry_points
 
     found = fit.parameter_set
-    few = [window.thinned(_MASS_SAMPLES // len(windows)) for window in windows]
+    most = _MASS_SAMPLES // len(windows)
+    few = [window.resolved(_MASS_RESOLUTION).thinned(most) for window in windows]
     misfit = Misfit(found.law, few, fit.noise.tolist(), found.values)
     places = np.flatnonzero(found.observable)
     inertia = misfit.sample_weights * np.concatenate([w.motion.acceleration for w in few])

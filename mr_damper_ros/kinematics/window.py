@@ -327,16 +327,16 @@ class Window:
         inside = (self.places >= begin) & (self.places <= begin + cut.sample_count - 1)
         return replace(self.part(inside), places=self.places[inside] - begin, whole=cut)
 
-    def resolved(self) -> Window:
-        """The window as part of a ``whole`` that resolves a hysteresis in fast motion.
+    def resolved(self, per_cycle: int = _PER_CYCLE) -> Window:
+        """A window with all its samples, as part of a ``whole`` that resolves fast hysteresis.
 
-        Between its samples, displacement and velocity are cubic polynomials with the derivatives at
-        both ends. The current is held. The window itself is returned if it is a sine, has enough
-        samples per cycle, or is already a part of another window.
+        Between the samples, displacement and velocity are cubic polynomials with the derivatives at
+        both ends. The current is held. The window itself is returned if it is a sine or has half of
+        ``per_cycle`` samples in a cycle.
         """
         motion, size = self.motion, self.sample_count
-        stride = int(_PER_CYCLE / max(_mean_cycle(motion, self.period), 2.0))
-        if stride < 2 or self.whole is not None or self.steady:
+        stride = int(per_cycle / max(_mean_cycle(motion, self.period), 2.0))
+        if stride < 2 or self.steady:
             return self
         places: Array = np.arange((size - 1) * stride + 1) / stride
         u, v, a, v_m = motion.arrays
