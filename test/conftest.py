@@ -1,4 +1,4 @@
-"""What all tests need of the process that they run in."""
+"""Process settings for all tests."""
 
 from __future__ import annotations
 
@@ -11,11 +11,11 @@ from mr_damper_ros.processes.blas_threads import keep_one_thread
 # Several processes compute at once.
 keep_one_thread()
 
-# A shell starts what runs in its background with Ctrl-C ignored, and so would be all programs that
-# the tests start: those that are to end by it would not.
+# A shell starts background processes with Ctrl-C ignored, and the programs under test would inherit
+# this.
 signal.signal(signal.SIGINT, signal.default_int_handler)
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Tests over DDS first, since they mostly wait; of these, the soak takes the longest."""
+    """Tests over DDS first, because they mostly wait; of these, the soak takes longest."""
     items.sort(key=lambda item: ("test/ros/" not in item.nodeid, "test_soak" not in item.nodeid))

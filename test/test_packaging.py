@@ -1,4 +1,4 @@
-"""What is built and installed: both packages, their messages, programs and files."""
+"""Built and installed files: both packages, their messages, programs and data."""
 
 import ast
 import json
@@ -20,7 +20,7 @@ MESSAGES = sorted(path.stem for path in (ROOT / "msg_defs" / "msg").glob("*.msg"
 
 
 def prefix_of(package: str) -> Path:
-    """Folder that the package is installed to; skips the test where it is not built."""
+    """Installation folder of the package; skips the test if it is not built."""
     packages = pytest.importorskip("ament_index_python.packages")
     try:
         return Path(packages.get_package_prefix(package))
@@ -35,7 +35,7 @@ def version_in(path: Path) -> str:
 
 
 def said(*arguments: str) -> str:
-    """What Python says when it is called with these arguments, which must please it."""
+    """Output of Python with these arguments, which must succeed."""
     done = subprocess.run(
         [sys.executable, *arguments],
         cwd=ROOT,
@@ -89,17 +89,17 @@ KEYS = {
     "threadpoolctl": "python3-threadpoolctl",
     "yaml": "python3-yaml",
 }
-"""Keys of rosdep for what is no ROS package; those are called like the modules they hold."""
+"""rosdep keys of packages outside ROS; the others are named like their modules."""
 
 OPTIONAL = {"cma", "distributed", "nptdms", "numba", "openpyxl", "pyarrow", "pyvisa", "serial"}
-"""What is used where it is installed."""
+"""Optional packages."""
 
 BROUGHT_BY_ROSBAGS = {"lz4", "backports", "compression"}
-"""What rosbags needs to read a compressed bag; Python 3.14 holds compression itself."""
+"""Packages that rosbags needs for compressed bags; Python 3.14 includes compression."""
 
 
 def imported_modules() -> set[str]:
-    """First names of what the package and its launch files import, from outside of Python."""
+    """Top-level names of all imports outside the standard library."""
     names: set[str] = set()
     for folder in ("mr_damper_ros", "launch"):
         for path in (ROOT / folder).rglob("*.py"):
@@ -123,7 +123,7 @@ def test_package_xml_names_everything_that_is_imported():
 
 
 DISTRIBUTIONS = {"mpl_toolkits": "matplotlib", "yaml": "PyYAML"}
-"""What pip calls a module that is called differently."""
+"""pip names that differ from the module names."""
 
 
 def test_a_wheel_requires_everything_that_is_imported_without_ros():
@@ -135,7 +135,7 @@ def test_a_wheel_requires_everything_that_is_imported_without_ros():
 
 
 def test_a_link_to_the_messages_is_all_that_a_workspace_needs(tmp_path):
-    """What colcon and rosdep do: neither looks below a package, both follow links."""
+    """As in colcon and rosdep: neither searches inside a package, and both follow links."""
     packages = pytest.importorskip("catkin_pkg.packages")
     (tmp_path / "mr_damper_ros").symlink_to(ROOT)
     assert packages.find_package_paths(str(tmp_path)) == ["mr_damper_ros"]
@@ -144,7 +144,7 @@ def test_a_link_to_the_messages_is_all_that_a_workspace_needs(tmp_path):
 
 
 def typestore():
-    """Types of ROS 2 Jazzy as rosbags knows them, and the messages of this repository."""
+    """Types of ROS 2 Jazzy in rosbags, and the messages of this repository."""
     typesys = pytest.importorskip("rosbags.typesys")
     store = typesys.get_typestore(typesys.Stores.ROS2_JAZZY)
     types = {}

@@ -1,4 +1,4 @@
-"""The set-up says in one sentence what is in its way, and keeps out what is not its own."""
+"""The set-up reports each obstacle in one sentence, and excludes foreign packages."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ import pytest
 ROOT = Path(__file__).resolve().parents[1]
 
 NEEDED = ("scripts", "requirements", "msg_defs", "setup.py", "setup.cfg", "package.xml", "resource")
-"""As much of the clone as the set-up looks at before it installs anything."""
+"""Files of the clone that the set-up checks before it installs anything."""
 
 
 @pytest.fixture

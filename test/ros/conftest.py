@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-# The test modules are no package: this is where they find `support`.
+# The test modules are no package; this adds `support` to the path.
 sys.path.insert(0, str(Path(__file__).parent))
 
 pytest.importorskip("rclpy", reason="these tests need ROS")
@@ -19,13 +19,13 @@ from support import Listener, TriedProgram, installed_programs
 from mr_damper_ros.processes.programs import RosDomain
 
 _DOMAIN = RosDomain()
-"""Held while this process lives: tests that run at the same time must not hear each other."""
+"""Locked while this process lives, so that concurrent tests use different domains."""
 
-# Before any context exists, and for all programs that the tests start.
+# Set before any context exists, and for all programs that the tests start.
 os.environ.update(_DOMAIN.environment)
 os.environ["ROS_PYTHON_CHECK_FIELDS"] = "1"
 
-# What env.bash sets, too: nodes that are started again are found at once.
+# As in env.bash: restarted nodes are discovered at once.
 if not os.environ.get("FASTDDS_DEFAULT_PROFILES_FILE"):
     _PROFILE = Path(__file__).parents[2] / "config" / "fastdds.xml"
     os.environ.setdefault("FASTRTPS_DEFAULT_PROFILES_FILE", str(_PROFILE))
@@ -51,6 +51,6 @@ def start() -> Iterator[Start]:
 
 @pytest.fixture
 def listener() -> Iterator[Listener]:
-    """A node of the test's own, in a context of its own."""
+    """A node of the test with a separate context."""
     with Listener() as node:
         yield node

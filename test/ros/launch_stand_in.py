@@ -1,4 +1,4 @@
-"""As much of launch and launch_ros as the launch file uses, for where they are not installed.
+"""The parts of launch and launch_ros used by the launch file, for systems without them.
 
 It resolves the arguments as `ros2 launch` does and returns the nodes that would be started; what
 launch does with them later is not imitated.
@@ -17,7 +17,7 @@ from typing import Any
 
 @dataclass
 class Context:
-    """Stands for launch's context."""
+    """Replaces launch's context."""
 
     launch_configurations: dict[str, str] = field(default_factory=dict)
     is_shutdown: bool = False
@@ -40,7 +40,7 @@ class Configuration:
 
 
 class Action:
-    """An action, with what it was made with as attributes."""
+    """An action with its constructor arguments as attributes."""
 
     def __init__(self, **details: Any) -> None:
         self.__dict__.update(details)

@@ -1,4 +1,4 @@
-"""A test machine played by the test itself: it publishes the samples of a recording."""
+"""A test machine simulated by the test: it publishes the samples of a recording."""
 
 from __future__ import annotations
 
@@ -20,15 +20,14 @@ from mr_damper_ros.signals.recording import Recording
 BLOCK = 100
 
 _NAMELESS = "_NODE_NAME_UNKNOWN_"
-"""What rmw calls a node of which it has heard no name yet."""
+"""Name that rmw gives to a node whose name has not been discovered yet."""
 
 
 class Press:
     """Publishes for ``listeners`` nodes, which must have subscribed before it starts.
 
-    It waits until each of them answers. What comes for a node that has subscribed but does not
-    spin yet waits in a queue for each topic, and a test should not depend on which is emptied
-    first.
+    It waits until each of them answers, because messages for a node that does not spin yet wait
+    in one queue per topic, and a test should not depend on which queue is read first.
     """
 
     def __init__(self, listener: Listener, listeners: int = 1) -> None:
@@ -46,7 +45,7 @@ class Press:
             listener.call(ListParameters, f"{node}/list_parameters")
 
     def _subscribers(self, listener: Listener) -> list[str]:
-        """Full names of the nodes that take the samples; none before all are known."""
+        """Full names of the nodes that subscribe to the samples; empty until all are known."""
         found = listener.node.get_subscriptions_info_by_topic(self.samples.topic_name)
         if any(info.node_name == _NAMELESS for info in found):
             return []
@@ -97,4 +96,4 @@ BAD_BLOCKS = {
     },
     "but 3 forces": {"force": [1.0, 2.0, 3.0]},
 }
-"""Blocks that cannot be used: what is said about them, and what is wrong with them."""
+"""Invalid blocks: the message for each, and its changed fields."""

@@ -1,4 +1,4 @@
-"""Programs started as processes, and a node that listens to them; deadlines instead of sleeps."""
+"""Programs as processes, and a node that listens to them; with deadlines instead of sleeps."""
 
 from __future__ import annotations
 
@@ -21,11 +21,11 @@ from mr_damper_ros.nodes.observer import Observer
 from mr_damper_ros.processes.programs import Program, node_arguments
 
 PATIENCE = 30.0
-"""Deadline [s] of everything that is waited for; generous, for a loaded machine."""
+"""Deadline [s] of all waits; generous, for a loaded machine."""
 
 
 def installed_programs() -> Path:
-    """Return the folder of the installed executables; fails the test where there is none."""
+    """Return the folder of the installed executables; fails the test if there is none."""
     try:
         return Path(get_package_prefix("mr_damper_ros")) / "lib" / "mr_damper_ros"
     except PackageNotFoundError:
@@ -39,7 +39,7 @@ def assert_one_sentence(text: str) -> None:
 
 
 class TriedProgram(Program):
-    """An installed program under test: it is asserted that it ends in order."""
+    """An installed program under test; fails unless it ends cleanly."""
 
     def __init__(
         self, path: Path, *arguments: str, remap: dict[str, str] | None = None, **parameters: object
@@ -51,7 +51,7 @@ class TriedProgram(Program):
         return super().wait(patience)
 
     def stop(self, number: signal.Signals = signal.SIGINT, patience: float = PATIENCE) -> int:
-        """Ask it to end, and see that it does so cleanly, leaving nothing behind."""
+        """Ask it to end, and assert that it does so cleanly and leaves nothing behind."""
         assert self.running, f"{self.name} has ended by itself: {self.errors}"
         self.send_signal(number)
         code = self.wait(patience)
@@ -62,25 +62,25 @@ class TriedProgram(Program):
         return code
 
     def end(self) -> None:
-        """Clean up after the test: stop it where it still runs."""
+        """Clean up after the test: stop the program if it still runs."""
         try:
             if self.running:
                 self.stop()
         finally:
             if self.running:
                 os.killpg(self.pid, signal.SIGKILL)
-            # Shown where the test has failed.
+            # Shown if the test has failed.
             print(f"{self.name} said:\n{self.log}")
             self.forget()
 
 
 class Listener(Observer):
-    """A node of the test's own, which calls services too."""
+    """A node of the test that also calls services."""
 
     def __init__(self) -> None:
         super().__init__("listener")
         self._findings: list[tuple[int, DiagnosticStatus]] = []
-        # From the start: some things are told once, and must not be missed.
+        # Subscribed at the start, because some messages are sent only once.
         self.node.create_subscription(DiagnosticArray, "/diagnostics", self._hear_findings, 1000)
 
     def _hear_findings(self, array: DiagnosticArray, info: dict[str, int]) -> None:
@@ -104,13 +104,13 @@ class Listener(Observer):
             self.node.destroy_client(client)
 
     def set_parameter(self, node: str, name: str, value: object) -> SetParametersResult:
-        """Set a parameter of a node, and return what it says to that."""
+        """Set a parameter of a node, and return the node's answer."""
         message: ParameterMessage = Parameter(name, value=value).to_parameter_msg()
         request = SetParameters.Request(parameters=[message])
         return self.call(SetParameters, f"{node}/set_parameters", request).results[0]
 
     def wait_for_finding(self, name: str, part: str) -> DiagnosticStatus:
-        """Wait for a diagnostic of this name whose message has this text, sent from now on."""
+        """Wait for a new diagnostic of this name whose message contains this text."""
         now_ns = time.time_ns()
         found: list[DiagnosticStatus] = []
 

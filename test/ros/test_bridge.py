@@ -1,4 +1,4 @@
-"""The bridge as a process: what it publishes, and how it behaves."""
+"""The bridge as a process: its topics and its behaviour."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ def test_the_emulated_rig_streams_until_it_is_told_to_stop(start: Any, listener:
     displacement, force = joined(samples, "displacement"), joined(samples, "force")
     assert np.ptp(displacement) == pytest.approx(0.010, rel=0.01)
     assert 800.0 < np.abs(force).max() < 2000.0
-    # The mirror shows samples, not something of its own.
+    # The mirror shows the same samples.
     index = (stamps(mirror)[0] - stamps(samples)[0]) // 1_000_000
     assert mirror[0].position[0] == displacement[index]
     assert mirror[0].effort[0] == force[index]
@@ -73,7 +73,7 @@ def test_stamps_are_those_of_now(start: Any, listener: Listener) -> None:
     listener.until(lambda: len(ages) >= 30, "three seconds of data")
     youngest = min(ages)
     assert youngest >= 0.0, "no sample comes before its time"
-    # A busy computer may hold up a message, but not all of them.
+    # A busy computer may delay a message, but not all of them.
     assert youngest < 100_000_000, "the stream is not late by itself"
 
 
@@ -161,7 +161,7 @@ def test_the_emulated_rig_obeys_commands_of_the_current(start: Any, listener: Li
     listener.until(lambda: current and current[-1].current == 0.7, "the commanded current")
     listener.node.destroy_timer(timer)
     listener.until(lambda: current[-1].current == 0.0, "no current once the commands have stopped")
-    # The supply counts though it already stood there.
+    # The supply is measured even if it was on before.
     assert listener.set_parameter("bridge", "emulated.current", 1.5).successful
     listener.until(lambda: current[-1].current == 1.5, "the supply")
 

@@ -33,15 +33,15 @@ MACHINE = {
     "goal.highest_current": 1.5,
     "goal.error": 0.5,
 }
-"""A goal that few runs meet, with the law that is identified and planned for in no time."""
+"""A goal that few runs reach, with the law that is fastest to identify and to plan for."""
 
 
 def rig(start: Any, folder: Path) -> Any:
-    # A damper that the law follows.
+    # A damper that follows the law.
     damper = folder.with_suffix(".yaml")
     values = np.array([600.0, 1500.0, 0.0, 0.5, 0.0, 0.0, 0.0])
     ParameterSet(values, model="bingham").save(damper)
-    # The emulated rig goes so many times as fast as a real one.
+    # The emulated rig runs this many times faster than a real one.
     return start(
         "bridge",
         rate=4.0,

@@ -1,4 +1,4 @@
-"""The program that listens to a rig: on the emulated one, sound and not."""
+"""The program that checks a rig, on the emulated one with and without faults."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ def test_a_sound_rig_has_nothing_wrong(start: Any) -> None:
     start("bridge", **STEPS)
     done = check(6.0)
     found = [line for line in done.stdout.splitlines() if line.startswith("- ")]
-    # A busy computer may hold up the samples, which is then told.
+    # A busy computer may delay the samples, which is then reported.
     assert [line for line in found if "the stream paused" not in line] == [], done.stderr
     assert "Begin with a sine" in done.stdout
 

@@ -1,4 +1,4 @@
-"""What a program cannot work with is one sentence and an exit code, before anything has begun."""
+"""An invalid configuration gives one sentence and an exit code at the start."""
 
 from __future__ import annotations
 

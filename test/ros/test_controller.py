@@ -1,4 +1,4 @@
-"""The controller as a process: commands for a desired force, and the safe current elsewhere."""
+"""The controller as a process: commands for a desired force, otherwise the safe current."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ KNOWN = ParameterSet(
     parameters(CONDITION), set_id="known", peak_velocity_range=(0.0, 0.1), current_range=(0.0, 2.0)
 )
 WANTED = 300.0
-"""[N]; the damper gives it while it extends, and not while it is compressed."""
+"""[N]; the damper reaches it in extension, but not in compression."""
 
 SAFE = 0.25
 

@@ -1,4 +1,4 @@
-"""Every command of the documentation names programs, options and files that exist.
+"""Every command of the documentation names existing programs, options and files.
 
 What needs no installed ROS is run in test/core/test_documentation.py and below.
 """
@@ -54,7 +54,7 @@ OTHERS = {"cd", "ln", "colcon", "rosdep", ".", "export", "for", "done", "kill", 
 
 
 def commands(page: Path) -> list[str]:
-    """Lines of the page's shell code: of its blocks, and of what is indented."""
+    """Commands of a page: lines of its shell blocks and indented lines."""
     text = page.read_text(encoding="utf-8")
     shell = "".join(re.findall(r"```bash\n(.*?)```", text, re.DOTALL))
     text = re.sub(r"```.*?```", "", text, flags=re.DOTALL)
@@ -68,7 +68,7 @@ def commands(page: Path) -> list[str]:
 ALL = [(page, line) for page in PAGES for line in commands(page)]
 
 HOSTED = ("identifier", "model")
-"""Programs that may hold a node in each of several namespaces."""
+"""Programs that can run a node in each of several namespaces."""
 
 
 def words_of(line: str) -> list[str]:
@@ -76,7 +76,7 @@ def words_of(line: str) -> list[str]:
 
 
 def check_path(path: str) -> None:
-    """Paths of the repository exist; others are the reader's."""
+    """Assert that a path exists, if it is one of the repository."""
     if path.startswith(("bags/", "doc/", "config/")):
         assert (ROOT / path).exists(), path
 
@@ -157,7 +157,7 @@ def test_all_pages_with_commands_are_read() -> None:
 def test_the_three_terminals_of_the_readme_identify_a_bag(
     listener: Listener, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """The lines of the README as they stand, by the stand-in for the command where it is needed."""
+    """Runs the lines of the README unchanged, with a stand-in for `ros2` if needed."""
     text = (ROOT / "README.md").read_text(encoding="utf-8")
     (block,) = re.findall(r"```bash\n(ros2 run mr_damper_ros identifier.*?)```", text, re.DOTALL)
     lines = block.replace("/tmp/damper", str(tmp_path)).splitlines()
@@ -168,7 +168,7 @@ def test_the_three_terminals_of_the_readme_identify_a_bag(
     try:
         assert terminals[2].wait() == 0, terminals[2].errors
         listener.until(lambda: any(message.valid for message in forces), "a valid force")
-        # Ctrl-C goes to the whole group of a terminal: the command `ros2` hands no signal on.
+        # Ctrl-C goes to the whole group of a terminal: the command `ros2` forwards no signal.
         for terminal in terminals[:2]:
             os.killpg(terminal.pid, signal.SIGINT)
         for terminal in terminals[:2]:

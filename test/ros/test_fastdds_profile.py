@@ -1,4 +1,4 @@
-"""The profile for Fast DDS, with which a node that was killed is soon back among the others."""
+"""The Fast DDS profile, with which a killed node is quickly replaced."""
 
 from __future__ import annotations
 
@@ -22,11 +22,11 @@ print(pathlib.Path("/proc/self/maps").read_text())
 """
 
 QUEUE = "/dev/shm/fastrtps_port"
-"""Fast DDS's queue of what one process receives through shared memory."""
+"""Fast DDS's shared-memory queue of a receiving process."""
 
 
 def run(profile: str) -> subprocess.CompletedProcess[str]:
-    """Create publisher and subscriber with a profile; returns what is in the process's memory."""
+    """Create publisher and subscriber with a profile; returns the memory map of the process."""
     return subprocess.run(
         [sys.executable, "-c", PROGRAM],
         env={
@@ -42,7 +42,7 @@ def run(profile: str) -> subprocess.CompletedProcess[str]:
 
 
 def test_fast_dds_finds_no_fault_with_the_profile() -> None:
-    # One unknown word, and Fast DDS complains and ignores what goes with it.
+    # With one unknown word, Fast DDS prints an error and ignores the element.
     made = run(str(PROFILE))
     assert "XMLPARSER" not in made.stdout + made.stderr
 

@@ -1,4 +1,4 @@
-"""The launch file of a fleet: what it would start, and three dampers side by side."""
+"""The launch file of a fleet: the nodes that it starts, and three dampers side by side."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ FILE = Path(__file__).parents[2] / "launch" / "fleet.launch.py"
 
 @pytest.fixture
 def description(monkeypatch: pytest.MonkeyPatch) -> list[Any]:
-    """What the launch file describes."""
+    """Description returned by the launch file."""
     made: list[Any] = launch_stand_in.load(FILE, monkeypatch).generate_launch_description()
     return made
 

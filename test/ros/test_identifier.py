@@ -1,4 +1,4 @@
-"""The identifier as a process: what it publishes, what it keeps, and what it survives."""
+"""The identifier as a process: its topics, its stored state, and its robustness."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ WINDOWS = 6
 
 
 class Results:
-    """What an identifier publishes, from its first message on."""
+    """Messages of an identifier from the first one on."""
 
     def __init__(self, listener: Listener) -> None:
         self._listener = listener
@@ -47,7 +47,7 @@ class Results:
         )
 
     def wait_for_the_start(self) -> DamperParameters:
-        """Wait until nothing more can be missed; returns the initial set."""
+        """Wait until no message can be missed; returns the initial set."""
         subscriptions = list(self._listener.node.subscriptions)
         self._listener.until(
             lambda: (
@@ -86,7 +86,7 @@ def worker_pid(listener: Listener) -> int:
 
 
 def comparable(messages: list[Any]) -> list[str]:
-    """Everything but the time that a fit took on the computer's clock."""
+    """Everything but the measured computing time."""
     for message in messages:
         if isinstance(message, FitReport):
             message.duration = 0.0
@@ -112,7 +112,7 @@ def test_a_bag_gives_the_same_sets_at_every_rate(start: Any, listener: Listener)
     replayed = mr.replay(BAG)
     reports = [report_message(report, 0.0, "damper", "/identifier") for report in replayed.reports]
     for message in reports:
-        message.verdict = int(message.verdict)  # as it comes over the wire
+        message.verdict = int(message.verdict)  # as received
     sets = [parameters_message(found, "damper", "/identifier") for found in replayed.sets]
     before, (initial, *published) = outcomes[0][:WINDOWS], outcomes[0][WINDOWS:]
     assert before == comparable(reports)
@@ -189,7 +189,7 @@ def test_blocks_that_cannot_be_used_are_counted_and_change_nothing(
     press.run(recording)
     results.wait_for_reports(WINDOWS)
     assert results.accepted
-    # A whole window that cannot be used: a displacement in millimetres.
+    # A whole window is invalid: its displacement is in millimetres.
     later = replace(
         recording, start_ns=recording.start_ns + 10**10, displacement=1e3 * recording.displacement
     )
@@ -312,7 +312,7 @@ def test_every_goal_of_a_burst_is_answered(
 ) -> None:
     start("identifier")
     results.wait_for_the_start()
-    # A client keeps ten answers by default; it is the server that is tried here.
+    # A client keeps ten answers by default, but this test is about the server.
     deep = {f"{name}_service_qos_profile": quality.lossless() for name in ("goal", "result")}
     client = ActionClient(listener.node, IdentifyGlobal, "identifier/identify_global", **deep)
     listener.until(client.server_is_ready, "the action server")
@@ -351,7 +351,7 @@ def test_a_global_identification_on_demand(
     assert not empty.result.success
     assert empty.result.message
 
-    searches = 1  # The one without windows has a report too.
+    searches = 1  # The search without windows has a report too.
     press = Press(listener)
     for round_, name in enumerate(("5.0mm_1Hz_0.0A", "5.0mm_1Hz_0.5A", "5.0mm_1Hz_1.5A")):
         run = read_bag(ROOT / "bags" / name)[0]
@@ -411,7 +411,7 @@ def test_a_killed_worker_is_replaced_and_no_window_is_lost(
     results.wait_for_reports(WINDOWS)
     second = worker_pid(listener)
     assert second != first
-    # Stopped, it hangs but is not dead.
+    # Stopped: it hangs, but is not dead.
     os.kill(second, signal.SIGSTOP)
     press.run(replace(recording, start_ns=recording.start_ns + 10**10))
     results.wait_for_reports(2 * WINDOWS)

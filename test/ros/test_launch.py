@@ -1,4 +1,4 @@
-"""The launch file: what it would start, by a stand-in for launch; with the real one where it is."""
+"""The launch file: the nodes that it starts, checked without launch, and with it if installed."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ Arguments = dict[str, str]
 
 @pytest.fixture
 def description(monkeypatch: pytest.MonkeyPatch) -> list[Any]:
-    """What the launch file describes."""
+    """Description returned by the launch file."""
     loaded = launch_stand_in.load(FILE, monkeypatch)
     made: list[Any] = loaded.generate_launch_description()
     return made
@@ -89,7 +89,7 @@ def test_a_wrong_argument_is_refused_before_anything_starts(
 
 
 def end(node: Any, code: int, *, is_shutdown: bool = False) -> Any:
-    """What follows when a node has ended."""
+    """Actions after the end of a node."""
     return node.on_exit(SimpleNamespace(returncode=code), SimpleNamespace(is_shutdown=is_shutdown))
 
 
@@ -111,7 +111,7 @@ def test_it_fails_with_any_node(description: list[Any], name: str) -> None:
 def test_two_bags_in_two_namespaces_have_a_clock_each(
     start: Any, listener: Listener, description: list[Any]
 ) -> None:
-    # The samples have no listener here: each replay waits for two, identifier and model.
+    # The samples have no subscriber here: each replay waits for identifier and model.
     clocks = {}
     for side in ("left", "right"):
         clocks[side] = listener.listen(Clock, f"/{side}/clock")

@@ -1,4 +1,4 @@
-"""The page of a running system: what the nodes say reaches it, and commands the identifier."""
+"""The page of a running system receives the nodes' data and commands the identifier."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ BAG = Path(__file__).parents[2] / "bags" / "5.0mm_1Hz_1.5A"
 
 
 class Client:
-    """Asks a page as a browser does."""
+    """Sends requests to a page like a browser."""
 
     def __init__(self, program: TriedProgram) -> None:
         program.wait_for_log("the page is at http://")
@@ -137,7 +137,7 @@ def assert_coefficients_and_parameters_are_named(numbers: list[DiagnosticArray])
 
 def test_a_command_reaches_the_identifier(client: Client, listener: Listener) -> None:
     def done() -> bool:
-        """Whether the identifier has answered; it may not be known to the page yet."""
+        """Whether the identifier has answered; the page may not have discovered it yet."""
         client.command("reset")
         events = client.status()["events"]
         return any(event.startswith("reset: done: running with") for event in events)

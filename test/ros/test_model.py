@@ -1,4 +1,4 @@
-"""The model as a process: a prediction for every block, and the reason where it is not valid."""
+"""The model as a process: a prediction for every block, and the reason if it is invalid."""
 
 from __future__ import annotations
 
@@ -52,7 +52,7 @@ TRUE_SET = ParameterSet(
     stamp_ns=1_700_000_000_000_000_001,
 )
 SETTLED = 2.5
-"""Seconds after which observer and centre of a motion of 1 Hz have settled."""
+"""Seconds after which observer and centre of a 1 Hz motion have settled."""
 
 
 @pytest.fixture(scope="module")
@@ -61,7 +61,7 @@ def recording() -> Recording:
 
 
 class Rig:
-    """A model node, the press whose samples it hears, and the forces it predicts for them."""
+    """A model node, the machine that publishes its samples, and the predicted forces."""
 
     def __init__(self, start: Any, listener: Listener, listeners: int = 1, **options: Any) -> None:
         self._listener = listener
@@ -71,7 +71,7 @@ class Rig:
 
     @cached_property
     def press(self) -> Press:
-        """The press; it begins to exist where it is first asked for."""
+        """The machine; created when first used."""
         self._listener.until(
             lambda: self._listener.node.count_publishers("damper/predicted_force"),
             "the model's topic",
@@ -202,13 +202,13 @@ def test_what_is_missing_makes_the_force_invalid_with_the_reason(
     assert (
         "current of 1.50 A is outside the identified range of 0.00 to 0.50 A" in refused[-1].reason
     )
-    # The measured force confirms this one: once it has done so for a cycle, the force is valid.
+    # The measured force confirms it, so that the force becomes valid after one cycle.
     assert outside[-1].valid
     use(replace(TRUE_SET, set_id="other speed", peak_velocity_range=(0.1, 0.2)))
     again = replace(recording, start_ns=recording.start_ns + 7 * 10**10)
     outside = rig.run(again)
     assert not any(f.valid for f in outside)
-    # Beyond its speeds a force is judged by the measured one, and this one is wrong.
+    # Beyond the speeds of the set the force is checked against the measured one, and it is wrong.
     assert outside[-1].doubt in (PredictedForce.OUT_OF_RANGE, PredictedForce.WRONG)
 
 
@@ -313,7 +313,7 @@ def test_reports_of_another_node_than_the_trusted_one_confirm_nothing(
                 listener.until(
                     lambda: listener.node.count_publishers("damper/fit_report"), "the publisher"
                 )
-                # The model may learn a little later than this node whose publisher it is.
+                # The model may discover the publisher's node a little later than this node does.
                 for _ in range(5):
                     reports.publish(report)
                     assert reports.wait_for_all_acked(Duration(seconds=30))
@@ -339,7 +339,7 @@ def test_a_model_that_has_fallen_behind_goes_straight_to_the_newest(
     os.kill(model.pid, signal.SIGSTOP)
     sent = press.run(live, with_current=False)
     assert live.duration > SETTLED
-    # Stamped in the future at first; the model is let go when the last one is late.
+    # The stamps are in the future at first; the model is released when the last one is late.
     listener.until(
         lambda: listener.node.get_clock().now().nanoseconds > live.stamp_ns(live.sample_count),
         "the end of the recording",

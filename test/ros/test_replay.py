@@ -1,4 +1,4 @@
-"""The replay node as a process: what it publishes, and how it behaves."""
+"""The replay node as a process: its topics and its behaviour."""
 
 from __future__ import annotations
 
@@ -46,10 +46,10 @@ def recorded(bag: Path, topic: str) -> list[bytes]:
 def write_texts(
     bag: Path, texts: Sequence[str], *, latched: bool = False, foreign: bool = False
 ) -> None:
-    """Write a bag of strings; ``foreign``: with a type that is installed nowhere, too."""
+    """A bag of strings; with ``foreign`` also a message type that is not installed."""
     store = get_typestore(Stores.ROS2_JAZZY)
     store.register(get_types_from_msg("int32 x\n", "somewhere_msgs/msg/Thing"))
-    # The same name as an installed type, but another content.
+    # Same name as an installed type, but different fields.
     other = get_typestore(Stores.ROS2_JAZZY)
     other.register(get_types_from_msg("float64 current\n", "mr_damper_msgs/msg/SupplyCurrent"))
     never = QosTime(2147483647, 4294967295)

@@ -1,4 +1,4 @@
-"""The policy for SROS2 allows each node what it does, and nothing else."""
+"""The SROS2 policy allows each node its own topics and services, and nothing else."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ ACTION_SERVICES = ("cancel_goal", "get_result", "send_goal")
 
 
 def allowed(node: str) -> dict[str, set[str]]:
-    """Full names that the policy allows a node, by what it may do with them."""
+    """Full names that the policy allows a node, by kind of access."""
     enclave = ElementTree.parse(POLICY).find(f"enclaves/enclave[@path='/mr_damper/{node}']")
     assert enclave is not None
     (profile,) = enclave.findall("profiles/profile")
@@ -50,7 +50,7 @@ def _full_name(name: str, node: str) -> str:
 
 
 def done(listener: Listener, node: str) -> dict[str, set[str]]:
-    """What a running node does, by the graph; nothing as long as its name is not known there."""
+    """Topics and services of a running node in the graph; empty until the node is discovered."""
     graph = listener.node
     found: dict[str, set[str]] = {"publish": set(), "subscribe": set(), "reply": set()}
     ways = (

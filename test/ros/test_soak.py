@@ -1,4 +1,4 @@
-"""Short variants of ``make soak``: kills, starts, Ctrl-C, a few minutes of data at twenty times."""
+"""Short variants of ``make soak``: kills, starts, Ctrl-C, some minutes of data at 20x speed."""
 
 from __future__ import annotations
 
@@ -38,6 +38,6 @@ def test_a_stream_at_speed_leaves_no_errors_and_no_leak() -> None:
     growth, errors = load.soak(data_hours, 0.4 * data_hours)
     assert errors == []
     assert sorted(growth) == ["bridge", "identifier", "model", "worker"]
-    # MB that a node may grow by in the last half minute. A leak of the blocks would add 8; blocks
-    # that wait in a busy identifier add up to 5.4, as seen beside two other tests.
+    # Allowed memory growth [MB] of a node in the last half minute. A leak of the blocks would add
+    # 8; blocks that wait in a busy identifier added up to 5.4 beside two other tests.
     assert max(growth.values()) < 7.0, growth

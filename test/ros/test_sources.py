@@ -1,4 +1,4 @@
-"""Sources of samples in the bridge: one that streams rows, and one of another package."""
+"""Sources of samples in the bridge: a stream of rows, and a source of another package."""
 
 from __future__ import annotations
 
@@ -69,7 +69,7 @@ wrong = pair_source:PairOptions
 
 @pytest.fixture
 def installed(tmp_path: Path) -> dict[str, str]:
-    """The environment in which another package is installed, with a source as its entry point."""
+    """The environment with another package, whose entry point is a source."""
     (tmp_path / "pair_source.py").write_text(ONE_FILE, encoding="utf-8")
     folder = tmp_path / "pair_source-1.0.dist-info"
     folder.mkdir()
@@ -91,7 +91,7 @@ def test_a_source_of_another_package_comes_by_its_entry_point(
     listener.until(lambda: sum(len(m.force) for m in samples) == 2, "two samples")
     assert np.concatenate([from_field(m.force) for m in samples]).tolist() == [3.0, 6.0]
     assert bridge.stop() == 0, bridge.log
-    # Those that are none are told, and hold up nothing.
+    # Invalid entry points are reported and do not stop the bridge.
     assert "the source broken cannot be loaded" in bridge.errors
     assert "the source wrong is not a Source" in bridge.errors
     bridge.close()
@@ -104,7 +104,7 @@ def test_rows_of_a_stream_come_on_the_topics(start: Any, listener: Listener) -> 
     listener.until(lambda: current and sum(len(m.force) for m in samples) >= 1000, "samples")
     moved = np.concatenate([from_field(message.displacement) for message in samples])
     pulled = np.concatenate([from_field(message.force) for message in samples])
-    # A sine of 5 mm and its velocity behind a hyperbolic tangent, 1 kN.
+    # A sine of 5 mm; the force is a hyperbolic tangent of the velocity, 1 kN.
     cosine = np.arctanh(np.clip(pulled / 1000.0, -0.99, 0.99)) / 3.0
     right = np.abs(pulled) < 950.0
     np.testing.assert_allclose(np.hypot(moved / 0.005, cosine)[right], 1.0, atol=1e-3)

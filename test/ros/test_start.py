@@ -1,4 +1,4 @@
-"""How a node's program starts: what it says where something is missing, or nobody reads it."""
+"""Start of a node's program: messages for missing parts, and a closed output."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from support import assert_one_sentence, installed_programs
 
 NODES = ("bridge", "controller", "identifier", "live", "model", "replay")
 SOME = ("bridge", "live")
-"""Two of them, for what is the same code in all."""
+"""Two programs represent all, since the code is the same."""
 
 TOOLS = ("demo", "identify", "import_record", "validate")
 
@@ -39,7 +39,7 @@ from mr_damper_ros.entry_points import tool
 
 sys.exit(tool("identify"))
 """
-"""A tool at which Ctrl-C was pressed before it was loaded."""
+"""A tool that is interrupted by Ctrl-C during its imports."""
 
 
 def test_a_tool_that_is_interrupted_while_it_loads_says_so_and_no_more() -> None:
@@ -58,7 +58,7 @@ def test_signals_are_held_back_from_the_first_moment(program: str) -> None:
 
 @pytest.mark.parametrize("program", NODES + TOOLS)
 def test_a_process_that_a_program_starts_does_not_run_it_again(program: str) -> None:
-    # This is how multiprocessing reads the program in a new process.
+    # multiprocessing imports the program in this way in a new process.
     runpy.run_path(str(installed_programs() / program), run_name="__mp_main__")
 
 

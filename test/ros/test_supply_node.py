@@ -1,4 +1,4 @@
-"""The supply node against an instrument behind a real socket: what is on, and when it goes off."""
+"""The supply node with an instrument behind a real socket: output on, and all ways to off."""
 
 from __future__ import annotations
 
@@ -19,21 +19,21 @@ from mr_damper_ros.nodes.messages import header
 from mr_damper_ros.rig.supplies.scpi_link import EmulatedInstrument
 
 NEARLY = 0.02
-"""[A]: a coil that has had four of its time constants, and the digits of a reading."""
+"""[A]: a coil after four time constants, and the resolution of a reading."""
 
 COMMAND = "supply/current_command"
 
 
 @pytest.fixture
 def server() -> Iterator[InstrumentServer]:
-    """Asked for before ``start``: a node that ends waits for answers while there is a server."""
+    """Requested before ``start``, because a node that ends needs a running server."""
     serving = InstrumentServer(EmulatedInstrument())
     yield serving
     serving.close()
 
 
 class Commander:
-    """Commands a current ten times within each time-out, for as long as the test spins."""
+    """Commands a current ten times per time-out while the test spins."""
 
     def __init__(self, listener: Listener) -> None:
         self._node = listener.node

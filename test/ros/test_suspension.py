@@ -1,4 +1,4 @@
-"""The node suspension, with the car that the bridge emulates and the controller of its damper."""
+"""The suspension node with the emulated car of the bridge and the damper's controller."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ def test_the_documented_loop_controls_a_car_while_its_damper_is_identified(
     currents = listener.listen(SupplyCurrent, "supply/current")
     predictions = listener.listen(PredictedForce, "damper/predicted_force")
     reports = listener.listen(FitReport, "damper/fit_report")
-    # A busy computer lets the car drive slowly, and what is late by the clock is not by the car's.
+    # A busy computer slows the car down, so its blocks may be late by the wall clock.
     start("controller", parameter_file=known, highest_current=1.6, max_age=0.0, demand_timeout=1.0)
     start("identifier", initial_parameters=known)
     start("model", parameter_file=known, max_age=0.0)

@@ -1,4 +1,4 @@
-"""Topics of other nodes become samples: from one message or two topics, by a real process."""
+"""Topics of other nodes become samples: one message or two topics, from a real process."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ def force(time: np.ndarray | float) -> Any:
 
 
 class Controller:
-    """Publishes like ros2_control, 20 samples each time that the test spins for 40 ms."""
+    """Publishes like ros2_control, 20 samples per 40 ms of the test."""
 
     def __init__(self, listener: Listener, *, two_topics: bool = False) -> None:
         node = listener.node
@@ -58,7 +58,7 @@ class Controller:
             time = k / RATE
             stamp = header(START_NS + round(1e9 * time), "press")
             joints = JointState(header=stamp, name=["table", "rod"])
-            # Millimetres, and compression counts positive.
+            # Millimetres, and positive in compression.
             joints.position = [0.0, -1e3 * float(displacement(time))]
             if self._wrench is None:
                 joints.effort = [0.0, -float(force(time))]

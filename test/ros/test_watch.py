@@ -1,4 +1,4 @@
-"""The programs that show a running system in a terminal, and the one that starts it to look at."""
+"""The programs that show a running system in a terminal, and the one that starts an example."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ def test_a_rig_is_shown_until_it_is_interrupted() -> None:
 
 
 def signals_at(address: str) -> int:
-    """Signals that a page has."""
+    """Signals that a page has received."""
     connection = http.client.HTTPConnection(urlsplit(address).netloc, timeout=PATIENCE)
     try:
         connection.request("GET", "/status")
