@@ -161,7 +161,7 @@ def test_the_emulated_rig_obeys_commands_of_the_current(start: Any, listener: Li
     listener.until(lambda: current and current[-1].current == 0.7, "the commanded current")
     listener.node.destroy_timer(timer)
     listener.until(lambda: current[-1].current == 0.0, "no current once the commands have stopped")
-    # The supply is measured even if it was on before.
+    # Setting the parameter counts even if its value does not change.
     assert listener.set_parameter("bridge", "emulated.current", 1.5).successful
     listener.until(lambda: current[-1].current == 1.5, "the supply")
 

@@ -81,7 +81,7 @@ def test_ones_own_controller_is_one_function(
     listener.until(lambda: moved.get_subscription_count() > 0, "the node's subscription")
 
     def answered() -> bool:
-        """Whether a force has come; the first ones are for nobody, as long as nobody is known."""
+        """Whether a force has been received; the first ones are lost until the nodes connect."""
         move(0.1, 0.01)
         return bool(forces)
 
