@@ -25,7 +25,7 @@ def name_axes(axes: Any, across: str, up: str) -> None:
 
 
 def draw_rows(axes: Any, time: Any, rows: Iterable[Any], label: str, **style: Any) -> None:
-    """Draw each of the ``rows`` over the time in a panel of its own, one below the other."""
+    """Draw each of the ``rows`` over the time in a separate panel, one below the other."""
     for axis, row in zip(axes[:, 0], rows, strict=False):
         axis.plot(time, row, label=label, **style)
 

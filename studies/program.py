@@ -72,9 +72,9 @@ class Campaign:
     def each_kept(
         self, name: str, function: Callable[..., Any], tasks: Sequence[Task]
     ) -> list[Any]:
-        """The same for JSON values, which are stored line by line as they come.
+        """As :meth:`each` for JSON results, which are stored line by line.
 
-        They are used again while neither the tasks nor the code have changed.
+        Stored results are reused until the tasks or the code change.
         """
         keys = [json.dumps(task, sort_keys=True) for task in tasks]
         path = self.folder / "data" / f"{name}-{_code_digest()}.jsonl"

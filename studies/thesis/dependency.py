@@ -26,7 +26,7 @@ from studies.thesis.runs import loop
 FREQUENCY_SERIES = tuple(f"5.0mm_{f}Hz_0.5A" for f in (1, 3, 5))
 STROKE_SERIES = tuple(f"{a:.1f}mm_1Hz_0.5A" for a in (2.5, 5.0, 7.5))
 CURRENT_SERIES = tuple(f"5.0mm_1Hz_{i:.1f}A" for i in (0.0, 0.5, 1.5))
-"""At 1.0 A the tables of 5.0 mm repeat those of 0 A: left out."""
+"""Without 1.0 A, because the tables of 5.0 mm repeat those of 0 A there."""
 
 
 def compute(campaign: Campaign) -> dict[str, Any]:

@@ -40,7 +40,7 @@ _FAMILY = 2.0
 """Half spans of the force of one current lie within this factor of their median."""
 
 _AGREE = 0.2
-"""Loops of the two methods agree where the norm of their difference is below this part."""
+"""Largest relative norm of the difference between agreeing loops of the two methods."""
 
 METHOD_TITLES = {"nelder_mead": "Nelder–Mead", "differential_evolution": "DE"}
 

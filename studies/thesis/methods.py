@@ -25,8 +25,8 @@ CONDITIONS = tuple(f"2.5mm_1Hz_{current:.1f}A" for current in (0.0, 0.5, 1.0, 1.
 CURRENTS = tuple(find(name).current for name in CONDITIONS)
 
 REACH = 0.5
-"""DE searches within half the size of the published value to either side: the thesis' sets of
-this condition lie close to each other, so its search cannot have been much wider."""
+"""DE searches within ±50 % of the published values. The thesis' sets of this condition lie close
+together, so its search cannot have been much wider."""
 
 
 def identify(name: str, noise_seed: int, seed: list[int], generations: int) -> dict[str, Any]:
@@ -147,7 +147,7 @@ def show(data: dict[str, Any]) -> list[Block]:
 
 
 def _sets(data: dict[str, Any], name: str) -> dict[str, Array]:
-    """Parameters (16,) of a condition by the wording of their origin."""
+    """Parameters (16,) of a condition by the name of their origin."""
     theirs = [parameters(find(name), method) for method in PUBLISHED_METHODS]
     ours = [np.array(data[name][method]["parameters"]) for method in PUBLISHED_METHODS]
     words = ("NM, thesis", "DE, thesis", "NM, ours", "DE, ours")

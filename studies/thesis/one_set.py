@@ -29,7 +29,7 @@ from studies.thesis.runs import title, window
 LAWS = ("sigmoid", EXTENDED_MODEL)
 GENERATIONS = 500
 _KEPT, _QUICK_KEPT = 4, 16
-"""Stride of the samples that are used of a re-synthesised run."""
+"""Stride of the samples used from a re-synthesised run."""
 
 _OPEN = 100.0
 """Standard error, relative to the value, above which a parameter counts as unknown."""

@@ -95,7 +95,7 @@ def _window(seed: int, count: int) -> Window:
 
 
 def _moved(found: ParameterSet, period: Array) -> Array:
-    """Steady-state displacement [m] of the mass on a law at the samples, under a periodic force."""
+    """Steady-state displacement [m] at the samples: a law under the mass, a periodic force."""
     step, count = PERIOD / _LAW_STEPS, period.size // _LAW_STEPS
     half, mass = 0.5 * step, TRUTH.mass
     current, state = np.zeros(1), None

@@ -60,7 +60,7 @@ def judge_records(utfsm: Path, law: str, left_out: str | None, every: int) -> di
 
 
 def _left(found: ParameterSet, window: Window) -> Array:
-    """Error [N] of the force of a set (n,), the peak velocity held within the set's range."""
+    """Force error [N] (n,) of a set, with the peak velocity limited to the set's range."""
     held = window.held_within(*found.peak_velocity_range)
     return np.asarray(found.law.window_force(held, found.values) - window.force)
 
@@ -79,7 +79,7 @@ def _raw_errors(found: ParameterSet, utfsm: Path) -> dict[str, float]:
 def judge_earthquake(
     utfsm: Path, known: ParameterSet, current: float, follows: bool, longest: float
 ) -> dict[str, Any]:
-    """Task: predict a record block by block, its smoothing undone, for at most ``longest`` [s].
+    """Task: undo the smoothing of a record, and predict at most ``longest`` [s] block by block.
 
     ``follows`` says whether the identifier runs. Returns the ``fit`` [%] and ``series`` (3, n):
     time [s], measured and predicted force [N] of some samples.
