@@ -62,9 +62,9 @@ def run(
     With ``hosted``, the command line may request a node in each of several namespaces. The factory
     is then called for each of them with the ``cli_args`` of rclpy's Node. With ``shared_workers``
     the nodes share worker processes, and the command line may give their number. ``ended`` returns
-    the exit code once the node has finished its work, None before. ``between`` does work between
-    callbacks. It returns the time [s] until its next call, which is earlier if there is a callback.
-    An invalid configuration gives one sentence on stderr and exit code 2.
+    the exit code once the node has finished its work, None before. ``between`` does work
+    after each callback, and at the latest after the time [s] that it returned. An invalid
+    configuration gives one sentence on stderr and exit code 2.
     """
     keep_one_thread(with_scipy=False)  # only workers use SciPy
     arguments = list(sys.argv if arguments is None else arguments)

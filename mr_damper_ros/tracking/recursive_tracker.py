@@ -28,7 +28,7 @@ _STEPS = 3
 within 1e-3 standard errors."""
 
 _SURPRISE = 3.09
-"""Normal deviate that a window's squared innovation exceeds once in 1000 windows."""
+"""Normal quantile that the squared innovation of a window exceeds once in 1000 windows."""
 
 
 @dataclass(frozen=True, eq=False)

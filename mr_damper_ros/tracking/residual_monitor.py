@@ -36,7 +36,7 @@ _OUTLIER_EVERY = 20
 """At either end, the span excludes one in this many samples, as possible outliers."""
 
 _FEWEST = 4
-"""The span of this many samples or fewer excludes none."""
+"""Spans of at most this many samples exclude none."""
 
 _STRETCHES = 32
 _LONGEST_STRETCH = 0.25
@@ -271,8 +271,8 @@ class ResidualMonitor:
     def holds(self) -> bool:
         """Whether the predicted force has agreed with the measured force over the last cycle.
 
-        In slow motion four seconds suffice. A short error counts only while it lasts, and through
-        the root mean square.
+        In slow motion four seconds suffice. A short error counts while it lasts, and
+        afterwards only through the root mean square.
         """
         enough = 2.0 * min(self._time, _SHORTEST_MEMORY)
         return self._cycle_known and self._compared >= enough and not (self._wrong or self._wait)

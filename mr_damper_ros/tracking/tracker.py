@@ -53,8 +53,8 @@ _POINT_GROWTH = 1.5
 
 
 _KNOWN_AFTER = 3
-"""Number of windows of one motion after which the shape of its force is known. A search also starts
-after this many windows (initially) that the law's dependence on the current does not explain."""
+"""Number of windows of one motion after which the shape of its force is known. Initially, a search
+also starts after this many windows that the law's dependence on the current does not explain."""
 
 _SENSOR_VERDICTS = (Verdict.FAULT_OF_DATA, Verdict.DISTURBED, Verdict.BEYOND_LIMITS)
 """Verdicts that a sensor fault may cause. A window with such a verdict does not select a set."""

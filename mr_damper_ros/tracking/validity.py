@@ -346,7 +346,7 @@ class Freshness:
         return self.live and (now_ns - stamp_ns) / NANOSECONDS > limit
 
     def judge(self, stamp_ns: int, now_ns: int | None) -> str:
-        """Why samples up to the stamp are too old, or in the future, by the clock; or empty.
+        """Why samples up to the stamp are too old or in the future; empty if they are neither.
 
         ``now_ns`` is the time by the clock; None without a clock.
         """
