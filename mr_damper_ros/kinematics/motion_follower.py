@@ -20,7 +20,7 @@ from mr_damper_ros.kinematics.observer import (
     CausalDifferentiator,
     possible_bandwidths,
 )
-from mr_damper_ros.kinematics.peak_velocity import PeakVelocity
+from mr_damper_ros.kinematics.peak_velocity import HALF_CYCLES, REVERSAL, PeakVelocity
 from mr_damper_ros.signals.arrays import Array, RollingRows
 
 _CYCLES = 1.5
@@ -142,9 +142,9 @@ class SineFollower:
             self._wait = round(cycle / _FITS_PER_CYCLE if is_near else _PATIENCE * cycle)
 
 
-_REVERSALS = 5
-"""Number of reversals that are always stored. The longest of the four half-cycles between them
-represents the motion, because random motion reverses irregularly."""
+_HALF_CYCLES = HALF_CYCLES // 2
+"""Number of half-cycles that are always stored, and that give a usable angular frequency and peak
+velocity. The longest of them represents the motion, because random motion reverses irregularly."""
 
 _LONGEST = 10
 """The centre is estimated anew after a stroke that lasts this many times the memory."""
@@ -208,7 +208,7 @@ class MotionCentre:
             self._count += 1
             self._bottom, self._top = min(self._bottom, value), max(self._top, value)
             low, high = min(self._low, self._bottom), max(self._high, self._top)
-            threshold = max(0.25 * (high - low), _SMALLEST_RETURN)
+            threshold = max(REVERSAL * (high - low), _SMALLEST_RETURN)
             if self._direction >= 0 and self._top - value > threshold:
                 self._turn(-1, self._top, value)
             elif self._direction <= 0 and value - self._bottom > threshold:
@@ -227,9 +227,10 @@ class MotionCentre:
         if self._direction != 0 and direction != 0:
             self.reversals += 1
             self._turns.append((self._count, extreme))
-        while len(self._turns) > _REVERSALS and self._turns[0][0] < self._count - self._memory:
+        oldest = self._count - self._memory
+        while len(self._turns) > _HALF_CYCLES + 1 and self._turns[0][0] < oldest:
             self._turns.popleft()
-        latest = [count for count, _ in self._turns][-_REVERSALS:]
+        latest = [count for count, _ in self._turns][-_HALF_CYCLES - 1 :]
         half_cycles = [(end - begin) * self._period for begin, end in pairwise(latest)]
         self.half_cycle = half_cycles[-1] if half_cycles else math.nan
         self.usual_half_cycle = max(half_cycles, default=math.nan)
@@ -246,9 +247,6 @@ because the first may belong to a transition into the steady motion."""
 _LONGEST_GAP = 0.5
 """Longest gap that is interpolated, as a fraction of a half-cycle. The error of the cubic is then
 1.5 % of the amplitude."""
-
-_HALF_CYCLES_FOR_PEAK = 4
-"""Smallest number of half-cycles that give a usable angular frequency and peak velocity."""
 
 _NOISE_SPEED = 1e-4
 """A sine with a peak velocity [m/s] below this is a fit of noise, and the damper does not move."""
@@ -267,7 +265,8 @@ class MotionFollower:
 
     :meth:`follow` computes only the motion of the block. :meth:`catch_up` updates the estimates,
     which takes longer and can be done after the result is published. ``steady`` is true if the last
-    block continued the fitted sine.
+    block continued the fitted sine. ``centre`` and ``peak`` hold what is known of the reversals and
+    of the peak velocity up to the last block that the observer has processed.
     """
 
     def __init__(self, period: float, bandwidth: float, centre_memory: float) -> None:
@@ -277,22 +276,17 @@ class MotionFollower:
         else:
             possible = float(np.clip(bandwidth, *possible_bandwidths(period)))
             self._differentiator = CausalDifferentiator(period, possible)
-        self._centre = MotionCentre(centre_memory, period)
-        self._peak = PeakVelocity(period, centre_memory)
+        self.centre = MotionCentre(centre_memory, period)
+        self.peak = PeakVelocity(period, centre_memory)
         self._sine = SineFollower(period, centre_memory)
         self._together = round(_BATCH_TIME / period)
         self._unlearned: list[Array] = []
         self._unlearned_count = 0
         self.steady = False
 
-    @property
-    def reversals(self) -> int:
-        """Number of reversals up to the last block that the observer has processed."""
-        return self._centre.reversals
-
     def lost_sight(self, gap: float) -> bool:
         """Whether a gap [s] is too long, relative to a half-cycle, to be interpolated."""
-        return gap > _LONGEST_GAP * self._centre.half_cycle
+        return gap > _LONGEST_GAP * self.centre.half_cycle
 
     @property
     def resting(self) -> bool:
@@ -303,22 +297,12 @@ class MotionFollower:
         """
         if self.steady and self._sine.peak_velocity > _NOISE_SPEED:
             return False
-        return self._centre.resting
-
-    @property
-    def half_cycle(self) -> float:
-        """Longest of the latest half-cycles [s]; NaN before the first one."""
-        return self._centre.usual_half_cycle
-
-    @property
-    def usual_peak_velocity(self) -> float:
-        """Root mean square of the peak velocity [m/s] over the latest half-cycles observed."""
-        return self._peak.root_mean_square
+        return self.centre.resting
 
     @property
     def unsettled(self) -> str:
         """Reason why the velocity of the last block is not settled; empty if it is settled."""
-        if self.steady or self._differentiator.settled:
+        if self.steady or self._differentiator.settled_count:
             return ""
         return "the velocity is still settling after the start or a jump of the displacement"
 
@@ -327,9 +311,9 @@ class MotionFollower:
         """Reason why the motion of the last block is uncertain; empty if it is reliable."""
         if self.steady:
             return ""
-        if self._centre.reversals < _REVERSALS_FOR_CENTRE:
+        if self.centre.reversals < _REVERSALS_FOR_CENTRE:
             return "the centre of the motion is unknown until the motion has reversed three times"
-        if self._peak.half_cycles < _HALF_CYCLES_FOR_PEAK:
+        if self.peak.half_cycles < _HALF_CYCLES:
             return "the peak velocity is unknown until the motion has made four half-cycles"
         return ""
 
@@ -360,12 +344,12 @@ class MotionFollower:
             self._observe(displacement)
         if isinstance(self._differentiator, AdaptiveObserver):
             self._differentiator.adapt()
-        self._sine.learn(displacement, self._centre.half_cycle)
+        self._sine.learn(displacement, self.centre.half_cycle)
 
     def _observe(self, displacement: Array) -> Motion:
         u, v, a = self._differentiator.follow(displacement)
-        v_m = self._peak.follow_settled(v, a, self._differentiator.settled_count)
-        centred = u - self._centre.follow(displacement)
+        v_m = self.peak.follow(v, a, self._differentiator.settled_count)
+        centred = u - self.centre.follow(displacement)
         return Motion(
             displacement=centred, velocity=v, acceleration=a, peak_velocity=v_m, sine=None
         )

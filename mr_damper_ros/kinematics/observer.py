@@ -22,15 +22,20 @@ from __future__ import annotations
 import math
 from collections import deque
 from functools import lru_cache
-from typing import NamedTuple
 
 import numpy as np
 
 from mr_damper_ros.signals.arrays import Array, noise_power
 
 _ORDER = 4
-_AT_ONCE = 64
-"""Number of samples processed by one matrix product."""
+
+_GROUP, _GROUP_EXCESS = 10, 6.0
+"""Number of samples processed by one matrix product. The bandwidth increases at once if the
+residual of such a group has six times the expected power, which occurs by chance once in 280
+million groups of white noise. In 160 emulated starts from rest, at 200 and 1000 Hz, the velocity
+error of the first one and a half cycles is then 4.4 and 2.2 % of the peak velocity (median), but
+9.7 and 7.4 % without this rule. Groups of 5 with a factor of 8 give 3.4 and 1.7 %, but a block of
+ten samples takes twice the time."""
 
 _SETTLING = 12.0
 """Number of time constants after which the initial transient has decayed to a thousandth."""
@@ -78,11 +83,6 @@ class CausalDifferentiator:
         self._state = np.zeros(_ORDER)
 
     @property
-    def settled(self) -> bool:
-        """Whether the transient of the start has died away."""
-        return self.settled_count > 0
-
-    @property
     def settled_count(self) -> int:
         """Number of samples since the transient of the start has died away."""
         return max(self.seen - self._settling + 1, 0)
@@ -100,8 +100,8 @@ class CausalDifferentiator:
             return state[0:1] + self._origin, state[1:2], state[2:3]
         centred = np.asarray(displacement, dtype=float) - self._origin
         outputs = np.empty((_ORDER, centred.size))
-        for first in range(0, centred.size, _AT_ONCE):
-            part = centred[first : first + _AT_ONCE]
+        for first in range(0, centred.size, _GROUP):
+            part = centred[first : first + _GROUP]
             states = self._decays[:, : part.size] @ self._state
             states += self._responses[:, : part.size, : part.size] @ part
             outputs[:, first : first + part.size] = states
@@ -110,29 +110,19 @@ class CausalDifferentiator:
         return outputs[0] + self._origin, outputs[1], outputs[2]
 
 
-class NoiseGains(NamedTuple):
-    """Response of an observer to white noise with a standard deviation of 1 m.
-
-    The fields are the standard deviations of the ``acceleration`` [m/s²] and of the ``residual``
-    [m], which is the displacement minus its estimate.
-    """
-
-    acceleration: float
-    residual: float
-
-
 @lru_cache(maxsize=256)
-def noise_gains(period: float, bandwidth: float) -> NoiseGains:
-    """Noise gains of the observer with this sample period [s] and bandwidth [Hz]."""
+def noise_gains(period: float, bandwidth: float) -> tuple[float, float]:
+    """Gains of the observer from white noise [m] to acceleration [m/s²] and to residual [m].
+
+    They are ratios of standard deviations; the residual is the displacement minus its estimate.
+    """
     closed, gain = closed_loop(period, bandwidth)
     # Covariance of the states, P = A P A' + g g', computed by doubling.
     power, step = np.outer(gain, gain), closed
     for _ in range(40):
         power, step = power + step @ power @ step.T, step @ step
-    return NoiseGains(
-        acceleration=math.sqrt(power[2, 2]),
-        residual=math.sqrt(max(1.0 - 2.0 * gain[0] + power[0, 0], 0.0)),
-    )
+    residual = max(1.0 - 2.0 * gain[0] + power[0, 0], 0.0)
+    return math.sqrt(power[2, 2]), math.sqrt(residual)
 
 
 def settling_samples(period: float, bandwidth: float) -> int:
@@ -170,25 +160,18 @@ def _observer(period: float, bandwidth: float) -> tuple[Array, Array]:
     multiplies the samples; each of its four matrices is lower triangular.
     """
     closed, gain = closed_loop(period, bandwidth)
-    decays = np.empty((_ORDER, _AT_ONCE, _ORDER))
-    impulses = np.empty((_ORDER, _AT_ONCE))
+    decays = np.empty((_ORDER, _GROUP, _ORDER))
+    impulses = np.empty((_ORDER, _GROUP))
     impulse, power = gain, closed
-    for sample in range(_AT_ONCE):
+    for sample in range(_GROUP):
         decays[:, sample], impulses[:, sample] = power, impulse
         impulse, power = closed @ impulse, closed @ power
-    later = np.subtract.outer(np.arange(_AT_ONCE), np.arange(_AT_ONCE))
+    later = np.subtract.outer(np.arange(_GROUP), np.arange(_GROUP))
     return decays, np.where(later >= 0, impulses[:, later], 0.0)
 
 
 _STRETCH = 120
 """Number of samples between two choices of the bandwidth."""
-
-_GROUP, _GROUP_EXCESS = 10, 6.0
-"""The bandwidth increases at once if the residual of a group of ten samples has six times the
-expected power, which occurs by chance once in 280 million groups of white noise. In 160 emulated
-starts from rest, at 200 and 1000 Hz, the velocity error of the first one and a half cycles is then
-4.4 and 2.2 % of the peak velocity (median), but 9.7 and 7.4 % without this rule. Groups of 5 with a
-factor of 8 give 3.4 and 1.7 %, but a block of ten samples takes twice the time."""
 
 _INITIAL, _LOWEST = 40.0, 0.5
 """Initial and lowest bandwidth [Hz]."""
@@ -259,11 +242,6 @@ class AdaptiveObserver:
     def bandwidth(self) -> float:
         """The present bandwidth [Hz]."""
         return float(self._bandwidths[self._place])
-
-    @property
-    def settled(self) -> bool:
-        """Whether the transient of the start has died away."""
-        return self._observer.settled
 
     @property
     def settled_count(self) -> int:
@@ -341,7 +319,7 @@ class AdaptiveObserver:
 
     def _choose(self, stretch: Array) -> None:
         """Estimate noise and fourth derivative from a stretch (n,), and choose the bandwidth."""
-        settled = self._trial.settled
+        settled = self._trial.settled_count > 0
         residual = stretch - self._trial.follow(stretch)[0]
         changes = np.abs(np.diff(stretch))
         largest = float(changes.max())

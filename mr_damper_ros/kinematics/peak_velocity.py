@@ -40,8 +40,9 @@ HALF_CYCLES = 8
 MEMORY = 10.0
 """Longest half-cycle [s]; a longer rest is divided into half-cycles of this duration."""
 
-_REVERSAL = 0.25
-"""A half-cycle ends when the opposite speed reaches this part of the highest speed."""
+REVERSAL = 0.25
+"""A half-cycle ends when the opposite speed reaches this part of the highest speed, and a stroke
+when the motion has returned by this part of its span."""
 
 
 def peak_velocity(displacement: ArrayLike, velocity: ArrayLike, acceleration: ArrayLike) -> Array:
@@ -94,21 +95,17 @@ class PeakVelocity:
         """Number of whole half-cycles that determine the angular frequency, at most eight."""
         self.known_from: int | None = None
 
-    def follow(self, velocity: Array, acceleration: Array) -> Array:
-        """Peak velocity [m/s] of the next samples, from velocity and acceleration, shape (n,)."""
-        return np.hypot(velocity, acceleration * self.time_scales(velocity, acceleration))
+    def follow(self, velocity: Array, acceleration: Array, settled: int | None = None) -> Array:
+        """Peak velocity [m/s] of the next samples, from velocity and acceleration, shape (n,).
 
-    def follow_settled(self, velocity: Array, acceleration: Array, settled: int) -> Array:
-        """As :meth:`follow`, for samples of which only the last ``settled`` ones have settled.
-
-        The earlier ones may contain an overshoot of the observer, which must not be stored; their
-        peak velocity is set to the speed.
+        Samples before the last ``settled`` ones may contain an overshoot of the observer, which
+        must not be stored; their peak velocity is their speed.
         """
-        first = velocity.size - settled
-        if first <= 0:
-            return self.follow(velocity, acceleration)
-        later = self.follow(velocity[first:], acceleration[first:])
-        return np.concatenate([np.abs(velocity[:first]), later])
+        first = 0 if settled is None else max(velocity.size - settled, 0)
+        scales = self.time_scales(velocity[first:], acceleration[first:])
+        if first:
+            scales = np.concatenate((np.zeros(first), scales))
+        return np.hypot(velocity, acceleration * scales)
 
     def time_scales(self, velocity: Array, acceleration: Array) -> Array:
         """Inverse angular frequency [s] at the next samples, shape (n,); see :meth:`follow`."""
@@ -118,7 +115,7 @@ class PeakVelocity:
             if self._sense == 0.0 and v != 0.0:
                 self._sense = math.copysign(1.0, v)
             present = self._present
-            if self._sense * v < -_REVERSAL * max(self._highest, present.highest, speed):
+            if self._sense * v < -REVERSAL * max(self._highest, present.highest, speed):
                 self._sense = -self._sense
                 self._finish()
                 present = self._present
@@ -168,9 +165,8 @@ class StreamPeakVelocity:
 
     def follow(self, displacement: Array) -> Array:
         """Peak velocity [m/s] at the next samples of the displacement [m], shape (n,)."""
-        observer = self._differentiator
-        _, velocity, acceleration = observer.follow(displacement)
-        return self._peak.follow_settled(velocity, acceleration, observer.settled_count)
+        _, velocity, acceleration = self._differentiator.follow(displacement)
+        return self._peak.follow(velocity, acceleration, self._differentiator.settled_count)
 
 
 def peak_velocity_of_window(velocity: Array, acceleration: Array, period: float) -> Array:

@@ -9,6 +9,7 @@ from functools import cached_property
 import numpy as np
 
 from mr_damper_ros.kinematics.motion import DataError, Motion, Sine, window_motion
+from mr_damper_ros.kinematics.peak_velocity import REVERSAL
 from mr_damper_ros.signals.arrays import NOISE_SPAN, Array, white_noise
 
 _SAMPLES_PER_CYCLE = 1000
@@ -139,23 +140,8 @@ def following_stride(motion: Motion, period: float, per_cycle: int = _SAMPLES_PE
     return max(int(samples / per_cycle), 1) if math.isfinite(samples) else 1
 
 
-def _between(values: Array, changes: Array, places: Array) -> Array:
-    """Cubic Hermite interpolation of values and their changes per sample, at places [samples]."""
-    first = np.minimum(places.astype(int), values.size - 2)
-    part = places - first
-    rest = 1.0 - part
-    return np.asarray(
-        rest**2 * ((1.0 + 2.0 * part) * values[first] + part * changes[first])
-        + part**2 * ((1.0 + 2.0 * rest) * values[first + 1] - rest * changes[first + 1])
-    )
-
-
 _TURN = 0.05
 """A reversal is a return by this fraction of the span that also exceeds the span of the noise."""
-
-_LARGEST_TURN = 0.25
-"""A return by this fraction of the span is always a reversal, because motion near the sample rate
-cannot be distinguished from noise."""
 
 _COVERED_PART = 0.75
 """Fraction of the span that the strokes of each direction must cover in total."""
@@ -189,7 +175,8 @@ def holds_cycle(displacement: Array) -> bool:
     if u.size < _FEWEST_SAMPLES:
         return False
     span = float(np.ptp(u))
-    turn = min(max(_TURN * span, NOISE_SPAN * white_noise(u)), _LARGEST_TURN * span)
+    # A larger return always counts: motion near the sample rate cannot be distinguished from noise.
+    turn = min(max(_TURN * span, NOISE_SPAN * white_noise(u)), REVERSAL * span)
     if not turn > 0.0:
         return False
     places = turning_points(u.tolist(), turn)
@@ -334,23 +321,25 @@ class Window:
         both ends. The current is held. The window itself is returned if it is a sine or has half of
         ``per_cycle`` samples in a cycle.
         """
-        motion, size = self.motion, self.sample_count
+        from scipy.interpolate import CubicHermiteSpline  # late: see mr_damper_ros.entry_points
+
+        motion, grid = self.motion, np.arange(self.sample_count, dtype=float)
         stride = int(per_cycle / max(_mean_cycle(motion, self.period), 2.0))
         if stride < 2 or self.steady:
             return self
-        places: Array = np.arange((size - 1) * stride + 1) / stride
+        places: Array = np.arange((grid.size - 1) * stride + 1) / stride
         u, v, a, v_m = motion.arrays
         fine = Motion(
-            _between(u, v * self.period, places),
-            _between(v, a * self.period, places),
-            np.interp(places, np.arange(size), a),
-            np.interp(places, np.arange(size), v_m),
+            CubicHermiteSpline(grid, u, v * self.period)(places),
+            CubicHermiteSpline(grid, v, a * self.period)(places),
+            np.interp(places, grid, a),
+            np.interp(places, grid, v_m),
             motion.sine,
         )
-        force = np.interp(places, np.arange(size), self.force)
+        force = np.interp(places, grid, self.force)
         current = self.current[np.floor(places).astype(int)]
         whole = Window(fine, force, current, self.period / stride)
-        return replace(self, places=stride * np.arange(size, dtype=float), whole=whole)
+        return replace(self, places=stride * grid, whole=whole)
 
     def held_within(self, low: float, high: float) -> Window:
         """The same window with its peak velocity clipped; see :meth:`Motion.held_within`."""

@@ -226,7 +226,7 @@ class ForcePredictor:
         if self._bank.is_in_use(parameters):
             return
         before = self._bank.present
-        half_cycle = math.nan if self._motion is None else self._motion.half_cycle
+        half_cycle = math.nan if self._motion is None else self._motion.centre.usual_half_cycle
         self._bank.add(parameters, confirmed_ns, half_cycle)
         if self._bank.present is not before:
             self._use_present(fade=confirmed_ns is not None)
@@ -289,7 +289,7 @@ class ForcePredictor:
         """
         follower, kind = self._motion, self._newest_kind
         assert follower is not None
-        half_cycle, part = follower.half_cycle, slice(bridged, None)
+        half_cycle, part = follower.centre.usual_half_cycle, slice(bridged, None)
         if known:
             forces = force, block.force
             self._bank.follow(motion, current, forces, block.period, half_cycle, bridged)
@@ -388,7 +388,7 @@ class ForcePredictor:
             # The change of current itself makes the force step, so nothing is faded.
             self._use_present(fade=False)
         if self._force.state is None:
-            self._begun_at = self._motion.reversals
+            self._begun_at = self._motion.centre.reversals
         largest = (1.0 + self._settings.force_margin) * parameters.largest_force
         of_set = self._force.follow(motion, current, largest)
         if not np.isfinite(of_set).all():
@@ -430,7 +430,7 @@ class ForcePredictor:
         measured: list[Rule] | None = None
         if not unsettled and not resting:
             measured = monitor.judge(force[bridged:], block.force[bridged:])
-        if not past and self._force.remembers and follower.reversals == self._begun_at:
+        if not past and self._force.remembers and follower.centre.reversals == self._begun_at:
             past = "the state of the model is unknown until the motion has reversed"
         # If the predicted force has agreed with the measured force for a cycle, it is valid even
         # if the past is unknown, outside the identified range and after rejected windows.
@@ -490,4 +490,4 @@ def _speed(motion: Motion, follower: MotionFollower) -> float:
     """The representative peak velocity [m/s] of a block."""
     speed = middle(motion.peak_velocity)
     # In a motion other than a sine, a low peak velocity does not mean a small motion.
-    return speed if follower.steady else max(speed, follower.usual_peak_velocity)
+    return speed if follower.steady else max(speed, follower.peak.root_mean_square)

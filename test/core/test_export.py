@@ -171,7 +171,7 @@ def expected_stream(law: ExportedLaw, displacement: Array, current: Array, centr
     for place in range(displacement.size):
         here = slice(place, place + 1)
         u, v, a = observer.follow(displacement[here])
-        v_m = peak.follow(v, a) if observer.settled else np.abs(v)
+        v_m = peak.follow(v, a) if observer.settled_count > 0 else np.abs(v)
         motion = Motion(u - centre, v, a, v_m, None).held_within(*law.held)
         found, state = law.parameters.law.continuous.follow(
             law.parameters.values, motion, current[here], period, state
