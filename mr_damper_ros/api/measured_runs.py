@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from mr_damper_ros.io.recording_list import RECORD_ENDINGS
-from mr_damper_ros.kinematics.window import Window
+from mr_damper_ros.kinematics.window import Window, holds_cycle
 from mr_damper_ros.processes.process_pool import Notify, ProcessPool
 from mr_damper_ros.signals.arrays import Array
 from mr_damper_ros.signals.blocks import NANOSECONDS
@@ -83,15 +83,19 @@ def measured_run(
             remarks.append(f"{name}: {fault} (used anyway)")
 
     for recording in recordings:
-        fault = fault_of_samples(
-            recording.displacement, recording.force, recording.current, _LIMITS
-        ) or lack_of_motion(recording.displacement, _LIMITS)
+        fault = (
+            fault_of_samples(recording.displacement, recording.force, recording.current, _LIMITS)
+            or lack_of_motion(recording.displacement, _LIMITS)
+            or recording.implausible()
+        )
         reject(fault, recording)
         window = Window.from_samples(
             recording.displacement, recording.force, recording.current, recording.period
         )
         reject(fault_of_sign(window.motion.velocity, window.force), recording)
         windows.append(window.resolved())
+    if not any(holds_cycle(recording.displacement) for recording in recordings):
+        remarks.append(f"{name}: it holds less than a cycle of the motion; record some cycles")
     first_ns = recordings[0].start_ns
     return MeasuredRun(
         name=name,

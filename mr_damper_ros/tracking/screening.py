@@ -9,7 +9,7 @@ import numpy as np
 from mr_damper_ros.kinematics.window import holds_cycle
 from mr_damper_ros.settings.option_table import CheckedSettings, option
 from mr_damper_ros.signals.arrays import NOISE_SPAN, Array, Mask, white_noise
-from mr_damper_ros.signals.recording import LARGEST_CURRENT, LARGEST_FORCE, LARGEST_MOTION
+from mr_damper_ros.signals.recording import wrong_unit
 
 _CLIPPED = 0.02
 """Smallest fraction of samples at its extreme for which a signal counts as clipped."""
@@ -76,15 +76,8 @@ def fault_of_samples(displacement: Array, force: Array, current: Array, limits: 
     The samples are finite, because recordings, blocks and windows check this on entry. Too little
     motion is not a fault here; :func:`fault_at_rest` compares it with the force.
     """
-    span = float(np.ptp(displacement))
-    if span > LARGEST_MOTION:
-        return f"the displacement spans {span:.3g} m: is it in millimetres? give it in metres"
-    largest = float(np.max(np.abs(force)))
-    if largest > LARGEST_FORCE:
-        return f"the force reaches {largest:.3g} N: check its unit"
-    largest = float(np.max(np.abs(current)))
-    if largest > LARGEST_CURRENT:
-        return f"the current reaches {largest:.3g} A: is it in milliamperes? give it in amperes"
+    if wrong := wrong_unit(displacement, force, current):
+        return wrong
     if lack_of_motion(displacement, limits):
         return ""
     if np.ptp(force) == 0.0:

@@ -32,7 +32,7 @@ def test_a_good_window_has_no_fault() -> None:
 
 BAD: dict[str, tuple[dict[str, object], str]] = {
     "millimetres": ({"displacement": lambda x: 1e3 * x}, "is it in millimetres"),
-    "force in a wrong unit": ({"force": lambda x: 1e5 * x}, "check its unit"),
+    "force in a wrong unit": ({"force": lambda x: 1e5 * x}, "the unit of the force"),
     "milliamperes": ({"current": lambda x: 1e3 * x}, "is it in milliamperes"),
     "no motion": ({"displacement": lambda x: 0.0 * x + 0.01}, "move the damper"),
     "hardly any motion": (
