@@ -110,7 +110,7 @@ def negative_slopes(runs: Mapping[str, Estimates], found: ParameterSet) -> list[
             where, worst = min(below, key=lambda one: one[1].value)
             remarks.append(
                 f"the {worst.meaning} {name} is negative ({worst}){where}: it fits the runs, but "
-                "no damper has a negative one, so do not trust the force outside the range of "
+                "is impossible for a damper, so do not trust the force outside the range of "
                 "the runs"
             )
     return remarks
