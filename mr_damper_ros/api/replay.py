@@ -43,8 +43,8 @@ class Replay(Shown):
     """Results of the identifier and the model node for a recording, sample by sample.
 
     Arrays of shape (n,): ``time`` [s] since the first sample, by the stamps; ``displacement`` [m];
-    ``measured`` and ``predicted`` force [N], NaN without a prediction; ``doubts``: reason codes of
-    :class:`DoubtKind` why the prediction is invalid, 0 if it is valid. ``reports``: the results for
+    ``measured`` and ``predicted`` force [N], NaN without a prediction; ``doubts``: reason
+    code (:class:`DoubtKind`) of each invalid sample, 0 if it is valid. ``reports``: the results for
     windows and global identifications; ``sets``: the accepted sets. Both are in the order in which
     they took effect. ``start_ns`` is the stamp of the first sample [ns].
     """

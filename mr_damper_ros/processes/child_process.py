@@ -37,7 +37,7 @@ def command(function: Callable[..., object], *arguments: str) -> list[str]:
 
 
 def live_with(parent: int) -> None:
-    """Called by the child: leave Ctrl-C to the process ``parent``, and end when that ends."""
+    """Called by the child: leave Ctrl-C to the process ``parent``, and end together with it."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     if sys.platform == "linux":
         with contextlib.suppress(OSError):

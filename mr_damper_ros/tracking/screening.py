@@ -204,7 +204,7 @@ def _is_stuck(displacement: Array, force: Array) -> bool:
 def _mean_frequency(values: Array) -> float:
     """Power-weighted mean frequency of a signal (n,), in cycles per window.
 
-    A damper force saturates, so its mean frequency is hardly below the velocity's.
+    A damper force saturates, so its mean frequency is rarely below that of the velocity.
     """
     power = np.abs(np.fft.rfft((values - values.mean()) * np.hanning(values.size))) ** 2
     return float(power @ np.arange(power.size)) / float(power.sum())
