@@ -7,6 +7,8 @@ hostile input. Their figures go to ``build/soak.json``.
 from __future__ import annotations
 
 import argparse
+import json
+import math
 import signal
 import sys
 import time
@@ -15,15 +17,16 @@ from concurrent.futures import ProcessPoolExecutor
 from importlib import import_module
 from multiprocessing import get_context
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
-from benchmarks.figure import Figure, Measured, Part, parts, table, write
+import yaml
+
+from benchmarks.figure import Measured, Value
 from mr_damper_ros.processes.blas_threads import keep_one_thread
 
 _SOAK_OPTIONS: dict[str, tuple[float | int, str]] = {
     "hours": (8.0, "of data at 20 x"),
     "kills": (100, "of nodes, and as many of the worker"),
-    "program_kills": (50, "of identify_many, and as many of a campaign"),
     "interrupts": (200, "of each node"),
     "cases": (100_000, "of hostile input"),
     "recordings": (100, "that say little or are spoilt, to identify from"),
@@ -32,15 +35,70 @@ _SOAK_OPTIONS: dict[str, tuple[float | int, str]] = {
 }
 
 
-def measure(part: Part, arguments: Sequence[Any]) -> list[Figure]:
-    """Figures of one part, measured in a separate process.
+class Figure(NamedTuple):
+    """One figure: its key in the JSON file, its value, its bars, its definition and a note.
+
+    A bar is a pair (low, high). One limits the value, or every value of a list; several limit one
+    value each; none means that the figure is only reported. ``value`` is None if it was not
+    measured; ``note`` then gives the reason.
+    """
+
+    key: str
+    value: Value
+    bars: list[tuple[float, float]]
+    definition: str
+    note: str
+
+    @property
+    def values(self) -> list[float]:
+        """The value as a list, empty if it was not measured."""
+        if self.value is None:
+            return []
+        return self.value if isinstance(self.value, list) else [self.value]
+
+    def row(self) -> list[str]:
+        """Cells of the table: key, figure, bar, reached and definition."""
+        shown = ", ".join(f"{each:.4g}" for each in self.values) or "not measured"
+        reached = "-"
+        if self.values and self.bars:
+            bars = self.bars * (len(self.values) if len(self.bars) == 1 else 1)
+            pairs = zip(self.values, bars, strict=True)
+            reached = "yes" if all(low <= each <= high for each, (low, high) in pairs) else "no"
+        limits = ", ".join(_range(*each) for each in self.bars) or "reported"
+        return [self.key, shown, limits, reached, f"{self.definition} {self.note}".strip()]
+
+
+def _range(low: float, high: float) -> str:
+    if math.isinf(high):
+        return f">= {low:g}"
+    return f"<= {high:g}" if low in (0.0, -math.inf) else f"{low:g} to {high:g}"
+
+
+def parts(program: str) -> dict[str, dict[str, Any]]:
+    """Parts of ``bench`` or ``soak`` by name, as figures.yaml has them."""
+    path = Path(__file__).with_name("figures.yaml")
+    table: dict[str, Any] = yaml.safe_load(path.read_text(encoding="utf-8"))
+    return table[program]
+
+
+def measure(part: dict[str, Any], arguments: Sequence[Any]) -> list[Figure]:
+    """Figures of one part, measured in a separate process; raises ValueError for unknown keys.
 
     Fast DDS reads the network interfaces once per process. A process that already had a participant
     would not see the lossy link.
     """
     with ProcessPoolExecutor(1, mp_context=get_context("spawn")) as process:
-        measured = process.submit(_measured, part.by, tuple(arguments)).result()
-    return part.figures_of(measured)
+        measured = process.submit(_measured, part["by"], tuple(arguments)).result()
+    if measured.keys() - part["figures"].keys():
+        raise ValueError(f"{part['by']} has measured {sorted(measured)}: not in figures.yaml")
+    figures = []
+    for key, told in measured.items():
+        value, note = told if isinstance(told, tuple) else (told, "")
+        known = part["figures"][key]
+        bar = known.get("bar", [])
+        bars = bar if not bar or isinstance(bar[0], list) else [bar]
+        figures.append(Figure(key, value, bars, known["is"], note))
+    return figures
 
 
 def _measured(by: str, arguments: tuple[Any, ...]) -> Measured:
@@ -50,6 +108,28 @@ def _measured(by: str, arguments: tuple[Any, ...]) -> Measured:
     module, _, name = by.partition(".")
     found: Measured = getattr(import_module(f"benchmarks.{module}"), name)(*arguments)
     return found
+
+
+def write(figures: Sequence[Figure], place: Path) -> None:
+    """Write the figures measured so far as one JSON object, in case a later part fails.
+
+    JSON has no infinity, which means that a value was never reached.
+    """
+    place.parent.mkdir(parents=True, exist_ok=True)
+    document = {
+        each.key: each.value if all(map(math.isfinite, each.values)) else None for each in figures
+    }
+    place.write_text(json.dumps(document, indent=2) + "\n", encoding="utf-8")
+
+
+def table(figures: Sequence[Figure]) -> str:
+    """Table as text with the columns key, figure, bar, reached and definition."""
+    rows = [["key", "figure", "bar", "reached", "definition"], *(each.row() for each in figures)]
+    widths = [max(map(len, column)) for column in list(zip(*rows, strict=True))[:4]] + [0]
+    return "\n".join(
+        "  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True))
+        for row in rows
+    )
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -63,34 +143,29 @@ def main(arguments: Sequence[str] | None = None) -> int:
         part = known[name]
         began = time.monotonic()
         print(f"{name} ...", end=" ", file=sys.stderr, flush=True)
-        given = [getattr(options, option) for option in part.options]
-        figures += measure(part, part.quick if not soak and options.quick else given)
+        given = [getattr(options, option) for option in part.get("options", ())]
+        figures += measure(part, part.get("quick", ()) if options.quick else given)
         print(f"{time.monotonic() - began:.1f} s", file=sys.stderr, flush=True)
         write(figures, options.output)
-    if not soak and options.quick:
+    if options.quick:
         print("QUICK RUN: fewer repetitions and shorter recordings; these are not the figures.")
-    print(table(figures))
-    print(f"\nwritten to {options.output}")
+    print(f"{table(figures)}\n\nwritten to {options.output}")
     return 0
 
 
 def _parser(soak: bool, names: Sequence[str]) -> argparse.ArgumentParser:
     output = Path("build", "soak.json" if soak else "bench.json")
     parser = argparse.ArgumentParser(prog="bench", description=__doc__)
-    parser.add_argument("--soak", action="store_true", help="soak instead of measuring")
-    parser.add_argument(
-        "--only", nargs="+", choices=names, metavar="NAME", help=f"of {', '.join(names)}"
-    )
-    parser.add_argument("--output", type=Path, default=output, help="file (default %(default)s)")
+    add = parser.add_argument
+    add("--soak", action="store_true", help="soak instead of measuring")
+    add("--only", nargs="+", choices=names, metavar="NAME", help=f"of {', '.join(names)}")
+    add("--output", type=Path, default=output, help="file (default %(default)s)")
     if not soak:
-        parser.add_argument(
-            "--quick", action="store_true", help="shorter, for development: not the real figures"
-        )
+        add("--quick", action="store_true", help="shorter, for development: not the real figures")
         return parser
+    parser.set_defaults(quick=False)
     for name, (default, text) in _SOAK_OPTIONS.items():
-        parser.add_argument(
-            f"--{name}", type=type(default), default=default, help=f"{text} (default %(default)s)"
-        )
+        add(f"--{name}", type=type(default), default=default, help=f"{text} (default %(default)s)")
     return parser
 
 

@@ -22,10 +22,10 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks import foreign_dampers, switched_current
+from benchmarks import following, foreign_dampers
 from benchmarks.figure import PROCESSES
 from benchmarks.real_records import raw_records
-from benchmarks.stream_trial import TrialResult
+from benchmarks.streams import TrialResult
 from mr_damper_ros.api.replay import Replay, replay
 from mr_damper_ros.models.parameter_set import ParameterSet
 from mr_damper_ros.processes.files import write_text
@@ -56,12 +56,11 @@ def _bag(path: Path) -> Said:
 
 
 def _combination(number: int) -> Said:
-    trial, duration = foreign_dampers.trial_of(foreign_dampers.COMBINATIONS[number])
-    return _of_trial(trial.run(duration))
+    return _of_trial(foreign_dampers.COMBINATIONS[number].run())
 
 
 def _switched(number: int) -> Said:
-    return _of_trial(switched_current.streamed(switched_current.CASES[number], _SWITCHED))
+    return _of_trial(following.streamed(following.SWITCHED[number], _SWITCHED))
 
 
 def _record(read: Callable[[Path], Sequence[Recording]], number: int, law: str) -> Said:
@@ -81,7 +80,7 @@ def streams() -> dict[str, Callable[[], Said]]:
     }
     for each in foreign_dampers.COMBINATIONS[::5]:
         found[f"foreign {each.name}"] = partial(_combination, each.number)
-    for number, case in enumerate(switched_current.CASES):
+    for number, case in enumerate(following.SWITCHED):
         found[f"switched {case.name}"] = partial(_switched, number)
     if recordings.folder() is not None:
         for law in ("sigmoid_lag", "series_springs"):

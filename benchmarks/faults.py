@@ -1,4 +1,4 @@
-"""Duration of wrong but valid force under many kinds of fault, for dampers of other laws."""
+"""Wrong force that is called valid, on faulty and healthy rigs, for dampers of other laws."""
 
 from __future__ import annotations
 
@@ -8,25 +8,19 @@ from collections import defaultdict
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
+from itertools import product
 
 import numpy as np
 
-from benchmarks.figure import PROCESSES, Measured, in_processes
-from benchmarks.other_dampers import DAMPERS, random_motion
-from benchmarks.stream_trial import (
-    WRONG,
-    StreamTrial,
-    Stretch,
-    TrialResult,
-    TrialSettings,
-    worse_sets,
-)
+from benchmarks.dampers import DAMPERS
+from benchmarks.figure import Measured, in_processes
+from benchmarks.motions import chirp, random_motion, stairs, stops
+from benchmarks.streams import StreamTrial, Stretch, TrialResult, TrialSettings, at_rest, worse_sets
 from mr_damper_ros.emulation.emulator import CurrentSchedule
-from mr_damper_ros.emulation.faults import Fault, faults_of
+from mr_damper_ros.emulation.faults import faults_of
 from mr_damper_ros.emulation.motions import Excitation, SineMotion
-
-BEGIN, END = 10.0, 14.0
-"""Times at which a fault begins and is repaired, since the start of the stream [s]."""
+from mr_damper_ros.tracking.engine import EngineSettings
+from mr_damper_ros.tracking.window_assembler import WindowSettings
 
 STREAMS: dict[str, tuple[Callable[[], Excitation], float]] = {
     "sine": (partial(SineMotion, 0.005, 1.0), 1.5),
@@ -39,7 +33,7 @@ STREAMS: dict[str, tuple[Callable[[], Excitation], float]] = {
 
 @dataclass(frozen=True)
 class Scenario:
-    """Faults in a stream, as text without times.
+    """Faults in a stream, as text without times; they begin and are repaired at these times [s].
 
     ``lasts``: the fault is not repaired. ``current``: the supply switches to this current [A] when
     the fault begins and back when it ends. ``unknowable``: the signals do not show the fault.
@@ -53,8 +47,8 @@ class Scenario:
     current: float | None = None
     unknowable: bool = False
     other_damper: bool = False
-    begin: float = BEGIN
-    end: float = END
+    begin: float = 10.0
+    end: float = 14.0
 
     @property
     def name(self) -> str:
@@ -62,20 +56,17 @@ class Scenario:
         moved = "" if self.current is None else f"current to {self.current:g} A"
         return f"{' '.join(filter(None, (moved, self.faults)))} ({self.stream})"
 
-    def made(self, seed: int) -> list[Fault]:
-        """The faults with their times."""
+    def branch(self, base: StreamTrial, seed: int) -> StreamTrial:
+        """The trial with these faults."""
         times = f"@{self.begin:g}" + ("" if self.lasts else f"-{self.end:g}")
-        return faults_of([text + times for text in self.faults.split()], seed)
-
-    @property
-    def schedule(self) -> CurrentSchedule | None:
-        """Schedule of the current; None for a constant current."""
-        if self.current is None:
-            return None
-        usual = STREAMS[self.stream][1]
-        if self.lasts:
-            return CurrentSchedule((0.0, self.begin), (usual, self.current))
-        return CurrentSchedule((0.0, self.begin, self.end), (usual, self.current, usual))
+        schedule = None
+        if self.current is not None:
+            usual, count = STREAMS[self.stream][1], 2 if self.lasts else 3
+            steps, levels = (0.0, self.begin, self.end), (usual, self.current, usual)
+            schedule = CurrentSchedule(steps[:count], levels[:count])
+        return base.branch(
+            faults_of([text + times for text in self.faults.split()], seed), schedule
+        )
 
 
 def _all(*faults: str, stream: str = "sine", lasts: bool = False) -> list[Scenario]:
@@ -147,16 +138,13 @@ SCENARIOS: tuple[Scenario, ...] = (
     Scenario("force_delay:0.1", unknowable=True),
     Scenario("force_sluggish:0.1", unknowable=True),
 )
-"""All of them."""
+"""All scenarios."""
 
+_WINDOW = WindowSettings.window
+"""Length [s] of a window of the identifier."""
 
-SETTINGS = TrialSettings(block_size=20)
-
-_AFTER_REPAIR = 9.0
-"""Longest time [s] for which a rig is observed after its repair."""
-
-_AFTER_CHANGE = 6.0
-"""Time [s] for which a rig without repair is observed."""
+_AFTER_REPAIR, _AFTER_CHANGE = 9.0, 6.0
+"""Longest time [s] for which a rig is observed after its repair, or without a repair."""
 
 _GOOD = 0.15
 """Largest RMS error of a recovered force, as a fraction of the peak, over 1 s of valid force."""
@@ -171,30 +159,31 @@ _GOOD_SET = 0.2
 
 @dataclass(frozen=True)
 class Outcome:
-    """Result of a scenario with a damper.
+    """Result of a scenario with a damper: the time of ``wrong`` but valid force.
 
-    ``wrong_valid`` [s] is the longest period of wrong but valid force. ``worst`` is the largest
-    error in it over the peak force, at time ``at`` [s]. ``recovery`` is the number of windows after
-    the repair, NaN without a repair. ``bad_sets`` names the accepted sets that describe the true
-    damper worse than their predecessors.
+    ``recovery`` is the number of windows after the repair, NaN without a repair. ``bad_sets`` names
+    the accepted sets that describe the true damper worse than their predecessors.
     """
 
     scenario: Scenario
     damper: str
-    wrong_valid: float
-    worst: float
-    at: float
+    wrong: Stretch
     recovery: float
-    bad_sets: tuple[str, ...]
+    bad_sets: Sequence[str]
+
+    def __str__(self) -> str:
+        lasting = " for good" if self.scenario.lasts else ""
+        return (
+            f"{self.scenario.name}{lasting}, {self.damper}: {self.wrong.longest:.2f} s, "
+            f"up to {self.wrong.worst:.0%} of the peak"
+        )
 
 
 def run(base: StreamTrial, scenario: Scenario, damper: str) -> Outcome:
     """Apply the faults of a scenario to a stream that has run up to their beginning."""
-    seed = zlib.crc32(f"{scenario.name} {damper}".encode())
-    trial = base.branch(scenario.made(seed), scenario.schedule)
+    trial = scenario.branch(base, zlib.crc32(f"{scenario.name} {damper}".encode()))
     end = scenario.begin if scenario.lasts else scenario.end
-    usual = usual_share(base.result(), scenario.begin)
-    window = SETTINGS.windows.window
+    usual = _usual_share(base.result(), scenario.begin)
     trial.advance(end - trial.now)
     recovery = math.nan
     if scenario.lasts:
@@ -202,146 +191,105 @@ def run(base: StreamTrial, scenario: Scenario, damper: str) -> Outcome:
     else:
         while trial.now < end + _AFTER_REPAIR and math.isnan(recovery):
             trial.advance(1.0)
-            since = good_since(trial.result(), end, usual)
-            recovery = (since - end) / window
+            recovery = (_good_since(trial.result(), end, usual) - end) / _WINDOW
         if math.isnan(recovery):
             recovery = math.inf
     result = trial.result()
-    stretch = result.wrong_valid(since=scenario.begin)
-    return Outcome(
-        scenario,
-        damper,
-        stretch.longest,
-        stretch.worst,
-        stretch.at,
-        recovery,
-        tuple(bad_sets(result, scenario.begin)),
-    )
+    wrong, bad = result.wrong_valid(since=scenario.begin), _bad_sets(result, scenario.begin)
+    return Outcome(scenario, damper, wrong, recovery, bad)
 
 
-def usual_share(result: TrialResult, begin: float) -> float:
+def _usual_share(result: TrialResult, begin: float) -> float:
     """Fraction of the last seconds before a fault with valid and correct force."""
-    right = result.valid & (result.error <= WRONG)
     asked = (result.time >= begin - _USUAL_TIME) & (result.time < begin)
-    return float(np.mean(right[asked]))
+    return float(np.mean((result.valid & result.right)[asked]))
 
 
-def good_since(result: TrialResult, begin: float, usual: float = 1.0) -> float:
+def _good_since(result: TrialResult, begin: float, usual: float) -> float:
     """Time [s] from which the force is valid and good to the end; NaN if that is less than 1 s.
 
     If the law cannot always follow the damper, the force was good only for the fraction ``usual``
     of the time before the fault. The result is then the start of the first second in which the
     force is good for as large a fraction of the time.
     """
-    error = np.where(result.valid, result.error, math.inf)
+    right, asked = result.valid & result.right, result.time >= begin
     count = round(1.0 / result.period)
     if usual < _ALL:
-        right = (error <= WRONG) & (result.time >= begin)
-        shares = np.convolve(right, np.full(count, 1.0 / count), mode="valid")
+        shares = np.convolve(right & asked, np.full(count, 1.0 / count), mode="valid")
         places = np.flatnonzero(shares >= _AS_MUCH * usual)
         # This second may begin a little earlier, because it need not be good throughout.
         return max(float(result.time[places[0]]), begin) if places.size else math.nan
-    wrong = np.flatnonzero((error > WRONG) & (result.time >= begin))
+    wrong = np.flatnonzero(~right & asked)
     since = int(wrong[-1]) + 1 if wrong.size else int(np.searchsorted(result.time, begin))
-    if result.time.size - since < count or np.sqrt(np.mean(error[since:] ** 2)) > _GOOD:
+    error = result.error[since:]
+    if error.size < count or np.sqrt(np.mean(error**2)) > _GOOD:
         return math.nan
     return float(result.time[since])
 
 
-def bad_sets(result: TrialResult, since: float) -> list[str]:
+def _bad_sets(result: TrialResult, since: float) -> list[str]:
     """Sets that are worse than a good predecessor, judged by the true motion and force.
 
     Such a set is worse both over the window before it took effect and over the second after.
     Comparing only the time before would count a set that has just followed a change of the damper.
     """
-    spans = [(-SETTINGS.windows.window, 0.0), (0.0, 1.0)]
     return [
         f"{each.set_id} ({each.before:.0%} to {each.after:.0%} at {each.time:.1f} s)"
-        for each in worse_sets(result, spans, _GOOD_SET)
+        for each in worse_sets(result, [(-_WINDOW, 0.0), (0.0, 1.0)], _GOOD_SET)
         if each.time >= since
     ]
 
 
-def measure(
-    scenarios: Sequence[Scenario] = SCENARIOS,
-    dampers: Sequence[str] = tuple(DAMPERS),
-    processes: int = PROCESSES,
-) -> list[Outcome]:
-    """Run all scenarios with all dampers; scenarios share the stream up to the fault."""
-    groups: dict[tuple[str, str, float, int], list[Scenario]] = defaultdict(list)
-    for place, scenario in enumerate(scenarios):
-        for damper in dampers:
-            # Splitting the largest groups makes the processes end at about the same time.
-            groups[damper, scenario.stream, scenario.begin, place % 2].append(scenario)
-    found = in_processes(
-        _run_group,
-        [(damper, stream, begin, group) for (damper, stream, begin, _), group in groups.items()],
-        processes,
-    )
-    return [outcome for group in found for outcome in group]
-
-
-def _run_group(job: tuple[str, str, float, Sequence[Scenario]]) -> list[Outcome]:
+def _run_group(job: tuple[str, str, Sequence[Scenario]]) -> list[Outcome]:
     """Scenarios that share the stream up to their beginning."""
-    damper, stream, begin, scenarios = job
+    damper, stream, scenarios = job
     motion, current = STREAMS[stream]
-    base = StreamTrial(DAMPERS[damper], motion(), current, settings=SETTINGS)
+    base = StreamTrial(DAMPERS[damper], motion(), current, settings=TrialSettings(block_size=20))
     # The rig is a few samples ahead of the samples that were processed.
-    base.advance(begin - 0.5)
+    base.advance(scenarios[0].begin - 0.5)
     return [run(base, scenario, damper) for scenario in scenarios]
 
 
-def worst_of_each(outcomes: Sequence[Outcome]) -> list[Outcome]:
-    """The worst damper of each scenario, sorted by the period of wrong but valid force."""
-    worst: dict[str, Outcome] = {}
-    for outcome in outcomes:
-        key = outcome.scenario.name + str(outcome.scenario.lasts)
-        if key not in worst or worst[key].wrong_valid < outcome.wrong_valid:
-            worst[key] = outcome
-    return sorted(worst.values(), key=lambda outcome: -outcome.wrong_valid)
-
-
-def told(outcome: Outcome) -> str:
-    """One-sentence description of an outcome."""
-    lasting = " for good" if outcome.scenario.lasts else ""
-    return (
-        f"{outcome.scenario.name}{lasting}, {outcome.damper}: {outcome.wrong_valid:.2f} s, "
-        f"up to {outcome.worst:.0%} of the peak"
-    )
-
-
 def figures(every: int = 1, dampers: Sequence[str] = tuple(DAMPERS)) -> Measured:
-    """Run all scenarios, or one in ``every``."""
-    return figures_of(measure(SCENARIOS[::every], dampers))
+    """Run all scenarios, or one in ``every``, with these dampers."""
+    groups: dict[tuple[str, str, int], list[Scenario]] = defaultdict(list)
+    for (place, scenario), damper in product(enumerate(SCENARIOS[::every]), dampers):
+        # Splitting the largest groups makes the processes end at about the same time.
+        groups[damper, scenario.stream, place % 2].append(scenario)
+    jobs = [(damper, stream, group) for (damper, stream, _), group in groups.items()]
+    return figures_of([each for found in in_processes(_run_group, jobs) for each in found])
 
 
 def figures_of(outcomes: Sequence[Outcome]) -> Measured:
     """Figures computed from the outcomes of the scenarios."""
-    knowable = [outcome for outcome in outcomes if not outcome.scenario.unknowable]
-    unknowable = [outcome for outcome in outcomes if outcome.scenario.unknowable]
-    worst = worst_of_each(knowable)
-    recoveries = [o for o in knowable if not math.isnan(o.recovery)]
-    slowest = sorted(recoveries, key=lambda o: -o.recovery)
+    ordered = sorted(outcomes, key=lambda o: -o.wrong.longest)
+    knowable = [o for o in ordered if not o.scenario.unknowable]
+    unknowable = [str(o) for o in outcomes if o.scenario.unknowable]
+    # The first of each scenario is its worst damper.
+    worst = {(o.scenario.name, o.scenario.lasts): o for o in reversed(knowable)}
+    longest = sorted(worst.values(), key=lambda o: -o.wrong.longest)
+    slowest = sorted((o for o in knowable if not math.isnan(o.recovery)), key=lambda o: -o.recovery)
     bad = [o for o in knowable if o.bad_sets and not o.scenario.other_damper]
-    doubtful = sum(len(o.bad_sets) for o in outcomes) - sum(len(o.bad_sets) for o in bad)
+    taken = sum(len(o.bad_sets) for o in bad)
+    doubtful = sum(len(o.bad_sets) for o in outcomes) - taken
     return {
         "fault_cases": (
             float(len(knowable)),
-            f"Not counted, with the longest time: {'; '.join(map(told, unknowable))}.",
+            f"Not counted, with the longest time: {'; '.join(unknowable)}.",
         ),
-        "wrong_valid_s": float(np.median([o.wrong_valid for o in worst])),
+        "wrong_valid_s": float(np.median([o.wrong.longest for o in longest])),
         "wrong_valid_longest_s": (
-            worst[0].wrong_valid,
-            f"Worst: {'; '.join(map(told, worst[:5]))}.",
+            longest[0].wrong.longest,
+            f"Worst: {'; '.join(map(str, longest[:5]))}.",
         ),
         "recovery_windows": (
             slowest[0].recovery if slowest else None,
-            f"{sum(o.recovery > 4.0 for o in recoveries)} of {len(recoveries)} take longer than "
-            "four. Slowest: "
+            f"{sum(o.recovery > 4.0 for o in slowest)} of {len(slowest)} take longer than four. "
+            "Slowest: "
             + "; ".join(f"{o.scenario.name}, {o.damper}: {o.recovery:.1f}" for o in slowest[:5]),
         ),
         "bad_set_taken": (
-            float(sum(len(o.bad_sets) for o in bad)),
+            float(taken),
             "; ".join(f"{o.scenario.name}, {o.damper}: {', '.join(o.bad_sets)}" for o in bad[:5])
             + f" Not counted, because the signals are those of another damper: {doubtful}.",
         ),
@@ -378,14 +326,77 @@ def spike_figures(names: Sequence[str] = tuple(SPIKED)) -> Measured:
         base = StreamTrial(DAMPERS["viscous_tanh"], motion(), 1.2)
         base.advance(at)
         for size in SPIKES:
-            spikes = f"force_spikes:{size}@{at:g}-{at + 1:g}"
-            trial = base.branch(faults_of([spikes, f"force_loss:{_LOST}@{at + 1.5:g}"], seed=size))
+            faults = f"force_spikes:{size}@{at:g}-{at + 1:g}", f"force_loss:{_LOST}@{at + 1.5:g}"
+            trial = base.branch(faults_of(faults, seed=size))
             found.append((trial.run(12.0).wrong_valid(since=at), f"{name}, {size} N"))
     found.sort(key=lambda spoilt: -spoilt[0].longest)
+    told = [f"{name}: {each.longest:.2f} s, up to {each.worst:.0%}" for each, name in found[:4]]
+    return {"spike_wrong_valid_s": (found[0][0].longest, f"Most: {'; '.join(told)}")}
+
+
+# -- healthy dampers -------------------------------------------------------------------------------
+
+HEALTHY_LAWS = ("sigmoid", "sigmoid_lag")
+"""Identified laws: the default, and the law for any motion."""
+
+_TOP_SPEED, _LARGEST = 0.1, 0.01
+"""Limits of the machine: velocity [m/s] and displacement [m]."""
+
+
+def _sine(frequency: float) -> tuple[Callable[[], Excitation], float, float]:
+    amplitude = min(_LARGEST, _TOP_SPEED / (2.0 * np.pi * frequency))
+    # Long enough to identify the slow motions and continue for some time.
+    return partial(SineMotion, amplitude, frequency), max(15.0, 4.0 / frequency), 0.0
+
+
+PROGRAMMES: dict[str, tuple[Callable[[], Excitation], float, float]] = {
+    **{f"{f:g} Hz": _sine(f) for f in (0.05, 0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0, 20.0)},
+    "random 0.2-3 Hz": (partial(random_motion, 3e-3, 0.2, 3.0, 40.0, 5), 40.0, 0.0),
+    "random 0.5-8 Hz": (partial(random_motion, 2e-3, 0.5, 8.0, 40.0, 6), 40.0, 0.0),
+    "chirp 0.2-20 Hz": (partial(chirp, _TOP_SPEED, 5e-3, 0.2, 20.0, 48.0), 48.0, 24.0),
+    "amplitudes 5, 1, 8 mm": (partial(stairs, 5e-3, 1.0, (1.0, 0.2, 1.6) * 3, 6.0), 54.0, 18.0),
+    "stops": (lambda: stops(SineMotion(5e-3, 1.0), 8.0, 4.0, 3), 36.0, 0.0),
+}
+"""Motions with their duration [s], and the time [s] by which every part of them has occurred."""
+
+
+def _healthy(job: tuple[str, str, str]) -> tuple[float, float, Stretch]:
+    """Time asked and valid [s], and the time of wrong but valid force."""
+    programme, damper, law = job
+    motion, duration, known_from = PROGRAMMES[programme]
+    settings = TrialSettings(engine=EngineSettings().for_law(law))
+    result = StreamTrial(DAMPERS[damper], motion(), 1.2, settings=settings).run(duration)
+    # If nothing was ever valid, all of the time counts as a failure.
+    begin = max(float(result.time[np.argmax(result.valid)]), known_from)
+    asked = (result.time >= begin) & ~at_rest(result)
+    times = [
+        float(np.count_nonzero(mask)) * result.period for mask in (asked, asked & result.valid)
+    ]
+    return times[0], times[1], result.wrong_valid()
+
+
+def healthy_figures(
+    programmes: Sequence[str] = tuple(PROGRAMMES), dampers: Sequence[str] = tuple(DAMPERS)
+) -> Measured:
+    """Run these programmes with these dampers, once for each law."""
+    jobs = list(product(programmes, dampers, HEALTHY_LAWS))
+    found = dict(zip(jobs, in_processes(_healthy, jobs), strict=True))
+    shares = []
+    for law in HEALTHY_LAWS:
+        of_law = [found[job] for job in jobs if job[2] == law]
+        shares.append(100.0 * sum(each[1] for each in of_law) / sum(each[0] for each in of_law))
+    names = {job: ", ".join(job) for job in jobs}
+    least = sorted(jobs, key=lambda job: found[job][1] / max(found[job][0], 1e-9))
+    wrong = sorted(((found[job][2], names[job]) for job in jobs), key=lambda each: -each[0].total)
     return {
-        "spike_wrong_valid_s": (
-            found[0][0].longest,
+        "healthy_valid_percent": (
+            shares,
+            f"{len(found)} streams. Least: "
+            + "; ".join(f"{names[j]}: {found[j][1]:.1f} of {found[j][0]:.1f} s" for j in least[:5]),
+        ),
+        "healthy_wrong_valid_s": (
+            sum(each.total for each, _ in wrong),
             "Most: "
-            + "; ".join(f"{name}: {s.longest:.2f} s, up to {s.worst:.0%}" for s, name in found[:4]),
-        )
+            + "; ".join(f"{n}: {w.total:.2f} s, up to {w.worst:.0%}" for w, n in wrong[:5]),
+        ),
     }

@@ -12,22 +12,19 @@ the controller, with the same messages and quality of service, on the default ex
 from __future__ import annotations
 
 import http.client
+import itertools
 import json
 import sys
 import threading
 import time
 from collections.abc import Callable
+from functools import partial
 from urllib.parse import urlsplit
 
 RELAY_SAMPLES, RELAY_FORCE, RELAY_COMMAND = "relay/samples", "relay/force", "relay/current_command"
 
-_SIGNALS_EVERY, _SAMPLES_EVERY, _STATUS_EVERY = 0.1, 0.25, 0.5
 
-
-# -- relays --------------------------------------------------------------------------------------
-
-
-def _relay(commands: bool) -> None:
+def _relay(kind: str, topic: str) -> None:
     """Answer each block with its force or with a command, until a signal arrives."""
     import rclpy
     from mr_damper_msgs.msg import CurrentCommand, MtsSamples, PredictedForce
@@ -36,14 +33,12 @@ def _relay(commands: bool) -> None:
 
     quality = QoSProfile(reliability=ReliabilityPolicy.RELIABLE, depth=1000)
     rclpy.init()
-    node = rclpy.create_node("command_relay" if commands else "relay")
-    if commands:
-        publisher = node.create_publisher(CurrentCommand, RELAY_COMMAND, quality)
-    else:
-        publisher = node.create_publisher(PredictedForce, RELAY_FORCE, quality)
+    node = rclpy.create_node(kind)
+    message_type = CurrentCommand if topic == RELAY_COMMAND else PredictedForce
+    publisher = node.create_publisher(message_type, topic, quality)
 
     def answer(message: MtsSamples) -> None:
-        if commands:
+        if message_type is CurrentCommand:
             publisher.publish(CurrentCommand(header=message.header, current=0.0))
             return
         publisher.publish(
@@ -68,9 +63,6 @@ def _relay(commands: bool) -> None:
         rclpy.try_shutdown()
 
 
-# -- a sender ------------------------------------------------------------------------------------
-
-
 def _send_current(current: str) -> None:
     from mr_damper_msgs.msg import CurrentCommand
 
@@ -87,11 +79,8 @@ def _send_current(current: str) -> None:
             time.sleep(0.05)
 
 
-# -- viewers of the page -------------------------------------------------------------------------
-
-
 class Viewer(threading.Thread):
-    """Requests new data until the page is gone."""
+    """Requests new data of the page as a browser does, until the page is gone."""
 
     def __init__(self, address: str) -> None:
         super().__init__(daemon=True)
@@ -100,24 +89,21 @@ class Viewer(threading.Thread):
         self._window = 0
 
     def run(self) -> None:
-        """Send requests in a loop."""
-        due, status_due, samples_due = time.monotonic(), 0.0, 0.0
-        while True:
+        """Ask for signals every 0.1 s, less often for samples, windows and their tables."""
+        began = time.monotonic()
+        for turn in itertools.count(1):
             try:
                 self._ask("signals")
-                if time.monotonic() >= samples_due:
-                    samples_due = time.monotonic() + _SAMPLES_EVERY
+                if turn % 5 in (1, 3):
                     self._ask("samples")
-                if time.monotonic() >= status_due:
-                    status_due = time.monotonic() + _STATUS_EVERY
+                if turn % 5 == 1:
                     before = self._window
                     if self.windows() > before:
                         for table in ("windows", "coefficients", "parameters", "history"):
                             self._ask(table)
             except (OSError, http.client.HTTPException):
                 return
-            due += _SIGNALS_EVERY
-            time.sleep(max(due - time.monotonic(), 0.0))
+            time.sleep(max(began + 0.1 * turn - time.monotonic(), 0.0))
 
     def windows(self) -> int:
         """Number of the newest window that the page has."""
@@ -149,8 +135,8 @@ def _view(address: str, count: str) -> None:
 
 
 _PROGRAMS: dict[str, Callable[..., None]] = {
-    "relay": lambda: _relay(commands=False),
-    "command-relay": lambda: _relay(commands=True),
+    "relay": partial(_relay, "relay", RELAY_FORCE),
+    "command-relay": partial(_relay, "command_relay", RELAY_COMMAND),
     "send-current": _send_current,
     "view": _view,
 }

@@ -24,14 +24,10 @@ import numpy as np
 from scipy.io import savemat
 
 import mr_damper_ros as mr
+from benchmarks.dampers import DAMPERS
 from benchmarks.figure import Measured
-from benchmarks.other_dampers import DAMPERS, stairs, stops
-from mr_damper_ros.emulation.emulator import (
-    CurrentSchedule,
-    EmulatedDamper,
-    EmulatedRig,
-    RigSettings,
-)
+from benchmarks.motions import scheduled, stairs, stops
+from mr_damper_ros.emulation.emulator import EmulatedDamper, EmulatedRig, RigSettings
 from mr_damper_ros.emulation.faults import Instruments, faults_of
 from mr_damper_ros.emulation.motions import Excitation, SineMotion, stepped
 from mr_damper_ros.io.bag_reader import BagError, read_bag
@@ -405,7 +401,7 @@ def _poor_recording(damper: str, rng: np.random.Generator) -> Recording:
     rig = EmulatedRig(
         EmulatedDamper(DAMPERS[damper]),
         _MOTIONS[moved],
-        CurrentSchedule(times.tolist(), rng.uniform(0.0, 2.0, times.size).tolist()),
+        scheduled(times, rng.uniform(0.0, 2.0, times.size)),
         settings=RigSettings(
             sample_rate=rate,
             force_noise=float(rng.choice((0.0, 0.5, 5.0, 30.0))),
@@ -414,14 +410,9 @@ def _poor_recording(damper: str, rng: np.random.Generator) -> Recording:
         faults=faults,
     )
     ((block, _),) = Instruments(faults).read(rig.next_block(count))
-    return Recording(
-        name=f"{moved} {fault or 'sound'} ({count} samples, {rate:g} Hz, {times.size} currents)",
-        start_ns=block.start_ns,
-        period=block.period,
-        displacement=block.displacement,
-        force=block.force,
-        current=block.current,
-    )
+    name = f"{moved} {fault or 'sound'} ({count} samples, {rate:g} Hz, {times.size} currents)"
+    signals = block.displacement, block.force, block.current
+    return Recording(name, block.start_ns, block.period, *signals)
 
 
 def _one_of(rng: np.random.Generator, names: Mapping[str, object]) -> str:
@@ -439,8 +430,7 @@ TIME_LIMIT = 10.0
 
 def figures(cases: int = 100_000, seed: int = 0) -> Measured:
     """Run a number of quick cases."""
-    chance = random.Random(seed)
-    kinds = chance.choices(list(_SHARES), list(_SHARES.values()), k=cases)
+    kinds = random.Random(seed).choices(list(_SHARES), list(_SHARES.values()), k=cases)
     faults = campaign(kinds, seed, TIME_LIMIT)
     return {"fuzz_failures": (len(faults), "; ".join([str(dict(Counter(kinds))), *faults[:3]]))}
 

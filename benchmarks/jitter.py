@@ -13,8 +13,9 @@ from itertools import product
 
 import numpy as np
 
+from benchmarks.dampers import DAMPERS
 from benchmarks.figure import Measured
-from benchmarks.other_dampers import DAMPERS, random_motion
+from benchmarks.motions import random_motion
 from mr_damper_ros.emulation.emulator import (
     THESIS_FORCE_NOISE,
     EmulatedDamper,

@@ -7,12 +7,11 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from benchmarks.dampers import LAWS, foreign_force
 from benchmarks.figure import Measured
-from benchmarks.foreign_laws import LAWS, ForeignDamper
 from mr_damper_ros.estimation.differential_evolution import EvolutionSettings
 from mr_damper_ros.estimation.global_fit import identify_global
 from mr_damper_ros.estimation.window_fit import fit_window
-from mr_damper_ros.kinematics.motion import Motion
 from mr_damper_ros.kinematics.window import Window
 from mr_damper_ros.models import MODELS
 from mr_damper_ros.signals.arrays import Array
@@ -58,7 +57,7 @@ def _rms(values: Sequence[Array]) -> float:
 def foreign_windows(seed: int) -> tuple[list[Window], list[Window]]:
     """Windows of a foreign damper: four motions at four currents, and those of a fifth motion."""
     rng = np.random.default_rng(seed)
-    law = LAWS[list(LAWS)[seed % len(LAWS)]]
+    law = list(LAWS)[seed % len(LAWS)]
     size = math.exp(0.3 * rng.standard_normal())
     speeds = _SPEEDS * np.exp(0.1 * rng.standard_normal(_SPEEDS.size))
     frequencies = rng.permutation(_FREQUENCIES)
@@ -70,13 +69,12 @@ def foreign_windows(seed: int) -> tuple[list[Window], list[Window]]:
         count, begin = int(max(3.0 / frequency, 1.5) / _PERIOD), int(1.0 / frequency / _PERIOD)
         angle = omega * _PERIOD * np.arange(begin + count)
         u, v = speed / omega * np.sin(angle), speed * np.cos(angle)
-        motion = Motion(u, v, -(omega**2) * u, np.abs(v), sine=None)
         for current in _CURRENTS:
-            damper = ForeignDamper(law(size))
-            force = damper.force(motion, np.full(u.size, current), 28.0, _PERIOD)[begin:]
+            moved = u, v, -(omega**2) * u
+            force = foreign_force(law, moved, current, _PERIOD, size)[begin:]
             force = force + _NOISE * recordings.rms(force) * rng.standard_normal(count)
-            moved = u[begin:] + 1e-6 * rng.standard_normal(count)
-            window = Window.from_samples(moved, force, current, _PERIOD)
+            measured = u[begin:] + 1e-6 * rng.standard_normal(count)
+            window = Window.from_samples(measured, force, current, _PERIOD)
             (left_out if place == out else known).append(window)
     return known, left_out
 

@@ -4,15 +4,19 @@ from __future__ import annotations
 
 import os
 import sys
-from collections.abc import Iterator, Sequence
+import tempfile
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TypeVar
 
 from ament_index_python.packages import get_package_prefix
+from mr_damper_msgs.msg import DamperParameters, FitReport
 
+from mr_damper_ros.nodes import quality
 from mr_damper_ros.nodes.observer import Observer
 from mr_damper_ros.processes.programs import Program, RosDomain, node_arguments
+from mr_damper_ros.tracking.state_directory import StateDirectory
 
 _PROFILES = Path(__file__).parents[1] / "config" / "fastdds.xml"
 """Fast DDS profile with which restarted nodes are found sooner; the file explains it."""
@@ -92,6 +96,48 @@ class Nodes:
         return [line for line in lines if any(word in line for word in _BAD_WORDS)]
 
 
+NODES = ("bridge", "identifier", "model")
+
+
+class ThreeNodes(Nodes):
+    """Bridge, identifier and model with these parameters; the identifier keeps its state."""
+
+    def __init__(self, options: Mapping[str, Mapping[str, object]]) -> None:
+        super().__init__()
+        # In build/, since a temporary folder may be in memory.
+        Path("build").mkdir(exist_ok=True)
+        self._folder = tempfile.TemporaryDirectory(dir="build")
+        folder = Path(self._folder.name).absolute()
+        self.state = StateDirectory(folder)
+        self._options = {**options, "identifier": {**options["identifier"], "state_dir": folder}}
+        # Deeper than the queue of the publisher, so that no message replaces an earlier one.
+        latched = quality.latched()
+        latched.depth = 100
+        listen = self.observer.listen
+        self.sets: list[DamperParameters] = listen(DamperParameters, "damper/parameters", latched)
+        self.reports: list[FitReport] = listen(FitReport, "damper/fit_report", quality.stream())
+        for name in NODES:
+            self.restart(name)
+        for topic in ("mts/samples", "damper/predicted_force"):
+            self.observer.wait_for_publishers(topic)
+        self.observer.until(lambda: self.reports, "the first report")
+
+    def restart(self, name: str) -> Program:
+        """Start a node that replaces the ended node of this name."""
+        return self.start(name, **self._options.get(name, {}))
+
+    @property
+    def worker(self) -> int | None:
+        """Id of the identifier's worker process; None while there is none."""
+        children = self.programs["identifier"].children
+        return children[0] if children else None
+
+    def close(self) -> None:
+        """End all programs and remove the state."""
+        super().close()
+        self._folder.cleanup()
+
+
 @contextmanager
 def on_cores(cores: Sequence[int] | None) -> Iterator[None]:
     """Context in which started programs run on these cores only; None means any core."""
@@ -103,10 +149,13 @@ def on_cores(cores: Sequence[int] | None) -> Iterator[None]:
         os.sched_setaffinity(0, before)
 
 
-def resident_bytes(pid: int) -> int:
-    """Memory in use [B] of a process (resident set), shared libraries included."""
-    pages = int(Path(f"/proc/{pid}/statm").read_text().split()[1])
-    return pages * os.sysconf("SC_PAGE_SIZE")
+def memory_bytes(pid: int, entry: str = "VmRSS") -> int:
+    """Memory of a process [B]: in use, shared libraries included, or its peak (VmHWM).
+
+    It is 0 for a process that has just ended.
+    """
+    lines = Path(f"/proc/{pid}/status").read_text().splitlines()
+    return sum(1024 * int(line.split()[1]) for line in lines if line.startswith(entry))
 
 
 def cpu_seconds(pid: int) -> float:

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 
+from benchmarks.dampers import LAWS, SIXTEEN, foreign_force
 from benchmarks.figure import Measured
-from benchmarks.foreign_laws import LAWS, ForeignDamper
 from mr_damper_ros.campaign.course import planned
 from mr_damper_ros.emulation.emulator import (
     CurrentSchedule,
@@ -31,47 +32,39 @@ from mr_damper_ros.estimation.planned_run import (
     PlannedRun,
     first_run,
 )
-from mr_damper_ros.kinematics.motion import Motion
 from mr_damper_ros.kinematics.periodic_motion import MotionKind
 from mr_damper_ros.kinematics.window import Window
 from mr_damper_ros.models import MODELS
-from mr_damper_ros.models.force_model import Model
 from mr_damper_ros.models.parameter_set import ParameterError, ParameterSet
 from mr_damper_ros.models.plausibility import check_plausible
 from mr_damper_ros.signals.arrays import Array
 from mr_damper_ros.signals.recording import Recording
+from studies.recordings import rms
+
+_LAW = MODELS["sigmoid"]
 
 _SCALES, _SHAPES = 0.3, 0.2
 """Standard deviations of the logarithms of scale and shape parameters."""
 
 
-@dataclass(frozen=True)
-class DamperKind:
+class DamperKind(NamedTuple):
     """Mean parameters (16,) of a kind of damper, and the relevant ranges [m/s] and [A]."""
 
-    name: str
-    centre: tuple[float, ...]
+    centre: Array
     peak_velocity: tuple[float, float]
     current: tuple[float, float]
 
 
 KINDS = (
     # Forces, speeds and currents of the thesis' damper; all laws show within the range.
-    DamperKind(
-        "thesis-like",
-        (
-            *(40.0, -0.35, -0.25, 900.0, 2.5, 4.0, 3.0, 2.0),
-            *(9.0, 4.0, 6.0, 18.0, -0.45, -0.11, 0.06, 0.012),
-        ),
-        (0.02, 0.2),
-        (0.0, 1.5),
-    ),
+    DamperKind(SIXTEEN.values, (0.02, 0.2), (0.0, 1.5)),
     # Identified by this package from the sinusoid records of a commercial damper in a press.
     DamperKind(
-        "utfsm-like",
-        (
-            *(66.55, -0.4804, 0.492, 663.6, 1.161, 3.238, 1.45, -13.86),
-            *(77.78, 2.138, 2.31, 10.68, 2.022, -0.07457, -0.01317, -0.01237),
+        np.array(
+            [
+                *(66.55, -0.4804, 0.492, 663.6, 1.161, 3.238, 1.45, -13.86),
+                *(77.78, 2.138, 2.31, 10.68, 2.022, -0.07457, -0.01317, -0.01237),
+            ]
         ),
         (0.015, 0.063),
         (0.0, 1.0),
@@ -81,13 +74,12 @@ KINDS = (
 
 def random_damper(kind: DamperKind, seed: int) -> Array:
     """Parameters (16,) of the damper of this seed."""
-    model: Model = MODELS["sigmoid"]
     rng = np.random.default_rng(seed)
     spread = np.array(
-        [_SCALES if name in model.scale_names else _SHAPES for name in model.parameter_names]
+        [_SCALES if name in _LAW.scale_names else _SHAPES for name in _LAW.parameter_names]
     )
     while True:
-        values = np.array(kind.centre) * np.exp(spread * rng.standard_normal(spread.size))
+        values = kind.centre * np.exp(spread * rng.standard_normal(spread.size))
         try:
             check_plausible(
                 ParameterSet(
@@ -99,9 +91,8 @@ def random_damper(kind: DamperKind, seed: int) -> Array:
         return np.asarray(values)
 
 
-_ERROR = 0.01
-_NOISE = 0.02
-"""Accuracy as a fraction of the root mean square force over the range of the goal."""
+_ERROR, _NOISE = 0.01, 0.02
+"""Accuracy and noise as a fraction of the root mean square force over the range of the goal."""
 
 _DURATION = 4.0
 _AMPLITUDE = 0.01
@@ -112,8 +103,7 @@ _MOST_RUNS = 25
 """Largest number of runs of a campaign; a campaign that needs more counts as infinite."""
 
 
-@dataclass(frozen=True)
-class _Reached:
+class _Reached(NamedTuple):
     """``runs`` until the goal was claimed and truly met (or infinity), and the first claim.
 
     The claim has the ``claimed`` and the ``true`` worst error, and the ``bound`` that was claimed
@@ -132,8 +122,8 @@ class _RandomPlanner(RunPlanner):
     All these runs are within the limits of the machine, which a plan must find out first.
     """
 
-    def __init__(self, model: Model, goal: ForceGoal, limits: MachineLimits, seed: int) -> None:
-        super().__init__(model, goal, replace(limits, motions=(MotionKind.SINE,), steps=False))
+    def __init__(self, goal: ForceGoal, limits: MachineLimits, seed: int) -> None:
+        super().__init__(_LAW, goal, replace(limits, motions=(MotionKind.SINE,), steps=False))
         self._rng = np.random.default_rng((seed, 1))
 
     def draw(self) -> PlannedRun:
@@ -155,22 +145,19 @@ class _Machine:
 
     def __init__(self, truth: Array, noise: float, limits: MachineLimits, seed: int) -> None:
         self.inside = True
-        self._truth = truth
-        self._noise = noise
-        self._limits = limits
-        self._seed = seed
-        self._made = 0
+        self._truth, self._noise, self._limits = truth, noise, limits
+        self._seed, self._made = seed, 0
 
     def perform(self, run: PlannedRun) -> Recording:
-        """Make a run; the force is the true force of the damper, without measurement errors."""
-        schedule = CurrentSchedule(
-            [place * run.stretch for place in range(len(run.currents))], run.currents
+        """Make a run; the motion is measured without errors, the force with noise."""
+        times = [place * run.stretch for place in range(len(run.currents))]
+        rig = EmulatedRig(
+            EmulatedDamper(self._truth),
+            run.motion,
+            CurrentSchedule(times, run.currents),
+            settings=RigSettings(force_noise=0.0),
         )
-        damper = EmulatedDamper(self._truth)
-        clean = EmulatedRig(
-            damper, run.motion, schedule, settings=RigSettings(force_noise=0.0)
-        ).record(run.duration)
-        limits = self._limits
+        clean, limits = rig.record(run.duration), self._limits
         self.inside = self.inside and bool(
             np.max(np.abs(clean.displacement)) <= limits.amplitude
             and run.motion.growing_velocity <= limits.peak_velocity
@@ -179,9 +166,8 @@ class _Machine:
             and run.duration <= limits.duration
         )
         self._made += 1
-        noise = np.random.default_rng((self._seed, self._made)).normal(
-            0.0, self._noise, clean.force.size
-        )
+        rng = np.random.default_rng((self._seed, self._made))
+        noise = rng.normal(0.0, self._noise, clean.force.size)
         return replace(clean, force=clean.force + noise, temperature=None)
 
 
@@ -191,11 +177,10 @@ def trial(kind: DamperKind, seed: int) -> tuple[_Reached, float, bool]:
     Returns the result of planned runs, the number of runs chosen at random over that of planned
     ones (1 if both are infinite), and whether no sample of a planned run exceeded the limits.
     """
-    model = MODELS["sigmoid"]
     truth = random_damper(kind, seed)
     goal = ForceGoal(_ERROR, kind.peak_velocity, kind.current)
-    force = Cycles(model, goal.cycles()).force(truth)
-    noise = _NOISE * math.sqrt(float(np.mean(force**2)))
+    force = Cycles(_LAW, goal.cycles()).force(truth)
+    noise = _NOISE * rms(force)
     limits = MachineLimits(
         amplitude=_AMPLITUDE,
         peak_velocity=kind.peak_velocity[1],
@@ -204,12 +189,17 @@ def trial(kind: DamperKind, seed: int) -> tuple[_Reached, float, bool]:
         duration=_DURATION,
         motions=tuple(MotionKind),
     )
-    machine = _Machine(truth, noise, limits, seed)
-    course = _campaign(RunPlanner(model, goal, limits), first_run(goal, limits), machine, truth)
-    at_random = _RandomPlanner(model, goal, limits, seed)
-    by_chance = _Machine(truth, noise, limits, seed)
+    machine, by_chance = (_Machine(truth, noise, limits, seed) for _ in range(2))
+    course = _campaign(RunPlanner(_LAW, goal, limits), first_run(goal, limits), machine, truth)
+    at_random = _RandomPlanner(goal, limits, seed)
     random = _campaign(at_random, at_random.draw(), by_chance, truth).runs
     return course, 1.0 if random == course.runs else random / course.runs, machine.inside
+
+
+def _worst_error(cycles: Cycles, values: Array, truth: Array) -> float:
+    """Largest error of the force over the peak force (k, phases) [N], worst operating point."""
+    missed = np.max(np.abs(cycles.force(values) - truth), axis=1)
+    return float(np.max(missed / np.max(np.abs(truth), axis=1)))
 
 
 def _campaign(planner: RunPlanner, first: PlannedRun, machine: _Machine, truth: Array) -> _Reached:
@@ -229,13 +219,12 @@ def _campaign(planner: RunPlanner, first: PlannedRun, machine: _Machine, truth: 
         windows += run.windows(machine.perform(run))
         found, plan = planned(planner, windows, before)
         before = found.values
-        missed = np.max(np.abs(cycles.force(before) - force), axis=1)
-        error = float(np.max(missed / np.max(np.abs(force), axis=1)))
+        error = _worst_error(cycles, before, force)
         if plan.state is PlanState.MET:
             if math.isnan(first_claim.claimed):
                 first_claim = _Reached(math.inf, plan.now.worst, error, plan.now.bound)
             if error <= goal.error:
-                return replace(first_claim, runs=float(count))
+                return first_claim._replace(runs=float(count))
             plan = planner.plan_on(windows, before, found.observable, plan.now)
         run = plan.run
     return first_claim
@@ -260,57 +249,55 @@ def figures(dampers: int = 30) -> Measured:
     }
 
 
-_FOREIGN_GOAL = ForceGoal(_ERROR, (0.02, 0.2), (0.0, 1.5), amplitude=0.008)
-_FOREIGN_LIMITS = MachineLimits(0.008, 0.2, 1e5, 1.5, _DURATION)
-_FOREIGN_RUNS, _STAIRS = 4, 3
+# -- foreign laws ----------------------------------------------------------------------------------
+
+_GOAL = ForceGoal(_ERROR, (0.02, 0.2), (0.0, 1.5), amplitude=0.008)
+_LIMITS = MachineLimits(0.008, 0.2, 1e5, 1.5, _DURATION)
+_RUNS, _STAIRS = 4, 3
 """Number of runs, and the smallest number of currents in each run after the first."""
 
 _RATE, _REST = 1000, 1000
 """Sample rate [Hz], and the samples before a run in which the damper settles to its cycle."""
 
 
-def _foreign_run(name: str, run: PlannedRun, rng: np.random.Generator) -> Recording:
+def _foreign_run(law: str, run: PlannedRun, rng: np.random.Generator) -> Recording:
     """Measurements of the machine for a damper whose law is not in the package."""
     time = np.arange(round(run.duration * _RATE) + _REST) / _RATE
-    u, v, a = run.motion.at(time)
-    current = run.current_at(np.maximum(time - _REST / _RATE, 0.0))
-    damper = ForeignDamper(LAWS[name](1.0))
-    force = damper.force(Motion(u, v, a, np.abs(v), sine=None), current, 28.0, 1.0 / _RATE)[_REST:]
-    force = force + rng.normal(0.0, _NOISE * float(np.sqrt(np.mean(force**2))), force.size)
-    return Recording(name, 0, 1.0 / _RATE, u[_REST:], force, current[_REST:])
+    moved, current = run.motion.at(time), run.current_at(np.maximum(time - _REST / _RATE, 0.0))
+    force = foreign_force(law, moved, current, 1.0 / _RATE)[_REST:]
+    force = force + rng.normal(0.0, _NOISE * rms(force), force.size)
+    return Recording(law, 0, 1.0 / _RATE, moved[0][_REST:], force, current[_REST:])
 
 
-def _foreign_cycles(name: str) -> Array:
+def _foreign_cycles(law: str) -> Array:
     """Its force (k, phases) [N] over settled cycles at the points of the goal."""
     forces = []
-    for speed, current in _FOREIGN_GOAL.points:
-        omega = speed / _FOREIGN_GOAL.amplitude
+    for speed, current in _GOAL.points:
+        omega = speed / _GOAL.amplitude
         steps = math.ceil(2.0 * math.pi / omega * _RATE / PHASES)
         count = PHASES * steps
         phase = 2.0 * math.pi * (np.arange(-2 * count, count) / steps + 0.5) / PHASES
-        u, v = _FOREIGN_GOAL.amplitude * np.sin(phase), speed * np.cos(phase)
-        motion = Motion(u, v, -(omega**2) * u, np.abs(v), sine=None)
-        damper, period = ForeignDamper(LAWS[name](1.0)), 2.0 * math.pi / omega / count
-        force = damper.force(motion, np.full(u.size, current), 28.0, period)
+        u, v = _GOAL.amplitude * np.sin(phase), speed * np.cos(phase)
+        period = 2.0 * math.pi / omega / count
+        force = foreign_force(law, (u, v, -(omega**2) * u), current, period)
         forces.append(force[2 * count :: steps])
     return np.array(forces)
 
 
-def foreign_figures(laws: int = len(LAWS), model: str = "sigmoid") -> Measured:
+def foreign_figures(laws: int = len(LAWS)) -> Measured:
     """Compare the true worst error of several foreign laws with the claimed one."""
-    planner = RunPlanner(MODELS[model], _FOREIGN_GOAL, _FOREIGN_LIMITS)
-    cycles = Cycles(planner.model, _FOREIGN_GOAL.cycles())
+    planner = RunPlanner(_LAW, _GOAL, _LIMITS)
+    cycles = Cycles(_LAW, _GOAL.cycles())
     stairs = [run for run in planner.candidates if len(run.currents) >= _STAIRS]
     ratios = []
-    for seed, name in enumerate(list(LAWS)[:laws]):
+    for seed, law in enumerate(list(LAWS)[:laws]):
         rng = np.random.default_rng(seed)
-        chosen = rng.choice(len(stairs), _FOREIGN_RUNS - 1, replace=False)
-        runs = [first_run(_FOREIGN_GOAL, _FOREIGN_LIMITS), *(stairs[place] for place in chosen)]
-        windows = [w for run in runs for w in run.windows(_foreign_run(name, run, rng))]
+        chosen = rng.choice(len(stairs), _RUNS - 1, replace=False)
+        runs = [first_run(_GOAL, _LIMITS), *(stairs[place] for place in chosen)]
+        windows = [w for run in runs for w in run.windows(_foreign_run(law, run, rng))]
         found, plan = planned(planner, windows)
-        true = _foreign_cycles(name)
-        missed = np.max(np.abs(cycles.force(found.values) - true), axis=1)
-        ratios.append(float(np.max(missed / np.max(np.abs(true), axis=1))) / plan.now.worst)
+        error = _worst_error(cycles, found.values, _foreign_cycles(law))
+        ratios.append(error / plan.now.worst)
     return {
         "foreign_claim": float(np.quantile(ratios, 0.9)),
         "foreign_claim_median": float(np.median(ratios)),

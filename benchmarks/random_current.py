@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 
 import mr_damper_ros as mr
+from benchmarks.dampers import ForeignDamper
 from benchmarks.figure import Measured
-from benchmarks.foreign_laws import LAWS, ForeignDamper
 from mr_damper_ros.kinematics.motion import Motion
 from mr_damper_ros.kinematics.peak_velocity import peak_velocity_of_period
 from mr_damper_ros.kinematics.periodic_motion import MotionKind, PeriodicMotion
@@ -49,7 +49,7 @@ def _driven(duration: float, seed: int) -> tuple[Motion, Array]:
 def trial(law: str, seed: int = 1) -> tuple[float, float]:
     """RMS error on the last 15 % over the noise, and the mass found over the true one."""
     motion, current = _driven(40.0, seed + 100)
-    foreign = ForeignDamper(LAWS[FOREIGN[law]](1.0)).force(motion, current, 28.0, _FINE)
+    foreign = ForeignDamper(FOREIGN[law]).force(motion, current, 28.0, _FINE)
     truth = mr.identify(
         displacement=motion.displacement, force=foreign, current=current, period=_FINE, model=law
     ).parameter_set

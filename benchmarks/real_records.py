@@ -1,48 +1,116 @@
-"""Real records, if available: cold starts, jumps of the force, and searches from random starts."""
+"""Figures of real records: what the studies write of them, cold starts, random starts.
+
+``make truth`` writes build/truth/truth.json, and ``make control`` build/control/control.json. If a
+document is missing, or belongs to the other variant (quick or full), the study is run first.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+import json
+from collections.abc import Sequence
+from importlib import import_module
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
-from benchmarks.figure import Measured
+from benchmarks.figure import Measured, Value, in_processes
 from mr_damper_ros.api.replay import replay
 from mr_damper_ros.estimation.differential_evolution import EvolutionSettings
 from mr_damper_ros.estimation.global_fit import GlobalFit, identify_global
 from mr_damper_ros.estimation.observability import operating_points_within
-from mr_damper_ros.estimation.profile_likelihood import profiled, search_misfit
+from mr_damper_ros.estimation.profile_likelihood import search_misfit
 from mr_damper_ros.io.run_cuts import read_runs
 from mr_damper_ros.kinematics.window import Window
 from mr_damper_ros.models import MODELS
-from mr_damper_ros.models.parameter_set import ParameterSet
 from mr_damper_ros.models.sigmoid.following import EXTENDED_MODEL
-from mr_damper_ros.processes.process_pool import Notify, ProcessPool
 from mr_damper_ros.signals.arrays import Array
 from mr_damper_ros.signals.blocks import NANOSECONDS
 from mr_damper_ros.signals.recording import Recording
 from mr_damper_ros.tracking.acceptance import Verdict
 from mr_damper_ros.tracking.engine import EngineSettings
 from studies import recordings
+from studies.__main__ import STUDIES
 
-LAWS = ("sigmoid", EXTENDED_MODEL)
+# -- what the studies write ------------------------------------------------------------------------
 
-_RAW_COLUMNS = "-,time:datetime,force:980.665*N,displacement:10*mm"
-_RAW_CURRENTS = (0.0, 0.25, 0.5, 0.75, 1.0)
+_LAWS = {"sixteen": "sigmoid", "extended": EXTENDED_MODEL, "springs": "series_springs"}
+"""Laws by their names in the figures."""
+
+_ONE_SET = (
+    *("series_springs", "bingham", "hyperbolic_tangent", "nonlinear_biviscous"),
+    *("bouc_wen", "modified_bouc_wen"),
+)
+"""Laws of ``utfsm_<name>_nrmse``, besides "sixteen" and "extended"."""
+
+_EARTHQUAKES = {"fit": EXTENDED_MODEL, "springs_fit": "series_springs", "sixteen_fit": "sigmoid"}
+"""Laws of ``earthquake_static_<name>`` and ``earthquake_online_<name>``."""
 
 
-def raw_records(utfsm: Path) -> list[Recording]:
-    """The runs in the original files of the logger."""
-    paths = sorted((utfsm / "raw").glob("ME*.txt"))
-    return [run for path in paths for run in read_runs(path, _RAW_COLUMNS, currents=_RAW_CURRENTS)]
+def document(study: str, part: str, quick: bool) -> tuple[Any, str]:
+    """One part of the results of a study (None if it is missing), and its origin."""
+    folder = Path("build", study + "-quick" * quick)
+    path = folder / f"{study}.json"
+
+    def found() -> Any:
+        return json.loads(path.read_text(encoding="utf-8")) if path.exists() else {}
+
+    if found().get("quick") != quick or part not in found():
+        run = import_module(STUDIES[study]).main
+        code = run(["--output", str(folder), *["--quick"] * quick])
+        if code:
+            raise RuntimeError(f"the study {study} ended with exit code {code}")
+    return found().get(part), f"From {path}."
 
 
-def _unmeasured(*keys: str) -> Measured:
-    return dict.fromkeys(keys, (None, recordings.NONE))
+def truth_figures(quick: bool = False) -> Measured:
+    """Results of the laws on the recordings; None for results that a quick study leaves out."""
+    laws: dict[str, Any] = {}
+    note = recordings.NONE
+    if recordings.folder() is not None:
+        laws, note = document("truth", "recordings", quick)
+
+    def told(law: str, key: str) -> Any:
+        value = laws.get(law, {}).get(key)
+        return None if isinstance(value, list) and None in value else value
+
+    found: dict[str, Value] = {}
+    names = {"sixteen": "sigmoid", "extended": EXTENDED_MODEL} | {law: law for law in _ONE_SET}
+    for name, law in names.items():
+        median = told(law, "one_set_median")
+        found[f"utfsm_{name}_nrmse"] = None if median is None else 100.0 * median
+    found["utfsm_one_set"] = found["utfsm_extended_nrmse"]
+    medians = []
+    for name, law in _LAWS.items():
+        errors = [100.0 * error for error in (told(law, "left_out_nrmse") or {}).values()]
+        both = [float(np.median(errors)), float(np.mean(errors))] if errors else None
+        found[f"utfsm_left_out_{name}_nrmse"] = both
+        medians += both[:1] if both else []
+    found["utfsm_left_out"] = min(medians, default=None)
+    for kind in ("static", "online"):
+        for name, law in _EARTHQUAKES.items():
+            found[f"earthquake_{kind}_{name}"] = told(law, f"earthquake_{kind}_fit")
+    static = [told(law, "earthquake_static_fit") for law in _LAWS.values()]
+    means = [float(np.mean(fits)) for fits in static if fits]
+    found["earthquake_static_mean"] = max(means, default=None)
+    return {key: (value, note) for key, value in found.items()}
+
+
+def control_figures(quick: bool = False) -> Measured:
+    """Figures of the best controller on each road, and of the weighted inverse in buildings."""
+    buildings, note = document("control", "buildings", quick)
+    roads, _ = document("control", "roads", quick)
+    named = ", ".join(f"{road} {name}" for road, name in roads["best"].items())
+    return {
+        **{key: (value, f"{note} The best: {named}.") for key, value in roads["worst"].items()},
+        "building_cases_won": (float(buildings["won"]), f"Of {buildings['cases']}. {note}"),
+        "building_reversals_per_second": (buildings["reversals_per_second"], note),
+    }
 
 
 # -- cold starts of the identifier on an unknown damper --------------------------------------------
+
+_TWO_LAWS = ("sigmoid", EXTENDED_MODEL)
 
 _GOOD, _NEXT = 0.75, 2.0
 """Smallest good fit, 1 - NRMSE, of the predicted force, and the time [s] of its evaluation after a
@@ -51,8 +119,6 @@ set."""
 _MOVING = 1e-4
 _BEFORE, _AFTER = 1.0, 9.0
 """Duration [s] of a record before and after the start of the motion, and its threshold [m]."""
-
-_BLOCK = 0.02
 
 
 def _begin_of(record: Recording) -> Recording:
@@ -68,11 +134,7 @@ def _windows_until_good(record: Recording, model: str) -> tuple[float, float]:
 
     The force is relative to the largest measured force of the record.
     """
-    said = replay(
-        record,
-        settings=EngineSettings().for_law(model),
-        block_size=max(round(_BLOCK / record.period), 1),
-    )
+    said = replay(record, settings=EngineSettings().for_law(model), block_size=20)
     force, following = said.predicted, round(_NEXT / record.period)
     ends = [
         round((report.stamp_ns - record.start_ns) / NANOSECONDS / record.period) + 1
@@ -85,8 +147,8 @@ def _windows_until_good(record: Recording, model: str) -> tuple[float, float]:
         after = slice(end, end + following)
         if after.stop > force.size:
             break
-        error = force[after] - record.force[after]
-        if 1.0 - float(np.sqrt(np.mean(error**2)) / np.std(record.force[after])) >= _GOOD:
+        error = recordings.rms(force[after] - record.force[after])
+        if 1.0 - error / np.std(record.force[after]) >= _GOOD:
             return float(count), largest
     return float("inf"), largest
 
@@ -95,53 +157,14 @@ def cold_start_figures() -> Measured:
     """The beginning of the three earthquake records."""
     place = recordings.folder()
     if place is None:
-        return _unmeasured("cold_start_windows", "cold_start_largest_force")
+        return dict.fromkeys(
+            ("cold_start_windows", "cold_start_largest_force"), (None, recordings.NONE)
+        )
     begins = [_begin_of(record) for record in recordings.unsmoothed_earthquakes(place)]
-    found = [_windows_until_good(record, law) for law in LAWS for record in begins]
+    found = [_windows_until_good(record, law) for law in _TWO_LAWS for record in begins]
     return {
         "cold_start_windows": [count for count, _ in found],
         "cold_start_largest_force": [size for _, size in found],
-    }
-
-
-# -- how far the predicted force jumps between two samples -----------------------------------------
-
-_SETTLED = 1.0
-"""Time [s] at the start of a record that is ignored, while the observer and the centre settle."""
-
-
-def _largest_step(force: Array, period: float) -> float:
-    return float(np.nanmax(np.abs(np.diff(force[round(_SETTLED / period) :]))))
-
-
-def _worst_jump(records: Iterable[Recording], parameters: ParameterSet) -> tuple[float, str]:
-    """Largest step of the predicted force over that of the measured force, and the record name."""
-    return max(
-        (
-            _largest_step(recordings.predicted(record, parameters, identify=False), record.period)
-            / _largest_step(record.force, record.period),
-            record.name,
-        )
-        for record in records
-    )
-
-
-def jump_figures(laws: Sequence[str] = LAWS) -> Measured:
-    """Measure the steps with the set of the sinusoid records."""
-    place = recordings.folder()
-    if place is None:
-        return _unmeasured("reversal_jump", "reversal_jump_smoothed")
-    rough, smoothed = [], []
-    for law in laws:
-        known = recordings.sinusoid_set(place, law)
-        rough += [
-            _worst_jump(records, known)
-            for records in (raw_records(place), recordings.unsmoothed_earthquakes(place))
-        ]
-        smoothed.append(_worst_jump(recordings.processed_records(place), known))
-    return {
-        key: ([value for value, _ in worst], "; ".join(name for _, name in worst))
-        for key, worst in (("reversal_jump", rough), ("reversal_jump_smoothed", smoothed))
     }
 
 
@@ -152,8 +175,6 @@ _AS_GOOD = 1.01
 
 _SCALES = 1.0
 """Standard deviation of the logarithm of a random scale, around the default start of the model."""
-
-_Search = tuple[str, Sequence[Window], Array, int]
 
 
 def _random_start(law: str, windows: Sequence[Window], seed: int) -> Array:
@@ -168,59 +189,42 @@ def _random_start(law: str, windows: Sequence[Window], seed: int) -> Array:
     return np.clip(start, *model.bounds)
 
 
-def _identified(search: _Search, notify: Notify) -> GlobalFit:
-    law, windows, start, seed = search
+def _searched(search: tuple[str, Sequence[Window], int]) -> GlobalFit:
+    law, windows, seed = search
+    start = _random_start(law, windows, seed)
     return identify_global(MODELS[law], windows, start, EvolutionSettings(seed=seed))
 
 
-def _agreeing(
-    law: str, windows: Sequence[Window], published: GlobalFit, starts: int, pool: ProcessPool
-) -> float:
-    """Fraction of the searches from random starts that reach the cost of the published one.
+def start_figures(starts: int = 20, laws: Sequence[str] = _TWO_LAWS, step: int = 1) -> Measured:
+    """The processed sinusoid records, every ``step``-th.
 
     All costs use the noise estimate of the published search, because each search scales its own
     cost by the residuals of its fits to single records.
     """
-    searches = [
-        (law, windows, _random_start(law, windows, seed), seed) for seed in range(1, starts + 1)
-    ]
-    fits = pool.map(_identified, searches)
-    misfit = search_misfit(published, windows)
-    most = _AS_GOOD * misfit.mean_square(published.parameter_set.values)
-    costs = [misfit.mean_square(fit.parameter_set.values) for fit in fits if fit is not None]
-    return float(np.mean(np.array(costs) <= most))
-
-
-def _containing(
-    windows: Sequence[Window], published: GlobalFit, pool: ProcessPool
-) -> tuple[float, str]:
-    """Fraction of the observable parameters within their interval, and the names of the others."""
-    found = published.parameter_set
-    names = [n for n, seen in zip(found.law.parameter_names, found.observable, strict=True) if seen]
-    fit, profiles = profiled(published, windows, names, EvolutionSettings(), pool)
-    values = fit.parameter_set.as_dict()
-    missed = [each.name for each in profiles if not each.contains(values[each.name])]
-    return 1.0 - len(missed) / len(profiles), ", ".join(missed)
-
-
-def start_figures(
-    starts: int = 20, laws: Sequence[str] = LAWS, step: int = 1, workers: int = 2
-) -> Measured:
-    """The processed sinusoid records, every ``step``-th."""
     place = recordings.folder()
     if place is None:
-        return _unmeasured("starts_agreeing", "profile_contains_estimate")
+        return {"starts_agreeing": (None, recordings.NONE)}
     windows = recordings.processed_windows(place)[::step]
-    parts, contained, notes = [], [], []
-    with ProcessPool(workers) as pool:
-        for law in laws:
-            start = MODELS[law].initial_values()[0]
-            published = identify_global(MODELS[law], windows, start, EvolutionSettings())
-            parts.append(_agreeing(law, windows, published, starts, pool))
-            share, missed = _containing(windows, published, pool)
-            contained.append(share)
-            notes.append(f"{law}: cost {published.cost:.4g}, outside {missed or 'none'}")
-    return {
-        "starts_agreeing": (parts, "; ".join(notes)),
-        "profile_contains_estimate": contained,
-    }
+    shares, notes = [], []
+    for law in laws:
+        start = MODELS[law].initial_values()[0]
+        published = identify_global(MODELS[law], windows, start, EvolutionSettings())
+        misfit = search_misfit(published, windows)
+        most = _AS_GOOD * misfit.mean_square(published.parameter_set.values)
+        fits = in_processes(_searched, [(law, windows, seed) for seed in range(1, starts + 1)])
+        costs = [misfit.mean_square(fit.parameter_set.values) for fit in fits]
+        shares.append(float(np.mean(np.array(costs) <= most)))
+        notes.append(f"{law}: cost {published.cost:.4g}")
+    return {"starts_agreeing": (shares, "; ".join(notes))}
+
+
+# -- the original files ----------------------------------------------------------------------------
+
+_RAW_COLUMNS = "-,time:datetime,force:980.665*N,displacement:10*mm"
+_RAW_CURRENTS = (0.0, 0.25, 0.5, 0.75, 1.0)
+
+
+def raw_records(utfsm: Path) -> list[Recording]:
+    """The runs in the original files of the logger."""
+    paths = sorted((utfsm / "raw").glob("ME*.txt"))
+    return [run for path in paths for run in read_runs(path, _RAW_COLUMNS, currents=_RAW_CURRENTS)]

@@ -65,8 +65,7 @@ _LAW = MODELS["sigmoid"]
 def steady_window(parameters: Array, condition: Condition, *, samples: int, seed: int) -> Window:
     """Steady run of a damper of known parameters (16,) in a condition, at 1 kHz.
 
-    The force has the noise of the thesis, the displacement that of
-    :mod:`studies.thesis.runs`.
+    The noise of force and displacement is that of :mod:`studies.thesis.runs`.
     """
     rig = EmulatedRig(
         EmulatedDamper(parameters),
@@ -89,25 +88,7 @@ def cpu_seconds(work: Callable[[], object]) -> float:
     return time.process_time() - began
 
 
-def interleaved_medians(
-    works: Sequence[Callable[[], object]], repetitions: Sequence[int]
-) -> list[float]:
-    """Median :func:`cpu_seconds` of each work, run in turn so that disturbances affect all.
-
-    The number of rounds is the smallest of the ``repetitions``. In each round, every work runs its
-    share of its repetitions in a row.
-    """
-    rounds = min(repetitions)
-    times: list[list[float]] = [[] for _ in works]
-    for _ in range(rounds):
-        for place, (work, number) in enumerate(zip(works, repetitions, strict=True)):
-            times[place] += [cpu_seconds(work) for _ in range(number // rounds)]
-    return [statistics.median(entries) for entries in times]
-
-
 # -- the limit of Cramér and Rao -------------------------------------------------------------------
-
-CONDITION = "5.0mm_1Hz_1.5A"
 
 _INTERVAL = 1.959964
 """Half width of the 95 % interval of a normal distribution, in standard deviations."""
@@ -118,7 +99,7 @@ def noise_figures(realisations: int = 500, samples: int = 2000) -> Measured:
 
     The fits are to one condition with independent noise; seeds are 0, 1, 2 ...
     """
-    condition = find(CONDITION)
+    condition = find("5.0mm_1Hz_1.5A")
     published = parameters(condition)
     speed = 2.0 * np.pi * condition.frequency * condition.amplitude
     truth = np.concatenate(operating_point_coefficients(published, speed, condition.current))
@@ -137,12 +118,10 @@ def noise_figures(realisations: int = 500, samples: int = 2000) -> Measured:
     jacobian = coefficient_jacobian(Coefficients(*truth), motion.velocity, motion.acceleration)
     bound = np.diag(THESIS_FORCE_NOISE**2 * np.linalg.inv(jacobian.T @ jacobian))
     ratios = np.mean(np.square(errors), axis=0) / bound
+    chance = np.sqrt(2.0 / realisations)
+    note = f"Mean of the seven: {ratios.mean():.3f}; standard error of one ratio: {chance:.3f}."
     return {
-        "crlb_ratio": (
-            float(ratios.max()),
-            f"Mean of the seven: {ratios.mean():.3f}. One ratio has a standard error of "
-            f"{np.sqrt(2.0 / realisations):.3f} by chance.",
-        ),
+        "crlb_ratio": (float(ratios.max()), note),
         "coverage_percent": 100.0 * float(np.mean(np.abs(errors) <= _INTERVAL * np.array(claimed))),
     }
 
@@ -176,61 +155,50 @@ REFITTED = ("2.5mm_1Hz_0.0A", "5.0mm_1Hz_1.5A", "5.0mm_3Hz_0.5A", "7.5mm_1Hz_1.0
 RESIDUAL_LIMIT = 1.001
 
 
-def reference_fit(window: Window, start: Array) -> tuple[Array, float]:
-    """Parameters (16,) and norm of the residual [N] by the method of the thesis (eq. 12).
-
-    Nelder-Mead over all sixteen parameters, with the limits and tolerances of fminsearch.
-    """
-    found, norm, _ = fminsearch(
-        lambda trial: float(np.linalg.norm(_LAW.window_force(window, trial) - window.force)), start
-    )
-    return found, norm
-
-
-def measured_refit(
-    condition_name: str, repetitions: int, samples: int = 1000
-) -> tuple[list[float], list[float]]:
+def measured_refit(name: str, repetitions: int, samples: int = 1000) -> tuple[Array, Array]:
     """Fit a window again after the damper has lost 1 % of its force since the previous window.
 
-    The start is the fit to the previous window. The reference runs ``repetitions`` times, and the
-    two fits ten times as often. Returns the processor times [s] of the reference and of the fits,
-    and the residuals of the fits over that of the reference.
+    The start is the fit to the previous window. The reference is the method of the thesis (eq. 12):
+    Nelder-Mead over all sixteen parameters, with the limits and tolerances of fminsearch. It runs
+    ``repetitions`` times, and the two fits ten times as often, in turn, so that disturbances affect
+    all. Returns the median processor times [s] of the reference and of the fits, and the residuals
+    of the fits over that of the reference.
     """
-    condition = find(condition_name)
+    condition = find(name)
     truth = parameters(condition)
     before = steady_window(truth, condition, samples=samples, seed=1)
     window = steady_window(scaled(truth, 0.99), condition, samples=samples, seed=2)
     start = fit_window(_LAW, before, truth, method="least_squares").parameters
+
+    def residual(trial: Array) -> float:
+        return float(np.linalg.norm(_LAW.window_force(window, trial) - window.force))
+
     fits = [
         partial(fit_window, _LAW, window, start, method=method)
         for method in ("nelder_mead", "least_squares")
     ]
-    works: list[Callable[[], object]] = [lambda: reference_fit(window, start), *fits]
-    seconds = interleaved_medians(works, [repetitions, 10 * repetitions, 10 * repetitions])
-    reached = reference_fit(window, start)[1] / np.sqrt(samples)
-    return seconds, [fit().rmse / reached for fit in fits]
+    times: list[list[float]] = [[], [], []]
+    for _ in range(repetitions):
+        times[0].append(cpu_seconds(lambda: fminsearch(residual, start)))
+        for entries, fit in zip(times[1:], fits, strict=True):
+            entries += [cpu_seconds(fit) for _ in range(10)]
+    reached = fminsearch(residual, start)[1] / np.sqrt(samples)
+    return np.array([*map(statistics.median, times)]), np.array([f().rmse / reached for f in fits])
 
 
 def refit_figures(repetitions: int = 5) -> Measured:
     """Medians over conditions; a speed counts only if the residual equals that of the reference."""
-    seconds, residuals = map(
-        np.array, zip(*(measured_refit(name, repetitions) for name in REFITTED), strict=True)
-    )
-
-    def speedup(which: int) -> tuple[float | None, str]:
-        ratios = seconds[:, 0] / seconds[:, which]
-        worst = residuals[:, which - 1].max()
-        return (
+    found = [measured_refit(name, repetitions) for name in REFITTED]
+    seconds, residuals = map(np.array, zip(*found, strict=True))
+    figures: Measured = {"window_nm_ms": 1e3 * float(np.median(seconds[:, 1]))}
+    for place, key in ((1, "window_nm_speedup"), (2, "window_ls_speedup")):
+        ratios, worst = seconds[:, 0] / seconds[:, place], residuals[:, place - 1].max()
+        figures[key] = (
             float(np.median(ratios)) if worst <= RESIDUAL_LIMIT else None,
             f"Single conditions: {', '.join(f'{ratio:.0f}' for ratio in ratios)}. Largest residual "
             f"against the reference's: {worst:.5f} (limit {RESIDUAL_LIMIT}).",
         )
-
-    return {
-        "window_nm_speedup": speedup(1),
-        "window_nm_ms": 1e3 * float(np.median(seconds[:, 1])),
-        "window_ls_speedup": speedup(2),
-    }
+    return figures
 
 
 # -- one set for thirty runs against differential evolution ----------------------------------------
@@ -264,11 +232,8 @@ def global_figures(generations: int = GENERATIONS, repetitions: int = 10) -> Mea
     0.8, 15 individuals per unknown, all samples; a whole generation is evaluated at once.
     """
     windows = [window_of(run) for run in clean_runs()]
-
-    def identify() -> Array:
-        return identify_global(_LAW, windows, LITERATURE, EvolutionSettings()).parameter_set.values
-
-    found = identify()
+    identify = partial(identify_global, _LAW, windows, LITERATURE, EvolutionSettings())
+    found = identify().parameter_set.values
     seconds = statistics.median(cpu_seconds(identify) for _ in range(repetitions))
     noise = [
         fit_window(_LAW, window, LITERATURE, method="least_squares").rmse for window in windows
@@ -340,7 +305,6 @@ def thread_figures(every: int = 3, generations: int = 100) -> Measured:
 # -- the inverse -----------------------------------------------------------------------------------
 
 _BLOCK, _BLOCKS = 10, 200
-_HIGHEST_CURRENT = 2.0
 
 
 def inverse_figures() -> Measured:
@@ -348,24 +312,15 @@ def inverse_figures() -> Measured:
     sets = [ParameterSet(parameters(c, m)) for c in CONDITIONS for m in PUBLISHED_METHODS]
     chosen, rng, total = sets[:: len(sets) // 8], np.random.default_rng(1), 0.0
     for known in chosen:
-        inverse = InverseModel(known, 0.0, _HIGHEST_CURRENT)
-        motions = [_unrelated(rng) for _ in range(_BLOCKS)]
-        wanted = []
+        inverse = InverseModel(known, 0.0, 2.0)
+        motions, wanted = [_unrelated(rng) for _ in range(_BLOCKS)], []
         for motion in motions:
             reach = inverse.currents(motion, np.zeros(_BLOCK))
             span = reach.most - reach.least
             wanted.append(rng.uniform(reach.least - 0.3 * span, reach.most + 0.3 * span))
-
-        def work(
-            inverse: InverseModel = inverse,
-            motions: Sequence[Motion] = motions,
-            wanted: Sequence[Array] = wanted,
-        ) -> None:
-            for motion, forces in zip(motions, wanted, strict=True):
-                inverse.currents(motion, forces)
-
-        work()
-        total += cpu_seconds(work)
+        for _ in range(2):  # the first time warms up
+            took = cpu_seconds(partial(list, map(inverse.currents, motions, wanted)))
+        total += took
     return {"inverse_us_per_sample": 1e6 * total / (len(chosen) * _BLOCKS * _BLOCK)}
 
 

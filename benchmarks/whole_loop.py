@@ -11,20 +11,22 @@ from __future__ import annotations
 import sys
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from itertools import product
+from typing import NamedTuple
 
 import numpy as np
 
-from benchmarks.figure import PROCESSES, Measured, in_processes
-from benchmarks.foreign_laws import LAWS, ForeignDamper
-from benchmarks.other_dampers import DAMPERS as OTHER_DAMPERS
-from benchmarks.other_dampers import random_motion
+from benchmarks.dampers import DAMPERS as OTHER_DAMPERS
+from benchmarks.dampers import ForeignDamper
+from benchmarks.figure import Measured, in_processes
+from benchmarks.motions import random_motion
+from benchmarks.motions import switched as switched_current
 from mr_damper_ros.api.replay import replay
 from mr_damper_ros.control.force_controller import ForceController, ForceControlSettings
 from mr_damper_ros.control.linear_plant import IsoRoad, QuarterCar
 from mr_damper_ros.control.semi_active import SuspensionSettings, controller_of
 from mr_damper_ros.emulation.commanded_rig import ForceChoice, commanded
 from mr_damper_ros.emulation.emulator import (
-    CurrentSchedule,
     Damper,
     EmulatedDamper,
     EmulatedRig,
@@ -42,10 +44,10 @@ from mr_damper_ros.signals.blocks import RigBlock
 from mr_damper_ros.signals.recording import Recording
 from mr_damper_ros.tracking.engine import Engine, EngineSettings
 from mr_damper_ros.tracking.predictor import PredictorSettings
-from mr_damper_ros.tracking.validity import DoubtKind
+from studies.recordings import rms
 
-BLOCK = 10
-PERIOD = 1e-3
+BLOCK, PERIOD = 10, 1e-3
+_LENGTH = BLOCK * PERIOD
 
 SETTLED = 5.0
 """Time [s] after which results are evaluated: the motion is known, and control is active."""
@@ -53,23 +55,57 @@ SETTLED = 5.0
 LAG = 0.01
 """Time constant [s] of the coil, as in the bridge and in config/invented_damper.yaml."""
 
+_UNWATCHED = PredictorSettings(maximum_error=0.0)
+"""The measured force is not compared with the predicted one."""
+
+
+def chosen(
+    wanted: Callable[[RigBlock], float],
+    known: ParameterSet,
+    engine: Engine | None,
+    *,
+    watched: bool = True,
+) -> ForceChoice:
+    """The controller with its defaults, as it is started with a parameter file.
+
+    ``watched`` says whether the controller checks the measured force (``maximum_error``).
+    """
+    settings = ForceControlSettings(highest_current=HIGHEST_CURRENT)
+    if not watched:
+        settings = replace(settings, predictor=_UNWATCHED)
+    controller = ForceController(settings)
+    controller.predictor.set_parameters(known)
+    return ForceChoice(controller, wanted, engine)
+
+
+def smoothness(commands: Sequence[tuple[float, bool]]) -> tuple[float, float]:
+    """Reversals of the current, and starts of falling back to the safe current, per second.
+
+    There is a command [A] for each block, with whether it falls back. Changes of less than 20 mA
+    are not counted.
+    """
+    currents, falls = np.array(commands)[round(SETTLED / _LENGTH) :].T
+    moves = np.diff(currents)
+    turns = np.diff(np.sign(moves[np.abs(moves) > 0.02]))
+    drops = np.diff(falls) > 0.0
+    seconds = currents.size * BLOCK * PERIOD
+    return float(np.count_nonzero(turns)) / seconds, float(np.count_nonzero(drops)) / seconds
+
+
 # -- a quarter car ---------------------------------------------------------------------------------
 
 ROADS = ("A", "B", "C", "D")
-SEEDS = range(5)
 SPEED = 20.0
 DRIVEN = 30.0
 
 
-@dataclass(frozen=True)
-class Driven:
+class Driven(NamedTuple):
     """Result of a drive.
 
-    ``valid`` is the fraction of samples with valid predicted force, and ``confirmed`` the fraction
-    of confirmed windows [1]. ``nrmse`` is that of the valid force, and ``exact`` that of the exact
-    set at the same samples. ``reversals`` of the current and ``drops`` to the safe current are
-    counted per second. ``safe`` is the fraction of the time at the safe current. ``refused_for``
-    gives the fraction of samples by reason code.
+    ``valid`` is the fraction of samples with valid predicted force [1]. ``nrmse`` is that of the
+    valid force, and ``exact`` that of the exact set at the same samples. ``reversals`` of the
+    current and ``drops`` to the safe current are counted per second. ``safe`` is the fraction of
+    the time at the safe current.
     """
 
     road: str
@@ -77,21 +113,18 @@ class Driven:
     valid: float
     nrmse: float
     exact: float
-    confirmed: float
     reversals: float
     drops: float
     safe: float
-    refused_for: dict[str, float]
 
 
 def driven(road: str, seed: int, duration: float = DRIVEN, *, given: bool = True) -> Driven:
     """Drive on a road; with ``given``, the identifier has the parameter file too."""
     known = invented_damper(LAG)
     supply = SupplySetpoint(0.0)
-    car = QuarterCar()
     rig = PlantRig(
         EmulatedDamper(invented_damper(0.0), HOT_FORCE, built_in=True),
-        car.plant,
+        QuarterCar().plant,
         IsoRoad(road, SPEED, seed),
         supply.schedule,
         settings=RigSettings(displacement_noise=1e-6, seed=seed),
@@ -119,143 +152,73 @@ def driven(road: str, seed: int, duration: float = DRIVEN, *, given: bool = True
         commands.append((choice.last.current, choice.last.falls_back))
     every = np.concatenate(rows, axis=1)
     # Force of the true set, independent of the measurement.
-    unwatched = EngineSettings(predictor=PredictorSettings(maximum_error=0.0)).for_law(known.model)
     exact = replay(
         Recording("drive", rig.settings.start_ns, PERIOD, *every[3:]),
         known,
         identify=False,
-        settings=unwatched,
+        settings=EngineSettings(predictor=_UNWATCHED).for_law(known.model),
     )
     late = slice(round(SETTLED / PERIOD), None)
-    predicted, doubts, true = every[:3, late]
-    right, valid = exact.predicted[late], doubts == 0.0
-    spread = float(np.std(true[valid]))
-    windows = [report for report in choice.reports if report.frequency == report.frequency]
-    currents, falls = np.array(commands)[round(SETTLED / PERIOD / BLOCK) :].T
-    return Driven(
-        road,
-        seed,
-        float(np.mean(valid)),
-        _rms([(predicted - true)[valid]]) / spread,
-        _rms([(right - true)[valid]]) / spread,
-        float(np.mean([report.confirms for report in windows or choice.reports])),
-        reversals(currents),
-        drops(falls),
-        float(np.mean(falls)),
-        {
-            kind.name: float(np.mean(doubts == kind))
-            for kind in DoubtKind
-            if kind and np.any(doubts == kind)
-        },
-    )
-
-
-def chosen(
-    wanted: Callable[[RigBlock], float],
-    known: ParameterSet,
-    engine: Engine | None,
-    *,
-    watched: bool = True,
-) -> ForceChoice:
-    """The controller with its defaults, as it is started with a parameter file.
-
-    ``watched`` says whether the controller checks the measured force (``maximum_error``).
-    """
-    settings = ForceControlSettings(highest_current=HIGHEST_CURRENT)
-    if not watched:
-        settings = replace(settings, predictor=PredictorSettings(maximum_error=0.0))
-    controller = ForceController(settings)
-    controller.predictor.set_parameters(known)
-    return ForceChoice(controller, wanted, engine)
-
-
-_MOVES = 0.02
-"""Smallest change of the current [A] that is counted."""
-
-
-def reversals(currents: Array) -> float:
-    """Reversals per second of the command (n,) [A] at each block."""
-    moves = np.diff(currents)
-    moves = moves[np.abs(moves) > _MOVES]
-    return float(np.count_nonzero(np.diff(np.sign(moves)))) / (currents.size * BLOCK * PERIOD)
-
-
-def drops(falls: Array) -> float:
-    """Number of times per second that the command starts to fall back to the safe current."""
-    return float(np.count_nonzero(np.diff(falls) > 0.0)) / (falls.size * BLOCK * PERIOD)
+    force, doubts, true = every[:3, late]
+    valid = doubts == 0.0
+    errors = [rms((each - true)[valid]) for each in (force, exact.predicted[late])]
+    nrmse, right = (error / float(np.std(true[valid])) for error in errors)
+    safe = np.mean([falls for _, falls in commands[round(SETTLED / _LENGTH) :]])
+    share = float(np.mean(valid))
+    turns, drops = smoothness(commands)
+    return Driven(road, seed, share, nrmse, right, turns, drops, float(safe))
 
 
 # -- an emulated rig under a switched current ------------------------------------------------------
 
 SWITCHED = 60.0
-SWITCHED_SEEDS = range(20)
-
-_PERIODS = (0.2, 1.0)
-"""Time [s] for which each current holds."""
 
 THESIS = ParameterSet(THESIS_28_CELSIUS, set_id="thesis", peak_velocity_range=(0.0, 1.0))
-
 
 DAMPERS: dict[str, Callable[[], Damper]] = {
     "sigmoid": lambda: EmulatedDamper(THESIS),
     "sigmoid_lag": lambda: EmulatedDamper(invented_damper(LAG)),
-    "herschel_bulkley": lambda: ForeignDamper(LAWS["herschel_bulkley"](1.0)),
-    "gas_bouc_wen": lambda: ForeignDamper(LAWS["gas_bouc_wen"](1.0)),
+    "herschel_bulkley": lambda: ForeignDamper("herschel_bulkley"),
+    "gas_bouc_wen": lambda: ForeignDamper("gas_bouc_wen"),
 }
 """Runs under a switched current; the identifier uses its default law, sigmoid."""
-
-MOTIONS: dict[str, Callable[[int], Excitation]] = {
-    "sine 1 Hz": lambda _: SineMotion(0.005, 1.0),
-    "random 0.5-3 Hz": lambda seed: random_motion(0.004, 0.5, 3.0, SWITCHED, seed=seed),
-}
-
 
 _OF_WINDOWS = ("nelder_mead", "least_squares", "force_scale", "recursive", "unscented", "")
 """Methods of reports on single windows; the other methods search in all windows."""
 
 
-@dataclass(frozen=True)
-class Switched:
+class Switched(NamedTuple):
     """Result of a run under a switched current.
 
     ``confirmed`` is a fraction of the windows [1]. ``stuck`` means that no window of the last third
-    was confirmed. ``nrmse`` is that of the valid force in the last third, and ``valid`` the
-    fraction of valid samples there [1].
+    was confirmed.
     """
 
     name: str
     confirmed: float
     stuck: bool
-    nrmse: float
-    valid: float
 
 
 def switched(seed: int, duration: float = SWITCHED) -> Switched:
     """Identify from a cold start while the current switches; the seed sets the other conditions."""
     damper = list(DAMPERS)[seed % len(DAMPERS)]
-    motion = list(MOTIONS)[seed // len(DAMPERS) % len(MOTIONS)]
-    rng = np.random.default_rng(seed)
-    times = np.concatenate([[0.0], np.cumsum(rng.uniform(*_PERIODS, round(2.0 * duration)))])
-    levels = rng.uniform(0.0, 1.5, times.size)
+    name = "sine 1 Hz"
+    motion: Excitation = SineMotion(0.005, 1.0)
+    if seed // len(DAMPERS) % 2:
+        name, motion = "random 0.5-3 Hz", random_motion(0.004, 0.5, 3.0, SWITCHED, seed=seed)
     rig = EmulatedRig(
         DAMPERS[damper](),
-        MOTIONS[motion](seed),
-        CurrentSchedule(times.tolist(), levels.tolist()),
+        motion,
+        switched_current(seed, round(2.0 * duration)),
         settings=RigSettings(displacement_noise=1e-6, seed=seed),
     )
     said = replay(rig.record(duration))
     windows = [each for each in said.reports if each.sample_count and each.method in _OF_WINDOWS]
-    late = said.time > 2.0 / 3.0 * duration
-    right = said.valid & late
     end_ns = said.start_ns + 2.0 / 3.0 * duration * 1e9
-    last = [report.confirms for report in windows if report.stamp_ns > end_ns]
-    error = (said.predicted - said.measured)[right]
     return Switched(
-        f"seed {seed}: {damper}, {motion}",
+        f"seed {seed}: {damper}, {name}",
         float(np.mean([report.confirms for report in windows])),
-        not any(last),
-        float(np.sqrt(np.mean(error**2)) / np.std(said.measured[late])) if right.any() else np.nan,
-        float(np.mean(said.valid[late])),
+        not any(report.confirms for report in windows if report.stamp_ns > end_ns),
     )
 
 
@@ -285,23 +248,12 @@ class Case:
     sine: bool = False
     learns: bool = False
 
-    @property
-    def right(self) -> bool:
-        """Whether the damper matches the known set."""
-        return self.part == 1.0 and self.celsius == 28.0
-
     def damper(self) -> Damper:
         """The damper, whose force is smaller when it is hot."""
         values = self.known.values.copy()
         values[self.known.law.strength_indices] *= self.part
         hot_force = HOT_FORCE if self.celsius > 28.0 else 1.0
         return EmulatedDamper(replace(self.known, values=values), hot_force)
-
-    def motion(self) -> Excitation:
-        """The motion."""
-        if self.sine:
-            return SineMotion(0.005, 1.0)
-        return random_motion(0.004, 0.5, 3.0, FOLLOWED, seed=0)
 
 
 CASES: dict[str, Case] = {
@@ -318,13 +270,11 @@ CASES: dict[str, Case] = {
     "80 %, learns": Case(part=0.80, learns=True),
 }
 
-
 _TRACKED = ("right, random", "71 °C, learns", "71 °C")
 """Cases whose force error is a figure: known, hot and identified, and hot with the cold set."""
 
 
-@dataclass(frozen=True)
-class Followed:
+class Followed(NamedTuple):
     """Reversals of the current and drops to the safe current per second, and NRMSE of the force.
 
     ``late`` is the NRMSE of the second half, over the standard deviation after :data:`SETTLED`.
@@ -332,21 +282,20 @@ class Followed:
 
     reversals: float
     drops: float
-    nrmse: float
     late: float
 
 
-def followed(case: Case, duration: float = FOLLOWED, *, watched: bool = True) -> Followed:
+def followed(name: str, watched: bool, duration: float = FOLLOWED) -> Followed:
     """Track a viscous damper; ``watched`` selects the default maximum_error, otherwise 0."""
-    supply = SupplySetpoint(0.0)
+    case, supply = CASES[name], SupplySetpoint(0.0)
+    motion = SineMotion(0.005, 1.0) if case.sine else random_motion(0.004, 0.5, 3.0, FOLLOWED, 0)
     rig = EmulatedRig(
         case.damper(),
-        case.motion(),
+        motion,
         supply.schedule,
         settings=RigSettings(displacement_noise=1e-6),
         # So much heat capacity that it stays as it is.
         thermal=ThermalModel(ambient=case.celsius, initial=case.celsius, capacity=1e9),
-        coil_time_constant=0.0,
     )
     rig.live = True
 
@@ -355,29 +304,19 @@ def followed(case: Case, duration: float = FOLLOWED, *, watched: bool = True) ->
 
     engine = Engine(start=case.known) if case.learns else None
     choice = chosen(wanted, case.known, engine, watched=watched)
-    commands, missed, late, forces = [], [], [], []
+    commands, late, forces = [], [], []
     before = None
     for number, (made, _, _) in enumerate(commanded(rig, supply, choice, BLOCK, duration), start=1):
-        if before is not None and before.attainable:
-            missed.append(made.force - before.wanted)
-            if not before.doubt and number * BLOCK * PERIOD >= 0.5 * duration:
-                late.append(made.force - before.wanted)
+        is_late = number * BLOCK * PERIOD >= 0.5 * duration
+        if is_late and before is not None and before.attainable and not before.doubt:
+            late.append(made.force - before.wanted)
         forces.append(made.force)
         before = choice.last
         assert before is not None
         commands.append((before.current, before.falls_back))
-    currents, falls = np.array(commands)[round(SETTLED / PERIOD / BLOCK) :].T
-    force = np.concatenate(forces)
-    return Followed(
-        reversals(currents),
-        drops(falls),
-        _rms(missed) / float(np.std(force)),
-        _rms(late) / float(np.std(force[round(SETTLED / PERIOD) :])),
-    )
-
-
-def _rms(errors: Sequence[Array]) -> float:
-    return float(np.sqrt(np.mean(np.concatenate(errors) ** 2))) if errors else np.nan
+    spread = float(np.std(np.concatenate(forces)[round(SETTLED / PERIOD) :]))
+    error = rms(np.concatenate(late)) / spread if late else np.nan
+    return Followed(*smoothness(commands), error)
 
 
 # -- figures ---------------------------------------------------------------------------------------
@@ -388,26 +327,26 @@ _FEW = 0.5
 
 def figures(
     roads: Sequence[str] = ROADS,
-    seeds: Sequence[int] = SEEDS,
-    switched_seeds: Sequence[int] = SWITCHED_SEEDS,
+    seeds: Sequence[int] = range(5),
+    switched_seeds: Sequence[int] = range(20),
     names: Sequence[str] = tuple(CASES),
-    processes: int = PROCESSES,
 ) -> Measured:
     """Validity, error and smoothness of the loop; prints each run."""
-    drives = in_processes(_driven, [(road, seed) for road in roads for seed in seeds], processes)
-    runs = in_processes(switched, switched_seeds, processes)
-    needed = dict.fromkeys((*names, *_TRACKED))
-    pairs = dict(zip(needed, in_processes(_pair, list(needed), processes), strict=True))
-    print(*drives, *runs, *pairs.items(), sep="\n", file=sys.stderr)
+    drives = in_processes(driven, *zip(*product(roads, seeds), strict=True))
+    runs = in_processes(switched, switched_seeds)
+    jobs = list(product(dict.fromkeys((*names, *_TRACKED)), (True, False)))
+    results = dict(zip(jobs, in_processes(followed, *zip(*jobs, strict=True)), strict=True))
+    print(*drives, *runs, *results.items(), sep="\n", file=sys.stderr)
     ratios = {
-        name: (pairs[name][0].reversals + _FEW) / (pairs[name][1].reversals + _FEW)
+        name: (results[name, True].reversals + _FEW) / (results[name, False].reversals + _FEW)
         for name in names
     }
     worst = max(ratios, key=lambda name: ratios[name])
     least = min(drives, key=lambda each: each.valid)
     far = max(drives, key=lambda each: each.nrmse / each.exact)
     poor = min(runs, key=lambda each: each.confirmed)
-    cold, hot, hot_fixed = (pairs[name][0].late for name in _TRACKED)
+    right = [name for name in names if CASES[name].part == 1.0 and CASES[name].celsius == 28.0]
+    cold, hot, hot_fixed = (results[name, True].late for name in _TRACKED)
     return {
         "loop_valid_percent": (100.0 * least.valid, f"Road {least.road}, seed {least.seed}."),
         "loop_nrmse_ratio": (far.nrmse / far.exact, f"Road {far.road}, seed {far.seed}."),
@@ -421,18 +360,8 @@ def figures(
             ratios[worst],
             f"{worst}; " + ", ".join(f"{name} {each:.2f}" for name, each in ratios.items()),
         ),
-        "controller_drops": max(
-            [pairs[name][0].drops for name in names if CASES[name].right], default=np.nan
-        ),
+        "controller_drops": max([results[name, True].drops for name in right], default=np.nan),
         "force_tracking_nrmse_percent": 100.0 * cold,
         "force_tracking_hot_growth": hot / cold,
         "force_tracking_hot_growth_fixed": hot_fixed / cold,
     }
-
-
-def _driven(task: tuple[str, int]) -> Driven:
-    return driven(*task)
-
-
-def _pair(name: str) -> tuple[Followed, Followed]:
-    return followed(CASES[name]), followed(CASES[name], watched=False)

@@ -11,7 +11,7 @@ import pytest
 from known import SIGMOID
 from random_motion import BandLimitedRandom
 
-from benchmarks.other_dampers import DAMPERS
+from benchmarks.dampers import DAMPERS
 from mr_damper_ros.emulation.emulator import EmulatedDamper, EmulatedRig, RigSettings
 from mr_damper_ros.emulation.motions import SineMotion
 from mr_damper_ros.estimation.window_fit import WindowFit, WindowPrior, fit_window

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 import mr_damper_ros as mr
-from benchmarks.other_dampers import DAMPERS
+from benchmarks.dampers import DAMPERS
 from mr_damper_ros.estimation.differential_evolution import EvolutionSettings
 from mr_damper_ros.estimation.global_fit import GlobalFit, identify_global
 from mr_damper_ros.estimation.profile_likelihood import record_levels

@@ -10,7 +10,7 @@ import known
 import numpy as np
 import pytest
 
-from benchmarks.other_dampers import DAMPERS
+from benchmarks.dampers import DAMPERS
 from mr_damper_ros.emulation.emulator import CurrentSchedule, EmulatedDamper, EmulatedRig
 from mr_damper_ros.emulation.motions import SineMotion
 from mr_damper_ros.models.parameter_set import GLOBAL_SOURCE, ParameterSet

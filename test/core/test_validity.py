@@ -10,7 +10,7 @@ import known
 import numpy as np
 import pytest
 
-from benchmarks.other_dampers import DAMPERS
+from benchmarks.dampers import DAMPERS
 from mr_damper_ros.estimation.window_fit import fit_window
 from mr_damper_ros.kinematics.window import Window
 from mr_damper_ros.models import MODELS

@@ -40,50 +40,28 @@ from mr_damper_ros.rig.blocks import Meter
 from mr_damper_ros.signals.arrays import Array
 from mr_damper_ros.signals.blocks import NANOSECONDS, BlockError, RigBlock, SampleBlock, check_live
 from mr_damper_ros.tracking.engine import Engine, EngineSettings
-from mr_damper_ros.tracking.predictor import Prediction, PredictorSettings
 from mr_damper_ros.tracking.reports import Report
-from mr_damper_ros.tracking.tracker import TrackerSettings
 from mr_damper_ros.tracking.validity import DoubtKind
-from mr_damper_ros.tracking.window_assembler import WindowSettings
-
-CURRENT_STEP = 0.005
-"""Change of the current [A] that is published at once, as in the bridge."""
 
 WRONG = 0.2
-"""Error above which a force is wrong, as a fraction of the peak force."""
-
-PEAK_MEMORY = 10.0
-"""Time [s] over which the peak force is taken."""
+"""Error above which a force is wrong, as a fraction of the peak force of the last 10 s."""
 
 WORSE = 0.05
 """Increase of the NRMSE against the true force above which a set is worse than another."""
 
-_REST_SPEED, _REST_TIME = 0.01, 0.5
-"""The machine is at rest if it stays below this fraction of the top speed for this time [s]."""
-
 
 @dataclass(frozen=True)
 class TrialSettings:
-    """Settings of a trial; all but the first line have the defaults of the nodes.
+    """Settings of a trial at 1 kHz; the ``engine`` has the defaults of the nodes.
 
-    ``sample_rate`` [Hz], ``block_size``, noises of displacement [m] and force [N] and their seed;
-    ``current_rate``: readings of the supply per second. ``delay`` and ``search_delay`` [s]: time
-    from the last sample of a window, or from when a search fell due, until its outcome counts.
-    ``initial``: the set to start from; None for the one from the literature.
+    ``force_noise`` [N] and ``displacement_noise`` [m] are standard deviations.
     """
 
     seed: int = 0
-    sample_rate: float = 1000.0
     block_size: int = 10
     force_noise: float = THESIS_FORCE_NOISE
     displacement_noise: float = 1e-6
-    current_rate: float = 10.0
-    delay: float = 0.3
-    search_delay: float = 1.0
-    windows: WindowSettings = field(default_factory=WindowSettings)
-    tracker: TrackerSettings = field(default_factory=TrackerSettings)
-    predictor: PredictorSettings = field(default_factory=PredictorSettings)
-    initial: ParameterSet | None = None
+    engine: EngineSettings = field(default_factory=EngineSettings)
 
 
 class Stretch(NamedTuple):
@@ -117,7 +95,7 @@ class TrialResult:
     - ``predicted`` [N]: NaN without a prediction.
     - ``doubts``: reason code of each prediction, -1 without a prediction.
 
-    ``reports`` are in the order in which they took effect, at ``report_times`` [s].
+    ``sets`` and ``reports`` are in the order in which they took effect.
     """
 
     time: Array
@@ -129,7 +107,6 @@ class TrialResult:
     doubts: np.ndarray
     sets: list[SetInUse]
     reports: list[Report]
-    report_times: list[float]
 
     @property
     def valid(self) -> np.ndarray:
@@ -142,60 +119,65 @@ class TrialResult:
         return float(self.time[1] - self.time[0])
 
     @property
-    def peak(self) -> Array:
-        """Largest true force [N] of the last :data:`PEAK_MEMORY` seconds, shape (n,)."""
-        # The maximum of each tenth of a second is accurate enough and quick to compute.
+    def error(self) -> Array:
+        """|predicted - true| over the largest force of the last 10 s, (n,); NaN if not predicted.
+
+        The maximum of each tenth of a second is accurate enough and quick to compute.
+        """
         part = max(round(0.1 / self.period), 1)
-        size = np.abs(self.true)
-        largest = np.maximum.reduceat(size, np.arange(0, size.size, part))
-        count = max(round(PEAK_MEMORY / (part * self.period)), 1)
-        padded = np.concatenate([np.zeros(count - 1), largest])
-        recent = np.lib.stride_tricks.sliding_window_view(padded, count).max(axis=1)
-        return np.asarray(np.repeat(recent, part)[: size.size])
+        largest = np.maximum.reduceat(np.abs(self.true), np.arange(0, self.true.size, part))
+        padded = np.concatenate([np.zeros(99), largest])
+        recent = np.lib.stride_tricks.sliding_window_view(padded, 100).max(axis=1)
+        peak = np.repeat(recent, part)[: self.true.size]
+        return np.asarray(np.abs(self.predicted - self.true) / np.maximum(peak, 1e-9))
 
     @property
-    def error(self) -> Array:
-        """|predicted - true| over the peak force, shape (n,); NaN without a prediction."""
-        return np.asarray(np.abs(self.predicted - self.true) / np.maximum(self.peak, 1e-9))
+    def right(self) -> np.ndarray:
+        """Whether the predicted force of each sample is right, valid or not, shape (n,)."""
+        return np.asarray(self.error <= WRONG)
 
-    def wrong_valid(
-        self, limit: float = WRONG, since: float = 0.0, until: float = math.inf
-    ) -> Stretch:
-        """Time in which the force was valid although its error exceeded ``limit`` times the peak.
+    def wrong_valid(self, since: float = 0.0) -> Stretch:
+        """Time from ``since`` [s] on in which the force was valid although it was wrong.
 
         The error may pass through zero for a moment. Two periods of wrong force therefore count as
         one if less than 0.1 s of correct and valid force separates them.
         """
-        error = np.where(self.valid, self.error, 0.0)
-        wrong = error > limit
-        wrong &= (self.time >= since) & (self.time < until)
-        if not wrong.any():
+        valid = self.valid
+        error = np.where(valid, self.error, 0.0)
+        wrong = (error > WRONG) & (self.time >= since)
+        places = np.flatnonzero(wrong)
+        if not places.size:
             return Stretch(0.0, 0.0, 0.0, math.nan)
-        joined = _without_gaps(wrong, self.valid, round(0.1 / self.period))
-        edges = np.flatnonzero(np.diff(np.concatenate(([0], joined.view(np.int8), [0]))))
+        joined = wrong.copy()
+        for one, other in itertools.pairwise(places):
+            if 1 < other - one <= round(0.1 / self.period) and valid[one:other].all():
+                joined[one:other] = True
+        begins, ends = _stretches(joined)
         worst = int(np.argmax(np.where(wrong, error, 0.0)))
         return Stretch(
-            float(np.max(edges[1::2] - edges[::2])) * self.period,
-            float(np.count_nonzero(wrong)) * self.period,
+            float(np.max(ends - begins)) * self.period,
+            float(places.size) * self.period,
             float(error[worst]),
             float(self.time[worst]),
         )
 
-    def first_valid(self, since: float = 0.0) -> float:
-        """Time [s] of the first valid sample from ``since`` on; infinite if there is none."""
-        places = np.flatnonzero(self.valid & (self.time >= since))
-        return float(self.time[places[0]]) if places.size else math.inf
+
+def _stretches(mask: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Begins and ends of the stretches in which the mask (n,) is true."""
+    edges = np.flatnonzero(np.diff(np.concatenate(([0], mask.view(np.int8), [0]))))
+    return edges[::2], edges[1::2]
 
 
 def at_rest(result: TrialResult) -> np.ndarray:
-    """Mask (n,) of the samples in a rest of the machine of half a second or longer."""
+    """Mask (n,) of the samples in a rest of the machine of half a second or longer.
+
+    At rest the speed stays below one percent of the top speed.
+    """
     speed = np.abs(np.gradient(result.displacement, result.period))
-    slow = speed < _REST_SPEED * speed.max()
-    edges = np.flatnonzero(np.diff(np.concatenate(([0], slow.view(np.int8), [0]))))
+    slow = speed < 0.01 * speed.max()
     rest = np.zeros(slow.size, dtype=bool)
-    for begin, end in zip(edges[::2], edges[1::2], strict=True):
-        if (end - begin) * result.period >= _REST_TIME:
-            rest[begin:end] = True
+    for begin, end in zip(*_stretches(slow), strict=True):
+        rest[begin:end] = (end - begin) * result.period >= 0.5
     return rest
 
 
@@ -218,13 +200,11 @@ def worse_sets(
     """
     found = []
     for before, after in itertools.pairwise(result.sets):
-        truths = [
-            truth
-            for begin, end in spans
-            if (truth := _truth(result, after.time + begin, after.time + end)) is not None
-        ]
+        windows = [_truth(result, after.time + begin, after.time + end) for begin, end in spans]
         pairs = [
-            (_nrmse(before.parameters, truth), _nrmse(after.parameters, truth)) for truth in truths
+            [_nrmse(each.parameters, window) for each in (before, after)]
+            for window in windows
+            if window is not None
         ]
         if pairs and all(old <= good and new > old + WORSE for old, new in pairs):
             found.append(WorseSet(after.parameters.set_id, after.time, *pairs[0]))
@@ -247,16 +227,6 @@ def _truth(result: TrialResult, begin: float, end: float) -> Window | None:
 def _nrmse(parameters: ParameterSet, window: Window) -> float:
     error = error_of_set(parameters, [window]).nrmse
     return error if math.isfinite(error) else math.inf
-
-
-def _without_gaps(wrong: np.ndarray, valid: np.ndarray, longest: int) -> np.ndarray:
-    """The mask, with gaps of up to ``longest`` samples closed if all samples in them are valid."""
-    closed = wrong.copy()
-    places = np.flatnonzero(wrong)
-    for one, other in itertools.pairwise(places):
-        if 1 < other - one <= longest and valid[one:other].all():
-            closed[one:other] = True
-    return closed
 
 
 class StreamTrial:
@@ -285,35 +255,21 @@ class StreamTrial:
             damper,
             excitation,
             current,
-            settings=RigSettings(given.sample_rate, force_noise=0.0, seed=given.seed),
+            settings=RigSettings(force_noise=0.0, seed=given.seed),
             thermal=thermal,
             faults=faults,
         )
         # With one generator per channel, the noise is independent of the block size.
         self._noise = [np.random.default_rng((given.seed, channel)) for channel in range(2)]
         self._instruments = Instruments(faults)
-        self._supply = Meter(1.0 / given.current_rate, step=CURRENT_STEP)
-        initial = given.initial or start_set(given.tracker.law)
-        self._engine = Engine(
-            EngineSettings(
-                windows=given.windows,
-                tracking=given.tracker,
-                predictor=given.predictor,
-                fit_delay=given.delay,
-                search_delay=given.search_delay,
-            ),
-            initial,
-        )
-        self._now = 0.0
-        self._parts: list[Array] = []
-        self._sets = [SetInUse(0.0, initial)]
-        self._reports: list[Report] = []
-        self._report_times: list[float] = []
-
-    @property
-    def now(self) -> float:
+        # A reading every 0.1 s, and at once after a change of 5 mA, as in the bridge.
+        self._supply = Meter(0.1, step=0.005)
+        self._engine = Engine(given.engine)
+        self.now = 0.0
         """Duration of the stream so far [s]."""
-        return self._now
+        self._parts: list[Array] = []
+        self._sets = [SetInUse(0.0, start_set(given.engine.tracking.law))]
+        self._reports: list[Report] = []
 
     def branch(
         self, faults: Sequence[Fault] = (), current: CurrentSchedule | None = None
@@ -337,25 +293,14 @@ class StreamTrial:
     def advance(self, duration: float) -> None:
         """Continue for ``duration`` [s]."""
         size = self._settings.block_size
-        for _ in range(round(duration * self._settings.sample_rate / size)):
+        for _ in range(round(duration * self._rig.settings.sample_rate / size)):
             self._go_on(self._rig.next_block(size))
 
     def result(self) -> TrialResult:
         """Result since the start."""
-        rows = np.concatenate(self._parts, axis=1)
-        time, displacement, current, true, measured, predicted, doubts = rows
-        return TrialResult(
-            time=time,
-            displacement=displacement,
-            current=current,
-            true=true,
-            measured=measured,
-            predicted=predicted,
-            doubts=doubts.astype(int),
-            sets=list(self._sets),
-            reports=list(self._reports),
-            report_times=list(self._report_times),
-        )
+        *rows, doubts = np.concatenate(self._parts, axis=1)
+        codes = doubts.astype(int)
+        return TrialResult(*rows, codes, list(self._sets), list(self._reports))  # type: ignore
 
     # --- what the bridge does ------------------------------------------------------------------
 
@@ -372,14 +317,13 @@ class StreamTrial:
             displacement=made.displacement + self._settings.displacement_noise * noise[0],
             force=made.force + self._settings.force_noise * noise[1],
         )
-        self._now = (first + size) * made.period
+        self.now = (first + size) * made.period
         for delivery in self._instruments.read(block):
             self._send(delivery)
 
     def _send(self, delivery: Delivery) -> None:
         block = delivery.block
-        ahead = block.supply_ahead_ns
-        for reading in self._supply.read(block, block.current, ahead):
+        for reading in self._supply.read(block, block.current, block.supply_ahead_ns):
             self._engine.add_current(reading.stamp_ns, reading.value)
         try:
             samples = SampleBlock(
@@ -388,20 +332,13 @@ class StreamTrial:
             check_live(samples)
         except BlockError:
             return
-        now_ns = self._rig.settings.start_ns + round(self._now * NANOSECONDS)
+        now_ns = self._rig.settings.start_ns + round(self.now * NANOSECONDS)
         prediction = self._engine.predict(samples, now_ns)
         for publication in self._engine.take_publications():
             self._reports.append(publication.report)
-            self._report_times.append(self._now)
             if publication.parameters is not None:
-                self._sets.append(SetInUse(self._now, publication.parameters))
-        self._note(delivery, prediction)
-
-    def _note(self, delivery: Delivery, prediction: Prediction) -> None:
-        size = self._settings.block_size
-        rows = self._parts[delivery.first // size]
-        if np.isfinite(rows[4]).any():
-            return  # it came twice: the first one counted
-        rows[4] = delivery.block.force
-        rows[5] = prediction.force
-        rows[6] = prediction.doubts
+                self._sets.append(SetInUse(self.now, publication.parameters))
+        rows = self._parts[delivery.first // self._settings.block_size]
+        # Of a block that comes twice, the first one counts.
+        if not np.isfinite(rows[4]).any():
+            rows[4:] = block.force, prediction.force, prediction.doubts
