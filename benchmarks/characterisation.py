@@ -25,7 +25,7 @@ import numpy as np
 from benchmarks import following, foreign_dampers
 from benchmarks.figure import PROCESSES
 from benchmarks.real_records import raw_records
-from benchmarks.streams import TrialResult
+from benchmarks.streams import SetInUse, TrialResult
 from mr_damper_ros.api.replay import Replay, replay
 from mr_damper_ros.models.parameter_set import ParameterSet
 from mr_damper_ros.processes.files import write_text
@@ -51,56 +51,37 @@ Said = dict[str, Any]
 """Results of a stream: ``reports`` and ``sets``, and ``force`` and ``valid`` every half second."""
 
 
-def _bag(path: Path) -> Said:
-    return _of_replay(replay(path))
-
-
-def _combination(number: int) -> Said:
-    return _of_trial(foreign_dampers.COMBINATIONS[number].run())
-
-
-def _switched(number: int) -> Said:
-    return _of_trial(following.streamed(following.SWITCHED[number], _SWITCHED))
-
-
-def _record(read: Callable[[Path], Sequence[Recording]], number: int, law: str) -> Said:
-    place = recordings.folder()
-    assert place is not None
-    record = read(place)[number]
-    part = slice(0, round(_LONGEST / record.period))
-    begin = recordings.cut(record, part)
-    return _of_replay(replay(begin, settings=EngineSettings().for_law(law)))
-
-
-def streams() -> dict[str, Callable[[], Said]]:
+def streams() -> dict[str, Callable[[], TrialResult | Replay]]:
     """All streams by name."""
     bags = sorted((Path(__file__).parents[1] / "bags").iterdir())
-    found: dict[str, Callable[[], Said]] = {
-        f"bag {path.name}": partial(_bag, path) for path in bags if path.is_dir()
+    found: dict[str, Callable[[], TrialResult | Replay]] = {
+        f"bag {path.name}": partial(replay, path) for path in bags if path.is_dir()
     }
     for each in foreign_dampers.COMBINATIONS[::5]:
-        found[f"foreign {each.name}"] = partial(_combination, each.number)
-    for number, case in enumerate(following.SWITCHED):
-        found[f"switched {case.name}"] = partial(_switched, number)
-    if recordings.folder() is not None:
+        found[f"foreign {each.name}"] = each.run
+    for case in following.SWITCHED:
+        found[f"switched {case.name}"] = partial(following.streamed, case, _SWITCHED)
+    place = recordings.folder()
+    if place is not None:
         for law in ("sigmoid_lag", "series_springs"):
             for number in (0, 2, 4, 7):
-                found[f"raw record {number} by {law}"] = partial(_record, raw_records, number, law)
+                found[f"raw record {number} by {law}"] = partial(
+                    _record, partial(raw_records, place), number, law
+                )
             found[f"earthquake by {law}"] = partial(
-                _record, recordings.unsmoothed_earthquakes, 1, law
+                _record, partial(recordings.unsmoothed_earthquakes, place), 1, law
             )
     return found
 
 
-def _of_trial(result: TrialResult) -> Said:
-    return _said(result, [each.parameters for each in result.sets])
+def _record(read: Callable[[], Sequence[Recording]], number: int, law: str) -> Replay:
+    record = read()[number]
+    begin = recordings.cut(record, slice(0, round(_LONGEST / record.period)))
+    return replay(begin, settings=EngineSettings().for_law(law))
 
 
-def _of_replay(result: Replay) -> Said:
-    return _said(result, result.sets)
-
-
-def _said(result: TrialResult | Replay, sets: Sequence[ParameterSet]) -> Said:
+def _said(result: TrialResult | Replay) -> Said:
+    sets = [each.parameters if isinstance(each, SetInUse) else each for each in result.sets]
     time = result.time
     parts = np.searchsorted(time, np.arange(time[0], time[-1], _EVERY))
     counts = np.diff([*parts, time.size])
@@ -157,7 +138,7 @@ def _told(report: Sequence[Any]) -> str:
 
 
 def _run(name: str) -> tuple[str, Said]:
-    return name, streams()[name]()
+    return name, _said(streams()[name]())
 
 
 def main() -> int:

@@ -13,7 +13,6 @@ from typing import NamedTuple
 
 import numpy as np
 from scipy.optimize import brentq
-from scipy.signal import lfilter
 
 from benchmarks.dampers import DAMPERS, SIXTEEN
 from benchmarks.figure import Measured
@@ -21,7 +20,6 @@ from benchmarks.motions import random_motion, scheduled
 from benchmarks.streams import StreamTrial, TrialResult, TrialSettings
 from mr_damper_ros.api.replay import replay
 from mr_damper_ros.emulation.emulator import (
-    THESIS_FORCE_NOISE,
     CurrentSchedule,
     Damper,
     EmulatedDamper,
@@ -39,7 +37,7 @@ from mr_damper_ros.kinematics.window import Window
 from mr_damper_ros.models import MODELS
 from mr_damper_ros.models.first_order_lag import COIL
 from mr_damper_ros.models.parameter_set import ParameterSet, start_set
-from mr_damper_ros.models.published import LITERATURE, find, parameters
+from mr_damper_ros.models.published import LITERATURE
 from mr_damper_ros.models.published import THESIS_28_CELSIUS as COLD_DAMPER
 from mr_damper_ros.models.published import THESIS_71_CELSIUS as HOT_DAMPER
 from mr_damper_ros.models.quantities import LoopReading
@@ -52,11 +50,10 @@ from mr_damper_ros.tracking.engine import Engine, EngineSettings
 from mr_damper_ros.tracking.jobs import parts_by_current
 from mr_damper_ros.tracking.reports import Report
 from mr_damper_ros.tracking.screening import Screening
-from mr_damper_ros.tracking.tracker import TrackerSettings, WindowTracker
-from mr_damper_ros.tracking.window_assembler import RawWindow, WindowSettings
+from mr_damper_ros.tracking.tracker import TrackerSettings
+from mr_damper_ros.tracking.window_assembler import WindowSettings
 from studies import recordings
 from studies.recordings import window_of
-from studies.thesis.runs import PHASE
 from studies.truth.records import microseconds_per_sample
 
 WINDOW, HOP = WindowSettings.window, WindowSettings.hop
@@ -236,9 +233,8 @@ def step_figures(offsets: Sequence[float] = _OFFSETS) -> Measured:
     return found
 
 
-# -- dampers that do not change: stability, claimed errors, force scale ------------------------
+# -- dampers that do not change: stability and force scale --------------------------------------
 
-_SAMPLES, _RUN_IN = 2000, 500
 _SETTLING = 2.0
 _BOUC_WEN = {"c0": 4e3, "k0": 1e3, "c1": 6e4, "k1": 500.0}
 _HYSTERESIS = {"f0": 20.0, "alpha": 700.0, "share": 0.5, "n": 1.5}
@@ -254,44 +250,6 @@ def exchanges(tracker: str, windows: int) -> int:
     if Verdict.ACCEPTED not in verdicts:
         raise RuntimeError("no window of the constant damper was accepted")
     return sum(verdict.accepted for verdict in verdicts) - 1
-
-
-def error_ratios(memory: float, realisations: int) -> tuple[Array, Array]:
-    """Claimed over actual errors (7,) of the coefficients, for window fits and for the tracker.
-
-    The noise has the autocorrelation memory^lag, for samples 1 ms apart.
-    """
-    condition = find("5.0mm_1Hz_1.5A")
-    truth = parameters(condition)
-    rig = EmulatedRig(
-        EmulatedDamper(truth),
-        SineMotion(condition.amplitude, condition.frequency, phase=PHASE),
-        condition.current,
-        settings=RigSettings(displacement_noise=1e-6, force_noise=0.0),
-    )
-    clean = rig.record(_SAMPLES * rig.settings.period)
-    deviation = THESIS_FORCE_NOISE * math.sqrt(1.0 - memory**2)
-    tracker = WindowTracker(TrackerSettings(global_period=0), ParameterSet(truth))
-    fits, errors, tracked, claimed = [], [], [], []
-    for seed in range(realisations):
-        white = np.random.default_rng(seed).normal(0.0, deviation, _SAMPLES + _RUN_IN)
-        force = clean.force + lfilter([1.0], [1.0, -memory], white)[_RUN_IN:]
-        window = Window.from_samples(clean.displacement, force, clean.current, clean.period)
-        fit = fit_window(_LAW, window, truth, method="least_squares")
-        fits.append(fit.coefficients)
-        errors.append(np.sqrt(np.diag(fit.coefficient_covariance)))
-        start_ns = round(seed * _SAMPLES * clean.period * NANOSECONDS)
-        raw = RawWindow(start_ns, clean.period, clean.displacement, force, clean.current)
-        report = tracker.follow(raw)
-        if report is not None and report.confirms:
-            tracked.append(report.coefficients)
-            claimed.append(report.coefficient_errors)
-    return _claimed_over_actual(errors, fits), _claimed_over_actual(claimed, tracked)
-
-
-def _claimed_over_actual(errors: Sequence[Array], values: Sequence[Array]) -> Array:
-    claimed = np.sqrt(np.mean(np.square(errors), axis=0))
-    return np.asarray(claimed / np.std(values, axis=0, ddof=1))
 
 
 def published_scales(
@@ -337,15 +295,12 @@ def chi_square(scales: Array, errors: Array) -> float:
     return float(np.sum(((scales - mean) / errors) ** 2)) / (scales.size - 1)
 
 
-def steady_figures(
-    windows: int = 600, realisations: int = 200, misfit_windows: int = 100
-) -> Measured:
-    """Measure a damper of another law in two motions, correlated noise, and an exact damper."""
+def steady_figures(windows: int = 600, misfit_windows: int = 100) -> Measured:
+    """Measure a damper of another law in two motions, and an exact damper."""
     counts = {name: exchanges(name, windows) for name in ("window", "recursive")}
     sine = published_scales(MOTION, _SOFT, misfit_windows)
     motion = many_tones(misfit_windows * WINDOW + _SETTLING)
     irregular = published_scales(motion, _STIFF, misfit_windows)
-    ratios = [error_ratios(memory, realisations) for memory in (0.0, 0.8, 0.95)]
     scales = irregular[0]
     return {
         "misfit_error_ratio": (
@@ -356,7 +311,6 @@ def steady_figures(
             chi_square(*irregular[:2]),
             f"Its mean: {float(np.mean(scales)):.3f}, the scatter {float(np.std(scales)):.3f}.",
         ),
-        "ar1_error_ratio": [float(value) for pair in ratios for part in pair for value in part],
         "needless_exchanges": (
             float(max(counts.values())),
             ", ".join(f"{name}: {count}" for name, count in counts.items()),

@@ -27,15 +27,7 @@ from builtin_interfaces.msg import Time
 from mr_damper_msgs.action import IdentifyGlobal
 from mr_damper_msgs.msg import DamperParameters, FitReport, MtsSamples, SupplyCurrent
 from mr_damper_msgs.srv import LoadParameters, SaveParameters
-from rcl_interfaces.srv import (
-    DescribeParameters,
-    GetParameters,
-    GetParameterTypes,
-    ListParameters,
-    SetParameters,
-    SetParametersAtomically,
-)
-from rclpy.parameter import Parameter
+from rcl_interfaces.srv import GetParameters
 from rclpy.serialization import serialize_message
 from sensor_msgs.msg import Temperature
 from std_msgs.msg import Header
@@ -67,9 +59,6 @@ from mr_damper_ros.tracking.window_assembler import RawWindow
 
 _SIZE = 1_000_000
 """Size of the largest messages [B]."""
-
-_PARAMETER = 70
-"""Size of a parameter in a request [B]: its name, and a field for each type of value."""
 
 _WATCHED, _SLOW = 0.5, 0.1
 """Time [s] for which a node is observed after a message, and after an answer that took longer than
@@ -210,11 +199,6 @@ def cases() -> Iterator[HostileMessage]:
         request.goal_id.uuid = np.frombuffer(hashlib.md5(what.encode()).digest(), dtype=np.uint8)
         service = "/identifier/identify_global/_action/send_goal"
         yield HostileMessage(f"a goal with {what}", request, service, send_goal)
-    for node in _NODES:
-        for kind, service, field, values in _REQUESTS:
-            for what, value in values.items():
-                request = kind.Request(**{field: value})
-                yield HostileMessage(f"{service} with {what}", request, f"/{node}/{service}", kind)
 
 
 def _samples() -> Iterator[HostileMessage]:
@@ -273,37 +257,6 @@ def _spoilt(make: Callable[[], Any]) -> Iterator[tuple[str, Any]]:
             message = make()
             setattr(message, field, value)
             yield f"{what} as {field}", message
-
-
-_NAMES = {
-    "names of one letter": ["x"] * (_SIZE // 8),
-    "a name of 1 MB": ["x" * _SIZE],
-    "a known name over and over": ["frame_id"] * (_SIZE // 16),
-    "a prefix over and over": ["qos_overrides"] * (_SIZE // 20),
-}
-
-_ASSIGNMENTS: dict[str, list[tuple[str, Any]]] = {
-    "one parameter over and over": [("frame_id", f"{n}") for n in range(_SIZE // _PARAMETER)],
-    "a text of 1 MB": [("frame_id", "x" * _SIZE)],
-    "a name of 1 MB": [("x" * _SIZE, 1.0)],
-    "many parameters": [(f"x{n}", 1.0) for n in range(_SIZE // _PARAMETER)],
-    "1 MB of numbers": [("frame_id", [1.0] * (_SIZE // 8))],
-}
-
-_NEW_VALUES = {
-    what: [Parameter(name, value=value).to_parameter_msg() for name, value in parameters]
-    for what, parameters in _ASSIGNMENTS.items()
-}
-
-_REQUESTS: list[tuple[Any, str, str, dict[str, Any]]] = [
-    (GetParameters, "get_parameters", "names", _NAMES),
-    (GetParameterTypes, "get_parameter_types", "names", _NAMES),
-    (DescribeParameters, "describe_parameters", "names", _NAMES),
-    (ListParameters, "list_parameters", "prefixes", _NAMES),
-    (SetParameters, "set_parameters", "parameters", _NEW_VALUES),
-    (SetParametersAtomically, "set_parameters_atomically", "parameters", _NEW_VALUES),
-]
-"""Services that rclpy adds to every node: type, name, field of the request and hostile values."""
 
 
 # -- starts from saved states and parameter files --------------------------------------------------

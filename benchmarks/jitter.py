@@ -8,7 +8,6 @@ the kind. Everything runs in one process, on the time of the stamps.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from itertools import product
 
 import numpy as np
@@ -28,6 +27,7 @@ from mr_damper_ros.models.published import THESIS_28_CELSIUS
 from mr_damper_ros.signals.blocks import NANOSECONDS, RigBlock, SampleBlock
 from mr_damper_ros.tracking.engine import Engine, EngineSettings
 from mr_damper_ros.tracking.tracker import TrackerSettings
+from studies.recordings import rms
 
 JITTER = 0.5
 """Largest error of a stamp, as a fraction of a sample period; uniformly distributed."""
@@ -95,27 +95,24 @@ def followed(rig: RigBlock, rate: float, size: int, kind: str) -> tuple[float, f
         truths.append(truth)
     if not any(valid):
         return 0.0, math.inf
-    error, truth = np.concatenate(errors), np.concatenate(truths)
-    return 100.0 * float(np.mean(valid)), float(np.sqrt(np.mean(error**2)) / np.std(truth))
+    nrmse = rms(np.concatenate(errors)) / float(np.std(np.concatenate(truths)))
+    return 100.0 * float(np.mean(valid)), nrmse
 
 
-def figures(
-    duration: float = DURATION,
-    blocks: Sequence[int] = (1, 10),
-    rates: Sequence[float] = (200.0, 1000.0),
-) -> Measured:
+def figures() -> Measured:
     """Worst of two dampers in a sine of the thesis and in random motion, from a cold start."""
     motions: dict[str, Excitation] = {
         "sine": SineMotion(0.005, 1.0),
-        "random": random_motion(0.003, 0.3, 3.0, duration, seed=1),
+        "random": random_motion(0.003, 0.3, 3.0, DURATION, seed=1),
     }
     valid, shares, ratios = [], [], []
-    for name, moved, rate in product(_SETS, motions, rates):
+    for name, moved, rate in product(_SETS, motions, (200.0, 1000.0)):
         settings = RigSettings(rate * _FINE, force_noise=0.0)
-        damper = EmulatedDamper(_SETS[name])
-        source = EmulatedRig(damper, motions[moved], _CURRENT, settings=settings)
-        rig = source.next_block(round(duration * rate * _FINE))
-        for size in blocks:
+        source = EmulatedRig(
+            EmulatedDamper(_SETS[name]), motions[moved], _CURRENT, settings=settings
+        )
+        rig = source.next_block(round(DURATION * rate * _FINE))
+        for size in (1, 10):
             clean, clean_nrmse = followed(rig, rate, size, "clean")
             for kind in ("clock", "sampling"):
                 share, nrmse = followed(rig, rate, size, kind)

@@ -1,4 +1,4 @@
-"""Figures of real records: what the studies write of them, cold starts, random starts.
+"""Figures of real records: what the studies write of them, and cold starts.
 
 ``make truth`` writes build/truth/truth.json, and ``make control`` build/control/control.json. If a
 document is missing, or belongs to the other variant (quick or full), the study is run first.
@@ -7,24 +7,16 @@ document is missing, or belongs to the other variant (quick or full), the study 
 from __future__ import annotations
 
 import json
-from collections.abc import Sequence
 from importlib import import_module
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from benchmarks.figure import Measured, Value, in_processes
+from benchmarks.figure import Measured, Value
 from mr_damper_ros.api.replay import replay
-from mr_damper_ros.estimation.differential_evolution import EvolutionSettings
-from mr_damper_ros.estimation.global_fit import GlobalFit, identify_global
-from mr_damper_ros.estimation.observability import operating_points_within
-from mr_damper_ros.estimation.profile_likelihood import search_misfit
 from mr_damper_ros.io.run_cuts import read_runs
-from mr_damper_ros.kinematics.window import Window
-from mr_damper_ros.models import MODELS
 from mr_damper_ros.models.sigmoid.following import EXTENDED_MODEL
-from mr_damper_ros.signals.arrays import Array
 from mr_damper_ros.signals.blocks import NANOSECONDS
 from mr_damper_ros.signals.recording import Recording
 from mr_damper_ros.tracking.acceptance import Verdict
@@ -166,56 +158,6 @@ def cold_start_figures() -> Measured:
         "cold_start_windows": [count for count, _ in found],
         "cold_start_largest_force": [size for _, size in found],
     }
-
-
-# -- convergence of searches from random starts to the lowest minimum ------------------------------
-
-_AS_GOOD = 1.01
-"""A search agrees with the published one if its cost is at most this many times as large."""
-
-_SCALES = 1.0
-"""Standard deviation of the logarithm of a random scale, around the default start of the model."""
-
-
-def _random_start(law: str, windows: Sequence[Window], seed: int) -> Array:
-    """Parameters (p,) of a random damper with a different force and shape."""
-    model, rng = MODELS[law], np.random.default_rng(seed)
-    speeds, currents = operating_points_within(windows)
-    start = model.initial_values()[0]
-    scales = model.places(model.scale_names)
-    start[scales] *= np.exp(rng.normal(0.0, _SCALES, scales.size))
-    drawn = model.draw_shape(rng, max(speeds), max(currents))
-    start[model.places(tuple(drawn))] = list(drawn.values())
-    return np.clip(start, *model.bounds)
-
-
-def _searched(search: tuple[str, Sequence[Window], int]) -> GlobalFit:
-    law, windows, seed = search
-    start = _random_start(law, windows, seed)
-    return identify_global(MODELS[law], windows, start, EvolutionSettings(seed=seed))
-
-
-def start_figures(starts: int = 20, laws: Sequence[str] = _TWO_LAWS, step: int = 1) -> Measured:
-    """The processed sinusoid records, every ``step``-th.
-
-    All costs use the noise estimate of the published search, because each search scales its own
-    cost by the residuals of its fits to single records.
-    """
-    place = recordings.folder()
-    if place is None:
-        return {"starts_agreeing": (None, recordings.NONE)}
-    windows = recordings.processed_windows(place)[::step]
-    shares, notes = [], []
-    for law in laws:
-        start = MODELS[law].initial_values()[0]
-        published = identify_global(MODELS[law], windows, start, EvolutionSettings())
-        misfit = search_misfit(published, windows)
-        most = _AS_GOOD * misfit.mean_square(published.parameter_set.values)
-        fits = in_processes(_searched, [(law, windows, seed) for seed in range(1, starts + 1)])
-        costs = [misfit.mean_square(fit.parameter_set.values) for fit in fits]
-        shares.append(float(np.mean(np.array(costs) <= most)))
-        notes.append(f"{law}: cost {published.cost:.4g}")
-    return {"starts_agreeing": (shares, "; ".join(notes))}
 
 
 # -- the original files ----------------------------------------------------------------------------
