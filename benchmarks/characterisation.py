@@ -27,7 +27,6 @@ from benchmarks.figure import PROCESSES
 from benchmarks.real_records import raw_records
 from benchmarks.streams import SetInUse, TrialResult
 from mr_damper_ros.api.replay import Replay, replay
-from mr_damper_ros.models.parameter_set import ParameterSet
 from mr_damper_ros.processes.files import write_text
 from mr_damper_ros.signals.recording import Recording
 from mr_damper_ros.tracking.engine import EngineSettings
