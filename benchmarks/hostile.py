@@ -1,4 +1,4 @@
-"""Malformed and hostile input in one campaign: blocks, files, names, recordings and saved states.
+"""Malformed and hostile input in one campaign: blocks, files and recordings.
 
 Every case corrupts good input. A case fails if it raises an undocumented error, exceeds a time
 limit, or yields a valid value that differs from the law. The same seed gives the same cases.
@@ -7,7 +7,6 @@ limit, or yields a valid value that differs from the law. The same seed gives th
 from __future__ import annotations
 
 import math
-import os
 import random
 import signal
 import struct
@@ -42,7 +41,6 @@ from mr_damper_ros.models.sigmoid.law import sine_force
 from mr_damper_ros.signals.blocks import NANOSECONDS, BlockError, SampleBlock
 from mr_damper_ros.signals.recording import Recording, RecordingError
 from mr_damper_ros.tracking.predictor import ForcePredictor, PredictorSettings
-from mr_damper_ros.tracking.state_directory import StateDirectory, StateError
 from mr_damper_ros.tracking.window_assembler import WindowAssembler, WindowSettings
 
 PERIOD = 1e-3
@@ -300,53 +298,6 @@ def _try_yaml(data: bytes) -> str:
     return "" if np.isfinite(parameters.values).all() else "a parameter that is not finite"
 
 
-# -- names of state files -------------------------------------------------------------------------
-
-_NAME_PARTS = (
-    *("..", "/", "\\", "a", "identifier", ".yaml", "~", "\0", "\n", " ", "ä"),
-    *("\u202e", "\ud800"),
-    *("x" * 300, "-", "%2e", "*", "$HOME", ":", "link", "loop", "pipe", "folder"),
-)
-
-
-class HostileNames:
-    """Names of files in a state folder, next to a file that must stay untouched."""
-
-    def __init__(self, chance: random.Random, folder: Path) -> None:
-        self._chance = chance
-        folder.mkdir(parents=True)
-        self._folder, self._outside = folder, folder.parent / "outside.yaml"
-        self._outside.write_text("untouched")
-        (folder / "link.yaml").symlink_to(self._outside)
-        (folder / "loop.yaml").symlink_to(folder / "loop.yaml")
-        os.mkfifo(folder / "pipe.yaml")
-        (folder / "folder.yaml").mkdir()
-        self._around = sorted(os.listdir(folder.parent))
-        self._state = StateDirectory(folder)
-        self._set = ParameterSet(THESIS_28_CELSIUS, set_id="good")
-
-    def try_name(self) -> str:
-        """Load, save or locate a file of a random name."""
-        name = "".join(self._chance.choices(_NAME_PARTS, k=self._chance.choice((1, 1, 2, 3))))
-        action = self._chance.choice((self._state.load, self._save, self._state.file))
-        try:
-            result = action(name)
-        except StateError:
-            result = None
-        if sorted(os.listdir(self._outside.parent)) != self._around:
-            return f"the name {name!r} has made a file outside"
-        if self._outside.read_text() != "untouched":
-            return f"the name {name!r} has reached a file outside"
-        if isinstance(result, Path) and result.parent != self._folder:
-            return f"the name {name!r} means {result}"
-        return ""
-
-    def _save(self, name: str) -> Path:
-        if name.removesuffix(".yaml") in ("link", "loop", "pipe"):
-            raise StateError("these are needed as they are")
-        return self._state.save(name, self._set)
-
-
 # -- recordings with little information -----------------------------------------------------------
 
 _PACKAGE = Path(mr.__file__).parent
@@ -421,7 +372,7 @@ def _one_of(rng: np.random.Generator, names: Mapping[str, object]) -> str:
 
 # -- the campaign ---------------------------------------------------------------------------------
 
-_SHARES = {"blocks": 35, "text": 20, "yaml": 20, "names": 23, "mat": 1, "bag": 1}
+_SHARES = {"blocks": 46, "text": 26, "yaml": 26, "mat": 1, "bag": 1}
 """Kinds of quick cases, with their percentages."""
 
 TIME_LIMIT = 10.0
@@ -480,7 +431,6 @@ def _limited(seconds: float | None) -> Iterator[None]:
 
 def _tries(chance: random.Random, seed: int, folder: Path) -> dict[str, Try]:
     good = _good_files(folder)
-    names = HostileNames(chance, folder / "states" / "state")
     numbers = iter(range(2**31))
 
     def file(kind: str, name: str, read: Callable[[Path], Sequence[Recording]]) -> Try:
@@ -492,6 +442,5 @@ def _tries(chance: random.Random, seed: int, folder: Path) -> dict[str, Try]:
         "mat": file("mat", "record.mat", lambda path: _read_record(chance, path)),
         "bag": file("bag", "record.mcap", read_bag),
         "yaml": lambda: _try_yaml(spoilt(chance, good["yaml"])),
-        "names": names.try_name,
         "recording": lambda: _try_identification(np.random.default_rng((seed, next(numbers)))),
     }

@@ -5,6 +5,7 @@ from __future__ import annotations
 import socketserver
 import threading
 import time
+from contextlib import suppress
 
 from mr_damper_ros.rig.supplies.scpi_link import EmulatedInstrument
 
@@ -19,8 +20,7 @@ class InstrumentServer:
 
     def __init__(self, instrument: EmulatedInstrument) -> None:
         self.instrument = instrument
-        self.silent = False
-        self.deaf = False
+        self.silent = self.deaf = False
         self.dribble = 0.0
         self.lines: list[str] = []
         self._connections: list[socketserver.StreamRequestHandler] = []
@@ -29,30 +29,24 @@ class InstrumentServer:
         class _LineConnection(socketserver.StreamRequestHandler):
             def handle(self) -> None:
                 outer._connections.append(self)
-                try:
+                with suppress(OSError):  # the client has died
                     for line in self.rfile:
                         outer._hear(self, line)
-                except OSError:
-                    return  # the client has died
 
         class _SocketServer(socketserver.ThreadingTCPServer):
-            daemon_threads = True
-            allow_reuse_address = True
+            daemon_threads = allow_reuse_address = True
 
         self._server = _SocketServer(("127.0.0.1", 0), _LineConnection)
         self.address = "{}:{}".format(*self._server.server_address[:2])
-        self._thread = threading.Thread(
-            target=self._server.serve_forever, args=(0.02,), daemon=True
-        )
+        serve = self._server.serve_forever
+        self._thread = threading.Thread(target=serve, args=(0.02,), daemon=True)
         self._thread.start()
 
     def cut(self) -> None:
         """Close the present connections; new ones are accepted."""
         for connection in self._connections:
-            try:
+            with suppress(OSError):  # it was closed before
                 connection.request.shutdown(2)
-            except OSError:
-                continue  # it was closed before
         self._connections.clear()
 
     def close(self) -> None:
@@ -69,10 +63,7 @@ class InstrumentServer:
         self.lines.append(text)
         answer = self.instrument.process(text)
         if answer is not None and not self.silent:
-            try:
-                while self.dribble:
-                    connection.wfile.write(b"1")
-                    time.sleep(self.dribble)
-                connection.wfile.write(answer.encode("ascii") + b"\n")
-            except OSError:
-                return
+            while self.dribble:
+                connection.wfile.write(b"1")
+                time.sleep(self.dribble)
+            connection.wfile.write(answer.encode("ascii") + b"\n")

@@ -12,6 +12,7 @@ import signal
 import threading
 import time
 from collections.abc import Callable
+from functools import partial
 
 import numpy as np
 
@@ -57,15 +58,16 @@ class _Rig(Nodes):
 
     def trial(self, event: str) -> float:
         """Time [s] from the event to zero current."""
+        place, _, kind = event.partition("_")
+        victim = self.programs["supply" if place == "node" else "send-current"]
+        number = signal.SIGKILL if kind == "killed" else signal.SIGSTOP
+        fails: dict[str, Callable[[], object]] = {
+            "link_cut": self.server.cut,
+            "link_dead": lambda: setattr(self.server, "deaf", True),
+        }
         self.until(lambda current: current > 0.95 * _CURRENT, "the current")
         time.sleep(0.2)
-        if event == "link_cut":
-            self.server.cut()
-        elif event == "link_dead":
-            self.server.deaf = True
-        else:
-            victim = self.programs["supply" if event.startswith("node") else "send-current"]
-            victim.send_signal(signal.SIGKILL if event.endswith("killed") else signal.SIGSTOP)
+        fails.get(event, lambda: victim.send_signal(number))()
         passed = self.until(lambda current: current < _NONE, "no current")
         self._mend(event)
         return passed
@@ -75,8 +77,9 @@ class _Rig(Nodes):
 
         The slow answers begin ``lead`` [s] before the death.
         """
+        begin = partial(setattr, self.server, "dribble", _DRIBBLE)
+        begins = threading.Timer(max(-lead, 0.0), begin)
         self.until(lambda current: current > 0.95 * _CURRENT, "the current")
-        begins = threading.Timer(max(-lead, 0.0), lambda: setattr(self.server, "dribble", _DRIBBLE))
         begins.start()
         time.sleep(max(lead, 0.0))
         self.programs["send-current"].kill()

@@ -6,7 +6,7 @@ import pytest
 
 from benchmarks import hostile
 
-CASES = {"blocks": 40, "text": 200, "yaml": 150, "names": 300, "mat": 8, "bag": 30, "recording": 2}
+CASES = {"blocks": 40, "text": 200, "yaml": 150, "mat": 8, "bag": 30, "recording": 2}
 
 
 @pytest.mark.parametrize("kind", CASES)
