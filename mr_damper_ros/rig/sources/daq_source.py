@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import re
 import time
+from collections import Counter
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack
 from dataclasses import dataclass
@@ -26,10 +27,9 @@ from mr_damper_ros.rig.sources.device_source import (
     TimedSample,
 )
 from mr_damper_ros.rig.sources.rows import Row
-from mr_damper_ros.rig.sources.source import SourceState, StreamSettings
 from mr_damper_ros.settings.option_table import ParameterTable, option
 from mr_damper_ros.signals.arrays import Array
-from mr_damper_ros.signals.blocks import NANOSECONDS, RigBlock
+from mr_damper_ros.signals.blocks import NANOSECONDS
 from mr_damper_ros.signals.clocks import CountedTimes
 
 MOST_READ = 10_000
@@ -310,6 +310,7 @@ DRIVERS = {
 
 
 _QUANTITIES = ("displacement", "force", "current")
+_MISSING = "without a value"
 
 SATURATED = "at the end of its range"
 """Suffix after the name of a channel in the keys of :meth:`Source.state`: a sample count."""
@@ -400,13 +401,6 @@ class DaqSource(DeviceSource[Readings]):
     options = DaqOptions
     prefix = "daq."
 
-    def __init__(self, settings: DaqOptions, stream: StreamSettings) -> None:
-        super().__init__(settings, stream)
-        # Number of saturated samples by channel: in total, and at the last report.
-        self._saturated: dict[str, int] = {}
-        self._reported: dict[str, int] = {}
-        self._missing = 0
-
     @property
     def _wanted(self) -> list[str]:
         """The quantities with a channel."""
@@ -430,32 +424,13 @@ class DaqSource(DeviceSource[Readings]):
         driver = DRIVERS[given.driver]
         self._connect = driver.connector(channels)
         self._name = given.device or driver.what
+        self.silence = f"no samples arrive from {given.driver} {given.device}"
+        self.counted = (*(f"{name} {SATURATED}" for name in wanted), _MISSING)
         places = zip(wanted, channels.names, strict=True)
         return [
             f"{given.driver} {given.device}: "
             + ", ".join(f"{name} from {channel or 'a sine'}" for name, channel in places)
         ]
-
-    def blocks(self, start_ns: int) -> Iterator[RigBlock]:
-        """Yield the samples as the device takes them."""
-        self._saturated = dict.fromkeys(self._wanted, 0)
-        self._reported = dict(self._saturated)
-        self._missing = 0
-        self._times = None
-        return self._read(self._connect, self._name, start_ns)
-
-    def state(self) -> SourceState:
-        """The state of the device, and the number of saturated samples by channel."""
-        reader = self._reader
-        if reader is None:
-            return SourceState("", {})
-        values: dict[str, object] = {
-            "connections": reader.connections,
-            **{f"{name} {SATURATED}": n for name, n in self._saturated.items()},
-            "without a value": self._missing,
-            **(self._times.values() if self._times is not None else {}),
-        }
-        return SourceState(self._fault(reader.fault), values)
 
     def _samples(self, portion: Portion[Readings], *, begins: bool) -> Iterator[TimedSample | None]:
         """Convert readings to units and times; the last one was taken at the arrival."""
@@ -485,22 +460,16 @@ class DaqSource(DeviceSource[Readings]):
             )
             known = np.isfinite(values)
             full = known & (np.abs(values) >= _FULL * limit)
-            self._saturated[name] += int(np.count_nonzero(full))
-            self._missing += int(np.count_nonzero(~known))
+            self._counts[f"{name} {SATURATED}"] += int(np.count_nonzero(full))
+            self._counts[_MISSING] += int(np.count_nonzero(~known))
             sound = known & ~full
             channels[_QUANTITIES.index(name)] = np.where(sound, scale * values + offset, math.nan)
         return channels
 
-    def _fault(self, of_device: str) -> str:
-        """The present fault, as a sentence; empty without a fault."""
-        reported, self._reported = self._reported, dict(self._saturated)
-        if of_device:
-            return of_device
-        if self._silent:
-            return f"no samples arrive from {self.settings.driver} {self.settings.device}"
-        for name, count in self._reported.items():
-            new = count - reported[name]
-            if new:
-                limit = getattr(self.settings, f"{name}_range")
-                return f"the {name} is {SATURATED} of {limit:g} V: {new} samples of it were omitted"
+    def _fault_of(self, new: Counter[str]) -> str:
+        for name in self._wanted:
+            count = new[f"{name} {SATURATED}"]
+            if count:
+                end = f"{SATURATED} of {getattr(self.settings, f'{name}_range'):g} V"
+                return f"the {name} is {end}: {count} samples of it were omitted"
         return ""

@@ -6,13 +6,14 @@ import queue
 import threading
 import time
 from abc import abstractmethod
+from collections import Counter
 from collections.abc import Callable, Generator, Iterable, Iterator, Mapping
 from contextlib import closing, suppress
 from typing import Any, ClassVar, Generic, NamedTuple, TypeVar
 
 from mr_damper_ros.rig.blocks import BlockMaker, Measured
 from mr_damper_ros.rig.sources.rows import Row
-from mr_damper_ros.rig.sources.source import Source, StreamSettings
+from mr_damper_ros.rig.sources.source import Source, SourceState, StreamSettings
 from mr_damper_ros.signals.blocks import NANOSECONDS, RigBlock
 from mr_damper_ros.signals.clocks import ArrivalClock, CountedTimes
 from mr_damper_ros.signals.stamped_channel import StampedChannel
@@ -296,15 +297,21 @@ class DeviceSource(Source, Generic[T]):
 
     live: ClassVar[bool] = True
 
+    counted: tuple[str, ...]
+    """Names of the counts in :meth:`state`."""
+
+    _connect: Callable[[], Portions[T]]
+    _name: str
+    """Connects to the device of this name; both are set by :meth:`open`."""
+
+    silence: str
+    """The fault of a device that sends nothing, as a sentence."""
+
     def __init__(self, settings: Any, stream: StreamSettings) -> None:
         super().__init__(settings, stream)
         self._reader: DeviceReader[T] | None = None
         self._times: RowTimes | None = None
         self._heard = 0.0
-
-    @property
-    def _silent(self) -> bool:
-        return time.monotonic() - self._heard > SILENCE
 
     @abstractmethod
     def _samples(self, portion: Portion[T], *, begins: bool) -> Iterable[TimedSample | None]:
@@ -313,20 +320,38 @@ class DeviceSource(Source, Generic[T]):
         A missing sample ends the current block at once.
         """
 
+    @abstractmethod
+    def _fault_of(self, new: Counter[str]) -> str:
+        """The fault shown by the counts since the last report, as a sentence; empty if none."""
+
+    def blocks(self, start_ns: int) -> Iterator[RigBlock]:
+        """Connect, and yield the samples as they arrive."""
+        self.close()
+        self._counts, self._reported = Counter(dict.fromkeys(self.counted, 0)), Counter[str]()
+        self._times = None
+        self._heard = time.monotonic()
+        self._reader = DeviceReader(self._connect, self._name)
+        return self._stream(self._reader, HostClock(start_ns))
+
+    def state(self) -> SourceState:
+        """The state of the connection, of the samples and of their times."""
+        if self._reader is None:
+            return SourceState("", {})
+        new, self._reported = self._counts - self._reported, self._counts.copy()
+        fault = self._reader.fault
+        if not fault and time.monotonic() - self._heard > SILENCE:
+            fault = self.silence
+        values = {"connections": self._reader.connections, **self._counts}
+        if self._times is None:
+            return SourceState(fault, values)
+        fault = fault or self._fault_of(new) or self._times.fault()
+        return SourceState(fault, {**values, **self._times.values()})
+
     def close(self) -> None:
         """Release the device."""
         if self._reader is not None:
             self._reader.close()
             self._reader = None
-
-    def _read(
-        self, connect: Callable[[], Portions[T]], name: str, start_ns: int
-    ) -> Iterator[RigBlock]:
-        """Connect, and yield the blocks as they arrive."""
-        self.close()
-        self._heard = time.monotonic()
-        self._reader = DeviceReader(connect, name)
-        return self._stream(self._reader, HostClock(start_ns))
 
     def _stream(self, reader: DeviceReader[T], clock: HostClock) -> Iterator[RigBlock]:
         maker, connection = BlockMaker(self.stream.block_size), 0

@@ -6,6 +6,7 @@ import math
 import re
 import socket
 import time
+from collections import Counter
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import partial
@@ -32,9 +33,7 @@ from mr_damper_ros.rig.sources.rows import (
     check_layout,
     parse_row_format,
 )
-from mr_damper_ros.rig.sources.source import SourceState, StreamSettings
 from mr_damper_ros.settings.option_table import ParameterTable, option
-from mr_damper_ros.signals.blocks import RigBlock
 from mr_damper_ros.signals.clocks import CountedTimes
 
 _LARGEST = 65535
@@ -223,13 +222,7 @@ class StreamSource(DeviceSource[bytes]):
     options = StreamOptions
     prefix = "stream."
 
-    def __init__(self, settings: StreamOptions, stream: StreamSettings) -> None:
-        super().__init__(settings, stream)
-        self._address = parse_address("udp:[::]:1")
-        self._decoder: RowDecoder | None = None
-        # Number of readable and unreadable rows: in total, and at the last report.
-        self._readable, self._unreadable = 0, 0
-        self._reported = (0, 0)
+    counted = ("readable", "unreadable")
 
     def open(self) -> list[str]:
         """Check the options; the connection is made when the streaming starts."""
@@ -242,61 +235,42 @@ class StreamSource(DeviceSource[bytes]):
             self._connect: Callable[[], Portions[bytes]] = sender.portions
         else:
             self._connect = connector(self._address, given.baud)
+        self._decoder: RowDecoder = (
+            RecordDecoder(self._form, given.layout, bytes.fromhex(given.mark), given.check)
+            if given.layout
+            else LineDecoder(self._form)
+        )
+        self._name = str(self._address)
+        self.silence = f"nothing arrives from {given.address}: is its sender running?"
         kind = f"records {given.layout}" if given.layout else "lines"
         return [f"{kind} from {given.address}: {given.columns}"]
 
-    def blocks(self, start_ns: int) -> Iterator[RigBlock]:
-        """Yield the samples as they arrive."""
-        given, form = self.settings, self._form
-        self._decoder = (
-            RecordDecoder(form, given.layout, bytes.fromhex(given.mark), given.check)
-            if given.layout
-            else LineDecoder(form)
-        )
-        if form.time_unit is None:
-            counts = None if form.count is None else 2**form.bits
-            self._times = CountedRows(CountedTimes(given.rate, counts))
-        else:
-            self._times = StampedRows(form.time_unit)
-        self._readable, self._unreadable, self._reported = 0, 0, (0, 0)
-        return self._read(self._connect, str(self._address), start_ns)
-
-    def state(self) -> SourceState:
-        """The state of the link, the number of unreadable rows, and the fault of the times."""
-        reader, times = self._reader, self._times
-        if reader is None or times is None:
-            return SourceState("", {})
-        values = {"connections": reader.connections, "unreadable": self._unreadable}
-        return SourceState(self._fault(reader.fault, times), {**values, **times.values()})
+    def _new_times(self) -> RowTimes:
+        form = self._form
+        if form.time_unit is not None:
+            return StampedRows(form.time_unit)
+        counts = None if form.count is None else 2**form.bits
+        return CountedRows(CountedTimes(self.settings.rate, counts))
 
     def _samples(self, portion: Portion[bytes], *, begins: bool) -> Iterator[TimedSample]:
-        decoder, times, datagrams = self._decoder, self._times, self._address.kind == "udp"
-        assert decoder is not None
-        assert times is not None
+        datagrams = self._address.kind == "udp"
+        self._times = times = self._times or self._new_times()
         if begins or datagrams:
             # Reading from a serial line starts in the middle of a row.
-            decoder.begin(whole=self._address.kind != "serial")
+            self._decoder.begin(whole=self._address.kind != "serial")
         end = b"\n" if datagrams and not self.settings.layout else b""
-        for row in decoder.feed(portion.data + end):
+        for row in self._decoder.feed(portion.data + end):
+            self._counts["readable" if row else "unreadable"] += 1
             if row is None:
-                self._unreadable += 1
                 times.skip()
             else:
-                self._readable += 1
                 yield from times.add(row, portion.arrival_ns)
 
-    def _fault(self, of_link: str, times: RowTimes) -> str:
-        """The present fault, as a sentence; empty without a fault."""
-        reported, self._reported = self._reported, (self._readable, self._unreadable)
-        read, unread = self._readable - reported[0], self._unreadable - reported[1]
-        if of_link:
-            return of_link
-        if self._silent:
-            return f"nothing arrives from {self.settings.address}: is its sender running?"
-        if unread > _MANY * (read + unread):
-            assert self._decoder is not None
-            return (
-                f"{unread} of {read + unread} rows cannot be read as {self.settings.columns}, such "
-                f"as '{self._decoder.example}'"
-            )
-        return times.fault()
+    def _fault_of(self, new: Counter[str]) -> str:
+        unread, total = new["unreadable"], new.total()
+        if unread <= _MANY * total:
+            return ""
+        return (
+            f"{unread} of {total} rows cannot be read as {self.settings.columns}, such as "
+            f"'{self._decoder.example}'"
+        )
