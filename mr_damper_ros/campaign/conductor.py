@@ -16,7 +16,7 @@ from mr_damper_ros.campaign.course import (
     judge_run,
     report_campaign,
 )
-from mr_damper_ros.campaign.folder import CampaignFolder, MadeRun
+from mr_damper_ros.campaign.folder import MadeRun
 from mr_damper_ros.campaign.runs import REST, DriveSettings, DriveStage, MachineCommand, RunDriver
 from mr_damper_ros.estimation.experiment_design import PlanState
 from mr_damper_ros.processes.worker import Done, Failed, Outcome, TaskRunner
@@ -79,7 +79,6 @@ class CampaignConductor:
         self._worker = worker
         self._settings = settings
         self._course: CampaignCourse | None = None
-        self._folder: CampaignFolder | None = None
         self._driver: RunDriver | None = None
         self._made: MadeRun | None = None
         self._celsius: tuple[int, float] | None = None
@@ -96,10 +95,10 @@ class CampaignConductor:
         """Whether a campaign is running."""
         return self._course is not None
 
-    def begin(self, course: CampaignCourse, folder: CampaignFolder) -> None:
-        """Start this campaign, which stores its runs in ``folder``; no other may be running."""
+    def begin(self, course: CampaignCourse) -> None:
+        """Start this campaign, which must have a folder; no other may be running."""
         assert self._course is None
-        self._course, self._folder = course, folder
+        self._course = course
         self._paused = self._reporting = False
         self._driver, self._rested_ns, self._made = None, None, None
         if course.runs:
@@ -218,24 +217,25 @@ class CampaignConductor:
     def poll(self) -> CampaignCourse | None:
         """Collect results of the worker and give it new work; returns the course at its end."""
         outcomes = self._worker.poll()
-        course, folder = self._course, self._folder
-        if course is None or folder is None:
+        course = self._course
+        if course is None:
             return None
+        assert course.folder is not None
         for outcome in outcomes:
             self._take_outcome(course, outcome)
         if self._worker.busy:
             return None
         if self._made is not None:
-            self._worker.submit(judge_run, folder.path, len(course.runs) + 1, self._made)
+            self._worker.submit(judge_run, course.folder, len(course.runs) + 1, self._made)
         elif course.outcome is None:
             if course.work is not None:
                 self._worker.submit(find_step, *course.work)
         elif course.steps and not self._reporting:
             self._reporting = True
-            self._worker.submit(report_campaign, folder.path, course.reason)
+            self._worker.submit(report_campaign, course.folder, course.reason)
         else:
-            folder.close()
-            self._course = self._folder = None
+            course.close()
+            self._course = None
             return course
         return None
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable, Iterable, Sequence
+from contextlib import closing
 from dataclasses import dataclass, replace
 from enum import IntEnum
 from functools import lru_cache
@@ -13,11 +14,12 @@ import numpy as np
 
 from mr_damper_ros.api.measured_runs import RunSource, all_windows, measured_run, measured_runs
 from mr_damper_ros.campaign.folder import (
-    CampaignFolder,
     CampaignStep,
     CampaignTask,
     MadeRun,
+    claim_folder,
     keep_run,
+    keep_step,
     read_campaign_runs,
     read_steps,
 )
@@ -130,19 +132,20 @@ def find_step(
 
 
 class CampaignCourse:
-    """A campaign from its start, or continued from ``folder``.
+    """A campaign from its start, or continued from ``folder``, which it locks until it is closed.
 
     ``next_run`` is the run to make now. It is None if ``work`` must be done first, or if the
     campaign has ended; ``outcome`` and ``reason`` then say why. At most ``most_runs`` are made.
 
-    Raises ValueError if the machine cannot make the first run, or the folder is damaged.
+    Raises ValueError if the machine cannot make the first run, and as :func:`claim_folder`, also if
+    the folder is damaged.
     """
 
     def __init__(
         self,
         task: CampaignTask,
         *,
-        folder: CampaignFolder | None = None,
+        folder: Path | None = None,
         most_runs: int = 20,
         evolution: EvolutionSettings | None = None,
     ) -> None:
@@ -151,14 +154,24 @@ class CampaignCourse:
         self.steps: list[CampaignStep] = []
         self.refusals = 0
         self.reason = ""
-        self._folder = folder
+        self.folder = folder
         self._most_runs = most_runs
         self._evolution = evolution or EvolutionSettings()
         self._first = first_run(task.goal, task.limits)
         self._ended: CampaignOutcome | None = None
         if folder is not None:
-            self.runs = read_campaign_runs(folder.path)
-            self.steps = read_steps(folder.path)[: len(self.runs)]
+            self._lock = claim_folder(folder, task)
+            try:
+                self.runs = read_campaign_runs(folder)
+                self.steps = read_steps(folder)[: len(self.runs)]
+            except BaseException:
+                self.close()
+                raise
+
+    def close(self) -> None:
+        """Release the folder for other programs."""
+        if self.folder is not None:
+            self._lock.release()
 
     @property
     def number(self) -> int:
@@ -202,8 +215,7 @@ class CampaignCourse:
         """
         run = made or self.next_run
         assert run is not None, "there is no run to make now"
-        folder = None if self._folder is None else self._folder.path
-        refusal = judge_run(folder, len(self.runs) + 1, (run, recording))
+        refusal = judge_run(self.folder, len(self.runs) + 1, (run, recording))
         self.add_run((run, recording), refusal)
         return refusal
 
@@ -219,8 +231,8 @@ class CampaignCourse:
 
     def add_step(self, step: CampaignStep) -> None:
         """Add the result of the work. Raises OSError."""
-        if self._folder is not None:
-            self._folder.keep_step(len(self.steps) + 1, step)
+        if self.folder is not None:
+            keep_step(self.folder, len(self.steps) + 1, step)
         self.steps.append(step)
 
     def end(self, reason: str) -> None:
@@ -311,9 +323,9 @@ def run_campaign(
     the folder holds another campaign.
     """
     task = CampaignTask(goal, limits, model)
-    kept = None if folder is None else CampaignFolder(Path(folder), task)
-    try:
-        course = CampaignCourse(task, folder=kept, most_runs=most_runs, evolution=evolution)
+    path = None if folder is None else Path(folder)
+    course = CampaignCourse(task, folder=path, most_runs=most_runs, evolution=evolution)
+    with closing(course):
         while course.outcome is None:
             if course.work is not None:
                 course.add_step(find_step(*course.work))
@@ -321,9 +333,6 @@ def run_campaign(
                     course.end("it was ended")
             elif course.next_run is not None:
                 course.add_recording(perform(course.next_run))
-    finally:
-        if kept is not None:
-            kept.close()
     if course.outcome is CampaignOutcome.FAILED:
         raise ValueError(course.reason)
     return ForceCampaign(tuple(course.steps), course.outcome is CampaignOutcome.MET, course.reason)

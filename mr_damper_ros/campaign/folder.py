@@ -49,50 +49,43 @@ class CampaignTask:
     model: str
 
 
-class CampaignFolder:
-    """The folder of one campaign, for exclusive use by one program.
+def claim_folder(path: Path, task: CampaignTask) -> FolderLock:
+    """Lock the folder of a campaign for one program; a new folder receives the task.
 
     ``campaign.json`` contains the task, ``runs/`` the bags of all runs (also of rejected ones),
     ``steps/`` the result after each run, and ``set.yaml`` the last set.
 
     Raises ValueError if another program uses the folder or it holds another campaign, and OSError.
     """
+    lock = FolderLock(path / ".lock")
+    try:
+        _check_task(path, task)
+    except BaseException:
+        lock.release()
+        raise
+    return lock
 
-    def __init__(self, path: Path, task: CampaignTask) -> None:
-        self.path = path
-        self._lock = FolderLock(path / ".lock")
-        try:
-            self._check(task)
-        except BaseException:
-            self._lock.release()
-            raise
 
-    def close(self) -> None:
-        """Release the folder for other programs."""
-        self._lock.release()
+def _check_task(folder: Path, task: CampaignTask) -> None:
+    path = folder / "campaign.json"
+    if not path.exists():
+        write_text(path, json.dumps(json_ready(asdict(task)), indent=2) + "\n")
+        return
+    before = read_task(folder)
+    # Finished runs stay valid if the permitted motions change.
+    before = replace(before, limits=replace(before.limits, motions=task.limits.motions))
+    for part in ("goal", "limits", "model"):
+        if getattr(before, part) != getattr(task, part):
+            raise ValueError(
+                f"{folder} holds a campaign with another {part}: choose another folder, or give "
+                f"the same {part} as before"
+            )
 
-    def _check(self, task: CampaignTask) -> None:
-        path = self.path / "campaign.json"
-        if not path.exists():
-            write_text(path, json.dumps(json_ready(asdict(task)), indent=2) + "\n")
-            return
-        before = read_task(self.path)
-        # Finished runs stay valid if the permitted motions change.
-        same = replace(before.limits, motions=task.limits.motions)
-        before = replace(before, limits=same)
-        for part in ("goal", "limits", "model"):
-            if getattr(before, part) != getattr(task, part):
-                raise ValueError(
-                    f"{self.path} holds a campaign with another {part}: choose another folder, or "
-                    f"give the same {part} as before"
-                )
 
-    def keep_step(self, number: int, step: CampaignStep) -> None:
-        """Write the result after a run atomically."""
-        write_text(
-            _step_path(self.path, number), json.dumps(_document(step), allow_nan=False) + "\n"
-        )
-        step.parameter_set.save(self.path / "set.yaml")
+def keep_step(folder: Path, number: int, step: CampaignStep) -> None:
+    """Write the result after a run atomically. Raises OSError."""
+    write_text(_step_path(folder, number), json.dumps(_document(step), allow_nan=False) + "\n")
+    step.parameter_set.save(folder / "set.yaml")
 
 
 def keep_run(

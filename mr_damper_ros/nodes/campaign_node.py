@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable
-from contextlib import ExitStack
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -25,7 +24,7 @@ from mr_damper_ros.campaign.conductor import (
     ConductSettings,
 )
 from mr_damper_ros.campaign.course import CampaignCourse, CampaignOutcome
-from mr_damper_ros.campaign.folder import CampaignFolder, CampaignTask
+from mr_damper_ros.campaign.folder import CampaignTask
 from mr_damper_ros.campaign.goal_options import GoalOptions, MachineOptions
 from mr_damper_ros.campaign.runs import REST, MachineCommand
 from mr_damper_ros.estimation.planned_run import first_run
@@ -209,13 +208,10 @@ class CampaignNode(Node):
             raise ValueError("there is no folder to store the runs: set the parameter folder")
         limits = options.machine.limits(manual=options.conduct.manual)
         task = CampaignTask(wanted.goal(), limits, options.model)
-        with ExitStack() as stack:
-            folder = CampaignFolder(Path(options.folder).expanduser().absolute(), task)
-            stack.callback(folder.close)
-            course = CampaignCourse(task, folder=folder, most_runs=options.most_runs)
-            stack.pop_all()
+        folder = Path(options.folder).expanduser().absolute()
+        course = CampaignCourse(task, folder=folder, most_runs=options.most_runs)
         self._last, self._failed = "", False
-        self._conductor.begin(course, folder)
+        self._conductor.begin(course)
 
     def _steer(self, act: Callable[[], None], said: str, _: Any, response: Any) -> Any:
         response.success = self._conductor.running

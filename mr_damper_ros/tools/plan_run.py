@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Mapping, Sequence
+from contextlib import closing
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
@@ -20,7 +21,7 @@ from mr_damper_ros.campaign.course import (
     fault_of_run,
     find_step,
 )
-from mr_damper_ros.campaign.folder import CampaignFolder, CampaignTask, read_task
+from mr_damper_ros.campaign.folder import CampaignTask, read_task
 from mr_damper_ros.campaign.goal_options import GoalOptions, MachineOptions
 from mr_damper_ros.campaign.report import write_campaign_report
 from mr_damper_ros.campaign.runs import RunNotFoundError, cut_run, run_as_made, write_signal
@@ -208,12 +209,8 @@ def _continue_campaign(options: argparse.Namespace, missing: Sequence[str]) -> i
     listed = find_recordings(options.bags)[0] if options.bags else []
     waiting = [recording for entry in listed for recording in read_bag(entry.path)]
     waiting.sort(key=lambda recording: recording.start_ns)
-    folder = CampaignFolder(options.keep, task)
-    try:
-        course = CampaignCourse(task, folder=folder, most_runs=options.runs)
+    with closing(CampaignCourse(task, folder=options.keep, most_runs=options.runs)) as course:
         _process_recordings(course, waiting)
-    finally:
-        folder.close()
     if course.steps:
         _print_accuracy(course.steps[-1].plan, task.goal)
         print(f"report: {write_campaign_report(options.keep, course.reason)}")

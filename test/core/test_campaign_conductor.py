@@ -17,7 +17,7 @@ from hypothesis import strategies as st
 from mr_damper_ros.campaign import course as campaign_course
 from mr_damper_ros.campaign.conductor import CampaignConductor, CampaignStage, ConductSettings
 from mr_damper_ros.campaign.course import CampaignCourse, CampaignOutcome
-from mr_damper_ros.campaign.folder import CampaignFolder, CampaignTask, read_campaign_runs
+from mr_damper_ros.campaign.folder import CampaignTask, read_campaign_runs
 from mr_damper_ros.campaign.runs import REST, MachineCommand
 from mr_damper_ros.emulation.emulator import (
     CurrentSchedule,
@@ -153,8 +153,7 @@ def begun(
 ) -> tuple[CampaignConductor, Inline]:
     worker = Inline()
     conductor = CampaignConductor(worker, settings or ConductSettings())
-    kept = CampaignFolder(folder, task)
-    conductor.begin(CampaignCourse(task, folder=kept), kept)
+    conductor.begin(CampaignCourse(task, folder=folder))
     return conductor, worker
 
 

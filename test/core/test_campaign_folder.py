@@ -11,8 +11,9 @@ import pytest
 from campaign_of_three import GOAL, LIMITS, RUNS, TASK, perform, plan_quickly, played
 
 import mr_damper_ros as mr
+from mr_damper_ros.campaign import course as campaign_course
 from mr_damper_ros.campaign.course import fault_of_run
-from mr_damper_ros.campaign.folder import CampaignFolder, read_campaign_runs, read_steps, read_task
+from mr_damper_ros.campaign.folder import claim_folder, read_campaign_runs, read_steps, read_task
 from mr_damper_ros.campaign.report import write_campaign_report
 from mr_damper_ros.campaign.runs import RunNotFoundError, cut_run
 from mr_damper_ros.estimation.planned_run import ForceGoal, MachineLimits, PlannedRun
@@ -77,13 +78,13 @@ def test_killed_at_any_moment_it_goes_on_where_it_was(
         made.append(run)
         return perform(run)
 
-    keep = CampaignFolder.keep_step
+    keep = campaign_course.keep_step
 
     def keep_step(*arguments: object) -> None:
         die()
         keep(*arguments)  # type: ignore[arg-type]
 
-    monkeypatch.setattr(CampaignFolder, "keep_step", keep_step)
+    monkeypatch.setattr(campaign_course, "keep_step", keep_step)
     with pytest.raises(KilledError):
         mr.run_campaign(GOAL, LIMITS, mortal, folder=tmp_path)
     before = state(tmp_path)
@@ -104,18 +105,18 @@ def test_killed_at_any_moment_it_goes_on_where_it_was(
 def test_another_campaign_is_refused(
     quick: list[int], tmp_path: Path, goal: ForceGoal, limits: MachineLimits, part: str
 ) -> None:
-    CampaignFolder(tmp_path, TASK).close()
+    claim_folder(tmp_path, TASK).release()
     with pytest.raises(ValueError, match=part):
         mr.run_campaign(goal, limits, perform, folder=tmp_path)
 
 
 def test_a_folder_in_use_is_refused(tmp_path: Path) -> None:
-    first = CampaignFolder(tmp_path, TASK)
+    first = claim_folder(tmp_path, TASK)
     try:
         with pytest.raises(ValueError, match="in use by another program"):
-            CampaignFolder(tmp_path, TASK)
+            claim_folder(tmp_path, TASK)
     finally:
-        first.close()
+        first.release()
 
 
 @pytest.mark.parametrize(
