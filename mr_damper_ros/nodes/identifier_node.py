@@ -19,7 +19,6 @@ from rclpy.node import Node
 from sensor_msgs.msg import Temperature
 from std_srvs.srv import Trigger
 
-from mr_damper_ros.estimation.differential_evolution import EvolutionSettings
 from mr_damper_ros.models import MODELS, machine_code
 from mr_damper_ros.models.parameter_set import ParameterError, ParameterSet, start_set
 from mr_damper_ros.models.plausibility import check_plausible
@@ -109,97 +108,6 @@ _MOST_GOALS = 20
 """Largest number of waiting goals; a search may take minutes, so a longer queue is useless."""
 
 
-class SearchGoals:
-    """Serves ``~/identify_global``: each goal is a search of the identification."""
-
-    def __init__(
-        self, node: Node, identifier: Identifier, configured: EvolutionSettings, frame_id: str
-    ) -> None:
-        self._identifier = identifier
-        self._configured = configured
-        self._frame_id = frame_id
-        self._node = node.get_fully_qualified_name()
-        self._goals: dict[Search, ServerGoalHandle] = {}
-        self._server = GoalServer(
-            node,
-            IdentifyGlobal,
-            "~/identify_global",
-            begin=self._begin,
-            refusal=self._refusal,
-            cancel=self._cancel,
-            succeeded=lambda result: bool(result.success),
-        )
-
-    def publish_progress(self, event: SearchProgress) -> None:
-        """Send the progress of a search to the client of its goal."""
-        if event.search in self._goals:
-            progress = event.progress
-            self._goals[event.search].publish_feedback(
-                IdentifyGlobal.Feedback(
-                    stage=progress.stage,
-                    generation=progress.generation,
-                    generations=progress.generations,
-                    best_cost=progress.best_cost,
-                    time_left=progress.time_left,
-                )
-            )
-
-    def finish(self, event: SearchEnded) -> None:
-        """Deliver the result of a search to the client of its goal."""
-        if event.search in self._goals:
-            self._server.finish(self._goals.pop(event.search), self._result(event))
-
-    def _refusal(self, _: IdentifyGlobal.Goal) -> str:
-        if len(self._goals) < _MOST_GOALS:
-            return ""
-        return f"{_MOST_GOALS} goals are waiting; cancel some, or try again later"
-
-    def _begin(self, goal: ServerGoalHandle) -> None:
-        try:
-            settings = replace(
-                self._configured,
-                generations=goal.request.generations or self._configured.generations,
-                seed=goal.request.seed,
-                strategy=goal.request.strategy or self._configured.strategy,
-            )
-        except ValueError as error:
-            self._server.finish(goal, IdentifyGlobal.Result(message=str(error), nrmse=math.nan))
-            return
-        search = Search(settings)
-        self._goals[search] = goal
-        self._identifier.add_search(search)
-
-    def _cancel(self, goal: ServerGoalHandle) -> None:
-        for search, known in self._goals.items():
-            if known == goal:
-                self._identifier.cancel_search(search)
-
-    def _result(self, event: SearchEnded) -> IdentifyGlobal.Result:
-        if event.outcome is None or event.report is None:
-            return IdentifyGlobal.Result(
-                message="cancelled, or superseded by a reset or another set", nrmse=math.nan
-            )
-        outcome, report = event.outcome, event.report
-        if outcome.found is None:
-            return IdentifyGlobal.Result(message=report.reason, nrmse=math.nan)
-        message = outcome.message
-        if not report.accepted:
-            message += f"; not in use: {report.reason}"
-        found = replace(
-            outcome.found,
-            set_id=report.set_id if report.accepted else _REFUSED,
-            stamp_ns=report.stamp_ns,
-        )
-        return IdentifyGlobal.Result(
-            accepted=report.accepted,
-            success=True,
-            message=message,
-            parameters=parameters_message(found, self._frame_id, self._node),
-            nrmse=report.nrmse_after,
-            evaluations=report.evaluations,
-        )
-
-
 class IdentifierNode(Node):
     """Passes incoming data to the identification, and publishes its results."""
 
@@ -238,8 +146,16 @@ class IdentifierNode(Node):
             (Trigger, "acknowledge", lambda _: state.acknowledge() or _NOTHING_WRONG),
         ):
             self.create_service(kind, f"~/{name}", partial(_answer, act))
-        self._goals = SearchGoals(
-            self, self._identifier, options.tracking.evolution, self._frame_id
+        self._evolution = options.tracking.evolution
+        self._goals: dict[Search, ServerGoalHandle] = {}
+        self._server = GoalServer(
+            self,
+            IdentifyGlobal,
+            "~/identify_global",
+            begin=self._begin_goal,
+            refusal=self._refusal,
+            cancel=self._cancel_goal,
+            succeeded=lambda result: bool(result.success),
         )
         self._worker = worker
         # A rejected fit causes a warning only if the NRMSE of the set in use exceeds this limit.
@@ -305,9 +221,9 @@ class IdentifierNode(Node):
             if isinstance(event, Publication):
                 self._publish([event])
             elif isinstance(event, SearchProgress):
-                self._goals.publish_progress(event)
+                self._publish_progress(event)
             else:
-                self._goals.finish(event)
+                self._finish_goal(event)
         for notice in self._identifier.take_notices():
             self.get_logger().warning(notice)
 
@@ -336,10 +252,11 @@ class IdentifierNode(Node):
                 self._publish_parameters(publication.parameters)
 
     def _publish_parameters(self, parameters: ParameterSet) -> None:
-        self._parameters_publisher.publish(
-            parameters_message(parameters, self._frame_id, self.get_fully_qualified_name())
-        )
+        self._parameters_publisher.publish(self._set_message(parameters))
         self._numbers_publisher.publish(parameter_numbers_message(parameters, self._frame_id))
+
+    def _set_message(self, parameters: ParameterSet) -> DamperParameters:
+        return parameters_message(parameters, self._frame_id, self.get_fully_qualified_name())
 
     def _save(self, request: Any) -> str:
         path = self._identifier.state.save(request.name)
@@ -356,6 +273,77 @@ class IdentifierNode(Node):
         parameters = self._identifier.tracker.parameters
         self._publish_parameters(parameters)
         return f"running with {parameters.set_id}" + (f"; {fault}" if fault else "")
+
+    # --- goals: each is a search of the identification -------------------------------------------
+
+    def _publish_progress(self, event: SearchProgress) -> None:
+        """Send the progress of a search to the client of its goal."""
+        if event.search in self._goals:
+            progress = event.progress
+            self._goals[event.search].publish_feedback(
+                IdentifyGlobal.Feedback(
+                    stage=progress.stage,
+                    generation=progress.generation,
+                    generations=progress.generations,
+                    best_cost=progress.best_cost,
+                    time_left=progress.time_left,
+                )
+            )
+
+    def _finish_goal(self, event: SearchEnded) -> None:
+        """Deliver the result of a search to the client of its goal."""
+        if event.search in self._goals:
+            self._server.finish(self._goals.pop(event.search), self._goal_result(event))
+
+    def _refusal(self, _: IdentifyGlobal.Goal) -> str:
+        if len(self._goals) < _MOST_GOALS:
+            return ""
+        return f"{_MOST_GOALS} goals are waiting; cancel some, or try again later"
+
+    def _begin_goal(self, goal: ServerGoalHandle) -> None:
+        try:
+            settings = replace(
+                self._evolution,
+                generations=goal.request.generations or self._evolution.generations,
+                seed=goal.request.seed,
+                strategy=goal.request.strategy or self._evolution.strategy,
+            )
+        except ValueError as error:
+            self._server.finish(goal, IdentifyGlobal.Result(message=str(error), nrmse=math.nan))
+            return
+        search = Search(settings)
+        self._goals[search] = goal
+        self._identifier.add_search(search)
+
+    def _cancel_goal(self, goal: ServerGoalHandle) -> None:
+        for search, known in self._goals.items():
+            if known == goal:
+                self._identifier.cancel_search(search)
+
+    def _goal_result(self, event: SearchEnded) -> IdentifyGlobal.Result:
+        if event.outcome is None or event.report is None:
+            return IdentifyGlobal.Result(
+                message="cancelled, or superseded by a reset or another set", nrmse=math.nan
+            )
+        outcome, report = event.outcome, event.report
+        if outcome.found is None:
+            return IdentifyGlobal.Result(message=report.reason, nrmse=math.nan)
+        message = outcome.message
+        if not report.accepted:
+            message += f"; not in use: {report.reason}"
+        found = replace(
+            outcome.found,
+            set_id=report.set_id if report.accepted else _REFUSED,
+            stamp_ns=report.stamp_ns,
+        )
+        return IdentifyGlobal.Result(
+            accepted=report.accepted,
+            success=True,
+            message=message,
+            parameters=self._set_message(found),
+            nrmse=report.nrmse_after,
+            evaluations=report.evaluations,
+        )
 
     # --- state ----------------------------------------------------------------------------------
 
