@@ -64,121 +64,6 @@ class SetOptions(ParameterTable):
     )
 
 
-class SetInput:
-    """Subscribes to sets and to the identifier's reports on them, and passes on valid ones.
-
-    A new set resets ``error``. A file is used at once; ConfigurationError if it is invalid.
-
-    With a ``trusted_source``, messages of other nodes are ignored. The ROS graph shows which nodes
-    publish a topic, but rclpy of Jazzy does not show which of them sent a message (later versions
-    have ``publisher_gid``). If several nodes publish, the node name in the message is also checked,
-    which any node can forge. Without SROS2, the names in the graph are not authenticated either.
-    """
-
-    def __init__(
-        self,
-        node: Node,
-        predictor: ForcePredictor,
-        options: SetOptions,
-        error: RunningError | None = None,
-    ) -> None:
-        self._node = node
-        self._predictor = predictor
-        self._trusted = options.trusted_source
-        self._unattributed: DamperParameters | None = None
-        self._error = error
-        self._refused = ""
-        self._from = self._file = options.parameter_file
-        self._given = ""
-        if self._file:
-            try:
-                given = check_plausible(read_parameter_file(self._file))
-            except (StateError, ParameterError) as problem:
-                raise ConfigurationError(f"parameter_file: {problem}") from problem
-            self._given = given.set_id
-            predictor.set_parameters(given, None)
-        node.create_subscription(DamperParameters, PARAMETERS_TOPIC, self._take, quality.latched())
-        quality.subscription(node, FitReport, REPORT_TOPIC, self._take_report, quality.newest())
-
-    def _objection(self, topic: str, claimed: str) -> str:
-        """Reason to ignore a message that names ``claimed`` as its node; empty if there is none."""
-        names = set(quality.publishing_nodes(self._node, topic))
-        if len(names) > 1 and self._trusted in names:
-            names = {claimed[:_SHOWN] or "a node that does not state its name"}
-        if not self._trusted or names == {self._trusted}:
-            return ""
-        found = " or ".join(sorted(names)) or "a node that has ended"
-        return f"they come from {found}, and trusted_source is {self._trusted}"
-
-    def _take(self, message: DamperParameters) -> None:
-        self._unattributed = None
-        self._refused = self._objection(PARAMETERS_TOPIC, message.node)
-        if self._refused:
-            # A message may arrive before the graph knows its publisher; it is checked again later.
-            names = quality.publishing_nodes(self._node, PARAMETERS_TOPIC)
-            if not names or any(_UNKNOWN in name for name in names):
-                self._unattributed = message
-            return
-        try:
-            parameters = check_plausible(parameter_set(message))
-        except ParameterError as error:
-            self._refused = str(error)
-            self._node.get_logger().warning(
-                f"parameters {message.id[:_SHOWN]} are not used: {error}"
-            )
-            return
-        self._from = message.node or "a node that does not state its name"
-        before = self._predictor.parameters
-        # Published parameters that were not identified from samples have the stamp 0.
-        self._predictor.set_parameters(parameters, parameters.stamp_ns or None)
-        if self._predictor.parameters is not before:
-            if self._error is not None:
-                self._error.reset()
-            self._node.get_logger().debug(f"using parameters {parameters.set_id}")
-
-    def _take_report(self, message: FitReport) -> None:
-        if not self._objection(REPORT_TOPIC, message.node):
-            self._predictor.follow_report(report_of(message))
-
-    def finding(self, doing: str) -> Finding:
-        """The set in use; ``doing`` is the word for its use, such as "predicting"."""
-        if self._unattributed is not None:
-            self._take(self._unattributed)
-        parameters = self._predictor.parameters
-        publishers = quality.publishing_nodes(self._node, PARAMETERS_TOPIC)
-        several = f"{PARAMETERS_TOPIC} is published by {' and '.join(publishers)}"
-        if len(publishers) > 1 and not self._trusted:
-            return Finding(
-                ERROR, f"{several}: stop all but one, or name the one to use in trusted_source"
-            )
-        if self._refused:
-            return Finding(WARN, f"the newest parameters are not used: {self._refused}")
-        if parameters is None:
-            return Finding(
-                WARN,
-                "no parameters yet: start the identifier in this namespace, or give parameter_file",
-            )
-        sentence, level = f"{doing} with {parameters.set_id}", OK
-        if len(set(publishers)) > 1:
-            level = WARN
-            sentence += (
-                f"; {several}, and only the node names in their messages distinguish them: end "
-                "all but one, or exclude the others with SROS2"
-            )
-        return Finding(
-            level,
-            sentence,
-            {
-                "id": parameters.set_id,
-                "model": parameters.model,
-                "source": parameters.source,
-                "from": self._file if parameters.set_id == self._given else self._from,
-                "peak velocity [m/s]": "{:.4g} to {:.4g}".format(*parameters.peak_velocity_range),
-                "current [A]": "{:.4g} to {:.4g}".format(*parameters.current_range),
-            },
-        )
-
-
 Options = TypeVar("Options", bound=SetOptions)
 Answer = TypeVar("Answer")
 
@@ -211,14 +96,28 @@ class BlockNode(Node, Generic[Options, Answer]):
         max_age: float,
         error: RunningError | None = None,
     ) -> None:
-        """Subscribe to samples, currents and sets, and pass them to the predictor.
+        """Subscribe to samples, currents, sets and reports, and pass them to the predictor.
 
-        The diagnostics warn of samples older than ``max_age`` [s]; 0 allows any age. A new set
-        resets the ``error`` of the diagnostics.
+        Raises ConfigurationError if the parameter file is invalid. The diagnostics warn of samples
+        older than ``max_age`` [s]; 0 allows any age. A new set resets their ``error``.
         """
         self._predictor = predictor
         self._max_age = max_age
-        self._sets = SetInput(self, predictor, self._options, error)
+        self._reset_by_sets = error
+        self._unattributed: DamperParameters | None = None
+        self._refused = self._given = ""
+        self._from = file = self._options.parameter_file
+        if file:
+            try:
+                given = check_plausible(read_parameter_file(file))
+            except (StateError, ParameterError) as problem:
+                raise ConfigurationError(f"parameter_file: {problem}") from problem
+            self._given = given.set_id
+            predictor.set_parameters(given, None)
+        self.create_subscription(
+            DamperParameters, PARAMETERS_TOPIC, self._take_set, quality.latched()
+        )
+        quality.subscription(self, FitReport, REPORT_TOPIC, self._take_report, quality.newest())
         self._inputs = Inputs(self, quality.stream, self._take_block, predictor.add_current)
 
     def _diagnose(self, concerns: dict[str, Callable[[], Finding]]) -> None:
@@ -228,9 +127,91 @@ class BlockNode(Node, Generic[Options, Answer]):
             {
                 "input": lambda: self._inputs.samples_finding(self._predictor.sequence),
                 "current": self._inputs.current_finding,
-                "parameters": lambda: self._sets.finding(self.doing),
+                "parameters": self._set_finding,
                 **concerns,
                 "latency": self._latency_finding,
+            },
+        )
+
+    def _objection(self, topic: str, claimed: str) -> str:
+        """Reason to ignore a message that names ``claimed`` as its node; empty if there is none.
+
+        The ROS graph shows which nodes publish a topic, but rclpy of Jazzy does not show which of
+        them sent a message (later versions have ``publisher_gid``). If several nodes publish, the
+        node name in the message is also checked, which any node can forge. Without SROS2, the names
+        in the graph are not authenticated either.
+        """
+        names, trusted = set(quality.publishing_nodes(self, topic)), self._options.trusted_source
+        if len(names) > 1 and trusted in names:
+            names = {claimed[:_SHOWN] or "a node that does not state its name"}
+        if not trusted or names == {trusted}:
+            return ""
+        found = " or ".join(sorted(names)) or "a node that has ended"
+        return f"they come from {found}, and trusted_source is {trusted}"
+
+    def _take_set(self, message: DamperParameters) -> None:
+        self._unattributed = None
+        self._refused = self._objection(PARAMETERS_TOPIC, message.node)
+        if self._refused:
+            # A message may arrive before the graph knows its publisher; it is checked again later.
+            names = quality.publishing_nodes(self, PARAMETERS_TOPIC)
+            if not names or any(_UNKNOWN in name for name in names):
+                self._unattributed = message
+            return
+        try:
+            parameters = check_plausible(parameter_set(message))
+        except ParameterError as error:
+            self._refused = str(error)
+            self.get_logger().warning(f"parameters {message.id[:_SHOWN]} are not used: {error}")
+            return
+        self._from = message.node or "a node that does not state its name"
+        before = self._predictor.parameters
+        # Published parameters that were not identified from samples have the stamp 0.
+        self._predictor.set_parameters(parameters, parameters.stamp_ns or None)
+        if self._predictor.parameters is not before:
+            if self._reset_by_sets is not None:
+                self._reset_by_sets.reset()
+            self.get_logger().debug(f"using parameters {parameters.set_id}")
+
+    def _take_report(self, message: FitReport) -> None:
+        if not self._objection(REPORT_TOPIC, message.node):
+            self._predictor.follow_report(report_of(message))
+
+    def _set_finding(self) -> Finding:
+        """The set in use."""
+        if self._unattributed is not None:
+            self._take_set(self._unattributed)
+        parameters, file = self._predictor.parameters, self._options.parameter_file
+        publishers = quality.publishing_nodes(self, PARAMETERS_TOPIC)
+        several = f"{PARAMETERS_TOPIC} is published by {' and '.join(publishers)}"
+        if len(publishers) > 1 and not self._options.trusted_source:
+            return Finding(
+                ERROR, f"{several}: stop all but one, or name the one to use in trusted_source"
+            )
+        if self._refused:
+            return Finding(WARN, f"the newest parameters are not used: {self._refused}")
+        if parameters is None:
+            return Finding(
+                WARN,
+                "no parameters yet: start the identifier in this namespace, or give parameter_file",
+            )
+        sentence, level = f"{self.doing} with {parameters.set_id}", OK
+        if len(set(publishers)) > 1:
+            level = WARN
+            sentence += (
+                f"; {several}, and only the node names in their messages distinguish them: end "
+                "all but one, or exclude the others with SROS2"
+            )
+        return Finding(
+            level,
+            sentence,
+            {
+                "id": parameters.set_id,
+                "model": parameters.model,
+                "source": parameters.source,
+                "from": file if parameters.set_id == self._given else self._from,
+                "peak velocity [m/s]": "{:.4g} to {:.4g}".format(*parameters.peak_velocity_range),
+                "current [A]": "{:.4g} to {:.4g}".format(*parameters.current_range),
             },
         )
 
