@@ -4,13 +4,11 @@ from __future__ import annotations
 
 import math
 from array import array
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 from geometry_msgs.msg import Vector3, Wrench, WrenchStamped
 from mr_damper_msgs.msg import DamperSignals, MtsSamples, PredictedForce
-from rclpy.node import Node
 from std_msgs.msg import Header
 
 from mr_damper_ros.nodes import quality
@@ -29,6 +27,7 @@ from mr_damper_ros.nodes.messages import (
 from mr_damper_ros.nodes.spinning import run
 from mr_damper_ros.rig.blocks import Decimator
 from mr_damper_ros.settings.option_table import group, option
+from mr_damper_ros.signals.arrays import Array
 from mr_damper_ros.signals.blocks import NANOSECONDS, SampleBlock
 from mr_damper_ros.signals.error_sums import RunningError
 from mr_damper_ros.signals.uniform_grid import GridSettings
@@ -77,118 +76,8 @@ class ModelParameters(SetOptions):
     frame_id: str = option("damper", "Frame of the published forces, x along the damper's rod.")
 
 
-class SignalMirror:
-    """Publishes measured and predicted force of the same samples, if there are subscribers.
-
-    ``rate`` is the largest number of samples per second of data; with 0 nothing is published.
-    ``current_at`` returns the current [A] at a stamp [ns].
-    """
-
-    def __init__(
-        self, node: Node, rate: float, frame_id: str, current_at: Callable[[int], float]
-    ) -> None:
-        self._decimator = Decimator(rate)
-        self._current_at = current_at
-        self._message = DamperSignals(header=Header(frame_id=frame_id))
-        self._publisher = quality.publisher(node, DamperSignals, "damper/signals")
-
-    def publish(self, prediction: Prediction, block: SampleBlock) -> None:
-        """Publish the samples of a block that are due; only samples with a prediction are used."""
-        if not quality.has_subscribers(self._publisher):
-            return
-        message = self._message
-        displacement, measured = map(prediction.at_its_samples, (block.displacement, block.force))
-        for k, stamp_ns in self._decimator.due(
-            prediction.start_ns, prediction.period, prediction.force.size
-        ):
-            set_stamp(message.header.stamp, stamp_ns)
-            predicted = float(prediction.force[k])
-            message.displacement = float(displacement[k])
-            message.velocity = float(prediction.velocity[k])
-            message.current = self._current_at(stamp_ns)
-            message.measured_force = float(measured[k])
-            message.predicted_force = predicted
-            message.force_error = predicted - message.measured_force
-            message.valid = not prediction.doubts[k]
-            self._publisher.publish(message)
-
-
 _JOINED = 0.1
-"""Duration [s] of a joined block."""
-
-
-class JoinedMirror:
-    """Publishes all samples and their predicted force in larger blocks, if there are subscribers.
-
-    The cost of a message hardly depends on its number of samples. Every 0.1 s of data gives two
-    messages with the same sequence number and stamp.
-    """
-
-    def __init__(self, node: Node, frame_id: str) -> None:
-        self._frame_id = frame_id
-        self._samples = quality.publisher(node, MtsSamples, JOINED_SAMPLES_TOPIC)
-        self._forces = quality.publisher(node, PredictedForce, JOINED_FORCES_TOPIC)
-        self._first: Prediction | None = None
-        self._parts: list[tuple[np.ndarray, ...]] = []
-
-    def publish(self, prediction: Prediction, block: SampleBlock) -> None:
-        """Add a block; publish when the joined block is complete, or before a numbering gap."""
-        if not quality.has_subscribers(self._samples):
-            self._first, self._parts = None, []
-            return
-        count = sum(part[0].size for part in self._parts)
-        if self._first is not None and prediction.sequence != self._first.sequence + count:
-            self._send(self._first)
-            count = 0
-        self._first = self._first or prediction
-        displacement, force = map(prediction.at_its_samples, (block.displacement, block.force))
-        self._parts.append((displacement, force, prediction.force, prediction.doubts))
-        if (count + prediction.force.size) * prediction.period >= _JOINED:
-            self._send(self._first)
-
-    def _send(self, first: Prediction) -> None:
-        joined = map(np.concatenate, zip(*self._parts, strict=True))
-        displacement, measured, predicted, doubts = joined
-        self._first, self._parts = None, []
-        stamped = header(first.start_ns, self._frame_id)
-        self._samples.publish(
-            MtsSamples(
-                header=stamped,
-                seq=first.sequence,
-                period=first.period,
-                displacement=to_field(displacement),
-                force=to_field(measured),
-            )
-        )
-        self._forces.publish(
-            PredictedForce(
-                header=stamped,
-                seq=first.sequence,
-                period=first.period,
-                force=to_field(predicted),
-                sample_doubts=array("B", doubts.astype(np.uint8).tobytes()),
-            )
-        )
-
-
-class WrenchMirror:
-    """Publishes the last force of valid blocks as a wrench, at most ``rate`` per second of data."""
-
-    def __init__(self, node: Node, rate: float, frame_id: str) -> None:
-        self._decimator = Decimator(rate)
-        self._frame_id = frame_id
-        self._publisher = quality.publisher(node, WrenchStamped, "damper/predicted_wrench")
-
-    def publish(self, prediction: Prediction) -> None:
-        """Publish the last sample of a block, if it is due and there are subscribers."""
-        if not quality.has_subscribers(self._publisher):
-            return
-        period = prediction.period
-        last_ns = prediction.start_ns + round((prediction.force.size - 1) * period * NANOSECONDS)
-        for _, stamp_ns in self._decimator.due(last_ns, period, 1):
-            wrench = Wrench(force=Vector3(x=float(prediction.force[-1])))
-            stamped = header(stamp_ns, self._frame_id)
-            self._publisher.publish(WrenchStamped(header=stamped, wrench=wrench))
+"""Duration [s] of a joined block, whose message costs hardly more than that of a small block."""
 
 
 class ModelNode(BlockNode[ModelParameters, Prediction]):
@@ -206,11 +95,17 @@ class ModelNode(BlockNode[ModelParameters, Prediction]):
         self._message = PredictedForce(header=Header(frame_id=options.frame_id))
         self._last: Prediction | None = None
         self._force = quality.publisher(self, PredictedForce, "damper/predicted_force")
-        self._wrench = WrenchMirror(self, options.wrench_rate, options.frame_id)
-        self._joined = JoinedMirror(self, options.frame_id)
-        self._signals = SignalMirror(
-            self, options.signals_rate, options.frame_id, predictor.current_at
+        self._signal_rate, self._wrench_rate = map(
+            Decimator, (options.signals_rate, options.wrench_rate)
         )
+        self._signal = DamperSignals(header=Header(frame_id=options.frame_id))
+        self._signals = quality.publisher(self, DamperSignals, "damper/signals")
+        self._wrench = quality.publisher(self, WrenchStamped, "damper/predicted_wrench")
+        self._joined_samples = quality.publisher(self, MtsSamples, JOINED_SAMPLES_TOPIC)
+        self._joined_forces = quality.publisher(self, PredictedForce, JOINED_FORCES_TOPIC)
+        # First prediction of the joined block, and the arrays of its parts.
+        self._first: Prediction | None = None
+        self._parts: list[tuple[np.ndarray, ...]] = []
         self._listen(predictor, options.predictor.max_age, self._error)
         self._diagnose({"prediction": self._prediction_finding})
         file = options.parameter_file
@@ -230,16 +125,78 @@ class ModelNode(BlockNode[ModelParameters, Prediction]):
         self._last = prediction
         if prediction.continuity:
             self.get_logger().warning(prediction.continuity, throttle_duration_sec=10.0)
-        self._signals.publish(prediction, block)
-        self._joined.publish(prediction, block)
-        measured = prediction.at_its_samples(block.force)
+        displacement, measured = map(prediction.at_its_samples, (block.displacement, block.force))
+        # Messages for which there are no subscribers are not made.
+        if quality.has_subscribers(self._signals):
+            self._publish_signals(prediction, displacement, measured)
+        if quality.has_subscribers(self._joined_samples):
+            self._join(prediction, displacement, measured)
+        else:
+            self._first, self._parts = None, []
         if prediction.valid:
             self._error.add(prediction.force, measured, block.period)
         elif (valid := prediction.valid_samples).any():
             self._error.add(prediction.force[valid], measured[valid], block.period)
-        if not prediction.newest_doubt:
-            self._wrench.publish(prediction)
+        if not prediction.newest_doubt and quality.has_subscribers(self._wrench):
+            self._publish_wrench(prediction)
         self._predictor.catch_up()
+
+    def _publish_signals(
+        self, prediction: Prediction, displacement: Array, measured: Array
+    ) -> None:
+        """Publish the samples of a block that are due, with their predicted force."""
+        message = self._signal
+        for k, stamp_ns in self._signal_rate.due(
+            prediction.start_ns, prediction.period, prediction.force.size
+        ):
+            set_stamp(message.header.stamp, stamp_ns)
+            predicted = float(prediction.force[k])
+            message.displacement = float(displacement[k])
+            message.velocity = float(prediction.velocity[k])
+            message.current = self._predictor.current_at(stamp_ns)
+            message.measured_force = float(measured[k])
+            message.predicted_force = predicted
+            message.force_error = predicted - message.measured_force
+            message.valid = not prediction.doubts[k]
+            self._signals.publish(message)
+
+    def _publish_wrench(self, prediction: Prediction) -> None:
+        """Publish the last force of a block, if it is due."""
+        period = prediction.period
+        last_ns = prediction.start_ns + round((prediction.force.size - 1) * period * NANOSECONDS)
+        for _, stamp_ns in self._wrench_rate.due(last_ns, period, 1):
+            wrench = Wrench(force=Vector3(x=float(prediction.force[-1])))
+            stamped = header(stamp_ns, self._options.frame_id)
+            self._wrench.publish(WrenchStamped(header=stamped, wrench=wrench))
+
+    def _join(self, prediction: Prediction, displacement: Array, measured: Array) -> None:
+        """Add a block; publish when the joined block is complete, or before a numbering gap."""
+        count = sum(part[0].size for part in self._parts)
+        if self._first is not None and prediction.sequence != self._first.sequence + count:
+            self._publish_joined(self._first)
+            count = 0
+        self._first = self._first or prediction
+        self._parts.append((displacement, measured, prediction.force, prediction.doubts))
+        if (count + prediction.force.size) * prediction.period >= _JOINED:
+            self._publish_joined(self._first)
+
+    def _publish_joined(self, first: Prediction) -> None:
+        """Publish samples and forces as two messages with the same sequence number and stamp."""
+        joined = map(np.concatenate, zip(*self._parts, strict=True))
+        displacement, measured, predicted, doubts = joined
+        self._first, self._parts = None, []
+        common = {
+            "header": header(first.start_ns, self._options.frame_id),
+            "seq": first.sequence,
+            "period": first.period,
+        }
+        self._joined_samples.publish(
+            MtsSamples(**common, displacement=to_field(displacement), force=to_field(measured))
+        )
+        sample_doubts = array("B", doubts.astype(np.uint8).tobytes())
+        self._joined_forces.publish(
+            PredictedForce(**common, force=to_field(predicted), sample_doubts=sample_doubts)
+        )
 
     def _prediction_finding(self) -> Finding:
         nrmse = self._error.nrmse
