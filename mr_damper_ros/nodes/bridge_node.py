@@ -155,33 +155,6 @@ class BridgeParameters(ManagedOptions):
         return self.sources[self.source].objection()
 
 
-class JointMirror:
-    """Converts samples to joint states, at most ``rate`` per second of data.
-
-    The velocity is the mean since the previous message.
-    """
-
-    def __init__(self, rate: float, joint: str) -> None:
-        self._decimator = Decimator(rate)
-        self._joint = joint
-        self._last: tuple[int, float] | None = None
-
-    def messages(self, block: RigBlock, *, subscribed: bool) -> Iterator[JointState]:
-        """Yield the messages of a block; none without subscribers (``subscribed`` is false)."""
-        for k, stamp_ns in self._decimator.due(block.start_ns, block.period, block.sample_count):
-            position = float(block.displacement[k])
-            if subscribed and self._last is not None and stamp_ns > self._last[0]:
-                elapsed = (stamp_ns - self._last[0]) / NANOSECONDS
-                yield JointState(
-                    header=header(stamp_ns, self._joint),
-                    name=[self._joint],
-                    position=[position],
-                    velocity=[(position - self._last[1]) / elapsed],
-                    effort=[float(block.force[k])],
-                )
-            self._last = (stamp_ns, position)
-
-
 class BridgeNode(ManagedNode):
     """Publishes the samples of a source at the right time, with stamps on the source's own clock.
 
@@ -199,6 +172,8 @@ class BridgeNode(ManagedNode):
         )
         self._sender: PacedSender | None = None
         self._sent = 0
+        # Stamp [ns] and displacement [m] of the last joint state.
+        self._mirrored: tuple[int, float] | None = None
         self._commands: dict[str, CommandTopic] = {}
         self._diagnostics = Diagnostics(
             self,
@@ -298,7 +273,7 @@ class BridgeNode(ManagedNode):
         sender.state = "streams"
         supply = Meter(1.0 / values.current_rate, step=_CURRENT_STEP)
         thermometer = Meter(_TEMPERATURE_PERIOD)
-        mirror = JointMirror(values.mirror_rate, frame_id)
+        decimator, self._mirrored = Decimator(values.mirror_rate), None
         block = None
         for block in blocks:
             # Current and temperature are published first, so that subscribers know them when the
@@ -315,9 +290,8 @@ class BridgeNode(ManagedNode):
                 sender.publish(SUSPENSION_TOPIC, suspension_message(block.suspension, stamp))
             sender.publish("mts/samples", samples_message(block, frame_id))
             if _MIRROR in sender.publishers:
-                subscribed = quality.has_subscribers(sender.publishers[_MIRROR])
-                for message in mirror.messages(block, subscribed=subscribed):
-                    sender.publish(_MIRROR, message)
+                for k, stamp_ns in decimator.due(block.start_ns, block.period, block.sample_count):
+                    self._publish_mirror(sender, block, k, stamp_ns)
             self._sent += block.sample_count
         if sender.stopped:
             return
@@ -327,6 +301,24 @@ class BridgeNode(ManagedNode):
         sender.wait_for_acknowledgements()
         sender.state = "the recording has ended: no more samples are sent"
         self.get_logger().info(f"end of the recording: {self._sent} samples were sent")
+
+    def _publish_mirror(self, sender: PacedSender, block: RigBlock, k: int, stamp_ns: int) -> None:
+        """Publish sample ``k`` as a joint state, with the mean velocity since the last one."""
+        position = float(block.displacement[k])
+        before, self._mirrored = self._mirrored, (stamp_ns, position)
+        if before is None or stamp_ns <= before[0]:
+            return
+        if not quality.has_subscribers(sender.publishers[_MIRROR]):
+            return
+        joint = self.parameters.values.frame_id
+        message = JointState(
+            header=header(stamp_ns, joint),
+            name=[joint],
+            position=[position],
+            velocity=[(position - before[1]) / (stamp_ns - before[0]) * NANOSECONDS],
+            effort=[float(block.force[k])],
+        )
+        sender.publish(_MIRROR, message)
 
     def _due(
         self, sender: PacedSender, blocks: Iterator[RigBlock], *, live: bool

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator
 from contextlib import ExitStack
 from dataclasses import dataclass
 from functools import partial
@@ -16,7 +15,7 @@ from rosbags.interfaces import Connection, QosDurability
 from rosgraph_msgs.msg import Clock
 from std_srvs.srv import Trigger
 
-from mr_damper_ros.io.bag_reader import BagError, opened_bag
+from mr_damper_ros.io.bag_reader import BagError, OpenBag, opened_bag
 from mr_damper_ros.nodes import quality
 from mr_damper_ros.nodes.diagnostics import ERROR, OK, WARN, Diagnostics, Finding
 from mr_damper_ros.nodes.messages import to_stamp
@@ -29,72 +28,6 @@ INPUTS = "inputs"
 """Value of ``topics`` that selects the topics of a test machine by the ends of their names."""
 
 _INPUT_TOPICS = ("/mts/samples", "/supply/current", "/temperature")
-
-
-class RecordedBag:
-    """An open bag: its topics, its provenance, its messages in the order of recording.
-
-    ``topics`` names the topics to read, separated by blanks. If it is empty, all are read; if it is
-    ``INPUTS``, the topics of the test machine. Raises ConfigurationError if the bag cannot be read
-    or lacks a requested topic. ``types`` are the message classes by topic, ``latched`` the topics
-    that were recorded with transient-local durability. ``omitted`` lists, in sentences, the topics
-    that cannot be published here and the reasons.
-    """
-
-    def __init__(self, path: str, topics: str = "") -> None:
-        self.path = path
-        if not path:
-            raise ConfigurationError("no bag is given: set the parameter bag to the path of a bag")
-        self._opened = ExitStack()
-        try:
-            bag = self._opened.enter_context(opened_bag(path, maximum_samples=None))
-        except BagError as error:
-            raise ConfigurationError(str(error)) from error
-        self._reader, self.details = bag.reader, bag.details
-        self.types: dict[str, type] = {}
-        self.latched: set[str] = set()
-        self.omitted: list[str] = []
-        self._connections: list[Connection] = []
-        recorded = {connection.topic for connection in self._reader.connections}
-        wanted = recorded - {"/clock"}  # there must be only one clock
-        if topics == INPUTS:
-            wanted = {topic for topic in recorded if topic.endswith(_INPUT_TOPICS)}
-        elif topics:
-            wanted = set(topics.split())
-        missing = wanted - recorded
-        if missing:
-            raise ConfigurationError(f"the bag {path} has no topic {', '.join(sorted(missing))}")
-        for connection in self._reader.connections:
-            if connection.topic in wanted:
-                self._add(connection)
-        if not self._connections:
-            reasons = "; ".join(self.omitted) or "it is empty"
-            raise ConfigurationError(f"the bag {path} has nothing to play: {reasons}")
-        self.message_count = sum(connection.msgcount for connection in self._connections)
-        self.duration = float(self._reader.duration * 1e-9)
-
-    def messages(self) -> Iterator[tuple[str, int, bytes]]:
-        """Yield the topic, recording time [ns] and serialised data of each message."""
-        for connection, stamp, data in self._reader.messages(self._connections):
-            yield connection.topic, stamp, data
-
-    def close(self) -> None:
-        """Close the bag."""
-        self._opened.close()
-
-    def _add(self, connection: Connection) -> None:
-        problem = _definition_problem(connection)
-        if problem:
-            self.omitted.append(f"{connection.topic} is omitted: {problem}")
-            return
-        self._connections.append(connection)
-        package, _, name = connection.msgtype.split("/")
-        self.types[connection.topic] = getattr(import_module(f"{package}.msg"), name)
-        if any(
-            profile.durability is QosDurability.TRANSIENT_LOCAL
-            for profile in connection.ext.offered_qos_profiles
-        ):
-            self.latched.add(connection.topic)
 
 
 def _definition_problem(connection: Connection) -> str:
@@ -114,6 +47,12 @@ def _definition_problem(connection: Connection) -> str:
     if connection.digest and hashes[connection.msgtype] != connection.digest:
         return f"it was recorded with a different definition of {connection.msgtype}"
     return ""
+
+
+def _message_class(connection: Connection) -> type:
+    package, _, name = connection.msgtype.split("/")
+    found: type = getattr(import_module(f"{package}.msg"), name)
+    return found
 
 
 _CLOCK_PERIOD_NS = 10_000_000
@@ -161,20 +100,30 @@ class ReplayNode(Node):  # type: ignore[misc]
         super().__init__("replay")
         self.parameters = NodeParameters(self, ReplayParameters)
         values = self.parameters.values
-        self._bag = RecordedBag(values.bag, values.topics)
+        self._opened = ExitStack()
+        self._connections: list[Connection] = []
+        self._omitted: list[str] = []
+        self._bag = self._open(values.bag, values.topics)
         log = self.get_logger()
-        for sentence in self._bag.omitted:
+        for sentence in self._omitted:
             log.warning(sentence)
         provenance = "; ".join(f"{key}: {value}" for key, value in self._bag.details.items())
+        count = sum(connection.msgcount for connection in self._connections)
         log.info(
-            f"playing {values.bag}: {self._bag.message_count} messages, "
-            f"{self._bag.duration:.3g} s{'; ' + provenance if provenance else ''}"
+            f"playing {values.bag}: {count} messages, {self._bag.reader.duration * 1e-9:.3g} s"
+            f"{'; ' + provenance if provenance else ''}"
         )
+        latched = {
+            connection.topic
+            for connection in self._connections
+            for profile in connection.ext.offered_qos_profiles
+            if profile.durability is QosDurability.TRANSIENT_LOCAL
+        }
         self._sender = PacedSender(
             self,
             values.pacing,
-            self._bag.types,
-            latched=self._bag.latched,
+            {connection.topic: _message_class(connection) for connection in self._connections},
+            latched=latched,
             paused=values.start_paused,
         )
         self._clock_publisher = self.create_publisher(Clock, "/clock", 10)
@@ -187,10 +136,42 @@ class ReplayNode(Node):  # type: ignore[misc]
         self._diagnostics = Diagnostics(self, {"replay": self._find})
         self._sender.start(self._send)
 
+    def _open(self, path: str, topics: str) -> OpenBag:
+        """Open a bag, and choose its topics that can be published here.
+
+        Raises ConfigurationError if the bag cannot be read or lacks a requested topic.
+        """
+        if not path:
+            raise ConfigurationError("no bag is given: set the parameter bag to the path of a bag")
+        try:
+            bag = self._opened.enter_context(opened_bag(path, maximum_samples=None))
+        except BagError as error:
+            raise ConfigurationError(str(error)) from error
+        recorded = {connection.topic for connection in bag.reader.connections}
+        wanted = recorded - {"/clock"}  # there must be only one clock
+        if topics == INPUTS:
+            wanted = {topic for topic in recorded if topic.endswith(_INPUT_TOPICS)}
+        elif topics:
+            wanted = set(topics.split())
+        missing = wanted - recorded
+        if missing:
+            raise ConfigurationError(f"the bag {path} has no topic {', '.join(sorted(missing))}")
+        for connection in bag.reader.connections:
+            if connection.topic in wanted:
+                problem = _definition_problem(connection)
+                if problem:
+                    self._omitted.append(f"{connection.topic} is omitted: {problem}")
+                else:
+                    self._connections.append(connection)
+        if not self._connections:
+            reasons = "; ".join(self._omitted) or "it is empty"
+            raise ConfigurationError(f"the bag {path} has nothing to play: {reasons}")
+        return bag
+
     def destroy_node(self) -> None:
         """Stop sending before the publishers are destroyed."""
         self._sender.stop()
-        self._bag.close()
+        self._opened.close()
         super().destroy_node()
 
     # --- sending, in its own thread -----------------------------------------------------------
@@ -223,7 +204,7 @@ class ReplayNode(Node):  # type: ignore[misc]
 
     def _play_once(self) -> bool:
         tick: int | None = None
-        for topic, stamp, data in self._bag.messages():
+        for connection, stamp, data in self._bag.reader.messages(self._connections):
             # The clock also advances between messages, but never beyond the next one.
             while tick is not None and tick < stamp:
                 if not self._sender.wait_until(tick, is_step=False):
@@ -235,7 +216,7 @@ class ReplayNode(Node):  # type: ignore[misc]
             if tick is None:
                 self._tick(stamp)
                 tick = stamp + self._clock_step_ns
-            self._sender.publish(topic, data)
+            self._sender.publish(connection.topic, data)
             self._sent += 1
         return True
 
@@ -268,11 +249,15 @@ class ReplayNode(Node):  # type: ignore[misc]
         return FAILURE if self._sender.failure else SUCCESS
 
     def _find(self) -> Finding:
-        figures = {"bag": self._bag.path, "messages sent": self._sent, "rounds": self._rounds}
+        figures = {
+            "bag": self.parameters.values.bag,
+            "messages sent": self._sent,
+            "rounds": self._rounds,
+        }
         if self._sender.failure:
             return Finding(ERROR, self._sender.failure, figures)
-        if self._others or self._bag.omitted:
-            return Finding(WARN, "; ".join(self._others + self._bag.omitted), figures)
+        if self._others or self._omitted:
+            return Finding(WARN, "; ".join(self._others + self._omitted), figures)
         if self._sender.paused:
             return Finding(OK, "paused: call ~/resume or ~/step", figures)
         return Finding(OK, self._sender.state, figures)
