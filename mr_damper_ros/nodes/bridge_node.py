@@ -20,7 +20,7 @@ from rclpy.node import Node
 from sensor_msgs.msg import JointState, Temperature
 
 from mr_damper_ros.nodes import quality
-from mr_damper_ros.nodes.command_topic import CommandTopic, CurrentCommands, MotionCommands
+from mr_damper_ros.nodes.command_topic import CommandTopic
 from mr_damper_ros.nodes.diagnostics import ERROR, OK, WARN, Diagnostics, Finding
 from mr_damper_ros.nodes.managed_node import ManagedNode, ManagedOptions
 from mr_damper_ros.nodes.messages import (
@@ -212,10 +212,9 @@ class BridgeNode(ManagedNode):
         )
         try:
             found = source.open()
-            if source.commander is not None:
-                self._commands["current"] = CurrentCommands(self, source.commander)
-            if source.mover is not None:
-                self._commands["motion"] = MotionCommands(self, source.mover)
+            for what, commander in (("current", source.commander), ("motion", source.mover)):
+                if commander is not None:
+                    self._commands[what] = CommandTopic(self, what, commander)
             topics = {
                 topic: kind
                 for topic, kind in _TOPICS.items()

@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import time
-from abc import ABC, abstractmethod
 from collections.abc import Callable
-from typing import Any, ClassVar
+from typing import Any
 
 from mr_damper_msgs.msg import CurrentCommand, ExcitationCommand
 from rclpy.node import Node
@@ -15,125 +14,15 @@ from mr_damper_ros.kinematics.periodic_motion import MotionKind, PeriodicMotion
 from mr_damper_ros.nodes import quality
 from mr_damper_ros.nodes.diagnostics import ERROR, OK, WARN, Finding
 from mr_damper_ros.nodes.messages import to_nanoseconds
-from mr_damper_ros.rig.commander import Commander, CurrentCommander, MotionCommander, Origin
+from mr_damper_ros.rig.commander import Commander
 from mr_damper_ros.signals.blocks import NANOSECONDS
-
-
-class CommandTopic(ABC):
-    """Passes the commands of a topic to a commander, and reports on them."""
-
-    kind: ClassVar[type]
-    topic: ClassVar[str]
-    what: ClassVar[str]
-    """The commanded quantity in messages, such as "the current"."""
-
-    def __init__(self, node: Node, commander: Commander) -> None:
-        self._node = node
-        self._counted = commander
-        self._refusal = ""
-        self._reported = 0
-        self._subscription = quality.subscription(
-            node, self.kind, self.topic, self._take, quality.newest()
-        )
-
-    def close(self) -> None:
-        """End the subscription."""
-        self._node.destroy_subscription(self._subscription)
-
-    @abstractmethod
-    def _command(self, message: Any, stamp_ns: int, age: float, now: float) -> str:
-        """Pass on a command issued ``age`` [s] ago; returns why it is rejected, or ""."""
-
-    @abstractmethod
-    def _state(self, now: float) -> Finding:
-        """The state of the commander."""
-
-    def _take(self, message: Any) -> None:
-        stamp_ns = to_nanoseconds(message.header.stamp)
-        age = (self._node.get_clock().now().nanoseconds - stamp_ns) / NANOSECONDS
-        refusal = self._command(message, stamp_ns, age, time.monotonic())
-        if refusal:
-            self._refusal = refusal
-            self._node.get_logger().warning(
-                f"a command on {self.topic} is rejected: {refusal}", throttle_duration_sec=10.0
-            )
-
-    def finding(self) -> Finding:
-        """The present command, and all faults of the commands."""
-        state = self._state(time.monotonic())
-        refused, self._reported = self._counted.refused - self._reported, self._counted.refused
-        values = {"refused": self._counted.refused, **state.values}
-        wrong = []
-        publishers = quality.publishing_nodes(self._node, self.topic)
-        if len(publishers) > 1:
-            names = " and ".join(publishers)
-            wrong.append(f"{self.what} is commanded by {names}: stop all but one")
-        if refused:
-            wrong.append(f"{refused} commands were rejected since the last report: {self._refusal}")
-        if wrong:
-            return Finding(ERROR if len(publishers) > 1 else WARN, "; ".join(wrong), values)
-        return Finding(state.level, state.message, values)
-
 
 COMMAND_TOPIC = "supply/current_command"
 DEMAND_TOPIC = "damper/desired_force"
-
-
-class CurrentCommands(CommandTopic):
-    """Passes on commands of the current; ``accepted`` is called after each accepted command."""
-
-    kind, topic, what = CurrentCommand, COMMAND_TOPIC, "the current"
-
-    def __init__(
-        self, node: Node, commander: CurrentCommander, accepted: Callable[[], None] = lambda: None
-    ) -> None:
-        self._commander = commander
-        self._accepted = accepted
-        super().__init__(node, commander)
-
-    def _command(self, message: CurrentCommand, stamp_ns: int, age: float, now: float) -> str:
-        refusal = self._commander.command(message.current, stamp_ns, age, now)
-        if not refusal:
-            self._accepted()
-        return refusal
-
-    def _state(self, now: float) -> Finding:
-        origin = self._commander.origin(now)
-        level = WARN if origin is Origin.TIMED_OUT else OK
-        values = {"origin": origin.name, "cut": self._commander.cut}
-        return Finding(level, f"the current is {origin.value}", values)
-
-
 EXCITATION_TOPIC = "rig/excitation_command"
 
 _KINDS = (MotionKind.SINE, MotionKind.SWEEP, MotionKind.RANDOM)
 """Kinds of motion in the order of the constants in ExcitationCommand.msg."""
-
-
-class MotionCommands(CommandTopic):
-    """Passes commands of the motion to the commander of a machine."""
-
-    kind, topic, what = ExcitationCommand, EXCITATION_TOPIC, "the motion"
-
-    def __init__(self, node: Node, commander: MotionCommander) -> None:
-        self._commander = commander
-        super().__init__(node, commander)
-
-    def _command(self, message: ExcitationCommand, stamp_ns: int, age: float, now: float) -> str:
-        try:
-            motion = motion_of(message)
-        except ValueError as error:
-            return self._commander.refuse(str(error))
-        return self._commander.command(motion, stamp_ns, age, now)
-
-    def _state(self, now: float) -> Finding:
-        if not self._commander.commanded:
-            sentence = "the machine makes its own motion until a command arrives"
-            return Finding(OK, sentence, {"excitation": "its own"})
-        motion = self._commander.motion(now)
-        if motion is None:
-            return Finding(OK, "the machine rests", {"excitation": "at rest"})
-        return Finding(OK, f"{motion.sentence} commanded", {"excitation": motion.sentence})
 
 
 _OF_A_MOTION = ("amplitude", "frequency", "highest_frequency", "period", "seed")
@@ -158,3 +47,70 @@ def motion_of(message: ExcitationCommand) -> PeriodicMotion | None:
     # The other fields have no meaning for a sine.
     names = _OF_A_MOTION[:2] if kind is MotionKind.SINE else _OF_A_MOTION
     return PeriodicMotion(kind, **{name: getattr(message, name) for name in names})
+
+
+_COMMANDED: dict[str, tuple[type, str, Callable[[Any], Any]]] = {
+    "current": (CurrentCommand, COMMAND_TOPIC, lambda message: message.current),
+    "motion": (ExcitationCommand, EXCITATION_TOPIC, motion_of),
+}
+"""Message type and topic of the commands of each quantity, and what a message commands."""
+
+
+class CommandTopic:
+    """Passes the commands of the quantity ``what`` to a commander, and reports on them.
+
+    ``accepted`` is called after each accepted command.
+    """
+
+    def __init__(
+        self,
+        node: Node,
+        what: str,
+        commander: Commander[Any],
+        accepted: Callable[[], None] = lambda: None,
+    ) -> None:
+        self._node, self._what = node, what
+        self._commander, self._accepted = commander, accepted
+        self._refusal = ""
+        self._reported = 0
+        kind, self._topic, self._target = _COMMANDED[what]
+        self._subscription = quality.subscription(
+            node, kind, self._topic, self._take, quality.newest()
+        )
+
+    def close(self) -> None:
+        """End the subscription."""
+        self._node.destroy_subscription(self._subscription)
+
+    def _take(self, message: Any) -> None:
+        stamp_ns = to_nanoseconds(message.header.stamp)
+        age = (self._node.get_clock().now().nanoseconds - stamp_ns) / NANOSECONDS
+        try:
+            target = self._target(message)
+        except ValueError as error:
+            refusal = self._commander.refuse(str(error))
+        else:
+            refusal = self._commander.command(target, stamp_ns, age, time.monotonic())
+        if not refusal:
+            self._accepted()
+            return
+        self._refusal = refusal
+        self._node.get_logger().warning(
+            f"a command on {self._topic} is rejected: {refusal}", throttle_duration_sec=10.0
+        )
+
+    def finding(self) -> Finding:
+        """The present command, and all faults of the commands."""
+        state, refused = self._commander.state(time.monotonic()), self._commander.refused
+        new, self._reported = refused - self._reported, refused
+        values = {"refused": refused, **state.values}
+        wrong = []
+        publishers = quality.publishing_nodes(self._node, self._topic)
+        if len(publishers) > 1:
+            names = " and ".join(publishers)
+            wrong.append(f"the {self._what} is commanded by {names}: stop all but one")
+        if new:
+            wrong.append(f"{new} commands were rejected since the last report: {self._refusal}")
+        if wrong:
+            return Finding(ERROR if len(publishers) > 1 else WARN, "; ".join(wrong), values)
+        return Finding(WARN if state.timed_out else OK, state.sentence, values)

@@ -14,7 +14,7 @@ from mr_damper_msgs.msg import SupplyCurrent
 from rclpy.lifecycle import LifecycleState, TransitionCallbackReturn
 
 from mr_damper_ros.nodes import quality
-from mr_damper_ros.nodes.command_topic import CurrentCommands
+from mr_damper_ros.nodes.command_topic import CommandTopic
 from mr_damper_ros.nodes.diagnostics import ERROR, OK, WARN, Diagnostics, Finding
 from mr_damper_ros.nodes.managed_node import ManagedNode, ManagedOptions
 from mr_damper_ros.nodes.messages import current_message
@@ -132,7 +132,7 @@ class SupplyNode(ManagedNode):
         self._drive: SupplyDrive | None = None
         self._commander = CurrentCommander(CommandSettings())
         self._by_hand = self.parameters.values.current
-        self._commands: CurrentCommands | None = None
+        self._commands: CommandTopic | None = None
         self._identity = ""
         self._diagnostics = Diagnostics(
             self, {"supply": self._find_supply, "current": self._find_current}
@@ -203,7 +203,7 @@ class SupplyNode(ManagedNode):
             self._drive = None if drive.finished else drive
             return self._fail("the supply cannot be switched on", error)
         self._drive, self._problem, self._by_hand = drive, "", 0.0
-        self._commands = CurrentCommands(self, self._commander, drive.wake)
+        self._commands = CommandTopic(self, "current", self._commander, drive.wake)
         return TransitionCallbackReturn.SUCCESS
 
     def _stop(self) -> None:

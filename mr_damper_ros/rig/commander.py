@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import math
+from abc import ABC, abstractmethod
+from collections.abc import Mapping
 from dataclasses import dataclass
 from enum import Enum
-from typing import Generic, TypeVar
+from typing import Generic, NamedTuple, TypeVar
 
 from mr_damper_ros.kinematics.periodic_motion import PeriodicMotion
 from mr_damper_ros.settings.option_table import CheckedSettings, option
@@ -17,7 +19,15 @@ STAMP_TOLERANCE = 0.05
 T = TypeVar("T")
 
 
-class Commander(Generic[T]):
+class CommandState(NamedTuple):
+    """What is commanded at present: a sentence, and values by name."""
+
+    sentence: str
+    values: Mapping[str, object]
+    timed_out: bool = False
+
+
+class Commander(ABC, Generic[T]):
     """The latest command; a command holds for a limited time from its stamp on.
 
     Times are seconds of one steady clock. A command holds for ``timeout`` [s], and may be stamped
@@ -31,6 +41,10 @@ class Commander(Generic[T]):
         self._tolerance = tolerance
         self._until = -math.inf
         self._stamp_ns: int | None = None
+
+    @abstractmethod
+    def state(self, now: float) -> CommandState:
+        """The present command."""
 
     def refuse(self, reason: str) -> str:
         """Count a rejected command; returns the reason."""
@@ -91,6 +105,16 @@ class MotionCommander(Commander[PeriodicMotion | None]):
     def commanded(self) -> bool:
         """Whether there has been a command; before that, the machine makes its own motion."""
         return self._stamp_ns is not None
+
+    def state(self, now: float) -> CommandState:
+        """The present command."""
+        if not self.commanded:
+            sentence = "the machine makes its own motion until a command arrives"
+            return CommandState(sentence, {"excitation": "its own"})
+        motion = self.motion(now)
+        if motion is None:
+            return CommandState("the machine rests", {"excitation": "at rest"})
+        return CommandState(f"{motion.sentence} commanded", {"excitation": motion.sentence})
 
     def motion(self, now: float) -> PeriodicMotion | None:
         """The present motion; None for rest."""
@@ -174,6 +198,12 @@ class CurrentCommander(Commander[float]):
         """Set this current until a command arrives."""
         self._target, self._stamp_ns = self._limited(current), None
         self._until = math.inf
+
+    def state(self, now: float) -> CommandState:
+        """The present command."""
+        origin = self.origin(now)
+        values = {"origin": origin.name, "cut": self.cut}
+        return CommandState(f"the current is {origin.value}", values, origin is Origin.TIMED_OUT)
 
     def origin(self, now: float) -> Origin:
         """Origin of the current at this time."""
