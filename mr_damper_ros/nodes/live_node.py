@@ -9,6 +9,7 @@ from collections import deque
 from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -27,6 +28,7 @@ from mr_damper_msgs.msg import (
 from mr_damper_msgs.srv import SaveParameters
 from rclpy.node import Node
 from rclpy.qos import ReliabilityPolicy
+from rclpy.subscription import Subscription
 from rclpy.task import Future
 from sensor_msgs.msg import Temperature
 from std_srvs.srv import Trigger
@@ -149,62 +151,18 @@ class RecordInput:
                 )
 
 
-_RECORDED: tuple[tuple[type, str], ...] = (
-    (MtsSamples, SAMPLES_TOPIC),
-    (SupplyCurrent, CURRENT_TOPIC),
-    (Temperature, "temperature"),
-    (PredictedForce, "damper/predicted_force"),
-    (FitReport, REPORT_TOPIC),
-    (DamperParameters, PARAMETERS_TOPIC),
-    (CurrentCommand, COMMAND_TOPIC),
-    (DesiredForce, DEMAND_TOPIC),
-    (ExcitationCommand, EXCITATION_TOPIC),
-)
-
-
-class BagRecorder:
-    """One recording, from its creation until it is closed; messages are written in serialised form.
-
-    ``failure`` gives the reason if the recording stopped by itself. Raises OSError if the folder
-    cannot be written.
-    """
-
-    def __init__(self, node: Node, folder: Path, details: Mapping[str, str]) -> None:
-        plain = re.sub(r"[^\w.+-]+", "_", details["name"]).strip("._")[:60] or "run"
-        self.path = folder / f"{time.strftime('%Y%m%d_%H%M%S')}_{plain}"
-        self.failure = ""
-        self._node = node
-        names = {topic: node.resolve_topic_name(topic) for _, topic in _RECORDED}
-        kinds = {
-            names[topic]: f"{kind.__module__.partition('.')[0]}/msg/{kind.__name__}"
-            for kind, topic in _RECORDED
-        }
-        self._bag = BagStream(self.path, kinds, details)
-        self._subscriptions = [
-            node.create_subscription(
-                kind,
-                topic,
-                lambda data, name=names[topic]: self._write(name, data),
-                quality.latched() if kind is DamperParameters else quality.stream(),
-                raw=True,
-            )
-            for kind, topic in _RECORDED
-        ]
-
-    def _write(self, topic: str, data: Any) -> None:
-        if self.failure:
-            return
-        try:
-            self._bag.write(topic, self._node.get_clock().now().nanoseconds, bytes(data))
-        except OSError as error:
-            self.failure = error.strerror or str(error)
-
-    def close(self) -> None:
-        """End the recording; the finished bag is at ``path``. Raises OSError."""
-        for subscription in self._subscriptions:
-            self._node.destroy_subscription(subscription)
-        self._bag.close()
-
+_RECORDED = {
+    SAMPLES_TOPIC: MtsSamples,
+    CURRENT_TOPIC: SupplyCurrent,
+    "temperature": Temperature,
+    "damper/predicted_force": PredictedForce,
+    REPORT_TOPIC: FitReport,
+    PARAMETERS_TOPIC: DamperParameters,
+    COMMAND_TOPIC: CurrentCommand,
+    DEMAND_TOPIC: DesiredForce,
+    EXCITATION_TOPIC: ExcitationCommand,
+}
+"""Topics of a recording: everything that a replay of a run needs."""
 
 _COMMANDS = {
     "save_parameters": SaveParameters,
@@ -272,7 +230,11 @@ class LiveNode(Node):
         super().__init__("live")
         self._options = options = NodeParameters(self, LiveParameters).values
         self._record = LiveRecord()
-        self._recorder: BagRecorder | None = None
+        # The bag that is being recorded, its path, its subscriptions, and why it has failed.
+        self._bag: BagStream | None = None
+        self._path = Path()
+        self._recorded: list[Subscription] = []
+        self._failure = ""
         self._waiting: queue.Queue[tuple[str, Mapping[str, str]]] = queue.Queue(_WAITING_COMMANDS)
         commands = _COMMANDS if options.allow_commands else {}
         self._identifier_clients = {
@@ -322,7 +284,7 @@ class LiveNode(Node):
                 self._stop_recording()
             else:
                 self._call(name)
-        if self._recorder is not None and self._recorder.failure:
+        if self._failure:
             self._stop_recording()
         return _COMMAND_PERIOD
 
@@ -335,7 +297,7 @@ class LiveNode(Node):
         return True
 
     def _begin_recording(self, arguments: Mapping[str, str]) -> None:
-        if self._recorder is not None:
+        if self._bag is not None:
             return
         entries = {key: arguments.get(key, "").strip() for key in ("name", "operator", "note")}
         entries["name"] = entries["name"] or "run"
@@ -346,28 +308,54 @@ class LiveNode(Node):
         }
         if self._input.newest_set is not None:
             details["start_set"] = self._input.newest_set.to_yaml()
+        plain = re.sub(r"[^\w.+-]+", "_", details["name"]).strip("._")[:60] or "run"
+        folder = Path(self._options.record_folder).expanduser()
+        self._path = folder / f"{time.strftime('%Y%m%d_%H%M%S')}_{plain}"
+        names = {topic: self.resolve_topic_name(topic) for topic in _RECORDED}
+        kinds = {
+            names[topic]: f"{kind.__module__.partition('.')[0]}/msg/{kind.__name__}"
+            for topic, kind in _RECORDED.items()
+        }
         try:
-            folder = Path(self._options.record_folder).expanduser()
-            self._recorder = BagRecorder(self, folder, details)
+            self._bag = BagStream(self._path, kinds, details)
         except (OSError, ValueError) as error:
             self._record.add_event(f"recording cannot start: {error}")
             return
+        self._recorded = [
+            self.create_subscription(
+                kind,
+                topic,
+                partial(self._write, self._bag, names[topic]),
+                quality.latched() if kind is DamperParameters else quality.stream(),
+                raw=True,
+            )
+            for topic, kind in _RECORDED.items()
+        ]
         began = f"{time.time():.3f}"
-        self._record.set_recording({**entries, "path": str(self._recorder.path), "began": began})
-        self.get_logger().info(f"recording to {self._recorder.path}")
+        self._record.set_recording({**entries, "path": str(self._path), "began": began})
+        self.get_logger().info(f"recording to {self._path}")
+
+    def _write(self, bag: BagStream, topic: str, data: Any) -> None:
+        if not self._failure:
+            try:
+                bag.write(topic, self.get_clock().now().nanoseconds, bytes(data))
+            except OSError as error:
+                self._failure = error.strerror or str(error)
 
     def _stop_recording(self) -> None:
-        recorder, self._recorder = self._recorder, None
-        if recorder is None:
+        bag, self._bag = self._bag, None
+        if bag is None:
             return
         self._record.set_recording(None)
-        outcome = recorder.failure
+        for subscription in self._recorded:
+            self.destroy_subscription(subscription)
+        outcome, self._failure = self._failure, ""
         try:
-            recorder.close()
+            bag.close()
         except OSError as error:
             outcome = outcome or error.strerror or str(error)
         self._record.add_event(
-            f"the recording has failed: {outcome}" if outcome else f"recorded: {recorder.path}"
+            f"the recording has failed: {outcome}" if outcome else f"recorded: {self._path}"
         )
 
     def _call(self, name: str) -> None:
