@@ -21,7 +21,7 @@ from mr_damper_ros.estimation.observability import (
     parameter_ranges,
     parameter_spans,
 )
-from mr_damper_ros.estimation.profile_likelihood import Profile, search_misfit
+from mr_damper_ros.estimation.profile_likelihood import Profile
 from mr_damper_ros.estimation.window_fit import fit_window
 from mr_damper_ros.kinematics.window import Window
 from mr_damper_ros.models.parameter_set import ParameterSet
@@ -215,7 +215,7 @@ class Findings:
 def determination_of(fit: GlobalFit, windows: Sequence[Window]) -> Determination:
     """The combinations of parameters that the windows of a fit determine."""
     found = fit.parameter_set
-    misfit = search_misfit(fit, windows)
+    misfit = fit.misfit(windows)
     jacobian = misfit.jacobian(found.values) / noise_level(misfit, found.values)
     spans = parameter_spans(found.law, jacobian, found.values, parameter_ranges(found.law, windows))
     return determination(found.law, jacobian, spans, found.values)
@@ -226,7 +226,7 @@ def determined(
 ) -> Findings:
     """The determined parameters, and runs within the range of the rig that would determine more."""
     found = fit.parameter_set
-    misfit = search_misfit(fit, windows)
+    misfit = fit.misfit(windows)
     noise = float(np.median(fit.noise))
     runs = extra_runs(found.law, misfit, noise, found.values, found.observable, rig)
     lines = [

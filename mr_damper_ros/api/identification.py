@@ -53,7 +53,7 @@ from mr_damper_ros.estimation.multi_start import (
     identify_from_seeds,
 )
 from mr_damper_ros.estimation.observability import Determination
-from mr_damper_ros.estimation.profile_likelihood import profiled, profiles_of, record_levels
+from mr_damper_ros.estimation.profile_likelihood import profiled, profiles_of
 from mr_damper_ros.estimation.record_levels import Level, LevelPrior
 from mr_damper_ros.kinematics.window import Window
 from mr_damper_ros.models import MODELS
@@ -493,16 +493,10 @@ def identify_measured(
         _resume(record, resume)
     began = time.monotonic()
     searches = identify_from_seeds(
-        law,
-        windows,
-        options.start_values,
-        settings,
+        record,
         options.starts,
         report,
-        method=options.method,
-        levels=levels,
         processes=processes,
-        record=record,
         keep=None if resume is None else partial(_store, resume),
     )
     profiles = Findings([], {})
@@ -615,7 +609,7 @@ def _store(path: Path, record: SearchRecord) -> None:
 def _fitted(searches: MultiStart, runs: Sequence[MeasuredRun]) -> tuple[FittedRun, ...]:
     fit = searches.best
     law = fit.parameter_set.law
-    levels = dict(enumerate(record_levels(fit, all_windows(runs))))
+    levels = dict(enumerate(fit.record_levels(all_windows(runs))))
     fitted = []
     for place, run in enumerate(runs):
         point = run.longest.operating_point

@@ -64,9 +64,8 @@ def planned(
         planner.model, windows, start, evolution or EvolutionSettings(), known=before
     )
     found = fit.parameter_set
-    values = planner.most_probable(windows, found.values)
-    found = replace(found, values=values)
-    return found, planner.next(windows, values, found.observable)
+    found = replace(found, values=planner.most_probable(windows, found.values))
+    return found, planner.next(windows, found.values, found.observable)
 
 
 _TRIES = 2

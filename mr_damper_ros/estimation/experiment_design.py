@@ -25,7 +25,6 @@ import numpy as np
 
 from mr_damper_ros.estimation.covariance import (
     SIGNIFICANT,
-    correlation_length,
     discrepancy_between,
     motion_numbers,
     samples_per_cycle,
@@ -64,20 +63,14 @@ _DRAWS = 200
 _FEWEST_IN_PART = 8
 """Smallest number of samples in a part of a cycle, needed to estimate the noise."""
 
-_UNMEASURED_FACTOR = 1.35
-"""Factor on the model error between and beyond the windows. With it, the 90 % quantile of the true
-worst error is 0.94 to 1.13 times the stated error, for eleven laws that differ from the damper.
-"""
-
 _NEAR = 0.1
 """Windows closer to a point than this, relative to the range, count as equally near."""
 
 _SETS = 8
-"""Number of sets that represent the undetermined parameters. The search for the most probable set
-makes at least this many fits of windows."""
+"""Number of sets that represent the undetermined parameters."""
 
-_ROUNDS = 4
-"""Largest number of rounds, in each of which the set and then the noise is estimated."""
+_ROUNDS = 2
+"""Number of rounds, in each of which the noise and then the set is estimated."""
 
 _NORM = 8.0
 """Order of the norm that replaces the maximum over the points, because a single run often does not
@@ -224,16 +217,6 @@ def model_error(model: Model, window: Window, parameters: Array) -> float:
     return largest / max(float(np.max(np.abs(force))), 1e-9)
 
 
-def noise_of(model: Model, window: Window, parameters: Array) -> float:
-    """Standard deviation [N] of white noise with the same effect as the residual of the set.
-
-    It exceeds the RMSE of a correlated residual, because correlated samples count as one.
-    """
-    residual = model.window_force(window, parameters) - window.force
-    length = max(correlation_length(residual), 1)
-    return max(math.sqrt(float(np.mean(residual**2)) * length), 1e-9)
-
-
 def open_sets(
     model: Model,
     windows: Sequence[Window],
@@ -269,28 +252,6 @@ def window_information(
         jacobian = Misfit(model, [few], [sigma]).jacobian(parameters)
         total += (window.sample_count / few.sample_count) * (jacobian.T @ jacobian)
     return total
-
-
-def most_probable(
-    model: Model, windows: Sequence[Window], noise: Sequence[float], prior: Prior, start: Array
-) -> Array:
-    """The most probable parameters (p,), from ``start`` (p,).
-
-    All parameters are free. Weakly determined parameters move as far as the data support, and
-    undetermined ones do not move. If weakly determined parameters were held, the standard errors
-    would be too small.
-    """
-    problem = Posterior(_misfit(model, windows, noise), start, range(start.size), prior, 1.0)
-    search = LocalSearch(problem, problem.start)
-    search.least_squares(most_steps=model.effort.most_steps)
-    return problem.parameters(search.best)
-
-
-def _misfit(model: Model, windows: Sequence[Window], noise: Sequence[float]) -> Misfit:
-    """The misfit of all windows, with every sample weighted by its noise [N]."""
-    # A misfit weights all windows equally.
-    sizes = np.array([window.sample_count for window in windows])
-    return Misfit(model, windows, (np.asarray(noise) * np.sqrt(sizes.mean() / sizes)).tolist())
 
 
 @dataclass(frozen=True)
@@ -450,34 +411,10 @@ class RunPlanner:
                 widths[place] = np.hypot(np.std(values), np.mean(values) - parameters[place])
         return Prior(parameters, np.maximum(widths, 1e-12))
 
-    def most_probable(self, windows: Sequence[Window], parameters: Array) -> Array:
-        """The most probable set (p,), searched from the identified set and a few other sets.
-
-        The noise of each window is estimated together with the set. Otherwise the residual of a
-        wrong set would count as noise, and the search would stay at that set.
-        """
-        prior, first = self.prior(parameters), self._noise(windows, parameters)
-        count = max(3 * _SETS // len(windows), 3)
-        starts = [parameters, *open_sets(self.model, windows, parameters, (), self._top, count)]
-        few = [window.thinned(4 * PHASES) for window in windows]
-        sizes = np.array([window.sample_count for window in windows], dtype=float)
-        found = []
-        for values in starts:
-            noise, least = first, math.inf
-            for _ in range(_ROUNDS):
-                values = most_probable(self.model, few, noise, prior, values)
-                noise = self._noise(windows, values)
-                # Negative log-likelihood of the noise per sample.
-                before, least = least, float(sizes @ np.log(noise)) / float(sizes.sum())
-                if not least < before:
-                    break
-            found.append((least, values, noise))
-        _, values, noise = min(found, key=lambda one: one[0])
-        # A search on a few samples selects the minimum; a search on all samples locates it exactly.
-        return most_probable(self.model, windows, noise, prior, values)
-
     def _noise(self, windows: Sequence[Window], parameters: Array) -> list[float]:
-        return [noise_of(self.model, window, parameters) for window in windows]
+        """Standard deviation [N] of white noise with the effect of each window's residual."""
+        misfits = (Misfit(self.model, [window], [1.0]) for window in windows)
+        return [max(noise_level(misfit, parameters), 1e-9) for misfit in misfits]
 
     def _information(
         self, windows: Sequence[Window], noise: Sequence[float], parameters: Array
@@ -496,11 +433,34 @@ class RunPlanner:
 
         apart = places(goal.points)[:, None] - places([w.operating_point for w in windows])
         weights = 1.0 / (_NEAR + np.linalg.norm(apart, axis=-1)) ** 4
-        return np.asarray(_UNMEASURED_FACTOR * np.sqrt(weights @ squares / weights.sum(axis=1)))
+        return np.asarray(np.sqrt(weights @ squares / weights.sum(axis=1)))
 
     def _errors(self, parameters: Array, information: Array, model_errors: Array) -> PointErrors:
         gradient = self._cycles.relative_gradient(parameters)
         return point_errors(self.goal, gradient, information, model_errors)
+
+    def _posterior(
+        self, windows: Sequence[Window], noise: Sequence[float], parameters: Array
+    ) -> Posterior:
+        """The posterior of all parameters; ``noise`` (k,) [N] weights each sample of a window."""
+        # A misfit weights all windows equally.
+        sizes = np.array([window.sample_count for window in windows])
+        level = np.asarray(noise) * np.sqrt(sizes.mean() / sizes)
+        misfit = Misfit(self.model, windows, level.tolist())
+        return Posterior(misfit, parameters, range(parameters.size), self.prior(parameters), 1.0)
+
+    def most_probable(self, windows: Sequence[Window], parameters: Array) -> Array:
+        """The most probable set (p,) near the identified one, with all parameters free.
+
+        Weakly determined parameters move as far as the data support. If they were held, the
+        standard errors would be too small. The noise is estimated together with the set.
+        """
+        for _ in range(_ROUNDS):
+            problem = self._posterior(windows, self._noise(windows, parameters), parameters)
+            search = LocalSearch(problem, problem.start)
+            search.least_squares(most_steps=self.model.effort.most_steps)
+            parameters = problem.parameters(search.best)
+        return parameters
 
     def errors(self, windows: Sequence[Window], parameters: Array) -> PointErrors:
         """Accuracy of the force from windows to which ``parameters`` (p,) were fitted.
@@ -508,18 +468,22 @@ class RunPlanner:
         The errors of the parameters include the discrepancy between motions, because without it a
         law that is extrapolated to faster motions counts as exact.
         """
-        misfit = _misfit(self.model, windows, self._noise(windows, parameters))
-        prior, every = self.prior(parameters), range(parameters.size)
-        posterior = Posterior(misfit, parameters, every, prior, 1.0)
+        posterior = self._posterior(windows, self._noise(windows, parameters), parameters)
         jacobian, residual = (
             posterior.jacobian(posterior.start),
             posterior.residual(posterior.start),
         )
-        motions = np.full(residual.size, -1)  # the rows of the prior belong to no motion
-        motions[: misfit.sample_count] = motion_numbers(windows)[misfit.sample_windows]
+        motions = np.concatenate(
+            [
+                np.full(window.sample_count, number)
+                for window, number in zip(windows, motion_numbers(windows), strict=True)
+            ]
+            # The rows of the prior belong to no motion.
+            + [np.full(parameters.size, -1)]
+        )
         covariance = np.asarray(np.linalg.inv(jacobian.T @ jacobian), dtype=float)
         covariance += np.nan_to_num(discrepancy_between(jacobian, residual, motions, covariance))
-        information = np.linalg.inv(covariance) / np.outer(prior.width, prior.width)
+        information = np.linalg.inv(covariance) / np.outer(posterior.widths, posterior.widths)
         return self._errors(parameters, information, self._model_errors(windows, parameters))
 
     def next(self, windows: Sequence[Window], parameters: Array, observable: np.ndarray) -> Plan:

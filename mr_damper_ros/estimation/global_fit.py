@@ -21,9 +21,14 @@ from mr_damper_ros.estimation.differential_evolution import (
     ProgressClock,
     Report,
 )
-from mr_damper_ros.estimation.global_search import Candidate, GlobalSearch
+from mr_damper_ros.estimation.global_search import Candidate, Excerpts, GlobalSearch
 from mr_damper_ros.estimation.local_search import Ending, StopRequestedError
-from mr_damper_ros.estimation.record_levels import LevelPrior, counted_samples
+from mr_damper_ros.estimation.record_levels import (
+    Level,
+    LevelledProblem,
+    LevelPrior,
+    counted_samples,
+)
 from mr_damper_ros.kinematics.window import Window
 from mr_damper_ros.models.force_model import Model
 from mr_damper_ros.models.misfit import Misfit, PriorRows
@@ -103,6 +108,18 @@ class GlobalFit:
         by_parameters = np.sum(jacobian @ self.covariance[np.ix_(free, free)] * jacobian, axis=1)
         left = float(np.mean(self.nrmse**2) * np.var(model.window_force(window, values)))
         return np.asarray(np.sqrt(by_parameters + left))
+
+    def misfit(self, windows: Sequence[Window]) -> Misfit:
+        """The misfit that the search of the set minimised."""
+        found = self.parameter_set
+        return Excerpts(found.law, windows).misfit(self.noise, self.levels, found.values)
+
+    def record_levels(self, windows: Sequence[Window]) -> list[Level]:
+        """Gain and offset of each record, in order of its number; empty without record levels."""
+        misfit = self.misfit(windows)
+        if not isinstance(misfit, LevelledProblem):
+            return []
+        return misfit.levels(self.parameter_set.values, self.covariance)
 
     @property
     def median_nrmse(self) -> float:

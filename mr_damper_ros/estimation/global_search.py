@@ -162,6 +162,7 @@ _SEPARATE = 1e-3
 
 _STAGE = "separate fits of the runs"
 
+
 _ONE_SIDED = 0.1
 """A window with less than this part of its samples in one direction of motion is one-sided."""
 
@@ -214,144 +215,6 @@ def _pieces(model: Model, window: Window, count: int) -> list[tuple[Window, Wind
         if piece.sample_count > 1 and np.ptp(piece.force) > 0.0:
             found.append((stretch, piece))
     return found or [(window, window)]
-
-
-class SeparateFits:
-    """Separate fits of the thinned windows; the residual of each fit is the noise of its window.
-
-    ``pooled``: misfit of one set to all thinned windows, weighted by their noise, with the
-    ``levels`` of their records if there are any.
-    """
-
-    pooled: Misfit
-
-    def __init__(
-        self,
-        model: Model,
-        windows: Sequence[Window],
-        clock: ProgressClock,
-        levels: LevelPrior | None = None,
-    ) -> None:
-        self._model = model
-        self._excerpts = Excerpts(model, windows)
-        self._levels = levels
-        self._clock = clock
-        self.fits: list[WindowFit] = []
-        self.evaluations = 0
-
-    def fit(self, start: Array, known: Array | None = None) -> None:
-        """Fit each window from ``start``; with varying current also from ``known``.
-
-        A window with varying current needs the current dependence of ``known``; the better of the
-        two fits is kept. Raises StopRequestedError when the clock stops the fits; earlier results
-        are then kept.
-        """
-        found: list[WindowFit] = []
-        scales = self._model.unknown_indices
-        for few, whole in zip(self._excerpts.few, self._excerpts.stretches, strict=True):
-            starts = [start]
-            for other in found:
-                starts.append(start.copy())
-                starts[-1][scales] = other.parameters[scales]
-            # Start from the best result so far; other starts are not tried.
-            left = [self._model.window_force(few, each) - few.force for each in starts]
-            fit = self._fit(few, starts[int(np.argmin(np.linalg.norm(left, axis=-1)))])
-            if known is not None and current_varies(few):
-                fit = min(fit, self._fit(few, known), key=lambda found: found.rmse)
-            found.append(fit if whole is few else self._fit(whole, fit.parameters))
-        if not (self._clock.stopped and self.fits):
-            self.fits = found
-            self.weigh(self._noise())
-        if self._clock.stopped:
-            raise StopRequestedError
-
-    def weigh(self, noise: Array) -> None:
-        """Weight the windows by their noise (k,) [N]."""
-        self.noise = noise
-        self.pooled = self._excerpts.misfit(noise, self._levels)
-
-    def share(self, other: SeparateFits, owners: Sequence[int]) -> None:
-        """Copy fits and noise from ``other``, whose window ``owners[k]`` is window k here."""
-        pairs = zip(other.fits, other._excerpts.owners, strict=True)
-        self.fits = [fit for fit, owner in pairs if owner in owners]
-        self.weigh(other.noise[list(owners)])
-
-    def _fit(self, window: Window, start: Array) -> WindowFit:
-        fit = fit_window(
-            self._model,
-            window,
-            start,
-            method="least_squares",
-            tolerance=_SEPARATE,
-            should_stop=self._stops,
-        )
-        self.evaluations += fit.evaluations
-        return fit
-
-    def _stops(self) -> bool:
-        return self._clock.poll(_STAGE, math.nan)
-
-    def misfit(self, windows: Sequence[Window], known: Array | None = None) -> Misfit:
-        """Misfit of one set to the same windows with other samples."""
-        return levelled(Misfit(self._model, windows, self.noise.tolist(), known), self._levels)
-
-    def _noise(self) -> Array:
-        """RMSE [N] of the fits of each window (k,), with a lower limit for one-sided windows.
-
-        Nearly any law fits a part of a stroke, so the RMSE of a one-sided window is too small.
-        """
-        squares, sizes, one_sided = [], [], []
-        for fit, stretch in zip(self.fits, self._excerpts.stretches, strict=True):
-            residual = self._model.window_force(stretch, fit.parameters) - stretch.force
-            settled = self._model.settled(stretch, fit.parameters)
-            squares.append(float(np.mean(residual[settled] ** 2)))
-            sizes.append(float(np.mean(stretch.force**2)))
-            rising = float(np.mean(stretch.motion.velocity > 0.0))
-            one_sided.append(abs(rising - 0.5) > 0.5 - _ONE_SIDED)
-        usual = sum(squares) / sum(sizes) * np.array(sizes)
-        left = np.where(one_sided, np.maximum(squares, usual), squares)
-        owners = self._excerpts.owners
-        return np.asarray(np.sqrt(np.bincount(owners, left) / np.bincount(owners)))
-
-    @property
-    def operating_points(self) -> tuple[list[float], list[float]]:
-        """Peak velocities [m/s] and currents [A] of the windows."""
-        return _points(self.fits)
-
-    def table(self) -> CoefficientTable:
-        """Coefficients of all windows."""
-        return _table(self.fits)
-
-    def without_search(self, start: Array) -> list[Array]:
-        """Approximate sets (p,) from the windows that were fitted before a stop.
-
-        One is the fit of a window; the other consists of the laws over all windows, with only their
-        linear parameters fitted.
-        """
-        fitted = [fit for fit in self.fits if fit.success] or self.fits[:1]
-        if not fitted:
-            return []
-        free = varied_parameters(self._model, *_points(fitted))
-        laws = self._model.fit_laws(_table(fitted), start, free, no_search)
-        return [fitted[0].parameters, laws]
-
-
-def _points(fits: Sequence[WindowFit]) -> tuple[list[float], list[float]]:
-    speeds, currents = zip(*(fit.operating_point for fit in fits), strict=True)
-    return list(speeds), list(currents)
-
-
-def _table(fits: Sequence[WindowFit]) -> CoefficientTable:
-    speeds, currents = _points(fits)
-    return CoefficientTable(
-        peak_velocity=np.array(speeds),
-        current=np.array(currents),
-        coefficients=np.array([fit.coefficients for fit in fits]),
-        # Rounding may make the variance of a weakly determined coefficient negative.
-        errors=np.sqrt(
-            np.array([np.diag(fit.coefficient_covariance).clip(min=0.0) for fit in fits])
-        ),
-    )
 
 
 def levelled(pooled: Misfit, levels: LevelPrior | None) -> Misfit:
@@ -411,7 +274,10 @@ class GlobalSearch:
 
     ``free``: before the search, the parameters that the windows may separate; after the search, the
     parameters that they determine. If the windows allow it, the other parameters have their start
-    values, or values that describe no dependence on velocity and current.
+    values, or values that describe no dependence on velocity and current. ``noise`` (k,) [N]: RMSE
+    of the separate fit of each window; ``fits``: separate fits of the windows or their pieces;
+    ``pooled``: the misfit that the search minimises; ``evaluations`` of the force, or of cheaper
+    approximations.
     """
 
     def __init__(
@@ -441,35 +307,22 @@ class GlobalSearch:
         self._own_neutral = model.without_dependence(model.initial_values()[0], top_current)
         self.free = varied_parameters(model, *operating_points_within(windows))
         self._ranges = parameter_ranges(model, windows)
-        self._separate = SeparateFits(model, windows, clock, levels)
+        self._excerpts = Excerpts(model, windows)
         # Parameters that one run determines besides the coefficients (such as a compliance), and
         # the effect of a current that varies within a run, are known only after a first search.
         self._again = bool(model.common_names) or any(map(current_varies, windows))
-        self._evaluations = 0
+        self.evaluations = 0
+        self.fits: list[WindowFit] = []
         self._tolerance = 0.0
         self.best = start
         self.exhausted = False
         self.shortcoming = ""
         self.candidates: list[Candidate] = []
 
-    @property
-    def evaluations(self) -> int:
-        """Number of evaluations of the force, or of cheaper approximations, so far."""
-        return self._evaluations + self._separate.evaluations
-
-    @property
-    def noise(self) -> Array:
-        """RMSE [N] of the separate fit of each window (k,)."""
-        return self._separate.noise
-
-    @property
-    def pooled(self) -> Misfit:
-        """The misfit that the search minimises."""
-        return self._separate.pooled
-
     def whole_misfit(self) -> Misfit:
         """Misfit over all samples except those that still depend on the unknown past."""
-        return self._separate.misfit(self.windows, self.best)
+        misfit = Misfit(self.model, self.windows, self.noise.tolist(), self.best)
+        return levelled(misfit, self.levels)
 
     def run(self, method: str) -> None:
         """Search by one of the methods of :func:`identify_global`.
@@ -486,8 +339,8 @@ class GlobalSearch:
 
     def _stop(self) -> None:
         """Select the best known set after a search was stopped."""
-        others = [self._start, *self._separate.without_search(self._neutral)]
-        self.best = min((self.best, *others), key=self.pooled.mean_square)
+        known = (self.best, self._start, *(fit.parameters for fit in self.fits))
+        self.best = min(known, key=self.pooled.mean_square)
         self.free = self._determined(self.pooled)
 
     def refit(self, whole: GlobalSearch, owners: Sequence[int]) -> None:
@@ -497,7 +350,9 @@ class GlobalSearch:
         separate fits. Raises StopRequestedError when the report stops the search.
         """
         self._tolerance = _SEPARATE
-        self._separate.share(whole._separate, owners)
+        pairs = zip(whole.fits, whole._excerpts.owners, strict=True)
+        self.fits = [fit for fit, owner in pairs if owner in owners]
+        self._weigh(whole.noise[list(owners)])
         free = np.isin(self.model.parameter_names, list(self.free))
         self.best = np.where(free, whole.best, self._prior().centre)
         try:
@@ -514,23 +369,70 @@ class GlobalSearch:
         simpler = self._by_simpler_law(method, generations + direct + self._later)
         self._clock.expect((1 + self._again) * generations + direct + self._later)
         if simpler is None:
-            self._separate.fit(self._neutral)
+            self._fit_windows(self._neutral)
             self._search_from(self._starts(), method)
         else:
-            self._separate.weigh(simpler.noise)
+            self._weigh(simpler.noise)
             origin = f"the simpler law {simpler.model.name}"
             self._search_from({origin: self.model.from_simpler(simpler.best)}, method)
         if self._again:
             neutral = self._own_neutral.copy()
             places = self.model.places(self.model.common_names)
             neutral[places] = self.best[places]
-            self._separate.fit(neutral, self.best)
+            self._fit_windows(neutral, self.best)
             self._search_from({"the windows fitted before": self.best, **self._starts()}, method)
 
-    @property
-    def fits(self) -> list[WindowFit]:
-        """Separate fits of the windows or their pieces."""
-        return self._separate.fits
+    def _fit_windows(self, start: Array, known: Array | None = None) -> None:
+        """Fit each thinned window separately; the residual is the noise of its window.
+
+        A window with varying current needs the current dependence of ``known`` (p,); it is fitted
+        from there, too, and the better fit is kept. Raises StopRequestedError when the clock stops
+        the fits; earlier results are then kept.
+        """
+        found: list[WindowFit] = []
+        squares: list[tuple[float, float, bool]] = []
+        scales = self.model.unknown_indices
+        for few, whole in zip(self._excerpts.few, self._excerpts.stretches, strict=True):
+            starts = np.tile(start, (1 + len(found), 1))
+            starts[1:, scales] = [other.parameters[scales] for other in found] or 0.0
+            # Start from the best result so far; other starts are not tried.
+            left = [self.model.window_force(few, each) - few.force for each in starts]
+            fit = self._fit_window(few, starts[int(np.argmin(np.linalg.norm(left, axis=-1)))])
+            if known is not None and current_varies(few):
+                fit = min(fit, self._fit_window(few, known), key=lambda each: each.rmse)
+            found.append(fit if whole is few else self._fit_window(whole, fit.parameters))
+            values = found[-1].parameters
+            residual = self.model.window_force(whole, values) - whole.force
+            square = float(np.mean(residual[self.model.settled(whole, values)] ** 2))
+            rising = float(np.mean(whole.motion.velocity > 0.0))
+            one_sided = abs(rising - 0.5) > 0.5 - _ONE_SIDED
+            squares.append((square, float(np.mean(whole.force**2)), one_sided))
+        if not (self._clock.stopped and self.fits):
+            self.fits, owners = found, self._excerpts.owners
+            left, sizes, one_sided = np.array(squares).T
+            # Nearly any law fits a part of a stroke, so its residual is too small.
+            usual = np.sum(left) / np.sum(sizes) * sizes
+            left = np.where(one_sided > 0.0, np.maximum(left, usual), left)
+            self._weigh(np.sqrt(np.bincount(owners, left) / np.bincount(owners)))
+        if self._clock.stopped:
+            raise StopRequestedError
+
+    def _fit_window(self, window: Window, start: Array) -> WindowFit:
+        fit = fit_window(
+            self.model,
+            window,
+            start,
+            method="least_squares",
+            tolerance=_SEPARATE,
+            should_stop=lambda: self._clock.poll(_STAGE, math.nan),
+        )
+        self.evaluations += fit.evaluations
+        return fit
+
+    def _weigh(self, noise: Array) -> None:
+        """Weight the windows in the ``pooled`` misfit by their ``noise`` (k,) [N]."""
+        self.noise = noise
+        self.pooled = self._excerpts.misfit(noise, self.levels)
 
     def _by_simpler_law(self, method: str, later: int) -> GlobalSearch | None:
         """The search of the simpler law that the model contains; None if there is none.
@@ -550,18 +452,25 @@ class GlobalSearch:
             search._stop()
             raise
         finally:
-            self._evaluations += search.evaluations
+            self.evaluations += search.evaluations
             self.best = self.model.from_simpler(search.best)
-            self._separate.weigh(search.noise)
+            self._weigh(search.noise)
         return search
 
     def _starts(self) -> dict[str, Array]:
         """Starts for the search on the samples, by origin."""
-        between = self.free & varied_parameters(self.model, *self._separate.operating_points)
-        table, centre = self._separate.table(), self._prior().centre
+        speeds, currents = np.array([fit.operating_point for fit in self.fits]).T
+        table = CoefficientTable(
+            speeds,
+            currents,
+            np.array([fit.coefficients for fit in self.fits]),
+            # Rounding may make the variance of a weakly determined coefficient negative.
+            np.sqrt([np.diag(fit.coefficient_covariance).clip(min=0.0) for fit in self.fits]),
+        )
+        between = self.free & varied_parameters(self.model, speeds.tolist(), currents.tolist())
         starts = {
             "the laws of the coefficients": self.model.fit_laws(
-                table, centre, between, self._search_law
+                table, self._prior().centre, between, self._search_law
             ),
             "the coefficients of one window": min(
                 (fit.parameters for fit in self.fits), key=self.pooled.mean_square
@@ -580,7 +489,7 @@ class GlobalSearch:
         if self._clock.stopped:
             return start
         best, _, count = evolve(cost, bounds, self._settings, self._clock, stage=stage, start=start)
-        self._evaluations += count
+        self.evaluations += count
         return best
 
     def _prior(self) -> Prior:
@@ -786,7 +695,7 @@ class GlobalSearch:
             raise
         finally:
             self.exhausted = search.exhausted
-            self._evaluations += search.evaluations
+            self.evaluations += search.evaluations
         return problem.parameters(search.best)
 
     def _evolve_samples(self) -> Array:
@@ -806,7 +715,7 @@ class GlobalSearch:
             )
         ]
         few = [window.thinned(FEW_SAMPLES) for window in self.windows]
-        misfit = self._separate.misfit(few)
+        misfit = levelled(Misfit(self.model, few, self.noise.tolist()), self.levels)
 
         def cost(individuals: Array) -> Array:
             sets = np.repeat(centre[np.newaxis], individuals.shape[1], axis=0)
@@ -821,7 +730,7 @@ class GlobalSearch:
             stage="all free parameters",
             start=None if self._earlier is None else self._earlier[places],
         )
-        self._evaluations += count
+        self.evaluations += count
         result = centre.copy()
         result[places] = found
         return result

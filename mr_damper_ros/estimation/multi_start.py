@@ -31,6 +31,7 @@ from mr_damper_ros.kinematics.window import Window
 from mr_damper_ros.models import MODELS
 from mr_damper_ros.models.force_model import Model
 from mr_damper_ros.models.parameter_set import ParameterError, ParameterSet
+from mr_damper_ros.processes.files import json_ready
 from mr_damper_ros.processes.process_pool import Notify, ProcessPool
 from mr_damper_ros.signals.arrays import Array
 
@@ -175,38 +176,31 @@ class SearchRecord:
 
 
 def identify_from_seeds(
-    model: Model,
-    windows: Sequence[Window],
-    start: Array,
-    settings: EvolutionSettings,
+    record: SearchRecord,
     count: int = 1,
     report: Report | None = None,
     *,
-    method: str = "global",
-    levels: LevelPrior | None = None,
     processes: ProcessPool | None = None,
-    record: SearchRecord | None = None,
     keep: Callable[[SearchRecord], None] | None = None,
 ) -> MultiStart:
     """Search from ``count`` seeds, starting with the seed of the settings.
 
-    See :func:`identify_global` for the other arguments. The result does not depend on the number of
-    ``processes``. ``record`` holds earlier results and receives the new ones; ``keep`` is called
-    after each new result. If ``report`` stops the search, the best results so far are returned.
+    The result does not depend on the number of ``processes``. ``record`` holds earlier results and
+    receives the new ones; ``keep`` is called after each new result. If ``report`` stops the search,
+    the best results so far are returned.
 
     Raises ValueError for a count below 1 and the errors of :func:`identify_global`.
     """
     if count < 1:
         raise ValueError(f"starts is {count}: at least 1 is needed")
-    results = record or SearchRecord(model, windows, start, settings, method, levels)
-    seeds = [settings.seed + place for place in range(count)]
-    missing = [seed for seed in seeds if not results.is_finished(seed)]
+    seeds = [record.search.settings.seed + place for place in range(count)]
+    missing = [seed for seed in seeds if not record.is_finished(seed)]
     began, parts = time.monotonic(), dict[int, float]()
 
     def done(place: int, fit: GlobalFit) -> None:
-        results.add(missing[place], fit)
+        record.add(missing[place], fit)
         if keep is not None:
-            keep(results)
+            keep(record)
 
     def follow(place: int, progress: GlobalProgress) -> bool:
         """Combine the progress of several searches."""
@@ -221,9 +215,9 @@ def identify_from_seeds(
             )
         return report(progress)
 
-    tasks = [results.search_from(seed) for seed in missing]
+    tasks = [record.search_from(seed) for seed in missing]
     (processes or ProcessPool()).map(_run, tasks, follow if report else None, done)
-    return MultiStart({seed: results.fits[seed] for seed in seeds if seed in results.fits})
+    return MultiStart({seed: record.fits[seed] for seed in seeds if seed in record.fits})
 
 
 _ARRAYS = ("covariance", "discrepancy", "nrmse", "noise", "scatter")
@@ -232,20 +226,18 @@ _PLAIN = ("evaluations", "success", "message", "stopped", "cost")
 
 
 def _to_document(fit: GlobalFit) -> dict[str, Any]:
-    # JSON has no NaN.
-    arrays = {name: np.array(getattr(fit, name), dtype=object) for name in _ARRAYS}
-    for array in arrays.values():
-        array[np.isnan(array.astype(float))] = None
-    return {
-        "set": fit.parameter_set.to_yaml(),
-        **{name: a.tolist() for name, a in arrays.items()},
-        **{name: getattr(fit, name) for name in _PLAIN},
-        "candidates": [
-            {"origin": c.origin, "parameters": c.parameters.tolist(), "cost": c.cost}
-            for c in fit.candidates
-        ],
-        "counted_samples": None if fit.levels is None else fit.levels.counted_samples,
-    }
+    document: dict[str, Any] = json_ready(
+        {
+            "set": fit.parameter_set.to_yaml(),
+            **{name: getattr(fit, name).tolist() for name in _ARRAYS},
+            **{name: getattr(fit, name) for name in _PLAIN},
+            "candidates": [
+                {**vars(each), "parameters": each.parameters.tolist()} for each in fit.candidates
+            ],
+            "counted_samples": None if fit.levels is None else fit.levels.counted_samples,
+        }
+    )
+    return document
 
 
 def _from_document(document: dict[str, Any], levels: LevelPrior | None) -> GlobalFit:
@@ -259,8 +251,8 @@ def _from_document(document: dict[str, Any], levels: LevelPrior | None) -> Globa
     return GlobalFit(
         parameter_set=ParameterSet.from_yaml(document["set"]),
         candidates=tuple(
-            Candidate(c["origin"], np.array(c["parameters"]), float(c["cost"]))
-            for c in document["candidates"]
+            Candidate(**{**each, "parameters": np.array(each["parameters"])})
+            for each in document["candidates"]
         ),
         levels=levels,
         **fields,

@@ -13,7 +13,7 @@ scaled so that its curvature at the minimum agrees with the covariance for autoc
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -31,15 +31,9 @@ from mr_damper_ros.estimation.differential_evolution import (
     Report,
 )
 from mr_damper_ros.estimation.global_fit import GlobalFit, identify_global
-from mr_damper_ros.estimation.global_search import (
-    Excerpts,
-    Posterior,
-    Prior,
-    with_linear_refitted,
-)
+from mr_damper_ros.estimation.global_search import Posterior, Prior, with_linear_refitted
 from mr_damper_ros.estimation.local_search import LocalSearch, StopRequestedError
 from mr_damper_ros.estimation.observability import parameter_ranges, parameter_spans
-from mr_damper_ros.estimation.record_levels import Level, LevelledProblem
 from mr_damper_ros.kinematics.window import Window
 from mr_damper_ros.models.force_model import Model
 from mr_damper_ros.models.misfit import Misfit
@@ -86,9 +80,8 @@ class Profile:
 class ProfileLikelihood:
     """Profiles of the parameters (p,) that were fitted with ``misfit``.
 
-    ``observable`` (p,) marks the determined parameters; ``ranges`` are the plausible ranges of the
-    shape parameters. ``should_stop`` is called at every evaluation; if it returns True,
-    StopRequestedError is raised.
+    ``observable`` (p,) marks the determined parameters. ``should_stop`` is called at every
+    evaluation; if it returns True, StopRequestedError is raised.
     """
 
     def __init__(
@@ -97,21 +90,18 @@ class ProfileLikelihood:
         misfit: Misfit,
         parameters: Array,
         observable: np.ndarray,
-        ranges: Mapping[str, tuple[float, float]],
         should_stop: Callable[[], bool] | None = None,
     ) -> None:
         self._model = model
         self._misfit = misfit
-        self._ranges = ranges
-        self._observable = observable
         self._should_stop = should_stop
         self._start = np.array(parameters, dtype=float)
+        self._ranges = parameter_ranges(model, misfit.windows)
         jacobian, residual = misfit.jacobian(self._start), misfit.residual(self._start)
-        self._spans = parameter_spans(model, jacobian, self._start, ranges)
+        self._spans = parameter_spans(model, jacobian, self._start, self._ranges)
         # Standard errors (p,), and the ratio of the variances for white noise to the actual ones.
         self._errors = np.full(self._start.size, math.nan)
-        self._shrinkage = np.full(self._start.size, 1.0 / max(correlation_length(residual), 1))
-        self._freedom = max(misfit.sample_count - int(np.sum(observable)), 1)
+        shrinkage = np.full(self._start.size, 1.0 / max(correlation_length(residual), 1))
         if np.any(observable):
             seen = jacobian[:, observable]
             variances = np.diag(least_squares_covariance(seen, residual, prior=misfit.prior))
@@ -120,8 +110,8 @@ class ProfileLikelihood:
             known = np.isfinite(variances)
             places = np.flatnonzero(observable)[known]
             self._errors[places] = np.sqrt(variances[known])
-            self._shrinkage[places] = white[known] / variances[known]
-        self._top_current = max(float(np.max(np.abs(w.current))) for w in misfit.windows)
+            shrinkage[places] = white[known] / variances[known]
+        self._scales = max(misfit.sample_count - int(np.sum(observable)), 1) * shrinkage
 
     def of(self, name: str) -> Profile:
         """Profile of one parameter; raises ValueError if the law has no parameter of this name."""
@@ -131,25 +121,34 @@ class ProfileLikelihood:
                 f"there is no parameter '{name}' to profile: use one of {', '.join(names)}"
             )
         place = names.index(name)
-        scale = self._freedom * float(self._shrinkage[place])
+        parameter, value = self._model.parameters[place], float(self._start[place])
+        scale, span = float(self._scales[place]), float(self._spans[place])
         step = _STEP_RISE * float(self._errors[place])
         if math.isnan(step):
-            step = _FIRST_STEP * float(self._spans[place])
-        low, high = self._limits(name, place)
+            step = _FIRST_STEP * span
+        # The value itself may lie outside the range that is plausible for these data.
+        low, high = self._ranges.get(name, (-math.inf, math.inf))
+        low = max(min(low, value - span), parameter.low)
+        high = min(max(high, value + span), parameter.high)
         # Visited sets and their costs. The given parameters may not be at the minimum over the
         # other parameters, so they are refitted first.
         visited = [self._refitted(place, [self._refitted(place, [self._start])[0]])]
         self._walk(visited, place, step, high, scale)
         self._walk(visited, place, -step, low, scale)
-        return self._profile(visited, place, scale)
-
-    def _limits(self, name: str, place: int) -> tuple[float, float]:
-        value, span = float(self._start[place]), float(self._spans[place])
-        low, high = self._ranges.get(name, (-math.inf, math.inf))
-        # The value itself may lie outside the range that is plausible for these data.
-        parameter = self._model.parameters[place]
-        return max(min(low, value - span), parameter.low), min(
-            max(high, value + span), parameter.high
+        ordered = sorted(visited, key=lambda each: float(each[0][place]))
+        values, first = np.unique([each[place] for each, _ in ordered], return_index=True)
+        roots = _roots(np.minimum.reduceat([cost for _, cost in ordered], first), scale)
+        best = int(np.argmin(roots))
+        return Profile(
+            name=name,
+            values=values,
+            ratio=roots**2,
+            best=float(values[best]),
+            lowest=min(visited, key=lambda each: each[1])[0],
+            interval=(
+                _crossing(values[best::-1], roots[best::-1], -math.inf),
+                _crossing(values[best:], roots[best:], math.inf),
+            ),
         )
 
     def _refitted(
@@ -176,26 +175,6 @@ class ProfileLikelihood:
         residual = self._misfit.residual(parameters)
         return float(residual @ residual)
 
-    def _starts(self, before: Array, here: Array, place: int, target: float) -> list[Array]:
-        """Starts with the parameter at its target.
-
-        The starts are an extrapolation of the last step, the present parameters, and the present
-        parameters with the linear ones refitted.
-        """
-        value, moved = float(here[place]), float(here[place] - before[place])
-        ahead = here + (here - before) * ((target - value) / moved if moved else 0.0)
-        plain = np.array(here)
-        ahead[place] = plain[place] = target
-        held = self._observable | (np.arange(here.size) == place)
-        soft = self._model.softened(plain, held, self._top_current)
-        linear = frozenset(self._model.linear) - {self._model.parameter_names[place]}
-        windows = self._misfit.windows
-        return [
-            ahead,
-            plain,
-            *(with_linear_refitted(self._model, windows, here, s, linear) for s in (plain, soft)),
-        ]
-
     def _walk(
         self,
         visited: list[tuple[Array, float]],
@@ -204,36 +183,29 @@ class ProfileLikelihood:
         limit: float,
         scale: float,
     ) -> None:
-        """Step away from the minimum until the ratio exceeds its quantile, or to ``limit``."""
+        """Step away from the minimum until the ratio exceeds its quantile, or to ``limit``.
+
+        A step starts from the extrapolation of the last one, from the present parameters, or from
+        these with the linear ones refitted.
+        """
+        linear = frozenset(self._model.linear) - {self._model.parameter_names[place]}
         here = before = visited[0][0]
         root = _roots([cost for _, cost in visited], scale)[0]
         for _ in range(_MOST_STEPS):
-            value = float(here[place])
+            value, moved = float(here[place]), float(here[place] - before[place])
             if root > _BOUND or value == limit:
                 return
             target = min(value + step, limit) if step > 0.0 else max(value + step, limit)
+            ahead = here + (here - before) * ((target - value) / moved if moved else 0.0)
+            plain = np.array(here)
+            ahead[place] = plain[place] = target
+            windows = self._misfit.windows
+            refitted = with_linear_refitted(self._model, windows, here, plain, linear)
             enough = min(cost for _, cost in visited) * (1.0 + _BOUND**2 / scale)
-            visited.append(self._refitted(place, self._starts(before, here, place, target), enough))
+            visited.append(self._refitted(place, [ahead, plain, refitted], enough))
             last, root = root, _roots([cost for _, cost in visited], scale)[-1]
             before, here = here, visited[-1][0]
             step *= min(max(_STEP_RISE / max(root - last, 1e-9), 0.5), 3.0)
-
-    def _profile(self, visited: Sequence[tuple[Array, float]], place: int, scale: float) -> Profile:
-        ordered = sorted(visited, key=lambda each: float(each[0][place]))
-        values, first = np.unique([each[place] for each, _ in ordered], return_index=True)
-        roots = _roots(np.minimum.reduceat([cost for _, cost in ordered], first), scale)
-        best = int(np.argmin(roots))
-        return Profile(
-            name=self._model.parameter_names[place],
-            values=values,
-            ratio=roots**2,
-            best=float(values[best]),
-            lowest=min(visited, key=lambda each: each[1])[0],
-            interval=(
-                _crossing(values[best::-1], roots[best::-1], -math.inf),
-                _crossing(values[best:], roots[best:], math.inf),
-            ),
-        )
 
 
 def _roots(costs: ArrayLike, scale: float) -> Array:
@@ -255,23 +227,6 @@ def _crossing(values: Array, roots: Array, otherwise: float) -> float:
     return float(values[last - 1] + part * (values[last] - values[last - 1]))
 
 
-_Ranges = Mapping[str, tuple[float, float]]
-
-
-def search_misfit(fit: GlobalFit, windows: Sequence[Window]) -> Misfit:
-    """The misfit that the search of the set minimised."""
-    found = fit.parameter_set
-    return Excerpts(found.law, windows).misfit(fit.noise, fit.levels, found.values)
-
-
-def record_levels(fit: GlobalFit, windows: Sequence[Window]) -> list[Level]:
-    """Gain and offset of each record, in order of its number; empty without record levels."""
-    misfit = search_misfit(fit, windows)
-    if not isinstance(misfit, LevelledProblem):
-        return []
-    return misfit.levels(fit.parameter_set.values, fit.covariance)
-
-
 def profiles_of(
     fit: GlobalFit,
     windows: Sequence[Window],
@@ -287,10 +242,9 @@ def profiles_of(
     for name in names:
         if name not in law:
             raise ValueError(f"there is no parameter '{name}' to profile: use {', '.join(law)}")
-    misfit = search_misfit(fit, windows)
-    ranges = parameter_ranges(fit.parameter_set.law, windows)
+    misfit = fit.misfit(windows)
     listen = None if report is None else lambda _, news: report(news)
-    tasks = [(fit.parameter_set, misfit, ranges, name) for name in names]
+    tasks = [(fit.parameter_set, misfit, name) for name in names]
     return [profile for profile in processes.map(_profile, tasks, listen) if profile]
 
 
@@ -309,29 +263,21 @@ def profiled(
     """
     while True:
         found = profiles_of(fit, windows, names, processes, report)
-        values, misfit = fit.parameter_set.as_dict(), search_misfit(fit, windows)
+        values, cost = fit.parameter_set.as_dict(), fit.misfit(windows).mean_square
         lower = [each.lowest for each in found if not each.contains(values[each.name])]
         if not lower:
-            break
-        start = min(lower, key=misfit.mean_square)
+            return fit, found
+        start, law = min(lower, key=cost), fit.parameter_set.law
         again = identify_global(
-            fit.parameter_set.law,
-            windows,
-            start,
-            settings,
-            report,
-            known=start,
-            levels=fit.levels,
+            law, windows, start, settings, report, known=start, levels=fit.levels
         )
-        before, after = (misfit.mean_square(each.parameter_set.values) for each in (fit, again))
-        if not after < before:
-            break
+        if not cost(again.parameter_set.values) < cost(fit.parameter_set.values):
+            return fit, found
         fit = again
-    return fit, found
 
 
-def _profile(task: tuple[ParameterSet, Misfit, _Ranges, str], notify: Notify) -> Profile | None:
-    found, misfit, ranges, name = task
+def _profile(task: tuple[ParameterSet, Misfit, str], notify: Notify) -> Profile | None:
+    found, misfit, name = task
     clock = ProgressClock(1, notify)
     try:
         return ProfileLikelihood(
@@ -339,7 +285,6 @@ def _profile(task: tuple[ParameterSet, Misfit, _Ranges, str], notify: Notify) ->
             misfit,
             found.values,
             found.observable,
-            ranges,
             lambda: clock.poll(f"profile of {name}", math.nan),
         ).of(name)
     except StopRequestedError:

@@ -17,7 +17,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -32,8 +32,9 @@ from mr_damper_ros.estimation.covariance import (
 from mr_damper_ros.estimation.local_search import Ending, LocalSearch, StopRequestedError
 from mr_damper_ros.kinematics.motion import DataError
 from mr_damper_ros.kinematics.window import Window
-from mr_damper_ros.models.force_model import Model
+from mr_damper_ros.models.force_model import Model, WindowForces
 from mr_damper_ros.models.misfit import WindowProblem
+from mr_damper_ros.models.quantities import LoopReading
 from mr_damper_ros.signals.arrays import Array
 
 WINDOW_METHODS = ("nelder_mead", "least_squares")
@@ -147,40 +148,53 @@ def fit_window(
     spread = float(np.std(window.force))
     if spread == 0.0:
         raise DataError("the force does not change: there is nothing to identify")
-    contest = _StartSelection(model, window, should_stop)
-    cycle = samples_per_cycle(window)
+    cycle, effort = samples_per_cycle(window), model.effort
     weights = np.ones(window.sample_count)
-    with_prior: _PriorProblem | None = None
+    searches: list[LocalSearch[WindowProblem]] = []
+    posterior: _Posterior | None = None
     ending = Ending.CONVERGED
+
+    def enter(parameters: Array, forces: WindowForces | None = None) -> LocalSearch[WindowProblem]:
+        problem = WindowProblem(model, window, parameters, forces=forces)
+        searches.append(LocalSearch(problem, problem.start, should_stop))
+        searches[-1].try_out(problem.start)
+        return searches[-1]
+
     try:
-        search = contest.enter(start)
+        search = enter(start)
         # "not <=" is also true for a NaN cost.
         if not _mean_square(search) <= POOR_START * spread**2:
-            search = contest.settle()
-        problem, effort = search.problem, model.effort
+            # The costs of the starts alone do not show which of them leads to the lowest minimum.
+            forces = search.problem.forces
+            cold = [enter(each, forces) for each in model.cold_starts(window, search.problem.given)]
+            cold = sorted(cold, key=_mean_square)[: effort.polished_starts]
+            limit = _SKIPPED_COST * _mean_square(cold[0])
+            hopeful = [each for each in (search, *cold) if _mean_square(each) < limit]
+            for each in hopeful if len(hopeful) > 1 else []:
+                each.least_squares(tolerance=effort.rough_tolerance, most_steps=effort.rough_steps)
+            search = min(searches, key=_mean_square)
         if method == "nelder_mead":
             search.nelder_mead()
-        if prior is not None:
-            with_prior = _PriorProblem.of(model, window, prior, cycle)
-        if with_prior is None:
-            search.least_squares(
-                tolerance=tolerance or effort.tolerance, most_steps=effort.most_steps
-            )
-            exhausted, unknowns = search.exhausted, search.best
-            if robust:
-                weights = search.reweighted_least_squares()
-                unknowns = search.best
-        else:
-            unknowns, exhausted = with_prior.most_probable(search, robust=robust)
+        search.least_squares(tolerance=tolerance or effort.tolerance, most_steps=effort.most_steps)
+        exhausted = search.exhausted
+        running = None if prior is None else WindowProblem(model, window, prior.parameters)
+        if running is not None and prior is not None:
+            width = _usual_change(running, prior.fastest)
+            # Without a force of the running set, there is no prior.
+            posterior = _Posterior(running, width, cycle) if np.isfinite(width).all() else None
+        if posterior is not None:
+            exhausted = posterior.search(search, robust=robust)
+        elif robust:
+            weights = search.reweighted_least_squares()
         if exhausted:
             ending = Ending.EXHAUSTED
     except StopRequestedError:
-        ending = Ending.STOPPED
-        problem, unknowns, with_prior = contest.best.problem, contest.best.best, None
-    if with_prior is not None:
-        problem, errors = with_prior.problem, with_prior.errors_at(unknowns)
+        ending, posterior = Ending.STOPPED, None
+        search = min(searches, key=_mean_square)
+    if posterior is not None:
+        problem, unknowns, errors = posterior.problem, posterior.best, posterior.errors()
     else:
-        settled = problem.settled
+        problem, unknowns, settled = search.problem, search.best, search.problem.settled
         jacobian, residual = problem.jacobian(unknowns), problem.residual(unknowns)
         errors = error_covariances(jacobian[settled], residual[settled], cycle, weights[settled])
     return fit_of(
@@ -189,7 +203,7 @@ def fit_window(
         errors.repeatability,
         discrepancy=errors.discrepancy,
         method=method,
-        evaluations=contest.evaluations,
+        evaluations=sum(each.evaluations + each.problem.differences for each in searches),
         ending=ending,
     )
 
@@ -233,87 +247,49 @@ def fit_of(
     )
 
 
-class _StartSelection:
-    """Searches from several starts; the best one continues."""
-
-    def __init__(
-        self, model: Model, window: Window, should_stop: Callable[[], bool] | None
-    ) -> None:
-        self._model = model
-        self._window = window
-        self._should_stop = should_stop
-        self._searches: list[LocalSearch[WindowProblem]] = []
-
-    def enter(self, parameters: Array) -> LocalSearch[WindowProblem]:
-        """Add a search from parameters (p,), and evaluate its start."""
-        return self._enter(WindowProblem(self._model, self._window, parameters))
-
-    def _enter(self, problem: WindowProblem) -> LocalSearch[WindowProblem]:
-        search = LocalSearch(problem, problem.start, self._should_stop)
-        self._searches.append(search)
-        search.try_out(problem.start)
-        return search
-
-    def settle(self) -> LocalSearch[WindowProblem]:
-        """Refine the first start and the best window-based starts for a few steps; return the best.
-
-        The costs of the starts alone do not show which of them leads to the lowest minimum.
-        """
-        first = self._searches[0]
-        cold = [self._enter(first.problem.restarted(s)) for s in first.problem.cold_starts()]
-        effort = self._model.effort
-        cold = sorted(cold, key=_mean_square)[: effort.polished_starts]
-        hopeful = [
-            search
-            for search in (first, *cold)
-            if _mean_square(search) < _SKIPPED_COST * _mean_square(cold[0])
-        ]
-        if len(hopeful) > 1:
-            for search in hopeful:
-                search.least_squares(
-                    tolerance=effort.rough_tolerance, most_steps=effort.rough_steps
-                )
-        return self.best
-
-    @property
-    def best(self) -> LocalSearch[WindowProblem]:
-        """The search with the lowest mean square."""
-        return min(self._searches, key=_mean_square)
-
-    @property
-    def evaluations(self) -> int:
-        """Number of evaluations of the force in all searches."""
-        return sum(each.evaluations + each.problem.differences for each in self._searches)
-
-
 def _mean_square(search: LocalSearch[WindowProblem]) -> float:
     """Mean square residual [N²] over the settled samples."""
     return search.best_cost / max(int(np.count_nonzero(search.problem.settled)), 1)
 
 
-class _PriorProblem:
+def _usual_change(running: WindowProblem, fastest: float) -> Array:
+    """Change (f,) of each unknown that changes the force by :data:`DRIFT_PER_WINDOW`.
+
+    The force is evaluated in the window and, if ``fastest`` [m/s] is finite, in a sine of this peak
+    velocity. The change is infinite if the force is zero.
+    """
+    problems = [running]
+    if math.isfinite(fastest):
+        window, model = running.window, running.model
+        frequency = LoopReading.of(window).frequency
+        sine = Window.of_sine(fastest, frequency, window.operating_point[1])
+        sine = replace(sine, force=model.window_force(sine, running.given))
+        problems.append(WindowProblem(model, sine, running.given))
+    changes = []
+    for problem in problems:
+        effect = np.sqrt(np.mean(problem.jacobian(problem.start) ** 2, axis=0))
+        force = problem.residual(problem.start) + problem.window.force
+        strength = float(np.sqrt(np.mean(force**2)))
+        if strength > 0.0:
+            changes.append(DRIFT_PER_WINDOW / np.maximum(effect / strength, 1e-12))
+        else:
+            changes.append(np.full(effect.size, np.inf))
+    return np.asarray(np.min(changes, axis=0))
+
+
+class _Posterior:
     """Residual of a window, then of the prior, in the unit of the samples' noise.
 
-    ``width`` (f,): prior standard deviation of the unknowns; ``noise`` [N]: standard deviation of
-    white noise that gives the same uncertainty of the unknowns.
+    ``problem`` has the running set as its start; ``width`` (f,): prior standard deviation of the
+    unknowns; ``best`` (f,): the most probable unknowns.
     """
 
     def __init__(self, problem: WindowProblem, width: Array, cycle: float) -> None:
         self.bounds = problem.bounds
         self.problem = problem
-        self._known = problem.start
+        self.best = self._known = problem.start
         self._width = width
         self._cycle = cycle
-        self._noise = 0.0
-
-    @classmethod
-    def of(
-        cls, model: Model, window: Window, prior: WindowPrior, cycle: float
-    ) -> _PriorProblem | None:
-        """The weighted problem; None if the force of the running set is zero."""
-        running = WindowProblem(model, window, prior.parameters)
-        width = running.usual_change(DRIFT_PER_WINDOW, prior.fastest)
-        return cls(running, width, cycle) if np.isfinite(width).all() else None
 
     def residual(self, unknowns: Array) -> Array:
         """Residual of the samples [N] (n,), then of the prior (f,)."""
@@ -324,76 +300,72 @@ class _PriorProblem:
         """Derivatives (n + f, f) of the residual."""
         return np.vstack((self.problem.jacobian(unknowns), np.diag(self._noise / self._width)))
 
-    def most_probable(
-        self, search: LocalSearch[WindowProblem], *, robust: bool
-    ) -> tuple[Array, bool]:
-        """Unknowns (f,), and whether the last search was exhausted.
+    def search(self, without: LocalSearch[WindowProblem], *, robust: bool) -> bool:
+        """Find the most probable unknowns; returns whether the last search was exhausted.
 
-        The weight of the samples follows from the residual of their best fit, so ``search`` first
-        finds the minimum without the prior.
+        The weight of the samples follows from the residual of their best fit, so ``without`` is at
+        the minimum without the prior.
         """
-        from scipy.special import chdtri  # imported late: see entry_points
+        from scipy.special import chdtri  # late: see mr_damper_ros.entry_points
 
-        effort = self.problem.model.effort
         # Quantile of the sum of squares of standard normal variables.
         most = float(chdtri(self._width.size, _CONTRADICTED))
-        search.least_squares(tolerance=effort.tolerance, most_steps=effort.most_steps)
-        at_best = float(np.linalg.norm(self.problem.residual(search.best)))
-        self._errors, self._noise = self._at_best(search.best)
+        at_best = float(np.linalg.norm(self.problem.residual(without.best)))
+        self._at_best(without.best)
         for _ in range(_MOST_DOUBLINGS):
-            with_prior = search.of(self, search.best)
-            for start in (self._known, search.best):
-                with_prior.try_out(start)
-            with_prior.least_squares()
+            search = without.of(self, without.best)
+            for start in (self._known, without.best):
+                search.try_out(start)
+            search.least_squares()
             if robust:
-                with_prior.reweighted_least_squares()
-            unknowns = with_prior.best
-            usual = float(np.sum(((unknowns - self._known) / self._width) ** 2)) <= most
-            left = float(np.linalg.norm(self.problem.residual(unknowns)))
+                search.reweighted_least_squares()
+            self.best = search.best
+            apart = (self.best - self._known) / self._width
+            left = float(np.linalg.norm(self.problem.residual(self.best)))
             # In random motion a smaller residual proves nothing, because a fit without a prior
             # follows the model error.
             steady = self.problem.window.motion.sine is not None
-            if usual and not (steady and left > _WORSE_RATIO * at_best):
+            if apart @ apart <= most and not (steady and left > _WORSE_RATIO * at_best):
                 break
             # The damper has changed by more than usual, so the prior is widened.
             self._width = 2.0 * self._width
-        return unknowns, with_prior.exhausted
+        return search.exhausted
 
-    def _at_best(self, unknowns: Array) -> tuple[ErrorCovariances, float]:
-        """Covariances of the fit (f,) to the samples alone, and the noise [N]."""
+    def _at_best(self, unknowns: Array) -> None:
+        """Estimate the errors of the fit (f,) to the samples alone, and the noise.
+
+        The noise is the standard deviation [N] of white noise that gives the same uncertainty.
+        """
         problem, settled = self.problem, self.problem.settled
         jacobian, left = problem.jacobian(unknowns), problem.residual(unknowns)
-        errors = error_covariances(jacobian[settled], left[settled], self._cycle)
+        self._errors = error_covariances(jacobian[settled], left[settled], self._cycle)
         if math.isfinite(self._cycle):
             white = np.diag(normal_inverse(jacobian))
-            whole = np.diag(errors.repeatability) + np.diag(errors.discrepancy)
+            whole = np.diag(self._errors.repeatability) + np.diag(self._errors.discrepancy)
             known = np.isfinite(whole) & (white > 0.0)
             ratio = np.median(whole[known] / white[known]) if known.any() else np.mean(left**2)
-            return errors, math.sqrt(max(float(ratio), 0.0))
+            self._noise = math.sqrt(max(float(ratio), 0.0))
+            return
         length = max(correlation_length(left), 1)
         # With few independent samples, the noise is corrected for the degrees of freedom.
         freedom = max(left.size / length - self._width.size, 1.0)
-        return errors, float(np.sqrt(np.sum(left**2) / freedom))
+        self._noise = float(np.sqrt(np.sum(left**2) / freedom))
 
-    def errors_at(self, unknowns: Array) -> ErrorCovariances:
+    def errors(self) -> ErrorCovariances:
         """The errors of the most probable unknowns (f,).
 
         Errors of the window enter with the matrix ``gain``. The rest is the error of the running
         set, which does not change from window to window and has the covariance of the prior.
         """
-        errors = self._errors
-        jacobian = self.problem.jacobian(unknowns)
+        jacobian = self.problem.jacobian(self.best)
         scaled = jacobian * self._width / max(self._noise, 1e-300)
         information = scaled.T @ scaled
         held = np.linalg.inv(np.eye(self._width.size) + information)
         gain = held @ information
         units = np.outer(self._width, self._width)
-
-        def scaled_by_gain(covariance: Array) -> Array:
-            # Directions that the window does not determine have no gain, so NaN counts as zero.
-            return gain @ np.nan_to_num(covariance / units) @ gain.T
-
-        return ErrorCovariances(
-            scaled_by_gain(errors.repeatability) * units,
-            (scaled_by_gain(errors.discrepancy) + held @ held.T) * units,
+        # Directions that the window does not determine have no gain, so NaN counts as zero.
+        repeatability, discrepancy = (
+            gain @ np.nan_to_num(covariance / units) @ gain.T
+            for covariance in (self._errors.repeatability, self._errors.discrepancy)
         )
+        return ErrorCovariances(repeatability * units, (discrepancy + held @ held.T) * units)

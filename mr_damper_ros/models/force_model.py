@@ -413,10 +413,6 @@ class Model(ABC):
         ``search`` minimises over the nonlinear parameters.
         """
 
-    def softened(self, parameters: Array, held: np.ndarray, top_current: float) -> Array:
-        """The set (p,) with steep dependences made smooth for a search, unless ``held`` (p,)."""
-        return parameters
-
     @abstractmethod
     def draw_shape(
         self, rng: np.random.Generator, top_velocity: float, top_current: float

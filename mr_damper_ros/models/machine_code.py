@@ -10,9 +10,9 @@ from __future__ import annotations
 import functools
 import importlib.util
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from contextvars import ContextVar
-from typing import Any, cast
+from typing import Any
 
 import numpy as np
 
@@ -74,36 +74,18 @@ def machine_code(loop: Loop, called: tuple[Loop, ...]) -> Loop | None:
         return None
     for function in called:
         register_jitable(function)
-    try:
-        kept = njit(cache=True, error_model="numpy")(loop)
-    except RuntimeError:  # no writable place for the cache
-        return cast(Loop, njit(error_model="numpy")(loop))
-    return _KeptLoop(kept, njit(error_model="numpy")(loop))
+    ways: list[Loop] = [njit(error_model="numpy")(loop)]
+    with suppress(RuntimeError):  # no writable place for the cache
+        ways.append(njit(cache=True, error_model="numpy")(loop))
 
-
-class _KeptLoop:
-    """A loop that is compiled at its first call unless the disk cache contains it.
-
-    If the cache is damaged, as after a power failure, or the disk is full, Numba raises exceptions
-    of many types. The loop itself raises none, so any exception comes from the cache.
-    """
-
-    def __init__(self, kept: Any, not_kept: Loop) -> None:
-        self._kept = kept
-        self._not_kept = not_kept
-
-    def __call__(self, *arguments: Any) -> Any:
-        if self._kept is not None:
+    def run(*arguments: Any) -> Any:
+        # If the cache is damaged, as after a power failure, or the disk is full, Numba raises
+        # exceptions of many types. The loop itself raises none.
+        while len(ways) > 1:
             try:
-                return self._kept(*arguments)
+                return ways[-1](*arguments)
             except Exception:
-                return self._call_recompiled(arguments)
-        return self._not_kept(*arguments)
+                ways.pop()
+        return ways[0](*arguments)
 
-    def _call_recompiled(self, arguments: tuple[Any, ...]) -> Any:
-        try:
-            self._kept.recompile()  # drops the cached version
-            return self._kept(*arguments)
-        except Exception:
-            self._kept = None
-            return self._not_kept(*arguments)
+    return run

@@ -2,16 +2,13 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
-from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
 
 from mr_damper_ros.kinematics.window import Window
 from mr_damper_ros.models.force_model import Model, WindowForces
-from mr_damper_ros.models.quantities import LoopReading
 from mr_damper_ros.signals.arrays import Array
 
 
@@ -121,8 +118,9 @@ class Misfit:
 class WindowProblem:
     """Residual (n,) [N] of a window and its Jacobian (n, f), for the unknowns (f,) of its law.
 
-    ``settled`` (n,): samples with a residual; ``differences``: evaluations of the force for
-    derivatives.
+    ``given`` (p,): the values of all parameters that are no unknowns; ``settled`` (n,): mask of the
+    samples with a residual; ``forces``: the forces of the window, which a new problem may reuse;
+    ``differences``: evaluations of the force for derivatives.
     """
 
     def __init__(
@@ -133,26 +131,18 @@ class WindowProblem:
         *,
         forces: WindowForces | None = None,
     ) -> None:
-        """``parameters`` (p,) gives the values of all parameters that are not unknowns.
-
-        ``forces``: the forces of the window, if they exist already.
-        """
         self.model = model
         self.window = window
         self.differences = 0
-        self._given = np.array(parameters, dtype=float)
-        self._misfit = Misfit(model, [window], [1.0], self._given, forces=forces)
+        self.given = np.array(parameters, dtype=float)
+        self._misfit = Misfit(model, [window], [1.0], self.given, forces=forces)
+        self.settled, self.forces = self._misfit.settled, self._misfit.forces
         self._columns = model.unknown_indices.tolist()
-
-    @property
-    def settled(self) -> np.ndarray:
-        """Mask (n,) of the settled samples."""
-        return self._misfit.settled
 
     @property
     def start(self) -> Array:
         """Unknowns (f,) of the given parameters."""
-        return self.model.unknowns(self._given)
+        return self.model.unknowns(self.given)
 
     @property
     def strength(self) -> np.ndarray:
@@ -167,7 +157,7 @@ class WindowProblem:
 
     def parameters(self, unknowns: Array) -> Array:
         """All parameters (..., p) for these unknowns (..., f)."""
-        return self.model.with_unknowns(self._given, unknowns)
+        return self.model.with_unknowns(self.given, unknowns)
 
     def residual(self, unknowns: Array) -> Array:
         """Model minus measurement [N], (..., n) for unknowns (..., f); 0 for transient samples."""
@@ -175,18 +165,10 @@ class WindowProblem:
 
     def jacobian(self, unknowns: Array) -> Array:
         """Derivatives of the residual with respect to the unknowns, shape (n, f)."""
-        before = self._misfit.forces.differences
+        before = self.forces.differences
         derivatives = self._misfit.jacobian(self.parameters(unknowns), self._columns)
-        self.differences += self._misfit.forces.differences - before
+        self.differences += self.forces.differences - before
         return self.model.by_unknowns(unknowns, derivatives)
-
-    def restarted(self, parameters: Array) -> WindowProblem:
-        """The problem for parameters (p,) that differ only in the unknowns."""
-        return WindowProblem(self.model, self.window, parameters, forces=self._misfit.forces)
-
-    def cold_starts(self) -> list[Array]:
-        """Start parameters (p,) with unknowns derived from the window."""
-        return self.model.cold_starts(self.window, self._given)
 
     def coefficients(self, unknowns: Array) -> tuple[Array, Array]:
         """Operating-point coefficients (c,) and their derivatives (c, f); empty without any."""
@@ -194,27 +176,3 @@ class WindowProblem:
         values = model.coefficients_at(parameters, *self.window.operating_point)[:, 0]
         gradient = model.coefficient_gradient(parameters, *self.window.operating_point)
         return values, model.by_unknowns(unknowns, gradient[:, self._columns])
-
-    def usual_change(self, part: float, fastest: float) -> Array:
-        """Change (f,) of each unknown that changes the force by the relative amount ``part``.
-
-        The force is evaluated in the window and, if ``fastest`` [m/s] is finite, in a sine of this
-        peak velocity. The change is infinite if the force is zero.
-        """
-        change = self._relative_change(part)
-        if not math.isfinite(fastest):
-            return change
-        frequency = LoopReading.of(self.window).frequency
-        sine = Window.of_sine(fastest, frequency, self.window.operating_point[1])
-        sine = replace(sine, force=self.model.window_force(sine, self._given))
-        seen = WindowProblem(self.model, sine, self._given)
-        return np.minimum(change, seen._relative_change(part))
-
-    def _relative_change(self, part: float) -> Array:
-        jacobian = self.jacobian(self.start)
-        effect = np.sqrt(np.mean(jacobian**2, axis=0))
-        force = self.residual(self.start) + self.window.force
-        strength = float(np.sqrt(np.mean(force**2)))
-        if strength == 0.0:
-            return np.full(effect.size, np.inf)
-        return np.asarray(part * strength / np.maximum(effect, 1e-12 * strength))

@@ -43,9 +43,7 @@ def searched(
     record: SearchRecord | None = None,
     method: str = "global",
 ) -> MultiStart:
-    return identify_from_seeds(
-        SIGMOID, windows(), LITERATURE, FEW, count, report, method=method, record=record
-    )
+    return identify_from_seeds(record or empty(method), count, report)
 
 
 def empty(method: str = "global", settings: EvolutionSettings = FEW) -> SearchRecord:
@@ -102,9 +100,7 @@ def test_a_resumed_search_ends_no_worse(method: str, after: int) -> None:
 
 def test_what_was_found_is_kept_as_soon_as_it_is_there() -> None:
     kept: list[int] = []
-    identify_from_seeds(
-        SIGMOID, windows(), LITERATURE, FEW, 2, keep=lambda record: kept.append(len(record.fits))
-    )
+    identify_from_seeds(empty(), 2, keep=lambda record: kept.append(len(record.fits)))
     assert kept == [1, 2]
 
 

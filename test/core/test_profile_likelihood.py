@@ -21,7 +21,6 @@ MEMORY = 0.9
 """Lag-1 autocorrelation of the residual."""
 
 ALL = np.ones(16, dtype=bool)
-RANGES = SIGMOID.plausible_ranges([], 0.19, 1.5)
 
 
 def windows(
@@ -65,7 +64,7 @@ def test_the_interval_is_that_of_the_covariance_where_the_law_is_nearly_linear(
     covariance = least_squares_covariance(misfit.jacobian(values), misfit.residual(values))
     place = known.index(name)
     half = 1.96 * math.sqrt(covariance[place, place])
-    low, high = ProfileLikelihood(SIGMOID, misfit, values, ALL, RANGES).of(name).interval
+    low, high = ProfileLikelihood(SIGMOID, misfit, values, ALL).of(name).interval
     # Relative difference between the intervals of the likelihood ratio and the standard errors.
     assert (high - low) / (2.0 * half) == pytest.approx(1.0, abs=0.03)
     # Of half the interval: offset of its middle from the estimate of a nonlinear law.
@@ -76,13 +75,13 @@ def test_where_one_current_was_seen_nothing_bounds_the_laws_over_current() -> No
     misfit = pooled(windows((1.0,)))
     open_names = ("k2", "a2", "I0", "k3", "a3", "I1")
     seen = np.array([name not in open_names for name in PARAMETER_NAMES])
-    likelihood = ProfileLikelihood(SIGMOID, misfit, known.PLAUSIBLE, seen, RANGES)
+    likelihood = ProfileLikelihood(SIGMOID, misfit, known.PLAUSIBLE, seen)
     for name in ("a2", "I0", "I1"):
         assert likelihood.of(name).interval == (-math.inf, math.inf), name
 
 
 def test_a_name_that_the_law_does_not_have_is_refused() -> None:
-    likelihood = ProfileLikelihood(SIGMOID, pooled(windows((1.0,))), known.PLAUSIBLE, ALL, RANGES)
+    likelihood = ProfileLikelihood(SIGMOID, pooled(windows((1.0,))), known.PLAUSIBLE, ALL)
     with pytest.raises(ValueError, match="no parameter 'b9' to profile: use one of f0"):
         likelihood.of("b9")
 

@@ -13,7 +13,6 @@ import mr_damper_ros as mr
 from benchmarks.dampers import DAMPERS
 from mr_damper_ros.estimation.differential_evolution import EvolutionSettings
 from mr_damper_ros.estimation.global_fit import GlobalFit, identify_global
-from mr_damper_ros.estimation.profile_likelihood import record_levels
 from mr_damper_ros.estimation.record_levels import LevelledProblem, LevelPrior, counted_samples
 from mr_damper_ros.kinematics.window import Window
 from mr_damper_ros.models import MODELS
@@ -150,7 +149,7 @@ def test_levels_of_a_damper_of_another_law_are_found_and_make_nothing_up() -> No
     # 4 to 11 if each sample counted as independent.
     assert with_levels.nrmse.max() < 2.0 * without.nrmse.max()
     fit = sixteen_of(damper, OTHER_ZEROS, True)
-    found = record_levels(fit, records_of_another_law(damper, OTHER_ZEROS))
+    found = fit.record_levels(records_of_another_law(damper, OTHER_ZEROS))
     off = [
         ((level.scale - scale) / level.scale_error, (level.zero - zero) / level.zero_error)
         for level, scale, zero in zip(found, OTHER_SCALES, OTHER_ZEROS, strict=True)

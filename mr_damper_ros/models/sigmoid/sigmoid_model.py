@@ -431,13 +431,6 @@ class SigmoidModel(Model):
             values["k5"] = float(_least_squares(yield_force[np.newaxis, np.newaxis], offset)[0, 0])
         return np.concatenate(([values[name] for name in PARAMETER_NAMES], rest))
 
-    def softened(self, parameters: Array, held: np.ndarray, top_current: float) -> Array:
-        """The set with steps over the current made smooth enough for a search."""
-        steps = self.places(("a2", "a3"))
-        values = np.array(parameters)
-        values[steps[~held[steps]]] = _SMOOTH_SLOPE / max(top_current, 1e-12)
-        return values
-
     def draw_shape(
         self, rng: np.random.Generator, top_velocity: float, top_current: float
     ) -> dict[str, float]:
