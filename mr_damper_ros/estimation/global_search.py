@@ -9,9 +9,8 @@
    as stated by the model. The samples within a correlation length count as one.
 
 The windows determine a parameter if the data contain more information on it than the prior. If the
-model contains a simpler law as a special case, the search of that law comes first and gives one of
-the starts. If the windows share a parameter besides the coefficients, such as a compliance, or if
-the current varies within a window, step 1 is repeated with the parameters found so far.
+windows share a parameter besides the coefficients, such as a compliance, or if the current varies
+within a window, step 1 is repeated with the parameters found so far.
 """
 
 from __future__ import annotations
@@ -288,7 +287,6 @@ class GlobalSearch:
         settings: EvolutionSettings,
         clock: ProgressClock,
         earlier: Array | None = None,
-        later: int = 0,
         levels: LevelPrior | None = None,
     ) -> None:
         """``later``: generations still to follow. Raises DataError if there are no windows."""
@@ -300,7 +298,6 @@ class GlobalSearch:
         self._start = start
         self._settings = settings
         self._clock = clock
-        self._later = later
         self.levels = levels
         top_current = max(float(np.max(np.abs(window.current))) for window in windows)
         self._neutral = model.without_dependence(start, top_current)
@@ -366,15 +363,9 @@ class GlobalSearch:
         """Find the best set on the thinned windows."""
         generations = self._settings.generations * self.model.searched_laws(self.free)
         direct = self._settings.generations if method == "differential_evolution" else 0
-        simpler = self._by_simpler_law(method, generations + direct + self._later)
-        self._clock.expect((1 + self._again) * generations + direct + self._later)
-        if simpler is None:
-            self._fit_windows(self._neutral)
-            self._search_from(self._starts(), method)
-        else:
-            self._weigh(simpler.noise)
-            origin = f"the simpler law {simpler.model.name}"
-            self._search_from({origin: self.model.from_simpler(simpler.best)}, method)
+        self._clock.expect((1 + self._again) * generations + direct)
+        self._fit_windows(self._neutral)
+        self._search_from(self._starts(), method)
         if self._again:
             neutral = self._own_neutral.copy()
             places = self.model.places(self.model.common_names)
@@ -433,29 +424,6 @@ class GlobalSearch:
         """Weight the windows in the ``pooled`` misfit by their ``noise`` (k,) [N]."""
         self.noise = noise
         self.pooled = self._excerpts.misfit(noise, self.levels)
-
-    def _by_simpler_law(self, method: str, later: int) -> GlobalSearch | None:
-        """The search of the simpler law that the model contains; None if there is none.
-
-        A law with more parameters has more local minima; the simpler law gives a good start.
-        """
-        simpler = self.model.simpler
-        if simpler is None:
-            return None
-        start = self._start[: len(simpler.parameters)]
-        search = GlobalSearch(
-            simpler, self.windows, start, self._settings, self._clock, None, later, self.levels
-        )
-        try:
-            search.search(method)
-        except StopRequestedError:
-            search._stop()
-            raise
-        finally:
-            self.evaluations += search.evaluations
-            self.best = self.model.from_simpler(search.best)
-            self._weigh(search.noise)
-        return search
 
     def _starts(self) -> dict[str, Array]:
         """Starts for the search on the samples, by origin."""

@@ -121,18 +121,6 @@ class Model(ABC):
         every = self.parameter_names
         return np.array([every.index(name) for name in names], dtype=int)
 
-    @property
-    def simpler(self) -> Model | None:
-        """The simpler law that this law contains as a special case; None if there is none.
-
-        Its parameters are the first ones of this law; the forces agree if the others are zero.
-        """
-        return None
-
-    def from_simpler(self, simple: Array) -> Array:
-        """The parameters (p,) with the same force as the simpler law with parameters ``simple``."""
-        return np.pad(simple, (0, len(self.parameters) - simple.size))
-
     def completed(self, values: Array) -> Array:
         """The values (p,) with defaults appended for omitted parameters at the end."""
         left_out = [parameter.default for parameter in self.parameters[values.shape[0] :]]

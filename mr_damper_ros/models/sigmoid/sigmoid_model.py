@@ -475,11 +475,6 @@ class ExtendedSigmoidModel(SigmoidModel):
         """The scales of the sigmoid law; the extension is common to all runs."""
         return SCALE_PARAMETER_NAMES
 
-    @property
-    def simpler(self) -> Model:
-        """The sixteen-parameter law."""
-        return SigmoidModel()
-
     def starts(self, reading: LoopReading) -> Array:
         """The starts of the sigmoid law with a small compliance."""
         starts = super().starts(reading)
@@ -489,7 +484,7 @@ class ExtendedSigmoidModel(SigmoidModel):
     def initial_values(self) -> tuple[Array, str, float]:
         """The set from the literature, without lag, stiffness and offset."""
         values, name, speed = super().initial_values()
-        return self.from_simpler(values), name, speed
+        return np.pad(values, (0, len(self.parameters) - values.size)), name, speed
 
     def unsettled(self, window: Window, parameters: Array | None) -> np.ndarray:
         """Mask (n,) of samples at which the lag depends on the time before the window."""
