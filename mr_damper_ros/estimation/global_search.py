@@ -524,7 +524,14 @@ class GlobalSearch:
         while returned := self._reset(open_):
             self.free -= returned
             open_ = self.free - self._determined(self.pooled)
-        self.best = self._most_probable(self.whole_misfit(), self.best, self.free)
+        whole = self.whole_misfit()
+        self.best = self._most_probable(whole, self.best, self.free)
+        # A search only approaches an optimum on a bound.
+        near, (low, high) = _ON_BOUND * self._prior().width, self.model.bounds
+        moved = np.where(self.best - low < near, low, self.best)
+        moved = np.where(high - moved < near, high, moved)
+        if whole.mean_square(moved) <= (1.0 + _SEPARATE) * whole.mean_square(self.best):
+            self.best = moved
 
     def _reset(self, names: frozenset[str]) -> frozenset[str]:
         """The parameters among ``names`` that were reset to the start or to no dependence.
@@ -583,34 +590,9 @@ class GlobalSearch:
         return Posterior(misfit, self.best, places, self._prior(), noise)
 
     def _most_probable(self, pooled: Misfit, start: Array, names: frozenset[str]) -> Array:
-        """The most probable parameters (p,); only the named ones are free.
-
-        If the optimum lies on a bound, the search only approaches it. A parameter that comes close
-        to a bound is therefore set to the bound. It stays there unless the misfit decreases towards
-        the inside.
-        """
-        low, high = self.model.bounds
-        every = np.array(self.model.parameter_names)
-        held = names.intersection(every[(start <= low) | (start >= high)])
+        """The most probable parameters (p,); only the named ones are free."""
         noise = noise_level(pooled, start)
-        found = self._least_squares(pooled, start, names - held, noise=noise)
-        places = self.model.places(sorted(held))
-        if held:
-            gradient = pooled.jacobian(found, places.tolist()).T @ pooled.residual(found)
-            inwards = np.where(found[places] <= low[places], gradient < 0.0, gradient > 0.0)
-            if np.any(inwards):
-                released = names - held | frozenset(every[places[inwards]])
-                found = self._least_squares(pooled, found, released, noise=noise)
-        near = _ON_BOUND * self._prior().width
-        at_low, at_high = np.abs(found - low) < near, np.abs(found - high) < near
-        moved = np.where(at_low, low, np.where(at_high, high, found))
-        # A set that is much poorer on the bound than beside it does not have its optimum there.
-        limit = AS_GOOD * pooled.mean_square(found)
-        if np.array_equal(moved, found) or not pooled.mean_square(moved) <= limit:
-            return found
-        inside = names.intersection(every[~(at_low | at_high)])
-        moved = self._least_squares(pooled, moved, inside, noise=noise)
-        return min((moved, found), key=pooled.mean_square)
+        return self._least_squares(pooled, start, names, noise=noise)
 
     def _rough(self, start: Array, names: frozenset[str]) -> Array:
         """The result (p,) of a few steps of least squares on the thinned windows."""
