@@ -321,11 +321,12 @@ class IdentifierNode(Node):
                 self._identifier.cancel_search(search)
 
     def _goal_result(self, event: SearchEnded) -> IdentifyGlobal.Result:
-        if event.outcome is None or event.report is None:
+        outcome = event.outcome
+        if outcome is None or outcome.report is None:
             return IdentifyGlobal.Result(
                 message="cancelled, or superseded by a reset or another set", nrmse=math.nan
             )
-        outcome, report = event.outcome, event.report
+        report = outcome.report
         if outcome.found is None:
             return IdentifyGlobal.Result(message=report.reason, nrmse=math.nan)
         message = outcome.message

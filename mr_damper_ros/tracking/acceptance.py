@@ -14,6 +14,7 @@ from enum import IntEnum
 import numpy as np
 
 from mr_damper_ros.estimation.covariance import NoiseModel
+from mr_damper_ros.estimation.global_fit import error_of_set
 from mr_damper_ros.kinematics.window import Window
 from mr_damper_ros.models.parameter_set import ParameterSet
 from mr_damper_ros.models.quantities import SAME_CURRENT
@@ -62,16 +63,13 @@ is equally good at the tested operating points may be worse at others (benchmark
 class Evidence:
     """Errors of the running and the new set on the validation samples of a window.
 
-    ``nrmse_before`` and ``nrmse_after`` are the errors of the running and the new set, RMSE over
-    standard deviation of the force; ``rmse_after`` [N] is the RMSE of the new set. ``force_change``
-    is the relative change of the force from the running to the new set in the window. ``lead`` is
-    the lead of the new set on samples that neither set was fitted to, in standard errors.
-    ``shape_change`` [1] is the part of the new set's force that is not proportional to the force of
-    the running set. ``loss`` [1] is the increase of the mean square error, summed over the other
-    recent operating points, divided by its decrease in this window. ``nrmse_elsewhere`` is the
-    NRMSE of the running set at these other points. For a global identification, ``recent`` is the
-    NRMSE of the running and the new set at the recent operating points, and ``newest`` the NRMSE of
-    the running set in the newest window.
+    The NRMSE is the RMSE over the standard deviation of the force; ``rmse_after`` is in N. The new
+    set changes the force by the fraction ``force_change``; the part ``shape_change`` [1] of its
+    force is not proportional to the running set's. ``lead`` is that of :func:`lead_of`. ``loss``
+    [1] is the increase of the mean square error, summed over the other recent operating points,
+    divided by its decrease in this window; the running set has the error ``nrmse_elsewhere`` there.
+    For a search, ``recent`` is the NRMSE of both sets at the recent operating points, and
+    ``newest`` that of the running set in the newest window.
     """
 
     nrmse_before: float
@@ -96,39 +94,28 @@ class Evidence:
         return self.loss > _LARGEST_LOSS and self.nrmse_elsewhere <= GOOD_NRMSE
 
 
-@dataclass(frozen=True)
-class Lead:
-    """Lead of a new force over an old one on samples that neither set was fitted to.
+Comparison = tuple[Array, Array, Array, np.ndarray, NoiseModel]
+"""An old, a new and the measured force (n,) [N] of a window, the mask (n,) of the samples to which
+neither force was fitted, and the noise."""
 
-    ``gain`` is half the decrease of the sum of squared errors. ``chance`` is the standard deviation
-    of ``gain`` if both forces are equally good; it includes the autocorrelation of the noise, which
-    is estimated from the residual. Both are in units of the noise variance.
+
+def lead_of(windows: Iterable[Comparison]) -> float:
+    """Lead of the new force over the old one on all samples of several windows [standard errors].
+
+    The gain is half the decrease of the sum of squared errors, in units of the noise variance. Its
+    standard deviation if both forces are equally good includes the autocorrelation of the noise,
+    which is estimated from the residual.
     """
-
-    gain: float
-    chance: float
-
-    @classmethod
-    def of(
-        cls, old: Array, new: Array, measured: Array, judges: np.ndarray, noise: NoiseModel
-    ) -> Lead:
-        """The lead of force ``new`` over ``old`` [N], shape (n,), on the samples of a mask (n,)."""
+    gain, chance = 0.0, 0.0
+    for old, new, measured, judges, noise in windows:
         apart = np.where(judges, new - old, 0.0)
         level = max(noise.variance, 1e-300)
-        chance = float(noise.score_covariance(apart[:, np.newaxis])[0, 0])
-        gain = float(apart @ (measured - 0.5 * (old + new)))
-        return cls(gain / level, math.sqrt(max(chance, 0.0)) / level)
-
-    @staticmethod
-    def together(leads: Iterable[Lead]) -> float:
-        """The lead on all samples of several windows, in standard errors."""
-        gain, chance = 0.0, 0.0
-        for lead in leads:
-            gain += lead.gain
-            chance = math.hypot(chance, lead.chance)
-        if chance > 0.0:
-            return gain / chance
-        return math.copysign(math.inf, gain) if gain else 0.0
+        variance = float(noise.score_covariance(apart[:, np.newaxis])[0, 0])
+        gain += float(apart @ (measured - 0.5 * (old + new))) / level
+        chance = math.hypot(chance, math.sqrt(max(variance, 0.0)) / level)
+    if chance > 0.0:
+        return gain / chance
+    return math.copysign(math.inf, gain) if gain else 0.0
 
 
 def validation_mask(count: int, fresh: int | None = None) -> np.ndarray:
@@ -183,8 +170,8 @@ def evidence_of(
     if not known:
         return evidence
     noise = NoiseModel.of((new - window.force)[settled])
-    one = Lead.of(old, new, window.force, judged, noise)
-    evidence = replace(evidence, lead=Lead.together([one] if fresh >= CHUNKS else []))
+    one = old, new, window.force, judged, noise
+    evidence = replace(evidence, lead=lead_of([one] if fresh >= CHUNKS else []))
     if not elsewhere or before <= after:
         return evidence
     currents = [span_of(each.current) for each in (window, *elsewhere)]
@@ -200,6 +187,36 @@ def evidence_of(
         evidence,
         loss=len(elsewhere) * (lost - left) / (before**2 - after**2),
         nrmse_elsewhere=math.sqrt(left / variance) if variance > 0.0 else math.inf,
+    )
+
+
+def evidence_of_search(
+    running: ParameterSet,
+    found: ParameterSet,
+    windows: Sequence[tuple[Window, np.ndarray]],
+    recent: int,
+) -> Evidence:
+    """Compare a set for all operating points with the running set.
+
+    Each window comes with the mask (n,) of its validation samples. The last ``recent`` windows are
+    at the recent operating points.
+    """
+    # A window of very few samples has no validation samples.
+    judged = [window.part(judges) for window, judges in windows if judges.any()]
+    before, after = (error_of_set(each, judged).nrmse for each in (running, found))
+    last = judged[-max(recent, 1) :]
+    compared: list[Comparison] = []
+    for window, judges in windows:
+        old, new = running.window_force(window), found.window_force(window)
+        noise = NoiseModel.of(new - window.force)
+        compared.append((old, new, window.force, judges, noise))
+    finite = all(np.isfinite(old).all() for old, *_ in compared)
+    return Evidence(
+        before,
+        after,
+        lead=lead_of(compared) if finite else math.inf,
+        recent=(error_of_set(running, last).nrmse, error_of_set(found, last).nrmse),
+        newest=error_of_set(running, judged[-1:]).nrmse,
     )
 
 
@@ -311,11 +328,6 @@ class Judgement:
 
 
 ACCEPTED = Judgement(Verdict.ACCEPTED)
-
-
-def fault_of_data(sentence: str) -> Judgement:
-    """The judgement for data that cannot be used."""
-    return Judgement(Verdict.FAULT_OF_DATA, sentence)
 
 
 @dataclass(frozen=True)

@@ -35,13 +35,11 @@ _EXCURSION = 2.0
 class ChangeWatch:
     """State of the change detection; every step returns a new state.
 
-    ``noise`` [N] is the standard deviation of the residual of the window that the running set was
-    fitted to. ``block_norm`` [N] is the root mean square norm of the force in a block of that
-    window. ``smallest_change`` is the relative change of the force that triggers an early fit.
-    ``operating_point`` is the peak velocity [m/s] and the current [A] of that window. ``block`` is
-    the number of samples per block; for ``threshold`` see :data:`THRESHOLD`. ``rising`` and
-    ``falling`` are the two sums. ``rising_samples`` and ``falling_samples`` count the samples since
-    each sum was last zero. ``top`` is the largest sum so far.
+    Of the window that the running set was fitted to come ``noise`` [N], the standard deviation of
+    its residual, ``block_norm`` [N], the root mean square norm of the force in a block of ``block``
+    samples, and ``operating_point`` (peak velocity [m/s], current [A]). A relative change of the
+    force of ``smallest_change`` triggers an early fit. ``rising`` and ``falling`` are the two sums,
+    with the numbers of samples since each was last zero; ``top`` is the largest sum so far.
     """
 
     noise: float
@@ -146,19 +144,11 @@ def change_point(predicted: Array, measured: Array, fewest: int) -> int:
     return int(np.argmax(gain[: max(predicted.size - fewest, 0) + 1]))
 
 
-@dataclass(frozen=True)
-class ScaleFit:
-    """Factor on the force of the running set, with its standard error [1]."""
-
-    factor: float
-    standard_error: float
-
-
-def fit_scale(predicted: Array, measured: Array) -> ScaleFit:
+def fit_scale(predicted: Array, measured: Array) -> tuple[float, float]:
     """Early fit: the least-squares factor on ``predicted`` (n,) [N] that gives ``measured``.
 
-    A fraction of a cycle determines this single factor well, but not seven coefficients.
-    Raises ValueError if the predicted force is zero.
+    Returns the factor and its standard error. A fraction of a cycle determines this single factor
+    well, but not seven coefficients. Raises ValueError if the predicted force is zero.
     """
     power = float(predicted @ predicted)
     if power == 0.0:
@@ -166,4 +156,4 @@ def fit_scale(predicted: Array, measured: Array) -> ScaleFit:
     factor = float(predicted @ measured) / power
     residual = measured - factor * predicted
     noise = float(residual @ residual) / max(predicted.size - 1, 1)
-    return ScaleFit(factor, math.sqrt(noise / power))
+    return factor, math.sqrt(noise / power)

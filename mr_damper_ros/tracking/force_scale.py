@@ -28,7 +28,6 @@ from mr_damper_ros.models.force_model import Model
 from mr_damper_ros.models.misfit import WindowProblem
 from mr_damper_ros.signals.arrays import NORMAL_MEDIAN, Array
 from mr_damper_ros.signals.recording import TEMPERATURES
-from mr_damper_ros.tracking.cusum import ScaleFit
 from mr_damper_ros.tracking.operating_point import (
     MOST_WINDOWS,
     KnownPoints,
@@ -75,10 +74,9 @@ def widened(
 ) -> tuple[ForceScale, tuple[WindowScale, ...]]:
     """The scale with its standard error increased by the scatter, and the extended list of scales.
 
-    Because of model error, the scale varies with the motion even if the damper does not change. A
-    single window does not show this scatter; the differences between windows without common samples
-    do. The standard errors are increased until they agree with the median of these differences
-    (Birge ratio, Physical Review 40, 1932). The median is robust against a sudden change.
+    Because of model error, the scale varies with the motion even if the damper does not change. The
+    standard errors are increased until they agree with the median difference between windows
+    without common samples (Birge ratio, Physical Review 40, 1932), which no sudden change affects.
     """
     if not (math.isfinite(scale.misfit) and scale.standard_error > 0.0):
         return scale, seen
@@ -110,17 +108,22 @@ def force_scale(
     """Least-squares factor from the force of the baseline to the force of a window.
 
     In a steady sine the force of the window's fit is compared with the force of the baseline, so
-    that their common model error cancels. The standard error contains the error of the window's
-    fit; the error of the baseline is the same in all reports and is omitted. In any other motion a
-    fit adapts to the motion of its window, so the measured force is compared with the force of the
-    oldest baseline at this current; see :func:`widened` for the standard error. ``baselines`` holds
-    the first accepted fit of each operating point, oldest first.
+    that their common model error cancels. The error of the baseline is the same in all reports and
+    is omitted. In any other motion a fit adapts to the motion of its window, so the measured force
+    is compared with the oldest baseline at this current, and :func:`widened` gives the error.
+    ``baselines`` are the first accepted fits of the operating points, oldest first.
     """
     steady = window.motion.sine is not None
-    point = fit.operating_point
-    baseline = baseline_at(baselines, point) if steady else _at_current(baselines, point)
-    if baseline is None:
+    speed, _ = point = fit.operating_point
+    points = [each.operating_point for each in baselines]
+    if steady:
+        place = nearest_same(points, point)
+    else:
+        same = [nearest_same([(speed, current)], point) == 0 for _, current in points]
+        place = same.index(True) if any(same) else None
+    if place is None:
         return ForceScale()
+    baseline = baselines[place]
     problem = WindowProblem(model, window, fit.parameters)
     settled = problem.settled
     reference = model.window_force(window, baseline.parameters)[settled]
@@ -133,21 +136,6 @@ def force_scale(
         return scale
     besides = scale_between(reference, present, jacobian, fit.discrepancy).standard_error
     return replace(scale, discrepancy=besides)
-
-
-def baseline_at(baselines: Sequence[WindowFit], point: OperatingPoint) -> WindowFit | None:
-    """The baseline of an operating point (peak velocity [m/s], current [A]), or None."""
-    index = nearest_same([fit.operating_point for fit in baselines], point)
-    return None if index is None else baselines[index]
-
-
-def _at_current(baselines: Sequence[WindowFit], point: OperatingPoint) -> WindowFit | None:
-    """The oldest baseline at the current of an operating point, at any speed; None without one."""
-    speed, _ = point
-    for fit in baselines:
-        if nearest_same([(speed, fit.operating_point[1])], point) == 0:
-            return fit
-    return None
 
 
 def _measured_scale(reference: Array, measured: Array) -> ForceScale:
@@ -163,19 +151,19 @@ def _measured_scale(reference: Array, measured: Array) -> ForceScale:
 
 
 def with_gain(
-    model: Model, window: Window, start: Array, found: ScaleFit, method: str
+    model: Model, window: Window, start: Array, factor: float, error: float, method: str
 ) -> WindowFit:
-    """Parameters ``start`` (p,) with their gain parameters scaled, as a window fit."""
+    """Parameters ``start`` (p,) with gain parameters scaled by a factor, as a window fit."""
     # A window fit holds these gain parameters fixed, so they are scaled here.
     rest = np.setdiff1d(model.strength_indices, model.free_indices)
     start = start.copy()
-    start[rest] *= found.factor
+    start[rest] *= factor
     problem = WindowProblem(model, window, start)
     moved = np.where(problem.strength, problem.start, 0.0)
     return fit_of(
         problem,
-        problem.start + moved * (found.factor - 1.0),
-        np.outer(moved, moved) * found.standard_error**2,
+        problem.start + moved * (factor - 1.0),
+        np.outer(moved, moved) * error**2,
         method=method,
         evaluations=2,
     )
@@ -219,9 +207,9 @@ class FluidTemperature:
 class TemperatureMap:
     """Force scale over temperature at one operating point (peak velocity [m/s], current [A]).
 
-    ``curve`` is ln s over the temperature [°C]; its domain is the range of temperatures from which
-    it was identified. ``windows`` is the number of windows. ``covariance`` (k, k) belongs to its k
-    coefficients over z. ``scatter`` is the standard deviation of ln s about the curve.
+    ``curve`` is ln s over the temperature [°C]; its domain is the range of the temperatures of its
+    ``windows``. ``covariance`` (k, k) belongs to its k coefficients over z, and ``scatter`` is the
+    standard deviation of ln s about the curve.
     """
 
     operating_point: OperatingPoint

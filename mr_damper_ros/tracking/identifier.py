@@ -18,7 +18,7 @@ from mr_damper_ros.processes.worker import Failed, Progress, TaskRunner
 from mr_damper_ros.settings.option_table import CheckedSettings, option
 from mr_damper_ros.signals.blocks import SampleBlock
 from mr_damper_ros.tracking.acceptance import Judgement, Verdict
-from mr_damper_ros.tracking.jobs import Job, Outcome, run
+from mr_damper_ros.tracking.jobs import Job, Outcome, refused, run
 from mr_damper_ros.tracking.reports import Report
 from mr_damper_ros.tracking.tracker import WindowTracker
 from mr_damper_ros.tracking.tracker_state import DISK_PATIENCE, TrackerState
@@ -67,11 +67,10 @@ class SearchProgress:
 
 @dataclass(frozen=True, eq=False)
 class SearchEnded:
-    """End of a search; ``outcome`` and ``report`` are None if it never ran or was superseded."""
+    """End of a search; ``outcome`` is None if it never ran or was superseded."""
 
     search: Search
     outcome: Outcome | None = None
-    report: Report | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -175,34 +174,31 @@ class Identifier:
         for told in self.worker.poll():
             if self._job is None or self._number != told.task:
                 continue
-            if not isinstance(told, Progress):
-                events += self._end(
-                    Outcome(Judgement(Verdict.FAILED, told.reason))
-                    if isinstance(told, Failed)
-                    else told.result
-                )
+            if isinstance(told, Failed):
+                events += self._end(refused(self._job, Judgement(Verdict.FAILED, told.reason)))
+            elif not isinstance(told, Progress):
+                events += self._end(told.result)
             elif self._search is not None:
                 events.append(SearchProgress(self._search, told.value))
         self._next()
         return [*self._outbox.take(self.state.progress[1]), *events]
 
     def _end(self, outcome: Outcome) -> list[Event]:
-        """Let the tracker judge an outcome, unless the job was superseded by another set."""
-        job, search, before = self._job, self._search, self.tracker.parameters
-        assert job is not None
+        """Take over an outcome, unless its job was superseded by another set."""
+        search = self._search
         self._job = self._search = None
         if self._superseded:
             return [] if search is None else [SearchEnded(search)]
-        report = self.tracker.complete(job, outcome)
+        report = self.tracker.complete(outcome)
         if report is not None:
-            if report.global_due and not job.samples.look:
+            if report.global_due:
                 self._searches.append(Search())
             self.last_report = report
-            found = None if self.tracker.parameters is before else self.tracker.parameters
-            if found is not None:
+            if outcome.parameters is not None:
                 self.state.keep()
-            self._outbox.add(Publication(report, outcome.duration, found), self.state.progress[0])
-        return [] if search is None else [SearchEnded(search, outcome, report)]
+            publication = Publication(report, outcome.duration, outcome.parameters)
+            self._outbox.add(publication, self.state.progress[0])
+        return [] if search is None else [SearchEnded(search, outcome)]
 
     def _next(self) -> None:
         if self._job is not None:

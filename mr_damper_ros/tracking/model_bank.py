@@ -1,14 +1,13 @@
 """The model bank: the known sets of a damper, and the choice among them by motion and current.
 
-A set fitted to one window often holds only at the peak velocity and current of that window. The
-bank therefore keeps previous sets. If the motion or the current returns to the range of a previous
-set, this set is used at once, without waiting for the identification. The measured force selects
-among several candidates, and also shows whether the force of this damper jumps at reversals.
+A set fitted to one window often holds only at its peak velocity and current. The bank therefore
+keeps previous sets, and uses one again at once where the motion returns to its range. The measured
+force selects among several candidates, and shows whether this damper's force jumps at reversals.
 
-A current schedule selects the set for a new current, because a window at one current corrects the
-force at that current only. If the current changes to a value that no window of the set in use had,
-the set of the newest windows at the new value takes over. Without such a set, the set for all
-operating points takes over, scaled to the present force of the damper.
+A window at one current corrects the force at that current only. A current schedule therefore
+changes the set with the current: if no window of the set in use had the new current, the set of the
+newest windows at this current takes over. Without such a set, the set for all operating points
+takes over, scaled to the present force of the damper.
 """
 
 from __future__ import annotations
@@ -141,9 +140,8 @@ def _joined(one: Span | None, other: Span | None) -> Span | None:
 def force_ratio(present: Array, whole: Array) -> float:
     """Force scale of the present set relative to the set for all operating points, (n,) [N].
 
-    The scale will be applied at another current, where the model error is different. The less a
-    single factor explains the difference between the two forces, the closer the scale is moved to
-    1.
+    The scale is for another current, where the model error is different. It is the closer to 1 the
+    less a single factor explains the difference between the two forces.
     """
     power = float(whole @ whole)
     if not power > 0.0:
@@ -201,11 +199,8 @@ class JudgedSamples(NamedTuple):
         return np.asarray((force[part] - measured)[~np.isnan(measured)])
 
 
-class Choice(NamedTuple):
-    """A set to use from now on, and the error [N] of its newest forces; NaN if unknown."""
-
-    chosen: KnownSet
-    error: float
+Choice = tuple[KnownSet, float]
+"""A set to use from now on, and the error [N] of its newest forces; NaN if unknown."""
 
 
 class ModelBank:
@@ -274,10 +269,9 @@ class ModelBank:
         """Add a set and use it, unless the schedule has a better set for the present current.
 
         ``stamp_ns`` and ``half_cycle`` are as in :class:`KnownSet`; a set without a stamp was
-        loaded by a user. A loaded set clears the bank. A set that is not newer than the bank, or
-        belongs to another law, clears it except for the loaded set. A set that was never identified
-        does not replace a loaded set. A set for fewer currents than the loaded set replaces it only
-        if its force is wrong.
+        loaded by a user and clears the bank. A set that is not newer than the bank, or belongs to
+        another law, clears it except for the loaded set, which no set without evidence replaces. A
+        set for fewer currents replaces the loaded set only if its force is wrong.
         """
         given = self._given
         if given is not None and not parameters.has_evidence:
@@ -510,15 +504,15 @@ class ModelBank:
         current = float(newest.current[-1])
         candidates = [each for each in self._sets[1:] if each.is_for(speed, current, self._margin)]
         if math.isinf(allowed):
-            return Choice(candidates[0], math.nan) if candidates else None
+            return (candidates[0], math.nan) if candidates else None
         limit = _root_mean_square(newest.residual_of(newest.predicted, judged))
         limit *= _BETTER_RATIO if wrong else 1.0
-        best = None
+        best: Choice | None = None
         for each in (self._sets[0], *candidates) if wrong else candidates:
             left = newest.residual_of(newest.force_of(each, self.gradual), judged)
             error = _root_mean_square(left)
             if error < limit and float(np.max(np.abs(left))) <= allowed:
-                best, limit = Choice(each, error), error
+                best, limit = (each, error), error
         return best
 
     def with_other_branch_rule(self) -> Choice | None:
@@ -542,7 +536,7 @@ class ModelBank:
         if not (-self._turning if self.gradual else self._turning) > decides:
             return None
         self.gradual = not self.gradual
-        return Choice(present, errors[self.gradual])
+        return present, errors[self.gradual]
 
     @property
     def _judged(self) -> float:

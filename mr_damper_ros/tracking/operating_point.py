@@ -9,10 +9,10 @@ and the newest good window, for the global identification.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from statistics import median
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
@@ -76,22 +76,14 @@ def _apart(one: OperatingPoint, other: OperatingPoint) -> tuple[float, float]:
     return abs(ratio) / math.log(SAME_SPEED), abs(one[1] - other[1]) / SAME_CURRENT
 
 
-class Kept(NamedTuple):
-    """A window kept for the global identification, and its operating point."""
-
-    window: Window
-    point: OperatingPoint
-
-
-def thinned_to_keep(window: Window, *, with_past: bool, parts: int = 1) -> Kept:
+def thinned_to_keep(window: Window, *, with_past: bool, parts: int = 1) -> Window:
     """A window thinned to a few hundred samples, to be kept.
 
     For one of several ``parts`` of a window fewer samples are kept, down to a quarter of the usual
     number. ``with_past`` also keeps the motion between the samples, for a law with memory.
     """
     few = window.thinned(MOST_SAMPLES // min(parts, 4))
-    kept = few if with_past else Window(few.motion, few.force, few.current)
-    return Kept(kept, window.operating_point)
+    return few if with_past else Window(few.motion, few.force, few.current)
 
 
 @dataclass(frozen=True)
@@ -119,7 +111,8 @@ class PointRecord:
     ``baseline`` is the first accepted fit, and ``force`` the first accepted force; later windows do
     not change them. ``temperatures`` (n, 3) holds the measured temperature [°C], the force scale
     and its standard error. ``window`` is the newest good window, ``stamp_ns`` the stamp of its last
-    sample, and ``number`` its consecutive number.
+    sample, and ``number`` its consecutive number, 0 without one. A record that travels with a job
+    may have the number of its window alone.
     """
 
     point: OperatingPoint
@@ -168,8 +161,14 @@ class KnownPoints:
     @property
     def kept(self) -> tuple[PointRecord, ...]:
         """Records with a window, the newest window last."""
-        with_window = [each for each in self.records if each.window is not None]
+        with_window = [each for each in self.records if each.number]
         return tuple(sorted(with_window, key=lambda each: each.number))
+
+    @property
+    def newest_ns(self) -> int:
+        """Stamp of the newest window; 0 without one."""
+        kept = self.kept
+        return kept[-1].stamp_ns if kept else 0
 
     @property
     def windows(self) -> tuple[Window, ...]:
@@ -185,16 +184,32 @@ class KnownPoints:
             if each.window is not None and since <= each.stamp_ns <= end_ns
         )
 
-    def with_window(self, kept: Kept, stamp_ns: int = 0) -> KnownPoints:
+    def with_window(self, window: Window, point: OperatingPoint, stamp_ns: int = 0) -> KnownPoints:
         """Return the records with a window, in place of the older window at its point.
 
         ``stamp_ns`` is the stamp of its last sample.
         """
         number = max((each.number for each in self.records), default=0) + 1
-        known = self.noted(kept.point, window=kept.window, stamp_ns=stamp_ns, number=number)
+        known = self.noted(point, window=window, stamp_ns=stamp_ns, number=number)
         while len(known.kept) > MOST_WINDOWS:
-            known = known.noted(known.kept[0].point, window=None)
+            known = known.noted(known.kept[0].point, window=None, number=0)
         return known
+
+    def with_samples(self, wanted: Callable[[PointRecord], bool]) -> KnownPoints:
+        """Return the records; of windows that are not wanted, the number alone."""
+        return KnownPoints(
+            tuple(each if wanted(each) else replace(each, window=None) for each in self.records)
+        )
+
+    def completed(self, known: KnownPoints) -> KnownPoints:
+        """Return the records with the windows of ``known`` where there is a number alone."""
+        windows = {each.number: each.window for each in known.records if each.number}
+        return KnownPoints(
+            tuple(
+                replace(each, window=each.window or windows.get(each.number))
+                for each in self.records
+            )
+        )
 
     def without_temperatures(self) -> KnownPoints:
         """Return the records without their temperatures, because the force has changed since."""

@@ -310,11 +310,11 @@ class ForcePredictor:
         elif self._bank.turning_is_due():
             choice = self._bank.with_other_branch_rule()
         if choice is not None:
-            self._bank.use(choice.chosen)
-            self._force.use(
-                choice.chosen.parameters, gradual=self._bank.gradual, fade=True, restart=True
-            )
-            self._monitor.forget_error(choice.error)
+            chosen, error = choice
+            self._bank.use(chosen)
+            gradual = self._bank.gradual
+            self._force.use(chosen.parameters, gradual=gradual, fade=True, restart=True)
+            self._monitor.forget_error(error)
 
     def _largest_force(self, half_cycle: float, motion: Motion, current: float) -> float:
         """Largest force [N] of the set at a current, in a sine of the present half-cycle [s]."""

@@ -51,26 +51,17 @@ _PRELOAD = 0.5
 of half the span. A larger offset comes from a load cell that was not zeroed, and does not count."""
 
 
-_ROWS = 15
-_OF_PREDICTED = slice(12, None)
-"""Rows of the table of stretches: number of samples, highest, lowest and noise of the measured
-force, lowest and highest current, whether the stretch before had the same current; the sums of
-velocity v and measured force f, and of v², v f and f²; last, those of the predicted force p: its
-sum, and those of v p and p²."""
-
-
 class ForceStatistics:
     """Running force statistics over some cycles of samples ``period`` [s] apart.
 
     ``peak`` and ``centre`` [N] are the largest magnitude of the measured force and the middle of
     its span, without outliers; NaN before the first stretch. If the motion is not steady, they
     cover the longer of ten seconds and a cycle. Forces at other currents count for at most ten
-    seconds, and only until the present current has lasted for a cycle. If a cycle takes longer than
-    ten seconds and the current is steady, forces at other currents are limited to the largest force
-    of the set at this current. ``noise`` [N] is the standard deviation of the white part of the
-    measured force. ``stuck`` says that the measured force has been constant for a half-cycle.
-    ``measured_drives`` and ``predicted_drives`` say that the measured or predicted force is not
-    dissipative.
+    seconds, and only until the present current has lasted for a cycle. In a cycle of more than ten
+    seconds at a steady current, they count up to the largest force of the set at this current.
+    ``noise`` [N] is the standard deviation of the white part of the measured force. ``stuck`` says
+    that this force has been constant for a half-cycle, ``measured_drives`` and ``predicted_drives``
+    that the measured or predicted force is not dissipative.
     """
 
     def __init__(self, period: float) -> None:
@@ -79,7 +70,10 @@ class ForceStatistics:
         self._currents: list[tuple[float, float]] = []
         self._count = 0
         self._stretch = max(round(_SHORTEST_MEMORY / _STRETCHES / period), 1)
-        self._past = RollingRows(_ROWS)
+        # A column for each stretch: number of samples; highest, lowest and noise of the measured
+        # force f; lowest and highest current; whether the stretch before had the same current; the
+        # sums of the velocity v, of f, v², v f and f²; those of the predicted force p, v p and p².
+        self._past = RollingRows(15)
         self._unchanged = 0
         self.peak = math.nan
         self.centre = math.nan
@@ -116,7 +110,7 @@ class ForceStatistics:
         """Discard the predicted forces, because they belong to other parameters."""
         self.predicted_drives = False
         self._parts = [(np.zeros(f.size), f, v) for _, f, v in self._parts]
-        self._past.newest[_OF_PREDICTED] = 0.0
+        self._past.newest[-3:] = 0.0
 
     def _finish(self, half_cycle: float, steady: bool, largest: Callable[[], float]) -> None:
         predicted, measured, velocity = (

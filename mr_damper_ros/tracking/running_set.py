@@ -106,10 +106,9 @@ def new_set(
     """The set of a window fit; ``stamp_ns`` is the stamp of the window's last sample.
 
     Parameters that were not fitted keep their values and errors. The set holds in the range of the
-    window. If the dependence on the peak velocity, or on the current, has been determined and
-    agrees with the window, it also holds in the range of the running set. A window that is not a
-    sine does not change the lower end of a known range. An early fit, which only scales the gain
-    parameters of the running set, keeps its range.
+    window, and in that of the running set if its dependence on the peak velocity, or on the
+    current, is known and agrees with the window. A window that is not a sine does not change the
+    lower end of a known range. An early fit only scales the gain parameters and keeps the range.
     """
     model = running.law
     errors, discrepancies = running.standard_errors.copy(), running.discrepancies.copy()

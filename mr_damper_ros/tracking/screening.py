@@ -44,10 +44,6 @@ _LONGEST_REST = 0.25
 """The machine rests while its speed is below the first fraction of the top speed. A window with a
 rest longer than the second fraction of the window is rejected."""
 
-_EXCHANGED_RATIO = 1.5
-"""If the mean frequency of the velocity exceeds the mean frequency of the force by this factor,
-displacement and force are probably exchanged."""
-
 NEGATIVE_POWER = 0.1
 """If the correlation of force and velocity is below minus this value, one of the signs is wrong."""
 
@@ -175,14 +171,9 @@ def fault_of_sign(velocity: Array, force: Array) -> str:
     centred = force - force.mean()
     power = float(centred @ velocity)
     if power < -NEGATIVE_POWER * float(np.linalg.norm(centred) * np.linalg.norm(velocity)):
-        if _mean_frequency(velocity) > _EXCHANGED_RATIO * _mean_frequency(force):
-            return (
-                "displacement and force seem to be exchanged: the displacement contains higher "
-                "frequencies than the force"
-            )
         return (
             "the force is not dissipative: reverse the sign of the force or of the displacement "
-            "(extension and tension are positive)"
+            "(extension and tension are positive), or exchange the two channels"
         )
     return ""
 
@@ -199,15 +190,6 @@ def _is_stuck(displacement: Array, force: Array) -> bool:
         for extreme in (stretch.max(), stretch.min())
     )
     return way_back > _STUCK_PART * float(np.ptp(displacement))
-
-
-def _mean_frequency(values: Array) -> float:
-    """Power-weighted mean frequency of a signal (n,), in cycles per window.
-
-    A damper force saturates, so its mean frequency is rarely below that of the velocity.
-    """
-    power = np.abs(np.fft.rfft((values - values.mean()) * np.hanning(values.size))) ** 2
-    return float(power @ np.arange(power.size)) / float(power.sum())
 
 
 def _is_clipped(array: Array) -> bool:

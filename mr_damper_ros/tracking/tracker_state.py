@@ -26,9 +26,10 @@ from mr_damper_ros.models.parameter_set import ParameterError, ParameterSet
 from mr_damper_ros.processes.deferred import BackgroundWriter
 from mr_damper_ros.processes.files import FolderLock
 from mr_damper_ros.tracking.force_scale import is_plausible
+from mr_damper_ros.tracking.jobs import TrackerMemory
 from mr_damper_ros.tracking.operating_point import PointRecord, nearest_same
 from mr_damper_ros.tracking.state_directory import StateDirectory, StateError
-from mr_damper_ros.tracking.tracker import TrackerMemory, WindowTracker
+from mr_damper_ros.tracking.tracker import WindowTracker
 
 T = TypeVar("T")
 
@@ -51,8 +52,12 @@ def from_text(text: str, model: Model) -> TrackerMemory:
         if isinstance(data, dict) and "points" not in data:
             data = _with_records(data)
         memory = _read(TrackerMemory, data, "memory")
-        # An older version may have had fewer parameters.
-        for each in memory.points.records:
+        # An older version may have had fewer parameters, and numbers of windows from 0 on.
+        records = memory.points.records
+        first = min((each.number for each in records if each.window is not None), default=1)
+        for each in records:
+            number = 0 if each.window is None else each.number + (first == 0)
+            memory.points = memory.points.noted(each.point, number=number)
             if (fit := each.baseline) is not None:
                 completed = dataclasses.replace(fit, parameters=model.completed(fit.parameters))
                 memory.points = memory.points.noted(each.point, baseline=completed)
@@ -97,6 +102,8 @@ def _with_records(data: dict[str, Any]) -> dict[str, Any]:
 
 def _plain(value: Any) -> Any:
     """Convert a value to types that JSON supports."""
+    if isinstance(value, ParameterSet):
+        return value.to_yaml()
     if isinstance(value, np.ndarray):
         data = np.ascontiguousarray(value, dtype="<f8").tobytes()
         return {"shape": list(value.shape), _DATA: base64.b64encode(data).decode("ascii")}
@@ -115,6 +122,8 @@ def _read(kind: type[T], data: Any, where: str) -> T:
     origin, arguments = typing.get_origin(kind), typing.get_args(kind)
     if origin in (types.UnionType, typing.Union):  # all unions here are optional types
         value = None if data is None else _read(arguments[0], data, where)
+    elif kind is ParameterSet:
+        value = ParameterSet.from_yaml(_read(str, data, where))
     elif origin is np.ndarray:
         value = _array(data, where)
     elif origin is tuple:

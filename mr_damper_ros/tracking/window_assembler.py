@@ -107,17 +107,15 @@ class WindowAssembler:
     """Collects blocks into windows of ``window`` seconds, one every ``hop`` seconds of data.
 
     If these seconds do not contain a cycle of the motion, the window is extended into the past
-    until it does, up to ``longest_window`` seconds. An extended window uses every third, fifth, ...
-    force, so that it has at most three times the usual number of samples. Its displacement is
-    averaged around each of these samples. The next extended window follows once the usual fraction
-    of its samples is new. Windows in between, and windows without a cycle at any length, have the
-    usual length and are rejected later.
+    until it does, up to ``longest_window`` seconds. It then uses every third, fifth, ... force,
+    with the displacement averaged around each, so that it has at most three times the usual number
+    of samples. The next extended window follows once the usual fraction of its samples is new.
+    Other windows without a cycle have the usual length and are rejected later.
 
-    A window is returned once the current is known for all of it, that is, once a value stamped at
-    or after its last sample has arrived. Its content therefore does not depend on the order in
-    which the messages of different topics arrive. If ``window`` seconds contain a cycle, ``looks``
-    change checks are cut in each hop, see :class:`RawWindow`. A window whose current is unknown at
-    its start is omitted; the next change check, which has the same length, replaces it.
+    A window is returned once a value of the current stamped at or after its last sample has
+    arrived, so that it does not depend on the order of the messages. If ``window`` seconds contain
+    a cycle, ``looks`` change checks are cut in each hop, see :class:`RawWindow`. A window whose
+    current is unknown at its start is omitted; the next change check, of equal length, replaces it.
 
     ``sequence`` is the uniform grid, which tracks gaps and repeats of the blocks.
     """

@@ -74,10 +74,10 @@ def test_a_part_whose_past_is_not_known_is_left_out_of_a_law_that_remembers() ->
 def test_the_right_law_over_the_current_explains_the_parts_and_a_wrong_one_does_not() -> None:
     given = window(switching())
     parts = parts_by_current(SIXTEEN, given, TOLERANCE)
-    assert judge_parts(given, parts, ParameterSet(known.PLAUSIBLE)).explained
+    assert judge_parts(given, parts, ParameterSet(known.PLAUSIBLE))[1]
     wrong = known.PLAUSIBLE.copy()
     wrong[known.index("k2")] *= 0.7
-    assert not judge_parts(given, parts, ParameterSet(wrong)).explained
+    assert not judge_parts(given, parts, ParameterSet(wrong))[1]
 
 
 def followed(windows: list[RawWindow], start: ParameterSet) -> tuple[WindowTracker, list[Verdict]]:

@@ -155,7 +155,7 @@ def test_a_window_kept_without_its_past_has_a_force_whatever_the_coil(name: str)
     values[-1] = LAG
     current = 1.0 + 1e-3 * np.sin(np.arange(750))
     here = moved(name, truth(name), current)
-    kept = thinned_to_keep(here, with_past=model.remembers).window
+    kept = thinned_to_keep(here, with_past=model.remembers)
     assert np.all(np.isfinite(model.window_force(kept, values)))
     assert model.settled(kept, values).any()
 

@@ -70,7 +70,7 @@ def test_the_swing_of_a_law_that_is_not_exact_is_no_change() -> None:
     predicted = 100.0 * np.tanh(3.0 * np.sin(phase))
     swing = 15.0 * np.sin(3.0 * phase)
     # The residual of a fit is orthogonal to the force.
-    swing -= fit_scale(predicted, swing).factor * predicted
+    swing -= fit_scale(predicted, swing)[0] * predicted
     measured = predicted + swing + noise(0, 2000)
     watch = ChangeWatch.after_fit(predicted, measured, POINT, 0.02)
     for seed in range(20):

@@ -17,8 +17,8 @@ from mr_damper_ros.models.parameter_set import ParameterSet
 from mr_damper_ros.signals.arrays import Array
 from mr_damper_ros.tracking.acceptance import (
     GOOD_NRMSE,
-    Lead,
     evidence_of,
+    lead_of,
     rival_wins,
     validation_mask,
 )
@@ -41,7 +41,7 @@ def lead(memory: float, seed: int, ahead: float) -> float:
     old, new = 100.0 * loop, 100.1 * loop
     measured = 0.5 * (old + new) + ahead * (new - old) + noise(memory, seed)
     judges = validation_mask(N)
-    return Lead.together([Lead.of(old, new, measured, judges, NoiseModel.of(measured - new))])
+    return lead_of([(old, new, measured, judges, NoiseModel.of(measured - new))])
 
 
 @pytest.mark.parametrize("memory", [0.0, 0.8, 0.95])
@@ -55,8 +55,8 @@ def test_without_noise_the_better_force_is_infinitely_ahead() -> None:
     every = np.ones(N, dtype=bool)
     force = np.sin(np.arange(N) / 80.0)
     silent = NoiseModel.of(np.zeros(N))
-    assert Lead.together([Lead.of(1.1 * force, force, force, every, silent)]) == math.inf
-    assert Lead.together([Lead.of(force, force, force, every, silent)]) == 0.0
+    assert lead_of([(1.1 * force, force, force, every, silent)]) == math.inf
+    assert lead_of([(force, force, force, every, silent)]) == 0.0
 
 
 @pytest.mark.parametrize("seen", [0, 300, 960])

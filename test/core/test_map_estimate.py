@@ -141,7 +141,7 @@ WINDOWS = {"sine": known.raw_window(known.run(samples=SAMPLES)), "random": raw_r
 def test_an_answer_does_not_bring_the_samples_home_again(motion: str) -> None:
     window = WINDOWS[motion]
     result = run(WindowTracker(TrackerSettings(), START).job_of(window))
-    assert result.fit is not None
+    assert result.found is not None
     samples = window.displacement.nbytes + window.force.nbytes + window.current.nbytes
     # It holds force, current and motion of every fourth sample only.
     assert len(pickle.dumps(result)) < samples
@@ -165,15 +165,13 @@ def test_what_was_first_found_here_does_not_undo_what_is_known_of_other_currents
     baseline = fit_window(law, replace(window, force=force), knows_nothing_else)
     weaker = truth.copy()
     weaker[list(law.strength_indices)] *= 0.3
-    task = replace(
-        WindowTracker(TrackerSettings(model=model), ParameterSet(weaker, model=model)).job_of(raw),
-        baselines=(baseline,),
-    )
-    fit = run(task).fit
-    assert fit is not None
+    tracked = WindowTracker(TrackerSettings(model=model), ParameterSet(weaker, model=model))
+    tracked.memory.points = tracked.points.with_baseline(baseline)
+    found = run(tracked.job_of(raw)).found
+    assert found is not None
     shape = law.places(law.shape_names)
-    np.testing.assert_array_equal(fit.parameters[shape], weaker[shape])
-    assert fit.rmse < 1.1 * known.NOISE
+    np.testing.assert_array_equal(found.values[shape], weaker[shape])
+    assert known.rms(found.window_force(window) - force) < 1.1 * known.NOISE
 
 
 def failing(*_: object, **__: object) -> None:

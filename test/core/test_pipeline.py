@@ -83,7 +83,7 @@ def bench(*, waiting_windows: int = 1000, global_period: int = 0) -> Bench:
 
 def of_windows(events: list[Event]) -> list[Report]:
     """Reports of windows."""
-    searches = {id(e.report) for e in events if isinstance(e, SearchEnded)}
+    searches = {id(e.outcome.report) for e in events if isinstance(e, SearchEnded) and e.outcome}
     reports = [e.report for e in events if isinstance(e, Publication)]
     return [report for report in reports if id(report) not in searches]
 

@@ -16,12 +16,9 @@ from mr_damper_ros.models import MODELS
 from mr_damper_ros.models.misfit import WindowProblem
 from mr_damper_ros.models.parameter_set import ParameterSet
 from mr_damper_ros.models.published import LITERATURE, THESIS_28_CELSIUS
-from mr_damper_ros.tracking.jobs import Outcome
-from mr_damper_ros.tracking.jobs import run as work
 from mr_damper_ros.tracking.recursive_tracker import METHOD, FilterState, RecursiveFilter
 from mr_damper_ros.tracking.reports import Report
 from mr_damper_ros.tracking.tracker import TrackerSettings, WindowTracker
-from mr_damper_ros.tracking.window_assembler import RawWindow
 
 SAMPLES = 1000
 STILL = 1e-9
@@ -134,11 +131,7 @@ def test_it_starts_again_from_a_fit_where_its_state_does_not_hold(change: str) -
     else:
         known.fed(tracked, known.window(3, current=0.2, frequency=3.0))
         assert tracked.identify(EvolutionSettings(generations=20, population=8)).accepted
-    assert run(tracked, following).fit.method == "least_squares"  # type: ignore[union-attr]
-
-
-def run(tracked: WindowTracker, raw: RawWindow) -> Outcome:
-    return work(tracked.job_of(raw))
+    assert known.fed(tracked, following)[0].method == "least_squares"
 
 
 @pytest.mark.parametrize("model", ["hyperbolic_tangent", "bouc_wen"])

@@ -8,11 +8,11 @@ import pytest
 from random_motion import BandLimitedRandom
 
 from mr_damper_ros.kinematics.window import Window
-from mr_damper_ros.tracking.operating_point import Kept, KnownPoints, thinned_to_keep
+from mr_damper_ros.tracking.operating_point import KnownPoints, thinned_to_keep
 
 
 def keep(points: KnownPoints, window: Window, number: int) -> KnownPoints:
-    return points.with_window(Kept(window, window.operating_point), number)
+    return points.with_window(window, window.operating_point, number)
 
 
 def test_the_newest_window_of_each_operating_point_is_kept() -> None:
@@ -30,8 +30,8 @@ def test_the_newest_window_of_each_operating_point_is_kept() -> None:
 def test_of_a_law_without_memory_only_the_samples_are_kept() -> None:
     motion = BandLimitedRandom(3e-3, 0.5, 3.0).at(np.arange(2000) * known.PERIOD)
     window = Window.from_samples(motion.displacement, motion.velocity, 1.0, known.PERIOD)
-    kept = thinned_to_keep(window, with_past=True).window
-    bare = thinned_to_keep(window, with_past=False).window
+    kept = thinned_to_keep(window, with_past=True)
+    bare = thinned_to_keep(window, with_past=False)
     assert kept.whole is not None
     assert bare.whole is None
     np.testing.assert_array_equal(bare.motion.velocity, kept.motion.velocity)

@@ -5,17 +5,19 @@ from __future__ import annotations
 import dataclasses
 import itertools
 import math
+from typing import Any
 
 import known
 import numpy as np
 import pytest
 
 from mr_damper_ros.estimation.differential_evolution import EvolutionSettings
+from mr_damper_ros.estimation.global_fit import GlobalFit, identify_global
 from mr_damper_ros.models.parameter_set import ParameterSet
 from mr_damper_ros.models.published import LITERATURE, THESIS_28_CELSIUS
 from mr_damper_ros.models.sigmoid.law import SCALE_INDICES, sine_force
-from mr_damper_ros.tracking.acceptance import Verdict
-from mr_damper_ros.tracking.jobs import run
+from mr_damper_ros.tracking import jobs
+from mr_damper_ros.tracking.acceptance import Evidence, Verdict
 from mr_damper_ros.tracking.reports import Report
 from mr_damper_ros.tracking.tracker import TrackerSettings, WindowTracker
 from mr_damper_ros.tracking.window_assembler import RawWindow
@@ -327,37 +329,30 @@ def test_a_search_improves_the_set_on_the_reservoir() -> None:
         assert error_of(tracked.parameters, known.run(current=current, seed=None)) < 10.0
 
 
-def test_a_search_is_judged_against_the_running_set() -> None:
+def test_a_search_is_judged_against_the_running_set(monkeypatch: pytest.MonkeyPatch) -> None:
     tracked = toured()
-    job = tracked.search()
-    outcome = run(job)
     good = tracked.parameters
-    assert outcome.evidence is not None
-    evidence = dataclasses.replace(outcome.evidence, nrmse_after=outcome.evidence.nrmse_before)
-    report = tracked.complete(job, dataclasses.replace(outcome, evidence=evidence))
-    assert report is not None
+    monkeypatch.setattr(jobs, "evidence_of_search", lambda *_: Evidence(0.1, 0.1))
+    report = tracked.identify()
     assert report.verdict is Verdict.NO_BETTER
     assert "running set predicts the reservoir as well" in report.reason
     assert tracked.parameters is good
 
 
-def waiting(factor: float = 1.0) -> tuple[WindowTracker, ParameterSet]:
-    """A tracker and the result of a due search, with the yield force times ``factor``."""
+def waiting() -> tuple[WindowTracker, ParameterSet]:
+    """A tracker and the set that a due search found."""
     tracked = toured()
-    job = tracked.search(asked=False)
-    outcome = run(job)
-    assert outcome.found is not None
-    assert outcome.evidence is not None
-    values = outcome.found.values.copy()
-    values[known.index("f0")] *= factor
-    found = dataclasses.replace(outcome.found, values=values)
-    evidence = dataclasses.replace(outcome.evidence, recent=(0.2, 0.1))
     good = tracked.parameters
-    report = tracked.complete(job, dataclasses.replace(outcome, found=found, evidence=evidence))
+    with pytest.MonkeyPatch.context() as patch:
+        poor = Evidence(0.2, 0.1, recent=(0.2, 0.1))
+        patch.setattr(jobs, "evidence_of_search", lambda *_: poor)
+        outcome = jobs.run(tracked.search(asked=False))
+    report = tracked.complete(outcome)
     assert report is not None
     assert report.verdict is Verdict.UNCONFIRMED
     assert tracked.parameters is good
-    return tracked, found
+    assert outcome.found is not None
+    return tracked, outcome.found
 
 
 def test_a_set_that_nobody_asked_for_is_in_use_once_a_window_confirms_it() -> None:
@@ -393,17 +388,21 @@ def test_windows_after_a_search_keep_the_shape_and_its_errors() -> None:
     assert (low, high) == (0.3, 1.4), "what was identified over several currents stays valid there"
 
 
-def test_a_set_that_the_model_would_refuse_is_not_taken() -> None:
+def test_a_set_that_the_model_would_refuse_is_not_taken(monkeypatch: pytest.MonkeyPatch) -> None:
     tracked = toured()
-    job = tracked.search()
-    outcome = run(job)
-    assert outcome.found is not None
-    values = outcome.found.values.copy()
-    values[known.index("f0")] *= 1e6
-    absurd = dataclasses.replace(outcome.found, values=values)
     good = tracked.parameters
-    report = tracked.complete(job, dataclasses.replace(outcome, found=absurd))
-    assert report is not None
+
+    def absurd(*arguments: Any) -> GlobalFit:
+        fit = identify_global(*arguments)
+        values = fit.parameter_set.values.copy()
+        values[known.index("f0")] *= 1e6
+        found = dataclasses.replace(fit.parameter_set, values=values)
+        return dataclasses.replace(fit, parameter_set=found)
+
+    better = Evidence(0.2, 0.1)
+    monkeypatch.setattr(jobs, "identify_global", absurd)
+    monkeypatch.setattr(jobs, "evidence_of_search", lambda *_: better)
+    report = tracked.identify()
     assert report.verdict is Verdict.POOR_FIT
     assert "more than the limit" in report.reason
     assert tracked.parameters is good

@@ -24,7 +24,7 @@ from mr_damper_ros.models import MODELS
 from mr_damper_ros.models.parameter_set import ParameterSet
 from mr_damper_ros.processes.files import FolderLock, LockHeldError
 from mr_damper_ros.tracking.jobs import TRACKERS
-from mr_damper_ros.tracking.operating_point import Kept, KnownPoints
+from mr_damper_ros.tracking.operating_point import KnownPoints
 from mr_damper_ros.tracking.reports import Report
 from mr_damper_ros.tracking.state_directory import StateDirectory, StateError
 from mr_damper_ros.tracking.tracker import TrackerSettings, WindowTracker
@@ -170,7 +170,7 @@ def test_a_place_beyond_the_window_is_refused() -> None:
     time = np.arange(400) * 1e-3
     window = Window.from_samples(time**2, time, 1.0, 1e-3).part(slice(None, None, 2))
     wrong = dataclasses.replace(window, places=np.asarray(window.places) + 2.0)
-    memory = TrackerMemory(KnownPoints().with_window(Kept(wrong, window.operating_point)))
+    memory = TrackerMemory(KnownPoints().with_window(wrong, window.operating_point))
     with pytest.raises(StateError, match="an invalid place"):
         from_text(to_text(memory), SIGMOID)
 
