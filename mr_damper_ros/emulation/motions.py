@@ -9,6 +9,7 @@ from typing import Protocol
 
 import numpy as np
 
+from mr_damper_ros.kinematics.motion import Sine
 from mr_damper_ros.kinematics.periodic_motion import Kinematics, MotionKind, PeriodicMotion
 from mr_damper_ros.signals.arrays import Array
 
@@ -35,27 +36,16 @@ def _require_positive(**values: float) -> None:
 
 
 @dataclass(frozen=True)
-class SineMotion:
-    """A sin(2 pi f t + phase): ``amplitude`` [m], ``frequency`` [Hz], ``phase`` [rad].
+class SineMotion(Sine):
+    """A sine of ``amplitude`` [m], ``frequency`` [Hz] and ``phase`` [rad] about zero.
 
     Raises ExcitationError if a value is out of range.
     """
 
     centre = 0.0
 
-    amplitude: float
-    frequency: float
-    phase: float = 0.0
-
     def __post_init__(self) -> None:
         _require_positive(amplitude=self.amplitude, frequency=self.frequency)
-
-    def at(self, time: Array) -> Kinematics:
-        """Kinematics at the times [s], shape (n,)."""
-        scale, rate = self.amplitude, 2.0 * np.pi * self.frequency
-        angle = rate * time + self.phase
-        sine, cosine = np.sin(angle), np.cos(angle)
-        return Kinematics(scale * sine, scale * rate * cosine, -scale * rate**2 * sine)
 
 
 class SampledMotion:

@@ -17,6 +17,7 @@ import numpy as np
 from numpy.polynomial import polynomial
 
 from mr_damper_ros.kinematics.peak_velocity import peak_velocity_of_window
+from mr_damper_ros.kinematics.periodic_motion import Kinematics
 from mr_damper_ros.signals.arrays import Array, noise_power, span_of, white_noise
 
 SINE_TOLERANCE = 2e-3
@@ -48,22 +49,16 @@ class Sine:
 
     amplitude: float
     frequency: float
-    phase: float
-    offset: float
-    residual_rms: float
+    phase: float = 0.0
+    offset: float = 0.0
+    residual_rms: float = 0.0
 
-    def displacement(self, time: Array) -> Array:
-        """Displacement about the centre of the motion (without the offset) [m]."""
-        return self.amplitude * np.sin(2.0 * np.pi * self.frequency * time + self.phase)
-
-    def velocity(self, time: Array) -> Array:
-        """First derivative [m/s]."""
-        omega = 2.0 * np.pi * self.frequency
-        return self.amplitude * omega * np.cos(omega * time + self.phase)
-
-    def acceleration(self, time: Array) -> Array:
-        """Second derivative [m/s²]."""
-        return -((2.0 * np.pi * self.frequency) ** 2) * self.displacement(time)
+    def at(self, time: Array) -> Kinematics:
+        """Kinematics about the centre of the motion (without the offset) at the times [s], (n,)."""
+        scale, rate = self.amplitude, 2.0 * np.pi * self.frequency
+        angle = rate * time + self.phase
+        sine, cosine = np.sin(angle), np.cos(angle)
+        return Kinematics(scale * sine, scale * rate * cosine, -scale * rate**2 * sine)
 
 
 def allowed_residual(
@@ -205,13 +200,7 @@ class Motion:
     @classmethod
     def of_sine(cls, sine: Sine, time: Array, peak_velocity: float) -> Motion:
         """Motion of a sine with the given peak velocity [m/s] at times (n,) [s]."""
-        return cls(
-            displacement=sine.displacement(time),
-            velocity=sine.velocity(time),
-            acceleration=sine.acceleration(time),
-            peak_velocity=np.full(time.size, peak_velocity),
-            sine=sine,
-        )
+        return cls(*sine.at(time), np.full(time.size, peak_velocity), sine)
 
     @classmethod
     def joined(cls, motions: Sequence[Motion]) -> Motion:

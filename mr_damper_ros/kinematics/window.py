@@ -48,7 +48,7 @@ class MotionHistory:
         cycle: Array = np.arange(count, dtype=float) * period
         motion = Motion.of_sine(sine, cycle, peak_velocity)
         places = time / period % count
-        branch = np.sign(sine.acceleration(time))
+        branch = np.sign(sine.at(time).acceleration)
         return cls(motion, np.full(count, current), period, places, branch, periodic=True)
 
     @cached_property
@@ -275,7 +275,7 @@ class Window:
     @classmethod
     def of_sine(cls, peak_velocity: float, frequency: float, current: float) -> Window:
         """One cycle of a sine (velocity [m/s], frequency [Hz]) at a current [A], without force."""
-        sine = Sine(peak_velocity / (2.0 * np.pi * frequency), frequency, 0.0, 0.0, 0.0)
+        sine = Sine(peak_velocity / (2.0 * np.pi * frequency), frequency)
         count = _FEWER_PER_CYCLE
         period = 1.0 / (frequency * count)
         motion = Motion.of_sine(sine, period * np.arange(count, dtype=float), peak_velocity)

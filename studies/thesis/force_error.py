@@ -73,7 +73,7 @@ def identify(name: str, seed: int) -> dict[str, Any]:
     found, cost, evaluations = fminsearch(norm, flipped)
     seven = fit_window(MODELS["sigmoid"], w, flipped)
     shown = slice(0, round(1.0 / sine.frequency / run.period))
-    fitted = sine.displacement(run.time) + sine.offset
+    fitted = sine.at(run.time).displacement + sine.offset
     sixteen_force, force, literature = (
         MODELS["sigmoid"].window_force(w, values) for values in (found, seven.parameters, flipped)
     )
