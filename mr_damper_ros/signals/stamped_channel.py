@@ -361,16 +361,14 @@ def interpolated(
     n = times.size
     if n < 2:
         return np.full(wanted.size, np.nan), np.zeros(wanted.size, dtype=bool)
-    after = np.clip(np.searchsorted(times, wanted, side="left"), 1, n - 1)
-    t0, t1 = times[after - 1], times[after]
+    after = np.clip(np.searchsorted(times, wanted), 1, n - 1)
+    before = times[after - 1]
     # A time that coincides with a sample needs no neighbour.
-    met = (wanted == t0) | (wanted == t1)
-    known = ((wanted >= t0) & (wanted <= t1) & (t1 - t0 <= longest)) | met
-    place = np.clip((wanted - t0) / np.where(t1 > t0, t1 - t0, 1.0), 0.0, 1.0)
-    line = values[after - 1] + (values[after] - values[after - 1]) * place
-    line = np.where(wanted == t1, values[after], line)
+    met = (wanted == before) | (wanted == times[after])
+    between = (wanted >= before) & (wanted <= times[after]) & (times[after] - before <= longest)
+    line = np.interp(wanted, times, values)
     if n < 4:
-        return line, known
+        return line, between | met
     around = np.clip(after, 2, n - 2) + np.arange(-2, 2)[:, np.newaxis]
     nodes = times[around]
     near = (after >= 2) & (after <= n - 2) & (np.diff(nodes, axis=0)[[0, 2]] <= longest).all(axis=0)
@@ -380,4 +378,4 @@ def interpolated(
         apart = nodes[own] - nodes[others]
         ways = (wanted - nodes[others]) / np.where(apart == 0.0, 1.0, apart)
         cubic += ways.prod(axis=0) * values[around[own]]
-    return np.where(near & ~met, cubic, line), known
+    return np.where(near & ~met, cubic, line), between | met
