@@ -38,12 +38,6 @@ from mr_damper_ros.signals.error_sums import ErrorSums, pooled
 
 GLOBAL_METHODS = (GLOBAL_SOURCE, "nelder_mead", "least_squares", "differential_evolution")
 
-_MOST_ROUNDS = 3
-"""Largest number of updates of the weight of the record levels, given as a sample count."""
-
-_SETTLED = 0.3
-"""The updates end when the logarithm of the sample count changes by less than this."""
-
 
 @dataclass(frozen=True, eq=False)
 class GlobalFit:
@@ -177,21 +171,15 @@ def identify_global(
     fit = searched(known, None)
     if levels is None:
         return fit
-    levels = _recounted(levels, fit, windows)
-    for _ in range(_MOST_ROUNDS):
+    # The set without levels gives a rough count of the samples, the set with them a better one.
+    for _ in range(2):
         if fit.stopped:
             break
-        fit = searched(fit.parameter_set.values, levels)
-        before, levels = levels, _recounted(levels, fit, windows)
-        if abs(math.log(levels.counted_samples / before.counted_samples)) < _SETTLED:
-            break
+        found = fit.parameter_set
+        misfit = Misfit(model, windows, fit.noise.tolist(), found.values)
+        levels = replace(levels, counted_samples=counted_samples(misfit, levels, found.values))
+        fit = searched(found.values, levels)
     return replace(fit, levels=fit.levels or levels)
-
-
-def _recounted(levels: LevelPrior, fit: GlobalFit, windows: Sequence[Window]) -> LevelPrior:
-    found = fit.parameter_set
-    misfit = Misfit(found.law, windows, fit.noise.tolist(), found.values)
-    return replace(levels, counted_samples=counted_samples(misfit, levels, found.values))
 
 
 def _result(search: GlobalSearch, method: str, ending: Ending) -> GlobalFit:
