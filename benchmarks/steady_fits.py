@@ -35,7 +35,6 @@ from mr_damper_ros.models.published import (
     PUBLISHED_METHODS,
     Condition,
     find,
-    is_clean,
     parameters,
 )
 from mr_damper_ros.models.sigmoid.law import (
@@ -44,6 +43,7 @@ from mr_damper_ros.models.sigmoid.law import (
 from mr_damper_ros.signals.arrays import Array
 from mr_damper_ros.signals.recording import Recording
 from studies.recordings import window_of
+from studies.thesis.facts import is_clean
 from studies.thesis.runs import DISPLACEMENT_NOISE, PHASE, synthesise
 
 _LAW = MODELS["sigmoid"]

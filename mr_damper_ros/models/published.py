@@ -102,58 +102,6 @@ def find(name: str) -> Condition:
     )
 
 
-_COPIED = (
-    "tables 31 and 32 (5.0 mm, 1.0 A) repeat tables 19 and 20 (5.0 mm, 0 A) digit for digit: "
-    "these are not data for 1.0 A"
-)
-_MIRRORED = "a sign is lost: the loop mirrors the loop of the other method, or is far from it"
-
-ROW_ERRATA = {
-    (find(name), method): reason
-    for name, method, reason in (
-        *(
-            (f"5.0mm_{f}Hz_1.0A", method, _COPIED)
-            for f in (1, 3, 5)
-            for method in PUBLISHED_METHODS
-        ),
-        (
-            "7.5mm_3Hz_1.5A",
-            "nelder_mead",
-            "k4 is +0.1405, but negative in every other row",
-        ),
-        ("7.5mm_3Hz_1.5A", "differential_evolution", _MIRRORED),
-        (
-            "2.5mm_5Hz_0.0A",
-            "differential_evolution",
-            "the force peaks at 544 and -727 N, but at 134 and -170 N by the other method",
-        ),
-        ("7.5mm_5Hz_1.0A", "differential_evolution", _MIRRORED),
-        (
-            "7.5mm_1Hz_1.5A",
-            "differential_evolution",
-            "the offset has the wrong sign: k5 should very likely be -0.1231",
-        ),
-    )
-}
-"""Reasons to exclude a row of the tables, by (condition, method)."""
-
-ERRATA = {
-    condition: reason
-    for (condition, method), reason in ROW_ERRATA.items()
-    if method == PUBLISHED_METHODS[0]
-}
-"""Conditions whose Nelder-Mead row must not be used for simulated runs, and the reasons."""
-
-
-def is_clean(condition: Condition) -> bool:
-    """Whether a run of the condition is suitable for comparisons: 30 of the 34 are.
-
-    The report of the thesis counts 31 sound conditions: its criteria accept 7.5 mm at 3 Hz and
-    1.5 A, which is excluded here because of the doubtful sign of its k4.
-    """
-    return condition not in ERRATA
-
-
 def parameters(condition: Condition, method: str = PUBLISHED_METHODS[0]) -> Array:
     """Published parameters (16,) of a condition; read-only. Raises ConditionError."""
     try:

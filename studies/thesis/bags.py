@@ -8,9 +8,10 @@ from pathlib import Path
 
 from mr_damper_ros.io.bag_reader import BagError
 from mr_damper_ros.io.bag_writer import write_bag
-from mr_damper_ros.models.published import CONDITIONS, ERRATA, Condition, find, is_clean
+from mr_damper_ros.models.published import CONDITIONS, Condition, find
 from mr_damper_ros.tools.console import run_tool
 from studies.program import say
+from studies.thesis.facts import ERRATA, is_clean
 from studies.thesis.runs import recording_name, synthesise
 
 

@@ -258,7 +258,7 @@ def compute(campaign: Campaign) -> dict[str, Any]:
     """Data of the section."""
     rows, found = [], find_errata()
     for row in ((c, method) for c in CONDITIONS for method in PUBLISHED_METHODS):
-        if row in found or row in published.ROW_ERRATA:
+        if row in found or row in facts.ROW_ERRATA:
             one = features(parameters(*row), row[0])
             rows.append(
                 {

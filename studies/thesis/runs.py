@@ -28,11 +28,9 @@ from mr_damper_ros.emulation.motions import SineMotion
 from mr_damper_ros.kinematics.window import Window
 from mr_damper_ros.models.published import (
     CONDITIONS,
-    ERRATA,
     PUBLISHED_METHODS,
     Condition,
     find,
-    is_clean,
     parameters,
 )
 from mr_damper_ros.models.sigmoid.law import (
@@ -46,6 +44,7 @@ from mr_damper_ros.models.sigmoid.law import (
 )
 from mr_damper_ros.signals.arrays import Array
 from mr_damper_ros.signals.recording import Recording
+from studies.thesis.facts import ERRATA, is_clean
 
 SAMPLE_COUNT = 7001
 """Samples 3000 to 10000 of each run were used (appendix D)."""

@@ -14,10 +14,10 @@ from mr_damper_ros.models.plausibility import LARGEST_NRMSE, check_plausible
 from mr_damper_ros.models.published import (
     CONDITIONS,
     PUBLISHED_METHODS,
-    ROW_ERRATA,
     THESIS_28_CELSIUS,
     parameters,
 )
+from studies.thesis.facts import ROW_ERRATA
 
 GOOD = ParameterSet(
     THESIS_28_CELSIUS, peak_velocity_range=(0.03, 0.1), current_range=(0.0, 1.5), nrmse=0.1

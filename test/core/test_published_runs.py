@@ -14,17 +14,15 @@ from mr_damper_ros.io.bag_reader import read_bag
 from mr_damper_ros.io.bag_writer import write_bag
 from mr_damper_ros.models.published import (
     CONDITIONS,
-    ERRATA,
     PUBLISHED_METHODS,
-    ROW_ERRATA,
     Condition,
     ConditionError,
     find,
-    is_clean,
     parameters,
 )
 from mr_damper_ros.models.sigmoid.law import sine_force
 from studies.thesis import bags as thesis_bags
+from studies.thesis.facts import ERRATA, ROW_ERRATA, is_clean
 from studies.thesis.runs import PHASE, synthesise
 
 

@@ -6,10 +6,11 @@ import pytest
 from fresh_python import alone
 
 from mr_damper_ros.emulation.emulator import THESIS_FORCE_NOISE
-from mr_damper_ros.models.published import ROW_ERRATA, find
+from mr_damper_ros.models.published import find
 from studies.program import Campaign, code_files
 from studies.thesis import dependency, errata, facts, force_error
 from studies.thesis.conditions import identified
+from studies.thesis.facts import ROW_ERRATA
 
 SOUND_AFTER_ALL = (find("7.5mm_3Hz_1.5A"), "nelder_mead")
 """Its k4 and its current factor both have the wrong sign, so the loop is right."""

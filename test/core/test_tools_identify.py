@@ -23,9 +23,10 @@ from mr_damper_ros.io.bag_reader import read_bag
 from mr_damper_ros.io.bag_writer import write_bag
 from mr_damper_ros.kinematics.motion import window_motion
 from mr_damper_ros.models.parameter_set import ParameterSet, start_set
-from mr_damper_ros.models.published import CONDITIONS, is_clean
+from mr_damper_ros.models.published import CONDITIONS
 from mr_damper_ros.tools import identify, validate
 from mr_damper_ros.tools.console import ProgressLine
+from studies.thesis.facts import is_clean
 from studies.thesis.runs import synthesise
 
 BAGS = Path(__file__).parents[2] / "bags"

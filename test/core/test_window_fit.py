@@ -27,11 +27,12 @@ from mr_damper_ros.models.sigmoid.law import (
     coefficient_jacobian,
 )
 from mr_damper_ros.signals.arrays import Array
+from studies.thesis.facts import is_clean
 
 STANDARD_ERRORS = 4.0
 """Largest error of an estimate in standard errors; chance exceeds it once in 16 000."""
 
-CLEAN = [c for c in thesis.CONDITIONS if thesis.is_clean(c)]
+CLEAN = [c for c in thesis.CONDITIONS if is_clean(c)]
 
 
 @dataclass(frozen=True, eq=False)
