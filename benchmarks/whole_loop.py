@@ -126,7 +126,7 @@ def driven(road: str, seed: int, duration: float = DRIVEN, *, given: bool = True
         EmulatedDamper(invented_damper(0.0), HOT_FORCE, built_in=True),
         QuarterCar().plant,
         IsoRoad(road, SPEED, seed),
-        supply.schedule,
+        supply,
         settings=RigSettings(displacement_noise=1e-6, seed=seed),
         thermal=ThermalModel(initial=28.0, capacity=430.0),
         coil_time_constant=LAG,
@@ -292,7 +292,7 @@ def followed(name: str, watched: bool, duration: float = FOLLOWED) -> Followed:
     rig = EmulatedRig(
         case.damper(),
         motion,
-        supply.schedule,
+        supply,
         settings=RigSettings(displacement_noise=1e-6),
         # So much heat capacity that it stays as it is.
         thermal=ThermalModel(ambient=case.celsius, initial=case.celsius, capacity=1e9),

@@ -55,7 +55,7 @@ def comfort(controlled: bool) -> float:
         EmulatedDamper(invented_damper(COIL), built_in=True),
         QuarterCar().plant,
         IsoRoad("C", speed=20.0, seed=1),
-        supply.schedule,
+        supply,
         settings=RigSettings(displacement_noise=1e-6),
         coil_time_constant=COIL,
     )

@@ -185,6 +185,24 @@ class CurrentSchedule:
         return np.asarray(self.currents, dtype=np.float64)[np.maximum(index, 0)]
 
 
+class SupplySetpoint(CurrentSchedule):
+    """The setpoint of a supply: a current schedule that grows while the rig runs."""
+
+    times: list[float]
+    currents: list[float]
+
+    def __init__(self, current: float = 0.0) -> None:
+        super().__init__([0.0], [current])
+
+    def set(self, time: float, current: float) -> None:
+        """Supply this current [A] from ``time`` [s] on, but not before the previous change."""
+        if current != self.currents[-1]:
+            # Only the latest setpoint of the past is needed.
+            del self.times[:-1], self.currents[:-1]
+            self.times.append(max(time, math.nextafter(self.times[-1], math.inf)))
+            self.currents.append(current)
+
+
 @dataclass(frozen=True)
 class RigSettings:
     """Sampling and noise of an emulated rig.
@@ -420,20 +438,3 @@ class EmulatedRig(MeasuredRig):
         _, velocity, acceleration = excitation.at(before * period)
         peak.follow(velocity, acceleration)
         return peak
-
-
-class SupplySetpoint:
-    """The setpoint of a supply: a current schedule that grows while the rig runs."""
-
-    def __init__(self, current: float = 0.0) -> None:
-        # The schedule refers to these lists and thus sees every change.
-        self._times, self._currents = [0.0], [current]
-        self.schedule = CurrentSchedule(self._times, self._currents)
-
-    def set(self, time: float, current: float) -> None:
-        """Supply this current [A] from ``time`` [s] on, but not before the previous change."""
-        if current != self._currents[-1]:
-            # Only the latest setpoint of the past is needed.
-            del self._times[:-1], self._currents[:-1]
-            self._times.append(max(time, math.nextafter(self._times[-1], math.inf)))
-            self._currents.append(current)

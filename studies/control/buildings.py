@@ -100,7 +100,7 @@ def simulate(
         EmulatedDamper(recorded_damper(lag), built_in=True),
         frame.plant,
         ground,
-        supply.schedule,
+        supply,
         settings=RigSettings(displacement_noise=1e-6),
         coil_time_constant=lag,
         dampers=dampers,

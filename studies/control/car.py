@@ -110,7 +110,7 @@ def car_rig(
         EmulatedDamper(invented_damper(coil_time_constant), plant_rig.HOT_FORCE, built_in=True),
         CAR.plant,
         _surroundings(road),
-        supply.schedule,
+        supply,
         settings=RigSettings(displacement_noise=1e-6),
         thermal=thermal,
         coil_time_constant=coil_time_constant,

@@ -33,13 +33,12 @@ CAR = QuarterCar()
 
 
 def car_rig(current: float | SupplySetpoint = 0.3, **options: object) -> PlantRig:
-    supply = current.schedule if isinstance(current, SupplySetpoint) else current
     settings = {"settings": RigSettings(seed=5), **options}
     return PlantRig(
         EmulatedDamper(invented_damper(0.0), HOT_FORCE, built_in=True),
         CAR.plant,
         IsoRoad("C", 20.0, seed=2),
-        supply,
+        current,
         **settings,  # type: ignore[arg-type]
     )
 

@@ -252,7 +252,7 @@ class EmulatedSource(_EmulatedSupply):
         rig = EmulatedRig(
             self._damper,
             self._excitation,
-            supply.schedule,
+            supply,
             settings=settings,
             faults=faults,
             thermal=ThermalModel(
@@ -383,7 +383,7 @@ class QuarterCarSource(_EmulatedSupply):
             self._damper,
             _CAR.plant,
             road,
-            supply.schedule,
+            supply,
             settings=self._rig(start_ns),
             thermal=ThermalModel(initial=given.initial_temperature, capacity=given.heat_capacity),
             coil_time_constant=given.coil_time_constant,
