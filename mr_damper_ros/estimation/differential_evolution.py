@@ -82,11 +82,8 @@ class ProgressClock:
         self._total = max(generations, 1)
         self._done = 0
         self._report = report
-        self._last_report = time.monotonic()
-        # The time per generation differs between stages.
-        self._stage = ""
-        self._stage_began = self._last_report
-        self._stage_done = 0
+        self._began = self._last_report = time.monotonic()
+        self._evolved = 0
         self.stopped = False
 
     def expect(self, generations: int) -> None:
@@ -95,10 +92,8 @@ class ProgressClock:
 
     def tick(self, stage: str, best_cost: float) -> None:
         """Count one generation."""
-        if stage != self._stage:
-            self._stage, self._stage_began, self._stage_done = stage, time.monotonic(), 0
         self._done += 1
-        self._stage_done += 1
+        self._evolved += 1
         self._tell(stage, best_cost)
 
     def _tell(self, stage: str, best_cost: float) -> None:
@@ -106,8 +101,8 @@ class ProgressClock:
             return
         self._last_report = time.monotonic()
         left = math.nan
-        if self._stage_done:
-            pace = (self._last_report - self._stage_began) / self._stage_done
+        if self._evolved:
+            pace = (self._last_report - self._began) / self._evolved
             left = max(self._total - self._done, 0) * pace
         progress = GlobalProgress(stage, self._done, self._total, best_cost, left)
         self.stopped = not self._report(progress)

@@ -115,11 +115,6 @@ class GlobalFit:
             return []
         return misfit.levels(self.parameter_set.values, self.covariance)
 
-    @property
-    def median_nrmse(self) -> float:
-        """Median NRMSE of the windows."""
-        return float(np.median(self.nrmse))
-
 
 def error_of_set(found: ParameterSet, windows: Iterable[Window]) -> ErrorSums:
     """Error of a set of any model over the samples of all windows together."""
