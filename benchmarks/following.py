@@ -144,13 +144,13 @@ def _true_loop(run: Recording, part: slice) -> Array:
     return np.asarray(cold + min(max(warm, 0.0), 1.0) * (hot - cold))
 
 
-def drift_of(run: Recording, settings: TrackerSettings) -> tuple[float, Array, Array]:
+def drift_of(run: Recording) -> tuple[float, Array, Array]:
     """Follow the drift and compare each report with the true values at its publication.
 
     Returns the 95th percentile of the absolute errors of the force scale [1], and the NRMSE (m,) on
     the next window of the set in use and of a separate least-squares fit to that window.
     """
-    steps = follow(run, settings)
+    steps = follow(run, TrackerSettings())
     length = round(WINDOW / run.period)
     baseline_end = next(end for report, _, end in steps if report.accepted)
     baseline = _true_loop(run, slice(baseline_end - length, baseline_end))
@@ -168,23 +168,17 @@ def drift_of(run: Recording, settings: TrackerSettings) -> tuple[float, Array, A
 
 
 def drift_figures(duration: float = 600.0) -> Measured:
-    """Run both trackers on the same recording."""
+    """The damper heats from 28 to 71 °C."""
     damper = EmulatedDamper(COLD_DAMPER, HOT_DAMPER)
     run = recording(damper, duration, seed=1, thermal=_thermal_model(duration))
-    scale, *window = drift_of(run, TrackerSettings(tracker="window"))
-    ukf_scale, *ukf = drift_of(run, TrackerSettings(tracker="recursive"))
-    ratios = [recordings.rms(one) / recordings.rms(other) for one, other in (window, ukf)]
+    scale, predicted, fitted = drift_of(run)
     assert run.temperature is not None
-    single = float(np.quantile(window[0] / window[1], 0.95))
+    hottest, single = float(run.temperature[-1]), float(np.quantile(predicted / fitted, 0.95))
     return {
-        "drift_scale_error_p95_percent": (
-            100.0 * scale,
-            f"To {float(run.temperature[-1]):.1f} °C in {duration:.0f} s.",
-        ),
-        "drift_nrmse_ratio": (ratios[0], f"95th percentile of the single ratios: {single:.3f}."),
-        "ukf_drift_scale_error_p95_percent": (
-            100.0 * ukf_scale,
-            f"Its NRMSE ratio: {ratios[1]:.3f}.",
+        "drift_scale_error_p95_percent": (100.0 * scale, f"To {hottest:.1f} °C."),
+        "drift_nrmse_ratio": (
+            recordings.rms(predicted) / recordings.rms(fitted),
+            f"95th percentile of the single ratios: {single:.3f}.",
         ),
     }
 
@@ -196,7 +190,7 @@ _OFFSETS = tuple(place / 8.0 for place in range(8))
 _BEFORE, _AFTER = 8.0, 10.0
 
 
-def windows_until_right(offset: float, settings: TrackerSettings) -> float:
+def windows_until_right(offset: float) -> float:
     """Time from the step until the error of the set in use stays within 1 %, in window lengths.
 
     ``offset`` is the time of the step after the end of a window, in hops. The error is the norm of
@@ -212,7 +206,7 @@ def windows_until_right(offset: float, settings: TrackerSettings) -> float:
     )
     truth = sine_force(scaled(COLD_DAMPER, _FACTOR), *_cycle(), CURRENT)
     right_since = np.inf
-    for _, values, end in follow(run, settings):
+    for _, values, end in follow(run, TrackerSettings()):
         elapsed = end * run.period - time
         if elapsed > 0.0:
             error = sine_force(values, *_cycle(), CURRENT) - truth
@@ -223,11 +217,8 @@ def windows_until_right(offset: float, settings: TrackerSettings) -> float:
 
 def step_figures(offsets: Sequence[float] = _OFFSETS) -> Measured:
     """Longest of these durations over steps at several times within a hop."""
-    found: Measured = {}
-    for key, name in (("step_windows", "window"), ("ukf_step_windows", "recursive")):
-        times = [windows_until_right(offset, TrackerSettings(tracker=name)) for offset in offsets]
-        found[key] = (max(times), f"Mean: {float(np.mean(times)):.2f}.")
-    return found
+    times = [windows_until_right(offset) for offset in offsets]
+    return {"step_windows": (max(times), f"Mean: {float(np.mean(times)):.2f}.")}
 
 
 # -- dampers that do not change: stability and force scale --------------------------------------

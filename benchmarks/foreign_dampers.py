@@ -3,14 +3,11 @@
 The benchmark measures wrong force that is called valid, correct force that is refused, and accepted
 sets that are worse than their predecessors. Every foreign law is combined with every motion. A seed
 distributes currents, sensors, streams, faults, sizes and warming evenly over the combinations.
-
-    python -m benchmarks.foreign_dampers 17 42     only the combinations 17 and 42, a line each
 """
 
 from __future__ import annotations
 
 import math
-import sys
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -157,17 +154,6 @@ class Outcome:
     worse_sets: Sequence[WorseSet]
     sets: int
 
-    def __str__(self) -> str:
-        worse = "".join(
-            f" {s.set_id}@{s.time:.1f}: {s.before:.0%}->{s.after:.0%}" for s in self.worse_sets
-        )
-        why = " ".join(f"{kind} {time:.1f}" for kind, time in self.refused_for.items())
-        return (
-            f"{self.combination.name}: wrong valid {self.wrong_valid:.2f} s (longest "
-            f"{self.longest:.2f}); valid {self.valid:.0%}, right refused {self.refused:.0%} "
-            f"({why}); {self.sets} sets, worse:{worse or ' none'}"
-        )
-
 
 def asked(result: TrialResult) -> np.ndarray:
     """Mask (n,) of the samples in motion after the first identified set."""
@@ -262,8 +248,3 @@ def block_size_figures(duration: float = 20.0, streams: int = 4) -> Measured:
         told = ", ".join(f"{share:.1f}" for share in shares)
         notes.append(f"{first.law}, {motion}, {first.current}: {told}")
     return {"block_size_valid_spread": (max(spreads), "; ".join(notes))}
-
-
-if __name__ == "__main__":
-    for chosen in sys.argv[1:]:
-        print(run(COMBINATIONS[int(chosen)]), flush=True)

@@ -150,8 +150,7 @@ def _lost(rig: ThreeNodes, last: DamperParameters, kept: tuple[Any, Any, str], c
     ):
         fault = f"{before.set_id} was kept, but {again.id} was published"
     rig.observer.until(lambda: rig.reports[-1].accepted, "an accepted window")
-    baselines = [] if memory is None else memory.points.baselines
-    after = _read(rig)[1]
+    baselines, after = memory.points.baselines, _read(rig)[1]
     found = [] if after is None else after.points.baselines
     same = len(found) >= len(baselines) and all(
         np.array_equal(one.coefficients, other.coefficients)

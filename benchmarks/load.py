@@ -45,8 +45,8 @@ from benchmarks.nodes import (
     ProfiledDomain,
     ThreeNodes,
     cpu_seconds,
-    memory_bytes,
     on_cores,
+    resident_bytes,
 )
 from mr_damper_ros.emulation.emulator import EmulatedDamper, EmulatedRig, RigSettings
 from mr_damper_ros.emulation.motions import Excitation, SineMotion
@@ -586,10 +586,10 @@ def page_figures(
             nodes.start("bridge", block_size=10, wait_for_subscribers=2, wait_timeout=PATIENCE)
             time.sleep(warm)
             began, before = time.monotonic(), cpu_seconds(live.pid)
-            memory = memory_bytes(live.pid)
+            memory = resident_bytes(live.pid)
             time.sleep(duration)
             used = (cpu_seconds(live.pid) - before) / (time.monotonic() - began)
-            growth = memory_bytes(live.pid) - memory
+            growth = resident_bytes(live.pid) - memory
             windows = Viewer(page_of(live)).windows()
     found: tuple[list[Array], list[Array]] = ([], [])
     blocks = blocks_of("sine", _BLOCK, segment)
@@ -662,7 +662,7 @@ def soak(hours: float, warm_up: float) -> tuple[dict[str, float], list[str]]:
             if elapsed >= 3600.0 * warm_up / RATE and worker is not None:
                 pids = {name: node.pid for name, node in rig.programs.items()}
                 for name, pid in {**pids, "worker": worker}.items():
-                    used[name].append(memory_bytes(pid))
+                    used[name].append(resident_bytes(pid))
                 # Received messages are discarded, so that this program does not grow.
                 del rig.reports[:-1000], rig.sets[:-1000]
         errors = rig.errors + [

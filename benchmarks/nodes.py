@@ -149,13 +149,10 @@ def on_cores(cores: Sequence[int] | None) -> Iterator[None]:
         os.sched_setaffinity(0, before)
 
 
-def memory_bytes(pid: int, entry: str = "VmRSS") -> int:
-    """Memory of a process [B]: in use, shared libraries included, or its peak (VmHWM).
-
-    It is 0 for a process that has just ended.
-    """
-    lines = Path(f"/proc/{pid}/status").read_text().splitlines()
-    return sum(1024 * int(line.split()[1]) for line in lines if line.startswith(entry))
+def resident_bytes(pid: int) -> int:
+    """Memory in use [B] of a process (resident set), shared libraries included."""
+    pages = int(Path(f"/proc/{pid}/statm").read_text().split()[1])
+    return pages * os.sysconf("SC_PAGE_SIZE")
 
 
 def cpu_seconds(pid: int) -> float:

@@ -121,11 +121,8 @@ def _begin_of(record: Recording) -> Recording:
     return recordings.cut(record, part)
 
 
-def _windows_until_good(record: Recording, model: str) -> tuple[float, float]:
-    """Number of windows in motion until the fit is good (or infinity), and the largest valid force.
-
-    The force is relative to the largest measured force of the record.
-    """
+def _windows_until_good(record: Recording, model: str) -> float:
+    """Number of windows in motion until the fit is good, or infinity."""
     said = replay(record, settings=EngineSettings().for_law(model), block_size=20)
     force, following = said.predicted, round(_NEXT / record.period)
     ends = [
@@ -134,30 +131,24 @@ def _windows_until_good(record: Recording, model: str) -> tuple[float, float]:
         if report.verdict not in (Verdict.FAULT_OF_DATA, Verdict.ACCEPTED_EARLY)
         and report.window_start_ns < report.stamp_ns
     ]
-    largest = float(np.abs(force[said.valid]).max(initial=0.0) / np.abs(record.force).max())
     for count, end in enumerate(ends, start=1):
         after = slice(end, end + following)
         if after.stop > force.size:
             break
         error = recordings.rms(force[after] - record.force[after])
         if 1.0 - error / np.std(record.force[after]) >= _GOOD:
-            return float(count), largest
-    return float("inf"), largest
+            return float(count)
+    return float("inf")
 
 
 def cold_start_figures() -> Measured:
     """The beginning of the three earthquake records."""
     place = recordings.folder()
     if place is None:
-        return dict.fromkeys(
-            ("cold_start_windows", "cold_start_largest_force"), (None, recordings.NONE)
-        )
+        return {"cold_start_windows": (None, recordings.NONE)}
     begins = [_begin_of(record) for record in recordings.unsmoothed_earthquakes(place)]
     found = [_windows_until_good(record, law) for law in _TWO_LAWS for record in begins]
-    return {
-        "cold_start_windows": [count for count, _ in found],
-        "cold_start_largest_force": [size for _, size in found],
-    }
+    return {"cold_start_windows": found}
 
 
 # -- the original files ----------------------------------------------------------------------------

@@ -270,8 +270,8 @@ CASES: dict[str, Case] = {
     "80 %, learns": Case(part=0.80, learns=True),
 }
 
-_TRACKED = ("right, random", "71 °C, learns", "71 °C")
-"""Cases whose force error is a figure: known, hot and identified, and hot with the cold set."""
+_TRACKED = ("right, random", "71 °C, learns")
+"""Cases whose force error is a figure: known, and hot and identified."""
 
 
 class Followed(NamedTuple):
@@ -346,7 +346,7 @@ def figures(
     far = max(drives, key=lambda each: each.nrmse / each.exact)
     poor = min(runs, key=lambda each: each.confirmed)
     right = [name for name in names if CASES[name].part == 1.0 and CASES[name].celsius == 28.0]
-    cold, hot, hot_fixed = (results[name, True].late for name in _TRACKED)
+    cold, hot = (results[name, True].late for name in _TRACKED)
     return {
         "loop_valid_percent": (100.0 * least.valid, f"Road {least.road}, seed {least.seed}."),
         "loop_nrmse_ratio": (far.nrmse / far.exact, f"Road {far.road}, seed {far.seed}."),
@@ -363,5 +363,4 @@ def figures(
         "controller_drops": max([results[name, True].drops for name in right], default=np.nan),
         "force_tracking_nrmse_percent": 100.0 * cold,
         "force_tracking_hot_growth": hot / cold,
-        "force_tracking_hot_growth_fixed": hot_fixed / cold,
     }

@@ -6,7 +6,7 @@ import pytest
 
 pytest.importorskip("rclpy", reason="these tests need ROS")
 
-from benchmarks import hostile_nodes, kills, load
+from benchmarks import hostile_starts, kills, load
 
 
 def test_whatever_is_killed_the_state_stays() -> None:
@@ -18,11 +18,11 @@ def test_whatever_is_killed_the_state_stays() -> None:
 
 
 def test_no_start_fails_because_of_its_files() -> None:
-    assert hostile_nodes.starts(100, seed=1) == []
+    assert hostile_starts.campaign(100, seed=1) == []
 
 
 def test_no_node_fails_to_start_because_of_its_files() -> None:
-    assert hostile_nodes.starts_of_nodes(3, seed=1) == []
+    assert hostile_starts.campaign_of_nodes(3, seed=1) == []
 
 
 def test_a_node_ends_cleanly_whenever_it_is_interrupted() -> None:

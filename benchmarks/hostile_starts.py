@@ -1,10 +1,9 @@
-"""Hostile input to the real nodes: messages while the rig runs, and files to start from.
+"""Starts from corrupted state and parameter files: each must succeed or explain its refusal.
 
-A node counts as unresponsive while it leaves a service call unanswered. Some files have the damage
-of a defective disk. Others have a valid checksum, as after an edit, and entries of the set and of
-the memory that no tracker writes. A start covers everything that the nodes do with the file before
-the first sample: read, check, resume, build the messages and store. The same seed gives the same
-cases.
+Some files have the damage of a defective disk. Others have a valid checksum, as after an edit, and
+entries of the set and of the memory that no tracker writes. A start covers everything that the
+nodes do with the file before the first sample: read, check, resume, build the messages and store.
+The same seed gives the same cases.
 """
 
 from __future__ import annotations
@@ -15,26 +14,18 @@ import json
 import math
 import random
 import tempfile
-import time
-from collections.abc import Callable, Iterator
 from functools import partial
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 import yaml
-from builtin_interfaces.msg import Time
-from mr_damper_msgs.action import IdentifyGlobal
-from mr_damper_msgs.msg import DamperParameters, FitReport, MtsSamples, SupplyCurrent
-from mr_damper_msgs.srv import LoadParameters, SaveParameters
-from rcl_interfaces.srv import GetParameters
+from mr_damper_msgs.msg import DamperParameters
 from rclpy.serialization import serialize_message
-from sensor_msgs.msg import Temperature
-from std_msgs.msg import Header
 
 from benchmarks.figure import Measured
 from benchmarks.hostile import CURRENT, NUMBERS, PERIOD, T0, described, motion, spoilt
-from benchmarks.nodes import Nodes, ThreeNodes, memory_bytes
+from benchmarks.nodes import Nodes
 from mr_damper_ros.models.parameter_set import ParameterError, ParameterSet, start_set
 from mr_damper_ros.models.plausibility import check_plausible
 from mr_damper_ros.models.published import THESIS_28_CELSIUS
@@ -44,222 +35,13 @@ from mr_damper_ros.nodes.messages import (
     parameter_set,
     parameters_message,
     report_message,
-    to_field,
 )
-from mr_damper_ros.processes.programs import PATIENCE
-from mr_damper_ros.signals.arrays import Array
-from mr_damper_ros.signals.blocks import MOST_SAMPLES, NANOSECONDS
+from mr_damper_ros.signals.blocks import NANOSECONDS
 from mr_damper_ros.tracking.acceptance import Verdict
 from mr_damper_ros.tracking.state_directory import StateDirectory, StateError, read_parameter_file
 from mr_damper_ros.tracking.tracker import TrackerSettings, WindowTracker
 from mr_damper_ros.tracking.tracker_state import TrackerState
 from mr_damper_ros.tracking.window_assembler import RawWindow
-
-# -- messages --------------------------------------------------------------------------------------
-
-_SIZE = 1_000_000
-"""Size of the largest messages [B]."""
-
-_WATCHED, _SLOW = 0.5, 0.1
-"""Time [s] for which a node is observed after a message, and after an answer that took longer than
-the second time [s]."""
-
-_NODES = ("identifier", "model")
-
-_OPTIONS: dict[str, dict[str, object]] = {
-    # Only a few messages count: a computer that is busy with other work answers late as well.
-    "bridge": {"block_size": 100},
-    "identifier": {},
-}
-
-
-class HostileMessage(NamedTuple):
-    """A named message to a topic, or a request to a service of a ``kind``."""
-
-    name: str
-    message: Any
-    target: str
-    kind: type | None = None
-
-
-def message_figures() -> Measured:
-    """Worst effect of all messages; raises RuntimeError if a node ends."""
-    deaf: list[tuple[float, str]] = []
-    grown: list[tuple[float, str]] = []
-    with ThreeNodes(_OPTIONS) as rig:
-        rig.observer.until(lambda: rig.sets and rig.reports[-1].accepted, "the first set")
-        sender = _Sender(rig)
-        for case in cases():
-            before = {name: sender.memory(name, "VmRSS") for name in _NODES}
-            for name, unanswered in sender.harm(case).items():
-                node, told = rig.programs[name], f"The {name}, after {case.name}"
-                if not node.running:
-                    raise RuntimeError(f"the {name} has ended after {case.name}: {node.last_words}")
-                deaf.append((unanswered, told))
-                grown.append(((sender.memory(name, "VmHWM") - before[name]) / 1e6, told))
-    longest, largest = max(deaf), max(grown)
-    count = len(deaf) // len(_NODES)
-    return {
-        "hostile_message_s": (longest[0], f"{longest[1]}; of {count}."),
-        "hostile_message_mb": (largest[0], f"{largest[1]}."),
-    }
-
-
-class _Sender:
-    """Sends a message and measures its effect."""
-
-    def __init__(self, rig: ThreeNodes) -> None:
-        self._rig = rig
-        self._targets: dict[str, Any] = {}
-        self._pings = {
-            name: self._client(GetParameters, f"/{name}/get_parameters") for name in _NODES
-        }
-
-    def _publisher(self, kind: type, topic: str) -> Any:
-        observer = self._rig.observer
-        if topic not in self._targets:
-            profile = quality.latched() if kind is DamperParameters else quality.stream(10)
-            publisher = observer.node.create_publisher(kind, topic, profile)
-            self._targets[topic] = publisher
-            observer.until(publisher.get_subscription_count, f"a subscriber of {topic}")
-            # The other side may connect later than this one.
-            observer.spin_for(0.5)
-        return self._targets[topic]
-
-    def _client(self, kind: type, name: str) -> Any:
-        if name not in self._targets:
-            self._targets[name] = self._rig.observer.node.create_client(kind, name)
-            self._rig.observer.until(self._targets[name].service_is_ready, name)
-        return self._targets[name]
-
-    def harm(self, case: HostileMessage) -> dict[str, float]:
-        """Send a message; returns the longest time [s] that each node left a call unanswered."""
-        # The time to send the message does not count for the node.
-        if case.kind is None:
-            self._publisher(type(case.message), case.target).publish(case.message)
-        else:
-            self._client(case.kind, case.target).call_async(case.message)
-        deaf = dict.fromkeys(_NODES, 0.0)
-        asked: dict[str, tuple[float, Any]] = {}
-        until = time.monotonic() + _WATCHED
-        while time.monotonic() < until or asked:
-            now = time.monotonic()
-            for name, client in self._pings.items():
-                since, answer = asked.get(name, (now, None))
-                if answer is None:
-                    if now < until:
-                        request = GetParameters.Request(names=["frame_id"])
-                        asked[name] = (now, client.call_async(request))
-                elif answer.done():
-                    del asked[name]
-                    deaf[name] = max(deaf[name], now - since)
-                    if now - since > _SLOW:
-                        until = now + _WATCHED
-                elif now - since > PATIENCE:
-                    return {**deaf, name: math.inf}
-            self._rig.observer.spin_once(0.002)
-        return deaf
-
-    def memory(self, name: str, entry: str) -> int:
-        """Memory [B] of a node and its children: in use, or its peak since the last call."""
-        node = self._rig.programs[name]
-        pids = (node.pid, *node.children)
-        found = sum(memory_bytes(pid, entry) for pid in pids)
-        for pid in pids:
-            Path(f"/proc/{pid}/clear_refs").write_text("5")
-        return found
-
-
-def cases() -> Iterator[HostileMessage]:
-    """All messages."""
-    yield from _samples()
-    small = to_field(1e-3 * np.ones(10))
-    known = ParameterSet(
-        THESIS_28_CELSIUS,
-        set_id="hostile",
-        peak_velocity_range=(0.0, 1.0),
-        current_range=(0.0, 2.0),
-    )
-    valid: dict[str, Callable[[], Any]] = {
-        "mts/samples": lambda: MtsSamples(period=1e-3, displacement=small, force=small),
-        "supply/current": SupplyCurrent,
-        "temperature": Temperature,
-        "damper/parameters": lambda: parameters_message(known, "damper", ""),
-        "damper/fit_report": lambda: FitReport(confirms=True),
-    }
-    for topic, make in valid.items():
-        for what, message in _spoilt(make):
-            yield HostileMessage(f"{topic} with {what}", message, topic)
-    for kind, service in ((SaveParameters, "save_parameters"), (LoadParameters, "load_parameters")):
-        for what, request in _spoilt(kind.Request):
-            yield HostileMessage(f"{service} with {what}", request, f"/identifier/{service}", kind)
-    send_goal = IdentifyGlobal.Impl.SendGoalService
-    for what, goal in _spoilt(IdentifyGlobal.Goal):
-        request = send_goal.Request(goal=goal)
-        request.goal_id.uuid = np.frombuffer(hashlib.md5(what.encode()).digest(), dtype=np.uint8)
-        service = "/identifier/identify_global/_action/send_goal"
-        yield HostileMessage(f"a goal with {what}", request, service, send_goal)
-
-
-def _samples() -> Iterator[HostileMessage]:
-    most = _SIZE // 16
-    alternating = np.tile([1e-3, -1e-3], most // 2)
-    signals = {
-        "of a sine": 5e-3 * np.sin(2e-3 * math.pi * np.arange(most)),
-        "of noise": 1e-3 * np.random.default_rng(0).normal(size=most),
-        "that alternate": alternating,
-        "of zeros": np.zeros(most),
-        "of spikes": 1e12 * np.sign(alternating),
-    }
-    shapes = [(most, 1e-3), (18_750, 1000.0), (MOST_SAMPLES, 1e-3), (MOST_SAMPLES, 1e-5)]
-    for what, signal in signals.items():
-        for count, period in (*shapes, (10, 1.0), (1, 1.0)):
-            name = f"{count} samples {what}, {period:g} s apart"
-            yield _block(name, signal[:count], 1e5 * signal[:count], period)
-    for count in (0, 1, 10):
-        name = f"{most} displacements and {count} forces"
-        yield _block(name, alternating, np.zeros(count), 1e-3)
-
-
-def _block(name: str, displacement: Array, force: Array, period: float) -> HostileMessage:
-    message = MtsSamples(
-        header=Header(stamp=Time(sec=int(time.time())), frame_id="damper"),
-        period=period,
-        displacement=to_field(displacement),
-        force=to_field(force),
-    )
-    return HostileMessage(name, message, "mts/samples")
-
-
-_VALUES: dict[str, dict[str, Any]] = {
-    "double": {f"{value}": value for value in (math.nan, math.inf, -1e300, 1e300, 1e-320)},
-    "uint32": {"all bits": 2**32 - 1},
-    "uint64": {"all bits": 2**64 - 1, "the highest bit": 2**63},
-    "string": {"1 MB": "x" * _SIZE, "1 MB of ../": "../" * (_SIZE // 3)},
-    "sequence<string>": {"1 MB": ["x"] * (_SIZE // 8)},
-    "sequence<double>": {"1 MB": to_field(np.ones(_SIZE // 8))},
-    "sequence<boolean>": {"1 MB": [True] * _SIZE},
-    "std_msgs/Header": {
-        "a frame of 1 MB": Header(frame_id="x" * _SIZE),
-        "a stamp of 1902": Header(stamp=Time(sec=-(2**31))),
-        "a stamp of 2038": Header(stamp=Time(sec=2**31 - 1, nanosec=999_999_999)),
-        "a stamp of 1970": Header(stamp=Time()),
-        "four seconds of nanoseconds": Header(stamp=Time(sec=1_700_000_000, nanosec=2**32 - 1)),
-    },
-}
-"""Hostile values by type of field."""
-
-
-def _spoilt(make: Callable[[], Any]) -> Iterator[tuple[str, Any]]:
-    """Valid messages of one type, each with one hostile field."""
-    for field, type_ in make().get_fields_and_field_types().items():
-        for what, value in _VALUES.get(type_, {}).items():
-            message = make()
-            setattr(message, field, value)
-            yield f"{what} as {field}", message
-
-
-# -- starts from saved states and parameter files --------------------------------------------------
 
 _NAME = "identifier"
 
@@ -278,13 +60,13 @@ _SETTINGS = {
 }
 
 
-def start_figures(count: int = 10_000, seed: int = 0, nodes: int = 40) -> Measured:
+def figures(count: int = 10_000, seed: int = 0, nodes: int = 40) -> Measured:
     """Run a number of starts in this process and of real nodes."""
-    faults = starts(count, seed) + starts_of_nodes(nodes, seed)
+    faults = campaign(count, seed) + campaign_of_nodes(nodes, seed)
     return {"poisoned_starts": (len(faults), f"Of {count} and {nodes}. " + "; ".join(faults[:5]))}
 
 
-def starts(cases: int, seed: int) -> list[str]:
+def campaign(cases: int, seed: int) -> list[str]:
     """Failures of a number of starts in this process."""
     chance = random.Random(seed)
     faults = []
@@ -466,7 +248,7 @@ def _spoil_array(chance: random.Random, stored: dict[str, Any]) -> None:
     stored["float64"] = base64.b64encode(values.tobytes()).decode()
 
 
-def starts_of_nodes(count: int, seed: int) -> list[str]:
+def campaign_of_nodes(count: int, seed: int) -> list[str]:
     """Failures of a number of starts of real nodes, two of three from a state, one from a file."""
     chance = random.Random(seed)
     faults = []
