@@ -64,13 +64,6 @@ class SineFollower:
         # Samples to wait before the next search for a sine.
         self._wait = 0
 
-    @property
-    def peak_velocity(self) -> float:
-        """Peak velocity of the sine [m/s]; NaN without a sine."""
-        if self._weights is None:
-            return math.nan
-        return self._omega * math.hypot(*self._weights[:2].tolist())
-
     def motion_of(self, displacement: Array, unlearned: int) -> Motion | None:
         """Motion of samples (n,) that match the sine within their noise; None if they do not.
 
@@ -89,7 +82,7 @@ class SineFollower:
             displacement=centred,
             velocity=self._omega * (by_sine * cosine - by_cosine * sine),
             acceleration=-(self._omega**2) * centred,
-            peak_velocity=np.full(angle.size, self.peak_velocity),
+            peak_velocity=np.full(angle.size, self._omega * math.hypot(by_sine, by_cosine)),
             sine=None,
         )
 
