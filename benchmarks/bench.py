@@ -7,8 +7,10 @@ hostile input. Their figures go to ``build/soak.json``.
 from __future__ import annotations
 
 import argparse
+import ctypes
 import json
 import math
+import os
 import signal
 import sys
 import time
@@ -39,8 +41,7 @@ class Figure(NamedTuple):
     """One figure: its key in the JSON file, its value, its bars, its definition and a note.
 
     A bar is a pair (low, high). One limits the value, or every value of a list; several limit one
-    value each; none means that the figure is only reported. ``value`` is None if it was not
-    measured; ``note`` then gives the reason.
+    value each. ``value`` is None if it was not measured; ``note`` then gives the reason.
     """
 
     key: str
@@ -102,19 +103,20 @@ def measure(part: dict[str, Any], arguments: Sequence[Any]) -> list[Figure]:
 
 
 def _measured(by: str, arguments: tuple[Any, ...]) -> Measured:
-    # Leave in order, or the programs of the part, in sessions of their own, would go on.
+    # Leave in order when stopped or when the parent ends (prctl: PR_SET_PDEATHSIG), or the programs
+    # of the part, in sessions of their own, would go on.
     signal.signal(signal.SIGTERM, lambda *_: sys.exit(1))
+    ctypes.CDLL(None).prctl(1, signal.SIGTERM)
     keep_one_thread()
     module, _, name = by.partition(".")
-    found: Measured = getattr(import_module(f"benchmarks.{module}"), name)(*arguments)
-    return found
+    try:
+        return getattr(import_module(f"benchmarks.{module}"), name)(*arguments)
+    except SystemExit:
+        os._exit(1)  # the pool would wait for the next call
 
 
 def write(figures: Sequence[Figure], place: Path) -> None:
-    """Write the figures measured so far as one JSON object, in case a later part fails.
-
-    JSON has no infinity, which means that a value was never reached.
-    """
+    """Write the figures measured so far as one JSON object, without values that are infinite."""
     place.parent.mkdir(parents=True, exist_ok=True)
     document = {
         each.key: each.value if all(map(math.isfinite, each.values)) else None for each in figures
