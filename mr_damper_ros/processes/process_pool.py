@@ -197,8 +197,8 @@ def _without_control(function: Callable[..., Any], *args: Any) -> Any:
 class Workforce:
     """An executor, and the properties of its workers.
 
-    ``at_once`` is the number of tasks submitted at a time. ``loses_with`` are the exceptions that a
-    future raises if workers died repeatedly with its task. ``end`` releases the executor.
+    ``at_once`` is the number of tasks submitted at a time. A future raises one of the
+    exceptions ``loses_with`` if its task has ended several workers. ``end`` releases the executor.
     """
 
     executor: Executor

@@ -120,8 +120,8 @@ class TrackerMemory(Experience):
 
     - ``windows``: number of windows judged so far, which numbers the sets;
     - ``accepted``: number of windows accepted since the start or reset;
-    - ``accepted_since_global``: number of good windows since the last global identification, whose
-      set was accepted or which confirmed the running set;
+    - ``accepted_since_global``: number of windows since the last global identification that gave an
+      accepted set or confirmed the running set;
     - ``state``: state of the recursive filter;
     - ``watch``: state of the change detection;
     - ``changed_ns``: stamp of the start of the last sudden change;
