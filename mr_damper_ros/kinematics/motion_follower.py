@@ -64,6 +64,13 @@ class SineFollower:
         # Samples to wait before the next search for a sine.
         self._wait = 0
 
+    @property
+    def peak_velocity(self) -> float:
+        """Peak velocity of the sine [m/s]; NaN without a sine."""
+        if self._weights is None:
+            return math.nan
+        return self._omega * math.hypot(*self._weights[:2].tolist())
+
     def motion_of(self, displacement: Array, unlearned: int) -> Motion | None:
         """Motion of samples (n,) that match the sine within their noise; None if they do not.
 
@@ -82,7 +89,7 @@ class SineFollower:
             displacement=centred,
             velocity=self._omega * (by_sine * cosine - by_cosine * sine),
             acceleration=-(self._omega**2) * centred,
-            peak_velocity=np.full(angle.size, self._omega * math.hypot(by_sine, by_cosine)),
+            peak_velocity=np.full(angle.size, self.peak_velocity),
             sine=None,
         )
 
@@ -237,6 +244,9 @@ _LONGEST_GAP = 0.5
 """Longest gap that is interpolated, as a fraction of a half-cycle. The error of the cubic is then
 1.5 % of the amplitude."""
 
+_NOISE_SPEED = 1e-4
+"""A sine with a peak velocity [m/s] below this is a fit of noise, and the damper does not move."""
+
 _BATCH_TIME = 0.02
 """Time [s] of a steady sine that the observer and the fit process at once; a hundred samples take
 no longer than one."""
@@ -273,6 +283,17 @@ class MotionFollower:
     def lost_sight(self, gap: float) -> bool:
         """Whether a gap [s] is too long, relative to a half-cycle, to be interpolated."""
         return gap > _LONGEST_GAP * self.centre.half_cycle
+
+    @property
+    def resting(self) -> bool:
+        """Whether the motion has come to rest.
+
+        A steady sine is never at rest, not even at its dead centres; but if the sine is a fit of
+        noise, the damper is at rest.
+        """
+        if self.steady and self._sine.peak_velocity > _NOISE_SPEED:
+            return False
+        return self.centre.resting
 
     @property
     def unsettled(self) -> str:

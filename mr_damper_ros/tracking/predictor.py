@@ -426,7 +426,7 @@ class ForcePredictor:
         follower, monitor, settings = self._motion, self._monitor, self._settings
         assert follower is not None
         unsettled, past = follower.unsettled, follower.doubt
-        resting = not unsettled and not past and follower.centre.resting
+        resting = not unsettled and not past and follower.resting
         measured: list[Rule] | None = None
         if not unsettled and not resting:
             measured = monitor.judge(force[bridged:], block.force[bridged:])

@@ -95,7 +95,7 @@ def test_a_rest_is_one_for_as_long_as_it_lasts() -> None:
     for block in np.split(displacement, 400):
         follower.follow(block)
         follower.catch_up()
-        resting.append(follower.centre.resting)
+        resting.append(follower.resting)
     assert not any(resting[100:150])
     assert all(resting[175:349])
     assert not any(resting[360:])
