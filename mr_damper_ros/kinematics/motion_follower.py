@@ -288,8 +288,7 @@ class MotionFollower:
     def resting(self) -> bool:
         """Whether the motion has come to rest.
 
-        A steady sine is never at rest, not even at its dead centres; but if the sine is a fit of
-        noise, the damper is at rest.
+        A motion that follows a fitted sine has not, unless the sine is a fit of noise.
         """
         if self.steady and self._sine.peak_velocity > _NOISE_SPEED:
             return False
