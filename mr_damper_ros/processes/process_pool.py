@@ -181,7 +181,7 @@ def run_apart(module: str, function: Callable[..., Any], *args: Any, budget: flo
         worker.submit(_without_control, function, *args, budget=budget)
         outcomes: list[Outcome] = []
         while not outcomes:
-            outcomes = worker.poll(LONGEST_PAUSE)
+            outcomes = worker.poll(min(LONGEST_PAUSE, budget))
     outcome = outcomes[-1]
     if isinstance(outcome, Failed):
         raise outcome.error or ProcessLostError(outcome.reason)
