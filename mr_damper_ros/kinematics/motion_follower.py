@@ -39,6 +39,10 @@ _PATIENCE = 0.2
 """Cycles until the next fit if the motion is far from a sine, because a fit takes as long as many
 predictions."""
 
+_NOISE_FACTOR = 1.5
+"""Allowed residual in standard deviations of the noise. It exceeds the factor for a window, because
+few samples give a less accurate estimate of the noise."""
+
 _END_OF_SINE = 5.0
 """A sample that deviates by more than this multiple of the allowed residual ends the sine."""
 
@@ -128,7 +132,7 @@ class SineFollower:
         self._omega, weights, left = refined_sine(
             time, recent[::stride], self._omega, steps=None if is_new else 1
         )
-        self._allowed = allowed_residual(math.hypot(*weights[:2]), recent[-_POINTS:])
+        self._allowed = allowed_residual(math.hypot(*weights[:2]), recent[-_POINTS:], _NOISE_FACTOR)
         if left <= self._allowed:
             self._weights = weights
         else:
