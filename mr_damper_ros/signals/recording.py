@@ -69,6 +69,9 @@ class Recording:
             raise RecordingError(
                 f"the sample period of '{self.name}' is {self.period} s: it must be positive"
             )
+        # Numbers of NumPy would make every comparison with them a number of NumPy, too.
+        object.__setattr__(self, "start_ns", int(self.start_ns))
+        object.__setattr__(self, "period", float(self.period))
         object.__setattr__(self, "details", dict(self.details))
         for name in ("displacement", "force", "current", "temperature"):
             values = getattr(self, name)

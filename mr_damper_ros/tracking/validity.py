@@ -98,7 +98,9 @@ class Rule(NamedTuple):
 def applying(rules: Iterable[Rule]) -> list[Rule]:
     """The rules that apply to at least one sample, in their order."""
     return [
-        rule for rule in rules if (rule.where if isinstance(rule.where, bool) else rule.where.any())
+        rule
+        for rule in rules
+        if (rule.where.any() if isinstance(rule.where, np.ndarray) else rule.where)
     ]
 
 
@@ -108,7 +110,9 @@ def judge_samples(count: int, rules: Sequence[Rule]) -> tuple[Codes, Doubt]:
     If several rules apply to a sample, the first one counts.
     """
     codes = np.zeros(count, dtype=np.uint8)
-    masks = [np.full(count, r.where) if isinstance(r.where, bool) else r.where for r in rules]
+    masks = [
+        r.where if isinstance(r.where, np.ndarray) else np.full(count, bool(r.where)) for r in rules
+    ]
     for (kind, _, _), mask in zip(reversed(rules), reversed(masks), strict=True):
         codes[count - mask.size :][mask] = kind
     doubted = np.flatnonzero(codes)

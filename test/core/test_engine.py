@@ -57,6 +57,18 @@ def test_the_given_set_predicts_from_the_start() -> None:
     assert said.error.nrmse < 0.05
 
 
+def test_numbers_of_numpy_are_as_good_as_those_of_python() -> None:
+    run = recording()
+    stuck = np.where(np.arange(5000) < 3000, run.force, run.force[3000])
+    python = replace(run, force=stuck)
+    numpy = replace(python)
+    for name, value in (("start_ns", np.int64(run.start_ns)), ("period", np.float64(run.period))):
+        object.__setattr__(numpy, name, value)
+    assert np.array_equal(*(mr.replay(r, settings=QUICK).doubts for r in (python, numpy)))
+    given = replace(run, period=np.float64(run.period), start_ns=np.int64(run.start_ns))
+    assert (type(given.period), type(given.start_ns)) == (float, int)
+
+
 def test_the_law_is_that_of_the_given_set(tmp_path: Path) -> None:
     given = mr.identify(recording(2000), model="bingham").parameter_set
     given.save(tmp_path / "set.yaml")
