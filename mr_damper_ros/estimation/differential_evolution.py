@@ -82,8 +82,10 @@ class ProgressClock:
         self._total = max(generations, 1)
         self._done = 0
         self._report = report
-        self._began = self._last_report = time.monotonic()
+        self._last_report = self._began = time.monotonic()
+        self._stage = ""
         self._evolved = 0
+        self._pace = math.nan
         self.stopped = False
 
     def expect(self, generations: int) -> None:
@@ -91,19 +93,20 @@ class ProgressClock:
         self._total = max(self._done + generations, 1)
 
     def tick(self, stage: str, best_cost: float) -> None:
-        """Count one generation."""
+        """Count one generation; the pace is that of the present stage, without its first one."""
         self._done += 1
-        self._evolved += 1
+        if stage != self._stage:
+            self._stage, self._began, self._evolved = stage, time.monotonic(), 0
+        else:
+            self._evolved += 1
+            self._pace = (time.monotonic() - self._began) / self._evolved
         self._tell(stage, best_cost)
 
     def _tell(self, stage: str, best_cost: float) -> None:
         if self._report is None or self.stopped:
             return
         self._last_report = time.monotonic()
-        left = math.nan
-        if self._evolved:
-            pace = (self._last_report - self._began) / self._evolved
-            left = max(self._total - self._done, 0) * pace
+        left = max(self._total - self._done, 0) * self._pace
         progress = GlobalProgress(stage, self._done, self._total, best_cost, left)
         self.stopped = not self._report(progress)
 

@@ -168,11 +168,11 @@ def identify_global(
         return fit
     # The set without levels gives a rough count of the samples, the set with them a better one.
     for _ in range(2):
-        if fit.stopped:
-            break
         found = fit.parameter_set
         misfit = Misfit(model, windows, fit.noise.tolist(), found.values)
         levels = replace(levels, counted_samples=counted_samples(misfit, levels, found.values))
+        if fit.stopped:
+            break
         fit = searched(found.values, levels)
     return replace(fit, levels=fit.levels or levels)
 

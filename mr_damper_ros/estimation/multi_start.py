@@ -51,12 +51,16 @@ class MultiStart:
     @property
     def best(self) -> GlobalFit:
         """The fit with the lowest cost."""
-        return min(self.fits.values(), key=lambda fit: fit.cost)
+        return self.fits[self._best_seed]
+
+    @property
+    def _best_seed(self) -> int:
+        # A NaN cost is no minimum.
+        return min(self.fits, key=lambda seed: np.nan_to_num(self.fits[seed].cost, nan=math.inf))
 
     def replaced(self, better: GlobalFit) -> MultiStart:
         """A copy in which a better fit replaces the best one."""
-        seed = min(self.fits, key=lambda seed: self.fits[seed].cost)
-        return MultiStart({**self.fits, seed: better})
+        return MultiStart({**self.fits, self._best_seed: better})
 
     @property
     def as_good(self) -> tuple[int, ...]:
@@ -242,12 +246,14 @@ def _to_document(fit: GlobalFit) -> dict[str, Any]:
 
 def _from_document(document: dict[str, Any], levels: LevelPrior | None) -> GlobalFit:
     if levels is not None:
-        levels = replace(levels, counted_samples=float(document["counted_samples"]))
+        count = document["counted_samples"]
+        levels = replace(levels, counted_samples=math.inf if count is None else float(count))
     # Older records have no discrepancy.
     unknown = np.full_like(document["covariance"], math.nan, dtype=float)
     given = {"discrepancy": unknown} | {n: document[n] for n in _ARRAYS if n in document}
     fields: dict[str, Any] = {n: np.array(values, dtype=float) for n, values in given.items()}
     fields |= {name: document[name] for name in _PLAIN}
+    fields["cost"] = math.nan if document["cost"] is None else document["cost"]
     return GlobalFit(
         parameter_set=ParameterSet.from_yaml(document["set"]),
         candidates=tuple(

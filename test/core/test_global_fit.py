@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
@@ -18,7 +17,6 @@ from mr_damper_ros.estimation.differential_evolution import (
     EvolutionSettings,
     GlobalProgress,
     ProgressClock,
-    evolve,
 )
 from mr_damper_ros.estimation.global_fit import GlobalFit, error_of_set, identify_global
 from mr_damper_ros.estimation.observability import varied_parameters
@@ -247,6 +245,22 @@ def test_progress_is_told_and_grows() -> None:
     assert stages[:2] == ["yield force", "hysteresis"], "the laws over current, and no other"
 
 
+def test_the_time_left_follows_the_pace_of_the_present_stage(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    now, left = 0.0, list[float]()
+    monkeypatch.setattr("time.monotonic", lambda: now)
+    clock = ProgressClock(30, lambda progress: left.append(progress.time_left) or True)
+    for stage, pace, pause in (("fast", 0.01, 0.0), ("slow", 1.0, 50.0)):
+        now += pause
+        for _ in range(10):
+            clock.tick(stage, 1.0)
+            now += pace
+    assert left[9] == pytest.approx(0.01 * 20)
+    assert left[19] == pytest.approx(1.0 * 10)
+    assert np.nanmin(left[1:]) > 0.0
+
+
 def mean_square(windows: tuple[Window, ...], parameters: Array) -> float:
     return Misfit(SIGMOID, windows, [known.NOISE] * len(windows)).mean_square(parameters)
 
@@ -272,19 +286,6 @@ def test_a_stop_returns_something_better_than_a_poor_start(after: int) -> None:
 def test_an_unknown_method_is_refused() -> None:
     with pytest.raises(ValueError, match="'annealing' is unknown: use one of global, nelder_mead"):
         identify_global(SIGMOID, SMALL, LITERATURE, FEW, method="annealing")
-
-
-# -- pooled misfit ---------------------------------------------------------------------------
-
-
-# -- laws ------------------------------------------------------------------------------------
-
-
-def searched(
-    cost: Callable[[Array], Array], bounds: Sequence[tuple[float, float]], start: Array, stage: str
-) -> Array:
-    clock = ProgressClock(2000, None)
-    return evolve(cost, bounds, EvolutionSettings(), clock, stage=stage, start=start)[0]
 
 
 # -- differential evolution ------------------------------------------------------------------

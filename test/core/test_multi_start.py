@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 from collections.abc import Callable
 from dataclasses import replace
 from functools import cache
@@ -21,6 +22,7 @@ from mr_damper_ros.estimation.multi_start import (
     identify_from_seeds,
 )
 from mr_damper_ros.estimation.profile_likelihood import profiled, profiles_of
+from mr_damper_ros.estimation.record_levels import LevelPrior
 from mr_damper_ros.kinematics.window import Window
 from mr_damper_ros.models.published import LITERATURE
 from mr_damper_ros.processes.process_pool import ProcessPool
@@ -41,13 +43,14 @@ def searched(
     count: int,
     report: Callable[[GlobalProgress], bool] | None = None,
     record: SearchRecord | None = None,
-    method: str = "global",
 ) -> MultiStart:
-    return identify_from_seeds(record or empty(method), count, report)
+    return identify_from_seeds(record or empty(), count, report)
 
 
-def empty(method: str = "global", settings: EvolutionSettings = FEW) -> SearchRecord:
-    return SearchRecord(SIGMOID, windows(), LITERATURE, settings, method)
+def empty(
+    method: str = "global", settings: EvolutionSettings = FEW, levels: LevelPrior | None = None
+) -> SearchRecord:
+    return SearchRecord(SIGMOID, windows(), LITERATURE, settings, method, levels)
 
 
 def assert_same(first: GlobalFit, second: GlobalFit) -> None:
@@ -87,15 +90,32 @@ def test_a_record_survives_json() -> None:
 
 
 @pytest.mark.parametrize(
-    ("method", "after"), [("global", 1), ("global", 35), ("differential_evolution", 10)]
+    ("method", "after", "levels"),
+    [
+        ("global", 1, None),
+        ("global", 35, None),
+        ("differential_evolution", 10, None),
+        ("global", 1, LevelPrior((0, 1, 2, 3))),
+    ],
 )
-def test_a_resumed_search_ends_no_worse(method: str, after: int) -> None:
-    record = empty(method)
-    stopped = searched(1, stopping(after), record, method)
-    resumed = searched(1, None, record, method)
-    assert not stopped.best.success
-    assert resumed.best.cost <= stopped.best.cost
+def test_a_resumed_search_ends_no_worse(method: str, after: int, levels: LevelPrior | None) -> None:
+    before, record = empty(method, levels=levels), empty(method, levels=levels)
+    stopped = searched(1, stopping(after), before).best
+    record.take(json.loads(json.dumps(before.document())))
+    resumed = searched(1, None, record).best
+    assert not stopped.success
+    assert resumed.cost <= stopped.cost
+    assert stopped.levels is None or math.isfinite(stopped.levels.counted_samples)
     assert record.is_finished(3)
+
+
+def test_a_cost_that_is_not_finite_is_no_best_one() -> None:
+    record, again = empty(), empty()
+    best = searched(1, record=record).best
+    record.fits |= {2: replace(best, cost=math.nan), 4: replace(best, cost=math.inf)}
+    again.take(json.loads(json.dumps(record.document())))
+    assert [math.isnan(again.fits[seed].cost) for seed in (2, 3, 4)] == [True, False, True]
+    assert MultiStart(dict(sorted(again.fits.items()))).best is again.fits[3]
 
 
 def test_what_was_found_is_kept_as_soon_as_it_is_there() -> None:

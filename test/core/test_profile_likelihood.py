@@ -84,6 +84,3 @@ def test_a_name_that_the_law_does_not_have_is_refused() -> None:
     likelihood = ProfileLikelihood(SIGMOID, pooled(windows((1.0,))), known.PLAUSIBLE, ALL)
     with pytest.raises(ValueError, match="no parameter 'b9' to profile: use one of f0"):
         likelihood.of("b9")
-
-
-# -- scales refitted after a change of the shape -----------------------------------------------
