@@ -151,11 +151,24 @@ class Program:
                 env={**os.environ, **(environment or {})},
                 start_new_session=True,
             )
+            # If this process fails, the program and its children must not continue.
+            atexit.register(self._process.kill)
         except BaseException:
+            self._kill_unreturned()
             self._forget_output()
             raise
-        # If this process fails, the program and its children must not continue.
-        atexit.register(self._process.kill)
+
+    def _kill_unreturned(self) -> None:
+        """Kill the program if Ctrl-C interrupted Popen after the fork, and the process id is lost.
+
+        The output identifies the process.
+        """
+        output = os.fstat(self._stdout)
+        for pid in _children_of(os.getpid()):
+            with suppress(OSError):
+                if os.path.samestat(os.stat(f"/proc/{pid}/fd/1"), output):
+                    os.kill(pid, signal.SIGKILL)
+                    os.waitpid(pid, 0)
 
     @property
     def pid(self) -> int:
@@ -195,14 +208,7 @@ class Program:
     @property
     def children(self) -> list[int]:
         """Ids of its running child processes."""
-        found = []
-        for entry in Path("/proc").glob("[0-9]*"):
-            with suppress(OSError):  # it has just ended
-                # The name, in parentheses, may contain blanks.
-                fields = (entry / "stat").read_text().rpartition(")")[2].split()
-                if int(fields[1]) == self.pid:
-                    found.append(int(entry.name))
-        return found
+        return _children_of(self.pid)
 
     def wait_for_log(self, part: str, patience: float = PATIENCE) -> None:
         """Wait until the standard error contains this text.
@@ -259,6 +265,17 @@ class Program:
     def _forget_output(self) -> None:
         os.close(self._stdout)
         os.close(self._stderr)
+
+
+def _children_of(parent: int) -> list[int]:
+    found = []
+    for entry in Path("/proc").glob("[0-9]*"):
+        with suppress(OSError):  # it has just ended
+            # The name, in parentheses, may contain blanks.
+            fields = (entry / "stat").read_text().rpartition(")")[2].split()
+            if int(fields[1]) == parent:
+                found.append(int(entry.name))
+    return found
 
 
 def node_arguments(

@@ -147,3 +147,21 @@ def test_two_domains_differ_until_one_is_closed() -> None:
 def test_a_program_that_is_not_there_is_an_error() -> None:
     with pytest.raises(FileNotFoundError):
         Program(["/nowhere/program"])
+
+
+def test_an_interrupt_while_a_program_starts_leaves_no_process(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    started: list[int] = []
+    start = subprocess.Popen._execute_child
+
+    def interrupted(process: subprocess.Popen[bytes], *arguments: object) -> None:
+        start(process, *arguments)
+        started.append(process.pid)
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(subprocess.Popen, "_execute_child", interrupted)
+    with pytest.raises(KeyboardInterrupt):
+        Program([sys.executable, "-c", WAITS])
+    with pytest.raises(ProcessLookupError):
+        os.kill(started[0], 0)
