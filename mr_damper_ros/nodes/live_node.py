@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import queue
 import re
 import time
@@ -28,7 +29,6 @@ from mr_damper_msgs.msg import (
 from mr_damper_msgs.srv import SaveParameters
 from rclpy.node import Node
 from rclpy.qos import ReliabilityPolicy
-from rclpy.subscription import Subscription
 from rclpy.task import Future
 from sensor_msgs.msg import Temperature
 from std_srvs.srv import Trigger
@@ -122,7 +122,8 @@ class RecordInput:
         self._record.set_point("desired_force", message.force)
 
     def _take_temperature(self, message: Temperature) -> None:
-        self._fluid = FluidTemperature(message.temperature, message.variance**0.5)
+        variance = message.variance if message.variance > 0.0 else math.nan  # 0 means unknown
+        self._fluid = FluidTemperature(message.temperature, math.sqrt(variance))
 
     def _take_report(self, message: FitReport) -> None:
         """Add a report, with the fluid temperature that was published before it."""
@@ -163,6 +164,52 @@ _RECORDED = {
     EXCITATION_TOPIC: ExcitationCommand,
 }
 """Topics of a recording: everything that a replay of a run needs."""
+
+
+class _BagRecording:
+    """Records the topics of a node to a bag; ``failure`` says why that has failed, or is empty.
+
+    Raises OSError or ValueError if the bag cannot be created.
+    """
+
+    def __init__(self, node: Node, path: Path, details: Mapping[str, str]) -> None:
+        names = {topic: node.resolve_topic_name(topic) for topic in _RECORDED}
+        kinds = {
+            names[topic]: f"{kind.__module__.partition('.')[0]}/msg/{kind.__name__}"
+            for topic, kind in _RECORDED.items()
+        }
+        self.path, self.failure = path, ""
+        self._node, self._bag, self._open = node, BagStream(path, kinds, details), True
+        self._subscriptions = [
+            node.create_subscription(
+                kind,
+                topic,
+                partial(self._write, names[topic]),
+                quality.latched() if kind is DamperParameters else quality.stream(),
+                raw=True,
+            )
+            for topic, kind in _RECORDED.items()
+        ]
+
+    def _write(self, topic: str, data: Any) -> None:
+        # The executor may still pass on messages after the end of the recording.
+        if self._open and not self.failure:
+            try:
+                self._bag.write(topic, self._node.get_clock().now().nanoseconds, bytes(data))
+            except OSError as error:
+                self.failure = error.strerror or str(error)
+
+    def close(self) -> str:
+        """End the recording; returns its failure."""
+        self._open = False
+        for subscription in self._subscriptions:
+            self._node.destroy_subscription(subscription)
+        try:
+            self._bag.close()
+        except OSError as error:
+            self.failure = self.failure or error.strerror or str(error)
+        return self.failure
+
 
 _COMMANDS = {
     "save_parameters": SaveParameters,
@@ -230,11 +277,7 @@ class LiveNode(Node):
         super().__init__("live")
         self._options = options = NodeParameters(self, LiveParameters).values
         self._record = LiveRecord()
-        # The bag that is being recorded, its path, its subscriptions, and why it has failed.
-        self._bag: BagStream | None = None
-        self._path = Path()
-        self._recorded: list[Subscription] = []
-        self._failure = ""
+        self._recording: _BagRecording | None = None
         self._waiting: queue.Queue[tuple[str, Mapping[str, str]]] = queue.Queue(_WAITING_COMMANDS)
         commands = _COMMANDS if options.allow_commands else {}
         self._identifier_clients = {
@@ -284,7 +327,7 @@ class LiveNode(Node):
                 self._stop_recording()
             else:
                 self._call(name)
-        if self._failure:
+        if self._recording is not None and self._recording.failure:
             self._stop_recording()
         return _COMMAND_PERIOD
 
@@ -297,7 +340,7 @@ class LiveNode(Node):
         return True
 
     def _begin_recording(self, arguments: Mapping[str, str]) -> None:
-        if self._bag is not None:
+        if self._recording is not None:
             return
         entries = {key: arguments.get(key, "").strip() for key in ("name", "operator", "note")}
         entries["name"] = entries["name"] or "run"
@@ -310,52 +353,24 @@ class LiveNode(Node):
             details["start_set"] = self._input.newest_set.to_yaml()
         plain = re.sub(r"[^\w.+-]+", "_", details["name"]).strip("._")[:60] or "run"
         folder = Path(self._options.record_folder).expanduser()
-        self._path = folder / f"{time.strftime('%Y%m%d_%H%M%S')}_{plain}"
-        names = {topic: self.resolve_topic_name(topic) for topic in _RECORDED}
-        kinds = {
-            names[topic]: f"{kind.__module__.partition('.')[0]}/msg/{kind.__name__}"
-            for topic, kind in _RECORDED.items()
-        }
+        path = folder / f"{time.strftime('%Y%m%d_%H%M%S')}_{plain}"
         try:
-            self._bag = BagStream(self._path, kinds, details)
+            self._recording = _BagRecording(self, path, details)
         except (OSError, ValueError) as error:
             self._record.add_event(f"recording cannot start: {error}")
             return
-        self._recorded = [
-            self.create_subscription(
-                kind,
-                topic,
-                partial(self._write, self._bag, names[topic]),
-                quality.latched() if kind is DamperParameters else quality.stream(),
-                raw=True,
-            )
-            for topic, kind in _RECORDED.items()
-        ]
         began = f"{time.time():.3f}"
-        self._record.set_recording({**entries, "path": str(self._path), "began": began})
-        self.get_logger().info(f"recording to {self._path}")
-
-    def _write(self, bag: BagStream, topic: str, data: Any) -> None:
-        if not self._failure:
-            try:
-                bag.write(topic, self.get_clock().now().nanoseconds, bytes(data))
-            except OSError as error:
-                self._failure = error.strerror or str(error)
+        self._record.set_recording({**entries, "path": str(path), "began": began})
+        self.get_logger().info(f"recording to {path}")
 
     def _stop_recording(self) -> None:
-        bag, self._bag = self._bag, None
-        if bag is None:
+        recording, self._recording = self._recording, None
+        if recording is None:
             return
         self._record.set_recording(None)
-        for subscription in self._recorded:
-            self.destroy_subscription(subscription)
-        outcome, self._failure = self._failure, ""
-        try:
-            bag.close()
-        except OSError as error:
-            outcome = outcome or error.strerror or str(error)
+        failure = recording.close()
         self._record.add_event(
-            f"the recording has failed: {outcome}" if outcome else f"recorded: {self._path}"
+            f"the recording has failed: {failure}" if failure else f"recorded: {recording.path}"
         )
 
     def _call(self, name: str) -> None:

@@ -230,12 +230,12 @@ def report_message(report: Report, duration: float, frame_id: str, node: str) ->
 
 
 def report_of(message: FitReport) -> Report:
-    """The report in a message; a verdict of an unknown number becomes FAILED."""
+    """The report in a message; a verdict of an unknown number becomes UNKNOWN."""
     return Report(
         window_start_ns=to_nanoseconds(message.window_start),
         stamp_ns=to_nanoseconds(message.header.stamp),
         sample_count=message.samples,
-        verdict={int(each): each for each in Verdict}.get(message.verdict, Verdict.FAILED),
+        verdict={int(each): each for each in Verdict}.get(message.verdict, Verdict.UNKNOWN),
         reason=message.reason,
         set_id=message.parameter_set,
         scale=ForceScale(

@@ -277,6 +277,8 @@ better."""
 class Verdict(IntEnum):
     """Result of the acceptance test; the numbers are constants of the message FitReport."""
 
+    UNKNOWN = 0
+    """A received report has a number that is not one of these, such as that of a newer version."""
     ACCEPTED = 1
     """The new set predicts better and is now in use."""
     ACCEPTED_EARLY = 2

@@ -11,15 +11,20 @@ from urllib.parse import urlencode, urlsplit
 
 import numpy as np
 import pytest
+import rclpy
 from diagnostic_msgs.msg import DiagnosticArray
-from mr_damper_msgs.msg import DamperSignals, PredictedForce
+from mr_damper_msgs.msg import DamperSignals, FitReport, PredictedForce
+from rclpy.node import Node
+from sensor_msgs.msg import Temperature
 from support import PATIENCE, Listener, TriedProgram, assert_one_sentence
 
 from mr_damper_ros.io.bag_reader import read_bag
 from mr_damper_ros.live.live_record import SIGNALS, SILENT_AFTER
 from mr_damper_ros.live.recorded import empty_record, replay_into, start_of, title_of
 from mr_damper_ros.nodes import quality
+from mr_damper_ros.nodes.live_node import LiveNode
 from mr_damper_ros.nodes.messages import from_field, to_nanoseconds
+from mr_damper_ros.processes.programs import node_arguments
 
 BAG = Path(__file__).parents[2] / "bags" / "5.0mm_1Hz_1.5A"
 
@@ -133,6 +138,45 @@ def assert_coefficients_and_parameters_are_named(numbers: list[DiagnosticArray])
     assert named["f_t"] > 0.0
     assert named["f_t_error"] > 0.0
     assert "f0" in {entry.key for entry in kinds["parameters"].values}
+
+
+def test_numbers_out_of_range_do_not_end_the_page(client: Client, listener: Listener) -> None:
+    temperature = listener.node.create_publisher(Temperature, "damper/fluid_temperature", 1)
+    report = listener.node.create_publisher(FitReport, "damper/fit_report", 1)
+    for publisher in (temperature, report):
+        listener.until(publisher.get_subscription_count, publisher.topic_name)
+    temperature.publish(Temperature(temperature=30.0, variance=-1.0))
+    report.publish(FitReport(verdict=99))
+    listener.until(lambda: client.status()["windows"], "the report")
+    assert client.status()["windows"][0]["verdict"] == "UNKNOWN"
+
+
+def test_a_message_after_the_end_of_a_recording_is_ignored(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    writers: list[Any] = []
+    create = Node.create_subscription
+
+    def recorded(node: Node, *told: Any, raw: bool = False, **more: Any) -> Any:
+        writers.extend(told[2:3] * raw)
+        return create(node, *told, raw=raw, **more)
+
+    monkeypatch.setattr(Node, "create_subscription", recorded)
+    options = node_arguments({"port": 0, "allow_commands": True, "record_folder": tmp_path})
+    rclpy.init(args=options)
+    try:
+        node = LiveNode()
+        for name in ("one", "two"):
+            node._take_command("record", {"name": name})
+            node.do_commands()
+            assert node._record.status(0)["recording"]["name"] == name
+            node._take_command("stop_recording", {})
+            node.do_commands()
+            writers[0](b"late")
+        node.destroy_node()
+    finally:
+        rclpy.shutdown()
+    assert len(list(tmp_path.iterdir())) == 2
 
 
 def test_a_command_reaches_the_identifier(client: Client, listener: Listener) -> None:

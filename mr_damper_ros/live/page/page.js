@@ -527,7 +527,7 @@ function motion(told) {
 }
 
 const percent = (value) => (value === null ? "–" : `${short(100 * value, 3)} %`);
-const LEFT_ALONE = ["NO_BETTER", "TOO_LITTLE_MOTION"]; // no fault
+const LEFT_ALONE = ["NO_BETTER", "TOO_LITTLE_MOTION", "UNKNOWN"]; // no fault
 let shownWindow = 0;
 
 function showWindowRows() {
