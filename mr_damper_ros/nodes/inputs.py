@@ -109,6 +109,7 @@ class Inputs:
         on_block: Callable[[SampleBlock], None],
         on_current: Callable[[int, float], None],
     ) -> None:
+        self._node = node
         # Overrides by the user change these profiles in place.
         samples_profile, current_profile = profile(), profile()
         self._samples = Stream(node, SAMPLES_TOPIC, samples_profile)
@@ -178,6 +179,10 @@ class Inputs:
             fault = sequence.last_interruption
             if interruptions > 1:
                 fault += f" ({interruptions} interruptions of the stream since the last report)"
+            publishers = quality.publishing_nodes(self._node, SAMPLES_TOPIC)
+            if len(publishers) > 1:
+                names = " and ".join(publishers)
+                fault = f"{SAMPLES_TOPIC} is published by {names}: stop all but one; {fault}"
         return Finding(
             WARN if fault else OK,
             fault or f"{rate:.0f} samples/s{_pace(rate, sequence)}",

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import math
 import shutil
 import sys
 import textwrap
@@ -45,15 +46,23 @@ def _signals(record: LiveRecord) -> list[str]:
         named[name][named["valid"] == 1.0] for name in ("measured_force", "force_error")
     )
     nrmse = ErrorSums.of(measured + error, measured).nrmse
-    valid = "valid" if now["valid"] else "invalid"
+    predicted = _known("{:9.1f} N", now["predicted_force"])
+    if record.parameters is None:
+        state = "no parameters yet"
+    else:
+        state = "valid" if now["valid"] else "invalid"
+    error_line = _known("NRMSE {:.1%} over the last valid samples", nrmse)
     return [
         *([f"{'no signals':24} {silence}; the last ones:"] if silence else []),
         f"{'' if silence else 'live':24} displacement {1e3 * now['displacement']:9.3f} mm   "
-        f"velocity {now['velocity']:8.4f} m/s   current {now['current']:6.3f} A",
-        f"{'force':24} measured {now['measured_force']:13.1f} N    "
-        f"predicted {now['predicted_force']:9.1f} N ({valid})",
-        f"{'error':24} NRMSE {nrmse:.1%} over the last valid samples",
+        f"velocity {now['velocity']:8.4f} m/s   current {_known('{:6.3f} A', now['current'])}",
+        f"{'force':24} measured {now['measured_force']:13.1f} N    predicted {predicted} ({state})",
+        f"{'error':24} {error_line}",
     ]
+
+
+def _known(text: str, value: float) -> str:
+    return text.format(value) if math.isfinite(value) else "unknown"
 
 
 def _window(record: LiveRecord) -> list[str]:
@@ -61,12 +70,10 @@ def _window(record: LiveRecord) -> list[str]:
     if last is None:
         return ["no window yet"]
     silence = _since(_silence_of(record, "identifier"))
-    drift = f"force scale {last.scale.value:.3f} ± {last.scale.standard_error:.3f}"
     return [
         *([f"{'identifier':24} {silence}; its last window:"] if silence else []),
         f"{'window':24} {last.verdict.name.lower().replace('_', ' ')}: {last.reason}",
-        f"{'':24} NRMSE {last.nrmse_before:.2%} -> {last.nrmse_after:.2%}   {drift}   "
-        f"{last.temperature:.1f} °C",
+        *([f"{'':24} {', '.join(last.figures)}"] if last.figures else []),
         *(
             f"{name:>24} {value:12.5g} ± {error:.2g}"
             for name, (value, error) in last.known_coefficients.items()

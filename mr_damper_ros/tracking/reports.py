@@ -61,15 +61,20 @@ class Report:
         return {name: pair for name, pair in named if math.isfinite(pair[0])}
 
     @property
-    def line(self) -> str:
-        """The set in use with its figures, in one line; unknown figures are omitted."""
+    def figures(self) -> list[str]:
+        """The known figures, as text: NRMSE, motion, current, temperature and force scale."""
+        errors = [x for x in (self.nrmse_before, self.nrmse_after) if math.isfinite(x)]
         figures = (
+            (errors[0] if errors else math.nan, "NRMSE " + " -> ".join(f"{x:.2%}" for x in errors)),
             (1e3 * self.amplitude, "{:.3g} mm"),
             (self.frequency, "{:.3g} Hz"),
             (self.current, "{:.3g} A"),
             (self.temperature, "{:.1f} °C"),
             (self.scale.value, f"force scale {{:.3f}} ± {self.scale.standard_error:.3f}"),
         )
-        known = [text.format(value) for value, text in figures if math.isfinite(value)]
-        nrmse = f"NRMSE {self.nrmse_before:.2%} -> {self.nrmse_after:.2%}"
-        return f"{self.set_id} is in use: " + ", ".join([nrmse, *known])
+        return [text.format(value) for value, text in figures if math.isfinite(value)]
+
+    @property
+    def line(self) -> str:
+        """The set in use with its known figures, in one line."""
+        return f"{self.set_id} is in use: " + ", ".join(self.figures)

@@ -150,6 +150,16 @@ def test_a_summary_says_what_is_missing_and_how_it_stands() -> None:
     assert max(map(len, text.splitlines())) <= 100
 
 
+def test_a_summary_says_that_there_is_no_set_and_no_current() -> None:
+    record = LiveRecord()
+    running_damper.add_signals(record, T0, 0.001, 0.02, math.nan, 400.0, math.nan, valid=False)
+    record.add_report(Report(window_start_ns=0, stamp_ns=1, set_id=""), 0.01)
+    text = summary(record, width=100)
+    assert "predicted unknown (no parameters yet)" in text
+    assert "current unknown" in text
+    assert "nan" not in text
+
+
 class Clock:
     """A clock that advances only when a test sets it."""
 

@@ -44,3 +44,13 @@ def test_an_override_for_another_topic_is_told(start: Any) -> None:
     name = "qos_overrides./misspelt.subscription.depth"
     model = start("model", "--ros-args", "-p", f"{name}:=10")
     model.wait_for_log(f"{name} is not used")
+
+
+def test_two_nodes_that_publish_the_samples_are_named(start: Any, listener: Listener) -> None:
+    samples = listener.node.create_publisher(MtsSamples, "mts/samples", quality.stream())
+    start("bridge")
+    start("model")
+    message = block_message(read_bag(BAG)[0], 0)
+    listener.node.create_timer(0.1, lambda: samples.publish(message))
+    part = "mts/samples is published by /bridge and /listener: stop all but one; "
+    listener.wait_for_finding("model: input", part)
