@@ -451,7 +451,7 @@ def identify(
             settings,
             starts,
             None if resume is None else Path(resume),
-            profile,
+            (profile,) if isinstance(profile, str) else profile,
             level_per_record,
             fit_mass,
         )
@@ -574,10 +574,11 @@ def _fitted_mass(fit: GlobalFit, windows: Sequence[Window], mass: float = 0.0) -
     best = least_squares(
         residual, start, jacobian, (low, high), x_scale="jac", max_nfev=_MASS_STEPS
     ).x
-    covariance = least_squares_covariance(jacobian(best), residual(best))
+    variance = float(least_squares_covariance(jacobian(best), residual(best))[-1, -1])
     return Estimate(
         float(best[-1]),
-        math.sqrt(covariance[-1, -1]),
+        # Rounding can make the variance of a mass that the motion does not determine negative.
+        math.sqrt(variance) if variance >= 0.0 else math.nan,
         "kg",
         meaning="mass between load cell and damper",
     )
@@ -687,7 +688,7 @@ def choose_law(
         )
         return cross_validate(
             [run.windows for run in measured],
-            models,
+            (models,) if isinstance(models, str) else models,
             EvolutionSettings(seed=seed),
             report,
             processes,

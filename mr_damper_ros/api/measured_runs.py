@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import math
 import os
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -70,8 +71,13 @@ def measured_run(
     """
     if isinstance(source, Recording):
         name, recordings = source.name, [source]
-    else:
+    elif isinstance(source, (str, os.PathLike)):
         name, recordings = os.fspath(source), _recordings(Path(source))
+    else:
+        raise ValueError(
+            f"a run cannot be of type {type(source).__name__}: give the path of a bag or a "
+            "recording, or name the arrays (displacement=, force=, current=, period=)"
+        )
     windows, remarks = [], []
 
     def reject(fault: str, recording: Recording) -> None:
@@ -158,20 +164,14 @@ def _task(task: tuple[str | Recording, bool], notify: Notify) -> MeasuredRun:
     return measured_run(*task)
 
 
-def _flat(sources: Iterable[RunSource]) -> list[str | Recording]:
-    flat: list[str | Recording] = []
+def _flat(sources: Iterable[RunSource]) -> list[Any]:
+    flat: list[Any] = []
     for source in sources:
-        if isinstance(source, Recording):
-            flat.append(source)
-        elif isinstance(source, (str, os.PathLike)):
-            flat.append(os.fspath(source))
-        elif isinstance(source, Iterable) and not isinstance(source, (np.ndarray, dict)):
+        whole = isinstance(source, (str, bytes, Mapping)) or hasattr(source, "__array__")
+        if isinstance(source, Iterable) and not whole:
             flat += _flat(source)
         else:
-            raise ValueError(
-                f"a run cannot be of type {type(source).__name__}: give the path of a bag or a "
-                "recording, or name the arrays (displacement=, force=, current=, period=)"
-            )
+            flat.append(source)
     return flat
 
 
@@ -204,9 +204,9 @@ def _from_arrays(
         name="arrays",
         start_ns=DEFAULT_START_NS,
         period=period,
-        displacement=np.asarray(displacement, dtype=float),
-        force=np.asarray(force, dtype=float),
-        current=np.full(count, current) if np.ndim(current) == 0 else np.asarray(current, float),
+        displacement=np.asanyarray(displacement, dtype=float),
+        force=np.asanyarray(force, dtype=float),
+        current=np.full(count, current) if np.ndim(current) == 0 else np.asanyarray(current, float),
     )
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from itertools import pairwise
 from pathlib import Path
 
@@ -52,7 +52,7 @@ def read_runs(
     path: str | Path,
     columns: str,
     *,
-    currents: Sequence[float | None] | None = None,
+    currents: float | Sequence[float | None] | None = None,
     period: float | None = None,
     variable: str | None = None,
     maximum_samples: int = MAXIMUM_SAMPLES,
@@ -61,8 +61,8 @@ def read_runs(
 
     A run ends where the time jumps or restarts (the logger has paused), where the rod rests for at
     least one second, where a measured current changes, and where a steady cycle changes to another.
-    ``currents`` [A] has one value per run if no column holds the current; None omits the run. The
-    other parameters are as in :func:`read_record`.
+    ``currents`` [A] has one value per run, or is one number for all runs, if no column holds the
+    current; None omits a run. The other parameters are as in :func:`read_record`.
 
     Raises the exceptions of :func:`read_record`. For a wrong number of currents, the message lists
     the runs.
@@ -94,8 +94,11 @@ class RunsOfFile:
         if not self._rows:
             raise RecordError(f"{self._name} contains no run, because the displacement is constant")
 
-    def recordings(self, currents: Sequence[float | None] | None) -> list[Recording]:
+    def recordings(self, currents: float | Iterable[float | None] | None) -> list[Recording]:
         """A recording of each run with a current, or of all runs if a column holds the current."""
+        if currents is not None:
+            given = currents if isinstance(currents, Iterable) else [currents] * len(self._rows)
+            currents = list(given)
         if not self.asks and currents is not None:
             raise RecordError("the current is given twice: by a column and for each run")
         if self.asks and len(currents or ()) != len(self._rows):

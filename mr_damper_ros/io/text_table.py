@@ -199,8 +199,8 @@ class TextFile:
                 best = fields
         missing = ", ".join(name for name in names if name not in best)
         raise RecordError(
-            f"no line of {self._name} names the columns {', '.join(names)}: {missing} is missing "
-            f"in '{'; '.join(best)}'"
+            f"no line of {self._name} names the columns {', '.join(names)}: "
+            f"'{'; '.join(best)}' lacks {missing}"
         )
 
     def _middle_row(self, skipped: int) -> str:
@@ -208,7 +208,7 @@ class TextFile:
         middle = skipped + (self._row_count - skipped) // 2
         for line, fields in islice(self._rows(), middle, middle + 1):
             return f"its line {line} has {len(fields)} columns, '{'; '.join(fields)}'"
-        return "it is empty"
+        return "its header is its last line" if skipped else "it is empty"
 
     def _filled_lines(self) -> Iterator[tuple[int, str]]:
         """Line numbers (from 1) and text of the lines that are not empty."""

@@ -76,6 +76,11 @@ def motion_window(time: ArrayLike, displacement: ArrayLike, current: ArrayLike) 
             f"time has the shape {times.shape} and displacement {moved.shape}: give one "
             "displacement for each time, and at least two"
         )
+    if amperes.size != 1 and amperes.shape != moved.shape:
+        raise ValueError(
+            f"current has the shape {amperes.shape} and displacement {moved.shape}: give one "
+            "current for each displacement, or one for all"
+        )
     steps = np.diff(times)
     period = float(np.mean(steps))
     if not (period > 0.0 and np.max(np.abs(steps - period)) <= _TIME_TOLERANCE * period):

@@ -79,7 +79,14 @@ class SampleBlock:
     force: Array
 
     def __post_init__(self) -> None:
+        for name in ("displacement", "force"):
+            values = getattr(self, name)
+            if type(values) is not np.ndarray or values.dtype != np.float64:
+                found = np.ma.array(values, dtype=np.float64).filled(np.nan)
+                object.__setattr__(self, name, found)
         n = self.displacement.size
+        if self.displacement.ndim != 1 or self.force.ndim != 1:
+            raise BlockError("the block holds a table: give lists of samples")
         if n == 0:
             raise BlockError("the block holds no samples")
         if self.force.size != n:

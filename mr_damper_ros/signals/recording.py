@@ -65,14 +65,15 @@ class Recording:
     details: dict[str, str] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        if not (math.isfinite(self.period) and self.period > 0.0):
+        period = np.asarray(self.period, dtype=np.float64)
+        if period.size != 1 or not 0.0 < period.item() < math.inf:
             raise RecordingError(
                 f"the sample period of '{self.name}' is {self.period} s: it must be positive"
             )
         # Numbers of NumPy would make every comparison with them a number of NumPy, too.
         object.__setattr__(self, "start_ns", int(self.start_ns))
-        object.__setattr__(self, "period", float(self.period))
-        object.__setattr__(self, "details", dict(self.details))
+        object.__setattr__(self, "period", period.item())
+        object.__setattr__(self, "details", {str(k): str(v) for k, v in self.details.items()})
         for name in ("displacement", "force", "current", "temperature"):
             values = getattr(self, name)
             if values is None and name == "temperature":
@@ -80,7 +81,8 @@ class Recording:
             object.__setattr__(self, name, self._checked(name, values))
 
     def _checked(self, name: str, values: Array) -> Array:
-        array = np.array(values, dtype=np.float64)
+        # The values under the mask of a masked array were not measured.
+        array: Array = np.ma.array(values, dtype=np.float64, copy=True).filled(np.nan)
         if array.ndim != 1:
             raise RecordingError(
                 f"the {name} of '{self.name}' has shape {array.shape}: give a list of samples"

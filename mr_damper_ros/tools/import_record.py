@@ -96,17 +96,15 @@ def _import_runs(options: argparse.Namespace) -> int:
     return 0
 
 
-def _currents(options: argparse.Namespace, runs: RunsOfFile) -> list[float | None] | None:
-    """The current [A] of each run, None for a run to omit.
+def _currents(options: argparse.Namespace, runs: RunsOfFile) -> float | list[float | None] | None:
+    """The current [A] of all runs or of each run, None for a run to omit.
 
     The whole result is None if a column of the file contains the current.
     """
     if options.currents is not None:
         return [_ampere(text) for text in options.currents.split(",")]
-    if options.current is not None:
-        return [options.current] * len(runs.summaries)
-    if not runs.asks or not sys.stdin.isatty():
-        return None
+    if options.current is not None or not runs.asks or not sys.stdin.isatty():
+        return options.current  # type: ignore[no-any-return]
     numbers = range(1, len(runs.summaries) + 1)
     return [_ampere(input(f"current of run {k} [A], - to omit it: ")) for k in numbers]
 

@@ -36,7 +36,8 @@ def block(sequence: int, count: int = 10, *, late: float = 0.0, **changes: objec
 
 def test_end_of_a_block() -> None:
     assert block(0, 10).end_ns == T0 + 10_000_000
-    assert block(0, 7).sample_count == 7
+    lists = block(0, displacement=[0.0] * 7, force=(1,) * 7)
+    assert (lists.sample_count, lists.part(2).force.dtype) == (7, np.float64)
 
 
 @pytest.mark.parametrize(
@@ -44,6 +45,8 @@ def test_end_of_a_block() -> None:
     [
         ({"displacement": np.zeros(0), "force": np.zeros(0)}, "the block holds no samples"),
         ({"force": np.zeros(9)}, "the block holds 10 displacements but 9 forces"),
+        ({"force": np.zeros((10, 1))}, "the block holds a table"),
+        ({"force": np.ma.masked_equal(np.arange(10), 4)}, "the force of sample 4 of the block is"),
         ({"period": 0.0}, "the sample period is 0.0 s: it must be positive"),
         ({"period": -1e-3}, "it must be positive"),
         ({"period": math.nan}, "it must be positive"),

@@ -198,6 +198,16 @@ def test_the_mass_is_found_with_the_law() -> None:
     assert "kg between load cell and damper" in str(found)
 
 
+def test_a_variance_that_is_negative_by_rounding_is_unknown(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    name = "mr_damper_ros.api.identification.least_squares_covariance"
+    monkeypatch.setattr(name, lambda jacobian, residual: -np.eye(jacobian.shape[1]))
+    found = mr.identify(**shaken(), model="bingham", fit_mass=True)
+    assert found.mass is not None
+    assert math.isnan(found.mass.standard_error)
+
+
 def test_a_known_mass_is_taken_off_the_force() -> None:
     truth = mr.ParameterSet(WEAK)
     with_it, without = (mr.validate(truth, **shaken(), mass=mass).nrmse for mass in (MASS, 0.0))

@@ -86,18 +86,31 @@ def test_paths_recordings_and_arrays_give_the_same_set(
     [
         ([], {}, "there are no runs"),
         ([RUN.displacement], {}, "cannot be of type ndarray"),
+        ([b"run"], {}, "cannot be of type bytes"),
         ([], {"displacement": [1.0, 2.0]}, "force and current and period missing"),
         ([ROOT / "doc" / "example.csv"], {}, "not a bag: describe its columns and units"),
         (["nowhere"], {}, "no bag at nowhere"),
         ([RUN], {"model": "bouc-wen"}, "model 'bouc-wen' is unknown"),
         ([RUN], {"method": "guess"}, "method 'guess' is unknown"),
+        ([RUN], {"method": "least_squares", "profile": "alfa"}, "no parameter 'alfa'"),
         (
             [],
             {"displacement": np.arange(50.0), "force": [1.0], "current": 0.0, "period": 1.0},
             "50 displacements but 1 values of force",
         ),
     ],
-    ids=["nothing", "bare array", "half", "csv", "missing", "model", "method", "lengths"],
+    ids=[
+        "nothing",
+        "bare array",
+        "bytes",
+        "half",
+        "csv",
+        "missing",
+        "model",
+        "method",
+        "profile",
+        "lengths",
+    ],
 )
 def test_what_cannot_be_used_is_one_sentence(
     given: list[Any], named: dict[str, Any], sentence: str
@@ -153,6 +166,7 @@ def test_terminal_file_and_document_tell_one_nrmse(
 
 
 def test_the_law_that_the_runs_support_can_be_asked_for(monkeypatch: pytest.MonkeyPatch) -> None:
+    assert mr.choose_law(RUN, models="bingham").chosen.model == "bingham"
     two = partial(identification.cross_validate, models=("bingham", "hyperbolic_tangent"))
     monkeypatch.setattr(identification, "cross_validate", two)
     found = mr.identify(RUN, model="auto")

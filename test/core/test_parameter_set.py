@@ -214,13 +214,17 @@ def test_whatever_yaml_stumbles_over_is_one_error(text: str) -> None:
 
 
 @pytest.mark.parametrize(
-    ("time", "sentence"),
-    [([0.0, 1.0, 3.0], "give uniform samples"), ([0.0, 1.0], "one displacement for each")],
+    ("time", "current", "sentence"),
+    [
+        ([0.0, 1.0, 3.0], 1.0, "give uniform samples"),
+        ([0.0, 1.0], 1.0, "one displacement for each"),
+        ([0.0, 1.0, 2.0], [1.0, 1.0], "one current for each"),
+    ],
 )
-def test_times_that_do_not_fit_are_refused(time: list[float], sentence: str) -> None:
+def test_times_that_do_not_fit_are_refused(time: Any, current: Any, sentence: str) -> None:
     found = ParameterSet(MODELS["sigmoid"].initial_values()[0])
     with pytest.raises(ValueError, match=sentence):
-        found.force(time, [0.0, 1e-3, 0.0], 1.0)
+        found.force(time, [0.0, 1e-3, 0.0], current)
 
 
 def test_noise_of_the_acceleration_flips_no_branch() -> None:

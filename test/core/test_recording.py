@@ -46,11 +46,13 @@ def test_the_door_refuses_what_is_not_finite(quantity: str, value: float) -> Non
         ({"period": 0.0}, "the sample period of 'run' is 0.0 s: it must be positive"),
         ({"period": -1e-3}, "it must be positive"),
         ({"period": np.nan}, "it must be positive"),
+        ({"period": [1e-3, 1e-3]}, "it must be positive"),
         ({"displacement": np.empty(0)}, "holds no samples"),
         ({"displacement": np.zeros((100, 2))}, "shape"),
         ({"force": np.zeros(99)}, "'run' holds 100 displacements but 99 values of force"),
         ({"temperature": np.zeros(3)}, "3 values of temperature"),
         ({"force": changed(TIME, 7, np.nan)}, "the force of sample 7 of 'run' is nan"),
+        ({"force": np.ma.masked_equal(np.arange(100), 7)}, "the force of sample 7 of 'run' is nan"),
         ({"current": changed(TIME, 99, np.inf)}, "the current of sample 99 of 'run' is inf"),
     ],
 )
@@ -95,7 +97,7 @@ def test_a_recording_cannot_be_changed_afterwards() -> None:
 
 
 def test_stamps_follow_the_period_to_the_nanosecond() -> None:
-    made = recording(period=1.0 / 3.0, start_ns=17)
+    made = recording(period=np.array([[1.0 / 3.0]]), start_ns=17)  # a number of a MAT file
     assert made.stamp_ns(3) == 17 + 1_000_000_000
     assert made.stamp_ns(1) == 17 + 333_333_333
     assert made.duration == pytest.approx(100.0 / 3.0)

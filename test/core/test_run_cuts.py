@@ -51,7 +51,7 @@ def write(path: Path, parts: Sequence[np.ndarray], *more: np.ndarray, pause: flo
 
 def durations(path: Path, columns: str = COLUMNS, **options: Any) -> list[float]:
     runs = RunsOfFile(path, columns)
-    given = options or {"currents": [0.5] * len(runs.summaries) if runs.asks else None}
+    given = options or {"currents": 0.5 if runs.asks else None}
     return [run.duration for run in runs.recordings(**given)]
 
 
