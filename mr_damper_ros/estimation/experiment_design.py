@@ -439,15 +439,13 @@ class RunPlanner:
         gradient = self._cycles.relative_gradient(parameters)
         return point_errors(self.goal, gradient, information, model_errors)
 
-    def _posterior(
-        self, windows: Sequence[Window], noise: Sequence[float], parameters: Array
-    ) -> Posterior:
-        """The posterior of all parameters; ``noise`` (k,) [N] weights each sample of a window."""
+    def _posterior(self, windows: Sequence[Window], parameters: Array, prior: Prior) -> Posterior:
+        """The posterior of all parameters; the noise of each window is that of this set."""
         # A misfit weights all windows equally.
         sizes = np.array([window.sample_count for window in windows])
-        level = np.asarray(noise) * np.sqrt(sizes.mean() / sizes)
+        level = np.array(self._noise(windows, parameters)) * np.sqrt(sizes.mean() / sizes)
         misfit = Misfit(self.model, windows, level.tolist())
-        return Posterior(misfit, parameters, range(parameters.size), self.prior(parameters), 1.0)
+        return Posterior(misfit, parameters, range(parameters.size), prior, 1.0)
 
     def most_probable(self, windows: Sequence[Window], parameters: Array) -> Array:
         """The most probable set (p,) near the identified one, with all parameters free.
@@ -455,8 +453,9 @@ class RunPlanner:
         Weakly determined parameters move as far as the data support. If they were held, the
         standard errors would be too small. The noise is estimated together with the set.
         """
+        prior = self.prior(parameters)
         for _ in range(_ROUNDS):
-            problem = self._posterior(windows, self._noise(windows, parameters), parameters)
+            problem = self._posterior(windows, parameters, prior)
             search = LocalSearch(problem, problem.start)
             search.least_squares(most_steps=self.model.effort.most_steps)
             parameters = problem.parameters(search.best)
@@ -468,7 +467,7 @@ class RunPlanner:
         The errors of the parameters include the discrepancy between motions, because without it a
         law that is extrapolated to faster motions counts as exact.
         """
-        posterior = self._posterior(windows, self._noise(windows, parameters), parameters)
+        posterior = self._posterior(windows, parameters, self.prior(parameters))
         jacobian, residual = (
             posterior.jacobian(posterior.start),
             posterior.residual(posterior.start),
