@@ -74,18 +74,22 @@ def machine_code(loop: Loop, called: tuple[Loop, ...]) -> Loop | None:
         return None
     for function in called:
         register_jitable(function)
-    ways: list[Loop] = [njit(error_model="numpy")(loop)]
+    compiled, cached = njit(error_model="numpy")(loop), None
     with suppress(RuntimeError):  # no writable place for the cache
-        ways.append(njit(cache=True, error_model="numpy")(loop))
+        cached = njit(cache=True, error_model="numpy")(loop)
 
     def run(*arguments: Any) -> Any:
+        nonlocal cached
         # If the cache is damaged, as after a power failure, or the disk is full, Numba raises
         # exceptions of many types. The loop itself raises none.
-        while len(ways) > 1:
-            try:
-                return ways[-1](*arguments)
-            except Exception:
-                ways.pop()
-        return ways[0](*arguments)
+        tried = cached
+        if tried is not None:
+            with suppress(Exception):
+                return tried(*arguments)
+            with suppress(Exception):
+                tried.recompile()  # empties the cache
+                return tried(*arguments)
+            cached = None
+        return compiled(*arguments)
 
     return run

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import sys
 from collections.abc import Callable, Iterator, Sequence
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -32,18 +33,13 @@ def by_hand(a: float, b: float, x: float, y: float) -> float:
 POINTS = [(0.3, 0.7, 1.5, 0.4), (0.3, 0.7, -1.5, 0.4), (5.0, -2.0, 1.0, -3.0)]
 
 
-@pytest.mark.parametrize("point", POINTS)
-def test_scalars_give_what_is_written(point: tuple[float, ...]) -> None:
-    a, b, x, y = point
+def test_scalars_and_arrays_give_what_is_written() -> None:
+    expected = [by_hand(*point) for point in POINTS]
     law = staged(FORMULAS, STAGES, ["result"], scalars=len(STAGES))
-    assert law(a, b)(x)(y) == pytest.approx(by_hand(*point), rel=1e-14)
-
-
-def test_arrays_give_what_scalars_give() -> None:
-    columns = np.array(POINTS).T
+    assert [law(a, b)(x)(y) for a, b, x, y in POINTS] == pytest.approx(expected, rel=1e-14)
     law = staged(FORMULAS, [("a", "b", "x", "y")], ["result", "grown"])
-    result, _ = law(*columns)
-    np.testing.assert_allclose(result, [by_hand(*point) for point in POINTS], rtol=1e-14)
+    result, _ = law(*np.array(POINTS).T)
+    np.testing.assert_allclose(result, expected, rtol=1e-14)
 
 
 def test_a_formula_may_be_given() -> None:
@@ -145,6 +141,24 @@ def test_machine_code_gives_what_the_loop_gives(
     for values, expected in zip([*filled, last], [*plain, plain_last], strict=True):
         size = np.max(np.abs(expected))
         np.testing.assert_allclose(values, expected, rtol=0.0, atol=ALIKE * size)
+
+
+def test_a_damaged_cache_of_machine_code_is_repaired(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    config = pytest.importorskip("numba").config
+    monkeypatch.setattr(config, "CACHE_DIR", str(tmp_path))
+
+    def sizes(last: float) -> dict[Path, int]:
+        machine_code.machine_code.cache_clear()
+        with as_machine_code():
+            assert run_loop(running_sum, (), (np.ones(3),), 1, last)[1] == last + 3.0
+        return {path: path.stat().st_size for path in tmp_path.rglob("*.nb?")}
+
+    whole = sizes(0.0)
+    for path in whole:
+        path.write_bytes(path.read_bytes()[:-100])
+        assert sizes(1.0) == whole
 
 
 @pytest.mark.usefixtures("without_numba")
