@@ -176,7 +176,7 @@ class CurrentSchedule:
     @classmethod
     def constant(cls, current: float) -> CurrentSchedule:
         """A schedule of constant current [A]."""
-        return cls((0.0,), (current,))
+        return CurrentSchedule((0.0,), (current,))
 
     def at(self, time: Array) -> Array:
         """Current [A] at the times [s], shape (n,)."""
@@ -186,10 +186,16 @@ class CurrentSchedule:
 
 
 class SupplySetpoint(CurrentSchedule):
-    """The setpoint of a supply: a current schedule that grows while the rig runs."""
+    """The setpoint of a supply: a current schedule that grows while the rig runs.
+
+    Because it changes, it is equal to itself only.
+    """
 
     times: list[float]
     currents: list[float]
+
+    __eq__ = object.__eq__
+    __hash__ = object.__hash__
 
     def __init__(self, current: float = 0.0) -> None:
         super().__init__([0.0], [current])

@@ -36,7 +36,7 @@ def _require_positive(**values: float) -> None:
 
 
 @dataclass(frozen=True)
-class SineMotion(Sine):
+class SineMotion:
     """A sine of ``amplitude`` [m], ``frequency`` [Hz] and ``phase`` [rad] about zero.
 
     Raises ExcitationError if a value is out of range.
@@ -44,8 +44,16 @@ class SineMotion(Sine):
 
     centre = 0.0
 
+    amplitude: float
+    frequency: float
+    phase: float = 0.0
+
     def __post_init__(self) -> None:
         _require_positive(amplitude=self.amplitude, frequency=self.frequency)
+
+    def at(self, time: Array) -> Kinematics:
+        """Kinematics at the times [s], shape (n,)."""
+        return Sine(self.amplitude, self.frequency, self.phase).at(time)
 
 
 class SampledMotion:

@@ -64,10 +64,9 @@ def commands(draw: st.DrawFn) -> Told:
 @known.fixed(30)
 @given(commands())
 def test_no_sample_leaves_the_limits_or_jumps_whatever_is_commanded(told: Told) -> None:
-    u, v, _ = moved(told, 10.0)
+    u, v, a = moved(told, 10.0)
     assert np.abs(u).max() <= AMPLITUDE * (1.0 + ROUNDING)
     assert np.abs(v).max() <= VELOCITY * (1.0 + ROUNDING)
-    u, v, a = moved(told, 10.0)
     # Displacement and velocity are continuous: their steps stay within what the next derivative
     # allows.
     assert np.abs(np.diff(u)).max() <= np.abs(v).max() * PERIOD * 1.01
