@@ -17,10 +17,10 @@ from mr_damper_ros.estimation.multi_start import MultiStart
 from mr_damper_ros.estimation.observability import (
     Determination,
     determination,
-    noise_level,
     parameter_ranges,
     parameter_spans,
 )
+from mr_damper_ros.estimation.posterior import noise_level
 from mr_damper_ros.estimation.profile_likelihood import Profile
 from mr_damper_ros.estimation.window_fit import fit_window
 from mr_damper_ros.kinematics.window import Window

@@ -25,7 +25,6 @@ from dataclasses import dataclass
 import numpy as np
 
 from mr_damper_ros.kinematics.window import Window
-from mr_damper_ros.models.misfit import PriorRows
 from mr_damper_ros.models.quantities import SAME_CURRENT
 from mr_damper_ros.signals.arrays import Array
 
@@ -79,34 +78,28 @@ def normal_inverse(jacobian: Array) -> Array:
     return np.asarray(inverse)
 
 
-def least_squares_covariance(
-    jacobian: Array,
-    residual: Array,
-    weights: Array | None = None,
-    prior: PriorRows | None = None,
-) -> Array:
-    """Covariance (p, p) of parameters fitted by weighted least squares.
+_NO_PRIOR: Array = np.empty(0)
 
-    ``jacobian`` (n, p) and ``residual`` (n,) are unweighted; ``weights`` (n,) multiply the squared
-    residuals. A white residual gives s² (JᵀWJ)⁻¹, with s² from n - p degrees of freedom. An
-    autocorrelated residual, which model error typically causes, gives the sandwich estimate, with
-    the scores summed over blocks longer than the correlation length (Liang and Zeger, Biometrika
-    73, 1986). ``prior``: rows that are not samples. Parameters that the data do not determine are
-    NaN.
+
+def least_squares_covariance(
+    jacobian: Array, residual: Array, prior_variances: Array = _NO_PRIOR
+) -> Array:
+    """Covariance (p, p) of least-squares parameters, from ``jacobian`` (n, p), ``residual`` (n,).
+
+    A white residual gives s² (JᵀJ)⁻¹, with s² from n - p degrees of freedom. An autocorrelated
+    residual, which model error typically causes, gives the sandwich estimate, with the scores
+    summed over blocks longer than the correlation length (Liang and Zeger, Biometrika 73, 1986).
+    ``prior_variances`` (m,): the last m rows belong to a prior and have these known variances.
+    Parameters that the data do not determine are NaN.
     """
-    if weights is not None:
-        root = np.sqrt(weights)
-        jacobian, residual = jacobian * root[:, np.newaxis], residual * root
     bread = normal_inverse(jacobian)
-    drawn = np.zeros((0, jacobian.shape[1]))
-    if prior is not None:
-        drawn = jacobian[prior.rows] * np.sqrt(np.reshape(prior.variance, (-1, 1)))
-        jacobian, residual = jacobian[~prior.rows], residual[~prior.rows]
-    n, p = jacobian.shape
+    n, p = residual.size - prior_variances.size, jacobian.shape[1]
+    drawn = jacobian[n:] * np.sqrt(prior_variances)[:, np.newaxis]
+    jacobian, residual = jacobian[:n], residual[:n]
     freedom = max(n - p, 1)
     length = correlation_length(residual)
     white = float(residual @ residual) / freedom
-    if length == 0 and prior is None:
+    if length == 0 and not prior_variances.size:
         return np.asarray(white * bread)
     if length == 0:
         scores = white * jacobian.T @ jacobian
@@ -149,6 +142,11 @@ def correlation_length(residual: Array) -> int:
     below = np.flatnonzero(correlation < 0.05)
     first = int(below[0]) if below.size else correlation.size
     return int(min(4 * first, n // 4))
+
+
+def independent_samples(residual: Array) -> float:
+    """Number of independent samples with as much information as a residual (n,)."""
+    return residual.size / max(correlation_length(residual), 1)
 
 
 def without_negative_variance(covariance: Array) -> Array:
@@ -278,16 +276,13 @@ def samples_per_cycle(window: Window) -> float:
 
 
 def error_covariances(
-    jacobian: Array, residual: Array, cycle: float = math.nan, weights: Array | None = None
+    jacobian: Array, residual: Array, cycle: float = math.nan
 ) -> ErrorCovariances:
     """Covariances of least-squares unknowns from the Jacobian (n, f) and residual (n,) of samples.
 
     The samples are uniform. ``cycle`` is the number of samples per cycle of a steady motion, NaN
-    for any other motion. ``weights`` (n,) multiply the squared residuals.
+    for any other motion.
     """
-    if weights is not None:
-        root = np.sqrt(weights)
-        jacobian, residual = jacobian * root[:, np.newaxis], residual * root
     bread = normal_inverse(jacobian)
     count, unknowns = jacobian.shape
     split = _split(residual, cycle, count / max(count - unknowns, 1))

@@ -29,11 +29,10 @@ from mr_damper_ros.estimation.covariance import (
     motion_numbers,
     samples_per_cycle,
 )
-from mr_damper_ros.estimation.global_search import Posterior, Prior, with_linear_refitted
+from mr_damper_ros.estimation.global_search import with_linear_refitted
 from mr_damper_ros.estimation.local_search import LocalSearch
 from mr_damper_ros.estimation.observability import (
     SURE,
-    noise_level,
     operating_points_within,
     parameter_spans,
 )
@@ -49,6 +48,7 @@ from mr_damper_ros.estimation.planned_run import (
     steady_cycle,
     with_motion_before,
 )
+from mr_damper_ros.estimation.posterior import Posterior, Prior, noise_level
 from mr_damper_ros.kinematics.motion import Motion
 from mr_damper_ros.kinematics.periodic_motion import MotionKind, PeriodicMotion
 from mr_damper_ros.kinematics.window import Window

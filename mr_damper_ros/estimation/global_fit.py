@@ -9,10 +9,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from mr_damper_ros.estimation.covariance import (
-    discrepancy_between,
     error_covariances,
-    least_squares_covariance,
-    motion_numbers,
     samples_per_cycle,
     without_negative_variance,
 )
@@ -31,7 +28,7 @@ from mr_damper_ros.estimation.record_levels import (
 )
 from mr_damper_ros.kinematics.window import Window
 from mr_damper_ros.models.force_model import Model
-from mr_damper_ros.models.misfit import Misfit, PriorRows
+from mr_damper_ros.models.misfit import Misfit
 from mr_damper_ros.models.parameter_set import GLOBAL_SOURCE, ParameterSet
 from mr_damper_ros.signals.arrays import Array
 from mr_damper_ros.signals.error_sums import ErrorSums, pooled
@@ -263,22 +260,11 @@ def set_of(search: GlobalSearch, errors: Array, discrepancies: Array, name: str)
 
 def _errors(search: GlobalSearch, misfit: Misfit, places: Sequence[int]) -> tuple[Array, Array]:
     """Covariance (f, f) of the parameters at these places, and the discrepancy in it."""
-    if len(misfit.windows) == 1 and misfit.prior is None:
+    if len(misfit.windows) == 1 and search.levels is None:
         jacobian = misfit.jacobian(search.best, places)
         residual = misfit.residual(search.best)
         errors = error_covariances(jacobian, residual, samples_per_cycle(misfit.windows[0]))
         discrepancy = without_negative_variance(errors.discrepancy)
         both = without_negative_variance(errors.repeatability) + discrepancy
         return both, np.full_like(both, math.nan)  # one motion shows no scatter between motions
-    posterior = search.posterior(misfit, places)
-    jacobian = posterior.jacobian(posterior.start)
-    residual = posterior.residual(posterior.start)
-    prior = posterior.prior
-    covariance = least_squares_covariance(jacobian, residual, prior=prior)
-    by_noise = least_squares_covariance(jacobian, residual, prior=PriorRows(prior.rows, 0.0))
-    # The rows of the prior belong to no motion.
-    motions = np.full(residual.size, -1)
-    motions[: misfit.row_windows.size] = motion_numbers(misfit.windows)[misfit.row_windows]
-    discrepancy = discrepancy_between(jacobian, residual, motions, by_noise)
-    units = np.outer(posterior.widths, posterior.widths)
-    return (covariance + np.nan_to_num(discrepancy)) * units, discrepancy * units
+    return search.posterior(misfit, places).covariances()

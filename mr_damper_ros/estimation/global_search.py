@@ -21,7 +21,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from mr_damper_ros.estimation.covariance import correlation_length, triangular_factor
+from mr_damper_ros.estimation.covariance import independent_samples, triangular_factor
 from mr_damper_ros.estimation.differential_evolution import (
     EvolutionSettings,
     ProgressClock,
@@ -30,18 +30,19 @@ from mr_damper_ros.estimation.differential_evolution import (
 from mr_damper_ros.estimation.local_search import MOST_STEPS, LocalSearch, StopRequestedError
 from mr_damper_ros.estimation.observability import (
     current_varies,
-    noise_level,
     operating_points_within,
     parameter_ranges,
+    parameter_spans,
     varied_parameters,
 )
+from mr_damper_ros.estimation.posterior import Posterior, Prior, noise_level
 from mr_damper_ros.estimation.record_levels import LevelledProblem, LevelPrior
 from mr_damper_ros.estimation.window_fit import WindowFit, fit_window
 from mr_damper_ros.kinematics.motion import DataError
 from mr_damper_ros.kinematics.window import Window, holds_cycle
 from mr_damper_ros.models.force_model import Model
-from mr_damper_ros.models.misfit import Misfit, PriorRows
-from mr_damper_ros.models.quantities import NOTICED, CoefficientTable
+from mr_damper_ros.models.misfit import Misfit
+from mr_damper_ros.models.quantities import CoefficientTable
 from mr_damper_ros.signals.arrays import Array
 
 
@@ -71,78 +72,6 @@ def no_search(
 ) -> Array:
     """Keep the nonlinear parameters at the start; see :data:`LawSearch`."""
     return start
-
-
-# -- the prior and the posterior -----------------------------------------------------------------
-
-_WEAK_PRIOR = 1e-4
-"""Relative weight of a weak prior that only keeps undetermined directions bounded."""
-
-
-@dataclass(frozen=True, eq=False)
-class Prior:
-    """The plausible range of dampers: a mean (``centre``) and a deviation (``width``), (p,)."""
-
-    centre: Array
-    width: Array
-
-
-class Posterior:
-    """Residual of a pooled problem, then of the prior, for unknowns (f,).
-
-    The unknowns are the parameters at ``places``, each in units of the width of its prior. All
-    other parameters keep their ``values`` (p,). ``noise`` [1], the standard deviation of one
-    independent sample of the residual, sets the weight of the prior; with None the weight is
-    negligible.
-    """
-
-    def __init__(
-        self,
-        pooled: Misfit,
-        values: Array,
-        places: Sequence[int],
-        prior: Prior,
-        noise: float | None = None,
-    ) -> None:
-        self._pooled = pooled
-        self._values = np.array(values, dtype=float)
-        self._places = list(places)
-        self.widths = prior.width[self._places]
-        self._centre = prior.centre[self._places] / self.widths
-        self._weight = _WEAK_PRIOR * math.sqrt(pooled.sample_count) if noise is None else noise
-        self.start = self._values[self._places] / self.widths
-        low, high = (bound[self._places] / self.widths for bound in pooled.model.bounds)
-        unbounded = bool(np.all(np.isinf(low)) and np.all(np.isinf(high)))
-        self.bounds = None if unbounded else (low, high)
-
-    @property
-    def prior(self) -> PriorRows:
-        """Rows of the pooled problem and of the prior that are not samples."""
-        own = np.ones(len(self._places), dtype=bool)
-        before = self._pooled.prior
-        rows = (
-            np.zeros(self._pooled.row_windows.size, dtype=bool) if before is None else before.rows
-        )
-        variances = np.full(np.count_nonzero(rows), 0.0 if before is None else before.variance)
-        weights = np.full(own.size, self._weight**2)
-        return PriorRows(np.concatenate((rows, own)), np.concatenate((variances, weights)))
-
-    def parameters(self, unknowns: Array) -> Array:
-        """All parameters (p,)."""
-        values = self._values.copy()
-        values[self._places] = unknowns * self.widths
-        return values
-
-    def residual(self, unknowns: Array) -> Array:
-        """Weighted residual of all windows [1], then of the prior (f,)."""
-        plain = self._pooled.residual(self.parameters(unknowns))
-        return np.concatenate((plain, self._weight * (unknowns - self._centre)))
-
-    def jacobian(self, unknowns: Array) -> Array:
-        """Derivatives of the residual with respect to the unknowns."""
-        derivatives = self._pooled.jacobian(self.parameters(unknowns), self._places)
-        prior = self._weight * np.eye(len(self._places))
-        return np.concatenate((derivatives * self.widths, prior))
 
 
 # -- separate fit of each window -----------------------------------------------------------------
@@ -244,6 +173,9 @@ range are then two standard deviations from its middle."""
 _ON_BOUND = 1e-3
 """A parameter closer to a bound than this part of its prior width counts as being on the bound."""
 
+_MORE_THAN_PRIOR = math.sqrt(0.5)
+"""Standard error relative to the prior at which the windows contain as much information as it."""
+
 _POOR_COST = 4.0
 """Further starts are tried above this mean square of the weighted residual (twice the noise)."""
 
@@ -289,7 +221,7 @@ class GlobalSearch:
         earlier: Array | None = None,
         levels: LevelPrior | None = None,
     ) -> None:
-        """``later``: generations still to follow. Raises DataError if there are no windows."""
+        """Raises DataError if there are no windows."""
         if not windows:
             raise DataError("there are no windows to identify from")
         self.model = model
@@ -563,26 +495,19 @@ class GlobalSearch:
     def _determined(self, misfit: Misfit) -> frozenset[str]:
         """The free parameters for which the windows contain more information than the prior.
 
-        The standard error of a scale must also be below its own size, or below the size that
-        changes the force by a tenth.
+        The standard error must also be below the span of the parameter.
         """
-        names = [name for name in self.model.parameter_names if name in self.free]
-        places, values = self.model.places(names), self.best
-        if not names:
+        places = [k for k, name in enumerate(self.model.parameter_names) if name in self.free]
+        if not places:
             return frozenset()
         width = self._prior().width[places]
-        noise = noise_level(misfit, values)
-        factor = triangular_factor(misfit.jacobian(values, places.tolist())) * width / noise
-        information = factor.T @ factor
-        errors = np.sqrt(np.diag(np.linalg.inv(information + np.eye(len(names)))))
-        strong = np.isin(places, self.model.strength_indices)
-        force = float(np.linalg.norm(factor[:, strong] @ (values[places] / width)[strong]))
-        lengths = np.linalg.norm(factor, axis=0)
-        own = np.abs(values[places]) / width
-        own = np.maximum(own, NOTICED * force / np.where(lengths > 0.0, lengths, np.inf))
-        shapes = np.array([name in self._ranges for name in names])
-        known = errors < np.where(shapes, math.sqrt(0.5), np.minimum(own, math.sqrt(0.5)))
-        return frozenset(name for name, told in zip(names, known, strict=True) if told)
+        jacobian = misfit.jacobian(self.best, places) / noise_level(misfit, self.best)
+        factor = triangular_factor(jacobian)
+        spans = parameter_spans(self.model, factor, self.best, self._ranges, places)
+        information = (factor * width).T @ (factor * width)
+        errors = np.sqrt(np.diag(np.linalg.inv(information + np.eye(len(places)))))
+        known = errors < np.minimum(spans / width, _MORE_THAN_PRIOR)
+        return frozenset(self.model.parameter_names[k] for k in np.array(places)[known].tolist())
 
     def posterior(self, misfit: Misfit, places: Sequence[int]) -> Posterior:
         """Posterior of the parameters at these places, linearised about the best set."""
@@ -634,9 +559,10 @@ class GlobalSearch:
             if simplex:
                 search.nelder_mead()
             else:
-                independent = residual.size / max(correlation_length(residual), 1)
                 search.least_squares(
-                    tolerance=tolerance or self._tolerance or _NEGLIGIBLE_STEP / independent,
+                    tolerance=tolerance
+                    or self._tolerance
+                    or _NEGLIGIBLE_STEP / independent_samples(residual),
                     most_steps=most_steps,
                 )
         except StopRequestedError:

@@ -6,9 +6,10 @@ Jacobian at the solution shows how far each parameter can move without a signifi
 misfit.
 
 All changes are measured in *spans*. The span of a shape parameter is its plausible range; the span
-of a scale is its own size. In these units the singular values of the Jacobian are the inverse
-standard errors of uncorrelated combinations of the parameters. A parameter or a combination is
-determined if its standard error is below a quarter of a span. See Belsley, Kuh and Welsch,
+of a scale is its own size, or the change that alters the force by a tenth if that is larger. In
+these units the singular values of the Jacobian are the inverse standard errors of uncorrelated
+combinations of the parameters. A parameter or a combination is determined if its standard error is
+below a quarter of a span. See Belsley, Kuh and Welsch,
 "Regression Diagnostics", 1980, chapter 3.
 """
 
@@ -22,12 +23,10 @@ import numpy as np
 
 from mr_damper_ros.estimation.covariance import (
     DETERMINED,
-    correlation_length,
     triangular_factor,
 )
 from mr_damper_ros.kinematics.window import Window
 from mr_damper_ros.models.force_model import Model
-from mr_damper_ros.models.misfit import Misfit
 from mr_damper_ros.models.quantities import NOTICED
 from mr_damper_ros.signals.arrays import Array
 
@@ -163,34 +162,27 @@ class Determination:
 
 
 def parameter_spans(
-    model: Model, jacobian: Array, parameters: Array, ranges: Mapping[str, tuple[float, float]]
+    model: Model,
+    jacobian: Array,
+    parameters: Array,
+    ranges: Mapping[str, tuple[float, float]],
+    places: Sequence[int] | None = None,
 ) -> Array:
-    """Span (p,) of each parameter in its own unit, as defined in the module docstring.
+    """Span (f,) of each parameter in its own unit, as defined in the module docstring.
 
-    ``jacobian`` (n, p): derivatives of the residual at ``parameters`` (p,); ``ranges``: plausible
-    ranges of the shape parameters.
+    ``jacobian`` (n, f): derivatives of the residual at ``parameters`` (p,) with respect to those at
+    ``places``, by default all; ``ranges``: plausible ranges of the shape parameters.
     """
-    lengths = np.linalg.norm(jacobian, axis=0)
+    chosen = np.arange(parameters.size) if places is None else np.asarray(places)
+    lengths, values = np.linalg.norm(jacobian, axis=0), parameters[chosen]
     # The force is proportional to the gain parameters together.
-    strength = model.strength_indices
-    force = float(np.linalg.norm(jacobian[:, strength] @ parameters[strength]))
-    spans = np.maximum(
-        np.abs(parameters), NOTICED * force / np.where(lengths > 0.0, lengths, np.inf)
-    )
-    for place, name in enumerate(model.parameter_names):
-        if name in ranges:
-            spans[place] = ranges[name][1] - ranges[name][0]
+    strong = np.isin(chosen, model.strength_indices)
+    force = float(np.linalg.norm(jacobian[:, strong] @ values[strong]))
+    spans = np.maximum(np.abs(values), NOTICED * force / np.where(lengths > 0.0, lengths, np.inf))
+    for k, place in enumerate(chosen.tolist()):
+        if (name := model.parameter_names[place]) in ranges:
+            spans[k] = ranges[name][1] - ranges[name][0]
     return np.asarray(np.where(spans > 0.0, spans, 1.0))
-
-
-def noise_level(misfit: Misfit, parameters: Array) -> float:
-    """Standard deviation [1] of the residual, by which its Jacobian is divided.
-
-    It is larger for a correlated residual, so that model error does not average out like noise.
-    """
-    residual = misfit.residual(parameters)
-    variance = float(np.mean(residual**2)) * max(correlation_length(residual), 1)
-    return math.sqrt(max(variance, 1e-300))
 
 
 def determination(model: Model, jacobian: Array, spans: Array, parameters: Array) -> Determination:

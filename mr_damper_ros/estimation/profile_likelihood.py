@@ -13,7 +13,7 @@ scaled so that its curvature at the minimum agrees with the covariance for autoc
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -21,7 +21,7 @@ from numpy.typing import ArrayLike
 from scipy.special import chdtri
 
 from mr_damper_ros.estimation.covariance import (
-    correlation_length,
+    independent_samples,
     least_squares_covariance,
     normal_inverse,
 )
@@ -31,11 +31,11 @@ from mr_damper_ros.estimation.differential_evolution import (
     Report,
 )
 from mr_damper_ros.estimation.global_fit import GlobalFit, identify_global
-from mr_damper_ros.estimation.global_search import Posterior, Prior, with_linear_refitted
+from mr_damper_ros.estimation.global_search import with_linear_refitted
 from mr_damper_ros.estimation.local_search import LocalSearch, StopRequestedError
 from mr_damper_ros.estimation.observability import parameter_ranges, parameter_spans
+from mr_damper_ros.estimation.posterior import Posterior, Prior
 from mr_damper_ros.kinematics.window import Window
-from mr_damper_ros.models.force_model import Model
 from mr_damper_ros.models.misfit import Misfit
 from mr_damper_ros.models.parameter_set import ParameterSet
 from mr_damper_ros.processes.process_pool import Notify, ProcessPool
@@ -53,6 +53,9 @@ _MOST_STEPS = 30
 
 _FIRST_STEP = 0.01
 """First step, in spans, if there is no standard error."""
+
+_WEAK_PRIOR = 1e-4
+"""Relative weight of the prior that keeps undetermined directions at their start."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -80,31 +83,32 @@ class Profile:
 class ProfileLikelihood:
     """Profiles of the parameters (p,) that were fitted with ``misfit``.
 
-    ``observable`` (p,) marks the determined parameters. ``should_stop`` is called at every
-    evaluation; if it returns True, StopRequestedError is raised.
+    ``observable`` (p,) marks the determined parameters; ``ranges`` are the plausible ranges of the
+    shape parameters. ``should_stop`` is called at every evaluation; if it returns True,
+    StopRequestedError is raised.
     """
 
     def __init__(
         self,
-        model: Model,
         misfit: Misfit,
         parameters: Array,
         observable: np.ndarray,
+        ranges: Mapping[str, tuple[float, float]],
         should_stop: Callable[[], bool] | None = None,
     ) -> None:
-        self._model = model
+        self._model = misfit.model
         self._misfit = misfit
         self._should_stop = should_stop
         self._start = np.array(parameters, dtype=float)
-        self._ranges = parameter_ranges(model, misfit.windows)
+        self._ranges = ranges
         jacobian, residual = misfit.jacobian(self._start), misfit.residual(self._start)
-        self._spans = parameter_spans(model, jacobian, self._start, self._ranges)
+        self._spans = parameter_spans(self._model, jacobian, self._start, ranges)
         # Standard errors (p,), and the ratio of the variances for white noise to the actual ones.
         self._errors = np.full(self._start.size, math.nan)
-        shrinkage = np.full(self._start.size, 1.0 / max(correlation_length(residual), 1))
+        shrinkage = np.full(self._start.size, independent_samples(residual) / residual.size)
         if np.any(observable):
             seen = jacobian[:, observable]
-            variances = np.diag(least_squares_covariance(seen, residual, prior=misfit.prior))
+            variances = np.diag(least_squares_covariance(seen, residual, misfit.prior_variances))
             freedom = max(residual.size - variances.size, 1)
             white = np.diag(normal_inverse(seen)) * float(residual @ residual) / freedom
             known = np.isfinite(variances)
@@ -114,13 +118,8 @@ class ProfileLikelihood:
         self._scales = max(misfit.sample_count - int(np.sum(observable)), 1) * shrinkage
 
     def of(self, name: str) -> Profile:
-        """Profile of one parameter; raises ValueError if the law has no parameter of this name."""
-        names = self._model.parameter_names
-        if name not in names:
-            raise ValueError(
-                f"there is no parameter '{name}' to profile: use one of {', '.join(names)}"
-            )
-        place = names.index(name)
+        """Profile of one parameter."""
+        place = self._model.parameter_names.index(name)
         parameter, value = self._model.parameters[place], float(self._start[place])
         scale, span = float(self._scales[place]), float(self._spans[place])
         step = _STEP_RISE * float(self._errors[place])
@@ -156,10 +155,10 @@ class ProfileLikelihood:
     ) -> tuple[Array, float]:
         """Best set with the other parameters refitted, and its cost; below ``enough`` suffices."""
         best, least = starts[0], math.inf
+        weak = _WEAK_PRIOR * math.sqrt(self._misfit.sample_count)
         others = [other for other in range(self._start.size) if other != place]
         for values in sorted(starts, key=self._cost):
-            # A weak prior keeps flat directions at their start.
-            problem = Posterior(self._misfit, values, others, Prior(values, self._spans))
+            problem = Posterior(self._misfit, values, others, Prior(values, self._spans), weak)
             search = LocalSearch(problem, problem.start, self._should_stop)
             search.try_out(problem.start)
             search.least_squares(tolerance=self._model.effort.tolerance)
@@ -238,13 +237,16 @@ def profiles_of(
 
     Raises ValueError for a name that the law does not have.
     """
-    law = fit.parameter_set.law.parameter_names
+    law = fit.parameter_set.law
     for name in names:
-        if name not in law:
-            raise ValueError(f"there is no parameter '{name}' to profile: use {', '.join(law)}")
-    misfit = fit.misfit(windows)
+        if name not in law.parameter_names:
+            raise ValueError(
+                f"there is no parameter '{name}' to profile: use {', '.join(law.parameter_names)}"
+            )
+    # Thinned windows, as in the misfit, may lack the extremes.
+    ranges, misfit = parameter_ranges(law, windows), fit.misfit(windows)
     listen = None if report is None else lambda _, news: report(news)
-    tasks = [(fit.parameter_set, misfit, name) for name in names]
+    tasks = [(fit.parameter_set, misfit, ranges, name) for name in names]
     return [profile for profile in processes.map(_profile, tasks, listen) if profile]
 
 
@@ -276,15 +278,17 @@ def profiled(
         fit = again
 
 
-def _profile(task: tuple[ParameterSet, Misfit, str], notify: Notify) -> Profile | None:
-    found, misfit, name = task
+def _profile(
+    task: tuple[ParameterSet, Misfit, Mapping[str, tuple[float, float]], str], notify: Notify
+) -> Profile | None:
+    found, misfit, ranges, name = task
     clock = ProgressClock(1, notify)
     try:
         return ProfileLikelihood(
-            found.law,
             misfit,
             found.values,
             found.observable,
+            ranges,
             lambda: clock.poll(f"profile of {name}", math.nan),
         ).of(name)
     except StopRequestedError:

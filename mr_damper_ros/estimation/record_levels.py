@@ -9,7 +9,7 @@ part of the law. The problem is linear in s and z, so they are integrated out: t
 the misfit at their most probable values, with the prior included (a linear mixed model: Laird and
 Ware, Biometrics 38, 1982). Let r be the residual and X = U S V' the effect of gain and offset in
 units of their standard deviations. Then only U'r is reduced, by the factor 1 / sqrt(1 + S²). The
-reduced part gets two rows after the rows of the record, so that each record counts as one draw in
+reduced part gets two rows per record after all samples, so that each record counts as one draw in
 the standard errors.
 
 Thousands of samples with the same model error contain no more information about gain and offset
@@ -23,14 +23,14 @@ levels.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
 
-from mr_damper_ros.estimation.observability import noise_level
-from mr_damper_ros.models.misfit import Misfit, PriorRows
+from mr_damper_ros.estimation.posterior import noise_level
+from mr_damper_ros.models.misfit import Misfit
 from mr_damper_ros.signals.arrays import Array
 
 _ZERO_SPREAD = 0.3
@@ -92,8 +92,8 @@ class _Whitened(NamedTuple):
 class LevelledProblem(Misfit):
     """A pooled problem with gain and offset per record integrated out; see :class:`Misfit`.
 
-    Two rows for gain and offset follow the rows of each record. With the Jacobian, the gradient of
-    the sum of squares is exact, and its curvature is the Gauss-Newton approximation.
+    Two rows per record, for gain and offset, follow the rows of the samples. With the Jacobian, the
+    gradient of the sum of squares is exact; its curvature is the Gauss-Newton approximation.
     """
 
     def __init__(self, pooled: Misfit, prior: LevelPrior) -> None:
@@ -109,35 +109,29 @@ class LevelledProblem(Misfit):
     @property
     def row_windows(self) -> np.ndarray:
         """Index of the window of each row (n,) of the residual."""
-        of_sample = self.sample_windows
-        return np.concatenate([of_sample[[*rows, rows[-1], rows[-1]]] for rows in self._records])
+        last = np.repeat([rows[-1] for rows in self._records], 2)
+        return np.concatenate((self.sample_windows, self.sample_windows[last]))
 
     @property
-    def prior(self) -> PriorRows:
-        """The rows of gain and offset; they are zero for a law with parameters for each record."""
-        sizes = [rows.size for rows in self._records]
-        last = np.cumsum(np.array(sizes) + 2)
-        rows = np.zeros(last[-1], dtype=bool)
-        rows[last - 1] = rows[last - 2] = True
-        return PriorRows(rows, self._noise**2)
+    def prior_variances(self) -> Array:
+        """Variances (m,) of the rows of gain and offset."""
+        return np.full(2 * len(self._records), self._noise**2)
 
     def residual(self, parameters: Array) -> Array:
         """Weighted residual [1] with two more rows per record; infinite if it overflows."""
         plain = super().residual(parameters)
         if not np.all(np.isfinite(plain)):
             return np.full(plain.size + 2 * len(self._records), math.inf)
-        return self._each(plain, lambda each: _damped(each, plain[each.rows]))
+        return _damped(self._whitened(plain), plain)
 
     def jacobian(self, parameters: Array, columns: Sequence[int] | None = None) -> Array:
         """Derivatives of the residual, valid for the gradient of its sum of squares."""
         plain = super().residual(parameters)
         derivatives = super().jacobian(parameters, columns)
-
-        def of_record(each: _Whitened) -> Array:
-            scale = 1.0 + float(_levels(each, plain)[0])
-            return _damped(each, scale * derivatives[each.rows])
-
-        return self._each(plain, of_record)
+        whitened = self._whitened(plain)
+        for each in whitened:
+            derivatives[each.rows] *= 1.0 + float(_levels(each, plain)[0])
+        return _damped(whitened, derivatives)
 
     def mean_square(self, parameters: Array) -> float:
         """Sum of squares over the number of samples."""
@@ -178,9 +172,6 @@ class LevelledProblem(Misfit):
             )
         return found
 
-    def _each(self, plain: Array, of_record: Callable[[_Whitened], Array]) -> Array:
-        return np.concatenate([of_record(each) for each in self._whitened(plain)])
-
     def _whitened(self, plain: Array) -> list[_Whitened]:
         whitened = []
         for rows in self._records:
@@ -202,11 +193,14 @@ def counted_samples(pooled: Misfit, prior: LevelPrior, parameters: Array) -> flo
     return max(pooled.sample_count / max(noise * noise, 1.0), float(np.finfo(float).eps))
 
 
-def _damped(each: _Whitened, values: Array) -> Array:
-    """Rows (n, ...) of a record without the effect of gain and offset, then two extra rows."""
-    along = each.left.T @ values
-    damping = 1.0 / np.sqrt(1.0 + each.sizes**2)
-    return np.concatenate((values - each.left @ along, (damping * along.T).T))
+def _damped(whitened: Sequence[_Whitened], values: Array) -> Array:
+    """Rows (n, ...) without the effect of gain and offset, then two extra rows per record."""
+    left, extra = values.copy(), []
+    for each in whitened:
+        along = each.left.T @ values[each.rows]
+        left[each.rows] -= each.left @ along
+        extra.append((along.T / np.sqrt(1.0 + each.sizes**2)).T)
+    return np.concatenate((left, *extra))
 
 
 def _levels(each: _Whitened, residual: Array) -> Array:

@@ -23,8 +23,8 @@ import numpy as np
 
 from mr_damper_ros.estimation.covariance import (
     ErrorCovariances,
-    correlation_length,
     error_covariances,
+    independent_samples,
     normal_inverse,
     samples_per_cycle,
     without_negative_variance,
@@ -195,8 +195,9 @@ def fit_window(
         problem, unknowns, errors = posterior.problem, posterior.best, posterior.errors()
     else:
         problem, unknowns, settled = search.problem, search.best, search.problem.settled
-        jacobian, residual = problem.jacobian(unknowns), problem.residual(unknowns)
-        errors = error_covariances(jacobian[settled], residual[settled], cycle, weights[settled])
+        root = np.sqrt(weights[settled])
+        jacobian = root[:, np.newaxis] * problem.jacobian(unknowns)[settled]
+        errors = error_covariances(jacobian, root * problem.residual(unknowns)[settled], cycle)
     return fit_of(
         problem,
         unknowns,
@@ -346,9 +347,8 @@ class _Posterior:
             ratio = np.median(whole[known] / white[known]) if known.any() else np.mean(left**2)
             self._noise = math.sqrt(max(float(ratio), 0.0))
             return
-        length = max(correlation_length(left), 1)
         # With few independent samples, the noise is corrected for the degrees of freedom.
-        freedom = max(left.size / length - self._width.size, 1.0)
+        freedom = max(independent_samples(left) - self._width.size, 1.0)
         self._noise = float(np.sqrt(np.sum(left**2) / freedom))
 
     def errors(self) -> ErrorCovariances:

@@ -3,23 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import NamedTuple
 
 import numpy as np
 
 from mr_damper_ros.kinematics.window import Window
 from mr_damper_ros.models.force_model import Model, WindowForces
 from mr_damper_ros.signals.arrays import Array
-
-
-class PriorRows(NamedTuple):
-    """Rows of a residual that are not samples: their mask (n,) and their variances (m,) [1].
-
-    These variances are known, not estimated from the rows.
-    """
-
-    rows: np.ndarray
-    variance: float | Array
 
 
 class Misfit:
@@ -74,9 +63,9 @@ class Misfit:
         return self.sample_windows
 
     @property
-    def prior(self) -> PriorRows | None:
-        """Rows that are not samples; None if there are none."""
-        return None
+    def prior_variances(self) -> Array:
+        """Known variances (m,) [1] of the last rows, which belong to a prior, not to samples."""
+        return np.empty(0)
 
     def residual(self, parameters: Array) -> Array:
         """Weighted model minus measurement [1], shape (..., n), for parameters (..., p)."""

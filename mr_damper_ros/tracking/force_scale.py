@@ -304,7 +304,8 @@ def fit_temperature_map(
     curve = min(monotone, key=criterion)
     residual = curve(celsius) - logarithm
     scatter = math.sqrt(float(residual @ residual) / max(celsius.size - curve.coef.size, 1))
-    covariance = least_squares_covariance(_basis(curve, celsius), residual, weights)
+    root = np.sqrt(weights)
+    covariance = least_squares_covariance(root[:, None] * _basis(curve, celsius), root * residual)
     found = TemperatureMap(operating_point, curve, covariance, scatter, int(celsius.size))
     for place in (*ends, 0.5 * sum(ends)):
         known_to = math.hypot(scatter, found.scale(place).standard_error / found.scale(place).value)

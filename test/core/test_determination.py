@@ -17,11 +17,11 @@ from mr_damper_ros.estimation.experiment_design import ExtraRun, RigRange, extra
 from mr_damper_ros.estimation.observability import (
     Determination,
     determination,
-    noise_level,
     operating_points_within,
     parameter_spans,
     varied_parameters,
 )
+from mr_damper_ros.estimation.posterior import noise_level
 from mr_damper_ros.kinematics.window import Window
 from mr_damper_ros.models import MODELS
 from mr_damper_ros.models.misfit import Misfit

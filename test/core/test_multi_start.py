@@ -21,6 +21,7 @@ from mr_damper_ros.estimation.multi_start import (
     SearchRecordError,
     identify_from_seeds,
 )
+from mr_damper_ros.estimation.observability import parameter_ranges
 from mr_damper_ros.estimation.profile_likelihood import profiled, profiles_of
 from mr_damper_ros.estimation.record_levels import LevelPrior
 from mr_damper_ros.kinematics.window import Window
@@ -161,6 +162,20 @@ def off(fit: GlobalFit) -> GlobalFit:
     values = fit.parameter_set.values.copy()
     values[known.index("a0")] *= 1.2
     return replace(fit, parameter_set=replace(fit.parameter_set, values=values))
+
+
+def test_a_profile_reaches_as_far_as_the_whole_windows_say(good: GlobalFit) -> None:
+    # The largest current is in a single sample, which the misfit of thinned windows omits.
+    whole = known.run(samples=20_001).window
+    current = whole.current.copy()
+    current[1] = 2.0
+    windows = [replace(whole, current=current)]
+    _, highest = parameter_ranges(SIGMOID, windows)["a2"]
+    with ProcessPool() as processes:
+        (profile,) = profiles_of(good, windows, ["a2"], processes)
+    assert profile.values[-1] == highest
+    with pytest.raises(ValueError, match="no parameter 'b9' to profile: use f0"):
+        profiles_of(good, windows, ["b9"], processes)
 
 
 def test_a_fit_at_its_minimum_stays(strokes: list[Window], good: GlobalFit) -> None:

@@ -11,6 +11,7 @@ from known import SIGMOID
 from scipy.signal import lfilter
 
 from mr_damper_ros.estimation.covariance import least_squares_covariance
+from mr_damper_ros.estimation.observability import parameter_ranges
 from mr_damper_ros.estimation.profile_likelihood import ProfileLikelihood
 from mr_damper_ros.kinematics.window import Window
 from mr_damper_ros.models.misfit import Misfit
@@ -64,7 +65,11 @@ def test_the_interval_is_that_of_the_covariance_where_the_law_is_nearly_linear(
     covariance = least_squares_covariance(misfit.jacobian(values), misfit.residual(values))
     place = known.index(name)
     half = 1.96 * math.sqrt(covariance[place, place])
-    low, high = ProfileLikelihood(SIGMOID, misfit, values, ALL).of(name).interval
+    low, high = (
+        ProfileLikelihood(misfit, values, ALL, parameter_ranges(SIGMOID, misfit.windows))
+        .of(name)
+        .interval
+    )
     # Relative difference between the intervals of the likelihood ratio and the standard errors.
     assert (high - low) / (2.0 * half) == pytest.approx(1.0, abs=0.03)
     # Of half the interval: offset of its middle from the estimate of a nonlinear law.
@@ -75,12 +80,8 @@ def test_where_one_current_was_seen_nothing_bounds_the_laws_over_current() -> No
     misfit = pooled(windows((1.0,)))
     open_names = ("k2", "a2", "I0", "k3", "a3", "I1")
     seen = np.array([name not in open_names for name in PARAMETER_NAMES])
-    likelihood = ProfileLikelihood(SIGMOID, misfit, known.PLAUSIBLE, seen)
+    likelihood = ProfileLikelihood(
+        misfit, known.PLAUSIBLE, seen, parameter_ranges(SIGMOID, misfit.windows)
+    )
     for name in ("a2", "I0", "I1"):
         assert likelihood.of(name).interval == (-math.inf, math.inf), name
-
-
-def test_a_name_that_the_law_does_not_have_is_refused() -> None:
-    likelihood = ProfileLikelihood(SIGMOID, pooled(windows((1.0,))), known.PLAUSIBLE, ALL)
-    with pytest.raises(ValueError, match="no parameter 'b9' to profile: use one of f0"):
-        likelihood.of("b9")
