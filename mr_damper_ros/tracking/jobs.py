@@ -153,7 +153,7 @@ class TrackerMemory(Experience):
     rival: ParameterSet | None = None
     seen_ns: int = 0
 
-    def forget_scales(self) -> None:
+    def forget_changes(self) -> None:
         """Discard the states of filter and change detection, which belong to another set."""
         self.state = self.watch = None
         self.changed_ns = 0
@@ -307,7 +307,7 @@ class Job:
 
 @dataclass(frozen=True, eq=False)
 class Outcome:
-    """Result of a job: the ``memory`` after it and its ``report``.
+    """Result of a job: its ``report``, and the ``memory`` after it with the changed records only.
 
     The report is None for a change check without an early fit. ``parameters`` is the set in use
     from now on, None if the running set stays; ``found`` is the new set, whether in use or not.
@@ -348,11 +348,9 @@ def run(job: Job, control: Control | None = None) -> Outcome:
     except (ValueError, ArithmeticError) as error:
         sentence = f"the identification failed ({type(error).__name__}: {error}): the running set"
         outcome = refused(job, Judgement(Verdict.FAILED, f"{sentence} stays"))
-    # The windows that came with the job need not be sent back.
-    newest = max((each.number for each in job.memory.points.records), default=0)
-    memory = outcome.memory
-    memory.points = memory.points.with_samples(lambda each: each.number > newest)
-    return replace(outcome, memory=memory, duration=time.perf_counter() - began)
+    # The records that came with the job need not be sent back.
+    outcome.memory.points = outcome.memory.points.changed_since(job.memory.points)
+    return replace(outcome, duration=time.perf_counter() - began)
 
 
 def refused(job: Job, judgement: Judgement) -> Outcome:
@@ -510,7 +508,7 @@ def _fit(job: Job, window: Window, should_stop: Callable[[], bool] | None) -> Ou
         memory.rival = None
         if wins:
             running = rival
-            memory.forget_scales()
+            memory.forget_changes()
             job = replace(job, running=rival, memory=replace(job.memory, state=None))
     follow = TRACKERS[options.tracker]
     followed = follow(job, window) if follow else None
@@ -813,7 +811,7 @@ def _search(job: Job, control: Control | None) -> Outcome:
         memory.unexplained_patience, memory.rival = _KNOWN_AFTER, found
     elif judgement.verdict.accepted:
         memory.unexplained_patience, memory.rival, used = _KNOWN_AFTER, None, found
-        memory.forget_scales()
+        memory.forget_changes()
     else:
         # If the law cannot follow the current, the searches become rarer.
         memory.unexplained_patience *= 2

@@ -201,20 +201,29 @@ class KnownPoints:
             tuple(each if wanted(each) else replace(each, window=None) for each in self.records)
         )
 
-    def completed(self, known: KnownPoints) -> KnownPoints:
-        """Return the records with the windows of ``known`` where there is a number alone."""
-        windows = {each.number: each.window for each in known.records if each.number}
-        return KnownPoints(
-            tuple(
-                replace(each, window=each.window or windows.get(each.number))
-                for each in self.records
-            )
-        )
+    def changed_since(self, before: KnownPoints) -> KnownPoints:
+        """Return the new and changed records alone, for :meth:`updated`."""
+        same = set(map(id, before.records))
+        return KnownPoints(tuple(each for each in self.records if id(each) not in same))
+
+    def updated(self, changed: KnownPoints) -> KnownPoints:
+        """Return the records with new and changed ones; windows of a number alone stay."""
+        records = {each.point: each for each in self.records}
+        for each in changed.records:
+            if each.number and each.window is None:
+                each = replace(each, window=records[each.point].window)
+            records[each.point] = each
+        return KnownPoints(tuple(records.values()))
 
     def without_temperatures(self) -> KnownPoints:
         """Return the records without their temperatures, because the force has changed since."""
         none = PointRecord((0.0, 0.0)).temperatures
-        return KnownPoints(tuple(replace(each, temperatures=none) for each in self.records))
+        return KnownPoints(
+            tuple(
+                replace(each, temperatures=none) if each.temperatures.size else each
+                for each in self.records
+            )
+        )
 
     # Forces
 

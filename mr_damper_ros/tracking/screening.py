@@ -172,8 +172,9 @@ def fault_of_sign(velocity: Array, force: Array) -> str:
     power = float(centred @ velocity)
     if power < -NEGATIVE_POWER * float(np.linalg.norm(centred) * np.linalg.norm(velocity)):
         return (
-            "the force is not dissipative: reverse the sign of the force or of the displacement "
-            "(extension and tension are positive), or exchange the two channels"
+            "the force is not dissipative, it drives the motion: reverse the sign of the force or "
+            "of the displacement (extension and tension are positive), or exchange the two "
+            "channels if they are swapped"
         )
     return ""
 

@@ -115,7 +115,7 @@ class WindowTracker:
 
     def complete(self, outcome: Outcome) -> Report | None:
         """Take over the outcome of the newest job; returns its report."""
-        points = outcome.memory.points.completed(self.points)
+        points = self.points.updated(outcome.memory.points)
         self.memory = replace(outcome.memory, points=points)
         self.parameters = outcome.parameters or self.parameters
         return outcome.report

@@ -23,11 +23,12 @@ import numpy as np
 from mr_damper_ros.kinematics.window import Window
 from mr_damper_ros.models.force_model import Model
 from mr_damper_ros.models.parameter_set import ParameterError, ParameterSet
+from mr_damper_ros.models.plausibility import implausible
 from mr_damper_ros.processes.deferred import BackgroundWriter
 from mr_damper_ros.processes.files import FolderLock
 from mr_damper_ros.tracking.force_scale import is_plausible
 from mr_damper_ros.tracking.jobs import TrackerMemory
-from mr_damper_ros.tracking.operating_point import PointRecord, nearest_same
+from mr_damper_ros.tracking.operating_point import KnownPoints, PointRecord, nearest_same
 from mr_damper_ros.tracking.state_directory import StateDirectory, StateError
 from mr_damper_ros.tracking.tracker import WindowTracker
 
@@ -55,12 +56,13 @@ def from_text(text: str, model: Model) -> TrackerMemory:
         # An older version may have had fewer parameters, and numbers of windows from 0 on.
         records = memory.points.records
         first = min((each.number for each in records if each.window is not None), default=1)
+        read = []
         for each in records:
             number = 0 if each.window is None else each.number + (first == 0)
-            memory.points = memory.points.noted(each.point, number=number)
             if (fit := each.baseline) is not None:
-                completed = dataclasses.replace(fit, parameters=model.completed(fit.parameters))
-                memory.points = memory.points.noted(each.point, baseline=completed)
+                fit = dataclasses.replace(fit, parameters=model.completed(fit.parameters))
+            read.append(dataclasses.replace(each, number=number, baseline=fit))
+        memory.points = KnownPoints(tuple(read))
         return check(memory, model)
     except RecursionError as error:
         raise StateError("the memory of the tracker is nested too deeply") from error
@@ -179,29 +181,32 @@ def _dataclass(kind: Any, data: Any, where: str) -> Any:
 
 def check(memory: TrackerMemory, model: Model) -> TrackerMemory:
     """Return the memory unchanged; raises StateError if it contains impossible values."""
-    for sound, what in _checks_of_memory(memory, len(model.parameters)):
+    for sound, what in _checks_of_memory(memory, model):
         if not sound:
             raise StateError(f"the memory of the tracker contains an invalid {what}")
     return memory
 
 
-def _checks_of_memory(memory: TrackerMemory, parameter_count: int) -> Iterator[tuple[bool, str]]:
+def _checks_of_memory(memory: TrackerMemory, model: Model) -> Iterator[tuple[bool, str]]:
     watch, state, records = memory.watch, memory.state, memory.points.records
+    largest = np.iinfo(np.int64).max
     counts = (
         *(memory.windows, memory.accepted, memory.accepted_since_global),
         *(memory.searched_points, memory.motion.windows, memory.global_patience - 1),
         *(memory.unexplained_windows, memory.unexplained_patience, memory.refused_for_residual),
     )
-    yield min(counts) >= 0, "count"
-    stamps = [memory.changed_ns, *(scale.start_ns for scale in memory.scales)]
-    stamps += [scale.end_ns for scale in memory.scales]
+    yield 0 <= min(counts) <= max(counts) <= largest, "count"
+    if (rival := memory.rival) is not None:
+        yield rival.model == model.name and not implausible(rival), "set to be confirmed"
+    stamps = [memory.changed_ns, memory.seen_ns]
+    stamps += [stamp for scale in memory.scales for stamp in (scale.start_ns, scale.end_ns)]
     stamps += [number for record in records for number in (record.stamp_ns, record.number)]
     stamps += [] if state is None else [state.stamp_ns]
-    yield max(map(abs, stamps)) <= np.iinfo(np.int64).max, "stamp"
+    yield max(map(abs, stamps)) <= largest, "stamp"
     for residual in memory.residuals:
         sound = len(residual) in (2, 4) and _finite(*residual)
         yield sound and min(residual[:3]) >= 0.0, "residual"
-    yield 0.0 <= memory.level < math.inf, "force level"
+    yield 0.0 < memory.level < math.inf, "force level"
     for scale in memory.scales:
         sound = _finite(scale.value, scale.standard_error) and scale.standard_error > 0.0
         yield sound, "force scale"
@@ -218,7 +223,7 @@ def _checks_of_memory(memory: TrackerMemory, parameter_count: int) -> Iterator[t
         yield min(sums) >= 0 and _finite(*sums), "sum of the change detection"
     yield _finite(*(number for point in points for number in point)), "operating point"
     for record in records:
-        yield from _checks_of_record(record, parameter_count)
+        yield from _checks_of_record(record, len(model.parameters))
 
 
 def _checks_of_record(record: PointRecord, parameter_count: int) -> Iterator[tuple[bool, str]]:

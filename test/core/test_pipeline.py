@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
+import pytest
 from step_worker import StepWorker
 
 from mr_damper_ros.estimation.differential_evolution import EvolutionSettings
@@ -67,7 +69,26 @@ class Bench:
                 return events
 
 
-def bench(*, waiting_windows: int = 1000, global_period: int = 0) -> Bench:
+class StateByHand:
+    """Replaces the state folder; a state is written when :meth:`write` is called."""
+
+    def __init__(self) -> None:
+        self.progress = 0, 0
+        self.fault = ""
+
+    def keep(self) -> None:
+        self.progress = self.progress[0] + 1, self.progress[1]
+
+    def keep_now(self) -> str:
+        self.keep()
+        self.write()
+        return ""
+
+    def write(self) -> None:
+        self.progress = self.progress[:1] * 2
+
+
+def bench(*, waiting_windows: int = 1000, global_period: int = 0, disk: Any = None) -> Bench:
     worker = StepWorker()
     settings = TrackerSettings(global_period=global_period, evolution=QUICK_SEARCH)
     tracker = WindowTracker(settings, INITIAL)
@@ -76,7 +97,7 @@ def bench(*, waiting_windows: int = 1000, global_period: int = 0) -> Bench:
         tracker,
         worker,  # type: ignore[arg-type]
         PipelineSettings(waiting_windows=waiting_windows),
-        TrackerState(tracker, StateDirectory(""), "bench"),
+        disk or TrackerState(tracker, StateDirectory(""), "bench"),
     )
     return Bench(identifier, worker, tracker)
 
@@ -211,3 +232,30 @@ def test_a_window_that_makes_room_takes_its_looks_along() -> None:
         b.identifier.add_windows([replace(window(number), look=200)])
     assert (b.identifier.waiting_windows, b.identifier.dropped_windows) == (1, 2)
     assert starts(b.work_off()) == [0, 3]
+
+
+def test_a_set_is_given_out_once_it_is_on_disk() -> None:
+    disk = StateByHand()
+    b = bench(disk=disk)
+    b.identifier.add_windows([window(0)])
+    assert b.work_off() == []
+    assert disk.progress == (1, 0)
+    disk.write()
+    (found,) = b.identifier.poll()
+    assert isinstance(found, Publication)
+    assert found.parameters is not None
+    assert b.identifier.take_notices() == []
+
+
+@pytest.mark.parametrize(
+    "switch", [Identifier.reset, lambda made: made.replace(INITIAL)], ids=["reset", "load"]
+)
+def test_another_set_forgets_what_runs_and_is_kept(switch: Callable[[Identifier], str]) -> None:
+    disk = StateByHand()
+    b = bench(disk=disk)
+    b.identifier.add_windows([window(0)])
+    b.work_off()
+    b.identifier.flush()
+    assert switch(b.identifier) == ""
+    assert b.tracker.parameters is INITIAL
+    assert disk.progress == (2, 2)

@@ -7,6 +7,7 @@ import dataclasses
 import json
 import math
 import os
+import pickle
 import subprocess
 import sys
 from pathlib import Path
@@ -23,7 +24,7 @@ from mr_damper_ros.kinematics.window import Window
 from mr_damper_ros.models import MODELS
 from mr_damper_ros.models.parameter_set import ParameterSet
 from mr_damper_ros.processes.files import FolderLock, LockHeldError
-from mr_damper_ros.tracking.jobs import TRACKERS
+from mr_damper_ros.tracking.jobs import TRACKERS, run
 from mr_damper_ros.tracking.operating_point import KnownPoints
 from mr_damper_ros.tracking.reports import Report
 from mr_damper_ros.tracking.state_directory import StateDirectory, StateError
@@ -90,9 +91,10 @@ def test_after_a_reset_the_damper_may_still_be_another_one() -> None:
 
 
 def learnt() -> dict[str, Any]:
-    """State of a tracker after a few windows, as parsed JSON."""
+    """State of a tracker after a few windows, with a set to be confirmed, as parsed JSON."""
     tracked = tracker(tracker="recursive")
     feed(tracked, 0, 3)
+    tracked.memory.rival = dataclasses.replace(tracked.parameters, set_id="rival")
     document: dict[str, Any] = json.loads(to_text(tracked.memory))
     return document
 
@@ -161,9 +163,43 @@ def test_other_texts_are_refused(text: str, sentence: str) -> None:
         from_text(text, SIGMOID)
 
 
+@pytest.mark.parametrize(
+    ("entry", "wrong", "sentence"),
+    [
+        pytest.param("windows", 10**250, "an invalid count", id="name too long"),
+        ("seen_ns", 2**63, "an invalid stamp"),
+        ("level", 0.0, "an invalid force level"),
+        ("rival", known.controllable("bingham").to_yaml(), "an invalid set to be confirmed"),
+        (
+            "rival",
+            dataclasses.replace(START, nrmse=5.0).to_yaml(),
+            "an invalid set to be confirmed",
+        ),
+    ],
+)
+def test_what_would_harm_every_window_is_refused(entry: str, wrong: Any, sentence: str) -> None:
+    assert from_text(json.dumps(DOCUMENT), SIGMOID).rival is not None
+    with pytest.raises(StateError, match=sentence):
+        from_text(json.dumps(DOCUMENT | {entry: wrong}), SIGMOID)
+
+
 def test_the_memory_of_another_model_is_refused() -> None:
     with pytest.raises(StateError, match="number of parameters"):
-        from_text(json.dumps(DOCUMENT), MODELS["sigmoid_lag"])
+        from_text(json.dumps(DOCUMENT | {"rival": None}), MODELS["sigmoid_lag"])
+
+
+def test_only_changed_records_return_from_a_worker() -> None:
+    tracked = tracker()
+    feed(tracked, 0, 4)
+    before, raw = tracked.points.records, known.raw_window(known.run(samples=1000, seed=4))
+    for window, changed in ((dataclasses.replace(raw, look=250), 0), (raw, 1)):
+        job = pickle.loads(pickle.dumps(tracked.job_of(window)))
+        outcome = pickle.loads(pickle.dumps(run(job)))
+        assert len(outcome.memory.points.records) == changed
+        tracked.complete(outcome)
+        kept = [one is other for one, other in zip(before, tracked.points.records, strict=True)]
+        assert kept.count(False) == changed
+    assert all(record.window is not None for record in tracked.points.records)
 
 
 def test_a_place_beyond_the_window_is_refused() -> None:
