@@ -113,7 +113,7 @@ def _earthquakes(seed: int) -> Excitation:
     dynamics = np.array([[0.0, 1.0], [-(rate**2), -0.5 * rate]])
     drifts, every = [], _GRID
     for place, peak in enumerate((0.012, 0.006, 0.009)):
-        ground = Shaking("some", 0.5, 2.0, 0.4, 1.5, 3.0, 1.8, seed=10 * seed + place).motion()
+        ground = Shaking(0.5, 2.0, 0.4, 1.5, 3.0, 1.8, seed=10 * seed + place).motion()
         every = ground.every
         states = _simulated(dynamics, np.outer(-ground.acceleration, [0.0, 1.0]), every)
         drifts.append(_from_rest(states[:, 0], peak, every))

@@ -1,7 +1,7 @@
 """Figures of real records: what the studies write of them, and cold starts.
 
-``make truth`` writes build/truth/truth.json, and ``make control`` build/control/control.json. If a
-document is missing, or belongs to the other variant (quick or full), the study is run first.
+``make truth`` writes build/truth/truth.json, and ``make control`` build/control/control.json. Both
+studies are run first, and take up what they have stored for the same code.
 """
 
 from __future__ import annotations
@@ -39,20 +39,17 @@ _EARTHQUAKES = {"fit": EXTENDED_MODEL, "springs_fit": "series_springs", "sixteen
 """Laws of ``earthquake_static_<name>`` and ``earthquake_online_<name>``."""
 
 
-def document(study: str, part: str, quick: bool) -> tuple[Any, str]:
-    """One part of the results of a study (None if it is missing), and its origin."""
+def document(study: str, quick: bool) -> tuple[dict[str, Any], str]:
+    """The results of a study, part by part, and their origin.
+
+    The study is run, but computes only what it has not yet stored for this code.
+    """
     folder = Path("build", study + "-quick" * quick)
+    code = import_module(STUDIES[study]).main(["--output", str(folder), *["--quick"] * quick])
+    if code:
+        raise RuntimeError(f"the study {study} ended with exit code {code}")
     path = folder / f"{study}.json"
-
-    def found() -> Any:
-        return json.loads(path.read_text(encoding="utf-8")) if path.exists() else {}
-
-    if found().get("quick") != quick or part not in found():
-        run = import_module(STUDIES[study]).main
-        code = run(["--output", str(folder), *["--quick"] * quick])
-        if code:
-            raise RuntimeError(f"the study {study} ended with exit code {code}")
-    return found().get(part), f"From {path}."
+    return json.loads(path.read_text(encoding="utf-8")), f"From {path}."
 
 
 def truth_figures(quick: bool = False) -> Measured:
@@ -60,7 +57,8 @@ def truth_figures(quick: bool = False) -> Measured:
     laws: dict[str, Any] = {}
     note = recordings.NONE
     if recordings.folder() is not None:
-        laws, note = document("truth", "recordings", quick)
+        parts, note = document("truth", quick)
+        laws = parts["recordings"]
 
     def told(law: str, key: str) -> Any:
         value = laws.get(law, {}).get(key)
@@ -90,8 +88,8 @@ def truth_figures(quick: bool = False) -> Measured:
 
 def control_figures(quick: bool = False) -> Measured:
     """Figures of the best controller on each road, and of the weighted inverse in buildings."""
-    buildings, note = document("control", "buildings", quick)
-    roads, _ = document("control", "roads", quick)
+    parts, note = document("control", quick)
+    buildings, roads = parts["buildings"], parts["roads"]
     named = ", ".join(f"{road} {name}" for road, name in roads["best"].items())
     return {
         **{key: (value, f"{note} The best: {named}.") for key, value in roads["worst"].items()},

@@ -1,4 +1,4 @@
-"""Shared drawing and tables of the studies: line styles, panels, bars, heads of tables."""
+"""Tables and figures of the studies."""
 
 from __future__ import annotations
 
@@ -7,21 +7,38 @@ from typing import Any
 
 import numpy as np
 
-from mr_damper_ros.report.document import DASHES, INK, MARKS
+from mr_damper_ros.report.document import DASHES, INK, MARKS, Cell, Picture, Table, panels
+
+
+def table(name: str, caption: str, heads: str, rows: Sequence[Sequence[Cell]]) -> Table:
+    """A table; bars separate the heads of its columns."""
+    return Table(name, caption, tuple(head.strip() for head in heads.split("|")), rows)
+
+
+def chart(
+    name: str,
+    caption: str,
+    shape: tuple[int, int, float, float],
+    across: str = "",
+    up: str = "",
+    **options: Any,
+) -> tuple[Picture, Any]:
+    """A figure of a ``shape``, rows, columns, width and height [inch], and its axes (r, c).
+
+    ``across`` labels the axes of the last row, ``up`` those of the first column.
+    """
+    figure, axes = panels(*shape, **options)
+    for axis in axes[-1]:
+        axis.set_xlabel(across)
+    for axis in axes[:, 0]:
+        axis.set_ylabel(up)
+    return Picture(name, caption, figure), axes
 
 
 def line(number: int, *, marked: bool = False) -> dict[str, Any]:
     """Style of the line with a given number; ``marked`` adds a symbol at each point."""
     style = {"linestyle": DASHES[number], "color": INK[number]}
     return {**style, "marker": MARKS[number]} if marked else style
-
-
-def name_axes(axes: Any, across: str, up: str) -> None:
-    """Label the quantities of panels (r, c) below the last row and left of the first column."""
-    for axis in axes[-1]:
-        axis.set_xlabel(across)
-    for axis in axes[:, 0]:
-        axis.set_ylabel(up)
 
 
 def draw_rows(axes: Any, time: Any, rows: Iterable[Any], label: str, **style: Any) -> None:
@@ -37,14 +54,9 @@ def name_rows(axes: Any, *labels: str, time: str = "time (s)") -> None:
     axes[-1, 0].set(xlabel=time)
 
 
-def bars(axis: Any, series: Mapping[str, Sequence[float]], colours: Sequence[str] = INK) -> None:
+def bars(axis: Any, series: Mapping[str, Any], colours: Sequence[str] = INK) -> None:
     """Bars of several series side by side, in groups at 0, 1, 2 ..."""
     width = 0.8 / len(series)
     for place, (label, values) in enumerate(series.items()):
         offsets = np.arange(len(values)) + (place - 0.5 * (len(series) - 1)) * width
         axis.bar(offsets, values, width, color=colours[place], label=label)
-
-
-def heads(text: str) -> tuple[str, ...]:
-    """Headers of the columns of a table, between bars."""
-    return tuple(head.strip() for head in text.split("|"))

@@ -6,20 +6,21 @@ import argparse
 import hashlib
 import json
 import os
+import pickle
 import sys
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache, partial
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import scipy
 
 import mr_damper_ros
 from mr_damper_ros.processes.blas_threads import one_thread
-from mr_damper_ros.processes.files import write_text
+from mr_damper_ros.processes.files import write_bytes, write_text
 from mr_damper_ros.processes.process_pool import Notify, ProcessPool
 from mr_damper_ros.report.document import Chapter, styled, write_report
 from mr_damper_ros.tools.console import run_tool
@@ -66,76 +67,37 @@ class Campaign:
         return [[int(x) for x in child.generate_state(4)] for child in children]
 
     def each(self, name: str, function: Callable[..., Any], tasks: Sequence[Task]) -> list[Any]:
-        """``function(**task)`` for every task, in order, whatever the number of processes."""
-        return self._computed(name, function, tasks, len(tasks), lambda place, result: None)
+        """``function(**task)`` for every task, in order, whatever the number of processes.
 
-    def each_kept(
-        self, name: str, function: Callable[..., Any], tasks: Sequence[Task]
-    ) -> list[Any]:
-        """As :meth:`each` for JSON results, which are stored line by line.
-
-        Stored results are reused until the tasks or the code change.
+        Results are stored, and reused until the tasks or the code change.
         """
-        keys = [json.dumps(task, sort_keys=True) for task in tasks]
-        path = self.folder / "data" / f"{name}-{_code_digest()}.jsonl"
-        known = _read(path)
-        missing = [place for place, key in enumerate(keys) if key not in known]
-        if not missing:
-            return [known[key] for key in keys]
-        path.parent.mkdir(parents=True, exist_ok=True)
-        with path.open("a", encoding="utf-8") as file:
-            file.write("\n")  # begin after the incomplete line of a killed campaign
+        folder = self.folder / "data" / f"{name}-{_code_digest()}"
+        with np.printoptions(precision=17, threshold=sys.maxsize):
+            keys = [hashlib.sha256(repr(task).encode()).hexdigest()[:16] for task in tasks]
+        paths = [folder / f"{key}.pickle" for key in keys]
+        missing = [place for place, path in enumerate(paths) if not path.exists()]
+        count = len(tasks) - len(missing)
 
-            def keep(place: int, result: Any) -> None:
-                key = keys[missing[place]]
-                # A JSON round trip makes new and stored results equal.
-                known[key] = json.loads(json.dumps(result))
-                file.write(json.dumps([key, result]) + "\n")
-                file.flush()
-
-            chosen = [tasks[place] for place in missing]
-            try:
-                self._computed(name, function, chosen, len(tasks), keep)
-            except KeyboardInterrupt:
-                self.say("finished tasks are stored: call again to continue")
-                raise
-        return [known[key] for key in keys]
-
-    def _computed(
-        self,
-        name: str,
-        function: Callable[..., Any],
-        tasks: Sequence[Task],
-        total: int,
-        keep: Callable[[int, Any], None],
-    ) -> list[Any]:
-        count = total - len(tasks)
-
-        def done(place: int, result: Any) -> None:
+        def keep(place: int, result: Any) -> None:
             nonlocal count
+            write_bytes(paths[missing[place]], pickle.dumps(result))
             count += 1
-            keep(place, result)
             # About ten lines for a log.
-            if count == total or count % max(len(tasks) // 10, 1) == 0:
-                self.say(f"{name}: {count} of {total}")
+            if count == len(tasks) or count % max(len(missing) // 10, 1) == 0:
+                self.say(f"{name}: {count} of {len(tasks)}")
 
-        with ProcessPool(self.workers) as processes:
-            return processes.map(partial(_call, function), tasks, done=done)
+        try:
+            with ProcessPool(self.workers) as processes:
+                given = [tasks[place] for place in missing]
+                processes.map(partial(_call, function), given, done=keep)
+        except KeyboardInterrupt:
+            self.say("finished tasks are stored: call again to continue")
+            raise
+        return [pickle.loads(path.read_bytes()) for path in paths]
 
 
 def _call(function: Callable[..., Any], task: Task, notify: Notify) -> Any:
     return function(**task)
-
-
-def _read(path: Path) -> dict[str, Any]:
-    known: dict[str, Any] = {}
-    for line in path.read_text("utf-8").splitlines() if path.exists() else []:
-        try:
-            key, result = json.loads(line)
-        except ValueError:
-            continue  # empty, or incomplete
-        known[key] = result
-    return known
 
 
 def code_files() -> list[Path]:
@@ -157,12 +119,10 @@ def _code_digest() -> str:
     return digest.hexdigest()[:12]
 
 
-@dataclass(frozen=True)
-class Part:
-    """Results of a part of a report: chapters, a sentence for each, and figures in the document."""
+class Part(NamedTuple):
+    """Results of a part of a report: chapters, and figures for the document."""
 
     chapters: Sequence[Chapter]
-    headlines: Sequence[str]
     figures: Mapping[str, object] | None = None
 
 
@@ -222,21 +182,16 @@ class Study:
         """Write ``report.html`` and, if parts have figures, ``<name>.json``; returns the page."""
         document: dict[str, object] = {}
         notice = self.notice(campaign)
-        parts: list[Part] = []
+        chapters: list[Chapter] = []
         with styled():
             for name, make in self.parts.items():
                 if name in only:
                     campaign.say(f"{name} ...")
-                    parts.append(make(campaign))
-                    if parts[-1].figures:
-                        document[name] = parts[-1].figures
-            page = write_report(
-                campaign.folder,
-                self.title,
-                notice,
-                [sentence for part in parts for sentence in part.headlines],
-                [chapter for part in parts for chapter in part.chapters],
-            )
+                    part = make(campaign)
+                    chapters += part.chapters
+                    if part.figures:
+                        document[name] = part.figures
+            page = write_report(campaign.folder, self.title, notice, chapters)
         if document:
             text = json.dumps({"quick": campaign.quick, **document}, indent=2, allow_nan=False)
             write_text(campaign.folder / f"{self.name}.json", text + "\n")

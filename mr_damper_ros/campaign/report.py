@@ -30,7 +30,6 @@ from mr_damper_ros.report.document import (
     Chapter,
     Picture,
     Table,
-    Text,
     legend_above,
     panels,
     styled,
@@ -56,8 +55,8 @@ def write_campaign_report(folder: Path, reason: str = "") -> Path:
     speed, current = plan.now.worst_point
     with styled():
         loops, total = _loops(found, runs)
-        parts: list[tuple[str, str, str, list[Block]]] = [
-            (
+        chapters = [
+            Chapter(
                 "plan",
                 "The runs that were made",
                 f"{len(runs)} runs{f', {len(refused)} rejected' if refused else ''}, "
@@ -65,32 +64,32 @@ def write_campaign_report(folder: Path, reason: str = "") -> Path:
                 f"{reason or plan.reason}",
                 _plan(steps, refused),
             ),
-            (
+            Chapter(
                 "error",
                 "The error, run by run",
                 f"{plan.now.sentence}; the goal is {goal.error:.2%}",
                 [_error(steps, goal.error)],
             ),
-            (
+            Chapter(
                 "map",
                 "Accuracy of the force by operating point",
                 f"least accurate at {speed:.3g} m/s and {current:.3g} A",
                 [_map(task, steps[-1], runs)],
             ),
-            (
+            Chapter(
                 "loops",
                 "Measured and predicted loops",
                 f"NRMSE of the set over all runs: {total.nrmse:.2%}",
                 loops,
             ),
-            (
+            Chapter(
                 "set",
                 "The set",
                 f"{int(np.sum(found.observable))} of {found.values.size} parameters were "
                 "determined",
                 _set(found),
             ),
-            (
+            Chapter(
                 "unknown",
                 "What is not determined",
                 "nothing that matters for the goal"
@@ -103,8 +102,7 @@ def write_campaign_report(folder: Path, reason: str = "") -> Path:
             folder,
             "Campaign of identification runs",
             _notice(task),
-            [headline for _, _, headline, _ in parts],
-            [Chapter(name, title, blocks) for name, title, _, blocks in parts],
+            chapters,
             page="campaign.html",
         )
 
@@ -156,7 +154,7 @@ def _plan(steps: Sequence[CampaignStep], refused: Sequence[str]) -> list[Block]:
     )
     if not refused:
         return [table]
-    return [table, Text(f"Rejected runs, stored as bags and repeated: {', '.join(refused)}.")]
+    return [table, f"Rejected runs, stored as bags and repeated: {', '.join(refused)}."]
 
 
 def _error(steps: Sequence[CampaignStep], goal: float) -> Picture:
@@ -180,7 +178,7 @@ def _error(steps: Sequence[CampaignStep], goal: float) -> Picture:
     axis.set_xticks(numbers)
     axis.set_xlabel("run")
     axis.set_ylabel("relative error [%]")
-    legend_above(figure, axis, 3)
+    legend_above(axis, 3)
     return Picture(
         "error",
         "The median of the worst error after each run, and the value that the plan had predicted. "
@@ -277,7 +275,7 @@ def _set(found: ParameterSet) -> list[Block]:
         tuple(columns),
         rows,
     )
-    return [Text("The set is stored as set.yaml, for the nodes and all programs."), table]
+    return ["The set is stored as set.yaml, for the nodes and all programs.", table]
 
 
 def _unknown(last: CampaignStep) -> list[Block]:
@@ -293,13 +291,11 @@ def _unknown(last: CampaignStep) -> list[Block]:
     found = last.parameter_set
     unseen = np.array(found.law.parameter_names)[~np.asarray(found.observable, dtype=bool)]
     if unseen.size:
-        blocks.append(Text(f"Parameters not determined: {', '.join(unseen)}."))
+        blocks.append(f"Parameters not determined: {', '.join(unseen)}.")
     if last.plan.run is not None:
-        blocks.append(Text(f"The next run would be {last.plan.run.sentence}."))
+        blocks.append(f"The next run would be {last.plan.run.sentence}.")
     blocks.append(
-        Text(
-            "Not covered: motions and temperatures other than those of the runs, and operating "
-            "points outside the range of the goal."
-        )
+        "Not covered: motions and temperatures other than those of the runs, and operating points "
+        "outside the range of the goal."
     )
     return blocks

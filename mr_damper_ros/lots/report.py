@@ -19,7 +19,6 @@ from mr_damper_ros.report.document import (
     Chapter,
     Picture,
     Table,
-    Text,
     panels,
     styled,
     with_error,
@@ -63,26 +62,19 @@ def write_population_report(found: ManyDampers, folder: Path) -> Path:
     """Write ``population.html`` with its figures and tables; returns the path of the page."""
     population = found.population
     with styled():
-        parts = {
-            "forces": ("The force over the lot", *_forces(population)),
-            "outliers": ("Outliers", *_outliers(population)),
-            "fits": ("How well the law fits", *_fits(population)),
-            "parameters": ("The parameters that were determined", *_parameters(population)),
-            "missing": ("Unusable files and dampers", *_missing(found)),
-        }
+        chapters = [
+            Chapter("forces", "The force over the lot", *_forces(population)),
+            Chapter("outliers", "Outliers", *_outliers(population)),
+            Chapter("fits", "How well the law fits", *_fits(population)),
+            Chapter("parameters", "The parameters that were determined", *_parameters(population)),
+            Chapter("missing", "Unusable files and dampers", *_missing(found)),
+        ]
         notice = (
             f"{len(population.dampers)} of {len(found.documents)} dampers were identified, each "
             "from all its recordings. Forces are compared, not parameters. Standard deviations "
             "are computed from the median absolute deviation, so outliers do not affect them."
         )
-        return write_report(
-            folder,
-            "A lot of dampers",
-            notice,
-            [headline for _, headline, _ in parts.values()],
-            [Chapter(name, title, blocks) for name, (title, _, blocks) in parts.items()],
-            page="population.html",
-        )
+        return write_report(folder, "A lot of dampers", notice, chapters, page="population.html")
 
 
 _Part = tuple[str, list[Block]]
@@ -95,7 +87,7 @@ def _forces(population: Population) -> _Part:
     spreads = [spread for spread in population.forces if spread.known.size]
     if not spreads:
         return "there are too few dampers to estimate the variation", [
-            Text("There is no damper whose force is known.")
+            "There is no damper whose force is known."
         ]
     names, rows = [damper.name for damper in population.dampers], []
     for spread in spreads:
@@ -155,15 +147,15 @@ def _outliers(population: Population) -> _Part:
     shown = ", ".join(outlier.damper for outlier in found[:5])
     headline = shown + (f" and {len(found) - 5} more" if len(found) > 5 else "") or "none"
     if len(population.dampers) < LEAST_DAMPERS:
-        few = Text(f"A lot of fewer than {LEAST_DAMPERS} dampers is too small to find outliers.")
+        few = f"A lot of fewer than {LEAST_DAMPERS} dampers is too small to find outliers."
         return headline, [few]
-    rule = Text(
+    rule = (
         f"An outlier is more than {population.limit:.1f} standard deviations of the lot, and more "
         "than three of its own standard errors, from the median. Chance alone gives one outlier in "
         "two lots."
     )
     if not found:
-        return headline, [rule, Text("None does.")]
+        return headline, [rule, "None does."]
     rows = [(o.damper, o.quantity, o.value, o.median, f"{o.score:+.1f}") for o in found]
     columns = ("damper", "in", "its value", "median of the lot", "standard deviations off")
     caption = "Each with its largest deviation."
@@ -172,7 +164,7 @@ def _outliers(population: Population) -> _Part:
 
 def _fits(population: Population) -> _Part:
     if not population.dampers:
-        return _NO_DAMPER, [Text(f"{_NO_DAMPER.capitalize()}.")]
+        return _NO_DAMPER, [f"{_NO_DAMPER.capitalize()}."]
     nrmse = 100.0 * np.array([damper.nrmse for damper in population.dampers])
     figure, axes = panels(1, 1, WIDTH, 2.4)
     axes[0, 0].hist(nrmse, bins=min(40, max(5, nrmse.size // 5)), color=GREY)
@@ -189,7 +181,7 @@ def _fits(population: Population) -> _Part:
 def _parameters(population: Population) -> _Part:
     headline = "undetermined values are omitted, because they contain no information on a damper"
     if not population.dampers:
-        return headline, [Text(f"{_NO_DAMPER.capitalize()}.")]
+        return headline, [f"{_NO_DAMPER.capitalize()}."]
     rows = []
     sets = [damper.parameter_set for damper in population.dampers]
     for place, parameter in enumerate(sets[0].law.parameters):
@@ -211,7 +203,7 @@ def _missing(found: ManyDampers) -> _Part:
     failures = list(found.failures.items())
     files = [(str(entry.path), entry.reason) for entry in found.left_out]
     if not files and not failures:
-        return "everything was used", [Text("Everything was used.")]
+        return "everything was used", ["Everything was used."]
     tables = (
         ("failures", "Dampers that were not identified.", ("damper", "why"), failures),
         ("left-out", "Unused files.", ("file", "why"), files),

@@ -80,21 +80,15 @@ def panels(rows: int, columns: int, width: float, height: float, **options: Any)
     return figure, figure.subplots(rows, columns, squeeze=False, **options)
 
 
-def legend_above(figure: Any, axes: Any, columns: int) -> None:
-    """One legend above all panels, with the entries of ``axes``."""
+def legend_above(axes: Any, columns: int) -> None:
+    """One legend above all panels of the figure, with the entries of ``axes``."""
+    figure = axes.figure
     handles, labels = axes.get_legend_handles_labels()
     figure.get_layout_engine().set(rect=(0.0, 0.0, 1.0, 1.0 - 0.25 / figure.get_figheight()))
     figure.legend(handles, labels, loc="upper center", ncols=columns)
 
 
 Cell = str | int | float | None
-
-
-@dataclass(frozen=True)
-class Text:
-    """A paragraph of plain text."""
-
-    text: str
 
 
 @dataclass(frozen=True)
@@ -116,7 +110,8 @@ class Picture:
     figure: Any
 
 
-Block = Text | Table | Picture
+Block = str | Table | Picture
+"""A paragraph of plain text, a table or a figure."""
 
 
 _SMALL = 1e-3
@@ -184,10 +179,11 @@ def write_picture(folder: Path, picture: Picture) -> bytes:
 
 @dataclass(frozen=True)
 class Chapter:
-    """A section: a name for links, a title and blocks."""
+    """A section: a name for links, a title, a sentence for the summary at the top, and blocks."""
 
     name: str
     title: str
+    headline: str
     blocks: Sequence[Block]
 
 
@@ -195,18 +191,14 @@ def write_report(
     folder: Path,
     title: str,
     notice: str,
-    headlines: Sequence[str],
     chapters: Sequence[Chapter],
     page: str = "report.html",
 ) -> Path:
-    """Write the page, the figures and the tables to ``folder``; returns the path of the page.
-
-    ``headlines`` has one sentence per chapter, shown as a summary at the top.
-    """
+    """Write the page, the figures and the tables to ``folder``; returns the path of the page."""
     parts = [f"<h1>{html.escape(title)}</h1>", f'<p class="notice">{html.escape(notice)}</p>']
     links = "".join(
-        f'<li><a href="#{c.name}">{html.escape(c.title)}</a>: {html.escape(headline)}</li>'
-        for c, headline in zip(chapters, headlines, strict=True)
+        f'<li><a href="#{c.name}">{html.escape(c.title)}</a>: {html.escape(c.headline)}</li>'
+        for c in chapters
     )
     parts.append(f"<nav><ol>{links}</ol></nav>")
     for number, chapter in enumerate(chapters, start=1):
@@ -226,8 +218,8 @@ def write_report(
 
 
 def _block(folder: Path, block: Block) -> str:
-    if isinstance(block, Text):
-        return f"<p>{html.escape(block.text)}</p>"
+    if isinstance(block, str):
+        return f"<p>{html.escape(block)}</p>"
     if isinstance(block, Table):
         write_table(folder / "tables", block)
         return _table(block)

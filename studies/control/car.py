@@ -36,11 +36,10 @@ from mr_damper_ros.emulation.emulator import (
 from mr_damper_ros.emulation.plant_rig import HIGHEST_CURRENT, PlantRig, invented_damper
 from mr_damper_ros.kinematics.motion import Motion
 from mr_damper_ros.models.parameter_set import ParameterSet
-from mr_damper_ros.report import document
-from mr_damper_ros.report.document import GREY, INK, MARKS, Chapter, Picture, Table, Text, panels
+from mr_damper_ros.report.document import GREY, INK, MARKS, Chapter, Picture, legend_above
 from mr_damper_ros.rig.sources.emulated_source import suspension_state_of
 from mr_damper_ros.tracking.engine import Engine
-from studies.drawing import bars, draw_rows, heads, line, name_rows
+from studies.drawing import bars, chart, draw_rows, line, name_rows, table
 from studies.program import Campaign, Part
 from studies.recordings import rms
 
@@ -184,29 +183,6 @@ def roads_part(campaign: Campaign) -> Part:
     best = {road: _best_on(drives, road) for road in SPEEDS}
     name = best[_ROAD]
     here, off, on = (drives[each, _ROAD, LAG] for each in (name, OFF, ON))
-    worst = max(
-        drives[each, _ROAD, LAG]["comfort"] / drives[each, _ROAD, 0.0]["comfort"]
-        for each in CONTROLLERS
-    )
-    bump, without = (drives[each, BUMP_ROAD, LAG] for each in (name, OFF))
-    chapters = [
-        _damper_chapter(),
-        _roads_chapter(drives, duration),
-        _bump_chapter(drives),
-        _lag_chapter(drives),
-    ]
-    told = [
-        "an invented damper with known parameters, in a quarter car.",
-        f"on road C, {name} is best in comfort and holding together: {here['comfort']:.2f} m/s² "
-        f"and {here['holding']:.0%} of the tyre load, against {off['comfort']:.2f} m/s² and "
-        f"{off['holding']:.0%} for passive-off, {on['comfort']:.2f} m/s² and {on['holding']:.0%} "
-        "for passive-on.",
-        f"over the bump, the acceleration of the body is {bump['comfort']:.2f} m/s² (RMS; peak "
-        f"{bump['highest']:.1f}) with {name}, and {without['comfort']:.2f} m/s² (peak "
-        f"{without['highest']:.1f}) with passive-off.",
-        f"a coil lag of 10 ms increases the acceleration of the body by at most {worst - 1.0:.0%} "
-        "on road C.",
-    ]
     against_passive = {
         f"car_{quantity}_over_{passive.replace('-', '_')}": max(
             drives[best[road], road, LAG][quantity] / drives[passive, road, LAG][quantity]
@@ -215,7 +191,19 @@ def roads_part(campaign: Campaign) -> Part:
         for quantity in ("comfort", "holding")
         for passive in (OFF, ON)
     }
-    return Part(chapters, told, {"best": best, "worst": against_passive})
+    told = (
+        f"on road C, {name} is best in comfort and holding together: {here['comfort']:.2f} m/s² "
+        f"and {here['holding']:.0%} of the tyre load, against {off['comfort']:.2f} m/s² and "
+        f"{off['holding']:.0%} for passive-off, {on['comfort']:.2f} m/s² and {on['holding']:.0%} "
+        "for passive-on."
+    )
+    chapters = [
+        _damper_chapter(),
+        _roads_chapter(drives, duration, told),
+        _bump_chapter(drives, name),
+        _lag_chapter(drives),
+    ]
+    return Part(chapters, {"best": best, "worst": against_passive})
 
 
 def _best_on(drives: Drives, road: str) -> str:
@@ -231,7 +219,11 @@ def _best_on(drives: Drives, road: str) -> str:
 
 def _damper_chapter() -> Chapter:
     """Description of the damper of the car."""
-    figure, axes = panels(1, 2, 6.6, 2.6)
+    picture, axes = chart(
+        "damper",
+        "Force of the damper in a sine of 20 mm and 2 Hz, at five currents.",
+        (1, 2, 6.6, 2.6),
+    )
     known = invented_damper(0.0)
     time = np.linspace(0.0, 2.0, 2000, endpoint=False)
     amplitude, rate = 0.02, 2.0 * np.pi * 2.0
@@ -244,36 +236,29 @@ def _damper_chapter() -> Chapter:
         axes[0, 1].plot(1e3 * u[late], force[late], **line(place))
     axes[0, 0].set(xlabel="velocity (m/s)", ylabel="force (kN)")
     axes[0, 1].set(xlabel="displacement (mm)")
-    document.legend_above(figure, axes[0, 0], 5)
+    legend_above(axes[0, 0], 5)
     return Chapter(
         "damper",
         "The damper and the car",
+        "an invented damper with known parameters, in a quarter car.",
         [
-            Text(
-                "The damper is invented, so that its parameters are known exactly, and as large as "
-                "the damper of the thesis. It obeys the extended sigmoid law with a compliance, a "
-                f"gas spring and a coil, for 0 to {HIGHEST_CURRENT:g} A. At 71 °C it has 74 % of "
-                "its force, like the damper of the thesis. Its force is computed at 2 kHz and "
-                "measured at 1 kHz with 5.53 N of noise; the current is commanded every 5 ms."
-            ),
-            Text(
-                f"The car has a body of {CAR.body:.0f} kg and a wheel of {CAR.wheel:.0f} kg, a "
-                f"spring of {1e-3 * CAR.spring:.0f} kN/m and a tyre of {1e-3 * CAR.tyre:.0f} kN/m "
-                "(Savaresi et al., Semi-Active Suspension Control Design for Vehicles, 2010). Tyre "
-                "and spring are linear: the wheel does not leave the road, and the suspension has "
-                "no end stops. The controllers receive the true motion of body and wheel; the "
-                "study contains no sensors of the car."
-            ),
-            Picture(
-                "damper",
-                "Force of the damper in a sine of 20 mm and 2 Hz, at five currents.",
-                figure,
-            ),
+            "The damper is invented, so that its parameters are known exactly, and as large as the "
+            "damper of the thesis. It obeys the extended sigmoid law with a compliance, a gas "
+            f"spring and a coil, for 0 to {HIGHEST_CURRENT:g} A. At 71 °C it has 74 % of its "
+            "force, like the damper of the thesis. Its force is computed at 2 kHz and measured at "
+            "1 kHz with 5.53 N of noise; the current is commanded every 5 ms.",
+            f"The car has a body of {CAR.body:.0f} kg and a wheel of {CAR.wheel:.0f} kg, a spring "
+            f"of {1e-3 * CAR.spring:.0f} kN/m and a tyre of {1e-3 * CAR.tyre:.0f} kN/m (Savaresi "
+            "et al., Semi-Active Suspension Control Design for Vehicles, 2010). Tyre and spring "
+            "are linear: the wheel does not leave the road, and the suspension has no end stops. "
+            "The controllers receive the true motion of body and wheel; the study contains no "
+            "sensors of the car.",
+            picture,
         ],
     )
 
 
-def _roads_chapter(drives: Drives, duration: float) -> Chapter:
+def _roads_chapter(drives: Drives, duration: float, told: str) -> Chapter:
     """Comfort, road holding, travel and energy on roads of ISO 8608."""
     rows = []
     for road in SPEEDS:
@@ -290,57 +275,36 @@ def _roads_chapter(drives: Drives, duration: float) -> Chapter:
                     None if found["met"] is None else f"{100.0 * found['met']:.0f}",
                 )
             )
-    table = Table(
-        "roads",
-        f"Results with a coil lag of {1e3 * LAG:.0f} ms. Comfort: RMS acceleration of the body. "
-        "Holding: RMS deviation of the tyre load from the static load, relative to it. Travel: RMS "
-        "suspension stroke. Power: mean power dissipated by the damper. Coil: mean square of its "
-        "current. Met: fraction of the time in which the desired force was attainable. Changes are "
-        "relative to passive-off on the same road.",
-        heads(
-            "road | controller | comfort (m/s²) | change (%) | holding (%) | change (%) | "
-            "travel (mm) | power (W) | coil (A²) | met (%)"
-        ),
-        rows,
-    )
     speeds = ", ".join(f"{road} {speed:.0f} m/s" for road, speed in SPEEDS.items())
     return Chapter(
         "roads",
         "Roads A to E",
+        told,
         [
-            Text(
-                "Each road is a sum of sines of random phases with the density of its class, "
-                f"the same for every controller; {speeds}. After {SETTLED:.0f} s, in which the "
-                f"estimate of the motion settles, {duration - SETTLED:.0f} s are evaluated. Every "
-                "controller has one setting for all roads; none was tuned to a road."
+            "Each road is a sum of sines of random phases with the density of its class, the same "
+            f"for every controller; {speeds}. After {SETTLED:.0f} s, in which the estimate of the "
+            f"motion settles, {duration - SETTLED:.0f} s are evaluated. Every controller has one "
+            "setting for all roads; none was tuned to a road.",
+            _trade_off(drives),
+            _by_road(drives),
+            _spectra(drives),
+            table(
+                "roads",
+                f"Results with a coil lag of {1e3 * LAG:.0f} ms. Comfort: RMS acceleration of the "
+                "body. Holding: RMS deviation of the tyre load from the static load, relative to "
+                "it. Travel: RMS suspension stroke. Power: mean power dissipated by the damper. "
+                "Coil: mean square of its current. Met: fraction of the time in which the desired "
+                "force was attainable. Changes are relative to passive-off on the same road.",
+                "road | controller | comfort (m/s²) | change (%) | holding (%) | change (%) | "
+                "travel (mm) | power (W) | coil (A²) | met (%)",
+                rows,
             ),
-            Picture(
-                "trade_off",
-                f"Comfort against road holding on road {_ROAD}; lower left is better. Line: "
-                f"constant currents from 0 to {HIGHEST_CURRENT:g} A. Filled: coil without lag; "
-                f"open: coil lag {1e3 * LAG:.0f} ms.",
-                _trade_off(drives),
-            ),
-            Picture(
-                "by_road",
-                "Comfort, road holding and travel of the suspension on the five roads, relative to "
-                f"passive-off; coil lag {1e3 * LAG:.0f} ms. Bars are cut at {_MOST_SHOWN:.0f} %; "
-                "the table has all values.",
-                _by_road(drives),
-            ),
-            Picture(
-                "spectra",
-                f"Spectral density of the body's acceleration on road {_ROAD}; coil lag "
-                f"{1e3 * LAG:.0f} ms (Welch's method, segments of 4 s).",
-                _spectra(drives),
-            ),
-            table,
         ],
     )
 
 
-def _bump_chapter(drives: Drives) -> Chapter:
-    """Peaks and time histories over the bump."""
+def _bump_chapter(drives: Drives, best: str) -> Chapter:
+    """Peaks and time histories over the bump; ``best`` is the best controller on the road."""
     over = {strategy: drives[strategy, BUMP_ROAD, LAG] for strategy in STRATEGIES}
     rows = [
         (
@@ -352,7 +316,9 @@ def _bump_chapter(drives: Drives) -> Chapter:
         )
         for strategy, found in over.items()
     ]
-    figure, axes = panels(3, 1, 6.6, 4.6, sharex=True)
+    picture, axes = chart(
+        "bump", f"Over the bump, coil lag {1e3 * LAG:.0f} ms.", (3, 1, 6.6, 4.6), sharex=True
+    )
     for place, strategy in enumerate(_shown(drives)):
         time, acceleration, load, current = over[strategy]["series"]
         chosen = (time > BUMP.start - 0.1) & (time < BUMP.start + 2.4)
@@ -362,23 +328,24 @@ def _bump_chapter(drives: Drives) -> Chapter:
         *(axes, "acceleration (m/s²)", "tyre load (kN)", "current (A)"),
         time="time since the bump (s)",
     )
-    document.legend_above(figure, axes[0, 0], 4)
+    legend_above(axes[0, 0], 4)
     return Chapter(
         "bump",
         "A bump",
+        f"over the bump, the acceleration of the body is {over[best]['comfort']:.2f} m/s² (RMS; "
+        f"peak {over[best]['highest']:.1f}) with {best}, and {over[OFF]['comfort']:.2f} m/s² (peak "
+        f"{over[OFF]['highest']:.1f}) with passive-off.",
         [
-            Text(
-                f"The bump is a cosine of {1e3 * BUMP.height:.0f} mm by {BUMP.length:g} m, passed "
-                f"at {BUMP.speed:g} m/s on a road of class A, {BUMP.start:g} s after the start. A "
-                "controller commands the safe current, 0 A, until the motion is known; peaks are "
-                f"evaluated from {SETTLED:g} s on."
-            ),
-            Picture("bump", f"Over the bump, coil lag {1e3 * LAG:.0f} ms.", figure),
-            Table(
+            f"The bump is a cosine of {1e3 * BUMP.height:.0f} mm by {BUMP.length:g} m, passed at "
+            f"{BUMP.speed:g} m/s on a road of class A, {BUMP.start:g} s after the start. A "
+            "controller commands the safe current, 0 A, until the motion is known; peaks are "
+            f"evaluated from {SETTLED:g} s on.",
+            picture,
+            table(
                 "bump",
                 "Peaks of the acceleration of the body, of the deviation of the tyre load from the "
                 "static load, and of the suspension stroke; RMS acceleration of the body.",
-                ("controller", "peak (m/s²)", "load (kN)", "travel (mm)", "RMS (m/s²)"),
+                "controller | peak (m/s²) | load (kN) | travel (mm) | RMS (m/s²)",
                 rows,
             ),
         ],
@@ -396,22 +363,24 @@ def _lag_chapter(drives: Drives) -> Chapter:
                 cells += [factor * quick[name], factor * late[name]]
                 cells.append(_percent(late[name], quick[name]))
             rows.append(cells)
+    worst = max(
+        drives[each, _ROAD, LAG]["comfort"] / drives[each, _ROAD, 0.0]["comfort"]
+        for each in CONTROLLERS
+    )
     return Chapter(
         "lag",
         "With and without lag of the coil",
+        f"a coil lag of 10 ms increases the acceleration of the body by at most {worst - 1.0:.0%} "
+        "on road C.",
         [
-            Text(
-                "The coil current follows the supply current with a first-order lag of "
-                f"{1e3 * LAG:.0f} ms. The controller knows this lag and compensates for it within "
-                "the limits of the supply."
-            ),
-            Table(
+            "The coil current follows the supply current with a first-order lag of "
+            f"{1e3 * LAG:.0f} ms. The controller knows this lag and compensates for it within the "
+            "limits of the supply.",
+            table(
                 "lag",
                 f"Results without and with a coil lag of {1e3 * LAG:.0f} ms.",
-                heads(
-                    "controller | road | comfort, none (m/s²) | 10 ms | change (%) | "
-                    "holding, none (%) | 10 ms | change (%)"
-                ),
+                "controller | road | comfort, none (m/s²) | 10 ms | change (%) | "
+                "holding, none (%) | 10 ms | change (%)",
                 rows,
             ),
         ],
@@ -422,8 +391,14 @@ def _percent(value: float, reference: float) -> str:
     return f"{100.0 * (value / reference - 1.0):+.1f}".replace("-", "−")
 
 
-def _trade_off(drives: Drives) -> object:
-    figure, axes = panels(1, 1, 4.8, 3.6)
+def _trade_off(drives: Drives) -> Picture:
+    picture, axes = chart(
+        "trade_off",
+        f"Comfort against road holding on road {_ROAD}; lower left is better. Line: constant "
+        f"currents from 0 to {HIGHEST_CURRENT:g} A. Filled: coil without lag; open: coil lag "
+        f"{1e3 * LAG:.0f} ms.",
+        (1, 1, 4.8, 3.6),
+    )
     axis = axes[0, 0]
 
     def place_of(name: str, lag: float) -> tuple[float, float]:
@@ -443,11 +418,18 @@ def _trade_off(drives: Drives) -> object:
         axis.annotate(name, place, xytext=by, textcoords="offset points", ha=side, fontsize=7.5)
     axis.set(xlabel="RMS acceleration of the body (m/s²)", ylabel="RMS load of the tyre (%)")
     axis.legend(fontsize=7)
-    return figure
+    return picture
 
 
-def _by_road(drives: Drives) -> object:
-    figure, axes = panels(3, 1, 6.6, 5.2, sharex=True)
+def _by_road(drives: Drives) -> Picture:
+    picture, axes = chart(
+        "by_road",
+        "Comfort, road holding and travel of the suspension on the five roads, relative to "
+        f"passive-off; coil lag {1e3 * LAG:.0f} ms. Bars are cut at {_MOST_SHOWN:.0f} %; the table "
+        "has all values.",
+        (3, 1, 6.6, 5.2),
+        sharex=True,
+    )
     for axis, (name, label) in zip(
         axes[:, 0],
         (("comfort", "acceleration (%)"), ("holding", "tyre load (%)"), ("travel", "travel (%)")),
@@ -462,14 +444,19 @@ def _by_road(drives: Drives) -> object:
         axis.axhline(100.0, color=GREY, linewidth=0.8)
         axis.set(ylabel=label, ylim=(0.0, _MOST_SHOWN))
     axes[-1, 0].set_xticks(range(len(SPEEDS)), [f"road {road}" for road in SPEEDS])
-    document.legend_above(figure, axes[0, 0], 4)
-    return figure
+    legend_above(axes[0, 0], 4)
+    return picture
 
 
-def _spectra(drives: Drives) -> object:
+def _spectra(drives: Drives) -> Picture:
     from scipy.signal import welch
 
-    figure, axes = panels(1, 1, 5.6, 3.0)
+    picture, axes = chart(
+        "spectra",
+        f"Spectral density of the body's acceleration on road {_ROAD}; coil lag "
+        f"{1e3 * LAG:.0f} ms (Welch's method, segments of 4 s).",
+        (1, 1, 5.6, 3.0),
+    )
     for place, strategy in enumerate(_shown(drives)):
         time, acceleration, _, _ = drives[strategy, _ROAD, LAG]["series"]
         rate = 1.0 / (time[1] - time[0])
@@ -479,7 +466,7 @@ def _spectra(drives: Drives) -> object:
         axes[0, 0].loglog(frequency[chosen], density[chosen], label=strategy, **line(place))
     axes[0, 0].set(xlabel="frequency (Hz)", ylabel="density ((m/s²)²/Hz)")
     axes[0, 0].legend()
-    return figure
+    return picture
 
 
 def _shown(drives: Drives) -> list[str]:

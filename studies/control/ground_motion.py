@@ -28,7 +28,6 @@ _FINE = 0.005
 class GroundMotion:
     """Accelerations (n,) [m/s²] at intervals of ``every`` [s], interpolated linearly."""
 
-    name: str
     acceleration: Array
     every: float
 
@@ -44,14 +43,14 @@ class GroundMotion:
 
     def scaled(self, factor: float) -> GroundMotion:
         """The motion multiplied by a factor."""
-        return GroundMotion(self.name, factor * self.acceleration, self.every)
+        return GroundMotion(factor * self.acceleration, self.every)
 
 
 def el_centro() -> GroundMotion:
     """The record of 1940 at full scale."""
     text = resources.files("studies.control").joinpath("el_centro_1940.csv").read_text("ascii")
     values = np.array([int(value) for line in text.split() for value in line.split(",")])
-    return GroundMotion("El Centro 1940", 1e-5 * GRAVITY * values, _EVERY)
+    return GroundMotion(1e-5 * GRAVITY * values, _EVERY)
 
 
 @dataclass(frozen=True)
@@ -61,7 +60,6 @@ class Shaking:
     It grows for ``rise`` seconds, stays strong for a given time and decays over ``decay`` [s].
     """
 
-    name: str
     peak: float
     frequency: float
     damping: float
@@ -89,13 +87,11 @@ class Shaking:
         shaken = (
             np.fft.irfft(noise * np.sqrt(power), count) * envelope * np.exp(-after / self.decay)
         )
-        return GroundMotion(
-            self.name, self.peak * GRAVITY / float(np.max(np.abs(shaken))) * shaken, _FINE
-        )
+        return GroundMotion(self.peak * GRAVITY / float(np.max(np.abs(shaken))) * shaken, _FINE)
 
 
-NEAR_FAULT = Shaking("near fault, invented", 0.83, 1.8, 0.35, 3.0, 5.0, 4.0, seed=1995)
+NEAR_FAULT = Shaking(0.83, 1.8, 0.35, 3.0, 5.0, 4.0, seed=1995)
 """A motion similar to Kobe: short, strong and slow."""
 
-SUBDUCTION = Shaking("subduction, invented", 0.55, 3.5, 0.45, 8.0, 12.0, 6.0, seed=2010)
+SUBDUCTION = Shaking(0.55, 3.5, 0.45, 8.0, 12.0, 6.0, seed=2010)
 """A motion similar to Maule: long and faster, shortened to its strong part."""

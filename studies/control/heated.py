@@ -15,11 +15,11 @@ from mr_damper_ros.control.semi_active import passive
 from mr_damper_ros.emulation.commanded_rig import commanded
 from mr_damper_ros.emulation.emulator import SupplySetpoint, ThermalModel
 from mr_damper_ros.emulation.plant_rig import invented_damper
-from mr_damper_ros.report.document import Chapter, Picture, Table, Text, legend_above, panels
+from mr_damper_ros.report.document import Chapter, legend_above
 from mr_damper_ros.signals.arrays import Array
 from mr_damper_ros.tracking.engine import Engine, EngineSettings
 from studies.control.car import BLOCK, CAR, LAG, STATIC_LOAD, car_rig, force_choice
-from studies.drawing import draw_rows, heads, line, name_rows
+from studies.drawing import chart, draw_rows, line, name_rows, table
 from studies.program import Campaign, Part
 
 _THERMAL = ThermalModel(capacity=215.0)
@@ -101,60 +101,55 @@ def heated_part(campaign: Campaign) -> Part:
     duration = 40.0 if campaign.quick else 90.0
     tasks = [{"learns": learns, "duration": duration} for learns in _NAMES]
     found = dict(zip(_NAMES, campaign.each("heated drives", drive_heated, tasks), strict=True))
-    figure, axes = panels(3, 1, 6.6, 4.8, sharex=True)
+    picture, axes = chart(
+        "heated",
+        "Temperature, and error and achieved fraction of the force while the desired force was "
+        f"attainable, each over {_STRETCH:g} s.",
+        (3, 1, 6.6, 4.8),
+        sharex=True,
+    )
     rows, growth = [], {}
     for learns, name in _NAMES.items():
-        series = found[learns]["series"]
-        time, celsius, comfort, holding, missed, wanted, share = series
-        shown = (celsius, 100.0 * missed / wanted, 100.0 * share)
-        draw_rows(axes, time, shown, name, **line(int(learns)))
-        errors, shares = _ends(series)
+        time, celsius, comfort, holding, missed, wanted, share = found[learns]["series"]
+        draw_rows(
+            axes, time, (celsius, 100.0 * missed / wanted, 100.0 * share), name, **line(int(learns))
+        )
+        errors, shares = _ends(found[learns]["series"])
         growth[learns] = errors[1] / errors[0]
+        moving = time > _BEGINNING[0]
         rows.append(
             (
                 *(name, float(celsius[-1]), 100.0 * errors[0], 100.0 * errors[1], growth[learns]),
-                *(100.0 * shares[0], 100.0 * shares[1], float(comfort[time > 5.0].mean())),
-                *(100.0 * float(holding[time > 5.0].mean()), found[learns]["accepted"]),
+                *(100.0 * shares[0], 100.0 * shares[1], float(comfort[moving].mean())),
+                *(100.0 * float(holding[moving].mean()), found[learns]["accepted"]),
             )
         )
     name_rows(axes, "temperature (°C)", "force error (%)", "force achieved (%)")
     axes[1, 0].set(ylim=(0.0, None))
-    legend_above(figure, axes[0, 0], 2)
+    legend_above(axes[0, 0], 2)
     chapter = Chapter(
         "heated",
         "While the damper heats from 28 °C",
+        f"with the set of 28 °C, the force error at the end is {growth[False]:.2f} times the error "
+        f"at the beginning; with the set identified on line, {growth[True]:.2f} times.",
         [
-            Text(
-                f"The car drives on road {_ROAD} with a coil lag of 10 ms. The desired force is "
-                f"that of a viscous damper of {_DAMPING:.0f} N s/m. The dissipated power heats the "
-                "damper, which loses 26 % of its force up to 71 °C and none above. The identifier "
-                "tracks it by windows of the measured motion, force and current, and the "
-                "controller uses each accepted set. Most of the error is caused by the lag of the "
-                "coil, not by the set."
-            ),
-            Picture(
-                "heated",
-                "Temperature, and error and achieved fraction of the force while the desired force "
-                f"was attainable, each over {_STRETCH:g} s.",
-                figure,
-            ),
-            Table(
+            f"The car drives on road {_ROAD} with a coil lag of 10 ms. The desired force is that "
+            f"of a viscous damper of {_DAMPING:.0f} N s/m. The dissipated power heats the damper, "
+            "which loses 26 % of its force up to 71 °C and none above. The identifier tracks it by "
+            "windows of the measured motion, force and current, and the controller uses each "
+            "accepted set. Most of the error is caused by the lag of the coil, not by the set.",
+            picture,
+            table(
                 "heated",
                 "Results for the time in which the desired force was attainable: first, from "
                 f"{_BEGINNING[0]:g} to {_BEGINNING[1]:g} s, and last, in the last {_END:g} s. "
                 "Error: RMSE over the RMS of the desired force. Achieved: least-squares fraction "
                 "of the desired force that the damper exerted.",
-                heads(
-                    "set | hottest (°C) | error, first (%) | error, last (%) | last/first | "
-                    "achieved, first (%) | achieved, last (%) | comfort (m/s²) | holding (%) | "
-                    "accepted sets"
-                ),
+                "set | hottest (°C) | error, first (%) | error, last (%) | last/first | "
+                "achieved, first (%) | achieved, last (%) | comfort (m/s²) | holding (%) | "
+                "accepted sets",
                 rows,
             ),
         ],
     )
-    told = (
-        f"with the set of 28 °C, the force error at the end is {growth[False]:.2f} times the error "
-        f"at the beginning; with the set identified on line, {growth[True]:.2f} times."
-    )
-    return Part([chapter], [told], {"fixed": growth[False], "identified": growth[True]})
+    return Part([chapter], {"fixed": growth[False], "identified": growth[True]})

@@ -17,14 +17,13 @@ from mr_damper_ros.control.linear_plant import DamperMotion, MovingPlant
 from mr_damper_ros.emulation.emulator import EmulatedDamper
 from mr_damper_ros.kinematics.motion import Motion
 from mr_damper_ros.kinematics.peak_velocity import PeakVelocity
-from mr_damper_ros.report import document
-from mr_damper_ros.report.document import DASHES, GREY, INK, Chapter, Picture, Table, Text, panels
+from mr_damper_ros.report.document import DASHES, GREY, Chapter, legend_above
 from mr_damper_ros.signals.arrays import Array
 from studies.control.buildings import DAMPERS, SCALE
 from studies.control.ground_motion import el_centro
 from studies.control.recorded_damper import recorded_damper
 from studies.control.shear_building import BUILDINGS
-from studies.drawing import draw_rows, name_rows
+from studies.drawing import chart, draw_rows, line, name_rows, table
 from studies.program import Campaign, Part
 
 STEP = 1.0 / 4096.0
@@ -119,17 +118,15 @@ def hybrid_part(campaign: Campaign) -> Part:
     tasks = [{"name": name, "duration": duration} for name in names]
     results = campaign.each("hybrid simulations", hybrid, tasks)
     found: dict[str, dict[str, Any]] = dict(zip(names, results, strict=True))
-    figure, axes = panels(2, 1, 6.6, 3.8, sharex=True)
+    picture, axes = chart("hybrid", "Roof and force of the dampers.", (2, 1, 6.6, 3.8), sharex=True)
     for place, (name, result) in enumerate(found.items()):
         chosen = (result["time"] > 1.0) & (result["time"] < 6.0)
         rows = (1e3 * result["roof"][chosen], 1e-3 * result["force"][chosen])
-        style = {
-            "color": INK[place - 1] if place else GREY,
-            "linestyle": DASHES[place] if place else "-",
-        }
+        style = line(place - 1) if place else {"color": GREY}
+        style["linestyle"] = DASHES[place]
         draw_rows(axes, result["time"][chosen], rows, name, **style)
     name_rows(axes, "roof (mm)", "force (kN)")
-    document.legend_above(figure, axes[0, 0], 3)
+    legend_above(axes[0, 0], 3)
     reference = found[REFERENCE]
     off = {
         name: [
@@ -144,31 +141,27 @@ def hybrid_part(campaign: Campaign) -> Part:
     chapter = Chapter(
         "hybrid",
         "A hybrid simulation, emulated",
+        f"with the damper in a lagging machine, the error of the roof is {late:.0%}; with a "
+        f"compensated command, it is {ahead:.0%}.",
         [
-            Text(
-                "As in a real-time hybrid simulation, the building is simulated and a machine "
-                "moves the damper; here machine and damper are emulated. A step is "
-                f"1/{1.0 / STEP:.0f} s, as in the benchmark. The measured force is held for a "
-                "step, for which the building is solved exactly. The machine follows its command "
-                f"as a second-order system of {BANDWIDTH:.0f} Hz with a damping ratio of "
-                f"{DAMPING:g}, which lags by {1e3 * DELAY:.1f} ms. The compensated command is "
-                "x + 2ζ/ω v + a/ω² of the simulated floor, with an ω that is "
-                f"{MODEL_ERROR:.0%} too high. The case is building I in El Centro at {SCALE:.0%} "
-                "with passive-on; in the reference, the damper is in the building."
-            ),
-            Picture("hybrid", "Roof and force of the dampers.", figure),
-            Table(
+            "As in a real-time hybrid simulation, the building is simulated and a machine moves "
+            f"the damper; here machine and damper are emulated. A step is 1/{1.0 / STEP:.0f} s, as "
+            "in the benchmark. The measured force is held for a step, for which the building is "
+            "solved exactly. The machine follows its command as a second-order system of "
+            f"{BANDWIDTH:.0f} Hz with a damping ratio of {DAMPING:g}, which lags by "
+            f"{1e3 * DELAY:.1f} ms. The compensated command is x + 2ζ/ω v + a/ω² of the simulated "
+            f"floor, with an ω that is {MODEL_ERROR:.0%} too high. The case is building I in El "
+            f"Centro at {SCALE:.0%} with passive-on; in the reference, the damper is in the "
+            "building.",
+            picture,
+            table(
                 "hybrid",
                 "RMS difference in percent of the RMS: motion of the damper and force, relative to "
                 "the reference (J1 and J2 of the benchmark); motion of the damper, relative to the "
                 "floor that it should follow (J3); motion of the roof, relative to the reference.",
-                ("", "motion", "force", "following", "roof"),
+                "| motion | force | following | roof",
                 [(name, *(100.0 * each for each in errors)) for name, errors in off.items()],
             ),
         ],
     )
-    told = (
-        f"with the damper in a lagging machine, the error of the roof is {late:.0%}; with a "
-        f"compensated command, it is {ahead:.0%}."
-    )
-    return Part([chapter], [told], {"late": late, "compensated": ahead})
+    return Part([chapter], {"late": late, "compensated": ahead})

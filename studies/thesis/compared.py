@@ -6,6 +6,7 @@ import math
 from collections.abc import Sequence
 
 from mr_damper_ros.report.document import Table
+from studies.drawing import table
 
 Compared = tuple[str, str, float, float | str | None, str]
 """Quantity, unit, our value, value or words of the thesis (None if not stated), and its place."""
@@ -31,5 +32,5 @@ def comparison(
             difference = percent((ours - thesis) / abs(thesis))
         stated = "not stated" if thesis is None else thesis
         rows.append((quantity, unit, ours, stated, difference, where))
-    columns = ("Quantity", "Unit", "Ours", "Thesis", "Difference", "In the thesis")
-    return Table(name, caption, columns, rows)
+    heads = "Quantity | Unit | Ours | Thesis | Difference | In the thesis"
+    return table(name, caption, heads, rows)

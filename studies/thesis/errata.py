@@ -13,8 +13,9 @@ A row of tables 17-40 is in error if
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Any
+from functools import cache
+from itertools import product
+from typing import NamedTuple
 
 import numpy as np
 
@@ -27,12 +28,12 @@ from mr_damper_ros.models.published import (
     parameters,
 )
 from mr_damper_ros.models.sigmoid.law import PARAMETER_NAMES, operating_point_coefficients
-from mr_damper_ros.report.document import Block, Picture, Table, Text, panels
+from mr_damper_ros.report.document import Chapter, Picture
 from mr_damper_ros.signals.arrays import Array
-from studies.drawing import heads, line
-from studies.program import Campaign
+from studies.drawing import chart, line, table
+from studies.program import Campaign, Part
 from studies.thesis import facts
-from studies.thesis.runs import loop, title
+from studies.thesis.runs import ACROSS, draw_loop, loop, title, top_speed
 
 Row = tuple[Condition, str]
 
@@ -45,8 +46,7 @@ _AGREE = 0.2
 METHOD_TITLES = {"nelder_mead": "Nelder–Mead", "differential_evolution": "DE"}
 
 
-@dataclass(frozen=True)
-class Features:
+class Features(NamedTuple):
     """Features of the loop of a row.
 
     ``half_span`` and ``offset`` are those of the force [N]. ``dissipation`` is the mean power over
@@ -64,18 +64,17 @@ class Features:
 
 def features(values: Array, condition: Condition) -> Features:
     """Features of a parameter set (16,) in a condition."""
-    turn = loop(values, condition)
-    top_speed = 2.0 * np.pi * condition.frequency * condition.amplitude
-    coefficients = operating_point_coefficients(values, top_speed, condition.current)
+    turn, fastest = loop(values, condition), top_speed(condition)
+    coefficients = operating_point_coefficients(values, fastest, condition.current)
     force, inner = turn.force, slice(0, -1)
     return Features(
         half_span=float(0.5 * np.ptp(force)),
         offset=float(np.mean(force[inner])),
         dissipation=float(
             np.mean((force * turn.velocity)[inner])
-            / (top_speed * np.sqrt(np.mean(force[inner] ** 2)))
+            / (fastest * np.sqrt(np.mean(force[inner] ** 2)))
         ),
-        hysteresis=float(coefficients.v_h[0] / top_speed),
+        hysteresis=float(coefficients.v_h[0] / fastest),
         stiffness=float(2.0 * np.mean((force * turn.displacement)[inner]) / condition.amplitude),
     )
 
@@ -88,42 +87,40 @@ def disagreement(condition: Condition) -> float:
     return float(np.linalg.norm(two - one) / np.linalg.norm(one))
 
 
+@cache
 def find_errata() -> dict[Row, list[str]]:
     """Rows in error, each with the criteria that it fails."""
-    rows: list[Row] = [
-        (condition, method) for condition in CONDITIONS for method in PUBLISHED_METHODS
-    ]
+    rows: list[Row] = list(product(CONDITIONS, PUBLISHED_METHODS))
     seen = {row: features(parameters(*row), row[0]) for row in rows}
     spans = {
         current: float(np.median([seen[r].half_span for r in rows if r[0].current == current]))
         for current in {condition.current for condition in CONDITIONS}
     }
+    distance = {row: abs(np.log(seen[row].half_span / spans[row[0].current])) for row in rows}
     found: dict[Row, list[str]] = {row: [] for row in rows}
-    for row in rows:
-        one, reasons = seen[row], found[row]
-        distance = abs(np.log(one.half_span / spans[row[0].current]))
-        twins = [
-            other
-            for other in rows
-            if other[1] == row[1]
-            and other[0].current != row[0].current
-            and np.array_equal(parameters(*other), parameters(*row))
-        ]
-        for twin in twins:
-            if distance > abs(np.log(seen[twin].half_span / spans[twin[0].current])):
+    for row, reasons in found.items():
+        one = seen[row]
+        for twin in rows:
+            if (
+                twin[1] == row[1]
+                and twin[0].current != row[0].current
+                and np.array_equal(parameters(*twin), parameters(*row))
+                and distance[row] > distance[twin]
+            ):
                 reasons.append(f"copied from {title(twin[0].name)}")
         if one.dissipation < 0.0:
             reasons.append("not dissipative")
         if one.dissipation * one.stiffness < 0.0:
             reasons.append("hysteresis reversed")
-        if distance > np.log(_FAMILY):
+        if distance[row] > np.log(_FAMILY):
             reasons.append("out of family")
+    shift = {row: one.offset / one.half_span for row, one in seen.items()}
     for condition in CONDITIONS:
         pair = [(condition, method) for method in PUBLISHED_METHODS]
         if disagreement(condition) > _AGREE and not any(found[row] for row in pair):
             usual = np.median(
                 [
-                    seen[row].offset / seen[row].half_span
+                    shift[row]
                     for row in rows
                     if row[0].amplitude == condition.amplitude
                     and row[0].current > 0.0
@@ -131,8 +128,7 @@ def find_errata() -> dict[Row, list[str]]:
                     and row not in pair
                 ]
             )
-            worst = max(pair, key=lambda r: abs(seen[r].offset / seen[r].half_span - usual))
-            found[worst].append("offset")
+            found[max(pair, key=lambda r: abs(shift[r] - usual))].append("offset")
     return {row: reasons for row, reasons in found.items() if reasons}
 
 
@@ -142,22 +138,22 @@ def sound_conditions() -> tuple[Condition, ...]:
     return tuple(c for c in CONDITIONS if c not in wrong)
 
 
-def statements() -> list[dict[str, Any]]:
-    """Statements of the text that its own numbers contradict: topic, stated, found, verdict."""
-    stroke = find("5.0mm_1Hz_0.5A").amplitude
-    sigma, variance = facts.FORCE_ERROR["sigma"], facts.FORCE_ERROR["variance"]
+class Statement(NamedTuple):
+    """A statement of the thesis that its own numbers contradict."""
+
+    statement: str
+    stated: float | str
+    found: float
+    verdict: str
+
+
+def statements() -> list[Statement]:
+    """Statements of the text that its own numbers contradict."""
     low, high = facts.SEARCH_LOW, facts.SEARCH_HIGH
-    uniform = np.square(high - low) / 12.0
-    crowded = [
-        name
-        for name, ours, most in zip(
-            PARAMETER_NAMES, facts.REPEATED["variance"], uniform, strict=True
-        )
-        if ours > 1.2 * most
-    ]
+    most = 1.2 * np.square(high - low) / 12.0
+    variances = facts.REPEATED["variance"]
+    crowded = [PARAMETER_NAMES[place] for place in np.flatnonzero(variances > most)]
     cold = find("5.0mm_1Hz_0.0A")
-    top_speed = 2.0 * np.pi * cold.frequency * cold.amplitude
-    most = _largest_force(top_speed)
     needed = float(np.max(np.abs(loop(parameters(cold), cold).force)))
     strokes = [_half_span(name) for name in ("5.0mm_1Hz_0.5A", "7.5mm_1Hz_0.5A")]
     rates = [_half_span(f"5.0mm_{rate}Hz_0.5A") for rate in (1, 5)]
@@ -165,68 +161,61 @@ def statements() -> list[dict[str, Any]]:
     wrong = int(np.argmax(np.abs(heated - facts.HEATED)))
     a0 = PARAMETER_NAMES.index("a0")
     return [
-        {
-            "statement": "the velocity rises by 0.06 m/s per 1 Hz (4.3)",
-            "stated": facts.VELOCITY_PER_HERTZ,
-            "found": 2.0 * np.pi * stroke,
-            "verdict": "for 5 mm it is 2π·5 mm per hertz; 0.06 is the rise per 2 Hz, the step "
-            "between the tests",
-        },
-        {
-            "statement": "variance of the force error [N²] beside σ = 5.526 N (Fig. 38)",
-            "stated": variance,
-            "found": sigma**2,
-            "verdict": "two different samples: the variance is not σ², nor the mean μ",
-        },
-        {
-            "statement": "tables 10 and 11 hold runs at 0 A: largest |force| [N] within their "
-            "extremes",
-            "stated": needed,
-            "found": most,
-            "verdict": "at 0 A no set within these extremes reaches the force of this run; the "
-            "runs are those of 1.5 A (section on repeated DE)",
-        },
-        {
-            "statement": "parameters whose variance exceeds that of a uniform distribution over "
-            "the range (tables 10, 11)",
-            "stated": 0,
-            "found": len(crowded),
-            "verdict": f"{', '.join(crowded)}: most results lie on the bounds of the search",
-        },
-        {
-            "statement": "a0 has outliers in the box plot (4.6, Fig. 40), with the variance of "
-            "table 10",
-            "stated": facts.REPEATED["variance"][a0],
-            "found": _variance_with_outliers(low[a0], high[a0]),
-            "verdict": "found: the largest variance within the bounds that permits an outlier, 1.5 "
-            "boxes beyond the box; the stated variance is larger",
-        },
-        {
-            "statement": f"difference of {PARAMETER_NAMES[wrong]} between 28 and 71 °C (table 8)",
-            "stated": facts.HEATED[wrong],
-            "found": heated[wrong],
-            "verdict": "the two values in the same table give another difference",
-        },
-        {
-            "statement": "the force varies minimally with the frequency (4.3): half span at 5 Hz "
-            "over 1 Hz (5 mm, 0.5 A)",
-            "stated": 1.0,
-            "found": rates[1] / rates[0],
-            "verdict": "rises by a fifth; the same section also says that the force increases",
-        },
-        {
-            "statement": "the force increases as the displacement rises (summary of chapter 4): "
-            "half span at 7.5 mm over 5 mm (1 Hz, 0.5 A)",
-            "stated": "> 1",
-            "found": strokes[1] / strokes[0],
-            "verdict": "falls, as section 4.4 also says",
-        },
-        {
-            "statement": "conditions: table 12 lists 31 runs",
-            "stated": 31,
-            "found": len(CONDITIONS),
-            "verdict": "tables 17–40 hold 34 (7.5 mm 5 Hz at 0, 0.5, 1.0 A is missing in table 12)",
-        },
+        Statement(
+            "the velocity rises by 0.06 m/s per 1 Hz (4.3)",
+            facts.VELOCITY_PER_HERTZ,
+            2.0 * np.pi * 5e-3,
+            "for 5 mm it is 2π·5 mm per hertz; 0.06 is the rise per 2 Hz, the step between the "
+            "tests",
+        ),
+        Statement(
+            "variance of the force error [N²] beside σ = 5.526 N (Fig. 38)",
+            facts.FORCE_ERROR["variance"],
+            facts.FORCE_ERROR["sigma"] ** 2,
+            "two different samples: the variance is not σ², nor the mean μ",
+        ),
+        Statement(
+            "tables 10 and 11 hold runs at 0 A: largest |force| [N] within their extremes",
+            needed,
+            _largest_force(top_speed(cold)),
+            "at 0 A no set within these extremes reaches the force of this run; the runs are those "
+            "of 1.5 A (section on repeated DE)",
+        ),
+        Statement(
+            "parameters whose variance exceeds that of a uniform distribution over the range "
+            "(tables 10, 11)",
+            *(0, len(crowded)),
+            f"{', '.join(crowded)}: most results lie on the bounds of the search",
+        ),
+        Statement(
+            "a0 has outliers in the box plot (4.6, Fig. 40), with the variance of table 10",
+            float(variances[a0]),
+            _variance_with_outliers(low[a0], high[a0]),
+            "found: the largest variance within the bounds that permits an outlier, 1.5 boxes "
+            "beyond the box; the stated variance is larger",
+        ),
+        Statement(
+            f"difference of {PARAMETER_NAMES[wrong]} between 28 and 71 °C (table 8)",
+            *(float(facts.HEATED[wrong]), float(heated[wrong])),
+            "the two values in the same table give another difference",
+        ),
+        Statement(
+            "the force varies minimally with the frequency (4.3): half span at 5 Hz over 1 Hz "
+            "(5 mm, 0.5 A)",
+            *(1.0, rates[1] / rates[0]),
+            "rises by a fifth; the same section also says that the force increases",
+        ),
+        Statement(
+            "the force increases as the displacement rises (summary of chapter 4): half span at "
+            "7.5 mm over 5 mm (1 Hz, 0.5 A)",
+            *("> 1", strokes[1] / strokes[0]),
+            "falls, as section 4.4 also says",
+        ),
+        Statement(
+            "conditions: table 12 lists 31 runs",
+            *(31, len(CONDITIONS)),
+            "tables 17–40 hold 34 (7.5 mm 5 Hz at 0, 0.5, 1.0 A is missing in table 12)",
+        ),
     ]
 
 
@@ -244,112 +233,86 @@ def _variance_with_outliers(low: float, high: float) -> float:
     return 0.75 * 0.25 * (high - low) ** 2
 
 
-def _largest_force(top_speed: float) -> float:
+def _largest_force(fastest: float) -> float:
     """Bound on |force| [N] at 0 A within the extremes of tables 10 and 11."""
     high = dict(zip(PARAMETER_NAMES, facts.SEARCH_HIGH, strict=True))
     low = dict(zip(PARAMETER_NAMES, facts.SEARCH_LOW, strict=True))
-    yield_force = high["f0"] * (1.0 + np.exp(high["a1"] * top_speed))
+    yield_force = high["f0"] * (1.0 + np.exp(high["a1"] * fastest))
     offset = max(facts.REPEATED["maximum"][14], -facts.REPEATED["minimum"][14])
-    slope = max(high["k1c"], high["k1e"]) * np.exp(-low["a4"] * top_speed)
-    return float(yield_force * (1.0 + offset) * (1.0 + slope * top_speed))
+    slope = max(high["k1c"], high["k1e"]) * np.exp(-low["a4"] * fastest)
+    return float(yield_force * (1.0 + offset) * (1.0 + slope * fastest))
 
 
-def compute(campaign: Campaign) -> dict[str, Any]:
-    """Data of the section."""
-    rows, found = [], find_errata()
-    for row in ((c, method) for c in CONDITIONS for method in PUBLISHED_METHODS):
+def errata_part(campaign: Campaign) -> Part:
+    """The chapter on errata."""
+    found, rows, contradicted = find_errata(), [], statements()
+    for row in product(CONDITIONS, PUBLISHED_METHODS):
         if row in found or row in facts.ROW_ERRATA:
             one = features(parameters(*row), row[0])
             rows.append(
-                {
-                    "condition": row[0].name,
-                    "method": row[1],
-                    "criteria": found.get(row, []),
-                    "disagreement": disagreement(row[0]),
-                    **{key: getattr(one, key) for key in ("half_span", "offset", "hysteresis")},
-                }
+                (
+                    *(title(row[0].name), METHOD_TITLES[row[1]]),
+                    ", ".join(found.get(row, ())) or "none: the row is sound",
+                    *(one.half_span, one.offset, one.hysteresis),
+                    100.0 * disagreement(row[0]),
+                )
             )
-    return {"rows": rows, "statements": statements()}
-
-
-def headline(data: dict[str, Any]) -> str:
-    """The result in a sentence."""
-    wrong = sum(bool(row["criteria"]) for row in data["rows"])
-    return (
-        f"{wrong} of {len(CONDITIONS) * len(PUBLISHED_METHODS)} rows are in error, and "
-        f"{len(data['statements'])} statements contradict numbers in the thesis."
-    )
-
-
-def show(data: dict[str, Any]) -> list[Block]:
-    """Text, tables and figure of the section."""
-    rows = [
-        (
-            title(row["condition"]),
-            METHOD_TITLES[row["method"]],
-            ", ".join(row["criteria"]) or "none: the row is sound",
-            row["half_span"],
-            row["offset"],
-            row["hysteresis"],
-            100.0 * row["disagreement"],
-        )
-        for row in data["rows"]
-    ]
-    return [
-        Text(
+    chapter = Chapter(
+        "errata",
+        "Errata",
+        f"{len(found)} of {len(CONDITIONS) * len(PUBLISHED_METHODS)} rows are in error, and "
+        f"{len(contradicted)} statements contradict numbers in the thesis.",
+        [
             "Each row of tables 17–40 was checked by five criteria: copied from another current; "
             "not dissipative; hysteresis reversed; force outside the range of its current (a "
             "factor of two); implausible offset where the loops of both methods disagree. The "
             "criteria use the loop, because several parameters may change their signs together "
             "without a change of the loop. In this report, a condition is called sound if its "
-            f"Nelder–Mead row is sound: {len(sound_conditions())} of {len(CONDITIONS)}."
-        ),
-        Table(
-            "errata_rows",
-            "Rows in error, and a sound row that looks like an error: in the Nelder–Mead row of "
-            "7.5 mm, 3 Hz, 1.5 A, k4 is positive, but because of k3, a3 and I1 the hysteresis "
-            "velocity v_h/v_m is negative, as in all other rows. The last column is the norm of "
-            "the difference between the loops of both methods.",
-            heads(
-                "Condition | Method | Criteria failed | Half span [N] | Offset [N] | "
-                "v_h/v_m [1] | Methods differ by [%]"
+            f"Nelder–Mead row is sound: {len(sound_conditions())} of {len(CONDITIONS)}.",
+            table(
+                "errata_rows",
+                "Rows in error, and a sound row that looks like an error: in the Nelder–Mead row "
+                "of 7.5 mm, 3 Hz, 1.5 A, k4 is positive, but because of k3, a3 and I1 the "
+                "hysteresis velocity v_h/v_m is negative, as in all other rows. The last column is "
+                "the norm of the difference between the loops of both methods.",
+                "Condition | Method | Criteria failed | Half span [N] | Offset [N] | v_h/v_m [1] | "
+                "Methods differ by [%]",
+                rows,
             ),
-            rows,
-        ),
-        _figure(),
-        Table(
-            "errata_statements",
-            "Statements that contradict numbers in the thesis.",
-            ("Statement", "Stated", "Found", "Verdict"),
-            [(s["statement"], s["stated"], s["found"], s["verdict"]) for s in data["statements"]],
-        ),
-        Text(
+            _loops(),
+            table(
+                "errata_statements",
+                "Statements that contradict numbers in the thesis.",
+                "Statement | Stated | Found | Verdict",
+                contradicted,
+            ),
             "The second column of every table of appendix C says 0 A for all currents. The "
             "captions are correct, except for table 20, which belongs to 5.0 mm. The caption of "
             "figure 34 names the frequency, but the figure shows the displacement. Table 13 refers "
             "to figure 53 for a0 and a4, which are in figures 44 and 45. The printed routine "
             "overflows if its exponent is large: started from the literature set, it returns NaN "
-            "within a few hundred evaluations."
-        ),
-    ]
+            "within a few hundred evaluations.",
+        ],
+    )
+    return Part([chapter])
 
 
-def _figure() -> Picture:
+def _loops() -> Picture:
     names = ("2.5mm_5Hz_0.0A", "7.5mm_5Hz_1.0A", "7.5mm_1Hz_1.5A", "7.5mm_3Hz_1.5A")
-    figure, axes = panels(1, len(names), 7.4, 2.3)
-    for a, name in zip(axes[0], names, strict=True):
-        for number, method in enumerate(PUBLISHED_METHODS):
-            turn = loop(parameters(find(name), method), find(name))
-            a.plot(turn.velocity, turn.force, label=METHOD_TITLES[method], **line(number))
-        a.set(title=title(name), xlabel="Velocity [m/s]")
-        a.locator_params(axis="x", nbins=3)
-        a.locator_params(axis="y", nbins=5)
-    axes[0, 0].set_ylabel("Force [N]")
-    axes[0, 0].legend(loc="upper left", fontsize=6.5, handlelength=1.6)
-    return Picture(
+    picture, axes = chart(
         "errata",
         "Loops of the two methods in the conditions where they disagree and no table was copied. "
         "In all four the DE row is wrong: a force four times too large, a loop that is not "
         "dissipative (twice), and an offset with the wrong sign.",
-        figure,
+        (1, len(names), 7.4, 2.3),
+        *(ACROSS["velocity"], "Force [N]"),
     )
+    for a, name in zip(axes[0], names, strict=True):
+        for number, method in enumerate(PUBLISHED_METHODS):
+            values = parameters(find(name), method)
+            draw_loop(a, values, find(name), label=METHOD_TITLES[method], **line(number))
+        a.set_title(title(name))
+        a.locator_params(axis="x", nbins=3)
+        a.locator_params(axis="y", nbins=5)
+    axes[0, 0].legend(loc="upper left", fontsize=6.5, handlelength=1.6)
+    return picture

@@ -15,18 +15,16 @@ from mr_damper_ros.estimation.window_fit import fit_window
 from mr_damper_ros.models import MODELS
 from mr_damper_ros.models.published import LITERATURE
 from mr_damper_ros.models.sigmoid.law import PARAMETER_NAMES
-from mr_damper_ros.report.document import GREY, INK, Block, Picture, Table, Text, panels
+from mr_damper_ros.report.document import GREY, INK, Chapter, Picture
 from mr_damper_ros.signals.arrays import Array
-from studies.drawing import line
-from studies.program import Campaign
+from studies.drawing import chart, line, table
+from studies.program import Campaign, Part
 from studies.thesis import facts
 from studies.thesis.compared import Compared, comparison
-from studies.thesis.runs import DISPLACEMENT_NOISE, recording, window
+from studies.thesis.runs import ACROSS, DISPLACEMENT_NOISE, recording, window
 from studies.thesis.searches import fminsearch
 
 CONDITION = "2.5mm_1Hz_0.0A"
-
-K5 = PARAMETER_NAMES.index("k5")
 
 
 def normal_statistics(error: Array) -> dict[str, float]:
@@ -57,84 +55,56 @@ def normal_statistics(error: Array) -> dict[str, float]:
 
 
 def identify(name: str, seed: int) -> dict[str, Any]:
-    """Task: sine, force by Nelder-Mead (16 and 7 unknowns), errors."""
+    """Task: sine and force of a run, by Nelder-Mead over 16 and over 7 unknowns.
+
+    Returns the ``sine``; the RMSE [N] of the literature set as printed first and as used later;
+    evaluations and RMSE of both searches; both errors (n,); and one ``cycle`` for the figures.
+    """
     run, w = recording(name, seed), window(name, seed)
-    sine = w.motion.sine
-    if sine is None:
-        raise ValueError(f"the displacement of {name} is no sine")
+    law, sine = MODELS["sigmoid"], w.motion.sine
+    assert sine is not None  # the run is made of one
 
     def norm(parameters: Array) -> float:
-        return float(np.linalg.norm(MODELS["sigmoid"].window_force(w, parameters) - w.force))
+        return float(np.linalg.norm(law.window_force(w, parameters) - w.force))
 
     # Appendix D prints the literature set twice, with either sign of k5.
     flipped = LITERATURE.copy()
-    flipped[K5] *= -1.0
-    starts = {"printed": norm(LITERATURE), "k5 positive": norm(flipped)}
-    found, cost, evaluations = fminsearch(norm, flipped)
-    seven = fit_window(MODELS["sigmoid"], w, flipped)
-    shown = slice(0, round(1.0 / sine.frequency / run.period))
+    flipped[PARAMETER_NAMES.index("k5")] *= -1.0
+    _, cost, evaluations = fminsearch(norm, flipped)
+    seven = fit_window(law, w, flipped)
     fitted = sine.at(run.time).displacement + sine.offset
-    sixteen_force, force, literature = (
-        MODELS["sigmoid"].window_force(w, values) for values in (found, seven.parameters, flipped)
-    )
+    force = law.window_force(w, seven.parameters)
     drawn = {
         "time": run.time,
-        "displacement": run.displacement,
-        "fitted_displacement": fitted,
+        "sine": 1e3 * fitted,
+        "displacement": 1e3 * run.displacement,
         "velocity": w.motion.velocity,
         "force": w.force,
-        "fitted_force": force,
-        "literature_force": literature,
+        "identified": force,
+        "literature": law.window_force(w, flipped),
     }
-    names = ("amplitude", "frequency", "phase", "offset")
+    shown = slice(0, round(1.0 / sine.frequency / run.period))
+    root = np.sqrt(w.sample_count)
     return {
-        "sine": {name: getattr(sine, name) for name in names},
-        "starts_rmse": {k: v / np.sqrt(w.sample_count) for k, v in starts.items()},
-        "nelder_mead_16": {
-            "parameters": found.tolist(),
-            "evaluations": evaluations,
-            "statistics": normal_statistics(sixteen_force - w.force),
-            "rmse": cost / np.sqrt(w.sample_count),
-        },
-        "nelder_mead_7": {
-            "parameters": seven.parameters.tolist(),
-            "evaluations": seven.evaluations,
-            "rmse": seven.rmse,
-        },
-        "displacement_statistics": normal_statistics(fitted - run.displacement),
-        "force_statistics": normal_statistics(force - w.force),
-        "displacement_error": (fitted - run.displacement).tolist(),
-        "force_error": (force - w.force).tolist(),
-        # One cycle is enough for the figures.
-        **{name: values[shown].tolist() for name, values in drawn.items()},
+        "sine": sine,
+        "starts": (norm(LITERATURE) / root, norm(flipped) / root),
+        "sixteen": (evaluations, cost / root),
+        "seven": (seven.evaluations, seven.rmse),
+        "displacement_error": fitted - run.displacement,
+        "force_error": force - w.force,
+        "cycle": {name: values[shown] for name, values in drawn.items()},
     }
 
 
-def compute(campaign: Campaign) -> dict[str, Any]:
-    """Data of the section."""
-    task = {"name": CONDITION, "seed": campaign.seed}
-    (data,) = campaign.each_kept("force_error", identify, [task])
-    return dict(data)
-
-
-def headline(data: dict[str, Any]) -> str:
-    """The result in a sentence."""
-    ours, theirs = data["force_statistics"], facts.FORCE_ERROR
-    return (
-        f"the force error has σ = {ours['sigma']:.2f} N (thesis {theirs['sigma']:.2f} N) and is "
-        f"normal; seven unknowns fit as well as sixteen, in {data['nelder_mead_7']['evaluations']} "
-        f"evaluations instead of {data['nelder_mead_16']['evaluations']}."
-    )
-
-
-def show(data: dict[str, Any]) -> list[Block]:
-    """Text, tables and figures of the section."""
-    sine, errors = data["sine"], data["force_statistics"]
-    scatter = 1e6 * data["displacement_statistics"]["sigma"]
+def force_error_part(campaign: Campaign) -> Part:
+    """The chapter on both errors."""
+    (found,) = campaign.each("force_error", identify, [{"name": CONDITION, "seed": campaign.seed}])
+    sine, errors = found["sine"], normal_statistics(found["force_error"])
+    scatter = 1e6 * normal_statistics(found["displacement_error"])["sigma"]
     sines: list[Compared] = [
-        ("amplitude", "mm", 1e3 * sine["amplitude"], 2.5, "Fig. 17"),
-        ("frequency", "Hz", sine["frequency"], 1.0, "Fig. 17"),
-        ("phase", "rad", sine["phase"], facts.SINE["phase"], "App. D"),
+        ("amplitude", "mm", 1e3 * sine.amplitude, 2.5, "Fig. 17"),
+        ("frequency", "Hz", sine.frequency, 1.0, "Fig. 17"),
+        ("phase", "rad", sine.phase, facts.SINE["phase"], "App. D"),
         ("displacement error, standard deviation", "µm", scatter, None, "Fig. 18"),
     ]
     units = {"sample_size": "1", "variance": "N²"}
@@ -146,115 +116,104 @@ def show(data: dict[str, Any]) -> list[Block]:
         (name.replace("_", " "), "1", errors[name], None, "")
         for name in ("skewness", "excess_kurtosis")
     ]
-    begun = data["starts_rmse"]
-    fits = Table(
-        "force_fit",
-        "Force fitted by Nelder–Mead from the literature set, over all sixteen parameters (as in "
-        "the thesis) and over the seven that one run determines. The added noise has a standard "
-        f"deviation of {THESIS_FORCE_NOISE:.4g} N.",
-        ("Search", "Evaluations", "RMSE [N]"),
+    printed, used = found["starts"]
+    chapter = Chapter(
+        "force-error",
+        "Sine and force identified, and their errors",
+        f"the force error has σ = {errors['sigma']:.2f} N (thesis {facts.FORCE_ERROR['sigma']:.2f} "
+        f"N) and is normal; seven unknowns fit as well as sixteen, in {found['seven'][0]} "
+        f"evaluations instead of {found['sixteen'][0]}.",
         [
-            ("start: literature as printed first (k5 = −0.260)", 1, begun["printed"]),
-            (
-                "start: literature as used later (k5 = +0.260)",
-                1,
-                begun["k5 positive"],
-            ),
-            *(
-                (f"Nelder–Mead, {number} unknowns", fit["evaluations"], fit["rmse"])
-                for number, fit in ((16, data["nelder_mead_16"]), (7, data["nelder_mead_7"]))
-            ),
-        ],
-    )
-    return [
-        Text(
             "The run of 2.5 mm, 1 Hz, 0 A has 7001 samples. The noise of the force has the "
             "standard deviation that the thesis reports. Our residual has the same standard "
             "deviation, so it contains only noise. The extremes are single samples, which scatter "
             "by a newton or two between seeds. The noise of the displacement "
-            f"({1e6 * DISPLACEMENT_NOISE:.0f} µm) is assumed, because the thesis does not state it."
-        ),
-        comparison("sine", "Sine fitted to the displacement.", sines),
-        _sine_figure(data),
-        fits,
-        Text(
+            f"({1e6 * DISPLACEMENT_NOISE:.0f} µm) is assumed, because the thesis does not state "
+            "it.",
+            comparison("sine", "Sine fitted to the displacement.", sines),
+            _sine_figure(found),
+            table(
+                "force_fit",
+                "Force fitted by Nelder–Mead from the literature set, over all sixteen parameters "
+                "(as in the thesis) and over the seven that one run determines. The added noise "
+                f"has a standard deviation of {THESIS_FORCE_NOISE:.4g} N.",
+                "Search | Evaluations | RMSE [N]",
+                [
+                    ("start: literature as printed first (k5 = −0.260)", 1, printed),
+                    ("start: literature as used later (k5 = +0.260)", 1, used),
+                    ("Nelder–Mead, 16 unknowns", *found["sixteen"]),
+                    ("Nelder–Mead, 7 unknowns", *found["seven"]),
+                ],
+            ),
             "Appendix D prints the literature set twice, once with k5 = −0.260 and once with "
             "+0.260. The search starts from the positive value, because only this value shifts the "
-            "loop in the direction of this run."
-        ),
-        comparison(
-            "force_error",
-            "Error of the fitted force. The thesis states the numbers of two different samples: "
-            "its variance of 31.01 N² is not the square of its σ of 5.526 N (30.54 N²), and its "
-            "mean differs from its μ.",
-            forces,
-            zeros=("mean", "mu"),
-        ),
-        _force_figure(data),
-        _error_figure(data),
-    ]
-
-
-def _sine_figure(data: dict[str, Any]) -> Picture:
-    figure, axes = panels(1, 2, 6.6, 2.5)
-    left, right = axes[0]
-    time = np.array(data["time"])
-    left.plot(time, 1e3 * np.array(data["displacement"]), color=GREY, lw=2.4, label="run")
-    left.plot(
-        time, 1e3 * np.array(data["fitted_displacement"]), "--", color=INK[0], label="fitted sine"
+            "loop in the direction of this run.",
+            comparison(
+                "force_error",
+                "Error of the fitted force. The thesis states the numbers of two different "
+                "samples: its variance of 31.01 N² is not the square of its σ of 5.526 N (30.54 "
+                "N²), and its mean differs from its μ.",
+                forces,
+                zeros=("mean", "mu"),
+            ),
+            _force_figure(found["cycle"]),
+            _error_figure(np.sort(found["force_error"])),
+        ],
     )
-    left.set(xlabel="Time [s]", ylabel="Displacement [mm]", ylim=(-2.8, 3.6))
-    left.legend(ncols=2, loc="upper center")
-    _histogram(right, 1e6 * np.array(data["displacement_error"]), "Displacement error [µm]")
-    return Picture(
+    return Part([chapter])
+
+
+def _sine_figure(found: dict[str, Any]) -> Picture:
+    picture, ((left, right),) = chart(
         "sine",
         "Sine fitted to the displacement, one of seven cycles (thesis Fig. 17), and the histogram "
         "of its error with the normal fit (Fig. 18). Re-synthesised run.",
-        figure,
+        (1, 2, 6.6, 2.5),
     )
+    cycle = found["cycle"]
+    left.plot(cycle["time"], cycle["displacement"], color=GREY, lw=2.4, label="run")
+    left.plot(cycle["time"], cycle["sine"], "--", color=INK[0], label="fitted sine")
+    left.set(xlabel="Time [s]", ylabel="Displacement [mm]", ylim=(-2.8, 3.6))
+    left.legend(ncols=2, loc="upper center")
+    _histogram(right, 1e6 * found["displacement_error"], "Displacement error [µm]")
+    return picture
 
 
-def _force_figure(data: dict[str, Any]) -> Picture:
-    figure, axes = panels(1, 2, 6.6, 2.9)
-    for place, (key, scale, label) in enumerate(
-        (("displacement", 1e3, "Displacement [mm]"), ("velocity", 1.0, "Velocity [m/s]"))
-    ):
-        a = axes[0, place]
-        x = scale * np.array(data[key])
-        a.plot(x, data["force"], ".", ms=2, color=GREY, label="run")
-        a.plot(x, data["fitted_force"], color=INK[0], label="identified")
-        a.plot(x, data["literature_force"], label="literature", **line(1))
-        a.set(xlabel=label, ylabel="Force [N]")
-        a.locator_params(axis="x", nbins=6)
-    axes[0, 1].legend(loc="upper left")
-    return Picture(
+def _force_figure(cycle: dict[str, Array]) -> Picture:
+    picture, axes = chart(
         "force_fit",
         "Run, identified force and force of the literature set (thesis Fig. 19 and 37); one cycle. "
         "Re-synthesised run.",
-        figure,
+        (1, 2, 6.6, 2.9),
     )
+    for a, key in zip(axes[0], ("displacement", "velocity"), strict=True):
+        a.plot(cycle[key], cycle["force"], ".", ms=2, color=GREY, label="run")
+        a.plot(cycle[key], cycle["identified"], color=INK[0], label="identified")
+        a.plot(cycle[key], cycle["literature"], label="literature", **line(1))
+        a.set(xlabel=ACROSS[key], ylabel="Force [N]")
+        a.locator_params(axis="x", nbins=6)
+    axes[0, 1].legend(loc="upper left")
+    return picture
 
 
-def _error_figure(data: dict[str, Any]) -> Picture:
-    error = np.sort(np.array(data["force_error"]))
-    figure, axes = panels(1, 2, 6.6, 2.7)
-    _histogram(axes[0, 0], error, "Force error [N]")
-    a = axes[0, 1]
-    places = np.arange(error.size)
-    theory = stats.norm.ppf((places + 0.5) / error.size)
-    # All of the tails, and every tenth sample between them.
-    tails = (places < 100) | (places >= error.size - 100)
-    chosen = tails | (places % 10 == 0)
-    a.plot(theory[chosen], error[chosen], ".", ms=2.5, color=GREY)
-    ends = np.array([-4.0, 4.0])
-    a.plot(ends, error.mean() + ends * error.std(), color=INK[0])
-    a.set(xlabel="Standard normal quantile [1]", ylabel="Quantile of the force error [N]")
-    return Picture(
+def _error_figure(error: Array) -> Picture:
+    """Histogram and quantiles of a sorted error (n,)."""
+    picture, ((left, right),) = chart(
         "force_error",
         "Histogram of the force error with the normal fit, and quantiles against those of the "
         "normal distribution (thesis Fig. 20, 21, 38, 39). Re-synthesised run.",
-        figure,
+        (1, 2, 6.6, 2.7),
     )
+    _histogram(left, error, "Force error [N]")
+    places = np.arange(error.size)
+    theory = stats.norm.ppf((places + 0.5) / error.size)
+    # All of the tails, and every tenth sample between them.
+    chosen = (places < 100) | (places >= error.size - 100) | (places % 10 == 0)
+    right.plot(theory[chosen], error[chosen], ".", ms=2.5, color=GREY)
+    ends = np.array([-4.0, 4.0])
+    right.plot(ends, error.mean() + ends * error.std(), color=INK[0])
+    right.set(xlabel="Standard normal quantile [1]", ylabel="Quantile of the force error [N]")
+    return picture
 
 
 def _histogram(axes: Any, values: Array, label: str) -> None:

@@ -11,7 +11,7 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from scipy.optimize import basinhopping, dual_annealing, least_squares
@@ -22,11 +22,10 @@ from mr_damper_ros.kinematics.motion import Motion
 from mr_damper_ros.kinematics.window import Window
 from mr_damper_ros.models import MODELS
 from mr_damper_ros.models.published import find, parameters
-from mr_damper_ros.models.sigmoid.law import PARAMETER_NAMES
-from mr_damper_ros.report.document import DASHES, INK, MARKS, Block, Picture, Table, Text, panels
+from mr_damper_ros.report.document import INK, Block, Chapter, Picture
 from mr_damper_ros.signals.arrays import Array
-from studies.drawing import heads
-from studies.program import Campaign
+from studies.drawing import chart, line, table
+from studies.program import Campaign, Part
 from studies.thesis import facts
 from studies.thesis.runs import CycleMisfit, cycle, loop, window
 from studies.thesis.searches import STRATEGIES, evolve, fminsearch
@@ -49,7 +48,7 @@ class EvaluationMeter:
         self.misfit = misfit
         self.budget = budget
         self.used = 0
-        self.best = np.full(len(PARAMETER_NAMES), np.nan)
+        self.best = np.full(_LOW.size, np.nan)
         self.best_cost = math.inf
         self.trace: list[tuple[int, float]] = []
 
@@ -106,16 +105,10 @@ def _least_squares_16(meter: EvaluationMeter, rng: np.random.Generator) -> None:
 
 def _phases(misfit: CycleMisfit) -> Window:
     """The averaged cycle as a window for the fit of the package."""
+    u, ones = misfit.displacement, np.ones(misfit.force.size)
     sine = window(CONDITION, 0).motion.sine
-    count = misfit.force.size
-    motion = Motion(
-        displacement=misfit.displacement,
-        velocity=misfit.velocity,
-        acceleration=-misfit.displacement,
-        peak_velocity=np.full(count, misfit.peak_velocity),
-        sine=sine,
-    )
-    return Window(motion, misfit.force, np.full(count, misfit.current))
+    motion = Motion(u, misfit.velocity, -u, misfit.peak_velocity * ones, sine)
+    return Window(motion, misfit.force, misfit.current * ones)
 
 
 def _package_fit(method: str) -> Method:
@@ -132,16 +125,8 @@ def _package_fit(method: str) -> Method:
 
 def _evolution(strategy: str) -> Method:
     def search(meter: EvaluationMeter, rng: np.random.Generator) -> None:
-        generations = meter.budget // POPULATION
-        evolve(
-            meter.costs,
-            _LOW,
-            _HIGH,
-            rng,
-            strategy=strategy,
-            generations=generations,
-            population=POPULATION,
-        )
+        extent = {"generations": meter.budget // POPULATION, "population": POPULATION}
+        evolve(meter.costs, _LOW, _HIGH, rng, strategy=strategy, **extent)
 
     return search
 
@@ -150,13 +135,8 @@ def _cma_es(meter: EvaluationMeter, rng: np.random.Generator) -> None:
     import cma
 
     while True:
-        start = rng.random(_LOW.size)
-        options = {
-            "bounds": [0.0, 1.0],
-            "seed": int(rng.integers(1, 2**31)),
-            "verbose": -9,
-            "maxfevals": meter.budget,
-        }
+        start, seed = rng.random(_LOW.size), int(rng.integers(1, 2**31))
+        options = {"bounds": [0.0, 1.0], "seed": seed, "verbose": -9, "maxfevals": meter.budget}
         search = cma.CMAEvolutionStrategy(start, 0.3, options)
         while not search.stop():
             sets = search.ask()
@@ -166,13 +146,13 @@ def _cma_es(meter: EvaluationMeter, rng: np.random.Generator) -> None:
 
 def _dual_annealing(meter: EvaluationMeter, rng: np.random.Generator) -> None:
     start = rng.random(_LOW.size)
+    limits = {"maxfun": meter.budget, "maxiter": 10**6}
     dual_annealing(
         lambda x: math.log(meter.cost(_LOW + _SPAN * x)),
         [(0.0, 1.0)] * _LOW.size,
-        maxfun=meter.budget,
-        maxiter=10**6,
         seed=int(rng.integers(2**31)),
         x0=start,
+        **limits,
     )
 
 
@@ -216,223 +196,185 @@ SUCCESS = 1.05
 
 CHECKPOINTS = 60
 
-_SPAN = facts.SEARCH_HIGH - facts.SEARCH_LOW
-
 
 def run(method: str, noise_seed: int, seed: list[int], budget: int) -> dict[str, Any]:
-    """Task: one search from a random start, with new starts until the budget is spent."""
+    """Task: one search from a random start, with new starts until the budget is spent.
+
+    Returns the best ``parameters`` (16,) and its ``rmse`` [N], the ``floor`` [N] of the true set,
+    evaluations and ``seconds``, the RMSE after the ``first`` descent, the evaluations with which
+    the goal was ``reached`` (NaN: never), and the best RMSE at each checkpoint (NaN: none yet).
+    """
     misfit = cycle(CONDITION, noise_seed)
-    floor = float(misfit.costs(_truth()))
+    floor = float(misfit.costs(parameters(find(CONDITION))))
     meter = EvaluationMeter(misfit, budget)
     rng = np.random.default_rng(seed)
     search = METHODS[method][1]
-    began = time.process_time()
-    firsts: list[float] = []
+    began, first = time.process_time(), math.nan
     try:
-        while True:
+        while not meter.best_cost <= SUCCESS**2 * floor:
             search(meter, rng)
-            firsts.append(math.sqrt(meter.best_cost))
-            if meter.best_cost <= SUCCESS**2 * floor:
-                break
+            first = meter.best_cost if math.isnan(first) else first
     except BudgetSpentError:
-        firsts.append(math.sqrt(meter.best_cost))
-    seconds = time.process_time() - began
-    reached = [used for used, cost in meter.trace if cost <= SUCCESS**2 * floor]
+        first = meter.best_cost if math.isnan(first) else first
+    used, costs = np.array(meter.trace).T
+    good = costs <= SUCCESS**2 * floor
+    places = np.searchsorted(used, _checkpoints(budget), side="right")
     return {
-        "parameters": meter.best.tolist(),
+        "parameters": meter.best,
         "rmse": math.sqrt(meter.best_cost),
         "floor": math.sqrt(floor),
         "evaluations": meter.used,
-        "seconds": seconds,
-        "first": {"rmse": firsts[0]},
-        "reached": reached[0] if reached else None,
-        "trace": _thinned(meter.trace, budget),
+        "seconds": time.process_time() - began,
+        "first": math.sqrt(first),
+        "reached": float(used[good][0]) if good.any() else math.nan,
+        "trace": np.sqrt(np.append(math.nan, costs)[places]),
     }
-
-
-def _truth() -> Array:
-    return parameters(find(CONDITION))
 
 
 def _checkpoints(budget: int) -> Array:
     return np.geomspace(10, budget, CHECKPOINTS)
 
 
-def _thinned(trace: list[tuple[int, float]], budget: int) -> list[float | None]:
-    """Best RMSE [N] at each checkpoint; None before the first evaluation is counted."""
-    result: list[float | None] = []
-    place, best = 0, None
-    for checkpoint in _checkpoints(budget):
-        while place < len(trace) and trace[place][0] <= checkpoint:
-            best = math.sqrt(trace[place][1])
-            place += 1
-        result.append(best)
-    return result
-
-
-def wilson(successes: int, count: int) -> tuple[float, float]:
-    """Wilson's 95 % interval of a success rate (J. Am. Stat. Assoc. 22, 1927)."""
-    interval = binomtest(successes, count).proportion_ci(0.95, "wilson")
-    return float(interval.low), float(interval.high)
-
-
-def compute(campaign: Campaign) -> dict[str, Any]:
-    """Data of the section."""
+def optimisers_part(campaign: Campaign) -> Part:
+    """The chapter on the optimisers."""
     budget = QUICK_BUDGET if campaign.quick else BUDGET
     names = available()
     # The same seeds for all methods: the same random starts.
-    seeds = campaign.seeds(4)
     tasks = [
         {"method": name, "noise_seed": campaign.seed, "seed": seed, "budget": budget}
-        for seed in seeds
+        for seed in campaign.seeds(4)
         for name in names
     ]
-    results = campaign.each_kept("optimisers", run, tasks)
-    data: dict[str, Any] = {"budget": budget, "runs": campaign.runs, "methods": {}}
-    for place, name in enumerate(names):
-        data["methods"][name] = summary(results[place :: len(names)])
-    data["missing"] = [METHODS[name][0] for name in METHODS if name not in names]
-    return data
-
-
-def summary(results: list[dict[str, Any]]) -> dict[str, Any]:
-    """Success rate with interval, medians and spreads over the runs of one method."""
+    results = campaign.each("optimisers", run, tasks)
+    found = {name: _summary(results[place :: len(names)]) for place, name in enumerate(names)}
     floor = results[0]["floor"]
-    wins = sum(r["rmse"] <= SUCCESS * floor for r in results)
-    first_wins = sum(r["first"]["rmse"] <= SUCCESS * floor for r in results)
-    reached = [r["reached"] for r in results if r["reached"] is not None]
-    sets = np.array([r["parameters"] for r in results])
-    loops = np.array([loop(p, find(CONDITION)).force for p in sets])
-    traces = np.array([r["trace"] for r in results], dtype=float)
-    known = np.where(np.isnan(traces), np.inf, traces)
-    return {
-        "floor": floor,
-        "success": wins / len(results),
-        "interval": wilson(wins, len(results)),
-        "first_success": first_wins / len(results),
-        "reached": float(np.median(reached)) if reached else None,
-        "seconds": float(np.median([r["seconds"] for r in results])),
-        "rmse": [float(x) for x in np.percentile([r["rmse"] for r in results], [10, 50, 90])],
-        "parameter_spread": float(np.median(sets.std(axis=0) / _SPAN)),
-        "loop_spread": float(np.sqrt(np.mean(loops.var(axis=0)))),
-        "trace": [
-            [float(x) if math.isfinite(x) else None for x in row]
-            for row in np.percentile(known, [25, 50, 75], axis=0, method="nearest")
-        ],
-    }
-
-
-def headline(data: dict[str, Any]) -> str:
-    """The result in a sentence."""
+    missing = [METHODS[name][0] for name in METHODS if name not in names]
     rates = [
-        f"{METHODS[name][0]} {100 * data['methods'][name]['success']:.0f} %"
+        f"{METHODS[name][0]} {100 * found[name].success:.0f} %"
         for name in ("nelder_mead_16", "de_0", "cma_es", "least_squares_16", "nelder_mead_7")
-        if name in data["methods"]
+        if name in found
     ]
-    return f"success within {data['budget']} evaluations: {', '.join(rates)}."
-
-
-def show(data: dict[str, Any]) -> list[Block]:
-    """Text, tables and figure of the section."""
-    rows = []
-    for name, part in data["methods"].items():
-        low, high = part["interval"]
-        rows.append(
-            (
-                *(
-                    METHODS[name][0],
-                    f"{100 * part['success']:.0f} ({100 * low:.0f}–{100 * high:.0f})",
-                ),
-                f"{100 * part['first_success']:.0f}",
-                "never" if part["reached"] is None else round(part["reached"]),
-                *(part["seconds"], part["rmse"][1]),
-                f"{part['rmse'][0]:.3g}–{part['rmse'][2]:.3g}",
-                *(part["parameter_spread"], part["loop_spread"]),
-            )
+    rows = [
+        (
+            METHODS[name][0],
+            "{:.0f} ({:.0f}–{:.0f})".format(*(100 * x for x in (part.success, *part.interval))),
+            f"{100 * part.first_success:.0f}",
+            "never" if math.isnan(part.reached) else round(part.reached),
+            *(part.seconds, part.rmse[1]),
+            f"{part.rmse[0]:.3g}–{part.rmse[2]:.3g}",
+            *(part.parameter_spread, part.loop_spread),
         )
-    floor = next(iter(data["methods"].values()))["floor"]
-    blocks: list[Block] = [
-        Text(
-            f"The problem is that of the thesis: the run of 5 mm, 1 Hz, 1.5 A, and sixteen "
-            f"parameters within the bounds of tables 10 and 11. Each method has {data['runs']} "
-            f"runs, with the same random starts, of at most {data['budget']} evaluations of the "
-            "force law over the cycle (250 phases). Local methods start again from a new random "
-            "point until they succeed or the budget is spent; a gradient counts as sixteen "
-            f"evaluations. DE (F = CR = 0.8, {POPULATION} individuals) does not restart; the "
-            "section on repeated differential evolution uses rand/1 with twice the population and "
-            f"500 generations. A run succeeds if its RMSE is within {100 * (SUCCESS - 1):.0f} % of "
-            f"the residual of the true set, {floor:.2f} N."
-        ),
-        Text(
-            "The problem with seven unknowns is smaller, because the run determines only seven "
-            "coefficients. The two methods for it are those of this package. They may start from "
-            "values derived from the data, and their scales have no bounds. Times are processor "
-            "times on the computer that made this report."
-        ),
+        for name, part in found.items()
     ]
-    if data["missing"]:
-        blocks.append(Text(f"Omitted, because not installed: {', '.join(data['missing'])}."))
-    blocks += [
-        Table(
+    blocks: list[Block] = [
+        "The problem is that of the thesis: the run of 5 mm, 1 Hz, 1.5 A, and sixteen parameters "
+        f"within the bounds of tables 10 and 11. Each method has {campaign.runs} runs, with the "
+        f"same random starts, of at most {budget} evaluations of the force law over the cycle (250 "
+        "phases). Local methods start again from a new random point until they succeed or the "
+        "budget is spent; a gradient counts as sixteen evaluations. DE (F = CR = 0.8, "
+        f"{POPULATION} individuals) does not restart; the section on repeated differential "
+        "evolution uses rand/1 with twice the population and 500 generations. A run succeeds if "
+        f"its RMSE is within {100 * (SUCCESS - 1):.0f} % of the residual of the true set, "
+        f"{floor:.2f} N.",
+        "The problem with seven unknowns is smaller, because the run determines only seven "
+        "coefficients. The two methods for it are those of this package. They may start from "
+        "values derived from the data, and their scales have no bounds. Times are processor times "
+        "on the computer that made this report.",
+        *([f"Omitted, because not installed: {', '.join(missing)}."] if missing else []),
+        table(
             "optimisers",
             "Success rate in % with Wilson's 95 % interval, and that of the first descent alone; "
             "median number of evaluations in successful runs; processor time; final RMSE (median, "
             "10–90 % of runs); spread of the parameters (median standard deviation relative to the "
             "width of the bounds) and of the loops.",
-            heads(
-                "Method | Success [%] | First descent [%] | Evaluations to success | "
-                "Time [s] | RMSE [N] | 10–90 % [N] | Parameter spread [1] | Loop spread [N]"
-            ),
+            "Method | Success [%] | First descent [%] | Evaluations to success | Time [s] | "
+            "RMSE [N] | 10–90 % [N] | Parameter spread [1] | Loop spread [N]",
             rows,
         ),
-        _figure(data, floor),
-        _success_figure(data),
+        _trace_figure(found, _checkpoints(budget), floor),
+        _success_figure(found),
     ]
-    return blocks
+    told = f"success within {budget} evaluations: {', '.join(rates)}."
+    return Part([Chapter("optimisers", "Comparison of optimisers", told, blocks)])
 
 
-def _figure(data: dict[str, Any], floor: float) -> Picture:
-    figure, axes = panels(1, 2, 7.4, 3.6, sharey=True)
-    x = _checkpoints(data["budget"])
-    thesis = [n for n in data["methods"] if n.startswith("de_") or n == "nelder_mead_16"]
-    halves = (thesis, [n for n in data["methods"] if n not in thesis])
-    for a, names in zip(axes[0], halves, strict=True):
-        for number, name in enumerate(names):
-            low, middle, high = np.array(data["methods"][name]["trace"], dtype=float)
-            a.fill_between(x, low, high, color=INK[number], alpha=0.10, lw=0)
-            style = {"ls": DASHES[number], "color": INK[number], "marker": MARKS[number]}
-            every = (4 + 2 * number, 12)
-            a.loglog(x, middle, markevery=every, label=METHODS[name][0], **style)
-        a.axhline(floor, color="0.3", lw=0.7)
-        a.set_xlabel("Evaluations [1]")
-        a.legend(loc="upper right", fontsize=7)
-    axes[0, 0].set_ylabel("Best RMSE so far [N]")
-    axes[0, 0].text(x[0], 0.93 * floor, "noise", va="top", color="0.3", fontsize=7)
-    return Picture(
+class _Summary(NamedTuple):
+    """Success rate with interval, medians and spreads over the runs of one method."""
+
+    success: float
+    interval: tuple[float, float]
+    first_success: float
+    reached: float
+    seconds: float
+    rmse: list[float]
+    parameter_spread: float
+    loop_spread: float
+    trace: Array
+
+
+def _summary(results: list[dict[str, Any]]) -> _Summary:
+    rmse, first, reached, seconds, traces, sets = (
+        np.array([result[key] for result in results])
+        for key in ("rmse", "first", "reached", "seconds", "trace", "parameters")
+    )
+    goal, count = SUCCESS * results[0]["floor"], len(results)
+    wins = int(np.sum(rmse <= goal))
+    # Wilson, J. Am. Stat. Assoc. 22, 1927
+    interval = binomtest(wins, count).proportion_ci(0.95, "wilson")
+    loops = np.array([loop(values, find(CONDITION)).force for values in sets])
+    known = np.where(np.isnan(traces), np.inf, traces)
+    return _Summary(
+        success=wins / count,
+        interval=(float(interval.low), float(interval.high)),
+        first_success=float(np.mean(first <= goal)),
+        reached=float(np.nanmedian(reached)) if wins else math.nan,
+        seconds=float(np.median(seconds)),
+        rmse=np.percentile(rmse, [10, 50, 90]).tolist(),
+        parameter_spread=float(np.median(sets.std(axis=0) / _SPAN)),
+        loop_spread=float(np.sqrt(np.mean(loops.var(axis=0)))),
+        trace=np.percentile(known, [25, 50, 75], axis=0, method="nearest"),
+    )
+
+
+def _trace_figure(found: dict[str, _Summary], x: Array, floor: float) -> Picture:
+    picture, axes = chart(
         "optimisers",
         "Best RMSE over the number of evaluations: median and quartiles over the random starts. A "
         "population counts as a whole, and so does a fit of seven unknowns, whose line therefore "
         "begins at the noise. 5 mm, 1 Hz, 1.5 A, re-synthesised.",
-        figure,
+        (1, 2, 7.4, 3.6),
+        *("Evaluations [1]", "Best RMSE so far [N]"),
+        sharey=True,
     )
+    thesis = [n for n in found if n.startswith("de_") or n == "nelder_mead_16"]
+    halves = (thesis, [n for n in found if n not in thesis])
+    for a, names in zip(axes[0], halves, strict=True):
+        for number, name in enumerate(names):
+            low, middle, high = np.where(np.isinf(found[name].trace), np.nan, found[name].trace)
+            a.fill_between(x, low, high, color=INK[number], alpha=0.10, lw=0)
+            style = {**line(number, marked=True), "markevery": (4 + 2 * number, 12)}
+            a.loglog(x, middle, label=METHODS[name][0], **style)
+        a.axhline(floor, color="0.3", lw=0.7)
+        a.legend(loc="upper right", fontsize=7)
+    axes[0, 0].text(x[0], 0.93 * floor, "noise", va="top", color="0.3", fontsize=7)
+    return picture
 
 
-def _success_figure(data: dict[str, Any]) -> Picture:
-    names = list(data["methods"])[::-1]
-    figure, axes = panels(1, 1, 6.0, 0.5 + 0.24 * len(names))
-    a = axes[0, 0]
-    for place, name in enumerate(names):
-        part = data["methods"][name]
-        low, high = part["interval"]
-        a.plot([100 * low, 100 * high], [place, place], color="0.55", lw=2.2)
-        a.plot(100 * part["success"], place, "o", color=INK[0], ms=4.5)
-        a.plot(100 * part["first_success"], place, "|", color=INK[1], ms=9, mew=1.6)
-    a.set_yticks(range(len(names)), [METHODS[name][0] for name in names])
-    a.set(xlabel="Success [%]", xlim=(-3, 103))
-    a.grid(axis="x", color="0.9", lw=0.6)
-    return Picture(
+def _success_figure(found: dict[str, _Summary]) -> Picture:
+    names = list(found)[::-1]
+    picture, ((a,),) = chart(
         "optimiser_success",
         "Success rate within the budget (dot) with Wilson's 95 % interval (bar), and success rate "
         "of the first descent alone (tick).",
-        figure,
+        (1, 1, 6.0, 0.5 + 0.24 * len(names)),
+        "Success [%]",
     )
+    for place, name in enumerate(names):
+        part = found[name]
+        a.plot([100 * end for end in part.interval], [place, place], color="0.55", lw=2.2)
+        a.plot(100 * part.success, place, "o", color=INK[0], ms=4.5)
+        a.plot(100 * part.first_success, place, "|", color=INK[1], ms=9, mew=1.6)
+    a.set_yticks(range(len(names)), [METHODS[name][0] for name in names])
+    a.set_xlim(-3, 103)
+    a.grid(axis="x", color="0.9", lw=0.6)
+    return picture

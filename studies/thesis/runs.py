@@ -13,8 +13,9 @@ The thesis does not state two values, which are assumed: 1 ms between samples, a
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import math
 from functools import lru_cache
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -102,8 +103,6 @@ def synthesise(condition: Condition, *, seed: int = 0) -> Recording:
     return rig.record(SAMPLE_COUNT / SAMPLE_RATE, name=recording_name(condition), details=details)
 
 
-LOOP_POINTS = 240
-
 PHASES = 250
 """Phase bins of a cycle: the curvature of the loop within one is far below the noise."""
 
@@ -129,6 +128,11 @@ def title(name: str) -> str:
     )
 
 
+def top_speed(condition: Condition) -> float:
+    """Peak velocity [m/s]."""
+    return 2.0 * math.pi * condition.frequency * condition.amplitude
+
+
 def coefficients(parameters: Array, peak_velocity: float, current: float) -> Array:
     """Seven operating-point coefficients (..., 7) of sets (..., 16), with positive f_t."""
     parts = operating_point_coefficients(parameters, peak_velocity, current)
@@ -137,24 +141,33 @@ def coefficients(parameters: Array, peak_velocity: float, current: float) -> Arr
     return values
 
 
-@dataclass(frozen=True, eq=False)
-class Loop:
-    """One cycle: displacement [m], velocity [m/s], acceleration [m/s²], force [N], shape (n,)."""
+class Loop(NamedTuple):
+    """One cycle: displacement [m], velocity [m/s], force [N], each of shape (n,)."""
 
     displacement: Array
     velocity: Array
-    acceleration: Array
     force: Array
 
 
-def loop(parameters: Array, condition: Condition, points: int = LOOP_POINTS) -> Loop:
+def loop(parameters: Array, condition: Condition, points: int = 240) -> Loop:
     """Loop of a parameter set (16,) in a condition, without noise."""
     angle = np.linspace(0.0, 2.0 * np.pi, points)
-    omega = 2.0 * np.pi * condition.frequency
-    u = condition.amplitude * np.sin(angle)
-    v = condition.amplitude * omega * np.cos(angle)
-    a = -(omega**2) * u
-    return Loop(u, v, a, sine_force(parameters, u, v, a, condition.current))
+    u, v = condition.amplitude * np.sin(angle), top_speed(condition) * np.cos(angle)
+    a = -((2.0 * np.pi * condition.frequency) ** 2) * u
+    return Loop(u, v, sine_force(parameters, u, v, a, condition.current))
+
+
+ACROSS = {"velocity": "Velocity [m/s]", "displacement": "Displacement [mm]"}
+"""Labels of the axes over which :func:`draw_loop` draws the force."""
+
+
+def draw_loop(
+    axis: Any, parameters: Array, condition: Condition, against: str = "velocity", **style: Any
+) -> None:
+    """Draw the loop of a set (16,) against velocity or displacement."""
+    turn = loop(parameters, condition)
+    x = turn.velocity if against == "velocity" else 1e3 * turn.displacement
+    axis.plot(x, turn.force, **style)
 
 
 class CycleMisfit:

@@ -2,9 +2,9 @@
 
 They are Nelder-Mead as in MATLAB's fminsearch (thesis appendix D), and differential evolution that
 evaluates a whole generation at once (Storn and Price, Journal of Global Optimization 11, 1997;
-thesis 2.7.2). Trial values beyond a bound are clipped to it. Tables 10 and 11 show that the thesis
-did the same: the variances of a0, I1, a3, a4 and k2 exceed that of a uniform distribution over the
-whole range, so most results lie on the bounds.
+thesis 2.7.2). Trial values beyond a bound are clipped to it; SciPy draws them anew. Tables 10 and
+11 show that the thesis clipped: the variances of nine parameters exceed that of a uniform
+distribution over the whole range, so most results lie on the bounds.
 """
 
 from __future__ import annotations

@@ -3,62 +3,20 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable
-from types import ModuleType
 
-from mr_damper_ros.report.document import Chapter
 from studies import recordings
-from studies.program import QUICK_RUNS, RUNS, Campaign, Part, Study
-from studies.thesis import (
-    conditions,
-    dependency,
-    errata,
-    force_error,
-    identifiability,
-    methods,
-    model_table,
-    one_set,
-    optimisers,
-    repeated,
-    sensitivity,
-)
+from studies.program import QUICK_RUNS, RUNS, Campaign, Study
+from studies.thesis.conditions import conditions_part
+from studies.thesis.dependency import dependency_part
+from studies.thesis.errata import errata_part
+from studies.thesis.force_error import force_error_part
+from studies.thesis.identifiability import identifiability_part
+from studies.thesis.laws import models_part, one_set_part
+from studies.thesis.methods import methods_part
+from studies.thesis.optimisers import optimisers_part
+from studies.thesis.repeated import repeated_part
 from studies.thesis.runs import PROVENANCE
-
-
-def _part(name: str, title: str, section: ModuleType) -> Callable[[Campaign], Part]:
-    """A section: ``compute`` calculates its numbers, ``show`` creates the blocks of the report.
-
-    ``headline`` summarises the result in a sentence.
-    """
-
-    def part(campaign: Campaign) -> Part:
-        data = section.compute(campaign)
-        return Part([Chapter(name, title, section.show(data))], [section.headline(data)])
-
-    return part
-
-
-_SECTIONS = (
-    ("force-error", "Sine and force identified, and their errors", force_error),
-    (
-        "dependency",
-        "Dependency on current, frequency, displacement and temperature",
-        dependency,
-    ),
-    ("conditions", "All conditions", conditions),
-    ("sensitivity", "Sensitivity of the force", sensitivity),
-    ("repeated", "Repeated differential evolution", repeated),
-    ("methods", "Both methods, and the literature", methods),
-    ("optimisers", "Comparison of optimisers", optimisers),
-    (
-        "observability",
-        "Beyond the thesis: the reason for the scatter of the parameters",
-        identifiability,
-    ),
-    ("models", "Comparison of the reviewed models", model_table),
-    ("one-set", "Beyond the thesis: one set for all conditions", one_set),
-    ("errata", "Errata", errata),
-)
+from studies.thesis.sensitivity import sensitivity_part
 
 
 def _notice(campaign: Campaign) -> str:
@@ -83,7 +41,19 @@ main = Study(
     "compared on these recordings.",
     "Parameter identification of the sigmoid model of an MR damper: the thesis reproduced",
     _notice,
-    {section[0]: _part(*section) for section in _SECTIONS},
+    {
+        "force-error": force_error_part,
+        "dependency": dependency_part,
+        "conditions": conditions_part,
+        "sensitivity": sensitivity_part,
+        "repeated": repeated_part,
+        "methods": methods_part,
+        "optimisers": optimisers_part,
+        "observability": identifiability_part,
+        "models": models_part,
+        "one-set": one_set_part,
+        "errata": errata_part,
+    },
     f"{QUICK_RUNS} runs instead of {RUNS}, fewer evaluations and cases",
     random=True,
 ).main

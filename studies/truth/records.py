@@ -18,11 +18,20 @@ from mr_damper_ros.kinematics.window import Window
 from mr_damper_ros.models import MODELS
 from mr_damper_ros.models.parameter_set import ParameterSet
 from mr_damper_ros.processes.files import json_ready
-from mr_damper_ros.report import document
-from mr_damper_ros.report.document import GREY, INK, MARKS, Cell, Chapter, Picture, Table, Text
+from mr_damper_ros.report.document import (
+    GREY,
+    INK,
+    MARKS,
+    Block,
+    Cell,
+    Chapter,
+    Picture,
+    legend_above,
+    with_error,
+)
 from mr_damper_ros.signals.arrays import Array
 from studies import recordings
-from studies.drawing import draw_rows, line, name_rows
+from studies.drawing import chart, draw_rows, line, name_rows, table
 from studies.program import Campaign, Part, Task
 from studies.truth.extent import extent_of
 
@@ -126,7 +135,7 @@ def recordings_part(campaign: Campaign) -> Part:
     """All laws on all recordings, and the chapters on them."""
     utfsm = recordings.folder()
     if utfsm is None:
-        return Part([], [])
+        return Part([])
     extent = extent_of(campaign)
     motions = [None, *recordings.processed_motions(utfsm)]
     tasks = [
@@ -157,7 +166,7 @@ def recordings_part(campaign: Campaign) -> Part:
     for result in found.values():
         result["microseconds"] = microseconds_per_sample(result["set"], window)
     chapters = [_sinusoids(found), _earthquakes(found, shaken), _parameters(found)]
-    return Part(chapters, _headlines(found, shaken), _figures(found, shaken))
+    return Part(chapters, _figures(found, shaken))
 
 
 def _currents(shaken: Shaken) -> list[float]:
@@ -177,47 +186,61 @@ def _static_mean(shaken: Shaken, law: str) -> float:
     return float(np.mean(fits)) if fits else math.nan
 
 
-def _headlines(found: Laws, shaken: Shaken) -> list[str]:
-    """Summary sentences of the chapters."""
-    alone, unseen = (
-        {law: _median(result[kind]) for law, result in found.items()}
-        for kind in ("nrmse", "left_out")
-    )
-    means = {law: _static_mean(shaken, law) for law in found}
-    best, safest = (min(errors, key=errors.__getitem__) for errors in (alone, unseen))
-    steadiest = max(means, key=means.__getitem__)
-    return [
-        f"the median NRMSE of one set is {alone[best]:.1%} ({best}), and {unseen[safest]:.1%} for "
-        f"motions left out of the fit ({safest}).",
-        f"the set of the sinusoids alone has a mean fit of {means[steadiest]:.1f} % to the "
-        f"earthquakes ({steadiest}).",
-        "the parameters of each law, with their standard errors.",
-    ]
-
-
 def _sinusoids(found: Laws) -> Chapter:
     """Results of every law on the sinusoid records."""
     rows: list[Sequence[Cell]] = []
     for law, result in found.items():
-        errors, unseen = (list(result[kind].values()) for kind in ("nrmse", "left_out"))
+        errors, others = (list(result[kind].values()) for kind in ("nrmse", "left_out"))
         rows.append(
             (
                 *(law, len(MODELS[law].parameters)),
                 *(100.0 * float(of(errors)) for of in (np.median, np.max)),
-                *(100.0 * float(of(unseen)) for of in (np.median, np.mean)),
+                *(100.0 * float(of(others)) for of in (np.median, np.mean)),
                 *(100.0 * _median(result["raw"]), result["seconds"], result["microseconds"]),
             )
         )
     names = list(next(iter(found.values()))["nrmse"])
-    motions = [name.rpartition(",")[0] for name in names]
-    figure, axes = document.panels(2, 1, 6.8, 5.2, sharex=True)
+    alone, unseen = (
+        {law: _median(result[kind]) for law, result in found.items()}
+        for kind in ("nrmse", "left_out")
+    )
+    best, safest = (min(errors, key=errors.__getitem__) for errors in (alone, unseen))
+    return Chapter(
+        "sinusoids",
+        "Sinusoid records",
+        f"the median NRMSE of one set is {alone[best]:.1%} ({best}), and {unseen[safest]:.1%} for "
+        f"motions left out of the fit ({safest}).",
+        [
+            f"{_SOURCE} There are {len(names)} records at constant currents, with ramps. For each "
+            "law, one set is identified from all records. In addition, each motion (an amplitude "
+            "and frequency, at all its currents) is left out of an identification and then "
+            "predicted, with the peak velocity held within the range of the others. The authors "
+            "smoothed the processed records by a moving average over a tenth of a cycle. The raw "
+            "records of the logger exist for two motions; their mean is subtracted, because the "
+            "zero of their force is unknown.",
+            table(
+                "sinusoids",
+                "NRMSE (RMSE over the standard deviation of the force) in percent: median and "
+                "largest for one set, median and mean for the motions left out, median for the raw "
+                "records. Identification: processor time for one set. Streaming: processor time "
+                "per sample in blocks of ten. Both hold for the computer that made the report.",
+                "law | parameters | one set | largest | left out | left out, mean | raw | "
+                "identification (s) | streaming (µs)",
+                rows,
+            ),
+            _errors(found, names),
+        ],
+    )
+
+
+def _errors(found: Laws, names: Sequence[str]) -> Picture:
+    picture, axes = chart(
+        "sinusoids", "Error of every record, by law.", (2, 1, 6.8, 5.2), sharex=True
+    )
+    motions, _, currents = zip(*(name.rpartition(",") for name in names), strict=True)
     places = np.arange(len(names))
-    for axis, kind, title in zip(
-        axes[:, 0],
-        ("nrmse", "left_out"),
-        ("one set for all", "its motion left out"),
-        strict=True,
-    ):
+    kinds = (("nrmse", "one set for all"), ("left_out", "its motion left out"))
+    for axis, (kind, title) in zip(axes[:, 0], kinds, strict=True):
         for number, (law, result) in enumerate(found.items()):
             values = [100.0 * result[kind].get(name, math.nan) for name in names]
             colour, mark = INK[number % len(INK)], MARKS[number % len(MARKS)]
@@ -228,39 +251,11 @@ def _sinusoids(found: Laws) -> Chapter:
         for place in places[1:]:
             if motions[place] != motions[place - 1]:
                 axis.axvline(place - 0.5, color=GREY, linewidth=0.6)
-    currents = [name.rpartition(",")[2].removesuffix(" A").strip() for name in names]
-    axes[1, 0].set_xticks(places, currents)
+    axes[1, 0].set_xticks(places, [current.removesuffix(" A").strip() for current in currents])
     told = ", ".join(map(_motion, dict.fromkeys(motions)))
     axes[1, 0].set_xlabel("current (A), motion by motion: " + told)
-    document.legend_above(figure, axes[0, 0], 4)
-    return Chapter(
-        "sinusoids",
-        "Sinusoid records",
-        [
-            Text(
-                f"{_SOURCE} There are {len(places)} records at constant currents, with ramps. "
-                "For each law, one set is identified from all records. In addition, each motion "
-                "(an amplitude and frequency, at all its currents) is left out of an "
-                "identification and then predicted, with the peak velocity held within the range "
-                "of the others. The authors smoothed the processed records by a moving average "
-                "over a tenth of a cycle. The raw records of the logger exist for two motions; "
-                "their mean is subtracted, because the zero of their force is unknown."
-            ),
-            Table(
-                "sinusoids",
-                "NRMSE (RMSE over the standard deviation of the force) in percent: median and "
-                "largest for one set, median and mean for the motions left out, median for the raw "
-                "records. Identification: processor time for one set. Streaming: processor time "
-                "per sample in blocks of ten. Both hold for the computer that made the report.",
-                (
-                    *("law", "parameters", "one set", "largest", "left out", "left out, mean"),
-                    *("raw", "identification (s)", "streaming (µs)"),
-                ),
-                rows,
-            ),
-            Picture("sinusoids", "Error of every record, by law.", figure),
-        ],
-    )
+    legend_above(axes[0, 0], 4)
+    return picture
 
 
 def _earthquakes(found: Laws, shaken: Shaken) -> Chapter:
@@ -275,68 +270,66 @@ def _earthquakes(found: Laws, shaken: Shaken) -> Chapter:
         )
         for law in found
     ]
+    means = {law: _static_mean(shaken, law) for law in found}
+    steadiest = max(means, key=means.__getitem__)
     middle = currents[len(currents) // 2]
     best = max(found, key=lambda law: shaken[law, middle, False]["fit"])
-    figure, axes = document.panels(2, 1, 6.8, 4.2, sharex=True)
+    picture, axes = chart(
+        "earthquakes",
+        f"Measured and predicted force at {middle:g} A ({best}), and the residual.",
+        (2, 1, 6.8, 4.2),
+        sharex=True,
+    )
     for place, name in enumerate(("sinusoid set", "identifier running")):
         if (best, middle, bool(place)) in shaken:
             series = shaken[best, middle, bool(place)]["series"]
-            passed, measured, predicted = series[
-                :, (series[0] >= _SHOWN[0]) & (series[0] < _SHOWN[1])
-            ]
+            chosen = (series[0] >= _SHOWN[0]) & (series[0] < _SHOWN[1])
+            passed, measured, predicted = series[:, chosen]
             if not place:
                 axes[0, 0].plot(passed, measured, color=GREY, linewidth=2.0, label="measured")
             draw_rows(axes, passed, (predicted, predicted - measured), name, **line(place))
     name_rows(axes, "force (N)", "residual (N)")
-    document.legend_above(figure, axes[0, 0], 3)
-    named = [f"{current:g} A" for current in currents]
+    legend_above(axes[0, 0], 3)
+    static, online = (
+        " | ".join(f"{kind}, {current:g} A" for current in currents)
+        for kind in ("static", "on-line")
+    )
     return Chapter(
         "earthquakes",
         "Earthquake records",
+        f"the set of the sinusoids alone has a mean fit of {means[steadiest]:.1f} % to the "
+        f"earthquakes ({steadiest}).",
         [
-            Text(
-                "The records contain one earthquake motion at each current. As delivered, "
-                "displacement and force are averages over 0.3 s, for which no nonlinear law holds; "
-                "the averages were undone exactly. The force of every block of 20 samples is "
-                "predicted before it is used: with the set of the sinusoid records alone (static), "
-                "or with the identifier running at the defaults of the nodes, starting from this "
-                "set (on-line). The first five seconds of motion are not evaluated."
-            ),
-            Table(
+            "The records contain one earthquake motion at each current. As delivered, displacement "
+            "and force are averages over 0.3 s, for which no nonlinear law holds; the averages "
+            "were undone exactly. The force of every block of 20 samples is predicted before it is "
+            "used: with the set of the sinusoid records alone (static), or with the identifier "
+            "running at the defaults of the nodes, starting from this set (on-line). The first "
+            "five seconds of motion are not evaluated.",
+            table(
                 "earthquakes",
                 "Fit (1 − NRMSE) in percent. –: not computed.",
-                (
-                    "law",
-                    *(f"static, {current}" for current in named),
-                    "mean",
-                    *(f"on-line, {current}" for current in named),
-                ),
+                f"law | {static} | mean | {online}",
                 rows,
             ),
-            Picture(
-                "earthquakes",
-                f"Measured and predicted force at {middle:g} A ({best}), and the residual.",
-                figure,
-            ),
+            picture,
         ],
     )
 
 
 def _parameters(found: Laws) -> Chapter:
     """The set of every law."""
-    blocks: list[Text | Table] = [
-        Text(
-            "The sets were identified from the sinusoid records. The standard errors include the "
-            "discrepancy, the model error that other motions reveal. –: the data do not determine "
-            "the parameter, which keeps its start value. The records do not determine the lag of "
-            "the coil, because each has a constant current."
-        )
+    blocks: list[Block] = [
+        "The sets were identified from the sinusoid records. The standard errors include the "
+        "discrepancy, the model error that other motions reveal. –: the data do not determine the "
+        "parameter, which keeps its start value. The records do not determine the lag of the coil, "
+        "because each has a constant current."
     ]
     for law, result in found.items():
         rows = [
             (
                 name,
-                document.with_error(entry.value, entry.standard_error)
+                with_error(entry.value, entry.standard_error)
                 if entry.observable and 0.0 < entry.standard_error < math.inf
                 else None,
                 entry.unit,
@@ -344,15 +337,10 @@ def _parameters(found: Laws) -> Chapter:
             )
             for name, entry in parameter_estimates(result["set"]).items()
         ]
-        blocks.append(
-            Table(
-                f"parameters_{law}",
-                f"{MODELS[law].title} ({law}).",
-                ("parameter", "value ± standard error", "unit", "in the set"),
-                rows,
-            )
-        )
-    return Chapter("parameters", "Parameters", blocks)
+        columns = "parameter | value ± standard error | unit | in the set"
+        blocks.append(table(f"parameters_{law}", f"{MODELS[law].title} ({law}).", columns, rows))
+    told = "the parameters of each law, with their standard errors."
+    return Chapter("parameters", "Parameters", told, blocks)
 
 
 def _figures(found: Laws, shaken: Shaken) -> dict[str, object]:

@@ -6,7 +6,12 @@ import pytest
 from fresh_python import alone
 
 from mr_damper_ros.emulation.emulator import THESIS_FORCE_NOISE
-from mr_damper_ros.models.published import find
+from mr_damper_ros.models.published import (
+    THESIS_28_CELSIUS,
+    THESIS_71_CELSIUS,
+    find,
+    parameters,
+)
 from studies.program import Campaign, code_files
 from studies.thesis import dependency, errata, facts, force_error
 from studies.thesis.conditions import identified
@@ -57,23 +62,23 @@ def test_results_are_kept_for_the_code_that_they_were_computed_with():
 
 
 @pytest.fixture(scope="module")
-def errors(campaign):
-    return force_error.compute(campaign)
+def errors():
+    return force_error.identify(force_error.CONDITION, 0)
 
 
 @pytest.mark.parametrize("name", SINE)
 def test_sine(errors, name):
-    assert errors["sine"][name] == pytest.approx(facts.SINE[name], rel=SINE[name])
+    assert getattr(errors["sine"], name) == pytest.approx(facts.SINE[name], rel=SINE[name])
 
 
 @pytest.mark.parametrize("name", FORCE_ERROR)
 def test_force_error(errors, name):
-    ours = errors["force_statistics"][name]
+    ours = force_error.normal_statistics(errors["force_error"])[name]
     assert ours == pytest.approx(facts.FORCE_ERROR[name], rel=FORCE_ERROR[name])
 
 
 def test_force_error_is_normal_about_zero(errors):
-    ours = errors["force_statistics"]
+    ours = force_error.normal_statistics(errors["force_error"])
     assert ours["mu_low"] < 0.0 < ours["mu_high"]
     assert ours["mu_high"] - ours["mu_low"] == pytest.approx(0.127839 + 0.131098, rel=SIGMA)
     # Three standard errors for 7001 samples.
@@ -82,18 +87,16 @@ def test_force_error_is_normal_about_zero(errors):
     assert abs(ours["excess_kurtosis"]) < 0.2
 
 
-@pytest.fixture(scope="module")
-def dependencies(campaign):
-    return dependency.compute(campaign)
-
-
-def test_temperature(dependencies):
-    ours = dependencies["temperature"]
-    assert max(map(abs, ours["cold"])) == pytest.approx(facts.PEAK_COLD, rel=PEAK_COLD)
-    assert max(map(abs, ours["warm"])) == pytest.approx(facts.PEAK_WARM, rel=PEAK)
+def test_temperature():
+    cold, warm, same = (
+        max(map(abs, dependency.peaks(values)))
+        for values in (THESIS_28_CELSIUS, THESIS_71_CELSIUS, parameters(dependency.HEATED))
+    )
+    assert cold == pytest.approx(facts.PEAK_COLD, rel=PEAK_COLD)
+    assert warm == pytest.approx(facts.PEAK_WARM, rel=PEAK)
     # Fraction of the peak force: effect of these differences on the drop.
-    assert ours["drop"] == pytest.approx(1.0 - facts.PEAK_WARM / facts.PEAK_COLD, abs=0.01)
-    assert max(map(abs, ours["condition"])) == pytest.approx(facts.PEAK_COLD, rel=PEAK)
+    assert warm / cold == pytest.approx(facts.PEAK_WARM / facts.PEAK_COLD, abs=0.01)
+    assert same == pytest.approx(facts.PEAK_COLD, rel=PEAK)
 
 
 def test_identified_loops_are_the_published_ones(campaign):
@@ -120,17 +123,17 @@ def test_statements_of_the_text():
     found = errata.statements()
     velocity, variance, extremes, crowded, outliers, heated, frequency, stroke, count = found
     # Relative: the factor has three digits.
-    assert velocity["found"] == pytest.approx(velocity["stated"] / 1.91, rel=0.003)
-    assert variance["found"] < variance["stated"]
+    assert velocity.found == pytest.approx(velocity.stated / 1.91, rel=0.003)
+    assert variance.found < variance.stated
     # Fraction of the run's force: the largest value for sets within the bounds.
-    assert extremes["found"] < 0.7 * extremes["stated"]
-    assert crowded["found"] == 9
-    assert outliers["found"] == pytest.approx(46875.0)
+    assert extremes.found < 0.7 * extremes.stated
+    assert crowded.found == 9
+    assert outliers.found == pytest.approx(46875.0)
     # Fraction of the stated variance: the largest value that leaves room for an outlier.
-    assert outliers["found"] < 0.9 * outliers["stated"]
-    assert "difference of a0" in heated["statement"]
+    assert outliers.found < 0.9 * outliers.stated
+    assert "difference of a0" in heated.statement
     # Rounding of a difference of numbers of a few hundred.
-    assert heated["found"] == pytest.approx(heated["stated"] - 0.02, abs=1e-11)
-    assert frequency["found"] == pytest.approx(1.22, abs=TWO_DECIMALS)
-    assert stroke["found"] == pytest.approx(0.94, abs=TWO_DECIMALS)
-    assert count["found"] == 34
+    assert heated.found == pytest.approx(heated.stated - 0.02, abs=1e-11)
+    assert frequency.found == pytest.approx(1.22, abs=TWO_DECIMALS)
+    assert stroke.found == pytest.approx(0.94, abs=TWO_DECIMALS)
+    assert count.found == 34
