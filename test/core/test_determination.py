@@ -147,7 +147,9 @@ def test_no_advice_where_all_is_known() -> None:
 
 def test_advice_stays_within_the_rig() -> None:
     rig = RigRange(amplitude=4e-3, peak_velocity=0.05, current=0.8)
-    for run in advised(OPEN["one current"], rig):
+    runs = advised(OPEN["one current"], rig)
+    assert runs
+    for run in runs:
         assert run.amplitude <= rig.amplitude
         assert 2.0 * math.pi * run.frequency * run.amplitude <= 1.05 * rig.peak_velocity
         assert 0.0 <= run.current <= rig.current

@@ -372,10 +372,10 @@ def test_no_record_is_made_of_garbage_in_between(hits: list[tuple[int, bytes]]) 
     data = b"".join(record(k) for k in range(100))
     for at, noise in hits:
         data = data[:at] + noise + data[at + 3 :]
-    decoder = records()
-    for row in decoder.feed(data):
-        if row is not None and row.number is not None:
-            assert row.measured.force == -2.0 * row.number
+    rows = [row for row in records().feed(data) if row is not None]
+    assert [row.measured.force for row in rows] == [-2.0 * (row.number or 0) for row in rows]
+    # A hit damages two records at most, and hides two more that begin in what looks like a mark.
+    assert len(rows) >= 100 - 4 * len(hits)
 
 
 # -- stamps ------------------------------------------------------------------------------------
