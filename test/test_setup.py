@@ -1,7 +1,5 @@
 """The set-up reports each obstacle in one sentence, and excludes foreign packages."""
 
-from __future__ import annotations
-
 import os
 import shutil
 import subprocess

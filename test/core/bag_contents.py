@@ -1,7 +1,5 @@
 """Bag contents as rosbags' own reader and the bag metadata give them, for tests of the writer."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any, NamedTuple
 

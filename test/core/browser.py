@@ -1,7 +1,5 @@
 """A headless Chromium, controlled through a pipe by the DevTools protocol without a driver."""
 
-from __future__ import annotations
-
 import contextlib
 import json
 import os
@@ -71,7 +69,7 @@ class Browser:
 
     _session = None
 
-    def __enter__(self) -> Browser:
+    def __enter__(self) -> "Browser":
         return self
 
     def __exit__(

@@ -1,7 +1,5 @@
 """A campaign of three fixed runs, planned independently of the results, for tests."""
 
-from __future__ import annotations
-
 import known
 import numpy as np
 import pytest

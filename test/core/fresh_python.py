@@ -1,7 +1,5 @@
 """Output of commands and of a fresh Python process."""
 
-from __future__ import annotations
-
 import subprocess
 import sys
 from typing import Any

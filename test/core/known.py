@@ -1,7 +1,5 @@
 """Dampers with known parameters, runs made from them, and helpers of the core tests."""
 
-from __future__ import annotations
-
 import math
 import os
 from collections.abc import Sequence

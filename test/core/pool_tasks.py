@@ -1,7 +1,5 @@
 """Tasks for other processes, which cannot import a test module."""
 
-from __future__ import annotations
-
 import os
 import signal
 import time

@@ -1,7 +1,5 @@
 """Motions with their exact velocity and acceleration: random, and a rounded triangle."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

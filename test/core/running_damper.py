@@ -1,7 +1,5 @@
 """Data that a damper shows during identification, put into a record without a node."""
 
-from __future__ import annotations
-
 import math
 import time
 from collections.abc import Callable

@@ -1,7 +1,5 @@
 """A worker in the process of the test, whose tasks end on request."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Any

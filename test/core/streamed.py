@@ -1,7 +1,5 @@
 """A source of samples, run as the bridge runs it, until a condition holds."""
 
-from __future__ import annotations
-
 import time
 from collections.abc import Callable
 from typing import Any

@@ -1,7 +1,5 @@
 """Bad windows are rejected with a reason, and good ones are accepted."""
 
-from __future__ import annotations
-
 import dataclasses
 import math
 import re

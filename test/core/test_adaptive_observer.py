@@ -1,7 +1,5 @@
 """The observer whose bandwidth follows the motion and the noise."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """Bags: what is written is read back, and unreadable files give one clear sentence."""
 
-from __future__ import annotations
-
 import math
 import shutil
 from collections.abc import Iterator

@@ -1,7 +1,5 @@
 """Which blocks are valid and accepted by a node, and sample times of uniform streams."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator
 

@@ -1,7 +1,5 @@
 """The force is continuous when a set takes over, and the law's state is that of the new set."""
 
-from __future__ import annotations
-
 import dataclasses
 import math
 

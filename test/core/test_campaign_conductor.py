@@ -1,7 +1,5 @@
 """A campaign on an emulated machine, timed by the stamps of the samples only."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from dataclasses import replace

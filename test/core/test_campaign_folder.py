@@ -1,7 +1,5 @@
 """A campaign on disk: by hand, with one program call per step, and its report."""
 
-from __future__ import annotations
-
 import re
 from dataclasses import replace
 from pathlib import Path

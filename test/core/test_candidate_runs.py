@@ -1,7 +1,5 @@
 """Candidate runs: within all limits, and selected by their information."""
 
-from __future__ import annotations
-
 from collections import Counter
 from dataclasses import asdict, replace
 

@@ -1,7 +1,5 @@
 """Windows with a changing current: split, fitted and learnt from; the lag of the coil."""
 
-from __future__ import annotations
-
 import known
 import numpy as np
 import pytest

@@ -1,7 +1,5 @@
 """Separately stamped channels: counted, sorted, joined; lost samples are never invented."""
 
-from __future__ import annotations
-
 import heapq
 from dataclasses import dataclass
 

@@ -1,7 +1,5 @@
 """Child processes and programs: their output, their end, and separate ROS domains."""
 
-from __future__ import annotations
-
 import os
 import signal
 import subprocess

@@ -1,7 +1,5 @@
 """A machine with commanded motion: always within its limits, and free of jumps."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 

@@ -1,7 +1,5 @@
 """The text of the control study's report for invented results."""
 
-from __future__ import annotations
-
 import csv
 from pathlib import Path
 from typing import Any

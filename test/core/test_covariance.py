@@ -1,7 +1,5 @@
 """Covariances of windows, and model errors from the differences between motions."""
 
-from __future__ import annotations
-
 import math
 from functools import cache
 

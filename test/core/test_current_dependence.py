@@ -1,7 +1,5 @@
 """Laws of one current extended to all currents, with a coil lag, and the mass before the cell."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from functools import cache

@@ -1,7 +1,5 @@
 """A sudden change of the force is detected at once, with few false alarms."""
 
-from __future__ import annotations
-
 import dataclasses
 import math
 

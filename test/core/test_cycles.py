@@ -1,7 +1,5 @@
 """A segment contains a cycle if it shows the force at all signs of v and a."""
 
-from __future__ import annotations
-
 import known
 import numpy as np
 import pytest

@@ -1,7 +1,5 @@
 """The source `daq`: with simulated devices, and with the real libraries where installed."""
 
-from __future__ import annotations
-
 import ctypes
 import math
 import sys

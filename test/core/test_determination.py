@@ -1,7 +1,5 @@
 """Determined parameters are named correctly, and the advised runs determine the others."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 from functools import cache

@@ -1,7 +1,5 @@
 """All code in the README, the documentation, the docstrings and the examples is run."""
 
-from __future__ import annotations
-
 import doctest
 import os
 import re

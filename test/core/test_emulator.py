@@ -1,7 +1,5 @@
 """The emulated rig: true kinematics, true physics, and streams independent of the block size."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

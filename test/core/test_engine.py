@@ -1,7 +1,5 @@
 """The engine: identification and prediction of one stream, connected as in the nodes."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 from pathlib import Path

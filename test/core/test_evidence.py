@@ -1,7 +1,5 @@
 """A set is replaced only if the new one is significantly better."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 

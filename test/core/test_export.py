@@ -1,7 +1,5 @@
 """Exported code computes the law, both for single points and along a stream."""
 
-from __future__ import annotations
-
 import ctypes
 import shutil
 import subprocess

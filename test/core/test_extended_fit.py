@@ -1,7 +1,5 @@
 """Identification of the extended law: compliance, stiffness and offset besides the sixteen."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 from functools import cache

@@ -1,7 +1,5 @@
 """Motion with few samples per cycle: its derivatives, and the force of a law with memory."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

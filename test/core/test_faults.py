@@ -1,7 +1,5 @@
 """The fault library: each fault has the named effect at the given time, and no other."""
 
-from __future__ import annotations
-
 import math
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """The figure of measured and predicted force: its content, and its file formats."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Temperature maps of the force: known ones, those learnt by a tracker, and those of a program."""
 
-from __future__ import annotations
-
 import dataclasses
 import math
 from collections.abc import Iterable

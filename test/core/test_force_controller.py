@@ -1,7 +1,5 @@
 """Force control: the desired force is reached, and no uncertain current is commanded."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass, replace

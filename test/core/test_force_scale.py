@@ -1,7 +1,5 @@
 """The force scale against the baseline, and the two kinds of errors of a fit."""
 
-from __future__ import annotations
-
 import dataclasses
 import math
 

@@ -1,7 +1,5 @@
 """Formulas compiled for scalars, for arrays, in stages and to machine code; derivatives."""
 
-from __future__ import annotations
-
 import math
 import sys
 from collections.abc import Callable, Iterator, Sequence

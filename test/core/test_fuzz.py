@@ -1,7 +1,5 @@
 """Hostile input causes only documented errors; ``make soak`` tries a hundred thousand cases."""
 
-from __future__ import annotations
-
 import pytest
 
 from benchmarks import hostile

@@ -1,7 +1,5 @@
 """One set for many runs: the true parameters if determined, otherwise the initial values."""
 
-from __future__ import annotations
-
 import math
 import re
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """The Python interface for a user with recordings and without ROS."""
 
-from __future__ import annotations
-
 import math
 from functools import partial
 from pathlib import Path

@@ -1,7 +1,5 @@
 """The inverse of every law for blocks, and for single samples against a scan of the currents."""
 
-from __future__ import annotations
-
 import math
 from typing import NamedTuple
 

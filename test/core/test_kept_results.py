@@ -1,7 +1,5 @@
 """Results stored as they finish: none is lost or computed twice."""
 
-from __future__ import annotations
-
 import signal
 import subprocess
 import sys

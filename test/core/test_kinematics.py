@@ -1,7 +1,5 @@
 """Motion from displacement: sines, any other motion, and streams."""
 
-from __future__ import annotations
-
 import functools
 import math
 

@@ -1,7 +1,5 @@
 """A law is chosen by its predictions for data outside the fit."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 

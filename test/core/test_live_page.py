@@ -1,7 +1,5 @@
 """The page in a headless Chromium: figures, texts, keys, themes, small screens."""
 
-from __future__ import annotations
-
 import json
 import re
 import threading

@@ -1,7 +1,5 @@
 """The record of a running system, and the data that its viewers receive."""
 
-from __future__ import annotations
-
 import json
 import math
 from typing import Any

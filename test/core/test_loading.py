@@ -1,7 +1,5 @@
 """Modules that the nodes import: none is heavy or unused, and BLAS uses one thread."""
 
-from __future__ import annotations
-
 import os
 import threading
 from collections.abc import Iterator

@@ -1,7 +1,5 @@
 """Many dampers from many recordings: the whole procedure, and the handling of bad files."""
 
-from __future__ import annotations
-
 import csv
 import json
 from concurrent.futures import ThreadPoolExecutor

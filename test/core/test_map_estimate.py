@@ -1,7 +1,5 @@
 """Windows weighted against the running set, and the results of a window's task."""
 
-from __future__ import annotations
-
 import pickle
 from dataclasses import replace
 

@@ -1,7 +1,5 @@
 """Bags are written with checksums; changed or unbounded files are rejected."""
 
-from __future__ import annotations
-
 import struct
 import tracemalloc
 from pathlib import Path

@@ -1,7 +1,5 @@
 """A set that takes over has the state that it would have had if used from the start."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from typing import Any
 

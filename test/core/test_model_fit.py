@@ -1,7 +1,5 @@
 """Identification of any model from one window: truth, errors, memory, bounds, scale."""
 
-from __future__ import annotations
-
 from functools import cache
 
 import known

@@ -1,7 +1,5 @@
 """The reviewed models: formulas, integration, lag, identification of a model's own force."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from hypothesis import example, given

@@ -1,7 +1,5 @@
 """Work done between two blocks does not change the results."""
 
-from __future__ import annotations
-
 import known
 import numpy as np
 import pytest

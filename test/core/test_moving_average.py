@@ -1,7 +1,5 @@
 """Moving averages: detected in a record, reversed, and reported."""
 
-from __future__ import annotations
-
 import os
 from pathlib import Path
 

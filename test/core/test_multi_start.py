@@ -1,7 +1,5 @@
 """Searches from several seeds, and from a lower minimum found by a profile."""
 
-from __future__ import annotations
-
 import json
 import math
 from collections.abc import Callable

@@ -1,7 +1,5 @@
 """The parameter tables of the nodes: validation, and agreement with config/*.yaml."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from typing import Any

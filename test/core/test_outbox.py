@@ -1,7 +1,5 @@
 """Items waiting for the disk are written in order, and the newest is kept."""
 
-from __future__ import annotations
-
 import threading
 
 from mr_damper_ros.processes.deferred import BackgroundWriter, Outbox

@@ -1,7 +1,5 @@
 """The page server for clients: files, data, rejected requests, and slow viewers."""
 
-from __future__ import annotations
-
 import http.client
 import json
 import re

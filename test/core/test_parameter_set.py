@@ -1,7 +1,5 @@
 """Parameter sets: exact conversion to text and back, and one clear sentence for every fault."""
 
-from __future__ import annotations
-
 import dataclasses
 import math
 import re

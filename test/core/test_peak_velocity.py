@@ -1,7 +1,5 @@
 """Peak velocity of any motion."""
 
-from __future__ import annotations
-
 import known
 import numpy as np
 import pytest

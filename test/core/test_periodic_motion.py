@@ -1,7 +1,5 @@
 """Periodic motions are exact and never exceed their stated limits."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 

@@ -1,7 +1,5 @@
 """Windows and searches are processed in the order of the data under all circumstances."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace

@@ -1,7 +1,5 @@
 """Plants that contain a damper, their excitation, and suspension controllers."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Plausibility of parameter sets: the same from every source; published sets pass."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 

@@ -1,7 +1,5 @@
 """The predicted force is correct and causal, and is marked invalid when unreliable."""
 
-from __future__ import annotations
-
 import dataclasses
 
 import known

@@ -1,7 +1,5 @@
 """Tasks in several processes: the same results in the same order, progress, stop, errors."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from typing import Any
 

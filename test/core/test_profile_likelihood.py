@@ -1,7 +1,5 @@
 """Profile likelihoods: correct intervals, and none for undetermined parameters."""
 
-from __future__ import annotations
-
 import math
 
 import known

@@ -1,7 +1,5 @@
 """The thesis' conditions, the runs made from them, and the bags of the package."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Gain and offset per record: estimated with known truth, and reported."""
 
-from __future__ import annotations
-
 import json
 from functools import cache
 

@@ -1,7 +1,5 @@
 """Recordings: invalid ones are rejected with one sentence; recordings by damper."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

@@ -1,7 +1,5 @@
 """The recursive filter agrees with the window fit, follows drift, and estimates its error."""
 
-from __future__ import annotations
-
 import dataclasses
 
 import known

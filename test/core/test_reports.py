@@ -1,7 +1,5 @@
 """Contents of a window report, and the errors of records, singly and pooled."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 

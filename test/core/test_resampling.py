@@ -1,7 +1,5 @@
 """Samples resampled to other times, smoothed, and joined to those of other channels."""
 
-from __future__ import annotations
-
 import known
 import numpy as np
 import pytest

@@ -1,7 +1,5 @@
 """The newest window of each operating point is kept, and not too many."""
 
-from __future__ import annotations
-
 import known
 import numpy as np
 import pytest

@@ -1,7 +1,5 @@
 """Detection of a wrong force from the load cell's noise and the latest peak."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

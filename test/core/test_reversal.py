@@ -1,7 +1,5 @@
 """The branch of the hysteresis at a reversal, and whether the force jumps there."""
 
-from __future__ import annotations
-
 import known
 import numpy as np
 import pytest

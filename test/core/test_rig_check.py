@@ -1,7 +1,5 @@
 """Faults of a rig are named, and none are reported for a sound rig."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from functools import cache
 

@@ -1,7 +1,5 @@
 """The sources of samples: what they open, the blocks they produce, and rejected options."""
 
-from __future__ import annotations
-
 import math
 import time
 from itertools import islice

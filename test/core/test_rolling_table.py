@@ -1,7 +1,5 @@
 """Tables of limited size: dropped rows, thinning, and the data for readers."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from hypothesis import given

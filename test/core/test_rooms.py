@@ -1,7 +1,5 @@
 """Imports between the rooms of the package point in one direction."""
 
-from __future__ import annotations
-
 import ast
 from collections.abc import Iterator
 from functools import cache

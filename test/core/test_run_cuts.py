@@ -1,7 +1,5 @@
 """A record of several runs is split at their ends: pauses, rests, currents, phases."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """Choice of the next run: errors of the force, plans within limits, signals, whole campaigns."""
 
-from __future__ import annotations
-
 import json
 import math
 from dataclasses import replace

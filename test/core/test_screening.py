@@ -1,7 +1,5 @@
 """Unusable windows are named before they are fitted."""
 
-from __future__ import annotations
-
 import known
 import numpy as np
 import pytest

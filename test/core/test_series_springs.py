@@ -1,7 +1,5 @@
 """Springs in series with yield and damper: theory, periods, block sizes, derivatives, memory."""
 
-from __future__ import annotations
-
 import known
 import numpy as np
 import pytest

@@ -1,7 +1,5 @@
 """After a current step, the set of that current counts instead of the latest window's."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import replace
 from typing import NamedTuple

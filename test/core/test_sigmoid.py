@@ -1,7 +1,5 @@
 """The force law equals the thesis' routine, never overflows, and has correct derivatives."""
 
-from __future__ import annotations
-
 import math
 import warnings
 

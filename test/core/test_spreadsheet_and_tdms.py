@@ -1,7 +1,5 @@
 """XLSX and TDMS files give the same recording as a text file with the same numbers."""
 
-from __future__ import annotations
-
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any

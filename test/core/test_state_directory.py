@@ -1,7 +1,5 @@
 """Parameter sets on disk are read back exactly; damaged ones are rejected."""
 
-from __future__ import annotations
-
 import dataclasses
 import os
 from pathlib import Path

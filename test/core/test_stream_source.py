@@ -1,7 +1,5 @@
 """The source `stream`: data from senders, and every fault that can occur."""
 
-from __future__ import annotations
-
 import itertools
 import math
 import os

@@ -1,7 +1,5 @@
 """Streams of unknown dampers, of faulty rigs, and of the whole control loop."""
 
-from __future__ import annotations
-
 from functools import cache
 
 import numpy as np

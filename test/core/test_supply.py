@@ -1,7 +1,5 @@
 """Supplies: effects of commands, also on an instrument behind a real socket."""
 
-from __future__ import annotations
-
 import math
 import os
 import select

@@ -1,7 +1,5 @@
 """Text records of any size, and MAT files in a separate process, which may crash or hang."""
 
-from __future__ import annotations
-
 import os
 import socket
 import tracemalloc

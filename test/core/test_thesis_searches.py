@@ -1,7 +1,5 @@
 """Optimisers, one set for a run, the cells of a report, and the report."""
 
-from __future__ import annotations
-
 import re
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The reproduction against the thesis' own figures: errors, dependencies, errata, sensitivity."""
 
-from __future__ import annotations
-
 import pytest
 from fresh_python import alone
 

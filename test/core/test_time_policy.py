@@ -1,7 +1,5 @@
 """One time policy: all consumers treat irregular stamps in the same way and recover."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import replace
 from functools import cache

@@ -1,7 +1,5 @@
 """The programs identify and validate, from the user's side."""
 
-from __future__ import annotations
-
 import dataclasses
 import json
 import os

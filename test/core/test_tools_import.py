@@ -1,7 +1,5 @@
 """Conversion of laboratory files to bags: all number formats and all errors in files."""
 
-from __future__ import annotations
-
 import argparse
 import os
 import sys

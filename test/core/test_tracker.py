@@ -1,7 +1,5 @@
 """The tracker follows a damper that drifts, and ignores all other influences."""
 
-from __future__ import annotations
-
 import dataclasses
 import itertools
 import math

@@ -1,7 +1,5 @@
 """A tracker restarted from its stored state continues; unusable states are set aside."""
 
-from __future__ import annotations
-
 import copy
 import dataclasses
 import json

@@ -1,7 +1,5 @@
 """A damper of any model is identified, judged and followed; a sudden change is detected."""
 
-from __future__ import annotations
-
 import math
 from functools import cache
 

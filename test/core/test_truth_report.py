@@ -1,7 +1,5 @@
 """The report on the force laws, and the hysteretic benchmark that it re-creates."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 

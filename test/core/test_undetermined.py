@@ -1,7 +1,5 @@
 """Undetermined parameters keep their initial values, whatever the data."""
 
-from __future__ import annotations
-
 from functools import cache
 from itertools import product
 

@@ -1,7 +1,5 @@
 """Blocks on a uniform grid: order, gaps, repetitions, and jitter of stamps."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from hypothesis import given, settings

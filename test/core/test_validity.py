@@ -1,7 +1,5 @@
 """Each kind of evidence against a predicted force is detected in time, without false alarms."""
 
-from __future__ import annotations
-
 import dataclasses
 import functools
 import math

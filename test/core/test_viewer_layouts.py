@@ -1,7 +1,5 @@
 """The layouts for ROS viewers use existing topics and fields."""
 
-from __future__ import annotations
-
 import json
 import re
 from pathlib import Path

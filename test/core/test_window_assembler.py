@@ -1,7 +1,5 @@
 """Windows are cut by the data's stamps, independently of blocks and message order."""
 
-from __future__ import annotations
-
 import math
 from bisect import bisect
 

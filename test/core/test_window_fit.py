@@ -1,7 +1,5 @@
 """The fit of one window reaches the noise, finds the truth and estimates its error correctly."""
 
-from __future__ import annotations
-
 import math
 import warnings
 from dataclasses import dataclass

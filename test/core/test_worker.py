@@ -1,7 +1,5 @@
 """Worker processes: results, order, cancellation, death, hanging, and no orphans."""
 
-from __future__ import annotations
-
 import operator
 import os
 import signal

@@ -1,7 +1,5 @@
 """Waiting for other threads and processes, with a deadline instead of a sleep."""
 
-from __future__ import annotations
-
 import time
 from collections.abc import Callable
 from pathlib import Path

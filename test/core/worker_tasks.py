@@ -1,7 +1,5 @@
 """Tasks for worker processes, which cannot import a test module; it loads nothing heavy."""
 
-from __future__ import annotations
-
 import os
 import pathlib
 import signal

@@ -1,7 +1,5 @@
 """Fixtures of the tests over real DDS."""
 
-from __future__ import annotations
-
 import os
 import sys
 from collections.abc import Callable, Iterator

@@ -4,8 +4,6 @@ It resolves the arguments as `ros2 launch` does and returns the nodes that would
 launch does with them later is not imitated.
 """
 
-from __future__ import annotations
-
 import importlib.util
 import sys
 from collections.abc import Mapping

@@ -1,7 +1,5 @@
 """A test machine simulated by the test: it publishes the samples of a recording."""
 
-from __future__ import annotations
-
 import math
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Programs as processes, and a node that listens to them; with deadlines instead of sleeps."""
 
-from __future__ import annotations
-
 import os
 import signal
 import time

@@ -1,7 +1,5 @@
 """The bridge as a process: its topics and its behaviour."""
 
-from __future__ import annotations
-
 import signal
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """The campaign as a process, with the emulated rig of a bridge: goals, commands, crashes."""
 
-from __future__ import annotations
-
 import os
 import signal
 from pathlib import Path

@@ -1,7 +1,5 @@
 """The program that checks a rig, on the emulated one with and without faults."""
 
-from __future__ import annotations
-
 import subprocess
 from typing import Any
 

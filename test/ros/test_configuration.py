@@ -1,7 +1,5 @@
 """An invalid configuration gives one sentence and an exit code at the start."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

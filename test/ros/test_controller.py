@@ -1,7 +1,5 @@
 """The controller as a process: commands for a desired force, otherwise the safe current."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 from functools import partial

@@ -1,7 +1,5 @@
 """The demonstration: three processes, a table and figures."""
 
-from __future__ import annotations
-
 import re
 import signal
 from pathlib import Path

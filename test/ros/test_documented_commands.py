@@ -3,8 +3,6 @@
 What needs no installed ROS is run in test/core/test_documentation.py and below.
 """
 
-from __future__ import annotations
-
 import os
 import re
 import shlex

@@ -1,7 +1,5 @@
 """The Fast DDS profile, with which a killed node is quickly replaced."""
 
-from __future__ import annotations
-
 import os
 import subprocess
 import sys

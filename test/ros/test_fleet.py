@@ -1,7 +1,5 @@
 """The launch file of a fleet: the nodes that it starts, and three dampers side by side."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

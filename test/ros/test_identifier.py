@@ -1,7 +1,5 @@
 """The identifier as a process: its topics, its stored state, and its robustness."""
 
-from __future__ import annotations
-
 import math
 import os
 import signal

@@ -1,7 +1,5 @@
 """The launch file: the nodes that it starts, checked without launch, and with it if installed."""
 
-from __future__ import annotations
-
 import signal
 import subprocess
 from pathlib import Path

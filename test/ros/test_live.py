@@ -1,7 +1,5 @@
 """The page of a running system receives the nodes' data and commands the identifier."""
 
-from __future__ import annotations
-
 import http.client
 import json
 import re

@@ -1,7 +1,5 @@
 """The model as a process: a prediction for every block, and the reason if it is invalid."""
 
-from __future__ import annotations
-
 import os
 import signal
 import time

@@ -1,7 +1,5 @@
 """Quality of service: late joiners, best effort on either side, overrides."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

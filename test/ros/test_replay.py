@@ -1,7 +1,5 @@
 """The replay node as a process: its topics and its behaviour."""
 
-from __future__ import annotations
-
 import shutil
 import signal
 import time

@@ -1,7 +1,5 @@
 """The SROS2 policy allows each node its own topics and services, and nothing else."""
 
-from __future__ import annotations
-
 import contextlib
 import xml.etree.ElementTree as ElementTree
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Short variants of ``make soak``: kills, starts, Ctrl-C, some minutes of data at 20x speed."""
 
-from __future__ import annotations
-
 import pytest
 
 pytest.importorskip("rclpy", reason="these tests need ROS")

@@ -1,7 +1,5 @@
 """Sources of samples in the bridge: a stream of rows, and a source of another package."""
 
-from __future__ import annotations
-
 import os
 import socket
 import threading

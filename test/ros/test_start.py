@@ -1,7 +1,5 @@
 """Start of a node's program: messages for missing parts, and a closed output."""
 
-from __future__ import annotations
-
 import os
 import runpy
 import subprocess

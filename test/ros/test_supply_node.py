@@ -1,7 +1,5 @@
 """The supply node with an instrument behind a real socket: output on, and all ways to off."""
 
-from __future__ import annotations
-
 import signal
 from collections.abc import Callable, Iterator
 from typing import Any

@@ -1,7 +1,5 @@
 """The suspension node with the emulated car of the bridge and the damper's controller."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

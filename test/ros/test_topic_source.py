@@ -1,7 +1,5 @@
 """Topics of other nodes become samples: one message or two topics, from a real process."""
 
-from __future__ import annotations
-
 import math
 from typing import Any
 

@@ -1,7 +1,5 @@
 """The programs that show a running system in a terminal, and the one that starts an example."""
 
-from __future__ import annotations
-
 import http.client
 import json
 import re
