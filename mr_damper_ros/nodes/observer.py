@@ -80,10 +80,10 @@ class Observer(AbstractContextManager):
         self._executor.spin_once(timeout_sec=timeout)
 
     def spin_for(self, duration: float) -> None:
-        """Process messages for ``duration`` seconds."""
+        """Process messages for ``duration`` seconds; Ctrl-C ends it soon also without messages."""
         end = time.monotonic() + duration
         while (left := end - time.monotonic()) > 0.0:
-            self.spin_once(left)
+            self.spin_once(min(left, 0.1))
 
     def until(
         self, condition: Callable[[], Any], what: str, patience: float = PATIENCE, tick: float = 0.1

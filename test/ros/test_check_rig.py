@@ -1,9 +1,13 @@
 """The program that checks a rig, on the emulated one with and without faults."""
 
+import signal
 import subprocess
+import threading
+import time
 from typing import Any
 
-from support import PATIENCE, installed_programs
+import pytest
+from support import PATIENCE, Listener, installed_programs
 
 STEPS = {"emulated__excitation": "steps", "emulated__sweep_time": 8.0, "wait_for_subscribers": 1}
 
@@ -39,3 +43,11 @@ def test_without_a_rig_it_says_what_to_start() -> None:
     done = check(1.0)
     assert done.returncode == 1, done.stderr
     assert "no samples arrive on mts/samples: start the bridge" in done.stdout
+
+
+def test_an_interrupt_ends_it_also_if_nothing_arrives(listener: Listener) -> None:
+    begin = time.monotonic()
+    threading.Timer(0.5, signal.raise_signal, [signal.SIGINT]).start()
+    with pytest.raises(KeyboardInterrupt):
+        listener.spin_for(PATIENCE)
+    assert time.monotonic() - begin < 0.5 * PATIENCE

@@ -11,7 +11,10 @@ function axis(label, size) {
     label, labelSize: label ? 18 : 0, size, gap: 3, labelGap: 0,
     stroke: style("soft"), font: "11px system-ui, sans-serif", labelFont: "11px system-ui, sans-serif",
     grid: { stroke: style("grid"), width: 1 }, ticks: { stroke: style("grid"), size: 4 },
-    values: (_, marks) => marks.map((mark) => (mark === null ? "" : short(mark))),
+    values: (_, marks, axis, space, step) => {
+      const digits = Math.ceil(Math.log10(Math.max(...marks.map(Math.abs)) / step)) + 1; // marks differ
+      return marks.map((mark) => (mark === null ? "" : short(mark, Math.min(Math.max(digits, 4), 12))));
+    },
   };
 }
 
