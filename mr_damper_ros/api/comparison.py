@@ -226,10 +226,15 @@ def save_figures(
         stem = _file_name(comparison.name, {path.stem for path in written})
         for kind in formats:
             written.append(folder / f"{stem}.{kind}")
-            content = io.BytesIO()
-            figure.savefig(content, format=kind, dpi=150)
-            write_bytes(written[-1], content.getvalue())
+            save_figure(figure, written[-1])
     return written
+
+
+def save_figure(figure: Figure, path: Path) -> None:
+    """Save a figure in the format of the path's ending; missing folders are created."""
+    content = io.BytesIO()
+    figure.savefig(content, format=path.suffix.removeprefix("."), dpi=150)
+    write_bytes(path, content.getvalue())
 
 
 def _file_name(name: str, taken: set[str]) -> str:

@@ -173,7 +173,10 @@ def _check_free(path: Path, overwrite: bool) -> None:
     if not (path / "metadata.yaml").is_file():
         raise BagError(f"{path} exists and is not a bag: choose another name")
     if not overwrite:
-        raise BagError(f"{path} exists already: choose another name, or allow overwriting")
+        raise BagError(
+            f"{path} exists already: choose another name, or allow overwriting "
+            "(overwrite=True, --overwrite)"
+        )
 
 
 def _message(item: StreamItem) -> tuple[str, int, bytes]:

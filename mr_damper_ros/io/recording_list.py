@@ -11,6 +11,7 @@ from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
+from mr_damper_ros.io.columns import parse_columns
 from mr_damper_ros.io.records import read_record
 from mr_damper_ros.models.parameter_set import UserError
 from mr_damper_ros.signals.recording import Recording
@@ -41,6 +42,10 @@ class RecordFormat:
     current: float | None = None
     period: float | None = None
     variable: str | None = None
+
+    def __post_init__(self) -> None:
+        """Raise ColumnError if the columns cannot be read."""
+        parse_columns(self.columns)
 
     def read(self, path: Path, current: float | None) -> Recording:
         """The recording in a file; ``current`` [A] overrides the current of the format."""

@@ -175,7 +175,10 @@ class TextFile:
                 encoding=None,
                 ndmin=2,
             )
-        except (ValueError, TypeError):
+        except (ValueError, TypeError) as error:
+            # numpy.loadtxt takes an interrupt within a converter for a wrong value.
+            if isinstance(error.__cause__, KeyboardInterrupt):
+                raise KeyboardInterrupt from None
             numbers = np.empty((0, len(cells)))
         if len(numbers) == self._row_count - first:
             return numbers

@@ -8,13 +8,13 @@ from __future__ import annotations
 import argparse
 
 from mr_damper_ros.rig_check.checks import RigRecord, check_rig
-from mr_damper_ros.tools.console import program
+from mr_damper_ros.tools.console import add_namespace_option, program
 
 _WRONG = 1
 
 
 def _options(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("--namespace", default="/", help="namespace of the damper (default /)")
+    add_namespace_option(parser)
     parser.add_argument(
         "--seconds", type=float, default=30.0, help="time to listen [s] (default 30)"
     )

@@ -123,7 +123,7 @@ def _fail(parser: argparse.ArgumentParser, sentence: str) -> int:
     return FAILED
 
 
-_UNIT = re.compile(r"\[([^\]]+)\]")
+_UNIT = re.compile(r"\[([^\]\s]+)")
 _TYPES = {"int": int, "float": float}
 
 
@@ -158,7 +158,7 @@ def add_arguments(
     """Add an option for each named parameter of a function.
 
     Type, default and help text are taken from the function (:func:`parameter_texts`). The unit in
-    the help text, such as [A], becomes the placeholder of the value. ``flags`` gives the names of
+    the help text, such as [A], becomes the placeholder of a number. ``flags`` gives the names of
     options that differ from their parameters.
     """
     parameters, texts = inspect.signature(function).parameters, parameter_texts(function)
@@ -173,7 +173,7 @@ def add_arguments(
         needed = default is inspect.Parameter.empty
         told = "" if needed or default in (None, ()) else " Default: %(default)s."
         chosen = (choices or {}).get(name)
-        unit = _UNIT.search(text)
+        unit = _UNIT.search(text) if kind in _TYPES else None
         parser.add_argument(
             flag,
             dest=name,
@@ -201,6 +201,35 @@ def add_run_options(parser: argparse.ArgumentParser) -> None:
         "bags", nargs="+", type=Path, metavar="BAG", help="bag folder or .mcap file"
     )
     add_arguments(parser, identify, ["accept_doubtful"])
+
+
+def add_namespace_option(parser: argparse.ArgumentParser) -> None:
+    """Add the option for the namespace of a damper."""
+
+    def namespace(text: str) -> str:
+        if re.fullmatch(r"/?|(/?[A-Za-z_]\w*)(/[A-Za-z_]\w*)*", text, re.ASCII) is None:
+            raise argparse.ArgumentTypeError(f"'{text}' is not a namespace such as /rig1")
+        return text
+
+    parser.add_argument(
+        "--namespace", type=namespace, default="/", help="namespace of the damper (default /)"
+    )
+
+
+def add_port_option(parser: argparse.ArgumentParser) -> None:
+    """Add the option for the port of the live page."""
+
+    def port(text: str) -> int:
+        if not text.isdecimal() or int(text) > 65535:
+            raise argparse.ArgumentTypeError(f"'{text}' is not a port: give a number up to 65535")
+        return int(text)
+
+    parser.add_argument(
+        "--port",
+        type=port,
+        default=8770,
+        help="port of the live page (default %(default)s; 0: any free port)",
+    )
 
 
 def add_json_option(parser: argparse.ArgumentParser, what: str) -> None:

@@ -23,7 +23,7 @@ from mr_damper_ros.models.parameter_set import start_set
 from mr_damper_ros.processes.programs import Program, ProgramError, RosDomain, node_arguments
 from mr_damper_ros.report.document import text_table
 from mr_damper_ros.signals.recording import Recording
-from mr_damper_ros.tools.console import program
+from mr_damper_ros.tools.console import add_port_option, program
 
 if TYPE_CHECKING:
     from mr_damper_ros.nodes.observer import Observer
@@ -49,12 +49,7 @@ def _options(parser: argparse.ArgumentParser) -> None:
         type=Path,
         help="bag to play (default: 5 mm, 1 Hz, 1.5 A; with --live the emulated rig)",
     )
-    parser.add_argument(
-        "--port",
-        type=int,
-        default=8770,
-        help="port of the live page (default %(default)s; 0: any free port)",
-    )
+    add_port_option(parser)
     parser.add_argument(
         "--rate", type=float, default=1.0, help="speed of the replay (default 1: real time)"
     )

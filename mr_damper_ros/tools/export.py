@@ -29,7 +29,9 @@ def _options(parser: argparse.ArgumentParser) -> None:
         required=True,
         help="a C99 header, an FMU (FMI 2.0, co-simulation), or M-code for MATLAB and Octave",
     )
-    parser.add_argument("--output", type=Path, required=True, metavar="FOLDER")
+    parser.add_argument(
+        "--output", type=Path, required=True, metavar="FOLDER", help="folder of the files"
+    )
     parser.add_argument(
         "--name", default="mr_damper", help="prefix of the names in C (default %(default)s)"
     )

@@ -11,6 +11,7 @@ from pathlib import Path
 from mr_damper_ros.api.findings import Findings, searches
 from mr_damper_ros.api.identification import AUTO, LARGEST_RUN_NRMSE, Identification, identify
 from mr_damper_ros.estimation.differential_evolution import STRATEGIES
+from mr_damper_ros.estimation.experiment_design import RigRange
 from mr_damper_ros.estimation.global_fit import GLOBAL_METHODS
 from mr_damper_ros.estimation.record_levels import USUAL_SPREAD
 from mr_damper_ros.models import MODELS
@@ -70,6 +71,10 @@ def _options(parser: argparse.ArgumentParser) -> None:
 
 
 def _identify(options: argparse.Namespace) -> int:
+    # A wrong range is refused before the long computation.
+    RigRange(
+        1.0, *(1.0 if top is None else top for top in (options.top_velocity, options.top_current))
+    )
     with ProgressLine() as progress:
         given = arguments_of(options, identify)
         result = identify(options.bags, report=progress, **given)

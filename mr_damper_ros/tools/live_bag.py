@@ -13,7 +13,7 @@ from pathlib import Path
 
 from mr_damper_ros.live.page_server import PageServer
 from mr_damper_ros.live.recorded import empty_record, replay_into
-from mr_damper_ros.tools.console import program
+from mr_damper_ros.tools.console import add_port_option, program
 from mr_damper_ros.tracking.state_directory import read_parameter_file
 
 
@@ -22,12 +22,7 @@ def _options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--parameters", type=Path, metavar="FILE", help="parameter set to start from instead"
     )
-    parser.add_argument(
-        "--port",
-        type=int,
-        default=8770,
-        help="port of the page (default %(default)s; 0: any free port)",
-    )
+    add_port_option(parser)
 
 
 def _serve(options: argparse.Namespace) -> int:

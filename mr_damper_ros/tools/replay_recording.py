@@ -8,7 +8,7 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from mr_damper_ros.api.comparison import FORMATS
+from mr_damper_ros.api.comparison import FORMATS, save_figure
 from mr_damper_ros.api.replay import replay
 from mr_damper_ros.models import MODELS
 from mr_damper_ros.models.parameter_set import DEFAULT_MODEL
@@ -37,17 +37,20 @@ def _options(parser: argparse.ArgumentParser) -> None:
 
 
 def _replay(options: argparse.Namespace) -> int:
+    kind = "" if options.plot is None else options.plot.suffix.removeprefix(".")
+    if options.plot is not None and kind not in FORMATS:
+        raise ValueError(f"{options.plot} must end in .{', .'.join(FORMATS)}")
     result = replay(
         options.bag, options.parameters, settings=EngineSettings().for_law(options.model)
     )
     print(result)
+    write_json(options, result.document())
+    if options.plot is not None:
+        save_figure(result.plot(), options.plot)
     if options.output is not None:
         if result.parameter_set is None:
             raise ValueError(f"no set was accepted: {options.output} is not written")
         result.parameter_set.save(options.output)
-    write_json(options, result.document())
-    if options.plot is not None:
-        result.plot().savefig(options.plot)
     return 0
 
 

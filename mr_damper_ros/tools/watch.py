@@ -11,7 +11,7 @@ import time
 
 from mr_damper_ros.live.live_record import SILENT_AFTER, LiveRecord
 from mr_damper_ros.signals.error_sums import ErrorSums
-from mr_damper_ros.tools.console import program
+from mr_damper_ros.tools.console import add_namespace_option, program
 
 _SIGNS = ("+", "!", "x", "?")
 """Signs for the levels good, warning, error and stale."""
@@ -135,7 +135,7 @@ _AT_LEAST = 3.0
 
 
 def _options(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("--namespace", default="/", help="namespace of the damper (default /)")
+    add_namespace_option(parser)
     parser.add_argument(
         "--period", type=float, default=0.5, help="seconds between two prints (default 0.5)"
     )

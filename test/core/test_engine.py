@@ -14,6 +14,7 @@ from mr_damper_ros.models.parameter_set import ParameterSet
 from mr_damper_ros.processes.worker import Done, Failed, InlineWorker
 from mr_damper_ros.signals.blocks import NANOSECONDS
 from mr_damper_ros.signals.recording import CurrentReading, TemperatureReading, stream_of
+from mr_damper_ros.tools import replay_recording
 from mr_damper_ros.tracking.acceptance import Verdict
 from mr_damper_ros.tracking.engine import Engine, EngineSettings
 from mr_damper_ros.tracking.tracker import TrackerSettings
@@ -75,12 +76,14 @@ def test_the_law_is_that_of_the_given_set(tmp_path: Path) -> None:
     assert said.reports[0].verdict is not Verdict.FAILED
 
 
-def test_a_result_prints_and_draws() -> None:
+def test_a_result_prints_and_draws(capsys: pytest.CaptureFixture[str]) -> None:
     said = mr.replay(recording(), settings=QUICK)
     assert "window-1" in str(said)
     assert "accepted" in said._repr_html_()
     assert said.document()["reports"][0]["verdict"] == "ACCEPTED"
     assert len(said.plot().axes) == 3
+    assert replay_recording.main(["nowhere", "--plot", "replay.xyz"]) == 2
+    assert "replay.xyz must end in .png, .svg, .pdf" in capsys.readouterr().err
 
 
 def test_a_recording_is_read_in_order() -> None:

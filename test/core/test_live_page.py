@@ -18,7 +18,7 @@ from waiting import until
 from mr_damper_ros.live.live_record import Concern, LiveRecord
 from mr_damper_ros.live.page_server import PageServer
 from mr_damper_ros.live.recorded import empty_record, replay_into
-from mr_damper_ros.tools import live_bag
+from mr_damper_ros.tools import live_bag, watch
 
 SECONDS = 12
 
@@ -386,6 +386,21 @@ def test_a_recording_that_is_missing_is_one_sentence(
 ) -> None:
     assert live_bag.main(["--bag", str(tmp_path / "none"), "--port", "0"]) == 2
     assert capsys.readouterr().err.startswith("live: there is no bag at ")
+
+
+@pytest.mark.parametrize(
+    ("main", "arguments", "sentence"),
+    [
+        (live_bag.main, ["--bag", "none", "--port", "65536"], "'65536' is not a port"),
+        (watch.main, ["--namespace", "a b"], "'a b' is not a namespace such as /rig1"),
+    ],
+)
+def test_an_option_that_cannot_be_is_named(
+    main: Any, arguments: list[str], sentence: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with pytest.raises(SystemExit):
+        main(arguments)
+    assert sentence in capsys.readouterr().err
 
 
 def record_length(record: LiveRecord) -> float:

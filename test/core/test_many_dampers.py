@@ -145,6 +145,7 @@ def test_the_program_writes_table_and_report_and_says_what_was_left_out(
         ([], "there is nothing to identify"),
         (["nowhere"], "there is no nowhere"),
         (["--list", "none.csv"], "none.csv"),
+        (["nowhere", "--columns", "time:x"], "'x' is not a known unit of time"),
     ],
 )
 def test_a_wrong_call_is_one_sentence(

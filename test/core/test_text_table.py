@@ -4,6 +4,7 @@ import os
 import socket
 import tracemalloc
 from dataclasses import replace
+from itertools import count
 from pathlib import Path
 
 import numpy as np
@@ -53,6 +54,22 @@ def test_a_line_without_end_is_refused(tmp_path: Path, length: int) -> None:
     path.write_text("0,1,2\n" + "7" * length + ",1,2\n", encoding="utf-8")
     with pytest.raises(RecordError, match=r"line 2 of run.csv has more than 100000 characters"):
         read_record(path, TEXT_COLUMNS, current=0.5)
+
+
+def test_an_interrupt_within_a_date_ends_the_reading(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    dates = count()
+
+    def date(text: str) -> float:
+        if next(dates) == 1:  # NumPy reads all dates but the first
+            raise KeyboardInterrupt
+        return 1.0
+
+    monkeypatch.setattr("mr_damper_ros.io.text_table.seconds_since_1970", date)
+    columns = parse_columns("time:datetime,displacement:mm,force:N")
+    with pytest.raises(KeyboardInterrupt):
+        read_text_table(text_file(tmp_path / "run.csv", 10), columns, None, 10)
 
 
 @pytest.mark.parametrize("place", range(5))

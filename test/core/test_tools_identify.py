@@ -102,8 +102,8 @@ def test_a_bag_that_makes_no_sense_is_refused_in_a_sentence(
         ([str(ONE_RUN), "--profile", "b9"], "there is no parameter 'b9' to profile"),
         ([str(ONE_RUN), "--starts", "0"], "starts is 0: at least 1 is needed"),
         ([str(ONE_RUN), "--workers", "0"], "workers is 0: at least 1 is needed"),
-        ([str(ONE_RUN), "--top-velocity", "-1"], "-1.0: it must be positive"),
-        ([str(ONE_RUN), "--top-current", "nan"], "largest current is nan"),
+        (["nowhere", "--top-velocity", "-1"], "-1.0: it must be positive"),
+        (["nowhere", "--top-current", "nan"], "largest current is nan"),
     ],
 )
 def test_a_wrong_argument_is_one_sentence(
