@@ -2,6 +2,7 @@
 
 import dataclasses
 import math
+from typing import Any
 
 import known
 import numpy as np
@@ -147,12 +148,6 @@ def test_after_a_step_no_window_mixes_before_and_after(tracker: str) -> None:
     np.testing.assert_allclose(found, 0.9 * known.PLAUSIBLE[0], rtol=SCALE_ERROR)
 
 
-@pytest.mark.parametrize("tracker", ["window", METHOD])
-@pytest.mark.parametrize("current", [0.0, 1.0])
-def test_a_steady_damper_is_never_fitted_early(tracker: str, current: float) -> None:
-    assert early(stream(1.0, tracker=tracker, current=current)[1]) == []
-
-
 def noise_burst(time: Array, force: Array) -> Array:
     burst = (time > 5.2) & (time < 5.6)
     return np.where(burst, force + noise(7, time.size, 300.0), force)
@@ -166,9 +161,19 @@ def broken(time: Array, force: Array) -> Array:
     return np.where(time > 5.2, 0.0, force)
 
 
-@pytest.mark.parametrize("spoil", [noise_burst, clipped, broken])
-def test_a_fault_of_the_sensor_is_not_fitted_early(spoil: object) -> None:
-    assert early(stream(1.0, spoil=spoil)[1]) == []
+@pytest.mark.parametrize(
+    "of_stream",
+    [
+        *(
+            {"tracker": tracker, "current": current}
+            for tracker in ("window", METHOD)
+            for current in (0.0, 1.0)
+        ),
+        *({"spoil": spoil} for spoil in (noise_burst, clipped, broken)),
+    ],
+)
+def test_a_steady_damper_or_a_fault_of_the_sensor_is_not_fitted_early(of_stream: Any) -> None:
+    assert early(stream(1.0, **of_stream)[1]) == []
 
 
 def test_when_time_is_set_back_the_past_change_is_forgotten() -> None:

@@ -30,17 +30,6 @@ def test_half_a_cycle_of_a_sine_is_none(cycles: float, phase: float, noise: floa
     assert not holds_cycle(sine(cycles, phase, noise))
 
 
-@pytest.mark.parametrize("phase", [0.0, 0.5])
-def test_two_thirds_of_a_cycle_with_one_turn_are_none(phase: float) -> None:
-    # One direction of motion occurs with only one sign of the acceleration.
-    assert not holds_cycle(sine(0.7, phase))
-
-
-def test_a_turn_back_is_no_cycle() -> None:
-    # The parabola at the top of a slow sine moves up and down, but never decelerates at the bottom.
-    assert not holds_cycle(sine(0.1, 0.2, 1e-6))
-
-
 @pytest.mark.parametrize("seed", range(5))
 def test_random_motion_is_one(seed: int) -> None:
     rng = np.random.default_rng(seed)
@@ -48,9 +37,19 @@ def test_random_motion_is_one(seed: int) -> None:
     assert holds_cycle(np.sum(waves, axis=0))
 
 
-@pytest.mark.parametrize("value", [np.zeros(COUNT), np.ones(3), np.empty(0), np.arange(9.0)])
-def test_no_motion_or_hardly_a_sample_is_none(value: np.ndarray) -> None:
-    assert not holds_cycle(value)
+@pytest.mark.parametrize(
+    "displacement",
+    [
+        # One direction of motion occurs with only one sign of the acceleration.
+        *(sine(0.7, phase) for phase in (0.0, 0.5)),
+        # The top of a slow sine moves up and down, but never decelerates at the bottom.
+        sine(0.1, 0.2, 1e-6),
+        # No motion, or hardly a sample.
+        *(np.zeros(COUNT), np.ones(3), np.empty(0), np.arange(9.0)),
+    ],
+)
+def test_a_part_of_a_cycle_or_no_motion_is_none(displacement: np.ndarray) -> None:
+    assert not holds_cycle(displacement)
 
 
 def test_averages_are_of_whole_groups_at_the_end() -> None:

@@ -295,26 +295,19 @@ def reached(damper: Damper, duration: float = 12.0, **changes: float) -> tuple[f
     return max(each.current for each in commands), any(each.unknown for each in commands)
 
 
+class Saturated(EmulatedDamper):
+    """Its force saturates at 0.4 A, unlike that of its set."""
+
+    def force(self, motion: Any, current: Array, celsius: float, period: float) -> Array:
+        return super().force(motion, np.minimum(current, 0.4), celsius, period)
+
+
 def test_it_probes_higher_currents_step_by_step_while_the_force_is_right() -> None:
-    highest, _ = reached(EmulatedDamper(WHOLE), probe_step=0.2)
-    assert 0.8 <= highest <= 2.0
-
-
-def test_without_probing_it_says_that_unknown_currents_are_needed() -> None:
-    highest, unknown = reached(EmulatedDamper(WHOLE), 4.0)
-    assert unknown
-    assert highest <= 0.4
-
-
-def test_it_does_not_probe_on_once_the_force_is_wrong() -> None:
-    """The force of the damper saturates at 0.4 A, unlike that of its set."""
-
-    class Saturated(EmulatedDamper):
-        def force(self, motion: Any, current: Array, celsius: float, period: float) -> Array:
-            return super().force(motion, np.minimum(current, 0.4), celsius, period)
-
-    highest, _ = reached(Saturated(WHOLE), probe_step=0.4)
-    assert highest <= 0.81
+    assert 0.8 <= reached(EmulatedDamper(WHOLE), probe_step=0.2)[0] <= 2.0
+    # One step is needed to see that the force is wrong.
+    assert reached(Saturated(WHOLE), probe_step=0.4)[0] <= 0.81
+    # Without probing it only says that unknown currents are needed.
+    assert reached(EmulatedDamper(WHOLE), 4.0) == (pytest.approx(0.4), True)
 
 
 def test_a_coil_that_lags_is_not_hurried_by_currents_beyond_the_identified_ones() -> None:

@@ -37,29 +37,28 @@ def in_use(sets: ModelBank) -> str:
     return sets.present.parameters.set_id
 
 
-@pytest.mark.parametrize("model", ["sigmoid", "bingham"])
-def test_a_mere_start_does_not_displace_a_given_set(model: str) -> None:
-    assert in_use(sets_of((GIVEN, None), (start_set(model), None))) == "given"
+START = (start_set("sigmoid"), None)
+AT_ZERO, EVERYWHERE = identified("window", (0.0, 0.0)), identified("window", (0.0, 2.0))
+UNLIMITED = replace(GIVEN, current_range=(-np.inf, np.inf))
 
 
-def test_a_mere_start_is_used_where_nothing_was_given() -> None:
-    assert in_use(sets_of((start_set("sigmoid"), None))) == "literature"
-
-
-def test_after_a_reset_to_a_mere_start_the_given_set_is_in_use_again() -> None:
-    window = identified("window", (0.0, 2.0))
-    assert in_use(sets_of((GIVEN, None), (window, 1), (start_set("sigmoid"), None))) == "given"
-
-
-def test_a_set_for_fewer_currents_does_not_displace_a_given_one() -> None:
-    window = identified("window", (0.0, 0.0))
-    assert in_use(sets_of((GIVEN, None), (window, 1), (replace(window, set_id="b"), 2))) == "given"
-
-
-def test_a_set_for_all_the_currents_displaces_a_given_one() -> None:
-    assert in_use(sets_of((GIVEN, None), (identified("window", (0.0, 2.0)), 1))) == "window"
-
-
-def test_a_given_set_that_states_no_range_is_displaced_by_any() -> None:
-    stated = replace(GIVEN, current_range=(-np.inf, np.inf))
-    assert in_use(sets_of((stated, None), (identified("window", (0.5, 0.5)), 1))) == "window"
+@pytest.mark.parametrize(
+    ("added", "used"),
+    [
+        pytest.param([(GIVEN, None), START], "given", id="a start displaces no given set"),
+        pytest.param([(GIVEN, None), (start_set("bingham"), None)], "given", id="of another law"),
+        pytest.param([START], "literature", id="a start is used where nothing was given"),
+        pytest.param([(GIVEN, None), (EVERYWHERE, 1), START], "given", id="after a reset"),
+        pytest.param(
+            [(GIVEN, None), (AT_ZERO, 1), (replace(AT_ZERO, set_id="b"), 2)],
+            "given",
+            id="a set for fewer currents displaces no given one",
+        ),
+        pytest.param([(GIVEN, None), (EVERYWHERE, 1)], "window", id="one for all currents does"),
+        pytest.param([(UNLIMITED, None), (AT_ZERO, 1)], "window", id="where no range was given"),
+    ],
+)
+def test_a_given_set_is_displaced_only_by_one_that_holds_where_it_holds(
+    added: list[tuple[ParameterSet, int | None]], used: str
+) -> None:
+    assert in_use(sets_of(*added)) == used

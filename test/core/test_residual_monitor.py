@@ -50,6 +50,21 @@ def test_after_a_wrong_stretch_the_force_is_valid_only_once_the_error_has_stayed
     assert np.count_nonzero(np.diff(wrong.astype(int))) == 1, "once valid, it stays valid"
 
 
+@pytest.mark.parametrize(("known", "valid"), [(math.nan, False), (0.01 * PEAK, True)])
+def test_new_parameters_after_wrong_ones_prove_right_first_unless_their_error_is_known(
+    known: float, valid: bool
+) -> None:
+    watch, _ = watch_of(0.0)
+    force = PEAK * np.sin(2.0 * np.pi * PERIOD * np.arange(500))
+    for part in np.split(force, 50):
+        watch.judge(part + 0.5 * PEAK, part)
+    watch.forget_error(known)
+    assert any(watch.judge(force[:10], force[:10])) is not valid
+    for part in np.split(force, 50):
+        rules = watch.judge(part, part)
+    assert rules == []
+
+
 # -- the peak to which errors are relative ---------------------------------------------------------
 
 

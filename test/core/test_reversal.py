@@ -112,13 +112,7 @@ def looked_at(*cycles: Array) -> list[bool]:
     return found
 
 
-def test_one_cycle_tells_that_the_force_jumps() -> None:
-    assert looked_at(JUMPING) == [False]
-
-
-def test_an_indistinct_cycle_does_not_overrule_those_that_jumped() -> None:
+def test_a_cycle_tells_whether_the_force_jumps_and_two_that_it_does_so_no_more() -> None:
+    # An indistinct cycle does not overrule those that jumped.
     assert looked_at(JUMPING, JUMPING, INDISTINCT, JUMPING) == [False] * 4
-
-
-def test_a_force_that_turns_otherwise_from_now_on_is_followed() -> None:
     assert looked_at(JUMPING, JUMPING, GRADUAL, GRADUAL)[-1]

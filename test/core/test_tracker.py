@@ -244,16 +244,13 @@ def test_a_window_at_one_current_does_not_narrow_the_range_that_a_user_states() 
     assert tracked.parameters.peak_velocity_range == (0.0, 1.0)
 
 
-def test_a_law_that_is_wrong_at_another_current_does_not_hold_there_and_here() -> None:
+@pytest.mark.parametrize(("strength", "lowest"), [(0.7, 1.0), (1.0, 0.2)])
+def test_a_law_holds_at_another_current_and_here_only_if_it_is_right_there(
+    strength: float, lowest: float
+) -> None:
     tracked = known_over("k2", speeds=(0.01, 0.1), currents=(0.2, 0.3))
-    assert known.fed(tracked, known.window(0, strength=0.7))[0].accepted
-    assert tracked.parameters.current_range == (1.0, 1.0)
-
-
-def test_a_law_that_is_right_at_another_current_holds_there_and_here() -> None:
-    tracked = known_over("k2", speeds=(0.01, 0.1), currents=(0.2, 0.3))
-    assert known.fed(tracked, known.window(0))[0].accepted
-    assert tracked.parameters.current_range == (0.2, 1.0)
+    assert known.fed(tracked, known.window(0, strength=strength))[0].accepted
+    assert tracked.parameters.current_range == (lowest, 1.0)
 
 
 @pytest.mark.parametrize(("hysteresis", "kept"), [(1.0, True), (5.0, False)])

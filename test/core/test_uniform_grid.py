@@ -33,6 +33,33 @@ def test_of_a_block_that_overlaps_what_is_new_is_taken() -> None:
     assert sequence.repeated_samples == 5
 
 
+@pytest.mark.parametrize(
+    ("then", "kind", "lost", "repeated", "sentence"),
+    [
+        (block(60), "bridged", 50, 0, ""),
+        (block(210), "gap", 200, 0, "200 samples were lost"),
+        (block(10, late=1.0), "gap", 0, 0, "the samples pause for 1 s"),
+        (block(500, late=-0.49), "gap", 0, 0, "the sample count was set back or forward"),
+        (block(0), "repeat", 0, 10, "a block arrived twice or too late: it is ignored"),
+        (block(0, late=-5.0), "jump_back", 0, 0, "the stamps jump back by 5.01 s"),
+        (block(10, period=2e-3), "changed_period", 0, 0, "the sample period changed from 0.001 s"),
+    ],
+    ids=lambda value: value if isinstance(value, str) else "",
+)
+def test_what_arrives_is_judged_and_counted_as_documented(
+    then: SampleBlock, kind: str, lost: int, repeated: int, sentence: str
+) -> None:
+    grid = UniformGrid()
+    grid.follow(block(0))
+    (placed,) = grid.follow(then)
+    assert placed.kind == kind
+    assert placed.sentence.startswith(sentence)
+    assert ("restart" in placed.sentence) == (kind in ("gap", "jump_back", "changed_period"))
+    assert grid.interruptions == bool(sentence)
+    counts = (grid.lost_samples, grid.bridged_samples, grid.repeated_samples)
+    assert counts == (lost, lost * (kind == "bridged"), repeated)
+
+
 # -- streams ---------------------------------------------------------------------------------
 
 

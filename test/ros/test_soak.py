@@ -32,10 +32,10 @@ def test_a_node_ends_cleanly_whenever_it_is_interrupted() -> None:
 
 
 def test_a_stream_at_speed_leaves_no_errors_and_no_leak() -> None:
-    data_hours = 50.0 * load.RATE / 3600.0
-    growth, errors = load.soak(data_hours, 0.4 * data_hours)
+    hours_per_second = load.RATE / 3600.0
+    growth, errors = load.soak(80.0 * hours_per_second, 20.0 * hours_per_second)
     assert errors == []
     assert sorted(growth) == ["bridge", "identifier", "model", "worker"]
-    # Allowed memory growth [MB] of a node in the last half minute. A leak of the blocks would add
-    # 8; blocks that wait in a busy identifier added up to 5.4 beside two other tests.
-    assert max(growth.values()) < 7.0, growth
+    # Allowed memory growth [MB] of a node in the last minute. A leak of the blocks would add 17.
+    # However busy the computer is, at most 5000 messages of 1.8 kB wait for a node: 9 MB.
+    assert max(growth.values()) < 12.0, growth
