@@ -460,10 +460,16 @@ class GlobalSearch:
         self.best = self._most_probable(whole, self.best, self.free)
         # A search only approaches an optimum on a bound.
         near, (low, high) = _ON_BOUND * self._prior().width, self.model.bounds
-        moved = np.where(self.best - low < near, low, self.best)
-        moved = np.where(high - moved < near, high, moved)
-        if whole.mean_square(moved) <= (1.0 + _SEPARATE) * whole.mean_square(self.best):
-            self.best = moved
+        free = np.isin(self.model.parameter_names, list(self.free))
+        moved = np.where(free & (self.best - low < near), low, self.best)
+        moved = np.where(free & (high - moved < near), high, moved)
+        if np.any(changed := moved != self.best):
+            held = {self.model.parameter_names[place] for place in np.flatnonzero(changed)}
+            moved = self._most_probable(whole, moved, self.free - held)
+            posterior = self.posterior(whole, np.flatnonzero(free).tolist())
+            allowed = _NEGLIGIBLE_STEP * posterior.noise**2
+            if posterior.cost(moved) <= posterior.cost(self.best) + allowed:
+                self.best = moved
 
     def _reset(self, names: frozenset[str]) -> frozenset[str]:
         """The parameters among ``names`` that were reset to the start or to no dependence.

@@ -52,7 +52,7 @@ class Posterior:
         self._places = list(places)
         self.widths = prior.width[self._places]
         self._centre = prior.centre[self._places] / self.widths
-        self._noise = noise
+        self.noise = noise
         self.start = self._values[self._places] / self.widths
         low, high = (bound[self._places] / self.widths for bound in pooled.model.bounds)
         unbounded = bool(np.all(np.isinf(low)) and np.all(np.isinf(high)))
@@ -67,13 +67,18 @@ class Posterior:
     def residual(self, unknowns: Array) -> Array:
         """Weighted residual of all windows [1], then of the prior (f,)."""
         plain = self._pooled.residual(self.parameters(unknowns))
-        return np.concatenate((plain, self._noise * (unknowns - self._centre)))
+        return np.concatenate((plain, self.noise * (unknowns - self._centre)))
 
     def jacobian(self, unknowns: Array) -> Array:
         """Derivatives of the residual with respect to the unknowns."""
         derivatives = self._pooled.jacobian(self.parameters(unknowns), self._places)
-        prior = self._noise * np.eye(len(self._places))
+        prior = self.noise * np.eye(len(self._places))
         return np.concatenate((derivatives * self.widths, prior))
+
+    def cost(self, parameters: Array) -> float:
+        """Sum of squares of the residual for parameters (p,)."""
+        residual = self.residual(parameters[self._places] / self.widths)
+        return float(residual @ residual)
 
     def covariances(self) -> tuple[Array, Array]:
         """Covariance (f, f) of the parameters at the start, and the discrepancy in it.
@@ -82,7 +87,7 @@ class Posterior:
         """
         jacobian, residual = self.jacobian(self.start), self.residual(self.start)
         known = self._pooled.prior_variances
-        variances = np.append(known, np.full(self.start.size, self._noise**2))
+        variances = np.append(known, np.full(self.start.size, self.noise**2))
         covariance = least_squares_covariance(jacobian, residual, variances)
         by_noise = least_squares_covariance(jacobian, residual, np.zeros_like(variances))
         # The rows of the prior belong to no motion.

@@ -163,6 +163,21 @@ def test_the_extension_is_found_with_the_sixteen(found):
     assert np.all(np.abs(coefficients - known.positive(truth)) < STANDARD_ERRORS * errors)
 
 
+def test_a_set_on_a_bound_is_the_best_one_there():
+    windows = [
+        known.run(amplitude=a, frequency=2.0, seed=seed, samples=500, period=2e-3).window
+        for seed, a in enumerate((2e-3, 5e-3, 8e-3))
+    ]
+    settings = EvolutionSettings(generations=40, population=8)
+    fit = identify_global(LAW, windows, LAW.initial_values()[0], settings)
+    found, misfit = fit.parameter_set, Misfit(LAW, windows, fit.noise.tolist())
+    assert found.as_dict()["compliance"] == 0.0
+    others = misfit.jacobian(found.values, np.flatnonzero(found.observable).tolist())
+    removable = np.linalg.qr(others)[0].T @ misfit.residual(found.values)
+    # Part of the misfit that the other parameters could still remove.
+    assert removable @ removable < 1e-5 * misfit.sample_count
+
+
 @pytest.mark.parametrize("seed", [0, 1])
 def test_the_richer_law_leaves_no_more_than_the_one_that_it_contains(seed):
     """Even if neither law follows the force, the extended fit is the closer one."""
