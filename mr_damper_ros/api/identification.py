@@ -64,6 +64,7 @@ from mr_damper_ros.models.parameter_set import (
     known_model,
     motion_window,
 )
+from mr_damper_ros.models.quantities import NOTICED
 from mr_damper_ros.processes.blas_threads import one_thread
 from mr_damper_ros.processes.files import json_ready, write_text
 from mr_damper_ros.processes.process_pool import ProcessPool
@@ -503,9 +504,11 @@ def identify_measured(
     if options.profile and not searches.best.stopped:
         fit, found = profiled(searches.best, windows, options.profile, settings, processes, report)
         searches, profiles = searches.replaced(fit), findings.profiles(fit, found)
+    mass = None
     if options.fit_mass and not searches.best.stopped:
-        without = replace(options, fit_mass=False, resume=None)
         mass = _fitted_mass(searches.best, windows)
+    if mass is not None and mass.observable:
+        without = replace(options, fit_mass=False, resume=None)
         for _ in range(_MOST_MASSES):
             rest = without_inertia(measured, mass.value)
             again = identify_measured(rest, without, processes, report)
@@ -527,10 +530,17 @@ def identify_measured(
             *findings.negative_slopes(
                 {run.name: run.coefficients for run in fitted}, searches.best.parameter_set
             ),
+            *([] if mass is None else [_NO_MASS]),
         ),
         profiles=profiles,
+        mass=None if mass is None else replace(mass, value=0.0, standard_error=math.nan),
     )
 
+
+_NO_MASS = (
+    "the runs do not determine the mass, so no inertia was subtracted: give runs of different "
+    "frequencies"
+)
 
 _MASS_SAMPLES = 8000
 """Approximate number of samples over all windows; more samples would not help the fit."""
@@ -575,11 +585,14 @@ def _fitted_mass(fit: GlobalFit, windows: Sequence[Window], mass: float = 0.0) -
         residual, start, jacobian, (low, high), x_scale="jac", max_nfev=_MASS_STEPS
     ).x
     variance = float(least_squares_covariance(jacobian(best), residual(best))[-1, -1])
+    # Rounding can make the variance of a mass that the motion does not determine negative.
+    error = math.sqrt(variance) if variance >= 0.0 else math.nan
+    force = misfit.sample_weights * np.concatenate([window.force for window in few])
     return Estimate(
         float(best[-1]),
-        # Rounding can make the variance of a mass that the motion does not determine negative.
-        math.sqrt(variance) if variance >= 0.0 else math.nan,
+        error,
         "kg",
+        bool(error * np.linalg.norm(inertia) < NOTICED * np.linalg.norm(force)),
         meaning="mass between load cell and damper",
     )
 
@@ -589,6 +602,11 @@ def start_values_of(source: ParameterSet | str | os.PathLike[str] | None, model:
     law = known_model(model)
     if source is None:
         return law.initial_values()[0]
+    if not isinstance(source, (ParameterSet, str, os.PathLike)):
+        raise ValueError(
+            f"start cannot be of type {type(source).__name__}: give a ParameterSet or the path of "
+            "its file"
+        )
     found = source if isinstance(source, ParameterSet) else read_parameter_file(Path(source))
     return found.start_of(model)
 
@@ -688,7 +706,7 @@ def choose_law(
         )
         return cross_validate(
             [run.windows for run in measured],
-            (models,) if isinstance(models, str) else models,
+            (models,) if isinstance(models, str) else tuple(models),
             EvolutionSettings(seed=seed),
             report,
             processes,

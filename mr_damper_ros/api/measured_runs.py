@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from mr_damper_ros.io.recording_list import RECORD_ENDINGS
+from mr_damper_ros.kinematics.motion import DataError
 from mr_damper_ros.kinematics.window import Window, holds_cycle
 from mr_damper_ros.processes.process_pool import Notify, ProcessPool
 from mr_damper_ros.signals.arrays import Array
@@ -95,9 +96,12 @@ def measured_run(
             or recording.implausible()
         )
         reject(fault, recording)
-        window = Window.from_samples(
-            recording.displacement, recording.force, recording.current, recording.period
-        )
+        try:
+            window = Window.from_samples(
+                recording.displacement, recording.force, recording.current, recording.period
+            )
+        except DataError as error:
+            raise DataError(f"{name}: {error}") from error
         reject(fault_of_sign(window.motion.velocity, window.force), recording)
         windows.append(window.resolved())
     if not any(holds_cycle(recording.displacement) for recording in recordings):
@@ -200,6 +204,10 @@ def _from_arrays(
             "and period [s] together"
         )
     count = np.size(displacement)
+    try:
+        period = float(period)
+    except (TypeError, ValueError):
+        raise ValueError(f"period is {period!r}: give the sample period as a number [s]") from None
     return Recording(
         name="arrays",
         start_ns=DEFAULT_START_NS,

@@ -253,7 +253,7 @@ def _from_document(document: dict[str, Any], levels: LevelPrior | None) -> Globa
     given = {"discrepancy": unknown} | {n: document[n] for n in _ARRAYS if n in document}
     fields: dict[str, Any] = {n: np.array(values, dtype=float) for n, values in given.items()}
     fields |= {name: document[name] for name in _PLAIN}
-    fields["cost"] = math.nan if document["cost"] is None else document["cost"]
+    fields["cost"] = math.nan if document["cost"] is None else float(document["cost"])
     return GlobalFit(
         parameter_set=ParameterSet.from_yaml(document["set"]),
         candidates=tuple(

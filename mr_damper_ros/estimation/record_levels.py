@@ -63,7 +63,8 @@ class LevelPrior:
     def __post_init__(self) -> None:
         if not 0.0 < self.spread < 1.0:
             raise ValueError(
-                f"the spread of the levels is {self.spread}: it must lie between 0 and 1"
+                f"level_per_record (--level-per-record) is {self.spread}: give the expected "
+                "standard deviation of the gains, between 0 and 1, or 0 for no gains"
             )
 
 

@@ -23,6 +23,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
+import numbers
 import textwrap
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
@@ -66,7 +67,10 @@ class Option:
         return self.out_of_range(value)
 
     def out_of_range(self, value: Any) -> str:
-        """A sentence why a value of the correct type is invalid; empty if it is valid."""
+        """A sentence why a value is invalid, whether of Python or NumPy; empty if it is valid."""
+        kinds = {int: numbers.Integral, float: numbers.Real}
+        if self.kind in kinds and not isinstance(value, kinds[self.kind]):
+            return f"parameter {self.name} must be {_TYPE_NAMES[self.kind]}, not {value!r}"
         if isinstance(value, float) and not math.isfinite(value):
             if math.isnan(value) and self.default != self.default:
                 return ""

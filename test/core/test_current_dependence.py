@@ -204,6 +204,8 @@ def test_a_variance_that_is_negative_by_rounding_is_unknown(
     found = mr.identify(**shaken(), model="bingham", fit_mass=True)
     assert found.mass is not None
     assert math.isnan(found.mass.standard_error)
+    assert found.mass.value == 0.0
+    assert "the runs do not determine the mass" in found.remarks[-1]
 
 
 def test_a_known_mass_is_taken_off_the_force() -> None:

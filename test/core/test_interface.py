@@ -1,6 +1,7 @@
 """The Python interface for a user with recordings and without ROS."""
 
 import math
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -18,6 +19,7 @@ ROOT = Path(__file__).parents[2]
 ONE_RUN = ROOT / "bags" / "5.0mm_1Hz_1.5A"
 ANOTHER = ROOT / "bags" / "5.0mm_1Hz_0.5A"
 RUN = mr.read_bag(ONE_RUN)[0]
+SHORT = {name: getattr(RUN, name)[:12] for name in ("displacement", "force", "current")}
 
 
 @pytest.fixture(scope="module")
@@ -96,18 +98,9 @@ def test_paths_recordings_and_arrays_give_the_same_set(
             {"displacement": np.arange(50.0), "force": [1.0], "current": 0.0, "period": 1.0},
             "50 displacements but 1 values of force",
         ),
-    ],
-    ids=[
-        "nothing",
-        "bare array",
-        "bytes",
-        "half",
-        "csv",
-        "missing",
-        "model",
-        "method",
-        "profile",
-        "lengths",
+        ([RUN], {"start": {}}, "start cannot be of type dict: give a ParameterSet"),
+        ([replace(RUN, **SHORT)], {}, f"{RUN.name}: a window needs at least 16 samples"),
+        ([], {**SHORT, "period": "1 ms"}, "period is '1 ms': give the sample period"),
     ],
 )
 def test_what_cannot_be_used_is_one_sentence(
