@@ -143,7 +143,6 @@ def test_a_sender_that_was_started_again_goes_on_after_a_gap_of_the_time_that_ha
     later = 4_000_000_000
     after = [times.add(k, arrival + 3_000_000_000 + later) for k, _, arrival in arrivals(3000)]
     assert before == 2999
-    assert after[0] is not None
     assert after[0] - 3000 == pytest.approx(4000, abs=20)
     assert after[-1] == after[0] + 2999
     assert times.counts.recounts == 1
@@ -156,7 +155,6 @@ def test_a_pause_of_the_sender_is_a_gap(counts: int | None) -> None:
     for k, _, arrival in arrivals(6000):
         found.append(times.add(k, arrival + (700_000_000 if k >= 3000 else 0)))
     assert found[2999] == 2999
-    assert found[-1] is not None
     assert found[-1] - 5999 == pytest.approx(700, abs=20)
     assert times.counts.pauses == 1
 

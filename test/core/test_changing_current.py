@@ -83,7 +83,6 @@ def followed(windows: list[RawWindow], start: ParameterSet) -> tuple[WindowTrack
     verdicts = []
     for given in windows:
         report = tracker.follow(given)
-        assert report is not None
         verdicts.append(report.verdict)
         if report.global_due:
             tracker.identify()

@@ -56,8 +56,6 @@ def test_processes_of_a_pool_do_not_read_the_program(tmp_path: Path) -> None:
 def test_an_interrupt_of_the_terminal_is_not_heeded() -> None:
     command = child_process.command(pool_tasks.answering)
     with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE) as child:
-        assert child.stdin is not None
-        assert child.stdout is not None
         assert child.stdout.readline() == b"ready\n"
         child.send_signal(signal.SIGINT)
         child.stdin.write(b"go on\n")

@@ -45,9 +45,7 @@ def learnt(pairs: Iterable[tuple[float, ForceScale]]) -> TemperatureMap:
     points = KnownPoints()
     for celsius, scale in pairs:
         points = with_temperature(points, POINT, celsius, scale)
-    found = temperature_map(points.at(POINT))
-    assert found is not None
-    return found
+    return temperature_map(points.at(POINT))
 
 
 # -- known maps --------------------------------------------------------------------------------
@@ -67,9 +65,7 @@ def observed(
 
 
 def fitted(*data: Array) -> TemperatureMap:
-    found = fit_temperature_map(POINT, *data)
-    assert found is not None
-    return found
+    return fit_temperature_map(POINT, *data)
 
 
 @known.fixed(20)
@@ -217,9 +213,7 @@ def leaked(tracked: WindowTracker, later: float) -> Report:
         force=0.8 * window.force,
         look=SAMPLES // 2,
     )
-    early = tracked.follow(look)
-    assert early is not None
-    return early
+    return tracked.follow(look)
 
 
 def test_a_sudden_change_forgets_the_map() -> None:

@@ -405,7 +405,6 @@ def test_an_option_that_cannot_be_is_named(
 
 def record_length(record: LiveRecord) -> float:
     rows = record.rows("signals", -1, -1)
-    assert rows is not None
     return float(rows.values[-1, 1] - rows.values[0, 1])
 
 

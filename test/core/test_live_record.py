@@ -66,10 +66,8 @@ def test_a_viewer_asks_for_what_it_has_not_got() -> None:
     record = LiveRecord()
     signals(record, T0, T0 + 0.01)
     first = record.rows("signals", -1, -1)
-    assert first is not None
     signals(record, T0 + 0.02)
     more = record.rows("signals", int(first.values[-1, 0]), first.generation)
-    assert more is not None
     assert more.values[:, 1].tolist() == [T0 + 0.02]
 
 
@@ -79,11 +77,8 @@ def test_where_the_stamps_fall_back_everything_begins_anew() -> None:
     add_window(record, T0 + 100.0)
     before = record.rows("signals", -1, -1)
     signals(record, T0)
-    after = record.rows("signals", 0, before.generation if before else -1)
+    after = record.rows("signals", 0, before.generation)
     windows = record.rows("windows", -1, -1)
-    assert before is not None
-    assert after is not None
-    assert windows is not None
     assert after.generation != before.generation
     assert after.values[:, 1].tolist() == [T0]
     assert len(windows.values) == 0
@@ -93,13 +88,11 @@ def test_a_set_is_known_from_the_beginning_of_another_recording_or_from_no_sampl
     record = LiveRecord()
     record.set_parameters(a_set(stamp_ns=0))
     first = record.rows("parameters", -1, -1)
-    assert first is not None
     assert math.isnan(first.values[0, 1])
     signals(record, T0 + 100.0)
     record.set_parameters(a_set(stamp_ns=0))
     signals(record, T0)
     rows = record.rows("parameters", -1, -1)
-    assert rows is not None
     assert len(rows.values) == 1
     assert math.isnan(rows.values[0, 1])
 
@@ -220,7 +213,6 @@ def test_the_history_has_the_range_of_each_tenth_of_a_second() -> None:
     record = LiveRecord()
     follow(record, 0.0, 1.0, 0.5)
     rows = record.rows("history", -1, -1)
-    assert rows is not None
     found = dict(zip(rows.columns, rows.values[0], strict=True))
     assert found["time"] == T0
     assert (found["measured_force_low"], found["measured_force_high"]) == (400.0, 900.0)
@@ -234,7 +226,6 @@ def test_joined_rows_of_the_history_keep_the_whole_range(monkeypatch: pytest.Mon
     record = LiveRecord()
     follow(record, 0.0, 2.0, 0.5)
     rows = record.rows("history", -1, -1)
-    assert rows is not None
     high = rows.columns.index("measured_force_high")
     assert len(rows.values) <= 8
     assert rows.values[0, 1] == T0
@@ -276,7 +267,6 @@ def test_what_is_commanded_is_shown_as_long_as_it_is_heard() -> None:
     clock = 10.0
     signals(record, T0 + 0.01)
     rows = record.rows("signals", -1, -1)
-    assert rows is not None
     desired = rows.values[:, rows.columns.index("desired_force")]
     assert desired[0] == 300.0
     assert math.isnan(desired[1])
@@ -287,7 +277,6 @@ def test_samples_are_kept_at_the_full_rate() -> None:
     block = np.arange(10.0)
     record.add_samples(T0, 1e-3, block, 2.0 * block, 3.0 * block, np.ones(10))
     rows = record.rows("samples", -1, -1)
-    assert rows is not None
     np.testing.assert_allclose(np.diff(rows.values[:, 1]), 1e-3, rtol=1e-3)
     np.testing.assert_array_equal(rows.values[:, 4], 3.0 * block)
 
@@ -301,7 +290,6 @@ def test_samples_give_signals_with_the_slope_of_the_displacement_and_the_current
         u = 5e-3 * np.sin(2.0 * math.pi * at)
         record.add_samples(T0 + 0.1 * block, 1e-3, u, 2.0 * u, 3.0 * u, np.ones(100))
     rows = record.rows("signals", -1, -1)
-    assert rows is not None
     found = dict(zip(rows.columns, rows.values.T, strict=True))
     at = found["time"] - T0
     assert np.all(np.abs(np.diff(at)[1:] - 0.01) < 1.1e-3)

@@ -166,7 +166,6 @@ def test_what_was_first_found_here_does_not_undo_what_is_known_of_other_currents
     tracked = WindowTracker(TrackerSettings(model=model), ParameterSet(weaker, model=model))
     tracked.memory.points = tracked.points.with_baseline(baseline)
     found = run(tracked.job_of(raw)).found
-    assert found is not None
     shape = law.places(law.shape_names)
     np.testing.assert_array_equal(found.values[shape], weaker[shape])
     assert known.rms(found.window_force(window) - force) < 1.1 * known.NOISE
@@ -180,7 +179,6 @@ def test_a_failure_of_ours_is_no_fault_of_the_data(monkeypatch: pytest.MonkeyPat
     tracked = WindowTracker(TrackerSettings(), START)
     monkeypatch.setattr(jobs, "fit_window", failing)
     report = tracked.follow(WINDOWS["sine"])
-    assert report is not None
     assert report.verdict is Verdict.FAILED
     assert "SVD did not converge" in report.reason
 

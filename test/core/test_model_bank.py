@@ -33,7 +33,6 @@ def sets_of(*added: tuple[ParameterSet, int | None]) -> ModelBank:
 
 
 def in_use(sets: ModelBank) -> str:
-    assert sets.present is not None
     return sets.present.parameters.set_id
 
 

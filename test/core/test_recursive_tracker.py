@@ -29,9 +29,7 @@ def second(stamp: int) -> int:
 
 def fitted(window: Window, stamp: int = 0) -> FilterState:
     fit = fit_window(SIGMOID, window, known.PLAUSIBLE, method="least_squares")
-    state = FilterState.of(fit, second(stamp))
-    assert state is not None
-    return state
+    return FilterState.of(fit, second(stamp))
 
 
 def filtered(

@@ -62,7 +62,6 @@ def test_a_record_comes_in_si_units(tmp_path: Path) -> None:
 def test_a_command_changes_the_current_with_the_next_block_and_holds_for_its_time() -> None:
     rig = source_of("emulated", block_size=10, current=0.5, command_timeout=0.01)
     rig.open()
-    assert rig.commander is not None
     blocks = rig.blocks(START)
     assert set(next(blocks).current) == {0.5}
     rig.commander.command(1.0, 0, 0.0, time.monotonic() + 3600.0)

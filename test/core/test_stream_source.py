@@ -216,9 +216,7 @@ def test_the_simulated_sender_keeps_to_any_format(options: dict[str, Any]) -> No
     assert len(rows) == 2000
     assert all(row is not None for row in rows)
     quarter = rows[125 if layout else 250]
-    assert quarter is not None
     assert quarter.measured.displacement == pytest.approx(0.005, abs=1e-7)
-    assert rows[0] is not None
     assert rows[0].measured.force == pytest.approx(1000.0 * math.tanh(3.0), rel=1e-6)
 
 

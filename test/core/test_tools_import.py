@@ -149,7 +149,6 @@ def test_current_and_temperature_columns(write: Any) -> None:
     read = read_record(write(lines), COLUMNS + ",current:mA,temperature:K")
     # [A]: rounding of the conversion from milliamperes.
     np.testing.assert_allclose(read.current, np.arange(40) * 0.01, rtol=0.0, atol=1e-14)
-    assert read.temperature is not None
     # [degC]: rounding of the difference from 273.15 K.
     np.testing.assert_allclose(read.temperature, 26.85 + np.arange(40), rtol=0.0, atol=1e-11)
 

@@ -343,10 +343,8 @@ def waiting() -> tuple[WindowTracker, ParameterSet]:
         patch.setattr(jobs, "evidence_of_search", lambda *_: poor)
         outcome = jobs.run(tracked.search(asked=False))
     report = tracked.complete(outcome)
-    assert report is not None
     assert report.verdict is Verdict.UNCONFIRMED
     assert tracked.parameters is good
-    assert outcome.found is not None
     return tracked, outcome.found
 
 

@@ -51,9 +51,7 @@ def feed(tracked: WindowTracker, first: int, last: int) -> list[Report]:
             seed=number,
         )
         raw = known.raw_window(run, number=number, temperature=20.0 + number)
-        report = tracked.follow(raw)
-        assert report is not None
-        reports.append(report)
+        reports.append(tracked.follow(raw))
     return reports
 
 
@@ -295,7 +293,6 @@ def test_a_killed_process_leaves_no_lock(tmp_path: Path) -> None:
     with subprocess.Popen(
         [sys.executable, "-c", hold, str(path)], stdin=subprocess.PIPE, stdout=subprocess.PIPE
     ) as holder:
-        assert holder.stdout is not None
         assert holder.stdout.readline() == b"held\n"
         with pytest.raises(LockHeldError) as caught:
             FolderLock(path)
@@ -348,7 +345,6 @@ def test_a_state_of_the_version_before_is_gone_on_with(tmp_path: Path) -> None:
     assert [window.whole is not None for window in tracker.points.windows] == [False] * 2 + [True]
     run = known.run(current=0.5, samples=240, seed=9, period=5e-3)
     report = tracker.follow(known.raw_window(run, number=9))
-    assert report is not None
     # Results of that version for the same window.
     assert report.nrmse_before == pytest.approx(0.016445012097722766, rel=ROUNDING)
     assert report.nrmse_after == pytest.approx(0.007296376904043102, rel=ROUNDING)

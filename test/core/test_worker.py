@@ -194,7 +194,6 @@ def test_the_worker_dies_with_a_killed_parent(task: str) -> None:
     with subprocess.Popen(
         [sys.executable, "-c", script], env=environment, stdout=subprocess.PIPE, text=True
     ) as parent:
-        assert parent.stdout is not None
         pid = int(parent.stdout.readline())
         assert not is_gone(pid)
         parent.kill()

@@ -69,8 +69,6 @@ def load(path: Path, monkeypatch: Any) -> ModuleType:
     module("launch_ros.actions", Node=Action)
     module("launch_ros.parameter_descriptions", ParameterValue=Value)
     spec = importlib.util.spec_from_file_location("launched", path)
-    assert spec is not None
-    assert spec.loader is not None
     loaded = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(loaded)
     return loaded
