@@ -156,8 +156,7 @@ def begun(
 
 
 def ended(machine: EmulatedMachine) -> CampaignCourse:
-    end: CampaignCourse = machine.until(machine.conductor.poll)
-    return end
+    return machine.until(machine.conductor.poll)
 
 
 def test_a_campaign_is_made_on_a_machine(planned: list[PlannedRun], tmp_path: Path) -> None:

@@ -18,6 +18,7 @@ from mr_damper_ros.rig.sources import daq_source
 from mr_damper_ros.rig.sources.device_source import Portions
 
 CHANNELS = {"displacement_channel": "ai0", "force_channel": "ai1"}
+MCC = {"driver": "mcc", "displacement_channel": "3", "force_channel": "1"}
 
 
 @pytest.fixture
@@ -112,6 +113,7 @@ def test_a_device_that_is_lost_goes_on_after_a_gap(fake: Callable[..., Streamed]
         ({"driver": "labjack"}, "daq.displacement_channel is empty"),
         ({"driver": "nidaqmx", "device": "Dev1", "displacement_channel": "ai0"}, "daq.force_ch"),
         ({"force_scale": 0.0}, "daq.force_scale is 0"),
+        (MCC | {"force_channel": "ai0"}, "MCC has no channel 'ai0'"),
         ({}, ""),
     ],
 )
@@ -308,22 +310,23 @@ def test_labjack_streams_its_channels_until_the_device_is_gone(
     running.until(lambda: "1227" in running.fault)
 
 
-def test_a_channel_that_a_labjack_does_not_have_is_told(
-    monkeypatch: pytest.MonkeyPatch, rig: Callable[..., Streamed]
+@pytest.mark.parametrize(
+    ("library", "channel", "fault"),
+    [
+        (FakeLjm(np.empty((2, 0))), "ai2", "it has no channel ai2"),
+        (None, "AIN2", "LJM is not installed"),
+    ],
+)
+def test_a_labjack_without_a_channel_or_its_library_is_told(
+    monkeypatch: pytest.MonkeyPatch,
+    rig: Callable[..., Streamed],
+    library: FakeLjm | None,
+    channel: str,
+    fault: str,
 ) -> None:
-    ljm = pytest.importorskip("labjack.ljm.ljm")
-    monkeypatch.setattr(ljm, "_staticLib", FakeLjm(np.empty((2, 0))))
-    running = rig(**{**LABJACK, "force_channel": "ai2"})
-    running.until(lambda: "it has no channel ai2" in running.fault)
-
-
-def test_labjack_without_its_library_is_told(
-    monkeypatch: pytest.MonkeyPatch, rig: Callable[..., Streamed]
-) -> None:
-    ljm = pytest.importorskip("labjack.ljm.ljm")
-    monkeypatch.setattr(ljm, "_staticLib", None)
-    running = rig(**LABJACK)
-    running.until(lambda: "LJM is not installed" in running.fault)
+    monkeypatch.setattr(pytest.importorskip("labjack.ljm.ljm"), "_staticLib", library)
+    running = rig(**{**LABJACK, "force_channel": channel})
+    running.until(lambda: fault in running.fault)
 
 
 # -- Measurement Computing ---------------------------------------------------------------------
@@ -406,9 +409,6 @@ class FakeUl:
         return 0
 
 
-MCC = {"driver": "mcc", "displacement_channel": "3", "force_channel": "1"}
-
-
 @pytest.fixture
 def fake_mcc(monkeypatch: pytest.MonkeyPatch) -> Iterator[Callable[[np.ndarray], FakeUl]]:
     """The real uldaq on a library that yields these volts (channels, n)."""
@@ -456,11 +456,6 @@ def test_what_an_mcc_device_does_not_have_is_told(
     ):
         running = rig(**{**MCC, **wrong})
         running.until(lambda: sentence in running.fault)  # noqa: B023
-
-
-def test_channels_of_mcc_are_numbers() -> None:
-    objection = source_of("daq", **{**MCC, "force_channel": "ai0"}).settings.objection()
-    assert "MCC has no channel 'ai0'" in objection
 
 
 def test_mcc_without_its_library_is_told(monkeypatch: pytest.MonkeyPatch) -> None:

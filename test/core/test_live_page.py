@@ -91,8 +91,7 @@ def page(browser: Browser, record: LiveRecord) -> Iterator[Browser]:
 
 def ink(page: Browser, chart: str) -> str:
     """Content of a figure, as a text that changes with it."""
-    shown: str = page.evaluate(f"document.querySelector('{chart} canvas').toDataURL()")
-    return shown
+    return page.evaluate(f"document.querySelector('{chart} canvas').toDataURL()")
 
 
 def pixels(chart: str, colour: str) -> str:
@@ -470,10 +469,9 @@ def test_a_telephone_shows_it_without_scrolling_sideways(page: Browser) -> None:
 
 def saved(folder: Path, pattern: str) -> Path:
     """The saved file, once it exists and is not empty."""
-    found: Path = until(
+    return until(
         lambda: next((path for path in folder.glob(pattern) if path.stat().st_size), None), pattern
     )
-    return found
 
 
 def test_figures_and_tables_are_saved(page: Browser, tmp_path: Path) -> None:
@@ -553,10 +551,9 @@ def test_what_is_not_heard_any_more_is_grey_and_says_since_when(browser: Browser
 
 def bar(browser: Browser) -> list[str]:
     """Text of the alarm bar."""
-    shown: list[str] = browser.evaluate(
+    return browser.evaluate(
         "[...document.querySelectorAll('#alarms dd')].map(shown => shown.innerText)"
     )
-    return shown
 
 
 def test_the_alarm_bar_is_in_view_and_keeps_faults_until_they_are_seen(browser: Browser) -> None:

@@ -58,8 +58,7 @@ def status(record: LiveRecord, windows_after: int = 0) -> dict[str, Any]:
         raise AssertionError(f"{constant} is no JSON")
 
     text = json.dumps(record.status(windows_after))
-    told: dict[str, Any] = json.loads(text, parse_constant=refuse)
-    return told
+    return json.loads(text, parse_constant=refuse)
 
 
 def test_a_viewer_asks_for_what_it_has_not_got() -> None:

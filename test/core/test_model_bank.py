@@ -1,4 +1,4 @@
-"""A set that takes over has the state that it would have had if used from the start."""
+"""Which of the sets from a user, a start and the windows the model bank uses."""
 
 from dataclasses import replace
 from typing import Any
@@ -9,9 +9,6 @@ import pytest
 from mr_damper_ros.models.parameter_set import ParameterSet, start_set
 from mr_damper_ros.models.published import THESIS_28_CELSIUS
 from mr_damper_ros.tracking.model_bank import ModelBank
-
-# -- sets from the user ----------------------------------------------------------------------------
-
 
 GIVEN = ParameterSet(
     THESIS_28_CELSIUS, set_id="given", peak_velocity_range=(0.0, 1.0), current_range=(0.0, 2.0)

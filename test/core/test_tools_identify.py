@@ -34,8 +34,7 @@ ONE_RUN = BAGS / "5.0mm_1Hz_1.5A"
 def identified(tmp_path: Path, *arguments: str | Path) -> dict[str, Any]:
     path = tmp_path / "result.json"
     assert identify.main([*map(str, arguments), "--json", str(path)]) == 0
-    document: dict[str, Any] = json.loads(path.read_text())
-    return document
+    return json.loads(path.read_text())
 
 
 @pytest.mark.parametrize("method", ["nelder_mead", "least_squares", "global"])
@@ -234,8 +233,7 @@ def in_a_process(tmp_path: Path, program: str, *arguments: str | Path) -> dict[s
     path = tmp_path / "result.json"
     environment = {**os.environ, "PYTHONPATH": os.pathsep.join(sys.path)}
     said(sys.executable, "-c", program, *arguments, "--json", path, env=environment)
-    document: dict[str, Any] = json.loads(path.read_text())
-    return document
+    return json.loads(path.read_text())
 
 
 # -- undetermined parameters ---------------------------------------------------------------------

@@ -91,8 +91,7 @@ def learnt() -> dict[str, Any]:
     tracked = tracker(tracker="recursive")
     feed(tracked, 0, 3)
     tracked.memory.rival = dataclasses.replace(tracked.parameters, set_id="rival")
-    document: dict[str, Any] = json.loads(to_text(tracked.memory))
-    return document
+    return json.loads(to_text(tracked.memory))
 
 
 DOCUMENT = learnt()

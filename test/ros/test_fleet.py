@@ -17,8 +17,7 @@ FILE = Path(__file__).parents[2] / "launch" / "fleet.launch.py"
 @pytest.fixture
 def description(monkeypatch: pytest.MonkeyPatch) -> list[Any]:
     """Description returned by the launch file."""
-    made: list[Any] = launch_stand_in.load(FILE, monkeypatch).generate_launch_description()
-    return made
+    return launch_stand_in.load(FILE, monkeypatch).generate_launch_description()
 
 
 def bridges(started: list[Any]) -> list[Any]:

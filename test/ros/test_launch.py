@@ -28,8 +28,7 @@ Arguments = dict[str, str]
 def description(monkeypatch: pytest.MonkeyPatch) -> list[Any]:
     """Description returned by the launch file."""
     loaded = launch_stand_in.load(FILE, monkeypatch)
-    made: list[Any] = loaded.generate_launch_description()
-    return made
+    return loaded.generate_launch_description()
 
 
 def by_name(description: list[Any], **arguments: str) -> dict[str, Any]:

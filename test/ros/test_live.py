@@ -46,8 +46,7 @@ class Client:
             connection.close()
 
     def status(self) -> dict[str, Any]:
-        told: dict[str, Any] = json.loads(self.get("/status")[1])
-        return told
+        return json.loads(self.get("/status")[1])
 
     def signals(self) -> dict[str, np.ndarray]:
         rows = np.frombuffer(self.get("/tables/signals")[1]).reshape(-1, len(SIGNALS) + 1)
