@@ -24,7 +24,7 @@ from importlib.util import find_spec
 from types import FrameType
 
 _WORK = {
-    "identifier": "scipy.optimize mr_damper_ros.tracking.jobs",
+    "identifier": "scipy.optimize mr_damper_ros.tracking.tracker",
     "campaign": "scipy.optimize mr_damper_ros.campaign.course",
 }
 """Modules that the worker of each node loads before the time budget of its first task starts.

@@ -19,11 +19,8 @@ from mr_damper_ros.signals.blocks import NANOSECONDS, SampleBlock
 from mr_damper_ros.signals.recording import CurrentReading, StreamItem
 from mr_damper_ros.signals.uniform_grid import GridSettings
 from mr_damper_ros.tracking.identifier import Identifier, PipelineSettings, Publication
-from mr_damper_ros.tracking.jobs import Job
 from mr_damper_ros.tracking.predictor import ForcePredictor, Prediction, PredictorSettings
-from mr_damper_ros.tracking.state_directory import StateDirectory
-from mr_damper_ros.tracking.tracker import TrackerSettings, WindowTracker
-from mr_damper_ros.tracking.tracker_state import TrackerState
+from mr_damper_ros.tracking.tracker import Job, TrackerSettings, WindowTracker
 from mr_damper_ros.tracking.window_assembler import WindowAssembler, WindowSettings
 
 
@@ -74,13 +71,8 @@ class Engine:
         begin = start or start_set(given.tracking.law)
         tracker = WindowTracker(given.tracking, begin)
         self.worker = InlineWorker(self._seconds_until_outcome)
-        self.identifier = Identifier(
-            WindowAssembler(given.windows, given.grid),
-            tracker,
-            self.worker,
-            given.work,
-            TrackerState(tracker, StateDirectory(""), "engine"),
-        )
+        assembler = WindowAssembler(given.windows, given.grid)
+        self.identifier = Identifier(assembler, tracker, self.worker, given.work)
         self.predictor = ForcePredictor(given.predictor, given.grid)
         self.predictor.set_parameters(begin)
         self._identifies = identify

@@ -18,9 +18,8 @@ from mr_damper_ros.processes.worker import Failed, Progress, TaskRunner
 from mr_damper_ros.settings.option_table import CheckedSettings, option
 from mr_damper_ros.signals.blocks import SampleBlock
 from mr_damper_ros.tracking.acceptance import Judgement, Verdict
-from mr_damper_ros.tracking.jobs import Job, Outcome, refused, run
 from mr_damper_ros.tracking.reports import Report
-from mr_damper_ros.tracking.tracker import WindowTracker
+from mr_damper_ros.tracking.tracker import Job, Outcome, WindowTracker, refused, run
 from mr_damper_ros.tracking.tracker_state import DISK_PATIENCE, TrackerState
 from mr_damper_ros.tracking.window_assembler import RawWindow, WindowAssembler
 
@@ -94,12 +93,13 @@ class Identifier:
         tracker: WindowTracker,
         worker: TaskRunner,
         settings: PipelineSettings,
-        state: TrackerState,
+        state: TrackerState | None = None,
     ) -> None:
+        """Without a ``state`` nothing is stored on disk."""
         self.assembler = assembler
         self.tracker = tracker
         self.worker = worker
-        self.state = state
+        self.state = state or TrackerState(tracker)
         self.last_report: Report | None = None
         self.dropped_windows = 0
         self._settings = settings

@@ -9,7 +9,7 @@ and the newest good window, for the global identification.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from statistics import median
 from typing import Any
@@ -175,14 +175,19 @@ class KnownPoints:
         """The newest good window of each operating point, oldest first."""
         return tuple(each.window for each in self.kept if each.window is not None)
 
+    def with_recent_windows(self, end_ns: float) -> KnownPoints:
+        """Return the records; of windows before the recent ones up to a stamp, the number alone."""
+        since = end_ns - round(RECENT * NANOSECONDS)
+        return KnownPoints(
+            tuple(
+                each if since <= each.stamp_ns <= end_ns else replace(each, window=None)
+                for each in self.records
+            )
+        )
+
     def recent(self, end_ns: int) -> tuple[Window, ...]:
         """The windows of the last :data:`RECENT` seconds up to a stamp [ns], oldest first."""
-        since = end_ns - round(RECENT * NANOSECONDS)
-        return tuple(
-            each.window
-            for each in self.kept
-            if each.window is not None and since <= each.stamp_ns <= end_ns
-        )
+        return self.with_recent_windows(end_ns).windows
 
     def with_window(self, window: Window, point: OperatingPoint, stamp_ns: int = 0) -> KnownPoints:
         """Return the records with a window, in place of the older window at its point.
@@ -194,12 +199,6 @@ class KnownPoints:
         while len(known.kept) > MOST_WINDOWS:
             known = known.noted(known.kept[0].point, window=None, number=0)
         return known
-
-    def with_samples(self, wanted: Callable[[PointRecord], bool]) -> KnownPoints:
-        """Return the records; of windows that are not wanted, the number alone."""
-        return KnownPoints(
-            tuple(each if wanted(each) else replace(each, window=None) for each in self.records)
-        )
 
     def changed_since(self, before: KnownPoints) -> KnownPoints:
         """Return the new and changed records alone, for :meth:`updated`."""

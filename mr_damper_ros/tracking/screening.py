@@ -115,9 +115,8 @@ def lack_of_cycle(displacement: Array, velocity: Array) -> str:
 
     It does not suffice if the machine rests too long or the window contains less than a cycle.
     """
-    resting = part_at_rest(velocity)
-    if rests_too_long(resting):
-        return f"the machine rests for {resting:.0%} of the window"
+    if (rest := long_rest(velocity)) is not None:
+        return f"the machine rests for {(rest.stop - rest.start) / velocity.size:.0%} of the window"
     if not holds_cycle(displacement):
         return (
             "the window contains less than a cycle of the motion: it is extended, up to "
@@ -126,26 +125,19 @@ def lack_of_cycle(displacement: Array, velocity: Array) -> str:
     return ""
 
 
-def part_at_rest(velocity: Array) -> float:
-    """Longest rest of the machine, as a fraction of the samples (n,) [m/s]."""
-    if not velocity.size:
-        return 1.0
-    rest = _longest_rest(velocity)
-    return (rest.stop - rest.start) / velocity.size
+def long_rest(velocity: Array) -> slice | None:
+    """The longest rest of the machine in a window (n,) [m/s] if it is too long for a fit."""
+    speed = np.abs(velocity)
+    rest = _longest(_runs(speed < _RESTING * speed.max()))
+    return rest if rest.stop - rest.start > _LONGEST_REST * velocity.size else None
 
 
 def fault_of_rest(velocity: Array, force: Array) -> str:
     """Why the force contradicts a long rest within a window (n,) [m/s, N]; empty if it does not."""
-    rest = _longest_rest(velocity)
-    long = rests_too_long((rest.stop - rest.start) / velocity.size)
-    if long and float(np.std(force[rest])) > _MOVING * float(np.std(force)):
+    rest = long_rest(velocity)
+    if rest is not None and float(np.std(force[rest])) > _MOVING * float(np.std(force)):
         return _STUCK
     return ""
-
-
-def _longest_rest(velocity: Array) -> slice:
-    speed = np.abs(velocity)
-    return _longest(_runs(speed < _RESTING * speed.max()))
 
 
 def _runs(mask: Mask) -> list[slice]:
@@ -156,11 +148,6 @@ def _runs(mask: Mask) -> list[slice]:
 
 def _longest(runs: list[slice]) -> slice:
     return max(runs, key=lambda run: run.stop - run.start, default=slice(0, 0))
-
-
-def rests_too_long(part: float) -> bool:
-    """Whether a window with a rest of this fraction of its samples is rejected."""
-    return part > _LONGEST_REST
 
 
 def fault_of_sign(velocity: Array, force: Array) -> str:

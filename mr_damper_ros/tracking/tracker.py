@@ -1,26 +1,837 @@
-"""The tracker: the running set and its memory, which each job turns into those of the next one."""
+"""The tracker: the running set and its memory, which each job turns into those of the next one.
+
+A :class:`Job` for the worker is a window fit, a change check of the newest samples, or a global
+search. :func:`run` computes, judges the result, and returns an :class:`Outcome`: the memory after
+the job, a report, and the new set if one is taken into use. Nothing else changes the memory, so the
+same windows always give the same sets.
+"""
 
 from __future__ import annotations
 
-from dataclasses import replace
+import math
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
+from functools import partial
+from typing import Any
 
+import numpy as np
+
+from mr_damper_ros.estimation.covariance import NoiseModel
 from mr_damper_ros.estimation.differential_evolution import EvolutionSettings
-from mr_damper_ros.models.parameter_set import ParameterSet, start_set
-from mr_damper_ros.processes.blas_threads import one_thread
-from mr_damper_ros.tracking.jobs import (
-    OF_THE_SET,
-    TRACKERS,
-    Job,
-    Outcome,
-    TrackerMemory,
-    TrackerSettings,
-    run,
+from mr_damper_ros.estimation.global_fit import error_of_set, identify_global
+from mr_damper_ros.estimation.window_fit import (
+    WINDOW_METHODS,
+    WindowFit,
+    WindowPrior,
+    fit_window,
 )
-from mr_damper_ros.tracking.operating_point import KnownPoints
+from mr_damper_ros.kinematics.motion import DataError
+from mr_damper_ros.kinematics.window import LONGEST_SETTLING, Window
+from mr_damper_ros.models import MODELS
+from mr_damper_ros.models.force_model import Model
+from mr_damper_ros.models.misfit import WindowProblem
+from mr_damper_ros.models.parameter_set import (
+    DEFAULT_MODEL,
+    EARLY_SOURCE,
+    ParameterSet,
+    start_set,
+)
+from mr_damper_ros.models.plausibility import implausible
+from mr_damper_ros.processes.blas_threads import one_thread
+from mr_damper_ros.processes.worker import Control
+from mr_damper_ros.settings.option_table import CheckedSettings, group, option
+from mr_damper_ros.signals.arrays import Array
+from mr_damper_ros.signals.blocks import NANOSECONDS
+from mr_damper_ros.tracking.acceptance import (
+    CHUNKS,
+    GOOD_NRMSE,
+    AcceptanceSettings,
+    Evidence,
+    Experience,
+    Gatekeeper,
+    Judgement,
+    Verdict,
+    evidence_of,
+    evidence_of_search,
+    lead_of,
+    rival_wins,
+    validation_mask,
+)
+from mr_damper_ros.tracking.cusum import ChangeWatch, change_point, fit_scale
+from mr_damper_ros.tracking.force_scale import (
+    FluidTemperature,
+    WindowScale,
+    force_scale,
+    temperature_map,
+    widened,
+    with_gain,
+    with_temperature,
+)
+from mr_damper_ros.tracking.operating_point import (
+    MOST_SAMPLES,
+    KnownPoints,
+    nearest_same,
+    thinned_to_keep,
+)
+from mr_damper_ros.tracking.recursive_tracker import METHOD, FilterState, RecursiveFilter
 from mr_damper_ros.tracking.reports import Report
-from mr_damper_ros.tracking.window_assembler import RawWindow
+from mr_damper_ros.tracking.running_set import (
+    SteadyMotion,
+    candidate,
+    holds_at,
+    known_force,
+    new_set,
+)
+from mr_damper_ros.tracking.screening import (
+    Screening,
+    fault_at_rest,
+    fault_of_rest,
+    fault_of_samples,
+    fault_of_sign,
+    lack_of_cycle,
+    lack_of_motion,
+)
+from mr_damper_ros.tracking.window_assembler import ENOUGH_POINTS, RawWindow
 
-__all__ = ["OF_THE_SET", "TrackerMemory", "TrackerSettings", "WindowTracker"]
+_DIVERGED = 2.0
+"""The filter has diverged if the RMSE of the validation samples exceeds this multiple of the noise
+that the filter expects."""
+
+_MOST_INTERVALS = 6
+"""Largest number of intervals into which a continuous range of currents is divided."""
+
+_LEAST_SPEED = 0.2
+"""A part of a window counts as an operating point if it has ``ENOUGH_POINTS`` samples and an RMS
+speed of at least this fraction of the window's RMS speed."""
+
+_EXPLAINED_RATIO = 1.25
+_EXPLAINED_PART = 0.01
+"""One set explains the parts if its error is at most ``_EXPLAINED_RATIO`` times the error of
+separate fits, or if the additional error is at most ``_EXPLAINED_PART`` of the force."""
+
+
+OF_THE_SET = "auto"
+"""Option value: use the law of the initial set."""
+
+_POINT_GROWTH = 1.5
+"""A global identification is due early if the number of operating points has grown by this factor.
+"""
+
+_KNOWN_AFTER = 3
+"""Number of windows of one motion after which the shape of its force is known. Initially, a search
+also starts after this many windows that the law's dependence on the current does not explain."""
+
+_SENSOR_VERDICTS = (Verdict.FAULT_OF_DATA, Verdict.DISTURBED, Verdict.BEYOND_LIMITS)
+"""Verdicts that a sensor fault may cause. A window with such a verdict does not select a set."""
+
+
+@dataclass(eq=False)
+class TrackerMemory(Experience):
+    """State of a tracker without its settings and its running set. Jobs change copies of it.
+
+    - ``windows``: number of windows judged so far, which numbers the sets;
+    - ``accepted``: number of windows accepted since the start or reset;
+    - ``accepted_since_global``: number of windows since the last global identification that gave an
+      accepted set or confirmed the running set;
+    - ``state``: state of the recursive filter;
+    - ``watch``: state of the change detection;
+    - ``changed_ns``: stamp of the start of the last sudden change;
+    - ``searched_points``: number of operating points in the last global identification;
+    - ``scales``: force scales in motions other than a sine;
+    - ``global_patience``: number of good windows until the next search;
+    - ``other_damper``: whether the running set may describe another damper;
+    - ``motion``: motion of the newest good windows;
+    - ``unexplained_windows``: number of windows since the last search that the law's dependence on
+      the current did not explain;
+    - ``unexplained_patience``: number of such windows until the next search;
+    - ``rival``: a set that the next window must confirm;
+    - ``seen_ns``: stamp of the last sample of the newest window or change check.
+    """
+
+    windows: int = 0
+    accepted: int = 0
+    accepted_since_global: int = 0
+    state: FilterState | None = None
+    watch: ChangeWatch | None = None
+    changed_ns: int = 0
+    searched_points: int = 0
+    scales: tuple[WindowScale, ...] = ()
+    global_patience: int = 1
+    other_damper: bool = False
+    motion: SteadyMotion = field(default_factory=SteadyMotion)
+    unexplained_windows: int = 0
+    unexplained_patience: int = _KNOWN_AFTER
+    rival: ParameterSet | None = None
+    seen_ns: int = 0
+
+    def forget_changes(self) -> None:
+        """Discard the states of filter and change detection, which belong to another set."""
+        self.state = self.watch = None
+        self.changed_ns = 0
+
+
+Fitted = tuple[WindowFit, Evidence, FilterState | None]
+"""The fit of a window, its evidence, and the state of the recursive filter after it."""
+
+
+def _followed(job: Job, window: Window) -> Fitted | None:
+    """Run the recursive filter over the samples of a window that it has not used yet.
+
+    Returns None after a jump in time or to another operating point, and if the filter has diverged,
+    for example from a poorly determined state. A window fit then restarts the filter.
+    """
+    raw, options, state = job.samples, job.settings, job.memory.state
+    if state is None or not state.stamp_ns < raw.end_ns:
+        return None
+    if nearest_same([state.operating_point], window.operating_point) is None:
+        return None
+    unseen = round((raw.end_ns - state.stamp_ns) / (raw.period * NANOSECONDS))
+    new = window.part(slice(max(window.sample_count - unseen, 0), None))
+    problem = WindowProblem(job.running.law, new, job.running.values)
+    follower = RecursiveFilter(
+        state, problem, raw.end_ns, drift_rate=options.drift_rate, robust=options.robust
+    )
+    validation = validation_mask(new.sample_count, job.fresh)
+    follower.take_in(~validation)
+    evidence = _evidence(job, new, follower.as_fit(problem).parameters, validation)
+    if evidence.rmse_after > _DIVERGED * follower.noise_level:
+        return None
+    follower.take_in(validation)
+    fit = follower.as_fit(WindowProblem(job.running.law, window, job.running.values))
+    return fit, evidence, follower.state
+
+
+TRACKERS: dict[str, Callable[[Job, Window], Fitted | None] | None] = {
+    "window": None,
+    METHOD: _followed,
+    "unscented": _followed,
+}
+"""Tracking methods by name. The function of a method continues from the state of a job and returns
+the fit, or None to request a window fit. If the entry is None, every window is fitted."""
+
+
+@dataclass(frozen=True)
+class TrackerSettings(CheckedSettings):
+    """Settings of the identification of windows; raises ValueError for values out of range."""
+
+    smallest_change: float = option(
+        0.02,
+        "Relative change of the force that triggers an early fit (see looks). If the force is "
+        "hardly larger than its noise, a false alarm occurs every few hours; otherwise false "
+        "alarms practically never occur.",
+        within=(0.001, 1.0),
+    )
+    tracker: str = option(
+        "window",
+        "Tracking method: window (each window is fitted on its own) or recursive (an extended "
+        "Kalman filter, which uses every sample once and starts from the fit of a window; its "
+        "earlier name unscented is still accepted).",
+        choices=tuple(TRACKERS),
+    )
+    drift_rate: float = option(
+        1e-3,
+        "For tracker recursive: expected random walk of the force [1/sqrt(s)], relative to "
+        "the force. A larger value tracks faster and averages less.",
+        within=(1e-9, 1.0),
+    )
+    method: str = option(
+        "nelder_mead",
+        "Fit of a window: nelder_mead (simplex search, as in the thesis, refined by least "
+        "squares) or least_squares (Levenberg-Marquardt only: the same minimum, about five "
+        "times faster).",
+        choices=WINDOW_METHODS,
+    )
+    robust: bool = option(
+        False,
+        "Whether the influence of force outliers is bounded (Huber's weights). It costs some "
+        "milliseconds per window and has no noticeable effect without outliers.",
+    )
+    screening: Screening = group(Screening)
+    acceptance: AcceptanceSettings = group(AcceptanceSettings)
+    model: str = option(
+        OF_THE_SET,
+        f"Force law to identify; {OF_THE_SET}: the law of the initial parameters, or "
+        f"{DEFAULT_MODEL} without initial parameters.",
+        choices=(OF_THE_SET, *MODELS),
+    )
+    global_period: int = option(
+        20,
+        "Number of good windows between two global identifications, with shorter intervals at "
+        "the start (after 1, 2, 3, 4, 6, 9 and so on); 0: never. A global identification needs "
+        "windows at two operating points. It runs sooner if the dependence on current does not "
+        "fit, and with model sigmoid_lag after the first accepted window, because window fits do "
+        "not determine the lag.",
+        within=(0, 1_000_000),
+    )
+    evolution: EvolutionSettings = group(EvolutionSettings)
+
+    @property
+    def law(self) -> str:
+        """Name of the force law if there are no initial parameters."""
+        return DEFAULT_MODEL if self.model == OF_THE_SET else self.model
+
+    def following(self, initial: ParameterSet) -> TrackerSettings:
+        """The settings with the law of the initial set.
+
+        Raises ParameterError if the settings name another law.
+        """
+        if self.model != OF_THE_SET:
+            initial.of_model(self.model)
+            return self
+        return replace(self, model=initial.model)
+
+
+@dataclass(frozen=True, eq=False)
+class Job:
+    """A task for the worker, starting from the ``running`` set and the ``memory``.
+
+    A window fit and a change check have ``raw`` samples. Without them the job is a search, with the
+    settings ``evolution``; ``asked`` is True for a requested search and False for a periodic one.
+    """
+
+    running: ParameterSet
+    settings: TrackerSettings
+    memory: TrackerMemory
+    raw: RawWindow | None = None
+    evolution: EvolutionSettings | None = None
+    asked: bool = True
+
+    @property
+    def samples(self) -> RawWindow:
+        """The raw samples of a window fit or a change check."""
+        assert self.raw is not None
+        return self.raw
+
+    @property
+    def fresh(self) -> int:
+        """Number of samples of the window that the running set was not fitted to."""
+        raw = self.samples
+        fresh = round((raw.end_ns - self.running.stamp_ns) / (raw.period * NANOSECONDS))
+        # A set stamped after the window (the clock was set back) shares no samples with it.
+        return fresh if fresh >= 0 else raw.force.size
+
+    @property
+    def elsewhere(self) -> tuple[Window, ...]:
+        """The newest windows at the recent operating points."""
+        return self.memory.points.recent(self.samples.start_ns)
+
+
+@dataclass(frozen=True, eq=False)
+class Outcome:
+    """Result of a job: its ``report``, and the ``memory`` after it with the changed records only.
+
+    The report is None for a change check without an early fit. ``parameters`` is the set in use
+    from now on, None if the running set stays; ``found`` is the new set, whether in use or not.
+    ``message`` says how a search ended. ``duration`` [s] is the duration of the job.
+    """
+
+    memory: TrackerMemory
+    report: Report | None = None
+    parameters: ParameterSet | None = None
+    found: ParameterSet | None = None
+    message: str = ""
+    duration: float = math.nan
+
+
+class _TooLittleMotionError(Exception):
+    """A window that contains too little motion; the message says why."""
+
+
+# A search also tries parameters whose force overflows, and rejects them.
+@np.errstate(over="ignore", divide="ignore", invalid="ignore")
+def run(job: Job, control: Control | None = None) -> Outcome:
+    """Run a job; faults of the data and failures become the verdict of its report.
+
+    ``control`` can end the job early, with the best result so far.
+    """
+    began = time.perf_counter()
+    try:
+        if job.raw is None:
+            outcome = _search(job, control)
+        elif job.raw.look:
+            outcome = _look(job, _screened(job))
+        else:
+            outcome = _fit(job, _screened(job), control.should_stop if control else None)
+    except DataError as error:
+        outcome = refused(job, Judgement(Verdict.FAULT_OF_DATA, str(error)))
+    except _TooLittleMotionError as error:
+        outcome = refused(job, Judgement(Verdict.TOO_LITTLE_MOTION, str(error)))
+    except (ValueError, ArithmeticError) as error:
+        sentence = f"the identification failed ({type(error).__name__}: {error}): the running set"
+        outcome = refused(job, Judgement(Verdict.FAILED, f"{sentence} stays"))
+    # The records that came with the job need not be sent back.
+    outcome.memory.points = outcome.memory.points.changed_since(job.memory.points)
+    return replace(outcome, duration=time.perf_counter() - began)
+
+
+def refused(job: Job, judgement: Judgement) -> Outcome:
+    """The outcome of a job that gave no set."""
+    memory = _begun(job)
+    if job.raw is None:
+        memory.unexplained_patience *= 2
+    elif job.raw.look:
+        return Outcome(memory)
+    due = job.raw is not None and _search_is_due(job, job.running, memory, unexplained=False)
+    return Outcome(memory, _report(job, job.running, judgement, global_due=due))
+
+
+def _begun(job: Job) -> TrackerMemory:
+    """A copy of the memory that has seen the samples of the job."""
+    memory = replace(job.memory)
+    if job.raw is not None:
+        memory.windows += not job.raw.look
+        memory.seen_ns = job.raw.end_ns
+        if job.raw.end_ns < memory.changed_ns:
+            memory.changed_ns = 0  # the clock was set back
+    return memory
+
+
+def _report(
+    job: Job,
+    used: ParameterSet,
+    judgement: Judgement,
+    evidence: Evidence | None = None,
+    **figures: Any,
+) -> Report:
+    """The report on a job after which the set ``used`` is in use."""
+    raw, model, verdict = job.raw, job.running.law, judgement.verdict
+    known: dict[str, Any]
+    if raw is None:
+        points = job.memory.points
+        stamp_ns = max(points.newest_ns, job.running.stamp_ns)
+        # Linear laws are solved by least squares; the others need a search.
+        searched = model.searched_laws(frozenset(model.parameter_names)) > 0
+        known = {
+            "window_start_ns": stamp_ns,
+            "stamp_ns": stamp_ns,
+            "sample_count": sum(window.sample_count for window in points.windows),
+            "method": "differential_evolution" if searched else "least_squares",
+        }
+    else:
+        unknown = np.full(len(model.coefficient_names), math.nan)
+        known = {
+            "window_start_ns": raw.start_ns,
+            "stamp_ns": raw.end_ns,
+            "sample_count": raw.force.size,
+            "method": job.settings.method,
+            "current": float(np.mean(raw.current)),
+            "temperature": raw.temperature,
+            "coefficient_names": model.coefficient_names,
+            "coefficients": unknown,
+            "coefficient_errors": unknown,
+            "coefficient_discrepancies": unknown,
+        }
+    if evidence is not None:
+        known |= {"nrmse_before": evidence.nrmse_before, "nrmse_after": evidence.nrmse_after}
+    return Report(
+        verdict=verdict,
+        reason=judgement.sentence,
+        set_id=used.set_id,
+        # The windows of a search are old, so a fit to them does not confirm the set for new
+        # samples.
+        confirms=verdict.accepted if raw is None else verdict.confirms,
+        **known | figures,
+    )
+
+
+def _of_fit(window: Window, fit: WindowFit) -> dict[str, Any]:
+    """The figures of a fitted window for its report."""
+    return {
+        "method": fit.method,
+        "evaluations": fit.evaluations,
+        "peak_velocity": fit.operating_point[0],
+        "amplitude": window.motion.amplitude,
+        "frequency": window.motion.frequency,
+        "coefficients": fit.coefficients,
+    }
+
+
+def _errors(covariance: Array) -> Array:
+    # Rounding may make a variance near zero slightly negative.
+    return np.sqrt(np.maximum(np.diag(covariance), 0.0))
+
+
+def _search_is_due(
+    job: Job, used: ParameterSet, memory: TrackerMemory, *, unexplained: bool
+) -> bool:
+    """Whether a periodic search is due; ``unexplained`` is as in :func:`_fit`."""
+    period, points, law = job.settings.global_period, len(memory.points.kept), used.law
+    if period == 0:
+        return False
+    has_grown = points >= _POINT_GROWTH * memory.searched_points
+    waited = memory.unexplained_windows >= memory.unexplained_patience
+    if unexplained and points > 1 and (has_grown or waited):
+        return True
+    common = law.places(law.common_names)
+    known = bool(used.observable[common].any())
+    if common.size and has_grown and (not known or 0 < memory.searched_points < memory.accepted):
+        # Window fits do not determine a lag, a stiffness or an offset; a global identification of
+        # one operating point does. That point may be a poor one, so searches at the next points may
+        # correct the result.
+        return memory.accepted_since_global > 0 and memory.accepted <= period
+    return memory.accepted_since_global >= min(period, memory.global_patience) and points > 1
+
+
+# -- a window --------------------------------------------------------------------------------
+
+
+def _screened(job: Job) -> Window:
+    """The window of a job; raises DataError or _TooLittleMotionError if it cannot be fitted."""
+    raw, limits = job.samples, job.settings.screening
+    _require(fault_of_samples(raw.displacement, raw.force, raw.current, limits))
+    if lack := lack_of_motion(raw.displacement, limits):
+        fault = fault_at_rest(raw.displacement, raw.force, job.running.largest_force)
+        _require(fault, lack)
+    window = Window.from_samples(
+        raw.displacement, raw.force, raw.current, raw.period, raw.peak_velocity
+    )
+    velocity, force = window.motion.velocity, window.force
+    fault, lack = fault_of_rest(velocity, force), lack_of_cycle(raw.displacement, velocity)
+    _require(fault or ("" if lack else fault_of_sign(velocity, force)), lack)
+    return window if raw.force_after is None else window.measured_after(raw.force_after)
+
+
+def _require(fault: str, lack: str = "") -> None:
+    if fault:
+        raise DataError(fault)
+    if lack:
+        raise _TooLittleMotionError(lack)
+
+
+def _fit(job: Job, window: Window, should_stop: Callable[[], bool] | None) -> Outcome:
+    """Fit a window, or run the filter over it, and judge the result.
+
+    Every good window updates the memory; only accepted ones change the running set. A window is
+    unexplained if separate sets for its currents fit it as usual, but one set does not.
+    """
+    raw, memory, options = job.samples, _begun(job), job.settings
+    before, rival, wins = job.running, job.memory.rival, False
+    model, running = before.law, before
+    before_change = math.ceil((memory.changed_ns - raw.start_ns) / (raw.period * NANOSECONDS))
+    if before_change > 0.5 * window.sample_count:
+        raise _TooLittleMotionError("most of the window lies before the change of the force")
+    window = window.part(slice(max(before_change, 0), None))
+    if rival is not None:
+        maximum = options.acceptance.maximum_nrmse
+        wins = rival_wins(
+            rival, running, window, fresh=job.fresh, maximum_nrmse=maximum, elsewhere=job.elsewhere
+        )
+        memory.rival = None
+        if wins:
+            running = rival
+            memory.forget_changes()
+            job = replace(job, running=rival, memory=replace(job.memory, state=None))
+    follow = TRACKERS[options.tracker]
+    followed = follow(job, window) if follow else None
+    fit, evidence, state = followed or _fitted(job, window, should_stop)
+    name = f"window-{memory.windows}"
+    found = new_set(running, fit, evidence, window, set_id=name, stamp_ns=raw.end_ns)
+    judged = candidate(running, fit.parameters, window)
+    settled = model.settled(window, fit.parameters)
+    watch = ChangeWatch.after_fit(
+        judged.window_force(window)[settled],
+        window.force[settled],
+        fit.operating_point,
+        options.smallest_change,
+    )
+    motion, baselines = SteadyMotion.of(window), memory.points.baselines
+    divided = parts_by_current(model, window, options.screening.current_tolerance)
+    one_point, explained, unexplained = not divided or divided[0] is window, True, False
+    gatekeeper = Gatekeeper(options.acceptance, memory)
+    if not one_point:
+        rmse, explained = judge_parts(window, divided, judged)
+        # The residual of the whole window contains the error of the law, so the residual of its
+        # parts is compared with the baseline.
+        nrmse = rmse / float(np.std(window.force))
+        unexplained = not explained and gatekeeper.is_usual(rmse, nrmse)
+    judgement = gatekeeper.judge(
+        evidence,
+        known_force(fit, window),
+        holds=not memory.other_damper and holds_at(running, fit.operating_point),
+        same_motion=memory.motion.windows_before(motion) >= _KNOWN_AFTER,
+        one_point=one_point,
+        objection=partial(implausible, found),
+    )
+    if unexplained and judgement.verdict is Verdict.DISTURBED:
+        # The law causes the error, not the samples, so a good running set is confirmed.
+        good = evidence.nrmse_before <= GOOD_NRMSE
+        judgement = Judgement(
+            Verdict.NO_BETTER if good else Verdict.POOR_FIT,
+            "the force depends on the current in a way that the running set does not describe: "
+            "the window is used in the next global identification",
+            usual=False,
+        )
+    verdict, teaches = judgement.verdict, judgement.teaches
+    unexplained = unexplained and verdict is not Verdict.BEYOND_LIMITS
+    if teaches:
+        memory.state = state
+        memory.watch = memory.watch or watch
+        memory.motion = memory.motion.followed_by(motion)
+        memory.accepted_since_global += 1
+        if explained:
+            # A fit with a wrong dependence on the current is not a suitable baseline.
+            memory.points = memory.points.with_baseline(fit)
+    memory.unexplained_windows += unexplained
+    if teaches or unexplained:
+        for part in divided:
+            past = model.needs_past(part)
+            kept = thinned_to_keep(part, with_past=past, parts=len(divided))
+            memory.points = memory.points.with_window(kept, part.operating_point, raw.end_ns)
+    used = running
+    if verdict.accepted:
+        memory.watch = watch
+        memory.other_damper = False
+        memory.accepted += 1
+        used = found
+    elif verdict is Verdict.UNCONFIRMED:
+        memory.rival = found
+    if rival is not None and verdict in _SENSOR_VERDICTS:
+        used, memory.rival = before, rival
+    elif wins and verdict is Verdict.NO_BETTER:
+        judgement = Judgement(Verdict.ACCEPTED, f"this window confirms {running.set_id}")
+    scale, memory.scales = widened(
+        force_scale(model, window, fit, baselines), memory.scales, raw.start_ns, raw.end_ns
+    )
+    fluid = FluidTemperature()
+    if judgement.verdict.confirms and not math.isnan(raw.temperature):
+        memory.points = with_temperature(memory.points, fit.operating_point, raw.temperature, scale)
+    elif judgement.verdict.confirms:
+        # Without a measurement, the temperature is estimated from the force.
+        mapped = temperature_map(memory.points.at(fit.operating_point))
+        fluid = mapped.temperature(scale) if mapped else fluid
+    besides = fit.coefficient_discrepancy
+    unknown = np.full(fit.coefficients.size, math.nan)
+    report = _report(
+        job,
+        used,
+        judgement,
+        evidence,
+        **_of_fit(window, fit),
+        scale=scale,
+        coefficient_errors=_errors(fit.coefficient_covariance),
+        coefficient_discrepancies=unknown if besides is None else _errors(besides),
+        global_due=_search_is_due(job, used, memory, unexplained=unexplained),
+        fluid=fluid,
+    )
+    return Outcome(memory, report, None if used is before else used, found)
+
+
+def _fitted(job: Job, window: Window, should_stop: Callable[[], bool] | None) -> Fitted:
+    """Fit a window, first without its validation samples and then to all samples."""
+    model, options = job.running.law, job.settings
+    validation = validation_mask(window.sample_count, job.fresh)
+    start = job.running.values
+    _, fastest = job.running.peak_velocity_range
+    # Only a set that was identified on this damper is evidence.
+    prior = WindowPrior(start, fastest) if job.running.observable.any() else None
+    trained = fit_window(
+        model,
+        window.part(~validation),
+        start,
+        method=options.method,
+        robust=options.robust,
+        prior=prior,
+        should_stop=should_stop,
+    )
+    evidence = _evidence(job, window, trained.parameters, validation)
+    # The published set uses all samples; the validation samples only serve the acceptance test.
+    final = fit_window(
+        model,
+        window,
+        trained.parameters,
+        method="least_squares",
+        robust=options.robust,
+        prior=prior,
+    )
+    final = replace(
+        final,
+        method=options.method,
+        evaluations=trained.evaluations + final.evaluations,
+        success=trained.success,
+        message=trained.message,
+    )
+    remembers = TRACKERS[options.tracker] is not None
+    state = FilterState.of(final, job.samples.end_ns) if remembers else None
+    return final, evidence, state
+
+
+def _evidence(job: Job, window: Window, values: Array, validation: np.ndarray) -> Evidence:
+    found = candidate(job.running, values, window)
+    return evidence_of(
+        job.running, found, window, validation, fresh=job.fresh, elsewhere=job.elsewhere
+    )
+
+
+# -- a window of changing current ------------------------------------------------------------
+
+
+def parts_by_current(model: Model, window: Window, tolerance: float) -> list[Window]:
+    """Parts of a window within which the current is about constant.
+
+    If the current is constant, the window itself is the only part. Levels of the current more than
+    ``tolerance`` [A] apart become separate parts; a continuous range is divided into equal
+    intervals. Each part is an operating point, whose fit does not depend on the law's dependence on
+    the current. Samples at the start of the window at which the force of the ``model`` depends on
+    the unknown past do not count towards the smallest size of a part.
+    """
+    if float(np.ptp(window.current)) <= tolerance:
+        return [window]
+    lead_in = round(LONGEST_SETTLING * window.sample_count) if model.needs_past(window) else 0
+    edges = _edges(window.current, tolerance)
+    place = np.searchsorted(edges, window.current, side="right")
+    speed = window.motion.velocity
+    least = _LEAST_SPEED * float(np.sqrt(np.mean(speed**2)))
+    parts = []
+    for number in range(edges.size + 1):
+        chosen = place == number
+        if np.count_nonzero(chosen[lead_in:]) < ENOUGH_POINTS:
+            continue
+        moving = float(np.sqrt(np.mean(speed[chosen] ** 2))) >= least
+        if moving and np.ptp(window.force[chosen]) > 0.0:
+            parts.append(window.part(chosen))
+    return parts
+
+
+def _edges(current: Array, tolerance: float) -> Array:
+    """Currents [A] between the parts, in ascending order."""
+    levels = np.unique(current)
+    widest = max(float(np.ptp(levels)) / _MOST_INTERVALS, tolerance)
+    gaps = np.flatnonzero(np.diff(levels) > tolerance)
+    edges = (0.5 * (levels[gaps] + levels[gaps + 1])).tolist()
+    for stretch in np.split(levels, gaps + 1):
+        count = math.ceil(float(np.ptp(stretch)) / widest)
+        edges += np.linspace(stretch[0], stretch[-1], count + 1)[1:-1].tolist()
+    return np.sort(edges)
+
+
+def judge_parts(window: Window, parts: Sequence[Window], found: ParameterSet) -> tuple[float, bool]:
+    """RMSE [N] of separate fits to the parts of a window, and whether one set explains them all."""
+    few = [found.held(part.thinned(MOST_SAMPLES // 2)) for part in parts]
+    own = [fit_window(found.law, part, found.values, method="least_squares") for part in few]
+    alone = _pooled([fit.rmse for fit in own], parts)
+    together = _pooled([error_of_set(found, [part]).rmse for part in few], parts)
+    besides = _EXPLAINED_PART * float(np.std(window.force))
+    return alone, together <= max(_EXPLAINED_RATIO * alone, math.hypot(alone, besides))
+
+
+def _pooled(errors: Sequence[float], parts: Sequence[Window]) -> float:
+    """RMSE [N] over all parts, from the RMSE of each part."""
+    counts = [part.sample_count for part in parts]
+    return math.sqrt(float(np.average(np.square(errors), weights=counts)))
+
+
+# -- a change check --------------------------------------------------------------------------
+
+
+def _look(job: Job, window: Window) -> Outcome:
+    """Check whether the newest samples fit the running set; otherwise fit the force scale.
+
+    Without a change, only the state of the change detection changes.
+    """
+    raw, memory, model, running = job.samples, _begun(job), job.running.law, job.running
+    watch, unchanged = memory.watch, Outcome(memory)
+    if watch is None:
+        return unchanged
+    newest = slice(window.sample_count - raw.look, None)
+    here = window.part(newest).operating_point
+    if nearest_same([watch.operating_point], here) is None:
+        memory.watch = watch.quiet()
+        return unchanged
+    # The peak velocity is limited to the range of the running set, as in a prediction.
+    held = running.held(window)
+    predicted = model.window_force(held, running.values)
+    memory.watch = watch = watch.follow(predicted[newest], window.force[newest])
+    count = min(watch.samples_since_change, window.sample_count)
+    if not watch.changed or count < CHUNKS:
+        return unchanged
+    since = slice(window.sample_count - count, None)
+    count -= change_point(predicted[since], window.force[since], CHUNKS)
+    since = slice(window.sample_count - count, None)
+    changed, predicted = held.part(since), predicted[since]
+    lasting = model.lasting_force(changed, running.values)
+    own, measured = predicted - lasting, changed.force - lasting
+    validation = validation_mask(count)
+    trained, _ = fit_scale(own[~validation], measured[~validation])
+    spread = float(np.std(window.force))
+    before, after = (
+        float(np.sqrt(np.mean((each * own - measured)[validation] ** 2))) for each in (1.0, trained)
+    )
+    # The lead accounts for the autocorrelation of the model error, which in so few samples
+    # resembles a change.
+    noise = NoiseModel.of(trained * own - measured)
+    lead = lead_of([(own, trained * own, measured, validation, noise)])
+    factor, error = fit_scale(own, measured)
+    if not factor > 0.0 or np.ptp(changed.force) == 0.0:
+        return unchanged  # only a failed sensor gives such a force
+    fit = with_gain(model, changed, running.values, factor, error, EARLY_SOURCE)
+    evidence = Evidence(before / spread, after / spread, after, trained - 1.0, lead)
+    name = f"early-{memory.windows + 1}"
+    found = new_set(running, fit, evidence, changed, set_id=name, stamp_ns=raw.end_ns)
+    gatekeeper = Gatekeeper(job.settings.acceptance, memory)
+    if not gatekeeper.may_be_early(evidence) or implausible(found):
+        return unchanged
+    of_window = force_scale(model, changed, fit, memory.points.baselines)
+    gatekeeper.follow_change(evidence)
+    memory.windows += 1
+    if (state := memory.state) is not None:
+        strength = WindowProblem(model, changed, running.values).strength
+        factors = np.where(strength, factor, 1.0)
+        covariance = state.covariance * np.outer(factors, factors) + fit.covariance
+        memory.state = FilterState(state.scales * factors, covariance, raw.end_ns, here)
+    # The residual of an inexact law oscillates, so the change detection stops until the next
+    # window.
+    memory.watch = None
+    if raw.start_ns <= job.memory.seen_ns <= raw.end_ns:
+        # The samples continue those before, and the temperature does not change so fast: the
+        # temperature map has become wrong.
+        memory.points = memory.points.without_temperatures()
+    memory.changed_ns = raw.end_ns - round((fit.sample_count - 1) * raw.period * NANOSECONDS)
+    judgement = Judgement(
+        Verdict.ACCEPTED_EARLY,
+        f"the force changed by {evidence.force_change:+.0%} at "
+        f"t = {memory.changed_ns / NANOSECONDS:.2f} s: fitted early",
+    )
+    figures = _of_fit(changed, fit)
+    report = _report(job, found, judgement, evidence, **figures, scale=of_window)
+    return Outcome(memory, report, found, found)
+
+
+# -- a search --------------------------------------------------------------------------------
+
+
+def _search(job: Job, control: Control | None) -> Outcome:
+    """Identify globally; a quarter of each window's samples is validation data."""
+    start, memory, points = job.running, _begun(job), job.memory.points
+    validation = [validation_mask(window.sample_count) for window in points.windows]
+    pairs = list(zip(points.windows, validation, strict=True))
+    fit = identify_global(
+        start.law,
+        [window.part(~judges) for window, judges in pairs],
+        start.values,
+        job.evolution or job.settings.evolution,
+        control.report if control else None,
+    )
+    stamp_ns = max(points.newest_ns, start.stamp_ns)
+    found = replace(fit.parameter_set, set_id=f"global-{memory.windows}", stamp_ns=stamp_ns)
+    evidence = evidence_of_search(start, found, pairs, len(points.recent(points.newest_ns)))
+    judgement = Gatekeeper(job.settings.acceptance, memory).judge_global(
+        evidence, partial(implausible, found), tentative=not job.asked
+    )
+    used = start
+    if judgement.verdict is Verdict.UNCONFIRMED:
+        memory.unexplained_patience, memory.rival = _KNOWN_AFTER, found
+    elif judgement.verdict.accepted:
+        memory.unexplained_patience, memory.rival, used = _KNOWN_AFTER, None, found
+        memory.forget_changes()
+    else:
+        # If the law cannot follow the current, the searches become rarer.
+        memory.unexplained_patience *= 2
+    report = _report(job, used, judgement, evidence, evaluations=fit.evaluations)
+    return Outcome(memory, report, None if used is start else used, found, fit.message)
+
+
+# -- the tracker -----------------------------------------------------------------------------
 
 
 class WindowTracker:
@@ -96,9 +907,8 @@ class WindowTracker:
 
     def job_of(self, window: RawWindow) -> Job:
         """The job of a window fit or a change check, starting from the running set."""
-        # Only the windows that the job compares with need to be sent.
-        recent = () if window.look else self.points.recent(window.start_ns)
-        points = self.points.with_samples(lambda each: any(each.window is one for one in recent))
+        # Only the windows that the job compares with need to be sent. A change check needs none.
+        points = self.points.with_recent_windows(-math.inf if window.look else window.start_ns)
         return Job(self.parameters, self._settings, replace(self.memory, points=points), window)
 
     def search(self, evolution: EvolutionSettings | None = None, *, asked: bool = True) -> Job:

@@ -27,10 +27,9 @@ from mr_damper_ros.models.plausibility import implausible
 from mr_damper_ros.processes.deferred import BackgroundWriter
 from mr_damper_ros.processes.files import FolderLock
 from mr_damper_ros.tracking.force_scale import is_plausible
-from mr_damper_ros.tracking.jobs import TrackerMemory
 from mr_damper_ros.tracking.operating_point import KnownPoints, PointRecord, nearest_same
 from mr_damper_ros.tracking.state_directory import StateDirectory, StateError
-from mr_damper_ros.tracking.tracker import WindowTracker
+from mr_damper_ros.tracking.tracker import TrackerMemory, WindowTracker
 
 T = TypeVar("T")
 
@@ -285,12 +284,15 @@ DISK_PATIENCE = 1.0
 class TrackerState:
     """Stores a tracker's state under its own name, in the same folder as the sets of the user.
 
-    ``set_aside`` is a message about unusable files that were set aside; empty once acknowledged.
+    Without a ``directory`` nothing is stored. ``set_aside`` is a message about unusable files that
+    were set aside; empty once acknowledged.
     """
 
-    def __init__(self, tracker: WindowTracker, directory: StateDirectory, name: str) -> None:
+    def __init__(
+        self, tracker: WindowTracker, directory: StateDirectory | None = None, name: str = "tracker"
+    ) -> None:
         self._tracker = tracker
-        self._directory = directory
+        self._directory = directory or StateDirectory("")
         self._name = name
         self._lock: FolderLock | None = None
         self._writer: BackgroundWriter[tuple[ParameterSet, TrackerMemory]] | None = None

@@ -337,8 +337,7 @@ class Freshness:
 
     def __init__(self, max_age: float) -> None:
         self._max_age = max_age
-        self.live = False
-        self.age = math.nan
+        self.restart()
 
     def restart(self) -> None:
         """Decide again whether the stream is live, because the stamps have jumped back."""

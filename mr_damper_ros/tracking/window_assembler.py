@@ -16,7 +16,7 @@ from mr_damper_ros.settings.option_table import CheckedSettings, option
 from mr_damper_ros.signals.arrays import Array, RollingRows
 from mr_damper_ros.signals.blocks import KEEP_CURRENT, NANOSECONDS, SampleBlock, ZeroOrderHold
 from mr_damper_ros.signals.uniform_grid import GridSettings, Placed, UniformGrid
-from mr_damper_ros.tracking.screening import part_at_rest, rests_too_long
+from mr_damper_ros.tracking.screening import long_rest
 
 _HOLD_BACK = 0.05
 """Seconds for which blocks out of order wait for missing blocks; windows are not urgent."""
@@ -264,8 +264,7 @@ class WindowAssembler:
             count = int(reach) // size
             if holds_cycle(points[-count:]):
                 # Motion before a stop does not count towards a cycle at the present position.
-                resting = rests_too_long(part_at_rest(speed[-count:]))
-                return 0 if resting else min(count * size, most)
+                return 0 if long_rest(speed[-count:]) is not None else min(count * size, most)
         return 0
 
     def _window(self, end: int, reach: int, length: int, period: float, look: int = 0) -> RawWindow:

@@ -19,8 +19,12 @@ from mr_damper_ros.models.misfit import Misfit
 from mr_damper_ros.models.parameter_set import ParameterSet, start_set
 from mr_damper_ros.signals.arrays import Array
 from mr_damper_ros.tracking.acceptance import Verdict
-from mr_damper_ros.tracking.jobs import judge_parts, parts_by_current
-from mr_damper_ros.tracking.tracker import TrackerSettings, WindowTracker
+from mr_damper_ros.tracking.tracker import (
+    TrackerSettings,
+    WindowTracker,
+    judge_parts,
+    parts_by_current,
+)
 from mr_damper_ros.tracking.window_assembler import RawWindow
 
 SAMPLES = 2000

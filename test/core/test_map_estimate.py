@@ -20,8 +20,7 @@ from mr_damper_ros.models.sigmoid.law import sine_force
 from mr_damper_ros.signals.arrays import Array
 from mr_damper_ros.tracking import jobs
 from mr_damper_ros.tracking.acceptance import Verdict
-from mr_damper_ros.tracking.jobs import run
-from mr_damper_ros.tracking.tracker import TrackerSettings, WindowTracker
+from mr_damper_ros.tracking.tracker import TrackerSettings, WindowTracker, run
 from mr_damper_ros.tracking.window_assembler import RawWindow
 
 RUNNING = known.PLAUSIBLE

@@ -23,9 +23,7 @@ from mr_damper_ros.tracking.identifier import (
     SearchProgress,
 )
 from mr_damper_ros.tracking.reports import Report
-from mr_damper_ros.tracking.state_directory import StateDirectory
 from mr_damper_ros.tracking.tracker import TrackerSettings, WindowTracker
-from mr_damper_ros.tracking.tracker_state import TrackerState
 from mr_damper_ros.tracking.window_assembler import RawWindow, WindowAssembler, WindowSettings
 
 PERIOD = 1.0 / 512.0
@@ -95,7 +93,7 @@ def bench(*, waiting_windows: int = 1000, global_period: int = 0, disk: Any = No
         tracker,
         worker,  # type: ignore[arg-type]
         PipelineSettings(waiting_windows=waiting_windows),
-        disk or TrackerState(tracker, StateDirectory(""), "bench"),
+        disk,
     )
     return Bench(identifier, worker, tracker)
 

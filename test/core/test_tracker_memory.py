@@ -22,11 +22,10 @@ from mr_damper_ros.kinematics.window import Window
 from mr_damper_ros.models import MODELS
 from mr_damper_ros.models.parameter_set import ParameterSet
 from mr_damper_ros.processes.files import FolderLock, LockHeldError
-from mr_damper_ros.tracking.jobs import TRACKERS, run
 from mr_damper_ros.tracking.operating_point import KnownPoints
 from mr_damper_ros.tracking.reports import Report
 from mr_damper_ros.tracking.state_directory import StateDirectory, StateError
-from mr_damper_ros.tracking.tracker import TrackerSettings, WindowTracker
+from mr_damper_ros.tracking.tracker import TRACKERS, TrackerSettings, WindowTracker, run
 from mr_damper_ros.tracking.tracker_state import TrackerMemory, TrackerState, from_text, to_text
 
 START = ParameterSet(known.PLAUSIBLE, set_id="start")
