@@ -30,9 +30,3 @@ def information(bag: Path) -> dict[str, Any]:
     """The bag's metadata file."""
     metadata = yaml.safe_load((bag / "metadata.yaml").read_text(encoding="utf-8"))
     return dict(metadata["rosbag2_bagfile_information"])
-
-
-def type_hashes(bag: Path) -> dict[str, str]:
-    """RIHS01 hash of each message type in the metadata of a bag."""
-    topics = (entry["topic_metadata"] for entry in information(bag)["topics_with_message_count"])
-    return {topic["type"]: topic["type_description_hash"] for topic in topics}

@@ -85,9 +85,6 @@ def test_without_force_there_is_nothing_to_compare() -> None:
         fit_scale(np.zeros(5), np.ones(5))
 
 
-# -- change checks ---------------------------------------------------------------------------
-
-
 # -- early fits ------------------------------------------------------------------------------
 
 STEP = 4.3

@@ -16,7 +16,6 @@ from mr_damper_ros.rig_check.checks import ReceivedBlock, RigRecord, Trouble, ch
 SECONDS = 30.0
 RATE = 1000.0
 BLOCK = 20
-SECOND = 10**9
 MOTIONS: dict[str, Excitation] = {
     "steps": stepped(0.005, 0.5, 3.0, SECONDS),
     "sine": SineMotion(0.005, 1.0),

@@ -17,18 +17,12 @@ from mr_damper_ros.rig.blocks import Meter
 from mr_damper_ros.rig.sources import SOURCES
 from mr_damper_ros.settings.option_table import build
 from mr_damper_ros.signals.blocks import RigBlock
-from mr_damper_ros.signals.recording import Recording
 
 BAG = Path(__file__).parents[2] / "bags" / "5.0mm_1Hz_1.5A"
 
 
 def joined(blocks: list[RigBlock], quantity: str) -> np.ndarray:
     return np.concatenate([getattr(block, quantity) for block in blocks])
-
-
-def recording(count: int, name: str = "part") -> Recording:
-    values = np.arange(count, dtype=float)
-    return Recording(name, START, 1e-3, values * 1e-6, values, np.full(count, 0.5))
 
 
 def test_the_recordings_of_a_bag_come_as_they_are() -> None:

@@ -200,9 +200,6 @@ def test_a_large_step_is_followed_once_it_is_confirmed() -> None:
     assert second.scale.value == pytest.approx(0.4, rel=SCALE_ERROR)
 
 
-# -- validation samples ----------------------------------------------------------------------
-
-
 # -- parameter sets --------------------------------------------------------------------------
 
 

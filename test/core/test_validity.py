@@ -266,9 +266,6 @@ def test_a_force_that_jumps_where_the_motion_turns_is_followed() -> None:
     assert np.mean([p.valid for p in predictions[(STAIR + 2000) // 20 :]]) > 0.8
 
 
-# -- motion ----------------------------------------------------------------------------------
-
-
 # -- age -------------------------------------------------------------------------------------
 
 
