@@ -82,7 +82,7 @@ def _typestore() -> Any:
 
 
 class BagStream:
-    """A bag that is written message by message; it appears at ``path`` when it is closed.
+    """A bag that is written message by message in ``fresh``, and moved to ``path`` when closed.
 
     ``topics`` holds the message type of each topic. Raises BagError if ``path`` exists, and OSError
     if the files cannot be written.
@@ -95,10 +95,10 @@ class BagStream:
         details: Mapping[str, str],
     ) -> None:
         _check_free(path, overwrite=False)
-        self._path, self._fresh = path, path.with_name(f".{path.name}.part") / path.name
-        self._fresh.parent.mkdir(parents=True)
+        self._path, self.fresh = path, path.with_name(f".{path.name}.part") / path.name
+        self.fresh.parent.mkdir(parents=True)
         store = _typestore()
-        self._writer = Writer(self._fresh, version=9, storage_plugin=StoragePlugin.MCAP)
+        self._writer = Writer(self.fresh, version=9, storage_plugin=StoragePlugin.MCAP)
         self._writer.open()
         for key, value in details.items():
             self._writer.set_custom_data(key, value)
@@ -116,9 +116,9 @@ class BagStream:
     def close(self) -> None:
         """Close the bag, add checksums, and move it to its path."""
         self._writer.close()
-        add_checksums(self._fresh / f"{self._path.name}.mcap")
-        self._fresh.rename(self._path)
-        self._fresh.parent.rmdir()
+        add_checksums(self.fresh / f"{self._path.name}.mcap")
+        self.fresh.rename(self._path)
+        self.fresh.parent.rmdir()
 
 
 def write_bag(

@@ -183,7 +183,7 @@ class BlockNode(Node, Generic[Options, Answer]):
             self._take_set(self._unattributed)
         parameters, file = self._predictor.parameters, self._options.parameter_file
         publishers = quality.publishing_nodes(self, PARAMETERS_TOPIC)
-        several = f"{PARAMETERS_TOPIC} is published by {' and '.join(publishers)}"
+        several = f"{PARAMETERS_TOPIC} is published by {quality.listed(publishers)}"
         if len(publishers) > 1 and not self._options.trusted_source:
             return Finding(
                 ERROR, f"{several}: stop all but one, or name the one to use in trusted_source"

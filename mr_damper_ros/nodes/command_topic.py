@@ -107,7 +107,7 @@ class CommandTopic:
         wrong = []
         publishers = quality.publishing_nodes(self._node, self._topic)
         if len(publishers) > 1:
-            names = " and ".join(publishers)
+            names = quality.listed(publishers)
             wrong.append(f"the {self._what} is commanded by {names}: stop all but one")
         if new:
             wrong.append(f"{new} commands were rejected since the last report: {self._refusal}")

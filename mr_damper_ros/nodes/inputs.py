@@ -179,10 +179,10 @@ class Inputs:
             fault = sequence.last_interruption
             if interruptions > 1:
                 fault += f" ({interruptions} interruptions of the stream since the last report)"
-            publishers = quality.publishing_nodes(self._node, SAMPLES_TOPIC)
-            if len(publishers) > 1:
-                names = " and ".join(publishers)
-                fault = f"{SAMPLES_TOPIC} is published by {names}: stop all but one; {fault}"
+                publishers = quality.publishing_nodes(self._node, SAMPLES_TOPIC)
+                if len(publishers) > 1:
+                    names = quality.listed(publishers)
+                    fault = f"{SAMPLES_TOPIC} is published by {names}: stop all but one; {fault}"
         return Finding(
             WARN if fault else OK,
             fault or f"{rate:.0f} samples/s{_pace(rate, sequence)}",

@@ -200,15 +200,17 @@ class _BagRecording:
                 self.failure = error.strerror or str(error)
 
     def close(self) -> str:
-        """End the recording; returns its failure."""
+        """End the recording; returns its failure, and where the written part is."""
         self._open = False
         for subscription in self._subscriptions:
             self._node.destroy_subscription(subscription)
+        written = self.path
         try:
             self._bag.close()
         except OSError as error:
             self.failure = self.failure or error.strerror or str(error)
-        return self.failure
+            written = self._bag.fresh
+        return self.failure and f"{self.failure}; what was written is in {written}"
 
 
 _COMMANDS = {

@@ -5,7 +5,7 @@ Each function makes a new profile: rclpy changes a profile in place when it appl
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 from typing import Any
 
 from rclpy.node import Node
@@ -96,6 +96,13 @@ def publishing_nodes(node: Node, topic: str) -> list[str]:
         f"{found.node_namespace.rstrip('/')}/{found.node_name}"
         for found in node.get_publishers_info_by_topic(node.resolve_topic_name(topic))
     )
+
+
+def listed(names: Collection[str]) -> str:
+    """The names of publishing nodes in words; two with the same name may be one that was killed."""
+    repeated = len(set(names)) < len(names)
+    killed = " (a killed node stays listed for up to a minute)" if repeated else ""
+    return " and ".join(names) + killed
 
 
 def _overridable() -> QoSOverridingOptions:

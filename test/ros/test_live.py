@@ -1,7 +1,9 @@
 """The page of a running system receives the nodes' data and commands the identifier."""
 
+import errno
 import http.client
 import json
+import os
 import re
 from pathlib import Path
 from typing import Any
@@ -17,6 +19,7 @@ from sensor_msgs.msg import Temperature
 from support import PATIENCE, Listener, TriedProgram, assert_one_sentence
 
 from mr_damper_ros.io.bag_reader import read_bag
+from mr_damper_ros.io.bag_writer import BagStream
 from mr_damper_ros.live.live_record import SIGNALS, SILENT_AFTER
 from mr_damper_ros.live.recorded import empty_record, replay_into, start_of, title_of
 from mr_damper_ros.nodes import quality
@@ -148,7 +151,11 @@ def test_numbers_out_of_range_do_not_end_the_page(client: Client, listener: List
     assert client.status()["windows"][0]["verdict"] == "UNKNOWN"
 
 
-def test_a_message_after_the_end_of_a_recording_is_ignored(
+def full(*_: object) -> None:
+    raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+
+def test_recordings_end_alone_with_their_messages_and_their_failures(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
     writers: list[Any] = []
@@ -170,10 +177,17 @@ def test_a_message_after_the_end_of_a_recording_is_ignored(
             node._take_command("stop_recording", {})
             node.do_commands()
             writers[0](b"late")
+        monkeypatch.setattr(BagStream, "write", full)
+        node._take_command("record", {"name": "three"})
+        node.do_commands()
+        writers[-1](b"more")
+        node.do_commands()
+        told = node._record.status(0)["events"][-1]
+        assert f"failed: No space left on device; what was written is in {tmp_path}/" in told
         node.destroy_node()
     finally:
         rclpy.shutdown()
-    assert len(list(tmp_path.iterdir())) == 2
+    assert len(list(tmp_path.iterdir())) == 3
 
 
 def test_a_command_reaches_the_identifier(client: Client, listener: Listener) -> None:
