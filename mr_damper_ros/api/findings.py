@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from mr_damper_ros.api.measured_runs import MeasuredRun
-from mr_damper_ros.estimation.experiment_design import RigRange, extra_runs
+from mr_damper_ros.estimation.experiment_design import extra_runs
 from mr_damper_ros.estimation.global_fit import GlobalFit
 from mr_damper_ros.estimation.multi_start import MultiStart
 from mr_damper_ros.estimation.observability import (
@@ -20,6 +20,7 @@ from mr_damper_ros.estimation.observability import (
     parameter_ranges,
     parameter_spans,
 )
+from mr_damper_ros.estimation.planned_run import MachineLimits
 from mr_damper_ros.estimation.posterior import noise_level
 from mr_damper_ros.estimation.profile_likelihood import Profile
 from mr_damper_ros.estimation.window_fit import fit_window
@@ -222,7 +223,7 @@ def determination_of(fit: GlobalFit, windows: Sequence[Window]) -> Determination
 
 
 def determined(
-    fit: GlobalFit, windows: Sequence[Window], rig: RigRange, result: Determination
+    fit: GlobalFit, windows: Sequence[Window], rig: MachineLimits, result: Determination
 ) -> Findings:
     """The determined parameters, and runs within the range of the rig that would determine more."""
     found = fit.parameter_set

@@ -17,7 +17,7 @@ experimental design: a review", Statistical Science 10, 1995).
 from __future__ import annotations
 
 import math
-from collections.abc import Collection, Iterable, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from enum import Enum
 
@@ -151,27 +151,6 @@ class PointErrors:
         return self.points[int(np.argmax(self.errors))]
 
 
-def point_errors(
-    goal: ForceGoal, gradient: Array, information: Array, model_errors: Array
-) -> PointErrors:
-    """Errors at the points of a goal; ``gradient`` (k, phases, p) is relative.
-
-    ``information`` (p, p) includes the prior; ``model_errors`` (k,) are also relative.
-    """
-    flat = gradient.reshape(-1, gradient.shape[-1])
-    draws = np.random.default_rng(0).standard_normal((_DRAWS, flat.shape[1]))
-    scale = 1.0 / np.sqrt(np.diagonal(information))
-    # Rounding can make the matrix indefinite, so it has no Cholesky factor.
-    values, vectors = np.linalg.eigh(information * np.outer(scale, scale))
-    root = vectors / np.sqrt(np.maximum(values, np.finfo(float).eps * values[-1]))
-    missed = np.abs((draws @ root.T * scale) @ flat.T).reshape(_DRAWS, len(gradient), -1)
-    worst = np.max(np.hypot(np.max(missed, axis=2), model_errors), axis=1)
-    errors = np.hypot(cycle_errors(gradient, information[None])[0], model_errors)
-    largest = float(np.max(model_errors))
-    median, bound = np.quantile(worst, [0.5, 0.95]).tolist()
-    return PointErrors(goal.points, errors, median, math.hypot(bound, largest), largest)
-
-
 def cycle_errors(gradient: Array, information: Array) -> Array:
     """Largest standard error of each cycle (m, k), for many information matrices (m, p, p).
 
@@ -221,15 +200,16 @@ def open_sets(
     model: Model,
     windows: Sequence[Window],
     parameters: Array,
-    known: Collection[str],
+    observable: np.ndarray,
     top: tuple[float, float],
     count: int = _SETS,
 ) -> list[Array]:
-    """Sets (p,) that agree with the windows and differ in the shape parameters not in ``known``.
+    """Sets (p,) that agree with the windows and differ in the shape parameters not ``observable``.
 
     The linear parameters follow from the coefficients of the windows. ``top``: largest peak
-    velocity [m/s] and current [A]. The list is empty if all shape parameters are known.
+    velocity [m/s] and current [A]. The list is empty if all shape parameters are observable.
     """
+    known = np.array(model.parameter_names)[observable].tolist()
     rng, unknown = np.random.default_rng(0), set(model.shape_names).difference(known)
     solved = frozenset(model.linear) - unknown
     sets = []
@@ -416,11 +396,21 @@ class RunPlanner:
         misfits = (Misfit(self.model, [window], [1.0]) for window in windows)
         return [max(noise_level(misfit, parameters), 1e-9) for misfit in misfits]
 
-    def _information(
+    def _design(
         self, windows: Sequence[Window], noise: Sequence[float], parameters: Array
-    ) -> Array:
+    ) -> tuple[Array, Array, Array]:
+        """The relative gradient, the present information, and the gains of the candidates.
+
+        ``noise`` (k,) [N] belongs to the windows. A motion other than a sine may have a larger
+        model error, so the noise of its kind weights each candidate.
+        """
         prior = np.diag(1.0 / self.prior(parameters).width ** 2)
-        return prior + window_information(self.model, windows, noise, parameters)
+        information = prior + window_information(self.model, windows, noise, parameters)
+        steady = np.array([window.motion.sine is not None for window in windows])
+        kinds = [np.array(noise)[each] for each in (steady, ~steady) if each.any()]
+        sigma = float(np.median(kinds[0])), float(np.median(kinds[-1]))
+        gradient = self._cycles.relative_gradient(parameters)[:, ::_FEW_PHASES]
+        return gradient, information, self._candidates.gains(parameters, *sigma)
 
     def _model_errors(self, windows: Sequence[Window], parameters: Array) -> Array:
         """Model errors (k,) at the points of the goal: a mean that weights near windows most."""
@@ -436,8 +426,20 @@ class RunPlanner:
         return np.asarray(np.sqrt(weights @ squares / weights.sum(axis=1)))
 
     def _errors(self, parameters: Array, information: Array, model_errors: Array) -> PointErrors:
+        """Errors at the points of the goal; ``information`` (p, p) includes the prior."""
         gradient = self._cycles.relative_gradient(parameters)
-        return point_errors(self.goal, gradient, information, model_errors)
+        flat = gradient.reshape(-1, parameters.size)
+        draws = np.random.default_rng(0).standard_normal((_DRAWS, parameters.size))
+        scale = 1.0 / np.sqrt(np.diagonal(information))
+        # Rounding can make the matrix indefinite, so it has no Cholesky factor.
+        values, vectors = np.linalg.eigh(information * np.outer(scale, scale))
+        root = vectors / np.sqrt(np.maximum(values, np.finfo(float).eps * values[-1]))
+        missed = np.abs((draws @ root.T * scale) @ flat.T).reshape(_DRAWS, len(gradient), -1)
+        worst = np.max(np.hypot(np.max(missed, axis=2), model_errors), axis=1)
+        errors = np.hypot(cycle_errors(gradient, information[None])[0], model_errors)
+        largest = float(np.max(model_errors))
+        median, bound = np.quantile(worst, [0.5, 0.95]).tolist()
+        return PointErrors(self.goal.points, errors, median, math.hypot(bound, largest), largest)
 
     def _posterior(self, windows: Sequence[Window], parameters: Array, prior: Prior) -> Posterior:
         """The posterior of all parameters; the noise of each window is that of this set."""
@@ -500,9 +502,9 @@ class RunPlanner:
         now: PointErrors,
     ) -> Plan:
         """The plan of :meth:`next` as if the goal were not met; ``now``: the present accuracy."""
-        reason, known = self.shortcoming(), np.array(self.model.parameter_names)[observable]
+        reason = self.shortcoming()
         if not reason:
-            others = open_sets(self.model, windows, parameters, known.tolist(), self._top)
+            others = open_sets(self.model, windows, parameters, observable, self._top)
             sets = [parameters, *others]
             allowed = self.allowed(windows, sets)
             if not allowed.any():
@@ -510,13 +512,10 @@ class RunPlanner:
         if reason:
             return Plan(PlanState.OUT_OF_REACH, now, runs_left=None, reason=reason)
         noise = self._noise(windows, parameters)
-        sigma = _noise_by_motion(windows, noise)
         scores = np.where(allowed, 0.0, math.inf)
         for values in sets:
-            before = self._information(windows, noise, values)
-            gradient = self._cycles.relative_gradient(values)[:, ::_FEW_PHASES]
-            after = before + self._candidates.gains(values, *sigma)[allowed]
-            scores[allowed] += np.log(_soft_worst(cycle_errors(gradient, after)))
+            gradient, before, gains = self._design(windows, noise, values)
+            scores[allowed] += np.log(_soft_worst(gradient, before + gains[allowed]))
         best = int(np.argmin(scores))
         left, expected, reached = self._look_ahead(windows, parameters, noise, best)
         if now.model_error > self.goal.error:
@@ -555,61 +554,26 @@ class RunPlanner:
     ) -> tuple[int | None, float, float]:
         """Number of runs until the goal is met, and worst error after the first and last run."""
         model_errors = self._model_errors(windows, parameters)
-        gradient = self._cycles.relative_gradient(parameters)[:, ::_FEW_PHASES]
-        gains = self._candidates.gains(parameters, *_noise_by_motion(windows, noise))
-        information = self._information(windows, noise, parameters) + gains[first]
+        gradient, information, gains = self._design(windows, noise, parameters)
+        information += gains[first]
         expected = worst = self._errors(parameters, information, model_errors).worst
         for count in range(1, _LOOK_AHEAD + 1):
             if worst <= self.goal.error:
                 return count, expected, worst
             after = information + gains
-            information = after[int(np.argmin(_soft_worst(cycle_errors(gradient, after))))]
+            information = after[int(np.argmin(_soft_worst(gradient, after)))]
             worst = self._errors(parameters, information, model_errors).worst
         return None, expected, worst
 
 
-def _noise_by_motion(windows: Sequence[Window], noise: Sequence[float]) -> tuple[float, float]:
-    """Noise [N] of a sine and of any other motion, for which the model error may be larger."""
-    steady = [sigma for w, sigma in zip(windows, noise, strict=True) if w.motion.sine is not None]
-    broad = [sigma for w, sigma in zip(windows, noise, strict=True) if w.motion.sine is None]
-    return float(np.median(steady or broad)), float(np.median(broad or steady))
-
-
-def _soft_worst(errors: Array) -> Array:
-    """Smooth maximum (m,) of errors (m, k), as a norm."""
-    return np.asarray(np.mean(errors**_NORM, axis=1) ** (1.0 / _NORM))
+def _soft_worst(gradient: Array, information: Array) -> Array:
+    """Smooth maximum (m,) over the cycles of :func:`cycle_errors`, as a norm."""
+    return np.asarray(
+        np.mean(cycle_errors(gradient, information) ** _NORM, axis=1) ** (1.0 / _NORM)
+    )
 
 
 # -- runs that would determine unobservable parameters --------------------------------------------
-
-
-@dataclass(frozen=True)
-class RigRange:
-    """Limits of the rig: largest ``peak_velocity`` [m/s] and ``current`` [A].
-
-    Runs are advised at its ``amplitude`` [m]. Raises ValueError for impossible values.
-    """
-
-    amplitude: float
-    peak_velocity: float
-    current: float
-
-    def __post_init__(self) -> None:
-        for name in ("amplitude", "peak_velocity"):
-            if not 0.0 < getattr(self, name) < math.inf:
-                raise ValueError(
-                    f"the rig's largest {name.replace('_', ' ')} is {getattr(self, name)}: "
-                    "it must be positive"
-                )
-        if not 0.0 <= self.current < math.inf:
-            raise ValueError(f"the rig's largest current is {self.current}: give it in amperes")
-
-    @classmethod
-    def of_windows(cls, windows: Sequence[Window]) -> RigRange:
-        """The limits that the runs so far have reached."""
-        speeds, currents = operating_points_within(windows)
-        amplitude = max(window.motion.amplitude for window in windows)
-        return cls(amplitude, max(speeds), max(map(abs, currents)))
 
 
 @dataclass(frozen=True)
@@ -645,7 +609,7 @@ def extra_runs(
     noise: float,
     parameters: Array,
     observable: np.ndarray,
-    rig: RigRange,
+    rig: MachineLimits,
 ) -> tuple[ExtraRun, ...]:
     """Recommended runs in order; empty if all parameters are determined or no run would help.
 
@@ -674,9 +638,8 @@ def extra_runs(
         sample_rate=misfit.sample_count / len(misfit.windows),
     )
     level = noise_level(misfit, parameters)
-    known = set(names[observable].tolist())
     top = top[0], max(top[1], 1e-6)
-    sets = open_sets(model, misfit.windows, parameters, known, top, 2 * _SETS)
+    sets = open_sets(model, misfit.windows, parameters, observable, top, 2 * _SETS)
     jacobians = [misfit.jacobian(values) * spans / level for values in sets]
     present = np.array([np.eye(spans.size) + jacobian.T @ jacobian for jacobian in jacobians])
     gains = np.array([candidates.gains(v, noise * level, noise * level) for v in sets])

@@ -200,11 +200,9 @@ def folds(runs: Sequence[Sequence[Window]]) -> tuple[str, list[Fold]]:
 def _motions(runs: Sequence[Sequence[Window]]) -> list[list[Sequence[Window]]]:
     """Group runs of about the same peak velocity, in order of increasing peak velocity."""
     motions: list[list[Sequence[Window]]] = []
-    lowest = 0.0
-    for speed, run in sorted(((_speed(run), run) for run in runs), key=lambda pair: pair[0]):
-        if not motions or speed > (1.0 + SAME_MOTION) * lowest:
+    for run in sorted(runs, key=_speed):
+        if not motions or _speed(run) > (1.0 + SAME_MOTION) * _speed(motions[-1][0]):
             motions.append([])
-            lowest = speed
         motions[-1].append(run)
     return motions
 

@@ -120,10 +120,11 @@ class MachineLimits:
                 "sine must be one of them"
             )
         for name in ("amplitude", "peak_velocity", "force", "duration", "heat", "sample_rate"):
-            if not getattr(self, name) > 0.0:
+            value = getattr(self, name)
+            if not value > 0.0 or (math.isinf(value) and name not in ("force", "heat")):
                 raise ValueError(
-                    f"the machine's largest {name.replace('_', ' ')} is {getattr(self, name)}: it "
-                    "must be positive"
+                    f"the machine's largest {name.replace('_', ' ')} is {value}: it must be "
+                    "positive and finite"
                 )
         if not 0.0 <= self.current < math.inf:
             raise ValueError(f"the machine's largest current is {self.current}: give it in amperes")
@@ -274,10 +275,8 @@ def first_run(goal: ForceGoal, limits: MachineLimits) -> PlannedRun:
     low, high = goal.current
     half = 0.5 * (low + min(high, limits.current))
     counts = (1, *STAIRS[:-1]) if limits.steps and half > low else (1,)
-    stairs = [tuple(np.linspace(low, half, count).tolist()) for count in counts]
-    runs = [
-        run for part in _AMPLITUDES for run in _sines(limits, part, goal.peak_velocity[0], stairs)
-    ]
+    stairs = [tuple(map(round_to, np.linspace(low, half, count))) for count in counts]
+    runs = _runs((_sine(limits, part, goal.peak_velocity[0]) for part in _AMPLITUDES), stairs)
     if not runs:
         raise ValueError(
             f"a run of {limits.duration:g} s at a peak velocity of {goal.peak_velocity[0]:g} m/s "
@@ -294,15 +293,29 @@ def candidate_runs(goal: ForceGoal, limits: MachineLimits) -> list[PlannedRun]:
     low, high = goal.peak_velocity
     top = min(high, limits.peak_velocity)
     speeds = np.unique(np.geomspace(low, top, goal.speeds + 1)).tolist()
-    stairs = _stairs(goal, limits)
-    found = [run for v in speeds for part in _AMPLITUDES for run in _sines(limits, part, v, stairs)]
-    for seed, speed in enumerate(speeds[1:][-len(_AMPLITUDES) :]):
-        for part in _AMPLITUDES[:-1]:
-            for kind in limits.motions:
-                run = _broad_run(limits, kind, part, (low, speed), seed)
-                runs = [replace(run, currents=currents) for currents in stairs] if run else []
-                found += _whole_cycles(runs)
-    return list(dict.fromkeys(found))
+    sines = [_sine(limits, part, speed) for speed in speeds for part in _AMPLITUDES]
+    broad = [
+        _broad_run(limits, kind, part, (low, speed), seed)
+        for seed, speed in enumerate(speeds[1:][-len(_AMPLITUDES) :])
+        for part in _AMPLITUDES[:-1]
+        for kind in limits.motions
+        if kind is not MotionKind.SINE
+    ]
+    return _runs([*sines, *broad], _stairs(goal, limits))
+
+
+def _runs(
+    motions: Iterable[PlannedRun | None], stairs: Sequence[tuple[float, ...]]
+) -> list[PlannedRun]:
+    """Each motion with each of the currents that leave it a whole cycle at every current."""
+    runs = [replace(motion, currents=each) for motion in motions if motion for each in stairs]
+    return [
+        run
+        for run in dict.fromkeys(runs)
+        if (run.stretch - SETTLING * (len(run.currents) > 1))
+        * max(run.frequency, 0.5 * (run.frequency + run.highest_frequency))
+        >= 1.0
+    ]
 
 
 def _stairs(goal: ForceGoal, limits: MachineLimits) -> list[tuple[float, ...]]:
@@ -315,25 +328,19 @@ def _stairs(goal: ForceGoal, limits: MachineLimits) -> list[tuple[float, ...]]:
     return list(dict.fromkeys([*((current,) for current in currents), *several]))
 
 
-def _sines(
-    limits: MachineLimits, part: float, speed: float, stairs: Sequence[tuple[float, ...]]
-) -> list[PlannedRun]:
-    """Sines of ``part`` of the amplitude, with a peak ``speed`` [m/s], within the limits."""
+def _sine(limits: MachineLimits, part: float, speed: float) -> PlannedRun | None:
+    """A sine of ``part`` of the amplitude with a peak ``speed`` [m/s]; None beyond the limits."""
     amplitude = _rounded(part * limits.amplitude, math.floor)
     frequency = _rounded(speed / (2.0 * math.pi * amplitude), math.floor)
     if not limits.frequency[0] <= frequency <= limits.frequency[1]:
-        return []
-    return _whole_cycles(
-        [PlannedRun(amplitude, frequency, tuple(map(round_to, s)), limits.duration) for s in stairs]
-    )
+        return None
+    return PlannedRun(amplitude, frequency, (0.0,), limits.duration)
 
 
 def _broad_run(
     limits: MachineLimits, kind: MotionKind, part: float, speeds: tuple[float, float], seed: int
 ) -> PlannedRun | None:
     """A motion other than a sine within these peak velocities; None if there is none."""
-    if kind is MotionKind.SINE:
-        return None
     amplitude = _rounded(part * limits.amplitude, math.floor)
     low, high = (speed / (2.0 * math.pi * amplitude) for speed in speeds)
     if kind is MotionKind.RANDOM:
@@ -361,17 +368,6 @@ def _banded(run: PlannedRun) -> PlannedRun:
         cycles = math.ceil(0.5 * (low + high) * run.duration - 1e-9)
         low = _rounded(max(2.0 * cycles / run.duration - high, low), math.ceil, 6)
     return replace(run, frequency=low, highest_frequency=high)
-
-
-def _whole_cycles(runs: Sequence[PlannedRun]) -> list[PlannedRun]:
-    """The runs that contain a whole cycle at each current."""
-    return [
-        run
-        for run in runs
-        if (run.stretch - SETTLING * (len(run.currents) > 1))
-        * max(run.frequency, 0.5 * (run.frequency + run.highest_frequency))
-        >= 1.0
-    ]
 
 
 def round_to(value: float, digits: int = 3) -> float:

@@ -11,7 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from known import SIGMOID
 
-from mr_damper_ros.estimation.experiment_design import ExtraRun, RigRange, extra_runs
+from mr_damper_ros.estimation.experiment_design import ExtraRun, extra_runs
 from mr_damper_ros.estimation.observability import (
     Determination,
     determination,
@@ -19,6 +19,7 @@ from mr_damper_ros.estimation.observability import (
     parameter_spans,
     varied_parameters,
 )
+from mr_damper_ros.estimation.planned_run import MachineLimits
 from mr_damper_ros.estimation.posterior import noise_level
 from mr_damper_ros.kinematics.window import Window
 from mr_damper_ros.models import MODELS
@@ -28,7 +29,7 @@ from mr_damper_ros.signals.arrays import Array
 
 TOP_VELOCITY = 2.0 * math.pi * 3.0 * 10e-3
 TOP_CURRENT = 1.5
-RIG = RigRange(amplitude=10e-3, peak_velocity=TOP_VELOCITY, current=TOP_CURRENT)
+RIG = MachineLimits(10e-3, TOP_VELOCITY, math.inf, TOP_CURRENT, 1.0)
 RANGES = SIGMOID.plausible_ranges([], TOP_VELOCITY, TOP_CURRENT)
 
 
@@ -114,7 +115,7 @@ def flags(chosen: list[Window]) -> np.ndarray:
     return np.array([name in names for name in PARAMETER_NAMES])
 
 
-def advised(chosen: list[Window], rig: RigRange = RIG) -> tuple[ExtraRun, ...]:
+def advised(chosen: list[Window], rig: MachineLimits = RIG) -> tuple[ExtraRun, ...]:
     return extra_runs(SIGMOID, pooled(chosen), known.NOISE, known.PLAUSIBLE, flags(chosen), rig)
 
 
@@ -144,7 +145,7 @@ def test_no_advice_where_all_is_known() -> None:
 
 
 def test_advice_stays_within_the_rig() -> None:
-    rig = RigRange(amplitude=4e-3, peak_velocity=0.05, current=0.8)
+    rig = replace(RIG, amplitude=4e-3, peak_velocity=0.05, current=0.8)
     runs = advised(OPEN["one current"], rig)
     assert runs
     for run in runs:
@@ -158,6 +159,7 @@ def test_advice_stays_within_the_rig() -> None:
     [
         ({"peak_velocity": 0.0}, "largest peak velocity is 0.0: it must be positive"),
         ({"peak_velocity": math.nan}, "largest peak velocity is nan"),
+        ({"peak_velocity": math.inf}, "largest peak velocity is inf"),
         ({"amplitude": -1.0}, "largest amplitude is -1.0"),
         ({"current": -0.5}, "largest current is -0.5: give it in ampere"),
     ],
@@ -165,4 +167,4 @@ def test_advice_stays_within_the_rig() -> None:
 )
 def test_a_rig_that_cannot_be_is_refused(changes: dict[str, float], sentence: str) -> None:
     with pytest.raises(ValueError, match=sentence):
-        replace(RIG, **changes)
+        replace(RIG, **changes)  # type: ignore[arg-type]
