@@ -60,7 +60,10 @@ def check_bag_files(path: Path, maximum_samples: int | None) -> None:
     reading it may never end; if a checksum is wrong; or if the unpacked data exceed the size of
     ``maximum_samples`` (None: no limit).
     """
-    for file in _files(path):
+    limit = None if maximum_samples is None else _BYTES_PER_SAMPLE * maximum_samples
+    files = sorted(path.iterdir()) if path.is_dir() else [path]
+    # The library reports broken links itself, and does not enter folders.
+    for file in (each for each in files if each.exists() and not each.is_dir()):
         kind = irregularity(file)
         if kind:
             raise BagError(f"the bag '{path.name}' cannot be read: {file.name} is {kind}")
@@ -71,17 +74,7 @@ def check_bag_files(path: Path, maximum_samples: int | None) -> None:
             )
         if file.suffix == ".mcap":
             with failures_in_words(path.name):
-                _check_mcap(path.name, file, maximum_samples)
-
-
-def _files(path: Path) -> Iterator[Path]:
-    if not path.is_dir():
-        yield path
-        return
-    for entry in sorted(path.iterdir()):
-        # The library reports broken links itself, and does not enter folders.
-        if entry.exists() and not entry.is_dir():
-            yield entry
+                check_mcap(file, limit)
 
 
 @contextmanager
@@ -92,21 +85,15 @@ def failures_in_words(name: str) -> Iterator[None]:
         yield
     except BagError:
         raise
+    except OversizedError as error:
+        raise BagError(
+            f"the bag '{name}' is too large: {error}; split it with ros2 bag convert"
+        ) from error
     except Exception as error:
         told = (str(error).strip() or type(error).__name__).splitlines()[0].rstrip(".")
         raise BagError(
             f"the bag '{name}' is damaged or incomplete: record it again, or repair it with "
             f"'mcap recover' ({told})"
-        ) from error
-
-
-def _check_mcap(name: str, file: Path, maximum_samples: int | None) -> None:
-    limit = None if maximum_samples is None else _BYTES_PER_SAMPLE * maximum_samples
-    try:
-        check_mcap(file, limit)
-    except OversizedError as error:
-        raise BagError(
-            f"the bag '{name}' is too large: {error}; split it with ros2 bag convert"
         ) from error
 
 

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from mr_damper_ros.io.binary_tables import FORMATS, read_binary_table
-from mr_damper_ros.io.columns import MAXIMUM_SAMPLES, Columns, RawTable, RecordError, parse_columns
+from mr_damper_ros.io.columns import MAXIMUM_SAMPLES, Columns, RecordError, parse_columns
 from mr_damper_ros.io.text_table import read_text_table
 from mr_damper_ros.processes.files import irregularity
 from mr_damper_ros.signals.arrays import Array
@@ -54,22 +54,6 @@ class SampledRecord:
     period: float | None
     place: Callable[[int], str]
     details: dict[str, str] = field(default_factory=dict)
-
-    @staticmethod
-    def of(path: Path, table: RawTable, columns: Columns, period: float | None) -> SampledRecord:
-        """Convert the values of a table, and empty the table, so that there is only one copy."""
-        values = {c.quantity: c.to_si(table.values.pop(c.quantity)) for c in columns.wanted}
-        count = next(iter(values.values())).size
-        if count < 2:
-            raise RecordError(f"{path.name} holds one row of numbers: at least two are needed")
-        details = {"provenance": f"imported from {path.name}", "columns": columns.text}
-        if period is not None:
-            time = np.arange(count, dtype=np.float64) * period
-        else:
-            time = values.pop("time")
-        record = SampledRecord(path, time, values, period, table.place, details)
-        record.check_finite("time", time)
-        return record
 
     def part(self, rows: slice) -> SampledRecord:
         """A part of the record."""
@@ -366,7 +350,16 @@ def read_samples(
                 "the time between samples is unknown: name the column of the time (time:s), or "
                 "give the period"
             )
-    return SampledRecord.of(path, table, wanted, period)
+    # The table is emptied, so that there is only one copy.
+    values = {c.quantity: c.to_si(table.values.pop(c.quantity)) for c in wanted.wanted}
+    count = next(iter(values.values())).size
+    if count < 2:
+        raise RecordError(f"{path.name} holds one row of numbers: at least two are needed")
+    details = {"provenance": f"imported from {path.name}", "columns": wanted.text}
+    time = values.pop("time") if period is None else np.arange(count, dtype=np.float64) * period
+    record = SampledRecord(path, time, values, period, table.place, details)
+    record.check_finite("time", time)
+    return record
 
 
 def check_current(wanted: Columns, current: float | None) -> None:

@@ -145,9 +145,7 @@ class CommandSettings(CheckedSettings):
         within=(0.0, 1000.0),
     )
     smallest_current: float = option(
-        0.0,
-        "Smallest current [A]; negative for a bipolar supply.",
-        within=(-1000.0, 0.0),
+        0.0, "Smallest current [A]; negative for a bipolar supply.", within=(-1000.0, 0.0)
     )
     slew_rate: float = option(
         0.0,

@@ -382,7 +382,7 @@ def stamped(rows: StampedRows, times: Iterator[float] | list[float]) -> list[int
     return [
         sample.number
         for k, at in enumerate(times)
-        for sample in rows.add(Row(Measured(0.0, float(k)), None, at), k * MILLISECOND)
+        for sample in rows.timed(Row(Measured(0.0, float(k)), None, at), k * MILLISECOND)
     ]
 
 

@@ -25,12 +25,12 @@ from mr_damper_ros.rig.sources.device_source import (
     Portions,
     StampedRows,
     TimedSample,
+    library,
 )
 from mr_damper_ros.rig.sources.rows import Row
 from mr_damper_ros.settings.option_table import ParameterTable, option
 from mr_damper_ros.signals.arrays import Array
 from mr_damper_ros.signals.blocks import NANOSECONDS
-from mr_damper_ros.signals.clocks import CountedTimes
 
 MOST_READ = 10_000
 """Largest number of readings per channel in one read."""
@@ -75,23 +75,15 @@ class Driver:
 
     def connector(self, channels: AnalogChannels) -> Callable[[], Portions[Readings]]:
         """A function that connects to the channels; raises ValueError if the library is missing."""
-        library = None
-        if self.module:
-            try:
-                library = import_module(self.module)
-            except (ImportError, OSError, RuntimeError) as error:
-                raise ValueError(
-                    f"the library of daq.driver, {self.module}, is not installed: pip install "
-                    f"{self.install} ({error})"
-                ) from error
-        return partial(self.read, library, channels)
+        module = library(self.module, "daq.driver", self.install) if self.module else None
+        return partial(self.read, module, channels)
 
 
-def _national_instruments(library: Any, channels: AnalogChannels) -> Portions[Readings]:
+def _national_instruments(nidaqmx: Any, channels: AnalogChannels) -> Portions[Readings]:
     """One task with all channels, through nidaqmx and the driver NI-DAQmx."""
-    constants = library.constants
+    constants = nidaqmx.constants
     wiring = constants.TerminalConfiguration
-    with library.Task() as task:
+    with nidaqmx.Task() as task:
         for name, limit in zip(channels.names, channels.ranges, strict=True):
             task.ai_channels.add_ai_voltage_chan(
                 f"{channels.device}/{name}",
@@ -353,9 +345,7 @@ class DaqOptions(ParameterTable):
         "MCC (empty: the only one); the name of an LSL stream.",
     )
     rate: float = option(
-        1000.0,
-        "Requested sample rate [Hz]; an LSL stream has its own.",
-        within=(1.0, 100_000.0),
+        1000.0, "Requested sample rate [Hz]; an LSL stream has its own.", within=(1.0, 100_000.0)
     )
     differential: bool = option(
         True,
@@ -437,9 +427,7 @@ class DaqSource(DeviceSource[Readings]):
         values, rate, stamps = portion.data
         if self._times is None:
             self._times = (
-                CountedRows(CountedTimes(rate, checks_rate=False))
-                if stamps is None
-                else StampedRows(1.0)
+                CountedRows(rate, checks_rate=False) if stamps is None else StampedRows(1.0)
             )
         count = values.shape[1]
         channels = self._in_units(values)
@@ -447,7 +435,7 @@ class DaqSource(DeviceSource[Readings]):
         taken = portion.arrival_ns - np.round(ago * NANOSECONDS).astype(np.int64)
         stamped = [None] * count if stamps is None else stamps.tolist()
         for stamp, taken_ns, row in zip(stamped, taken.tolist(), channels.T.tolist(), strict=True):
-            for sample in self._times.add(Row(Measured(*row), None, stamp), taken_ns):
+            for sample in self._times.timed(Row(Measured(*row), None, stamp), taken_ns):
                 # Unusable samples are also numbered, so that they count as missing.
                 yield sample if sample.measured.possible else None
 

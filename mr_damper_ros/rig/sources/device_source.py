@@ -9,6 +9,7 @@ from abc import abstractmethod
 from collections import Counter
 from collections.abc import Callable, Generator, Iterable, Iterator, Mapping
 from contextlib import closing, suppress
+from importlib import import_module
 from typing import Any, ClassVar, Generic, NamedTuple, TypeVar
 
 from mr_damper_ros.rig.blocks import BlockMaker, Measured
@@ -37,44 +38,31 @@ class TimedSample(NamedTuple):
     measured: Measured
 
 
-class CountedRows:
+class CountedRows(CountedTimes):
     """Numbers and times of rows by their count, or by the order of arrival."""
 
-    def __init__(self, times: CountedTimes) -> None:
-        self._times = times
-
-    def add(self, row: Row, arrival_ns: int) -> list[TimedSample]:
+    def timed(self, row: Row, arrival_ns: int) -> list[TimedSample]:
         """Add a row; returns the samples whose number and time are now certain."""
-        times = self._times
-        index = times.add(row.number, arrival_ns)
+        index = self.add(row.number, arrival_ns)
         if index is None:
             return []
-        return [TimedSample(index, times.time_ns(index), times.period, row.measured)]
-
-    def skip(self) -> None:
-        """Skip the number of an unreadable row."""
-        self._times.skip()
-
-    def interrupted(self) -> None:
-        """Note that the connection, and with it an unknown number of rows, was lost."""
-        self._times.interrupted()
+        return [TimedSample(index, self.time_ns(index), self.period, row.measured)]
 
     def fault(self) -> str:
         """The fault of the times, as a sentence; empty without a fault."""
-        times = self._times
-        stated = 1.0 / times.period
-        if times.rate_is_wrong:
+        stated = 1.0 / self.period
+        if self.rate_is_wrong:
             return (
-                f"the samples arrive at {stated * (1.0 + times.rate_error):.4g} Hz instead of the "
+                f"the samples arrive at {stated * (1.0 + self.rate_error):.4g} Hz instead of the "
                 f"stated {stated:g} Hz, so they are not used: correct the rate"
             )
-        if times.being_checked:
+        if self.being_checked:
             return f"checking whether the samples arrive at the stated {stated:g} Hz"
         return ""
 
     def values(self) -> Mapping[str, object]:
         """The counts of received, lost and unusable rows."""
-        return vars(self._times.counts)
+        return vars(self.counts)
 
 
 class StampedRows:
@@ -88,7 +76,7 @@ class StampedRows:
         self._odd_in_a_row = 0
         self._odd = 0
 
-    def add(self, row: Row, arrival_ns: int) -> list[TimedSample]:
+    def timed(self, row: Row, arrival_ns: int) -> list[TimedSample]:
         """Add a row; returns the samples whose number and time are now certain."""
         assert row.time is not None
         time = self._followed(row.time, arrival_ns)
@@ -186,6 +174,16 @@ _IDLE = 0.005
 Portions = Generator[T | None, None, None]
 """Yields None as soon as the device is connected, then the data of each read, or None after about
 0.1 s without data. The generator may raise any exception; closing it releases the device."""
+
+
+def library(module: str, user: str, install: str) -> Any:
+    """The Python module that the ``user`` needs; raises ValueError that says how to install it."""
+    try:
+        return import_module(module)
+    except (ImportError, OSError, RuntimeError) as error:
+        raise ValueError(
+            f"{user} needs {module}, which is not installed: pip install {install} ({error})"
+        ) from error
 
 
 class Portion(NamedTuple, Generic[T]):

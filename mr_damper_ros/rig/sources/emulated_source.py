@@ -31,13 +31,8 @@ from mr_damper_ros.emulation.plant_rig import HOT_FORCE, PlantRig, Surroundings,
 from mr_damper_ros.kinematics.periodic_motion import MotionKind, PeriodicMotion
 from mr_damper_ros.models.parameter_set import ParameterSet
 from mr_damper_ros.models.published import THESIS_28_CELSIUS, THESIS_71_CELSIUS
-from mr_damper_ros.rig.commander import (
-    CommandSettings,
-    CurrentCommander,
-    MotionCommander,
-    Origin,
-)
-from mr_damper_ros.rig.sources.source import Source, StreamSettings
+from mr_damper_ros.rig.commander import CommandSettings, CurrentCommander, MotionCommander, Origin
+from mr_damper_ros.rig.sources.source import Source
 from mr_damper_ros.settings.option_table import ParameterTable, option, with_default
 from mr_damper_ros.signals.blocks import RigBlock, SuspensionState
 
@@ -93,9 +88,7 @@ class _RigOptions(ParameterTable):
         within=(0.1, 1e6),
     )
     seed: int = option(
-        0,
-        "Seed of noise and road; the same seed gives the same samples.",
-        within=(0, 2**31 - 1),
+        0, "Seed of noise and road; the same seed gives the same samples.", within=(0, 2**31 - 1)
     )
 
 
@@ -118,17 +111,13 @@ class EmulatedOptions(_RigOptions):
         choices=("sine", "chirp", "steps", "random", "recorded"),
     )
     amplitude: float = option(
-        0.005,
-        "Amplitude of the motion [m], also of random motion.",
-        within=(1e-6, 0.5),
+        0.005, "Amplitude of the motion [m], also of random motion.", within=(1e-6, 0.5)
     )
     frequency: float = option(
         1.0, "Frequency of the sine, or the lowest frequency [Hz].", within=(1e-3, 100.0)
     )
     highest_frequency: float = option(
-        3.0,
-        "Highest frequency [Hz] of chirp, steps and random motion.",
-        within=(1e-3, 100.0),
+        3.0, "Highest frequency [Hz] of chirp, steps and random motion.", within=(1e-3, 100.0)
     )
     sweep_time: float = option(
         30.0,
@@ -155,11 +144,7 @@ class EmulatedOptions(_RigOptions):
         within=(-50.0, 200.0),
         read_only=False,
     )
-    conductance: float = option(
-        0.5,
-        "Heat loss to the air [W/K]; 0.0: none.",
-        within=(0.0, 1e4),
-    )
+    conductance: float = option(0.5, "Heat loss to the air [W/K]; 0.0: none.", within=(0.0, 1e4))
     faults: str = option(
         "",
         "Faults, as name[:value][@begin[-end]] with times in seconds since the start, "
@@ -191,7 +176,8 @@ class EmulatedOptions(_RigOptions):
 class _EmulatedSupply(Source):
     """Base class of both sources: a supply whose current is commanded or set by hand."""
 
-    _damper: Any = None
+    _damper: Any
+    """The damper of the open source."""
 
     def _supply(self) -> CurrentCommander:
         given = self.settings
@@ -213,8 +199,8 @@ class _EmulatedSupply(Source):
         )
 
     def close(self) -> None:
-        """Discard the damper and the commanders."""
-        self._damper = self.commander = self.mover = None
+        """Discard the commanders."""
+        self.commander = self.mover = None
 
 
 class EmulatedSource(_EmulatedSupply):
@@ -222,11 +208,6 @@ class EmulatedSource(_EmulatedSupply):
 
     options = EmulatedOptions
     prefix = "emulated."
-
-    def __init__(self, settings: EmulatedOptions, stream: StreamSettings) -> None:
-        super().__init__(settings, stream)
-        self._damper: Damper | None = None
-        self._excitation: Excitation = SineMotion(settings.amplitude, settings.frequency)
 
     def open(self) -> list[str]:
         """Read the parameters of the damper."""
@@ -241,7 +222,6 @@ class EmulatedSource(_EmulatedSupply):
 
     def blocks(self, start_ns: int) -> Iterator[RigBlock]:
         """Yield the samples of a rig that starts now."""
-        assert self._damper is not None
         assert self.commander is not None
         assert self.mover is not None
         given, commander, mover = self.settings, self.commander, self.mover
@@ -352,10 +332,6 @@ class QuarterCarSource(_EmulatedSupply):
     prefix = "quarter_car."
     suspended = True
 
-    def __init__(self, settings: QuarterCarOptions, stream: StreamSettings) -> None:
-        super().__init__(settings, stream)
-        self._damper: EmulatedDamper | None = None
-
     def open(self) -> list[str]:
         """Read the parameters of the damper."""
         given = self.settings
@@ -370,7 +346,6 @@ class QuarterCarSource(_EmulatedSupply):
 
     def blocks(self, start_ns: int) -> Iterator[RigBlock]:
         """Yield the samples of a car that starts now."""
-        assert self._damper is not None
         assert self.commander is not None
         given = self.settings
         road: Surroundings = (

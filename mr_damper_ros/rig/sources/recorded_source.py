@@ -109,8 +109,7 @@ class RecordOptions(ParameterTable):
         "Constant supply current [A] of a record without a current column; .nan if it has one.",
     )
     period: float = option(
-        math.nan,
-        "Sample period [s] of a record without a time column; .nan if it has one.",
+        math.nan, "Sample period [s] of a record without a time column; .nan if it has one."
     )
     variable: str = option("", "Name of the matrix in a MAT file with several matrices.")
 

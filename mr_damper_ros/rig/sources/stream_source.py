@@ -10,7 +10,6 @@ from collections import Counter
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import partial
-from importlib import import_module
 from typing import Any
 
 from mr_damper_ros.rig.sources.device_source import (
@@ -23,6 +22,7 @@ from mr_damper_ros.rig.sources.device_source import (
     RowTimes,
     StampedRows,
     TimedSample,
+    library,
 )
 from mr_damper_ros.rig.sources.rows import (
     LineDecoder,
@@ -34,7 +34,6 @@ from mr_damper_ros.rig.sources.rows import (
     parse_row_format,
 )
 from mr_damper_ros.settings.option_table import ParameterTable, option
-from mr_damper_ros.signals.clocks import CountedTimes
 
 _LARGEST = 65535
 """Largest number of bytes in one read: the size of the largest datagram."""
@@ -79,12 +78,7 @@ def parse_address(text: str) -> LinkAddress:
 def connector(address: LinkAddress, baud: int) -> Callable[[], Portions[bytes]]:
     """A function that connects to an address; raises ValueError if a library is missing."""
     if address.kind == "serial":
-        try:
-            serial: Any = import_module("serial")
-        except ImportError as error:
-            raise ValueError(
-                f"the serial line {address} needs pyserial: pip install pyserial==3.5"
-            ) from error
+        serial = library("serial", f"the serial line {address}", "pyserial==3.5")
         return partial(_serial_line, serial, address.host, baud)
     return partial(_tcp_connection if address.kind == "tcp" else _datagrams, address)
 
@@ -250,7 +244,7 @@ class StreamSource(DeviceSource[bytes]):
         if form.time_unit is not None:
             return StampedRows(form.time_unit)
         counts = None if form.count is None else 2**form.bits
-        return CountedRows(CountedTimes(self.settings.rate, counts))
+        return CountedRows(self.settings.rate, counts)
 
     def _samples(self, portion: Portion[bytes], *, begins: bool) -> Iterator[TimedSample]:
         datagrams = self._address.kind == "udp"
@@ -264,7 +258,7 @@ class StreamSource(DeviceSource[bytes]):
             if row is None:
                 times.skip()
             else:
-                yield from times.add(row, portion.arrival_ns)
+                yield from times.timed(row, portion.arrival_ns)
 
     def _fault_of(self, new: Counter[str]) -> str:
         unread, total = new["unreadable"], new.total()

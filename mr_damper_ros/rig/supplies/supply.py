@@ -205,7 +205,7 @@ class ScpiSupply:
 
     def measured(self) -> float:
         """The current [A] measured by the instrument; raises SupplyError for a bad answer."""
-        answer = self._query(self._profile.read_current)
+        answer = self._linked().query(self._profile.read_current)
         try:
             value = float(answer)
         except ValueError:
@@ -219,7 +219,7 @@ class ScpiSupply:
 
     def next_error(self) -> str:
         """Read the oldest error in the instrument's queue; empty if there is none."""
-        answer = self._query(self._profile.read_error)
+        answer = self._linked().query(self._profile.read_error)
         return "" if answer.startswith(self._profile.no_error) else answer
 
     def errors(self) -> list[str]:
@@ -258,9 +258,6 @@ class ScpiSupply:
 
     def _write(self, line: str) -> None:
         self._linked().write(line.format(voltage=self._voltage, seconds=self._delay))
-
-    def _query(self, line: str) -> str:
-        return self._linked().query(line)
 
     def _linked(self) -> ScpiLink:
         if self._link is None:
