@@ -86,7 +86,9 @@ def test_a_run_tells_and_demands_what_was_foreseen(run: PlannedRun) -> None:
     found = window_information(known.SIGMOID, windows, [20.0] * len(windows), known.PLAUSIBLE)
     seen = np.diag(found) > 1e-9 * np.diag(found).max()
     # Relative: the few samples on the steep parts of a loop vary between the two samplings.
-    assert np.diag(foreseen)[seen] / np.diag(found)[seen] == pytest.approx(1.0, rel=0.6)
+    ratios = np.diag(foreseen)[seen] / np.diag(found)[seen]
+    assert ratios == pytest.approx(1.0, rel=0.6)
+    assert np.median(ratios) == pytest.approx(1.0, rel=0.15)
     force, heat = CandidateRuns(known.SIGMOID, [run], 1000.0).demands([known.PLAUSIBLE])
     assert force[0] == pytest.approx(np.abs(recording.force).max(), rel=0.02)
     velocity = np.gradient(recording.displacement, recording.period)

@@ -68,7 +68,7 @@ def test_the_covariance_is_that_of_repeated_experiments(memory: float) -> None:
 def test_the_length_of_a_correlation_is_found(memory: float) -> None:
     exact = 4.0 * np.log(0.05) / np.log(memory)
     lengths = [correlation_length(correlated(seed, memory)) for seed in range(30)]
-    assert np.median(lengths) == pytest.approx(exact, rel=0.4)
+    assert np.median(lengths) == pytest.approx(exact, rel=0.2)
 
 
 @pytest.mark.parametrize("residual", [np.zeros(N), np.ones(10)], ids=["zero", "short"])

@@ -60,7 +60,7 @@ def test_false_alarms_are_as_rare_as_stated() -> None:
     threshold = 3.0
     found = np.mean([blocks_to_alarm(seed, threshold, 5000) for seed in range(150)])
     # Relative: the mean of 150 run lengths is accurate to 8 %.
-    assert found == pytest.approx(average_run_length(threshold), rel=0.3)
+    assert found == pytest.approx(average_run_length(threshold), rel=0.1)
 
 
 def test_the_swing_of_a_law_that_is_not_exact_is_no_change() -> None:

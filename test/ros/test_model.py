@@ -382,9 +382,3 @@ def test_it_predicts_with_what_the_identifier_finds(
     second = rig.run(later)
     assert second[-1].valid
     assert second[-1].parameter_set.startswith("window-")
-
-
-def test_it_ends_cleanly(start: Any, listener: Listener) -> None:
-    model = start("model")
-    listener.wait_for_finding("model: latency", "no block since the last report")
-    model.stop(signal.SIGTERM)
