@@ -285,69 +285,48 @@ def error_covariances(
     """
     bread = normal_inverse(jacobian)
     count, unknowns = jacobian.shape
-    split = _split(residual, cycle, count / max(count - unknowns, 1))
-    if split is None:
-        noise = NoiseModel.of(residual)
-        scores = noise.score_covariance(jacobian)
-        # The fit absorbs more of correlated noise than of white noise (unknowns / samples).
-        taken = float(np.nansum(bread * scores)) / max(count * noise.variance, 1e-300)
-        all_of_it = _sandwich(bread, scores) / max(1.0 - taken, _MOST_ABSORBED)
-        steady = math.isfinite(cycle)
-        return ErrorCovariances(all_of_it, np.zeros_like(all_of_it) if steady else all_of_it)
-    noise, phases, seen, misfit = split
-    scores = jacobian * misfit[phases, np.newaxis]
-    over_cycle: Array = np.zeros((misfit.size, unknowns))
-    np.add.at(over_cycle, phases, scores)
-    by_phase = _of_phase(over_cycle / seen[:, np.newaxis], count, cycle)
-    return ErrorCovariances(
-        _sandwich(bread, noise.score_covariance(jacobian) + by_phase),
-        _sandwich(bread, _of_misfit(over_cycle)),
-    )
+    length = round(cycle) if math.isfinite(cycle) else 0
+    freedom = count / max(count - unknowns, 1)
+    if 8 <= length < count / (1.0 + _SECOND_CYCLE):
+        apart = (residual[length:] - residual[:-length]) / math.sqrt(2.0)
+        noise = NoiseModel.of(apart, min(_HIGHEST_ORDER, length // _ORDERS_PER_CYCLE))
+        power = float(residual @ residual) / count * freedom
+        chance = math.sqrt(2.0 * max(noise.integrated_time, 1.0) / apart.size)
+        if power > noise.variance * (1.0 + SIGNIFICANT * chance):
+            by_noise = noise.score_covariance(jacobian)
+            by_phase, by_misfit = _model_error_scores(jacobian, residual, cycle)
+            return ErrorCovariances(
+                _sandwich(bread, by_noise + by_phase), _sandwich(bread, by_misfit)
+            )
+    noise = NoiseModel.of(residual)
+    scores = noise.score_covariance(jacobian)
+    # The fit absorbs more of correlated noise than of white noise (unknowns / samples).
+    taken = float(np.nansum(bread * scores)) / max(count * noise.variance, 1e-300)
+    all_of_it = _sandwich(bread, scores) / max(1.0 - taken, _MOST_ABSORBED)
+    steady = math.isfinite(cycle)
+    return ErrorCovariances(all_of_it, np.zeros_like(all_of_it) if steady else all_of_it)
 
 
-def _split(
-    residual: Array, cycle: float, freedom: float
-) -> tuple[NoiseModel, np.ndarray, Array, Array] | None:
-    """Noise model, cycle position of each sample, samples per position, and mean model error there.
+def _model_error_scores(jacobian: Array, residual: Array, cycle: float) -> tuple[Array, Array]:
+    """Covariances (f, f) of the scores from a model error that repeats in every cycle.
 
-    None if no model error is significant, or if the cycle does not repeat.
-
-    ``freedom``: number of samples over degrees of freedom.
+    The first comes from incomplete cycles if the window begins at any phase, the second from the
+    model error itself.
     """
-    count = residual.size
-    if not math.isfinite(cycle) or not 8 <= round(cycle) < count / (1.0 + _SECOND_CYCLE):
-        return None
-    length = round(cycle)
-    apart = (residual[length:] - residual[:-length]) / math.sqrt(2.0)
-    noise = NoiseModel.of(apart, min(_HIGHEST_ORDER, length // _ORDERS_PER_CYCLE))
-    power = float(residual @ residual) / count * freedom
-    chance = math.sqrt(2.0 * max(noise.integrated_time, 1.0) / apart.size)
-    if power <= noise.variance * (1.0 + SIGNIFICANT * chance):
-        return None
+    count, length = residual.size, round(cycle)
     phases = np.floor(np.arange(count) % cycle).astype(int) % length
     seen = np.maximum(np.bincount(phases, minlength=length), 1).astype(float)
-    return noise, phases, seen, np.bincount(phases, residual, length) / seen
-
-
-def _of_phase(over_cycle: Array, count: int, cycle: float) -> Array:
-    """Covariance from model error, if the window has incomplete cycles and begins at any phase.
-
-    ``over_cycle`` (m, f): score of one sample at each position of the cycle.
-    """
-    length = over_cycle.shape[0]
+    misfit = np.bincount(phases, residual, length) / seen
+    over_cycle: Array = np.zeros((length, jacobian.shape[1]))
+    np.add.at(over_cycle, phases, jacobian * misfit[phases, np.newaxis])
+    edges = np.linspace(0, length, _CYCLE_PARTS, endpoint=False).astype(int)
+    draws = np.add.reduceat(over_cycle, edges, axis=0)
+    one_each = over_cycle / seen[:, np.newaxis]
     rest = round(count % cycle) % length
-    if rest == 0:
-        return np.zeros((over_cycle.shape[1],) * 2)
-    sums = np.cumsum(np.vstack((over_cycle, over_cycle)), axis=0)
+    sums = np.cumsum(np.vstack((one_each, one_each)), axis=0)
     moving = sums[rest : rest + length] - sums[:length]
     moving = moving - moving.mean(axis=0)
-    return np.asarray(moving.T @ moving) / length
-
-
-def _of_misfit(over_cycle: Array) -> Array:
-    edges = np.linspace(0, over_cycle.shape[0], _CYCLE_PARTS, endpoint=False).astype(int)
-    draws = np.add.reduceat(over_cycle, edges, axis=0)
-    return np.asarray(draws.T @ draws)
+    return np.asarray(moving.T @ moving) / length, np.asarray(draws.T @ draws)
 
 
 SAME_MOTION = 0.1

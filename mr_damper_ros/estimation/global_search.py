@@ -16,7 +16,8 @@ within a window, step 1 is repeated with the parameters found so far.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 
 import numpy as np
@@ -185,8 +186,6 @@ _MOST_SEPARATE = 4
 _SKIPPED_COST = 30.0
 """A start whose misfit exceeds the best one by this factor is skipped."""
 
-KNOWN = "an earlier search"
-
 
 @dataclass(frozen=True, eq=False)
 class Candidate:
@@ -259,18 +258,20 @@ class GlobalSearch:
         Raises StopRequestedError when the report stops the search; ``best`` is then the best set so
         far.
         """
-        try:
+        with self._best_if_stopped():
             self.search(method)
             self._finish()
-        except StopRequestedError:
-            self._stop()
-            raise
 
-    def _stop(self) -> None:
-        """Select the best known set after a search was stopped."""
-        known = (self.best, self._start, *(fit.parameters for fit in self.fits))
-        self.best = min(known, key=self.pooled.mean_square)
-        self.free = self._determined(self.pooled)
+    @contextmanager
+    def _best_if_stopped(self) -> Iterator[None]:
+        """Select the best known set if the search is stopped."""
+        try:
+            yield
+        except StopRequestedError:
+            known = (self.best, self._start, *(fit.parameters for fit in self.fits))
+            self.best = min(known, key=self.pooled.mean_square)
+            self.free = self._determined(self.pooled)
+            raise
 
     def refit(self, whole: GlobalSearch, owners: Sequence[int]) -> None:
         """Fit the windows from the result of a finished search, without searching for starts.
@@ -284,12 +285,9 @@ class GlobalSearch:
         self._weigh(whole.noise[list(owners)])
         free = np.isin(self.model.parameter_names, list(self.free))
         self.best = np.where(free, whole.best, self._prior().centre)
-        try:
+        with self._best_if_stopped():
             self.best = self._rough(self.best, self.free)
             self._finish()
-        except StopRequestedError:
-            self._stop()
-            raise
 
     def search(self, method: str) -> None:
         """Find the best set on the thinned windows."""
@@ -377,7 +375,7 @@ class GlobalSearch:
             ),
             "the start": self._start,
         }
-        return starts if self._earlier is None else {**starts, KNOWN: self._earlier}
+        return starts if self._earlier is None else {**starts, "an earlier search": self._earlier}
 
     def _search_law(
         self,
@@ -527,13 +525,9 @@ class GlobalSearch:
 
     def _rough(self, start: Array, names: frozenset[str]) -> Array:
         """The result (p,) of a few steps of least squares on the thinned windows."""
-        effort = self.model.effort
+        tolerance, most_steps = self.model.effort.rough_tolerance, self.model.effort.rough_steps
         return self._least_squares(
-            self.pooled,
-            start,
-            names,
-            tolerance=effort.rough_tolerance,
-            most_steps=effort.rough_steps,
+            self.pooled, start, names, tolerance=tolerance, most_steps=most_steps
         )
 
     def _least_squares(
@@ -585,17 +579,10 @@ class GlobalSearch:
         places = self.model.places(names)
         centre = self.best
         reach = 3.0 * np.maximum(np.abs(centre[places]), 1e-3)
-        bounds = [
-            (
-                max(low, parameter.low),
-                min(high, parameter.high),
-            )
-            for parameter, (low, high) in zip(
-                (self.model.parameters[place] for place in places),
-                (self._ranges.get(n, (-r, r)) for n, r in zip(names, reach.tolist(), strict=True)),
-                strict=True,
-            )
-        ]
+        ranges = [self._ranges.get(n, (-r, r)) for n, r in zip(names, reach, strict=True)]
+        low, high = (bound[places] for bound in self.model.bounds)
+        lowest, highest = np.array(ranges).T
+        bounds = np.column_stack((np.maximum(lowest, low), np.minimum(highest, high)))
         few = [window.thinned(FEW_SAMPLES) for window in self.windows]
         misfit = levelled(Misfit(self.model, few, self.noise.tolist()), self.levels)
 
@@ -606,7 +593,7 @@ class GlobalSearch:
 
         found, _, count = evolve(
             cost,
-            bounds,
+            bounds.tolist(),
             self._settings,
             self._clock,
             stage="all free parameters",

@@ -11,7 +11,8 @@ import hashlib
 import math
 import time
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -28,7 +29,6 @@ from mr_damper_ros.estimation.global_fit import (
 from mr_damper_ros.estimation.global_search import AS_GOOD, Candidate
 from mr_damper_ros.estimation.record_levels import LevelPrior
 from mr_damper_ros.kinematics.window import Window
-from mr_damper_ros.models import MODELS
 from mr_damper_ros.models.force_model import Model
 from mr_damper_ros.models.parameter_set import ParameterError, ParameterSet
 from mr_damper_ros.processes.files import json_ready
@@ -81,72 +81,50 @@ class MultiStart:
         return np.asarray(np.where(np.isfinite(errors), np.ptp(sets, axis=0) / errors, 0.0))
 
 
-@dataclass(frozen=True, eq=False)
-class _Search:
-    """One search as a task for a process; the arguments are as in :func:`identify_global`."""
+@dataclass(eq=False)
+class SearchRecord:
+    """Results (``fits``) of the searches from several seeds so far, in a form suitable for JSON.
 
-    model: str
-    windows: tuple[Window, ...]
+    A record belongs to one combination of model, windows, start (p,), settings except the seed,
+    method and record levels.
+    """
+
+    model: Model
+    windows: Sequence[Window]
     start: Array
     settings: EvolutionSettings
     method: str
-    levels: LevelPrior | None
-    known: Array | None = None
+    levels: LevelPrior | None = None
+    fits: dict[int, GlobalFit] = field(default_factory=dict)
 
     @property
     def digest(self) -> str:
-        """A digest of all arguments except the seed and the known set."""
+        """A digest of all arguments of the searches except the seed and the known set."""
         with_levels = () if self.levels is None else (self.levels,)
-        asked = (self.model, replace(self.settings, seed=0), self.method, *with_levels)
+        asked = (self.model.name, replace(self.settings, seed=0), self.method, *with_levels)
         digest = hashlib.sha256(repr(asked).encode())
         parts = ((w.motion.displacement, w.force, w.current) for w in self.windows)
         for array in (self.start, *(array for part in parts for array in part)):
             digest.update(np.ascontiguousarray(array, dtype=float).tobytes())
         return digest.hexdigest()
 
-
-def _run(search: _Search, notify: Notify) -> GlobalFit:
-    return identify_global(
-        MODELS[search.model],
-        search.windows,
-        search.start,
-        search.settings,
-        notify,
-        method=search.method,
-        known=search.known,
-        levels=search.levels,
-    )
-
-
-class SearchRecord:
-    """Results of the searches from several seeds so far, in a form suitable for JSON.
-
-    A record belongs to one combination of model, windows, start (p,), settings except the seed,
-    method and record levels.
-    """
-
-    def __init__(
-        self,
-        model: Model,
-        windows: Sequence[Window],
-        start: Array,
-        settings: EvolutionSettings,
-        method: str,
-        levels: LevelPrior | None = None,
-    ) -> None:
-        values = np.asarray(start, float)
-        self.search = _Search(model.name, tuple(windows), values, settings, method, levels)
-        self.fits: dict[int, GlobalFit] = {}
-
     def is_finished(self, seed: int) -> bool:
         """Whether the search from this seed is complete."""
         return seed in self.fits and not self.fits[seed].stopped
 
-    def search_from(self, seed: int) -> _Search:
-        """The search from a seed, continued from its result so far."""
+    def search_from(self, seed: int) -> Callable[..., GlobalFit]:
+        """The search from a seed, continued from its result so far, as a task for a process."""
         before = self.fits.get(seed)
-        known = None if before is None else before.parameter_set.values
-        return replace(self.search, settings=replace(self.search.settings, seed=seed), known=known)
+        return partial(
+            identify_global,
+            self.model,
+            self.windows,
+            self.start,
+            replace(self.settings, seed=seed),
+            method=self.method,
+            known=None if before is None else before.parameter_set.values,
+            levels=self.levels,
+        )
 
     def add(self, seed: int, fit: GlobalFit) -> None:
         """Add a result; an earlier one stays if it is better."""
@@ -158,25 +136,29 @@ class SearchRecord:
     def document(self) -> dict[str, Any]:
         """The whole record for JSON."""
         found = {str(seed): _to_document(fit) for seed, fit in self.fits.items()}
-        return {"version": _VERSION, "search": self.search.digest, "found": found}
+        return {"version": _VERSION, "search": self.digest, "found": found}
 
     def take(self, document: Any) -> None:
         """Load the output of :meth:`document`; raises SearchRecordError if it is unusable."""
         try:
             if document["version"] != _VERSION:
                 raise SearchRecordError("it was written by another version: begin a new one")
-            if document["search"] != self.search.digest:
+            if document["search"] != self.digest:
                 raise SearchRecordError(
                     "it belongs to a search with other bags, start, model, method or settings: "
                     "begin a new one, or repeat that search"
                 )
             fits = {
-                int(seed): _from_document(fit, self.search.levels)
+                int(seed): _from_document(fit, self.levels)
                 for seed, fit in document["found"].items()
             }
         except (KeyError, TypeError, AttributeError, ParameterError) as error:
             raise SearchRecordError("it holds no progress of a search: begin a new one") from error
         self.fits.update(fits)
+
+
+def _run(search: Callable[..., GlobalFit], notify: Notify) -> GlobalFit:
+    return search(report=notify)
 
 
 def identify_from_seeds(
@@ -197,7 +179,7 @@ def identify_from_seeds(
     """
     if count < 1:
         raise ValueError(f"starts is {count}: at least 1 is needed")
-    seeds = [record.search.settings.seed + place for place in range(count)]
+    seeds = [record.settings.seed + place for place in range(count)]
     missing = [seed for seed in seeds if not record.is_finished(seed)]
     began, parts = time.monotonic(), dict[int, float]()
 
