@@ -62,7 +62,6 @@ class StopRequestedError(Exception):
 
 
 P = TypeVar("P", bound=Problem)
-Q = TypeVar("Q", bound=Problem)
 
 
 class LocalSearch(Generic[P]):
@@ -81,10 +80,6 @@ class LocalSearch(Generic[P]):
         self.evaluations = 0
         self.exhausted = False
         self._should_stop = should_stop
-
-    def of(self, problem: Q, start: Array) -> LocalSearch[Q]:
-        """A search of another problem with the same stop function and its own counter."""
-        return LocalSearch(problem, start, self._should_stop)
 
     def residual(self, unknowns: Array) -> Array:
         """Evaluate and count the residual (n,) of the problem."""

@@ -37,7 +37,6 @@ from mr_damper_ros.estimation.observability import parameter_ranges, parameter_s
 from mr_damper_ros.estimation.posterior import Posterior, Prior
 from mr_damper_ros.kinematics.window import Window
 from mr_damper_ros.models.misfit import Misfit
-from mr_damper_ros.models.parameter_set import ParameterSet
 from mr_damper_ros.processes.process_pool import Notify, ProcessPool
 from mr_damper_ros.signals.arrays import Array
 
@@ -84,8 +83,7 @@ class ProfileLikelihood:
     """Profiles of the parameters (p,) that were fitted with ``misfit``.
 
     ``observable`` (p,) marks the determined parameters; ``ranges`` are the plausible ranges of the
-    shape parameters. ``should_stop`` is called at every evaluation; if it returns True,
-    StopRequestedError is raised.
+    shape parameters.
     """
 
     def __init__(
@@ -94,11 +92,10 @@ class ProfileLikelihood:
         parameters: Array,
         observable: np.ndarray,
         ranges: Mapping[str, tuple[float, float]],
-        should_stop: Callable[[], bool] | None = None,
     ) -> None:
         self._model = misfit.model
         self._misfit = misfit
-        self._should_stop = should_stop
+        self._should_stop: Callable[[], bool] | None = None
         self._start = np.array(parameters, dtype=float)
         self._ranges = ranges
         jacobian, residual = misfit.jacobian(self._start), misfit.residual(self._start)
@@ -117,8 +114,13 @@ class ProfileLikelihood:
             shrinkage[places] = white[known] / variances[known]
         self._scales = max(misfit.sample_count - int(np.sum(observable)), 1) * shrinkage
 
-    def of(self, name: str) -> Profile:
-        """Profile of one parameter."""
+    def of(self, name: str, should_stop: Callable[[], bool] | None = None) -> Profile:
+        """Profile of one parameter.
+
+        ``should_stop`` is called at every evaluation; if it returns True, StopRequestedError is
+        raised.
+        """
+        self._should_stop = should_stop
         place = self._model.parameter_names.index(name)
         parameter, value = self._model.parameters[place], float(self._start[place])
         scale, span = float(self._scales[place]), float(self._spans[place])
@@ -243,10 +245,13 @@ def profiles_of(
             raise ValueError(
                 f"there is no parameter '{name}' to profile: use {', '.join(law.parameter_names)}"
             )
-    # Thinned windows, as in the misfit, may lack the extremes.
-    ranges, misfit = parameter_ranges(law, windows), fit.misfit(windows)
+    found = fit.parameter_set
+    # The ranges of thinned windows, as in the misfit, may lack the extremes.
+    likelihood = ProfileLikelihood(
+        fit.misfit(windows), found.values, found.observable, parameter_ranges(law, windows)
+    )
     listen = None if report is None else lambda _, news: report(news)
-    tasks = [(fit.parameter_set, misfit, ranges, name) for name in names]
+    tasks = [(likelihood, name) for name in names]
     return [profile for profile in processes.map(_profile, tasks, listen) if profile]
 
 
@@ -278,18 +283,9 @@ def profiled(
         fit = again
 
 
-def _profile(
-    task: tuple[ParameterSet, Misfit, Mapping[str, tuple[float, float]], str], notify: Notify
-) -> Profile | None:
-    found, misfit, ranges, name = task
-    clock = ProgressClock(1, notify)
+def _profile(task: tuple[ProfileLikelihood, str], notify: Notify) -> Profile | None:
+    (likelihood, name), clock = task, ProgressClock(1, notify)
     try:
-        return ProfileLikelihood(
-            misfit,
-            found.values,
-            found.observable,
-            ranges,
-            lambda: clock.poll(f"profile of {name}", math.nan),
-        ).of(name)
+        return likelihood.of(name, lambda: clock.poll(f"profile of {name}", math.nan))
     except StopRequestedError:
         return None

@@ -183,7 +183,7 @@ def fit_window(
             # Without a force of the running set, there is no prior.
             posterior = _Posterior(running, width, cycle) if np.isfinite(width).all() else None
         if posterior is not None:
-            exhausted = posterior.search(search, robust=robust)
+            exhausted = posterior.search(search, robust, should_stop)
         elif robust:
             weights = search.reweighted_least_squares()
         if exhausted:
@@ -301,7 +301,12 @@ class _Posterior:
         """Derivatives (n + f, f) of the residual."""
         return np.vstack((self.problem.jacobian(unknowns), np.diag(self._noise / self._width)))
 
-    def search(self, without: LocalSearch[WindowProblem], *, robust: bool) -> bool:
+    def search(
+        self,
+        without: LocalSearch[WindowProblem],
+        robust: bool,
+        should_stop: Callable[[], bool] | None,
+    ) -> bool:
         """Find the most probable unknowns; returns whether the last search was exhausted.
 
         The weight of the samples follows from the residual of their best fit, so ``without`` is at
@@ -314,7 +319,7 @@ class _Posterior:
         at_best = float(np.linalg.norm(self.problem.residual(without.best)))
         self._at_best(without.best)
         for _ in range(_MOST_DOUBLINGS):
-            search = without.of(self, without.best)
+            search = LocalSearch(self, without.best, should_stop)
             for start in (self._known, without.best):
                 search.try_out(start)
             search.least_squares()

@@ -1,10 +1,7 @@
 """One set for many runs: the true parameters if determined, otherwise the initial values."""
 
 import math
-import re
-from dataclasses import dataclass
 from functools import cache
-from pathlib import Path
 
 import known
 import numpy as np
@@ -23,6 +20,7 @@ from mr_damper_ros.models.misfit import Misfit
 from mr_damper_ros.models.published import LITERATURE, THESIS_28_CELSIUS
 from mr_damper_ros.models.sigmoid.law import PARAMETER_NAMES, SCALE_PARAMETER_NAMES, sine_force
 from mr_damper_ros.signals.arrays import Array
+from studies.recordings import processed_windows
 
 AT_THE_NOISE = 1.06
 """RMSE over the noise: two standard errors of 600 samples, reached by the worst of 24 windows."""
@@ -118,30 +116,23 @@ def test_the_known_damper_is_identified_with_honest_errors_and_figures(found: Gl
 # -- undetermined parameters -----------------------------------------------------------------
 
 
-@dataclass(frozen=True)
-class Poor:
-    """Insufficient data and the parameters that they leave undetermined."""
-
-    windows: tuple[Window, ...]
-    open: frozenset[str]
-
-
 VELOCITY_SHAPE = frozenset({"a1", "k0", "a4"})
 CURRENT_SHAPE = frozenset({"k2", "a2", "I0", "k3", "a3", "I1"})
 
-POOR = {
-    "one current": Poor(grid((1.0,)), CURRENT_SHAPE),
-    "two currents": Poor(grid((0.0, 1.0)), CURRENT_SHAPE - {"k2", "k3"}),
-    "three currents": Poor(grid((0.0, 0.5, 1.5)), frozenset({"I0", "I1"})),
-    "one peak velocity": Poor(grid(CURRENTS, (5e-3,), (1.0,)), VELOCITY_SHAPE),
-    "one run": Poor(grid((1.0,), (5e-3,), (1.0,)), VELOCITY_SHAPE | CURRENT_SHAPE),
+POOR: dict[str, tuple[tuple[Window, ...], frozenset[str]]] = {
+    "one current": (grid((1.0,)), CURRENT_SHAPE),
+    "two currents": (grid((0.0, 1.0)), CURRENT_SHAPE - {"k2", "k3"}),
+    "three currents": (grid((0.0, 0.5, 1.5)), frozenset({"I0", "I1"})),
+    "one peak velocity": (grid(CURRENTS, (5e-3,), (1.0,)), VELOCITY_SHAPE),
+    "one run": (grid((1.0,), (5e-3,), (1.0,)), VELOCITY_SHAPE | CURRENT_SHAPE),
 }
 
 
 @pytest.fixture(scope="module")
 def poor_fits() -> dict[str, GlobalFit]:
     return {
-        name: identify_global(SIGMOID, p.windows, LITERATURE, QUICK) for name, p in POOR.items()
+        name: identify_global(SIGMOID, windows, LITERATURE, QUICK)
+        for name, (windows, _) in POOR.items()
     }
 
 
@@ -149,14 +140,14 @@ def poor_fits() -> dict[str, GlobalFit]:
 def test_what_the_data_do_not_determine_keeps_its_value_and_has_no_error(
     poor_fits: dict[str, GlobalFit], name: str
 ) -> None:
-    assert unobservable(poor_fits[name]) == POOR[name].open
+    windows, open_ = POOR[name]
+    assert unobservable(poor_fits[name]) == open_
     result = poor_fits[name].parameter_set
     hidden = ~result.observable
     assert hidden.any()
     np.testing.assert_array_equal(result.values[hidden], LITERATURE[hidden])
-    result = poor_fits[name].parameter_set
     np.testing.assert_array_equal(np.isfinite(result.standard_errors), result.observable)
-    assert excess(POOR[name].windows, poor_fits[name]) < AT_THE_NOISE
+    assert excess(windows, poor_fits[name]) < AT_THE_NOISE
 
 
 def strokes(number: int) -> list[Window]:
@@ -318,25 +309,8 @@ def test_settings_out_of_range_are_refused(settings: dict[str, object], sentence
 # -- real recordings -------------------------------------------------------------------------
 
 
-@cache
-def recorded(folder: Path) -> tuple[Window, ...]:
-    """Windows of the records, sorted by name."""
-    windows = []
-    for path in sorted(folder.glob("*.txt")):
-        match = re.fullmatch(r".*Hz(\d+(?:x\d+)?)A", path.stem)
-        assert match is not None, path.name
-        table = np.loadtxt(path)
-        period = float(np.median(np.diff(table[:, 0])))
-        windows.append(
-            Window.from_samples(
-                1e-3 * table[:, 1], table[:, 3], float(match[1].replace("x", ".")), period
-            )
-        )
-    return tuple(windows)
-
-
 def test_one_set_fits_all_records_of_a_real_damper() -> None:
-    windows = recorded(known.recordings_folder())
+    windows = processed_windows(known.recordings_folder().parent)
     fit = identify_global(SIGMOID, windows, LITERATURE, EvolutionSettings())
     # Median NRMSE of one set for all twenty records: 9 %, because one law must fit them all.
     assert np.median(fit.nrmse) <= 0.105

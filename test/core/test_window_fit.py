@@ -224,19 +224,12 @@ def test_a_stop_returns_the_best_so_far_and_says_so() -> None:
     assert fit.nrmse < 0.5, "fifty evaluations must have led somewhere"
 
 
-def test_an_unknown_method_is_named_with_the_known_ones() -> None:
-    with pytest.raises(ValueError, match="'simplex' is unknown: use one of nelder_mead, least"):
-        fit_window(SIGMOID, known.run().window, LITERATURE, method="simplex")
-
-
-def test_a_force_that_does_not_change_is_refused() -> None:
+def test_an_unknown_method_a_constant_force_and_unequal_lengths_are_refused() -> None:
     window = known.run().window
+    with pytest.raises(ValueError, match="'simplex' is unknown: use one of nelder_mead, least"):
+        fit_window(SIGMOID, window, LITERATURE, method="simplex")
     still = Window(window.motion, np.full(window.sample_count, 3.0), window.current)
     with pytest.raises(ValueError, match="the force does not change"):
         fit_window(SIGMOID, still, LITERATURE)
-
-
-def test_a_window_of_unequal_lengths_is_refused() -> None:
-    window = known.run().window
     with pytest.raises(ValueError, match=r"force has shape \(1999,\), the motion 2000 samples"):
         Window(window.motion, window.force[1:], window.current)
