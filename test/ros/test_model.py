@@ -175,6 +175,7 @@ def test_what_is_missing_makes_the_force_invalid_with_the_reason(
     rig = Rig(start, listener)
     listener.wait_for_finding("model: input", "nothing publishes mts/samples")
     listener.wait_for_finding("model: parameters", "no parameters yet")
+    listener.wait_for_finding("model: latency", "no block since the last report")
     nothing = rig.run(recording)
     assert {(f.valid, f.parameter_set) for f in nothing} == {(False, "")}
     assert "no parameters yet" in nothing[-1].reason
