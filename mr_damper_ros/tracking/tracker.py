@@ -368,6 +368,10 @@ def run(job: Job, control: Control | None = None) -> Outcome:
 def refused(job: Job, judgement: Judgement) -> Outcome:
     """The outcome of a job that gave no set."""
     memory = _begun(job)
+    if job.raw is not None and judgement.verdict is Verdict.FAILED:
+        # What the job started from may be the cause, and would make every later window fail.
+        memory.forget_changes()
+        memory.rival = None
     if job.raw is None:
         memory.unexplained_patience *= 2
     elif job.raw.look:

@@ -212,7 +212,8 @@ def _checks_of_memory(memory: TrackerMemory, model: Model) -> Iterator[tuple[boo
     points = [record.point for record in records]
     if state is not None:
         yield _square(state.scales, state.covariance), "covariance"
-        yield _finite(*state.scales), "state of the filter"
+        fits = state.scales.size == model.unknown_indices.size
+        yield fits and _finite(*state.scales), "state of the filter"
         points.append(state.operating_point)
     if watch is not None:
         points.append(watch.operating_point)

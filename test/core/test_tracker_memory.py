@@ -22,7 +22,9 @@ from mr_damper_ros.kinematics.window import Window
 from mr_damper_ros.models import MODELS
 from mr_damper_ros.models.parameter_set import ParameterSet
 from mr_damper_ros.processes.files import FolderLock, LockHeldError
+from mr_damper_ros.tracking.acceptance import Verdict
 from mr_damper_ros.tracking.operating_point import KnownPoints
+from mr_damper_ros.tracking.recursive_tracker import FilterState
 from mr_damper_ros.tracking.reports import Report
 from mr_damper_ros.tracking.state_directory import StateDirectory, StateError
 from mr_damper_ros.tracking.tracker import TRACKERS, TrackerSettings, WindowTracker, run
@@ -95,6 +97,8 @@ def learnt() -> dict[str, Any]:
 
 DOCUMENT = learnt()
 
+OF_THREE = TrackerMemory(state=FilterState(np.ones(3), np.eye(3), known.T0, (0.1, 1.0)))
+
 
 def leaves(data: Any, path: tuple[Any, ...] = ()) -> list[tuple[Any, ...]]:
     """Paths of all entries, including the nested ones."""
@@ -163,6 +167,7 @@ def test_other_texts_are_refused(text: str, sentence: str) -> None:
         pytest.param("windows", 10**250, "an invalid count", id="name too long"),
         ("seen_ns", 2**63, "an invalid stamp"),
         ("level", 0.0, "an invalid force level"),
+        ("state", json.loads(to_text(OF_THREE))["state"], "an invalid state of the filter"),
         ("rival", known.controllable("bingham").to_yaml(), "an invalid set to be confirmed"),
         (
             "rival",
@@ -364,3 +369,14 @@ def test_a_state_from_before_a_model_had_more_parameters_is_gone_on_with(tmp_pat
     assert state.fault == state.set_aside == ""
     assert tracker.parameters.values.size == len(tracker.parameters.law.parameter_names)
     state.close()
+
+
+def test_a_filter_that_fails_starts_again() -> None:
+    tracked = tracker(tracker="recursive")
+    feed(tracked, 0, 3)
+    assert tracked.memory.state is not None
+    tracked.memory.state = dataclasses.replace(
+        tracked.memory.state, scales=1e300 * tracked.memory.state.scales
+    )
+    verdicts = [report.verdict for n in (4, 8) for report in feed(tracked, n, n + 1)]
+    assert verdicts == [Verdict.FAILED, Verdict.ACCEPTED]
