@@ -11,8 +11,8 @@ from pathlib import Path
 from mr_damper_ros.api.findings import Findings, searches
 from mr_damper_ros.api.identification import AUTO, LARGEST_RUN_NRMSE, Identification, identify
 from mr_damper_ros.estimation.differential_evolution import STRATEGIES
-from mr_damper_ros.estimation.experiment_design import RigRange
 from mr_damper_ros.estimation.global_fit import GLOBAL_METHODS
+from mr_damper_ros.estimation.planned_run import MachineLimits
 from mr_damper_ros.estimation.record_levels import USUAL_SPREAD
 from mr_damper_ros.models import MODELS
 from mr_damper_ros.tools.console import (
@@ -72,9 +72,9 @@ def _options(parser: argparse.ArgumentParser) -> None:
 
 def _identify(options: argparse.Namespace) -> int:
     # A wrong range is refused before the long computation.
-    RigRange(
-        1.0, *(1.0 if top is None else top for top in (options.top_velocity, options.top_current))
-    )
+    tops = {"peak_velocity": options.top_velocity, "current": options.top_current}
+    given = {name: 1.0 if top is None else top for name, top in tops.items()}
+    MachineLimits(amplitude=1.0, force=1.0, duration=1.0, **given)
     with ProgressLine() as progress:
         given = arguments_of(options, identify)
         result = identify(options.bags, report=progress, **given)
