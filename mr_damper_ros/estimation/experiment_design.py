@@ -171,10 +171,10 @@ def model_error(model: Model, window: Window, parameters: Array) -> float:
     """Largest repeatable residual of a window beyond noise, relative to its largest force.
 
     Means over the parts of a cycle separate it from noise. The result is 0 if noise explains the
-    means (chi-squared test).
+    means (chi-squared test). The force is the measured one: a law whose force is too large would
+    otherwise count as more accurate than it is.
     """
-    force = model.window_force(window, parameters)
-    residual = force - window.force
+    residual = model.window_force(window, parameters) - window.force
     count, cycle = residual.size, samples_per_cycle(window)
     if math.isfinite(cycle):
         bins = max(min(2 * PHASES, count // _FEWEST_IN_PART, int(cycle)), 1)
@@ -193,7 +193,7 @@ def model_error(model: Model, window: Window, parameters: Array) -> float:
     noise = variance / counts
     signal = max(float(np.mean(means**2) - np.mean(noise)), 0.0)
     largest = float(np.max(np.abs(means) * signal / (signal + noise)))
-    return largest / max(float(np.max(np.abs(force))), 1e-9)
+    return largest / max(window.largest_force, 1e-9)
 
 
 def open_sets(

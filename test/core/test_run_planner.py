@@ -136,6 +136,12 @@ def test_the_error_of_the_force_includes_what_the_law_does_not_follow(planner: R
     assert "is model error" in now.sentence
 
 
+def test_the_model_error_is_relative_to_the_measured_force() -> None:
+    (window,) = windows(RUNS[1])
+    half = replace(window, force=0.5 * window.force)
+    assert model_error(LAW, half, known.PLAUSIBLE) == pytest.approx(1.0, rel=0.1)
+
+
 def test_a_law_that_does_not_fit_is_named_as_the_reason() -> None:
     goal = replace(GOAL, error=0.02)
     wrong = [with_third_harmonic(window, MISFIT) for window in windows(*RUNS)]
