@@ -37,8 +37,8 @@ _SIGNALS = (signal.SIGINT, signal.SIGTERM)
 
 _NOT_INSTALLED = 2
 
-_INTERRUPTED = 130
-"""Exit code after Ctrl-C, by the convention of shells."""
+_INTERRUPTED, _TERMINATED = 130, 143
+"""Exit codes after Ctrl-C and after SIGTERM, by the convention of shells."""
 
 _MISSING = {
     "mr_damper_msgs": "The package mr_damper_msgs is missing: build it too (in a workspace: ln -s "
@@ -60,6 +60,8 @@ def tool(name: str) -> int:
     main: Callable[[], int] = import_module(f"mr_damper_ros.tools.{name}").main
     for number in heeded:
         signal.signal(number, signal.default_int_handler)
+    # By default the process would end without cleaning up, and leave the nodes that it has started.
+    signal.signal(signal.SIGTERM, lambda *_: sys.exit(_TERMINATED))
     try:
         return main()
     finally:

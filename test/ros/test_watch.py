@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 from urllib.parse import urlsplit
 
+import pytest
 from support import PATIENCE, assert_one_sentence, installed_programs
 from waiting import until
 
@@ -32,13 +33,14 @@ def test_a_wrong_period_is_one_sentence() -> None:
     program.close()
 
 
-def test_a_rig_is_shown_until_it_is_interrupted() -> None:
+@pytest.mark.parametrize(("number", "code"), [(signal.SIGINT, 0), (signal.SIGTERM, 143)])
+def test_a_rig_is_shown_until_it_is_stopped(number: signal.Signals, code: int) -> None:
     program = Program([str(installed_programs() / "demo"), "--live", "--port", "0"])
     found = until(lambda: re.search(r"the page is at (\S+);", program.output), "the page")
     until(lambda: signals_at(found[1]), "signals on the page")
     nodes = program.children
     assert len(nodes) == 4
-    assert program.stop(signal.SIGINT) == 0
+    assert program.stop(number) == code
     assert not any(Path(f"/proc/{pid}").exists() for pid in nodes)
     program.close()
 

@@ -123,11 +123,12 @@ const DOUBTED = { ...line("invalid", "doubted", "dotted", 1.7), clipped: true };
 /** A time since the beginning of the record, as text. */
 function clock(since) {
   if (since === null || since === undefined) return "–";
-  const size = Math.abs(since), sign = since < 0 ? "−" : "";
+  const size = Math.round(100 * Math.abs(since)) / 100, sign = since < 0 ? "−" : "";
   if (size < 100) return `${short(since, 4)} s`;
-  const minutes = Math.floor(size / 60), rest = Math.floor(size % 60);
-  const hours = Math.floor(minutes / 60), two = (number) => String(number).padStart(2, "0");
-  return hours ? `${sign}${hours}:${two(minutes % 60)}:${two(rest)}` : `${sign}${minutes}:${two(rest)}`;
+  const minutes = Math.floor(size / 60), two = (number) => String(number).padStart(2, "0");
+  const rest = two(Math.floor(size % 60)) + (size % 1).toFixed(2).slice(1).replace(/\.?0+$/, "");
+  const hours = Math.floor(minutes / 60);
+  return hours ? `${sign}${hours}:${two(minutes % 60)}:${rest}` : `${sign}${minutes}:${rest}`;
 }
 
 const REFERENCE = { ...line("reference", "reference", "solid", 3), clipped: true };
