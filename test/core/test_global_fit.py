@@ -291,10 +291,7 @@ def test_the_defaults_are_those_of_the_thesis() -> None:
     [
         ({"strategy": "rand9"}, "strategy must be one of rand1bin, .*, not 'rand9'"),
         ({"mutation": 2.0}, "mutation must be from 0.01 to 1.99, not 2"),
-        ({"mutation": math.nan}, "mutation must be a finite number, not nan"),
         ({"recombination": 1.1}, "recombination must be from 0 to 1, not 1.1"),
-        ({"generations": "3"}, "generations must be an integer, not '3'"),
-        ({"seed": 1.5}, "seed must be an integer, not 1.5"),
         ({"generations": 0}, "generations must be from 1 to 1000000, not 0"),
         ({"population": 4}, "population must be from 5 to 1000, not 4"),
         ({"seed": -1}, "seed must be from 0 to 4294967295, not -1"),

@@ -68,14 +68,6 @@ def stopping(after: int) -> Callable[[GlobalProgress], bool]:
     return report
 
 
-# -- several seeds -----------------------------------------------------------------------------
-
-
-def test_less_than_one_start_is_refused() -> None:
-    with pytest.raises(ValueError, match="starts is 0: at least 1 is needed"):
-        searched(0)
-
-
 # -- records -----------------------------------------------------------------------------------
 
 

@@ -2,7 +2,6 @@
 
 import dataclasses
 import math
-import re
 from typing import Any
 
 import known
@@ -132,18 +131,6 @@ FAULTS = {
         by_hand(largest_force=-1.0),
         "largest_force is -1.0: give a finite, non-negative force",
     ),
-}
-
-
-@pytest.mark.parametrize(("text", "sentence"), FAULTS.values(), ids=FAULTS.keys())
-def test_a_fault_in_the_file_is_one_sentence(text: str, sentence: str) -> None:
-    with pytest.raises(ParameterError) as caught:
-        ParameterSet.from_yaml(text)
-    assert re.search(sentence, str(caught.value))
-    assert "\n" not in str(caught.value)
-
-
-UNCAUGHT = {
     "half a surrogate pair": (by_hand() + 'id: "\\ud800"\n', r"the id .* is '\\ud800': give"),
     "a surrogate as a key": (by_hand() + '"\\ud800": 1\n', r"unknown entries \\ud800: remove"),
     "an id of two lines": (by_hand(id="a\nb"), "the id of .* printable characters"),
@@ -165,10 +152,11 @@ UNCAUGHT = {
 }
 
 
-@pytest.mark.parametrize(("text", "sentence"), UNCAUGHT.values(), ids=UNCAUGHT.keys())
-def test_an_unusual_fault_is_one_sentence_too(text: str, sentence: str) -> None:
-    with pytest.raises(ParameterError, match=sentence):
+@pytest.mark.parametrize(("text", "sentence"), FAULTS.values(), ids=FAULTS.keys())
+def test_a_fault_in_the_file_is_one_sentence(text: str, sentence: str) -> None:
+    with pytest.raises(ParameterError, match=sentence) as caught:
         ParameterSet.from_yaml(text)
+    assert "\n" not in str(caught.value)
 
 
 @pytest.mark.parametrize("share", [-0.1, 1.1])

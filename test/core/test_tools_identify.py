@@ -74,13 +74,9 @@ RUN = read_bag(ONE_RUN)[0]
     ("changes", "sentence"),
     [
         ({"displacement": 1e3 * RUN.displacement}, "is it in millimetres"),
-        ({"displacement": 0.0 * RUN.displacement}, "move the damper"),
         ({"force": -RUN.force}, "reverse the sign"),
-        ({"force": 0.0 * RUN.force}, "is the load cell connected"),
-        ({"current": 1e3 * RUN.current}, "is it in milliamperes"),
-        ({"period": 1e3 * RUN.period}, "is the unit of the time right"),
     ],
-    ids=["millimetres", "no motion", "wrong sign", "no force", "milliamperes", "milliseconds"],
+    ids=["millimetres", "wrong sign"],
 )
 def test_a_bag_that_makes_no_sense_is_refused_in_a_sentence(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], changes: dict[str, Any], sentence: str

@@ -109,11 +109,8 @@ def test_windows_keep_their_stamps_where_the_rate_is_not_the_nominal_one() -> No
     ("window", "hop", "sentence"),
     [
         (0.0, 0.1, "window must be from 0.01 to 3600, not 0"),
-        (math.nan, 0.1, "window must be a finite number, not nan"),
-        (math.inf, 0.1, "window must be a finite number, not inf"),
         (1.0, 0.0, "hop must be from 0.001 to 3600, not 0"),
         (1.0, 1.5, "hop (1.5 s) is longer than window (1 s)"),
-        (1.0, math.nan, "hop must be a finite number, not nan"),
     ],
 )
 def test_lengths_that_make_no_windows_are_refused(window: float, hop: float, sentence: str) -> None:
