@@ -7,7 +7,22 @@ from typing import Any
 
 import numpy as np
 
-from mr_damper_ros.report.document import DASHES, INK, MARKS, Cell, Picture, Table, panels
+from mr_damper_ros.report.document import (
+    DASHES,
+    INK,
+    MARKS,
+    Block,
+    Cell,
+    Chapter,
+    Picture,
+    Table,
+    panels,
+)
+
+
+def chapter(name: str, title: str, headline: str, *blocks: Block) -> Chapter:
+    """A chapter of a report."""
+    return Chapter(name, title, headline, blocks)
 
 
 def table(name: str, caption: str, heads: str, rows: Sequence[Sequence[Cell]]) -> Table:

@@ -9,11 +9,11 @@ import os
 import pickle
 import sys
 import time
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
 from functools import lru_cache, partial
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 import scipy
@@ -25,7 +25,6 @@ from mr_damper_ros.processes.process_pool import Notify, ProcessPool
 from mr_damper_ros.report.document import Chapter, styled, write_report
 from mr_damper_ros.tools.console import run_tool
 
-Say = Callable[[str], None]
 Task = dict[str, Any]
 
 _FOLDERS = (Path(mr_damper_ros.__file__).parent, Path(__file__).parent)
@@ -43,8 +42,8 @@ class Campaign:
     """One call of a study: its options, and the processes for its tasks.
 
     ``folder`` receives all output. ``quick`` asks for fewer evaluations and cases. ``runs`` is the
-    number of repetitions of random methods (0: the default). Raises ValueError for values out of
-    range.
+    number of repetitions of random methods (0: the default). ``figures`` receives numbers for the
+    document beside the report. Raises ValueError for values out of range.
     """
 
     folder: Path
@@ -52,7 +51,8 @@ class Campaign:
     quick: bool = False
     seed: int = 0
     runs: int = 0
-    say: Say = lambda text: None
+    say: Callable[[str], None] = lambda text: None
+    figures: dict[str, Any] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         self.runs = self.runs or (QUICK_RUNS if self.quick else RUNS)
@@ -119,16 +119,9 @@ def _code_digest() -> str:
     return digest.hexdigest()[:12]
 
 
-class Part(NamedTuple):
-    """Results of a part of a report: chapters, and figures for the document."""
-
-    chapters: Sequence[Chapter]
-    figures: Mapping[str, object] | None = None
-
-
 @dataclass(frozen=True)
 class Study:
-    """A study whose ``parts`` are functions that compute a part of its report.
+    """A study whose ``parts`` compute and return the chapters of a part of its report.
 
     ``notice`` returns the paragraph above the report. ``quick`` describes what the short variant
     leaves out; ``random`` adds the options of random searches.
@@ -138,7 +131,7 @@ class Study:
     description: str
     title: str
     notice: Callable[[Campaign], str]
-    parts: Mapping[str, Callable[[Campaign], Part]]
+    parts: Mapping[str, Callable[[Campaign], Iterable[Chapter]]]
     quick: str
     random: bool = False
 
@@ -169,33 +162,25 @@ class Study:
 
     @one_thread()
     def _run(self, options: argparse.Namespace) -> int:
+        """Write ``report.html`` and, if parts have figures, ``<name>.json``."""
         began = time.monotonic()
-        given = vars(options)
-        chances = {name: given[name] for name in ("runs", "seed") if name in given}
-        campaign = Campaign(options.output, options.workers, options.quick, say=say, **chances)
-        page = self._write(campaign, options.only)
-        say("")
-        print(f"{page} written in {time.monotonic() - began:.0f} s")
-        return 0
-
-    def _write(self, campaign: Campaign, only: Sequence[str]) -> Path:
-        """Write ``report.html`` and, if parts have figures, ``<name>.json``; returns the page."""
-        document: dict[str, object] = {}
+        seed, runs = getattr(options, "seed", 0), getattr(options, "runs", 0)
+        campaign = Campaign(options.output, options.workers, options.quick, seed, runs, say)
         notice = self.notice(campaign)
         chapters: list[Chapter] = []
         with styled():
-            for name, make in self.parts.items():
-                if name in only:
-                    campaign.say(f"{name} ...")
-                    part = make(campaign)
-                    chapters += part.chapters
-                    if part.figures:
-                        document[name] = part.figures
+            for name, part in self.parts.items():
+                if name in options.only:
+                    say(f"{name} ...")
+                    chapters += part(campaign)
             page = write_report(campaign.folder, self.title, notice, chapters)
-        if document:
-            text = json.dumps({"quick": campaign.quick, **document}, indent=2, allow_nan=False)
+        if campaign.figures:
+            document = {"quick": campaign.quick, **campaign.figures}
+            text = json.dumps(document, indent=2, allow_nan=False)
             write_text(campaign.folder / f"{self.name}.json", text + "\n")
-        return page
+        say("")
+        print(f"{page} written in {time.monotonic() - began:.0f} s")
+        return 0
 
 
 def say(text: str) -> None:

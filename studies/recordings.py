@@ -1,25 +1,16 @@
-"""Real recordings, if the environment variable MR_DAMPER_DATA gives their folder.
-
-Earthquake records are predicted block by block in data time, with the core of the nodes.
-"""
+"""Real recordings, if the environment variable MR_DAMPER_DATA gives their folder."""
 
 from __future__ import annotations
 
 import os
 import re
 from dataclasses import replace
-from functools import cache
 from pathlib import Path
 
 import numpy as np
 
-from mr_damper_ros.api.replay import replay
-from mr_damper_ros.estimation.differential_evolution import EvolutionSettings
-from mr_damper_ros.estimation.global_fit import identify_global
 from mr_damper_ros.io.records import read_record
 from mr_damper_ros.kinematics.window import Window
-from mr_damper_ros.models import MODELS
-from mr_damper_ros.models.parameter_set import ParameterSet, start_set
 from mr_damper_ros.signals.arrays import Array
 from mr_damper_ros.signals.recording import Recording
 
@@ -55,26 +46,16 @@ def folder() -> Path | None:
     return path if place and path.is_dir() else None
 
 
-def processed_records(utfsm: Path) -> list[Recording]:
-    """The sinusoid records in ``processed``, whole, ramps included.
+def processed_motions(utfsm: Path) -> dict[str, list[Window]]:
+    """The sinusoid records in ``processed``, whole, ramps included, by amplitude and frequency.
 
     The file name contains amplitude, frequency and current. Raises ValueError for other names.
     """
-    return [processed(path)[1] for path in sorted((utfsm / "processed").glob("*.txt"))]
-
-
-def processed_motions(utfsm: Path) -> dict[str, list[Window]]:
-    """The same as windows, by amplitude and frequency."""
     motions: dict[str, list[Window]] = {}
     for path in sorted((utfsm / "processed").glob("*.txt")):
         motion, record = processed(path)
         motions.setdefault(motion, []).append(window_of(record))
     return motions
-
-
-def processed_windows(utfsm: Path) -> list[Window]:
-    """All processed sinusoid records."""
-    return [window for windows in processed_motions(utfsm).values() for window in windows]
 
 
 def processed(path: Path) -> tuple[str, Recording]:
@@ -94,7 +75,6 @@ _PERIOD = 1e-3
 _SMOOTHED = 300
 """Length of the moving average that the authors of the records applied [samples]."""
 
-_BLOCK = 20
 _MOVING = 1e-4
 """Distance from the initial position [m] at which the motion has begun."""
 
@@ -114,19 +94,6 @@ def unsmoothed_earthquakes(utfsm: Path) -> list[Recording]:
         )
         for number, current in enumerate(EARTHQUAKE_CURRENTS)
     ]
-
-
-@cache
-def sinusoid_set(utfsm: Path, model: str) -> ParameterSet:
-    """The set of ``model`` for all processed sinusoid records."""
-    windows = processed_windows(utfsm)
-    start = start_set(model).values
-    return identify_global(MODELS[model], windows, start, EvolutionSettings()).parameter_set
-
-
-def predicted(record: Recording, start: ParameterSet, *, identify: bool) -> Array:
-    """Force [N] predicted block by block, with or without the identifier; shape (n,)."""
-    return replay(record, start, identify=identify, block_size=_BLOCK).predicted
 
 
 def fit_percent(record: Recording, force: Array) -> float:

@@ -6,7 +6,7 @@ reads the absolute accelerations of the floors.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from functools import cache
 from typing import Any, NamedTuple
 
@@ -24,10 +24,15 @@ from mr_damper_ros.signals.blocks import RigBlock
 from mr_damper_ros.tracking.predictor import PredictorSettings
 from studies.control import ground_motion
 from studies.control.ground_motion import GroundMotion
-from studies.control.recorded_damper import recorded_damper
-from studies.control.shear_building import BUILDINGS, STOREYS, ShearBuilding, StateEstimator
-from studies.drawing import bars, chart, draw_rows, line, name_rows, table
-from studies.program import Campaign, Part
+from studies.control.shear_building import (
+    BUILDINGS,
+    STOREYS,
+    ShearBuilding,
+    StateEstimator,
+    recorded_damper,
+)
+from studies.drawing import bars, chapter, chart, draw_rows, line, name_rows, table
+from studies.program import Campaign
 from studies.recordings import rms
 
 DAMPERS = 4
@@ -227,7 +232,7 @@ Buildings = Mapping[tuple[str, tuple[str, str], float], Any]
 """Results of :func:`simulate` by controller, building and earthquake, and lag of the coils."""
 
 
-def buildings_part(campaign: Campaign) -> Part:
+def buildings_part(campaign: Campaign) -> Iterator[Chapter]:
     """All buildings and earthquakes, and the chapter on them."""
     keys = [(each, case, LAG) for case in CASES for each in (UNCONTROLLED, *STRATEGIES)]
     keys += [(strategy, _SHOWN, 0.0) for strategy in STRATEGIES]
@@ -259,55 +264,51 @@ def buildings_part(campaign: Campaign) -> Part:
     for strategy in STRATEGIES:
         known = _RECREATED.get(strategy, (None, None))
         compared.append((strategy, *_parts(found, strategy, _SHOWN, 0.0)[:2], *known))
-    chapter = Chapter(
+    yield chapter(
         "buildings",
         "Buildings in earthquakes",
         "the weighted inverse is better than passive-on and bang-bang in both RMS criteria in "
         f"{won} of {len(CASES)} cases, with at most {fastest:.0f} reversals of the current per "
         "second.",
-        [
-            "The buildings have three storeys and dampers between ground and first floor. Masses, "
-            "stiffness, damping, weights and estimator are those of the hybrid simulations of "
-            "D. Maurel (Universidad Técnica Federico Santa María, "
-            "github.com/DanielMaurelE/vRTHS_AMBC_MRdamper). Building I has 1000 kg per floor and "
-            "5 % damping, II 1100 kg and 4 %, III 1300 kg and 3 %. "
-            f"{DAMPERS} dampers act in parallel, with 0 to {HIGHEST_CURRENT:g} A. All ground "
-            f"motions are scaled to {SCALE:.0%}.",
-            "The damper is the extended sigmoid law, identified by this package from the twenty "
-            "sinusoid records of the same repository (MIT licence, © 2022 mequiroz); the authors "
-            "use a Bouc–Wen law. Outside the peak velocities of the records, 15 to 63 mm/s, the "
-            "coefficients are held at the limits.",
-            "El Centro is the record of 1940. Two INVENTED motions, noise with a Kanai–Tajimi "
-            "spectrum and a fixed seed, replace Kobe and Maule, which the benchmark also uses. "
-            "Only the figures of El Centro can be compared with published ones.",
-            "Bang-bang is the authors' controller: every millisecond, it commands full current if "
-            "the dampers should exert a larger force, otherwise none. Both inverses command the "
-            "current for the desired force every 5 ms, as the node does. The weighted inverse also "
-            "weights the acceleration of the roof "
-            f"({_CHOSEN.displacement:.0e} x², {_CHOSEN.acceleration:.0e} a², {_CHOSEN.force:g} "
-            "F²). Its weights are the best of five sets tried on another invented earthquake. "
-            "While the motion is unknown, both inverses command full current. A reversal of the "
-            f"current is a return by more than {REVERSAL:g} A.",
-            _bars(found),
-            _histories(found),
-            table(
-                "buildings",
-                f"Results in percent of the building without dampers; coil lag {1e3 * LAG:.0f} ms.",
-                "building | earthquake | controller | RMS displ. | RMS accel. | peak displ. | "
-                "peak accel. | force (kN) | reversals/s",
-                rows,
-            ),
-            table(
-                "recreated",
-                "Building I, El Centro, no lag of the coil: RMS displacement and acceleration in "
-                "percent, here and as reproduced by others with the damper of the benchmark.",
-                "controller | displ. | accel. | published displ. | published accel.",
-                compared,
-            ),
-        ],
+        "The buildings have three storeys and dampers between ground and first floor. Masses, "
+        "stiffness, damping, weights and estimator are those of the hybrid simulations of D. "
+        "Maurel (Universidad Técnica Federico Santa María, "
+        "github.com/DanielMaurelE/vRTHS_AMBC_MRdamper). Building I has 1000 kg per floor and 5 % "
+        f"damping, II 1100 kg and 4 %, III 1300 kg and 3 %. {DAMPERS} dampers act in parallel, "
+        f"with 0 to {HIGHEST_CURRENT:g} A. All ground motions are scaled to {SCALE:.0%}.",
+        "The damper is the extended sigmoid law, identified by this package from the twenty "
+        "sinusoid records of the same repository (MIT licence, © 2022 mequiroz); the authors use a "
+        "Bouc–Wen law. Outside the peak velocities of the records, 15 to 63 mm/s, the coefficients "
+        "are held at the limits.",
+        "El Centro is the record of 1940. Two INVENTED motions, noise with a Kanai–Tajimi spectrum "
+        "and a fixed seed, replace Kobe and Maule, which the benchmark also uses. Only the figures "
+        "of El Centro can be compared with published ones.",
+        "Bang-bang is the authors' controller: every millisecond, it commands full current if the "
+        "dampers should exert a larger force, otherwise none. Both inverses command the current "
+        "for the desired force every 5 ms, as the node does. The weighted inverse also weights the "
+        f"acceleration of the roof ({_CHOSEN.displacement:.0e} x², {_CHOSEN.acceleration:.0e} a², "
+        f"{_CHOSEN.force:g} F²). Its weights are the best of five sets tried on another invented "
+        "earthquake. While the motion is unknown, both inverses command full current. A reversal "
+        f"of the current is a return by more than {REVERSAL:g} A.",
+        _bars(found),
+        _histories(found),
+        table(
+            "buildings",
+            f"Results in percent of the building without dampers; coil lag {1e3 * LAG:.0f} ms.",
+            "building | earthquake | controller | RMS displ. | RMS accel. | peak displ. | "
+            "peak accel. | force (kN) | reversals/s",
+            rows,
+        ),
+        table(
+            "recreated",
+            "Building I, El Centro, no lag of the coil: RMS displacement and acceleration in "
+            "percent, here and as reproduced by others with the damper of the benchmark.",
+            "controller | displ. | accel. | published displ. | published accel.",
+            compared,
+        ),
     )
     figures = {"cases": len(CASES), "won": won, "reversals_per_second": fastest}
-    return Part([chapter], figures)
+    campaign.figures["buildings"] = figures
 
 
 def _parts(found: Buildings, strategy: str, case: tuple[str, str], lag: float) -> list[float]:

@@ -6,25 +6,15 @@ current of the damper from the measurements of a rig.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from functools import cache
 from typing import Any
 
 import numpy as np
 
+from mr_damper_ros.control import semi_active
 from mr_damper_ros.control.force_controller import ForceController, ForceControlSettings
 from mr_damper_ros.control.linear_plant import Bump, IsoRoad, QuarterCar
-from mr_damper_ros.control.semi_active import (
-    Controller,
-    Weights,
-    acceleration_driven,
-    groundhook,
-    hybrid,
-    linear_feedback,
-    mixed_skyhook_add,
-    optimal_gain,
-    skyhook,
-)
 from mr_damper_ros.emulation import plant_rig
 from mr_damper_ros.emulation.commanded_rig import Choice, ForceChoice, commanded
 from mr_damper_ros.emulation.emulator import (
@@ -39,8 +29,8 @@ from mr_damper_ros.models.parameter_set import ParameterSet
 from mr_damper_ros.report.document import GREY, INK, MARKS, Chapter, Picture, legend_above
 from mr_damper_ros.rig.sources.emulated_source import suspension_state_of
 from mr_damper_ros.tracking.engine import Engine
-from studies.drawing import bars, chart, draw_rows, line, name_rows, table
-from studies.program import Campaign, Part
+from studies.drawing import bars, chapter, chart, draw_rows, line, name_rows, table
+from studies.program import Campaign
 from studies.recordings import rms
 
 CAR = QuarterCar()
@@ -63,13 +53,15 @@ OFF, ON = "passive-off", "passive-on"
 SOFT, HARD = 700.0, 4000.0
 """Dampings [N s/m] between which ADD and SH-ADD switch."""
 
-CONTROLLERS: dict[str, Controller] = {
-    "skyhook": skyhook(2500.0),
-    "groundhook": groundhook(2500.0),
-    "hybrid": hybrid(3500.0, 0.6),
-    "ADD": acceleration_driven(SOFT, HARD),
-    "SH-ADD": mixed_skyhook_add(SOFT, HARD, 12.0),
-    "clipped-optimal": linear_feedback(optimal_gain(CAR, Weights())),
+CONTROLLERS: dict[str, semi_active.Controller] = {
+    "skyhook": semi_active.skyhook(2500.0),
+    "groundhook": semi_active.groundhook(2500.0),
+    "hybrid": semi_active.hybrid(3500.0, 0.6),
+    "ADD": semi_active.acceleration_driven(SOFT, HARD),
+    "SH-ADD": semi_active.mixed_skyhook_add(SOFT, HARD, 12.0),
+    "clipped-optimal": semi_active.linear_feedback(
+        semi_active.optimal_gain(CAR, semi_active.Weights())
+    ),
 }
 """Controllers, each with the same settings on all roads; none was tuned to a road."""
 
@@ -118,7 +110,10 @@ def car_rig(
 
 
 def force_choice(
-    rig: PlantRig, known: ParameterSet, controller: Controller, engine: Engine | None = None
+    rig: PlantRig,
+    known: ParameterSet,
+    controller: semi_active.Controller,
+    engine: Engine | None = None,
 ) -> ForceChoice:
     """The nodes `suspension` and `controller` in one object, with an engine that identifies."""
     settings = ForceControlSettings(highest_current=HIGHEST_CURRENT)
@@ -169,7 +164,7 @@ def drive(strategy: str, road: str, lag: float, duration: float) -> dict[str, An
     }
 
 
-def roads_part(campaign: Campaign) -> Part:
+def roads_part(campaign: Campaign) -> Iterator[Chapter]:
     """All drives, and the chapters on them."""
     duration = 4.0 if campaign.quick else 12.0
     keys = [(strategy, road, LAG) for road in (*SPEEDS, BUMP_ROAD) for strategy in STRATEGIES]
@@ -197,13 +192,11 @@ def roads_part(campaign: Campaign) -> Part:
         f"{off['holding']:.0%} for passive-off, {on['comfort']:.2f} m/s² and {on['holding']:.0%} "
         "for passive-on."
     )
-    chapters = [
-        _damper_chapter(),
-        _roads_chapter(drives, duration, told),
-        _bump_chapter(drives, name),
-        _lag_chapter(drives),
-    ]
-    return Part(chapters, {"best": best, "worst": against_passive})
+    campaign.figures["roads"] = {"best": best, "worst": against_passive}
+    yield _damper_chapter()
+    yield _roads_chapter(drives, duration, told)
+    yield _bump_chapter(drives, name)
+    yield _lag_chapter(drives)
 
 
 def _best_on(drives: Drives, road: str) -> str:
@@ -237,24 +230,21 @@ def _damper_chapter() -> Chapter:
     axes[0, 0].set(xlabel="velocity (m/s)", ylabel="force (kN)")
     axes[0, 1].set(xlabel="displacement (mm)")
     legend_above(axes[0, 0], 5)
-    return Chapter(
+    return chapter(
         "damper",
         "The damper and the car",
         "an invented damper with known parameters, in a quarter car.",
-        [
-            "The damper is invented, so that its parameters are known exactly, and as large as the "
-            "damper of the thesis. It obeys the extended sigmoid law with a compliance, a gas "
-            f"spring and a coil, for 0 to {HIGHEST_CURRENT:g} A. At 71 °C it has 74 % of its "
-            "force, like the damper of the thesis. Its force is computed at 2 kHz and measured at "
-            "1 kHz with 5.53 N of noise; the current is commanded every 5 ms.",
-            f"The car has a body of {CAR.body:.0f} kg and a wheel of {CAR.wheel:.0f} kg, a spring "
-            f"of {1e-3 * CAR.spring:.0f} kN/m and a tyre of {1e-3 * CAR.tyre:.0f} kN/m (Savaresi "
-            "et al., Semi-Active Suspension Control Design for Vehicles, 2010). Tyre and spring "
-            "are linear: the wheel does not leave the road, and the suspension has no end stops. "
-            "The controllers receive the true motion of body and wheel; the study contains no "
-            "sensors of the car.",
-            picture,
-        ],
+        "The damper is invented, so that its parameters are known exactly, and as large as the "
+        "damper of the thesis. It obeys the extended sigmoid law with a compliance, a gas spring "
+        f"and a coil, for 0 to {HIGHEST_CURRENT:g} A. At 71 °C it has 74 % of its force, like the "
+        "damper of the thesis. Its force is computed at 2 kHz and measured at 1 kHz with 5.53 N of "
+        "noise; the current is commanded every 5 ms.",
+        f"The car has a body of {CAR.body:.0f} kg and a wheel of {CAR.wheel:.0f} kg, a spring of "
+        f"{1e-3 * CAR.spring:.0f} kN/m and a tyre of {1e-3 * CAR.tyre:.0f} kN/m (Savaresi et al., "
+        "Semi-Active Suspension Control Design for Vehicles, 2010). Tyre and spring are linear: "
+        "the wheel does not leave the road, and the suspension has no end stops. The controllers "
+        "receive the true motion of body and wheel; the study contains no sensors of the car.",
+        picture,
     )
 
 
@@ -276,30 +266,28 @@ def _roads_chapter(drives: Drives, duration: float, told: str) -> Chapter:
                 )
             )
     speeds = ", ".join(f"{road} {speed:.0f} m/s" for road, speed in SPEEDS.items())
-    return Chapter(
+    return chapter(
         "roads",
         "Roads A to E",
         told,
-        [
-            "Each road is a sum of sines of random phases with the density of its class, the same "
-            f"for every controller; {speeds}. After {SETTLED:.0f} s, in which the estimate of the "
-            f"motion settles, {duration - SETTLED:.0f} s are evaluated. Every controller has one "
-            "setting for all roads; none was tuned to a road.",
-            _trade_off(drives),
-            _by_road(drives),
-            _spectra(drives),
-            table(
-                "roads",
-                f"Results with a coil lag of {1e3 * LAG:.0f} ms. Comfort: RMS acceleration of the "
-                "body. Holding: RMS deviation of the tyre load from the static load, relative to "
-                "it. Travel: RMS suspension stroke. Power: mean power dissipated by the damper. "
-                "Coil: mean square of its current. Met: fraction of the time in which the desired "
-                "force was attainable. Changes are relative to passive-off on the same road.",
-                "road | controller | comfort (m/s²) | change (%) | holding (%) | change (%) | "
-                "travel (mm) | power (W) | coil (A²) | met (%)",
-                rows,
-            ),
-        ],
+        "Each road is a sum of sines of random phases with the density of its class, the same for "
+        f"every controller; {speeds}. After {SETTLED:.0f} s, in which the estimate of the motion "
+        f"settles, {duration - SETTLED:.0f} s are evaluated. Every controller has one setting for "
+        "all roads; none was tuned to a road.",
+        _trade_off(drives),
+        _by_road(drives),
+        _spectra(drives),
+        table(
+            "roads",
+            f"Results with a coil lag of {1e3 * LAG:.0f} ms. Comfort: RMS acceleration of the "
+            "body. Holding: RMS deviation of the tyre load from the static load, relative to it. "
+            "Travel: RMS suspension stroke. Power: mean power dissipated by the damper. Coil: mean "
+            "square of its current. Met: fraction of the time in which the desired force was "
+            "attainable. Changes are relative to passive-off on the same road.",
+            "road | controller | comfort (m/s²) | change (%) | holding (%) | change (%) | "
+            "travel (mm) | power (W) | coil (A²) | met (%)",
+            rows,
+        ),
     )
 
 
@@ -329,26 +317,24 @@ def _bump_chapter(drives: Drives, best: str) -> Chapter:
         time="time since the bump (s)",
     )
     legend_above(axes[0, 0], 4)
-    return Chapter(
+    return chapter(
         "bump",
         "A bump",
         f"over the bump, the acceleration of the body is {over[best]['comfort']:.2f} m/s² (RMS; "
         f"peak {over[best]['highest']:.1f}) with {best}, and {over[OFF]['comfort']:.2f} m/s² (peak "
         f"{over[OFF]['highest']:.1f}) with passive-off.",
-        [
-            f"The bump is a cosine of {1e3 * BUMP.height:.0f} mm by {BUMP.length:g} m, passed at "
-            f"{BUMP.speed:g} m/s on a road of class A, {BUMP.start:g} s after the start. A "
-            "controller commands the safe current, 0 A, until the motion is known; peaks are "
-            f"evaluated from {SETTLED:g} s on.",
-            picture,
-            table(
-                "bump",
-                "Peaks of the acceleration of the body, of the deviation of the tyre load from the "
-                "static load, and of the suspension stroke; RMS acceleration of the body.",
-                "controller | peak (m/s²) | load (kN) | travel (mm) | RMS (m/s²)",
-                rows,
-            ),
-        ],
+        f"The bump is a cosine of {1e3 * BUMP.height:.0f} mm by {BUMP.length:g} m, passed at "
+        f"{BUMP.speed:g} m/s on a road of class A, {BUMP.start:g} s after the start. A controller "
+        "commands the safe current, 0 A, until the motion is known; peaks are evaluated from "
+        f"{SETTLED:g} s on.",
+        picture,
+        table(
+            "bump",
+            "Peaks of the acceleration of the body, of the deviation of the tyre load from the "
+            "static load, and of the suspension stroke; RMS acceleration of the body.",
+            "controller | peak (m/s²) | load (kN) | travel (mm) | RMS (m/s²)",
+            rows,
+        ),
     )
 
 
@@ -367,23 +353,20 @@ def _lag_chapter(drives: Drives) -> Chapter:
         drives[each, _ROAD, LAG]["comfort"] / drives[each, _ROAD, 0.0]["comfort"]
         for each in CONTROLLERS
     )
-    return Chapter(
+    return chapter(
         "lag",
         "With and without lag of the coil",
         f"a coil lag of 10 ms increases the acceleration of the body by at most {worst - 1.0:.0%} "
         "on road C.",
-        [
-            "The coil current follows the supply current with a first-order lag of "
-            f"{1e3 * LAG:.0f} ms. The controller knows this lag and compensates for it within the "
-            "limits of the supply.",
-            table(
-                "lag",
-                f"Results without and with a coil lag of {1e3 * LAG:.0f} ms.",
-                "controller | road | comfort, none (m/s²) | 10 ms | change (%) | "
-                "holding, none (%) | 10 ms | change (%)",
-                rows,
-            ),
-        ],
+        f"The coil current follows the supply current with a first-order lag of {1e3 * LAG:.0f} "
+        "ms. The controller knows this lag and compensates for it within the limits of the supply.",
+        table(
+            "lag",
+            f"Results without and with a coil lag of {1e3 * LAG:.0f} ms.",
+            "controller | road | comfort, none (m/s²) | 10 ms | change (%) | holding, none (%) | "
+            "10 ms | change (%)",
+            rows,
+        ),
     )
 
 
@@ -453,8 +436,8 @@ def _spectra(drives: Drives) -> Picture:
 
     picture, axes = chart(
         "spectra",
-        f"Spectral density of the body's acceleration on road {_ROAD}; coil lag "
-        f"{1e3 * LAG:.0f} ms (Welch's method, segments of 4 s).",
+        f"Spectral density of the body's acceleration on road {_ROAD}; coil lag {1e3 * LAG:.0f} ms "
+        "(Welch's method, segments of 4 s).",
         (1, 1, 5.6, 3.0),
     )
     for place, strategy in enumerate(_shown(drives)):

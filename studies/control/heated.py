@@ -7,6 +7,7 @@ the coil. Even with the true set, the error exceeds half of that force.
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
@@ -19,8 +20,8 @@ from mr_damper_ros.report.document import Chapter, legend_above
 from mr_damper_ros.signals.arrays import Array
 from mr_damper_ros.tracking.engine import Engine, EngineSettings
 from studies.control.car import BLOCK, CAR, LAG, STATIC_LOAD, car_rig, force_choice
-from studies.drawing import chart, draw_rows, line, name_rows, table
-from studies.program import Campaign, Part
+from studies.drawing import chapter, chart, draw_rows, line, name_rows, table
+from studies.program import Campaign
 
 _THERMAL = ThermalModel(capacity=215.0)
 """Half of the usual heat capacity, which permits a short drive."""
@@ -96,7 +97,7 @@ def _ends(series: Array) -> tuple[list[float], list[float]]:
     return errors, shares
 
 
-def heated_part(campaign: Campaign) -> Part:
+def heated_part(campaign: Campaign) -> Iterator[Chapter]:
     """Loss with an old set."""
     duration = 40.0 if campaign.quick else 90.0
     tasks = [{"learns": learns, "duration": duration} for learns in _NAMES]
@@ -127,29 +128,26 @@ def heated_part(campaign: Campaign) -> Part:
     name_rows(axes, "temperature (°C)", "force error (%)", "force achieved (%)")
     axes[1, 0].set(ylim=(0.0, None))
     legend_above(axes[0, 0], 2)
-    chapter = Chapter(
+    yield chapter(
         "heated",
         "While the damper heats from 28 °C",
         f"with the set of 28 °C, the force error at the end is {growth[False]:.2f} times the error "
         f"at the beginning; with the set identified on line, {growth[True]:.2f} times.",
-        [
-            f"The car drives on road {_ROAD} with a coil lag of 10 ms. The desired force is that "
-            f"of a viscous damper of {_DAMPING:.0f} N s/m. The dissipated power heats the damper, "
-            "which loses 26 % of its force up to 71 °C and none above. The identifier tracks it by "
-            "windows of the measured motion, force and current, and the controller uses each "
-            "accepted set. Most of the error is caused by the lag of the coil, not by the set.",
-            picture,
-            table(
-                "heated",
-                "Results for the time in which the desired force was attainable: first, from "
-                f"{_BEGINNING[0]:g} to {_BEGINNING[1]:g} s, and last, in the last {_END:g} s. "
-                "Error: RMSE over the RMS of the desired force. Achieved: least-squares fraction "
-                "of the desired force that the damper exerted.",
-                "set | hottest (°C) | error, first (%) | error, last (%) | last/first | "
-                "achieved, first (%) | achieved, last (%) | comfort (m/s²) | holding (%) | "
-                "accepted sets",
-                rows,
-            ),
-        ],
+        f"The car drives on road {_ROAD} with a coil lag of 10 ms. The desired force is that of a "
+        f"viscous damper of {_DAMPING:.0f} N s/m. The dissipated power heats the damper, which "
+        "loses 26 % of its force up to 71 °C and none above. The identifier tracks it by windows "
+        "of the measured motion, force and current, and the controller uses each accepted set. "
+        "Most of the error is caused by the lag of the coil, not by the set.",
+        picture,
+        table(
+            "heated",
+            "Results for the time in which the desired force was attainable: first, from "
+            f"{_BEGINNING[0]:g} to {_BEGINNING[1]:g} s, and last, in the last {_END:g} s. Error: "
+            "RMSE over the RMS of the desired force. Achieved: least-squares fraction of the "
+            "desired force that the damper exerted.",
+            "set | hottest (°C) | error, first (%) | error, last (%) | last/first | achieved, "
+            "first (%) | achieved, last (%) | comfort (m/s²) | holding (%) | accepted sets",
+            rows,
+        ),
     )
-    return Part([chapter], {"fixed": growth[False], "identified": growth[True]})
+    campaign.figures["heated"] = {"fixed": growth[False], "identified": growth[True]}

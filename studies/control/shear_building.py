@@ -5,7 +5,9 @@ masses, stiffness, damping, controller and criteria are those that D. Maurel pub
 scripts (github.com/DanielMaurelE/vRTHS_AMBC_MRdamper, folders Cap8_DisenoControlMR and
 Cap10_vRTHS); the stiffness is that of the benchmark of Silva, Gomez, Maghareh, Dyke and Spencer,
 Mechanical Systems and Signal Processing 135, 2020. The estimator is that of Anderson and Moore,
-Optimal Control: Linear Quadratic Methods, 1990.
+Optimal Control: Linear Quadratic Methods, 1990. The damper was identified by this package from the
+twenty sinusoid records of an MR damper in the same repository (MIT licence, © 2022 mequiroz). Their
+currents are constant, so they give no information about the coil.
 """
 
 from __future__ import annotations
@@ -16,6 +18,9 @@ import numpy as np
 from scipy.linalg import expm, solve_continuous_are
 
 from mr_damper_ros.control.linear_plant import LinearPlant
+from mr_damper_ros.models import MODELS
+from mr_damper_ros.models.first_order_lag import COIL
+from mr_damper_ros.models.parameter_set import ParameterSet
 from mr_damper_ros.signals.arrays import Array
 
 STOREYS = 3
@@ -104,3 +109,38 @@ class StateEstimator:
         """The states (n,) one period later, for a constant force [N] and constant outputs (k,)."""
         self.states = self._step @ np.concatenate([self.states, (force,), outputs])
         return self.states
+
+
+_DAMPER = {
+    "f0": 64.595135,
+    "I0": -0.47949810,
+    "I1": 0.492,
+    "a0": 695.36189,
+    "a1": 0.036241897,
+    "a2": 3.2626734,
+    "a3": 82.907410,
+    "a4": -9.4422296,
+    "k0": 73.941558,
+    "k1c": 3.6203654,
+    "k1e": 3.8709135,
+    "k2": 10.685450,
+    "k3": -67.9,
+    "k4": -0.043652854,
+    "k5": -0.014642521,
+    "k6": -0.014359756,
+    "compliance": 1.5061225e-07,
+    "stiffness": 797.75380,
+    "offset": -0.34959565,
+}
+
+
+def recorded_damper(coil_time_constant: float) -> ParameterSet:
+    """Parameter set of the damper, with the time constant of the coil [s]."""
+    values = {**_DAMPER, COIL: coil_time_constant}
+    return ParameterSet(
+        np.array([values[name] for name in MODELS["sigmoid_lag"].parameter_names]),
+        set_id="recorded",
+        model="sigmoid_lag",
+        peak_velocity_range=(0.0148, 0.0630),
+        current_range=(0.0, 1.0),
+    )

@@ -59,8 +59,8 @@ def _chosen(options: argparse.Namespace) -> list[Condition]:
     for condition in conditions:
         if not (options.errata or is_clean(condition)):
             raise ValueError(
-                f"{condition.name} is an erratum ({ERRATA[condition]}): "
-                "add --errata to make it nevertheless"
+                f"{condition.name} is an erratum ({ERRATA[condition]}): add --errata to make it "
+                "nevertheless"
             )
     return conditions
 
@@ -81,8 +81,8 @@ def _make(options: argparse.Namespace) -> int:
         write_bag(path, synthesise(condition, seed=options.seed), overwrite=options.overwrite)
     say("")
     print(
-        f"{len(paths)} {'bag' if len(paths) == 1 else 'bags'} in {options.folder}, "
-        "re-synthesised from the published parameter sets; not the original recordings"
+        f"{len(paths)} {'bag' if len(paths) == 1 else 'bags'} in {options.folder}, re-synthesised "
+        "from the published parameter sets; not the original recordings"
     )
     marked = [path.name for path, condition in paths.items() if condition in ERRATA]
     if marked:

@@ -1,10 +1,12 @@
-"""All conditions: both published sets, our own identification of the run, and their loops.
+"""All conditions, and how the force depends on current, frequency, displacement and temperature.
 
-Thesis tables 17-40, figures 60-90.
+All conditions (thesis tables 17-40, figures 60-90): both published sets, our own identification of
+the run, and their loops. Dependencies: thesis 4.1-4.5, figures 29-36, tables 8 and 9.
 """
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Iterator
 from itertools import product
 from typing import Any
 
@@ -20,23 +22,19 @@ from mr_damper_ros.models.published import (
     find,
     parameters,
 )
+from mr_damper_ros.models.published import THESIS_28_CELSIUS as COLD
+from mr_damper_ros.models.published import THESIS_71_CELSIUS as WARM
 from mr_damper_ros.models.sigmoid.law import COEFFICIENT_NAMES, PARAMETER_NAMES
-from mr_damper_ros.report.document import (
-    DASHES,
-    INK,
-    Block,
-    Chapter,
-    Picture,
-    Table,
-    legend_above,
-    to_error,
-    with_error,
-)
+from mr_damper_ros.report import document
 from mr_damper_ros.signals.arrays import Array
-from studies.drawing import chart, table
-from studies.program import Campaign, Part
-from studies.thesis.errata import METHOD_TITLES, disagreement, find_errata
+from studies.drawing import chapter, chart, line, table
+from studies.program import Campaign
+from studies.thesis import facts
+from studies.thesis.errata import METHOD_TITLES, disagreement, find_errata, sound_conditions
+from studies.thesis.facts import Compared, comparison
 from studies.thesis.runs import ACROSS, coefficients, draw_loop, loop, title, top_speed, window
+
+# -- all conditions --------------------------------------------------------------------------------
 
 _UNITS = ("N", "s/m", "s/m", "s/m", "mm/s", "mm/s", "N")
 COEFFICIENT_UNITS = dict(zip(COEFFICIENT_NAMES, _UNITS, strict=True))
@@ -92,12 +90,12 @@ def _mark(condition: Condition, method: str) -> str:
     return " *" if (condition, method) in find_errata() else ""
 
 
-def conditions_part(campaign: Campaign) -> Part:
+def conditions_part(campaign: Campaign) -> Iterator[document.Chapter]:
     """The chapter on all conditions."""
     runs = identified(campaign)
     sound = [condition for condition in CONDITIONS if not _mark(condition, _SIMPLEX)]
     worst = max(runs[each.name]["published"][_SIMPLEX]["difference"] for each in sound)
-    blocks: list[Block] = [
+    blocks: list[document.Block] = [
         "For each run, Nelder–Mead identifies seven operating-point coefficients, starting from "
         "the literature set. The loops are compared with those of both published sets. A run is "
         "synthesised from the Nelder–Mead set, so our loop must agree with its loop to within the "
@@ -126,15 +124,15 @@ def conditions_part(campaign: Campaign) -> Part:
         "acceleration changes its sign, and the loop changes its branch.",
     ]
     for current in sorted({condition.current for condition in CONDITIONS}):
-        blocks += [_loops(runs, current, against) for against in ACROSS]
+        blocks += [_all_loops(runs, current, against) for against in ACROSS]
     told = (
         f"in {len(sound)} sound conditions our loop is within {100 * worst:.2f} % of the published "
         "Nelder–Mead loop."
     )
-    return Part([Chapter("conditions", "All conditions", told, blocks)])
+    yield chapter("conditions", "All conditions", told, *blocks)
 
 
-def _overview(runs: Runs) -> Table:
+def _overview(runs: Runs) -> document.Table:
     rows = []
     for condition in CONDITIONS:
         run = runs[condition.name]
@@ -159,16 +157,16 @@ def _overview(runs: Runs) -> Table:
     )
 
 
-def _coefficients(runs: Runs, sound: list[Condition]) -> Table:
+def _coefficients(runs: Runs, sound: list[Condition]) -> document.Table:
     rows: list[tuple[str, ...]] = []
     for condition in sound:
         run, name = runs[condition.name], title(condition.name)
         ours, errors = (_SCALES * run[key] for key in ("coefficients", "errors"))
-        rows.append((name, "ours", *map(with_error, ours, errors)))
+        rows.append((name, "ours", *map(document.with_error, ours, errors)))
         for method in PUBLISHED_METHODS:
             theirs = _SCALES * published_coefficients(condition, method)
             label = METHOD_TITLES[method] + _mark(condition, method)
-            rows.append((name, label, *map(to_error, theirs, errors)))
+            rows.append((name, label, *map(document.to_error, theirs, errors)))
     heads = (f"{name} [{unit}]" for name, unit in COEFFICIENT_UNITS.items())
     return table(
         "coefficients",
@@ -192,10 +190,9 @@ def _agreement(sound: list[Condition]) -> str:
     worst = max(changes, key=lambda name: changes[name][f_d])
     one, two = apart[worst]
     return (
-        f"Where the loops of both published sets agree to {100 * _AGREEING:.0f} % "
-        f"({len(apart)} conditions), f_t agrees to "
-        f"{100 * max(change[f_t] for change in changes.values()):.0f} %. The smaller coefficients "
-        "may differ, because they compensate for each other, as at "
+        f"Where the loops of both published sets agree to {100 * _AGREEING:.0f} % ({len(apart)} "
+        f"conditions), f_t agrees to {100 * max(change[f_t] for change in changes.values()):.0f} "
+        "%. The smaller coefficients may differ, because they compensate for each other, as at "
         f"{title(worst)}, where f_d is {one[f_d]:.1f} and {two[f_d]:.1f} N."
     )
 
@@ -207,13 +204,13 @@ def published_coefficients(condition: Condition, method: str) -> Array:
 
 
 _STYLES = {
-    METHOD_TITLES["nelder_mead"]: {"ls": DASHES[0], "color": INK[0], "lw": 1.8},
-    METHOD_TITLES["differential_evolution"]: {"ls": DASHES[1], "color": INK[1], "lw": 1.2},
-    "ours": {"ls": DASHES[2], "color": "0.75"},
+    METHOD_TITLES["nelder_mead"]: {**line(0), "linewidth": 1.8},
+    METHOD_TITLES["differential_evolution"]: {**line(1), "linewidth": 1.2},
+    "ours": {**line(2), "color": "0.75"},
 }
 
 
-def _loops(runs: Runs, current: float, against: str) -> Picture:
+def _all_loops(runs: Runs, current: float, against: str) -> document.Picture:
     picture, axes = chart(
         f"loops_{against}_{current:.1f}A",
         f"Force over {against} at {current:.1f} A (thesis Fig. {FIGURES[current]}).",
@@ -242,5 +239,171 @@ def _loops(runs: Runs, current: float, against: str) -> Picture:
         for name, values in sets.items():
             draw_loop(a, values, condition, against, label=name, **_STYLES[name])
         a.locator_params(axis="x", nbins=5)
-    legend_above(axes[0, 0], 3)
+    document.legend_above(axes[0, 0], 3)
+    return picture
+
+
+# -- dependencies ----------------------------------------------------------------------------------
+
+FREQUENCY_SERIES = tuple(find(f"5.0mm_{f}Hz_0.5A") for f in (1, 3, 5))
+STROKE_SERIES = tuple(find(f"{a:.1f}mm_1Hz_0.5A") for a in (2.5, 5.0, 7.5))
+CURRENT_SERIES = tuple(find(f"5.0mm_1Hz_{i:.1f}A") for i in (0.0, 0.5, 1.5))
+"""Without 1.0 A, because the tables of 5.0 mm repeat those of 0 A there."""
+
+HEATED = CURRENT_SERIES[-1]
+"""Condition of the sets of tables 8 and 9."""
+
+
+def peaks(values: Array) -> tuple[float, float]:
+    """Largest and smallest force [N] of a set (16,) in the condition of tables 8 and 9."""
+    force = loop(values, HEATED, points=2000).force
+    return float(force.max()), float(force.min())
+
+
+def dependency_part(campaign: Campaign) -> Iterator[document.Chapter]:
+    """The chapter on the four dependencies."""
+    runs = identified(campaign)
+
+    def half_span(condition: Condition) -> float:
+        return 0.5 * float(runs[condition.name]["maximum"] - runs[condition.name]["minimum"])
+
+    def slope(series: Iterable[Condition], steps: list[float]) -> float:
+        speeds = [runs[condition.name]["peak_velocity"] for condition in series]
+        return float(np.polyfit(steps, speeds, 1)[0])
+
+    def asymmetry(condition: Condition) -> float:
+        run = runs[condition.name]
+        return 100.0 * float(1.0 - abs(run["maximum"]) / abs(run["minimum"]))
+
+    groups: dict[str, tuple[list[float], list[float]]] = {}
+    for condition in sound_conditions():
+        key = f"{1e3 * condition.amplitude:.1f} mm, {condition.frequency:g} Hz"
+        currents, spans = groups.setdefault(key, ([], []))
+        currents.append(condition.current)
+        spans.append(half_span(condition))
+    by_frequency = [half_span(condition) for condition in FREQUENCY_SERIES]
+    spread = 100.0 * float(np.ptp(by_frequency) / np.mean(by_frequency))
+    rise, stroke = slope(FREQUENCY_SERIES, [1.0, 3.0, 5.0]), slope(STROKE_SERIES, [1.0, 2.0, 3.0])
+    ratio = half_span(STROKE_SERIES[2]) / half_span(STROKE_SERIES[1])
+    stated = facts.VELOCITY_PER_STROKE, facts.VELOCITY_PER_HERTZ
+    where = "4.3, Fig. 33"
+    below = "extension peak below compression peak (5 mm, 1 Hz,"
+    values: list[Compared] = [
+        (
+            *("peak velocity per 2.5 mm of amplitude (1 Hz, 0.5 A)", "m/s"),
+            *(stroke, stated[0], "4.4, Fig. 35"),
+        ),
+        ("peak velocity per 1 Hz (5 mm, 0.5 A)", "m/s", rise, stated[1], f"{where}; erratum"),
+        ("peak velocity per 2 Hz, the step of the tests", "m/s", 2.0 * rise, stated[1], where),
+        (
+            *("change of half the force span over 1–5 Hz (5 mm, 0.5 A)", "%"),
+            *(spread, "minimal", "4.3, Fig. 32; erratum"),
+        ),
+        (f"{below} 0.0 A)", "%", asymmetry(CURRENT_SERIES[0]), "asymmetric", "4.1, Fig. 29"),
+        *(
+            (
+                *(f"{below} {condition.current:.1f} A)", "%", asymmetry(condition)),
+                *(f"< {100.0 * facts.ASYMMETRY_LIMIT:.0f}", "4.1, Fig. 30"),
+            )
+            for condition in CURRENT_SERIES[1:]
+        ),
+        ("half the force span, 7.5 over 5.0 mm (1 Hz, 0.5 A)", "1", ratio, "< 1", "4.4, Fig. 34"),
+    ]
+    cold, warm, same = peaks(COLD), peaks(WARM), peaks(parameters(HEATED))
+    at_cold, at_warm, at_same = (max(map(abs, each)) for each in (cold, warm, same))
+    drop = 100.0 * (1.0 - at_warm / at_cold)
+    loss = 100.0 * (1.0 - facts.PEAK_WARM / facts.PEAK_COLD)
+    there = "peak force of the same condition in table 37"
+    heat: list[Compared] = [
+        ("peak force at 28 °C", "N", at_cold, facts.PEAK_COLD, "4.5, Fig. 36"),
+        ("peak force at 71 °C", "N", at_warm, facts.PEAK_WARM, "4.5, Fig. 36"),
+        ("loss of peak force", "%", drop, loss, "4.5"),
+        ("opposite peak at 28 °C", "N", cold[1], None, ""),
+        ("opposite peak at 71 °C", "N", warm[1], None, ""),
+        (there, "N", at_same, facts.PEAK_COLD, "Tables 37, 38"),
+    ]
+    sets = {"28 °C": COLD, "71 °C": WARM, "difference": WARM - COLD}
+    sets["stated, without sign"] = facts.HEATED
+    yield chapter(
+        "dependency",
+        "Dependency on current, frequency, displacement and temperature",
+        f"the peak force falls by {drop:.1f} % from 28 to 71 °C (thesis 26 %), the velocity rises "
+        f"by {stroke:.4f} m/s per 2.5 mm (thesis 0.015 m/s).",
+        "The forces are those of the loops identified from the re-synthesised runs. The thesis "
+        "states few numbers here; the tables compare them with ours. The figures show trends.",
+        _loops(
+            "current_dependency",
+            "Current dependency, 5 mm, 1 Hz (thesis Fig. 29–31). Published sets.",
+            [(f"{each.current:.1f} A", each, parameters(each)) for each in CURRENT_SERIES],
+        ),
+        table(
+            "current_slopes",
+            "Half the force span over current: least-squares slope, and slopes between "
+            "neighbouring currents. The last slope shows the saturation.",
+            "Amplitude, frequency | Slope [N/A] | Steps [N/A]",
+            [
+                (
+                    *(key, float(np.polyfit(currents, spans, 1)[0])),
+                    ", ".join(f"{step:.0f}" for step in np.diff(spans) / np.diff(currents)),
+                )
+                for key, (currents, spans) in groups.items()
+            ],
+        ),
+        _span_figure(groups),
+        _loops(
+            "frequency_dependency",
+            "Frequency dependency, 5 mm, 0.5 A (thesis Fig. 32, 33). Published sets.",
+            [(f"{each.frequency:g} Hz", each, parameters(each)) for each in FREQUENCY_SERIES],
+        ),
+        _loops(
+            "stroke_dependency",
+            "Displacement dependency, 1 Hz, 0.5 A (thesis Fig. 34, 35). Published sets.",
+            [(f"{1e3 * each.amplitude:.1f} mm", each, parameters(each)) for each in STROKE_SERIES],
+        ),
+        comparison("dependency", "Stated dependencies.", values),
+        comparison("temperature", "Force of the sets of tables 8 and 9.", heat),
+        table(
+            "temperature_parameters",
+            "Tables 8 and 9, and their difference. The signs of a0, a1, a2, I0, I1, k0 and k5 "
+            "differ: the two sets belong to different local minima, so their differences contain "
+            "no information about temperature.",
+            f"Temperature | {' | '.join(PARAMETER_NAMES)}",
+            [
+                (name, *(f"{value:.2f}".replace("-", "−") for value in each))
+                for name, each in sets.items()
+            ],
+        ),
+        _loops(
+            "temperature",
+            "Loops of the sets of tables 8 and 9: 5 mm, 1 Hz, 1.5 A (thesis Fig. 36).",
+            [("28 °C", HEATED, COLD), ("71 °C", HEATED, WARM)],
+        ),
+    )
+
+
+def _loops(name: str, caption: str, curves: list[tuple[str, Condition, Array]]) -> document.Picture:
+    picture, axes = chart(name, caption, (1, 2, 6.6, 2.8))
+    for a, against in zip(axes[0], ("displacement", "velocity"), strict=True):
+        for number, (label, condition, values) in enumerate(curves):
+            draw_loop(a, values, condition, against, label=label, **line(number))
+        a.set(xlabel=ACROSS[against], ylabel="Force [N]")
+    axes[0, 1].legend(loc="upper left")
+    return picture
+
+
+def _span_figure(groups: dict[str, Any]) -> document.Picture:
+    picture, axes = chart(
+        "force_over_current",
+        "Half the force span over the current, identified from the re-synthesised runs. 5.0 mm, "
+        "1.0 A is missing, because its tables are copies of those of 0 A.",
+        (1, 3, 6.8, 2.5),
+        *("Current [A]", "Half the force span [N]"),
+        sharey=True,
+    )
+    for a, amplitude in zip(axes[0], ("2.5 mm", "5.0 mm", "7.5 mm"), strict=True):
+        keys = [key for key in groups if key.startswith(amplitude)]
+        for number, key in enumerate(keys):
+            a.plot(*groups[key], label=key.split(", ")[1], **line(number, marked=True))
+        a.set(title=amplitude, ylim=(0, None))
+    axes[0, 0].legend(loc="upper left")
     return picture

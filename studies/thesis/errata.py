@@ -13,6 +13,7 @@ A row of tables 17-40 is in error if
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from functools import cache
 from itertools import product
 from typing import NamedTuple
@@ -30,8 +31,8 @@ from mr_damper_ros.models.published import (
 from mr_damper_ros.models.sigmoid.law import PARAMETER_NAMES, operating_point_coefficients
 from mr_damper_ros.report.document import Chapter, Picture
 from mr_damper_ros.signals.arrays import Array
-from studies.drawing import chart, line, table
-from studies.program import Campaign, Part
+from studies.drawing import chapter, chart, line, table
+from studies.program import Campaign
 from studies.thesis import facts
 from studies.thesis.runs import ACROSS, draw_loop, loop, title, top_speed
 
@@ -200,8 +201,8 @@ def statements() -> list[Statement]:
             "the two values in the same table give another difference",
         ),
         Statement(
-            "the force varies minimally with the frequency (4.3): half span at 5 Hz over 1 Hz "
-            "(5 mm, 0.5 A)",
+            "the force varies minimally with the frequency (4.3): half span at 5 Hz over 1 Hz (5 "
+            "mm, 0.5 A)",
             *(1.0, rates[1] / rates[0]),
             "rises by a fifth; the same section also says that the force increases",
         ),
@@ -243,7 +244,7 @@ def _largest_force(fastest: float) -> float:
     return float(yield_force * (1.0 + offset) * (1.0 + slope * fastest))
 
 
-def errata_part(campaign: Campaign) -> Part:
+def errata_part(campaign: Campaign) -> Iterator[Chapter]:
     """The chapter on errata."""
     found, rows, contradicted = find_errata(), [], statements()
     for row in product(CONDITIONS, PUBLISHED_METHODS):
@@ -257,44 +258,40 @@ def errata_part(campaign: Campaign) -> Part:
                     100.0 * disagreement(row[0]),
                 )
             )
-    chapter = Chapter(
+    yield chapter(
         "errata",
         "Errata",
         f"{len(found)} of {len(CONDITIONS) * len(PUBLISHED_METHODS)} rows are in error, and "
         f"{len(contradicted)} statements contradict numbers in the thesis.",
-        [
-            "Each row of tables 17–40 was checked by five criteria: copied from another current; "
-            "not dissipative; hysteresis reversed; force outside the range of its current (a "
-            "factor of two); implausible offset where the loops of both methods disagree. The "
-            "criteria use the loop, because several parameters may change their signs together "
-            "without a change of the loop. In this report, a condition is called sound if its "
-            f"Nelder–Mead row is sound: {len(sound_conditions())} of {len(CONDITIONS)}.",
-            table(
-                "errata_rows",
-                "Rows in error, and a sound row that looks like an error: in the Nelder–Mead row "
-                "of 7.5 mm, 3 Hz, 1.5 A, k4 is positive, but because of k3, a3 and I1 the "
-                "hysteresis velocity v_h/v_m is negative, as in all other rows. The last column is "
-                "the norm of the difference between the loops of both methods.",
-                "Condition | Method | Criteria failed | Half span [N] | Offset [N] | v_h/v_m [1] | "
-                "Methods differ by [%]",
-                rows,
-            ),
-            _loops(),
-            table(
-                "errata_statements",
-                "Statements that contradict numbers in the thesis.",
-                "Statement | Stated | Found | Verdict",
-                contradicted,
-            ),
-            "The second column of every table of appendix C says 0 A for all currents. The "
-            "captions are correct, except for table 20, which belongs to 5.0 mm. The caption of "
-            "figure 34 names the frequency, but the figure shows the displacement. Table 13 refers "
-            "to figure 53 for a0 and a4, which are in figures 44 and 45. The printed routine "
-            "overflows if its exponent is large: started from the literature set, it returns NaN "
-            "within a few hundred evaluations.",
-        ],
+        "Each row of tables 17–40 was checked by five criteria: copied from another current; not "
+        "dissipative; hysteresis reversed; force outside the range of its current (a factor of "
+        "two); implausible offset where the loops of both methods disagree. The criteria use the "
+        "loop, because several parameters may change their signs together without a change of the "
+        "loop. In this report, a condition is called sound if its Nelder–Mead row is sound: "
+        f"{len(sound_conditions())} of {len(CONDITIONS)}.",
+        table(
+            "errata_rows",
+            "Rows in error, and a sound row that looks like an error: in the Nelder–Mead row of "
+            "7.5 mm, 3 Hz, 1.5 A, k4 is positive, but because of k3, a3 and I1 the hysteresis "
+            "velocity v_h/v_m is negative, as in all other rows. The last column is the norm of "
+            "the difference between the loops of both methods.",
+            "Condition | Method | Criteria failed | Half span [N] | Offset [N] | v_h/v_m [1] | "
+            "Methods differ by [%]",
+            rows,
+        ),
+        _loops(),
+        table(
+            "errata_statements",
+            "Statements that contradict numbers in the thesis.",
+            "Statement | Stated | Found | Verdict",
+            contradicted,
+        ),
+        "The second column of every table of appendix C says 0 A for all currents. The captions "
+        "are correct, except for table 20, which belongs to 5.0 mm. The caption of figure 34 names "
+        "the frequency, but the figure shows the displacement. Table 13 refers to figure 53 for a0 "
+        "and a4, which are in figures 44 and 45. The printed routine overflows if its exponent is "
+        "large: started from the literature set, it returns NaN within a few hundred evaluations.",
     )
-    return Part([chapter])
 
 
 def _loops() -> Picture:

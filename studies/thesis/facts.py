@@ -1,10 +1,15 @@
-"""Numbers from the thesis, with their sources in it."""
+"""Numbers from the thesis, with their sources in it, and the table that compares ours with them."""
 
 from __future__ import annotations
+
+import math
+from collections.abc import Sequence
 
 import numpy as np
 
 from mr_damper_ros.models.published import Condition, find
+from mr_damper_ros.report.document import Table
+from studies.drawing import table
 
 SINE = {"amplitude": 2.5e-3, "frequency": 1.0, "phase": 4.481}
 """Fitted sine of 2.5 mm, 1 Hz, 0 A: [m], [Hz], [rad] (figure 17, appendix D)."""
@@ -100,8 +105,8 @@ MODEL_ERRORS = {
 """Estimation errors of models in an unstated measure, quoted from Yaakub et al. 2020 (table 2)."""
 
 _COPIED = (
-    "tables 31 and 32 (5.0 mm, 1.0 A) repeat tables 19 and 20 (5.0 mm, 0 A) digit for digit: "
-    "these are not data for 1.0 A"
+    "tables 31 and 32 (5.0 mm, 1.0 A) repeat tables 19 and 20 (5.0 mm, 0 A) digit for digit: these "
+    "are not data for 1.0 A"
 )
 _MIRRORED = "a sign is lost: the loop mirrors the loop of the other method, or is far from it"
 
@@ -133,3 +138,31 @@ def is_clean(condition: Condition) -> bool:
     1.5 A, which is excluded here because of the doubtful sign of its k4.
     """
     return condition not in ERRATA
+
+
+Compared = tuple[str, str, float, float | str | None, str]
+"""Quantity, unit, our value, value or words of the thesis (None if not stated), and its place."""
+
+
+def percent(difference: float) -> str:
+    """A relative difference as text, in %."""
+    rounded = round(100.0 * difference, 1)
+    return "0.0 %" if rounded == 0.0 else f"{rounded:+.1f} %".replace("-", "−")
+
+
+def comparison(
+    name: str, caption: str, values: Sequence[Compared], zeros: Sequence[str] = ()
+) -> Table:
+    """Table of our values, those of the thesis and the relative difference.
+
+    ``zeros`` are quantities whose true value is zero, so that a relative difference is meaningless.
+    """
+    rows = []
+    for quantity, unit, ours, thesis, where in values:
+        difference = ""
+        if isinstance(thesis, float) and thesis and quantity not in zeros and math.isfinite(ours):
+            difference = percent((ours - thesis) / abs(thesis))
+        stated = "not stated" if thesis is None else thesis
+        rows.append((quantity, unit, ours, stated, difference, where))
+    heads = "Quantity | Unit | Ours | Thesis | Difference | In the thesis"
+    return table(name, caption, heads, rows)

@@ -5,6 +5,7 @@ Thesis 2.8 and 4.6, figures 17-21 and 37-39: 2.5 mm, 1 Hz, 0 A.
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
@@ -17,10 +18,10 @@ from mr_damper_ros.models.published import LITERATURE
 from mr_damper_ros.models.sigmoid.law import PARAMETER_NAMES
 from mr_damper_ros.report.document import GREY, INK, Chapter, Picture
 from mr_damper_ros.signals.arrays import Array
-from studies.drawing import chart, line, table
-from studies.program import Campaign, Part
+from studies.drawing import chapter, chart, line, table
+from studies.program import Campaign
 from studies.thesis import facts
-from studies.thesis.compared import Compared, comparison
+from studies.thesis.facts import Compared, comparison
 from studies.thesis.runs import ACROSS, DISPLACEMENT_NOISE, recording, window
 from studies.thesis.searches import fminsearch
 
@@ -96,7 +97,7 @@ def identify(name: str, seed: int) -> dict[str, Any]:
     }
 
 
-def force_error_part(campaign: Campaign) -> Part:
+def force_error_part(campaign: Campaign) -> Iterator[Chapter]:
     """The chapter on both errors."""
     (found,) = campaign.each("force_error", identify, [{"name": CONDITION, "seed": campaign.seed}])
     sine, errors = found["sine"], normal_statistics(found["force_error"])
@@ -117,50 +118,46 @@ def force_error_part(campaign: Campaign) -> Part:
         for name in ("skewness", "excess_kurtosis")
     ]
     printed, used = found["starts"]
-    chapter = Chapter(
+    yield chapter(
         "force-error",
         "Sine and force identified, and their errors",
         f"the force error has σ = {errors['sigma']:.2f} N (thesis {facts.FORCE_ERROR['sigma']:.2f} "
         f"N) and is normal; seven unknowns fit as well as sixteen, in {found['seven'][0]} "
         f"evaluations instead of {found['sixteen'][0]}.",
-        [
-            "The run of 2.5 mm, 1 Hz, 0 A has 7001 samples. The noise of the force has the "
-            "standard deviation that the thesis reports. Our residual has the same standard "
-            "deviation, so it contains only noise. The extremes are single samples, which scatter "
-            "by a newton or two between seeds. The noise of the displacement "
-            f"({1e6 * DISPLACEMENT_NOISE:.0f} µm) is assumed, because the thesis does not state "
-            "it.",
-            comparison("sine", "Sine fitted to the displacement.", sines),
-            _sine_figure(found),
-            table(
-                "force_fit",
-                "Force fitted by Nelder–Mead from the literature set, over all sixteen parameters "
-                "(as in the thesis) and over the seven that one run determines. The added noise "
-                f"has a standard deviation of {THESIS_FORCE_NOISE:.4g} N.",
-                "Search | Evaluations | RMSE [N]",
-                [
-                    ("start: literature as printed first (k5 = −0.260)", 1, printed),
-                    ("start: literature as used later (k5 = +0.260)", 1, used),
-                    ("Nelder–Mead, 16 unknowns", *found["sixteen"]),
-                    ("Nelder–Mead, 7 unknowns", *found["seven"]),
-                ],
-            ),
-            "Appendix D prints the literature set twice, once with k5 = −0.260 and once with "
-            "+0.260. The search starts from the positive value, because only this value shifts the "
-            "loop in the direction of this run.",
-            comparison(
-                "force_error",
-                "Error of the fitted force. The thesis states the numbers of two different "
-                "samples: its variance of 31.01 N² is not the square of its σ of 5.526 N (30.54 "
-                "N²), and its mean differs from its μ.",
-                forces,
-                zeros=("mean", "mu"),
-            ),
-            _force_figure(found["cycle"]),
-            _error_figure(np.sort(found["force_error"])),
-        ],
+        "The run of 2.5 mm, 1 Hz, 0 A has 7001 samples. The noise of the force has the standard "
+        "deviation that the thesis reports. Our residual has the same standard deviation, so it "
+        "contains only noise. The extremes are single samples, which scatter by a newton or two "
+        f"between seeds. The noise of the displacement ({1e6 * DISPLACEMENT_NOISE:.0f} µm) is "
+        "assumed, because the thesis does not state it.",
+        comparison("sine", "Sine fitted to the displacement.", sines),
+        _sine_figure(found),
+        table(
+            "force_fit",
+            "Force fitted by Nelder–Mead from the literature set, over all sixteen parameters (as "
+            "in the thesis) and over the seven that one run determines. The added noise has a "
+            f"standard deviation of {THESIS_FORCE_NOISE:.4g} N.",
+            "Search | Evaluations | RMSE [N]",
+            [
+                ("start: literature as printed first (k5 = −0.260)", 1, printed),
+                ("start: literature as used later (k5 = +0.260)", 1, used),
+                ("Nelder–Mead, 16 unknowns", *found["sixteen"]),
+                ("Nelder–Mead, 7 unknowns", *found["seven"]),
+            ],
+        ),
+        "Appendix D prints the literature set twice, once with k5 = −0.260 and once with +0.260. "
+        "The search starts from the positive value, because only this value shifts the loop in the "
+        "direction of this run.",
+        comparison(
+            "force_error",
+            "Error of the fitted force. The thesis states the numbers of two different samples: "
+            "its variance of 31.01 N² is not the square of its σ of 5.526 N (30.54 N²), and its "
+            "mean differs from its μ.",
+            forces,
+            zeros=("mean", "mu"),
+        ),
+        _force_figure(found["cycle"]),
+        _error_figure(np.sort(found["force_error"])),
     )
-    return Part([chapter])
 
 
 def _sine_figure(found: dict[str, Any]) -> Picture:

@@ -1,13 +1,14 @@
 """The force laws compared: a set for each record, and one set for all conditions.
 
-The first chapter identifies the reviewed models from each record (thesis 2.5, table 2), the second
-one set of the sigmoid law, and of the extended law (lag, stiffness, offset), from all of them. Both
-use re-synthesised runs and, where they are given, real recordings.
+The first chapter identifies the reviewed models from each re-synthesised run and, where they are
+given, from each real record (thesis 2.5, table 2). The second identifies one set of the sigmoid
+law, and of the extended law (lag, stiffness, offset), from all runs.
 """
 
 from __future__ import annotations
 
 import time
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -19,21 +20,10 @@ from mr_damper_ros.estimation.window_fit import fit_window
 from mr_damper_ros.kinematics.window import Window
 from mr_damper_ros.models import MODELS
 from mr_damper_ros.models.sigmoid.following import EXTENDED_MODEL, EXTENDED_NAMES
-from mr_damper_ros.report.document import (
-    GREY,
-    INK,
-    MARKS,
-    Block,
-    Chapter,
-    Picture,
-    Table,
-    legend_above,
-    shown,
-    with_error,
-)
+from mr_damper_ros.report import document
 from studies import recordings
-from studies.drawing import bars, chart, line, table
-from studies.program import Campaign, Part
+from studies.drawing import bars, chapter, chart, line, table
+from studies.program import Campaign
 from studies.recordings import processed, window_of
 from studies.thesis import facts
 from studies.thesis.errata import sound_conditions
@@ -41,15 +31,6 @@ from studies.thesis.runs import ACROSS, title, window
 
 Results = dict[str, Any]
 """Results by name of the run or record."""
-
-_NOT_SET = "missing, because the variable MR_DAMPER_DATA is not set."
-
-
-def _records(campaign: Campaign) -> list[Path]:
-    """Files of the real records; none where no recordings are given."""
-    utfsm = recordings.folder()
-    paths = [] if utfsm is None else sorted((utfsm / "processed").glob("*.txt"))
-    return paths[::7] if campaign.quick else paths
 
 
 def _samples(whole: Window, cycles: float) -> int:
@@ -110,7 +91,9 @@ def judged(campaign: Campaign) -> tuple[Results, Results]:
         names = [name for name in names if name in _QUICK]
     tasks = [{"name": name, "noise_seed": campaign.seed} for name in names]
     runs = campaign.each("models", judge_run, tasks)
-    paths = _records(campaign)
+    utfsm = recordings.folder()
+    paths = [] if utfsm is None else sorted((utfsm / "processed").glob("*.txt"))
+    paths = paths[::7] if campaign.quick else paths
     real = campaign.each("models_recorded", judge_record, [{"path": path} for path in paths])
     records = dict(zip([path.stem for path in paths], real, strict=True))
     return dict(zip(names, runs, strict=True)), records
@@ -120,7 +103,7 @@ def _of(group: Results, law: str, key: str = "nrmse") -> list[float]:
     return [entry[law][key] for entry in group.values()]
 
 
-def models_part(campaign: Campaign) -> Part:
+def models_part(campaign: Campaign) -> Iterator[document.Chapter]:
     """The chapter on the reviewed models."""
     runs, records = judged(campaign)
     group, kind = (records, "real") if records else (runs, "re-synthesised")
@@ -145,56 +128,53 @@ def models_part(campaign: Campaign) -> Part:
         "an MTS press, ramps included; MIT licence, © 2022 mequiroz."
         if records
         else "The real recordings (utfsm: another damper, of an unstated type, in an MTS press) "
-        f"are {_NOT_SET}"
+        "are missing, because the variable MR_DAMPER_DATA is not set."
     )
-    chapter = Chapter(
+    yield chapter(
         "models",
         "Comparison of the reviewed models",
-        f"on {len(group)} {kind} records the {best} model is best (median NRMSE "
-        f"{errors[best]:.1f} %), {worst} worst ({errors[worst]:.1f} %).",
-        [
-            "Every model is fitted to each record separately, by bounded least squares on about "
-            f"{SAMPLES} samples, from starts derived from the record; the error is that of the "
-            "whole record. The re-synthesised runs were made with the sigmoid law, so it must be "
-            "best there; only real recordings show which model describes a damper. " + note,
-            table(
-                "models",
-                "Comparison of the models. NRMSE: RMSE over the standard deviation of the force. "
-                "Table 2 of the thesis quotes estimation errors of Yaakub et al. (2020). Neither "
-                "source states their measure, so only their order can be compared. Times are "
-                "processor times on the computer that made this report.",
-                f"Model | Free parameters | NRMSE, {len(runs)} runs, median [%] | Largest [%] | "
-                "NRMSE, real, median [%] | Table 2 | Time per identification [ms] | Evaluations | "
-                "Time per sample [µs]",
-                rows,
-            ),
-            _models_figure(runs, records),
-            _model_loops(runs[_SHOWN], campaign.seed),
-            table(
-                "model_parameters",
-                f"Identified parameters of {title(_SHOWN)}.",
-                "Model | Parameters",
-                [
-                    (model.title, _values(law, runs[_SHOWN][law]["parameters"]))
-                    for law, model in MODELS.items()
-                ],
-            ),
-            table(
-                "model_sources",
-                "Sources.",
-                "Model | Parameters and units | Source",
-                [
-                    (
-                        model.title,
-                        ", ".join(f"{p.name} [{p.unit}]" for p in model.parameters),
-                        model.source,
-                    )
-                    for model in MODELS.values()
-                ],
-            ),
-        ],
+        f"on {len(group)} {kind} records the {best} model is best (median NRMSE {errors[best]:.1f} "
+        f"%), {worst} worst ({errors[worst]:.1f} %).",
+        "Every model is fitted to each record separately, by bounded least squares on about "
+        f"{SAMPLES} samples, from starts derived from the record; the error is that of the whole "
+        "record. The re-synthesised runs were made with the sigmoid law, so it must be "
+        "best there; only real recordings show which model describes a damper. " + note,
+        table(
+            "models",
+            "Comparison of the models. NRMSE: RMSE over the standard deviation of the force. Table "
+            "2 of the thesis quotes estimation errors of Yaakub et al. (2020). Neither source "
+            "states their measure, so only their order can be compared. Times are processor times "
+            "on the computer that made this report.",
+            f"Model | Free parameters | NRMSE, {len(runs)} runs, median [%] | Largest [%] | "
+            "NRMSE, real, median [%] | Table 2 | Time per identification [ms] | Evaluations | "
+            "Time per sample [µs]",
+            rows,
+        ),
+        _models_figure(runs, records),
+        _model_loops(runs[_SHOWN], campaign.seed),
+        table(
+            "model_parameters",
+            f"Identified parameters of {title(_SHOWN)}.",
+            "Model | Parameters",
+            [
+                (model.title, _values(law, runs[_SHOWN][law]["parameters"]))
+                for law, model in MODELS.items()
+            ],
+        ),
+        table(
+            "model_sources",
+            "Sources.",
+            "Model | Parameters and units | Source",
+            [
+                (
+                    model.title,
+                    ", ".join(f"{p.name} [{p.unit}]" for p in model.parameters),
+                    model.source,
+                )
+                for model in MODELS.values()
+            ],
+        ),
     )
-    return Part([chapter])
 
 
 def _values(law: str, values: np.ndarray) -> str:
@@ -207,7 +187,7 @@ def _values(law: str, values: np.ndarray) -> str:
     return ", ".join(told).replace("-", "−")
 
 
-def _models_figure(runs: Results, records: Results) -> Picture:
+def _models_figure(runs: Results, records: Results) -> document.Picture:
     groups = {"re-synthesised runs": runs}
     if records:
         groups["real recordings (utfsm)"] = records
@@ -222,8 +202,8 @@ def _models_figure(runs: Results, records: Results) -> Picture:
     for a, (label, group) in zip(axes[0], groups.items(), strict=True):
         for place, law in enumerate(laws):
             errors = 100.0 * np.array(_of(group, law))
-            a.plot(errors, [place] * errors.size, "|", color=GREY, ms=8, mew=1.0)
-            a.plot(np.median(errors), place, MARKS[3], color=INK[1], ms=4.5)
+            a.plot(errors, [place] * errors.size, "|", color=document.GREY, ms=8, mew=1.0)
+            a.plot(np.median(errors), place, document.MARKS[3], color=document.INK[1], ms=4.5)
         a.set_xscale("log")
         a.set_title(label)
         a.set_yticks(range(len(laws)), [MODELS[law].title for law in laws])
@@ -234,7 +214,7 @@ def _models_figure(runs: Results, records: Results) -> Picture:
     return picture
 
 
-def _model_loops(found: dict[str, Any], noise_seed: int) -> Picture:
+def _model_loops(found: dict[str, Any], noise_seed: int) -> document.Picture:
     picture, axes = chart(
         "model_loops",
         f"Loops of the models (lines) on {title(_SHOWN)}, re-synthesised (dots).",
@@ -249,15 +229,15 @@ def _model_loops(found: dict[str, Any], noise_seed: int) -> Picture:
     v = turn.motion.velocity[::4]
     for a, (law, model) in zip(axes.ravel(), MODELS.items(), strict=False):
         force = model.window_force(turn, found[law]["parameters"])[::4]
-        a.plot(v, turn.force[::4], ".", ms=2, color=GREY)
-        a.plot([*v, v[0]], [*force, force[0]], color=INK[0])
+        a.plot(v, turn.force[::4], ".", ms=2, color=document.GREY)
+        a.plot([*v, v[0]], [*force, force[0]], color=document.INK[0])
         a.set_title(model.title, fontsize=7.5)
     return picture
 
 
 # -- one set for all conditions --------------------------------------------------------------------
 
-LAWS = {"sigmoid": "Sigmoid", EXTENDED_MODEL: "Extended"}
+LAWS = ("sigmoid", EXTENDED_MODEL)
 
 _OPEN = 100.0
 """Standard error, relative to the value, above which a parameter counts as unknown."""
@@ -265,15 +245,7 @@ _OPEN = 100.0
 
 def fit_runs(names: list[str], noise_seed: int, keep: int, law: str) -> dict[str, Any]:
     """Task: one set of a law for all re-synthesised runs, from every ``keep``-th sample."""
-    return _one_set([window(name, noise_seed).part(slice(None, None, keep)) for name in names], law)
-
-
-def fit_records(paths: list[Path], law: str) -> dict[str, Any]:
-    """Task: one set of a law for all real records."""
-    return _one_set([window_of(processed(path)[1]) for path in paths], law)
-
-
-def _one_set(windows: list[Window], law: str) -> dict[str, Any]:
+    windows = [window(name, noise_seed).part(slice(None, None, keep)) for name in names]
     start = MODELS[law].initial_values()[0]
     began = time.process_time()
     fit = identify_global(MODELS[law], windows, start, EvolutionSettings())
@@ -298,31 +270,22 @@ def identified(campaign: Campaign) -> tuple[list[str], dict[str, Any], int]:
     return names, dict(zip(LAWS, fits, strict=True)), keep
 
 
-def one_set_part(campaign: Campaign) -> Part:
+def one_set_part(campaign: Campaign) -> Iterator[document.Chapter]:
     """The chapter on one set for all conditions."""
-    names, runs, keep = identified(campaign)
-    groups = {"re-synthesised": (names, runs)}
-    paths = _records(campaign)
-    if paths:
-        tasks = [{"paths": paths, "law": law} for law in LAWS]
-        fits = campaign.each("one_set_recorded", fit_records, tasks)
-        groups["real"] = [path.stem for path in paths], dict(zip(LAWS, fits, strict=True))
-    rows, told, ratios = [], [], []
-    for (kind, (records, by_law)), own in zip(groups.items(), judged(campaign), strict=False):
-        one = {law: 100.0 * float(np.median(by_law[law]["nrmse"])) for law in LAWS}
-        each = {law: 100.0 * float(np.median(_of(own, law))) for law in LAWS}
-        for law, fit in by_law.items():
-            rows.append(
-                (
-                    *(MODELS[law].title, kind + " (utfsm)" * (kind == "real")),
-                    *(len(fit["parameters"]), len(records), one[law]),
-                    *(100.0 * float(fit["nrmse"].max()), each[law]),
-                    *(fit["evaluations"], fit["seconds"]),
-                )
-            )
-        told.append("{:.1f} % ({:.1f} % with lag, stiffness and offset)".format(*one.values()))
-        ratios.append(one["sigmoid"] / each["sigmoid"])
-    blocks: list[Block] = [
+    names, fits, keep = identified(campaign)
+    own, _ = judged(campaign)
+    one, each = (
+        {law: 100.0 * float(np.median(errors)) for law, errors in zip(LAWS, every, strict=True)}
+        for every in ((fit["nrmse"] for fit in fits.values()), (_of(own, law) for law in LAWS))
+    )
+    plain, extended = one.values()
+    errors = np.array([e for fit in fits.values() for e in (fit["rmse"], 100.0 * fit["nrmse"])])
+    yield chapter(
+        "one-set",
+        "Beyond the thesis: one set for all conditions",
+        f"one set of sixteen parameters for all conditions has a median NRMSE of {plain:.1f} % "
+        f"({extended:.1f} % with lag, stiffness and offset) on the re-synthesised runs, whose "
+        "noise is below 1 %.",
         f"One set for all {len(names)} sound conditions was identified by the global method of "
         "this package (differential evolution for the laws of the coefficients, then least squares "
         f"on every {keep}th sample). The thesis has one set per condition and says that each "
@@ -332,98 +295,78 @@ def one_set_part(campaign: Campaign) -> Part:
         "this, but no set of either law fits all conditions to the noise. A part of the error is "
         "caused by the data: the runs are made from sets that were identified separately, and the "
         "thesis does not state the temperature of the damper. The median error is "
-        f"{ratios[0]:.0f} times the median error of separate sets"
-        + (
-            f"; on the real records, {ratios[1]:.1f} times."
-            if paths
-            else f". The real recordings are {_NOT_SET}"
-        ),
+        f"{plain / each['sigmoid']:.0f} times the median error of separate sets. One set of every "
+        "law for the real recordings is in the report of `make truth`.",
         table(
             "one_set",
-            "One set for all, and the median for separate sets of each run or record (section on "
-            "models). Time: processor time on the computer that made this report.",
-            "Law | Data | Parameters | Conditions | NRMSE, median [%] | Largest [%] | "
+            "One set for all, and the median for separate sets of each run (section on models). "
+            "Time: processor time on the computer that made this report.",
+            "Law | Parameters | Conditions | NRMSE, median [%] | Largest [%] | "
             "Separate sets, median [%] | Evaluations | Time [s]",
-            rows,
+            [
+                (
+                    *(MODELS[law].title, len(fit["parameters"]), len(names), one[law]),
+                    *(100.0 * float(fit["nrmse"].max()), each[law]),
+                    *(fit["evaluations"], fit["seconds"]),
+                )
+                for law, fit in fits.items()
+            ],
         ),
-        _errors_figure("one_set", "sound condition, re-synthesised", names, runs),
-        _loops_figure(names, runs, campaign.seed),
-        _parameters({kind: fits for kind, (_, fits) in groups.items()}),
-        _errors("one_set_errors", "condition", names, runs),
-    ]
-    if paths:
-        blocks += [
-            _errors_figure("one_set_recorded", "real record (utfsm)", *groups["real"]),
-            _errors("one_set_errors_recorded", "real record (utfsm)", *groups["real"]),
-        ]
-    headline = (
-        f"one set of sixteen parameters for all conditions has a median NRMSE of {told[0]} on the "
-        "re-synthesised runs, whose noise is below 1 %"
-        + (f", and of {told[1]} on {len(paths)} real records." if paths else ".")
+        _errors_figure(names, fits),
+        _loops_figure(names, fits, campaign.seed),
+        _parameters(fits),
+        table(
+            "one_set_errors",
+            "Error of the one set, by condition.",
+            "Condition | Sigmoid, RMSE [N] | Sigmoid, NRMSE [%] | Extended, RMSE [N] | "
+            "Extended, NRMSE [%]",
+            [
+                (title(name), *(float(x) for x in row))
+                for name, row in zip(names, errors.T, strict=True)
+            ],
+        ),
     )
-    title_ = "Beyond the thesis: one set for all conditions"
-    return Part([Chapter("one-set", title_, headline, blocks)])
 
 
-def _parameters(groups: dict[str, Any]) -> Table:
-    columns = {
-        f"{label}, {kind}": fits[law]
-        for kind, fits in groups.items()
-        for law, label in LAWS.items()
-    }
+def _parameters(fits: dict[str, Any]) -> document.Table:
     units = MODELS[EXTENDED_MODEL].units
     rows = []
     for place, name in enumerate(EXTENDED_NAMES):
         cells = []
-        for fit in columns.values():
+        for fit in fits.values():
             cell = ""
             if place < len(fit["parameters"]):
                 value, error = (float(fit[key][place]) for key in ("parameters", "errors"))
-                known = 0.0 < error <= _OPEN * abs(value)
-                cell = with_error(value, error) if known else f"{shown(value)}, open"
+                cell = f"{document.shown(value)}, open"
+                if 0.0 < error <= _OPEN * abs(value):
+                    cell = document.with_error(value, error)
             cells.append(cell)
         rows.append((name, units[name], *cells))
     return table(
         "one_set_parameters",
         "The sets with their standard errors, which follow from the misfit. “Open”: the data do "
         "not determine the parameter.",
-        f"Parameter | Unit | {' | '.join(columns)}",
+        "Parameter | Unit | Sigmoid | Extended",
         rows,
     )
 
 
-def _errors(name: str, kind: str, names: list[str], fits: dict[str, Any]) -> Table:
-    columns = [
-        (factor * fits[law][key]).tolist()
-        for law in LAWS
-        for key, factor in (("rmse", 1.0), ("nrmse", 100.0))
-    ]
-    heads = " | ".join(f"{law}, RMSE [N] | {law}, NRMSE [%]" for law in LAWS.values())
-    return table(
-        name,
-        f"Error of the one set, by {kind}.",
-        f"{kind.capitalize()} | {heads}",
-        list(zip(map(_label, names), *columns, strict=True)),
-    )
-
-
-def _label(name: str) -> str:
-    return title(name) if "_" in name else name.replace("x", ".")
-
-
-def _errors_figure(name: str, kind: str, names: list[str], fits: dict[str, Any]) -> Picture:
+def _errors_figure(names: list[str], fits: dict[str, Any]) -> document.Picture:
     picture, ((a,),) = chart(
-        name, f"Error of one set in every {kind}.", (1, 1, 7.0, 3.0), up="NRMSE [%]"
+        "one_set",
+        "Error of one set in every sound condition, re-synthesised.",
+        (1, 1, 7.0, 3.0),
+        up="NRMSE [%]",
     )
     errors = {MODELS[law].title: 100.0 * fit["nrmse"] for law, fit in fits.items()}
     bars(a, errors, ("0.75", "0.25"))
-    a.set_xticks(range(len(names)), list(map(_label, names)), rotation=90, fontsize=6.5)
+    a.set_xticks(range(len(names)), list(map(title, names)), rotation=90, fontsize=6.5)
     a.set_xlim(-0.8, len(names) - 0.2)
-    legend_above(a, 2)
+    document.legend_above(a, 2)
     return picture
 
 
-def _loops_figure(names: list[str], fits: dict[str, Any], noise_seed: int) -> Picture:
+def _loops_figure(names: list[str], fits: dict[str, Any], noise_seed: int) -> document.Picture:
     picture, axes = chart(
         "one_set_loops",
         "One set for all conditions, in the conditions in which the sigmoid law has the smallest, "
@@ -436,11 +379,11 @@ def _loops_figure(names: list[str], fits: dict[str, Any], noise_seed: int) -> Pi
         whole = window(names[place], noise_seed)
         cycle = slice(0, _samples(whole, 1.0))
         v = whole.motion.velocity[cycle]
-        a.plot(v, whole.force[cycle], ".", ms=2, color=GREY, label="run")
+        a.plot(v, whole.force[cycle], ".", ms=2, color=document.GREY, label="run")
         for number, law in enumerate(LAWS):
             force = MODELS[law].window_force(whole, fits[law]["parameters"])[cycle]
             a.plot(v, force, label=MODELS[law].title, **line(number))
         a.set_title(title(names[place]))
         a.locator_params(axis="x", nbins=5)
-    legend_above(axes[0, 0], 3)
+    document.legend_above(axes[0, 0], 3)
     return picture

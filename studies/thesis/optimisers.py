@@ -10,8 +10,8 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable
-from typing import Any, NamedTuple
+from collections.abc import Callable, Iterator
+from typing import Any
 
 import numpy as np
 from scipy.optimize import basinhopping, dual_annealing, least_squares
@@ -24,8 +24,8 @@ from mr_damper_ros.models import MODELS
 from mr_damper_ros.models.published import find, parameters
 from mr_damper_ros.report.document import INK, Block, Chapter, Picture
 from mr_damper_ros.signals.arrays import Array
-from studies.drawing import chart, line, table
-from studies.program import Campaign, Part
+from studies.drawing import chapter, chart, line, table
+from studies.program import Campaign
 from studies.thesis import facts
 from studies.thesis.runs import CycleMisfit, cycle, loop, window
 from studies.thesis.searches import STRATEGIES, evolve, fminsearch
@@ -53,17 +53,15 @@ class EvaluationMeter:
         self.trace: list[tuple[int, float]] = []
 
     def cost(self, parameters: Array) -> float:
-        """Mean square error of one set (16,), clipped to the bounds as the thesis does."""
-        inside = np.clip(parameters, _LOW, _HIGH)
-        value = float(self.misfit.costs(inside))
-        self.note(inside, value, 1)
-        return value if math.isfinite(value) else 1e300
+        """Mean square error of one set (16,)."""
+        return float(self.costs(parameters[np.newaxis])[0])
 
     def costs(self, sets: Array) -> Array:
-        """Mean square errors of sets (s, 16)."""
-        values = self.misfit.costs(np.clip(sets, _LOW, _HIGH))
-        place = int(np.nanargmin(values))
-        self.note(np.clip(sets[place], _LOW, _HIGH), float(values[place]), len(values))
+        """Mean square errors of sets (s, 16), clipped to the bounds as the thesis does."""
+        inside = np.clip(sets, _LOW, _HIGH)
+        values = np.nan_to_num(self.misfit.costs(inside), nan=1e300, posinf=1e300)
+        place = int(np.argmin(values))
+        self.note(inside[place], float(values[place]), len(values))
         return values
 
     def note(self, parameters: Array, cost: float, evaluations: int) -> None:
@@ -235,7 +233,7 @@ def _checkpoints(budget: int) -> Array:
     return np.geomspace(10, budget, CHECKPOINTS)
 
 
-def optimisers_part(campaign: Campaign) -> Part:
+def optimisers_part(campaign: Campaign) -> Iterator[Chapter]:
     """The chapter on the optimisers."""
     budget = QUICK_BUDGET if campaign.quick else BUDGET
     names = available()
@@ -250,19 +248,21 @@ def optimisers_part(campaign: Campaign) -> Part:
     floor = results[0]["floor"]
     missing = [METHODS[name][0] for name in METHODS if name not in names]
     rates = [
-        f"{METHODS[name][0]} {100 * found[name].success:.0f} %"
+        f"{METHODS[name][0]} {100 * found[name]['success']:.0f} %"
         for name in ("nelder_mead_16", "de_0", "cma_es", "least_squares_16", "nelder_mead_7")
         if name in found
     ]
     rows = [
         (
             METHODS[name][0],
-            "{:.0f} ({:.0f}–{:.0f})".format(*(100 * x for x in (part.success, *part.interval))),
-            f"{100 * part.first_success:.0f}",
-            "never" if math.isnan(part.reached) else round(part.reached),
-            *(part.seconds, part.rmse[1]),
-            f"{part.rmse[0]:.3g}–{part.rmse[2]:.3g}",
-            *(part.parameter_spread, part.loop_spread),
+            "{:.0f} ({:.0f}–{:.0f})".format(
+                *(100 * x for x in (part["success"], *part["interval"]))
+            ),
+            f"{100 * part['first_success']:.0f}",
+            "never" if math.isnan(part["reached"]) else round(part["reached"]),
+            *(part["seconds"], part["rmse"][1]),
+            f"{part['rmse'][0]:.3g}–{part['rmse'][2]:.3g}",
+            *(part["parameter_spread"], part["loop_spread"]),
         )
         for name, part in found.items()
     ]
@@ -295,24 +295,11 @@ def optimisers_part(campaign: Campaign) -> Part:
         _success_figure(found),
     ]
     told = f"success within {budget} evaluations: {', '.join(rates)}."
-    return Part([Chapter("optimisers", "Comparison of optimisers", told, blocks)])
+    yield chapter("optimisers", "Comparison of optimisers", told, *blocks)
 
 
-class _Summary(NamedTuple):
+def _summary(results: list[dict[str, Any]]) -> dict[str, Any]:
     """Success rate with interval, medians and spreads over the runs of one method."""
-
-    success: float
-    interval: tuple[float, float]
-    first_success: float
-    reached: float
-    seconds: float
-    rmse: list[float]
-    parameter_spread: float
-    loop_spread: float
-    trace: Array
-
-
-def _summary(results: list[dict[str, Any]]) -> _Summary:
     rmse, first, reached, seconds, traces, sets = (
         np.array([result[key] for result in results])
         for key in ("rmse", "first", "reached", "seconds", "trace", "parameters")
@@ -323,20 +310,21 @@ def _summary(results: list[dict[str, Any]]) -> _Summary:
     interval = binomtest(wins, count).proportion_ci(0.95, "wilson")
     loops = np.array([loop(values, find(CONDITION)).force for values in sets])
     known = np.where(np.isnan(traces), np.inf, traces)
-    return _Summary(
-        success=wins / count,
-        interval=(float(interval.low), float(interval.high)),
-        first_success=float(np.mean(first <= goal)),
-        reached=float(np.nanmedian(reached)) if wins else math.nan,
-        seconds=float(np.median(seconds)),
-        rmse=np.percentile(rmse, [10, 50, 90]).tolist(),
-        parameter_spread=float(np.median(sets.std(axis=0) / _SPAN)),
-        loop_spread=float(np.sqrt(np.mean(loops.var(axis=0)))),
-        trace=np.percentile(known, [25, 50, 75], axis=0, method="nearest"),
-    )
+    quartiles = np.percentile(known, [25, 50, 75], axis=0, method="nearest")
+    return {
+        "success": wins / count,
+        "interval": (100 * interval.low, 100 * interval.high),
+        "first_success": float(np.mean(first <= goal)),
+        "reached": float(np.nanmedian(reached)) if wins else math.nan,
+        "seconds": float(np.median(seconds)),
+        "rmse": np.percentile(rmse, [10, 50, 90]).tolist(),
+        "parameter_spread": float(np.median(sets.std(axis=0) / _SPAN)),
+        "loop_spread": float(np.sqrt(np.mean(loops.var(axis=0)))),
+        "trace": np.where(np.isinf(quartiles), np.nan, quartiles),
+    }
 
 
-def _trace_figure(found: dict[str, _Summary], x: Array, floor: float) -> Picture:
+def _trace_figure(found: dict[str, Any], x: Array, floor: float) -> Picture:
     picture, axes = chart(
         "optimisers",
         "Best RMSE over the number of evaluations: median and quartiles over the random starts. A "
@@ -350,7 +338,9 @@ def _trace_figure(found: dict[str, _Summary], x: Array, floor: float) -> Picture
     halves = (thesis, [n for n in found if n not in thesis])
     for a, names in zip(axes[0], halves, strict=True):
         for number, name in enumerate(names):
-            low, middle, high = np.where(np.isinf(found[name].trace), np.nan, found[name].trace)
+            low, middle, high = np.where(
+                np.isinf(found[name]["trace"]), np.nan, found[name]["trace"]
+            )
             a.fill_between(x, low, high, color=INK[number], alpha=0.10, lw=0)
             style = {**line(number, marked=True), "markevery": (4 + 2 * number, 12)}
             a.loglog(x, middle, label=METHODS[name][0], **style)
@@ -360,7 +350,7 @@ def _trace_figure(found: dict[str, _Summary], x: Array, floor: float) -> Picture
     return picture
 
 
-def _success_figure(found: dict[str, _Summary]) -> Picture:
+def _success_figure(found: dict[str, Any]) -> Picture:
     names = list(found)[::-1]
     picture, ((a,),) = chart(
         "optimiser_success",
@@ -371,9 +361,9 @@ def _success_figure(found: dict[str, _Summary]) -> Picture:
     )
     for place, name in enumerate(names):
         part = found[name]
-        a.plot([100 * end for end in part.interval], [place, place], color="0.55", lw=2.2)
-        a.plot(100 * part.success, place, "o", color=INK[0], ms=4.5)
-        a.plot(100 * part.first_success, place, "|", color=INK[1], ms=9, mew=1.6)
+        a.plot(part["interval"], [place, place], color="0.55", lw=2.2)
+        a.plot(100 * part["success"], place, "o", color=INK[0], ms=4.5)
+        a.plot(100 * part["first_success"], place, "|", color=INK[1], ms=9, mew=1.6)
     a.set_yticks(range(len(names)), [METHODS[name][0] for name in names])
     a.set_xlim(-3, 103)
     a.grid(axis="x", color="0.9", lw=0.6)

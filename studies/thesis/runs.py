@@ -34,15 +34,7 @@ from mr_damper_ros.models.published import (
     find,
     parameters,
 )
-from mr_damper_ros.models.sigmoid.law import (
-    PARAMETER_NAMES,
-    coefficient_jacobian,
-    coefficient_parameter_jacobian,
-    force_from_coefficients,
-    operating_point_coefficients,
-    sign_of_pair,
-    sine_force,
-)
+from mr_damper_ros.models.sigmoid import law
 from mr_damper_ros.signals.arrays import Array
 from mr_damper_ros.signals.recording import Recording
 from studies.thesis.facts import ERRATA, is_clean
@@ -91,7 +83,7 @@ def synthesise(condition: Condition, *, seed: int = 0) -> Recording:
         "source": "D. M. D. da Silva, University of Brasília, 2023, tables 17-40",
         "method": PUBLISHED_METHODS[0],
         "parameters": ", ".join(
-            f"{name}={value}" for name, value in zip(PARAMETER_NAMES, values, strict=True)
+            f"{name}={value}" for name, value in zip(law.PARAMETER_NAMES, values, strict=True)
         ),
         "force_noise_standard_deviation": f"{THESIS_FORCE_NOISE} N",
         "displacement_noise_standard_deviation": f"{DISPLACEMENT_NOISE} m",
@@ -135,9 +127,9 @@ def top_speed(condition: Condition) -> float:
 
 def coefficients(parameters: Array, peak_velocity: float, current: float) -> Array:
     """Seven operating-point coefficients (..., 7) of sets (..., 16), with positive f_t."""
-    parts = operating_point_coefficients(parameters, peak_velocity, current)
+    parts = law.operating_point_coefficients(parameters, peak_velocity, current)
     values = np.concatenate(parts, axis=-1)
-    values[..., :2] *= sign_of_pair(values[..., :1])
+    values[..., :2] *= law.sign_of_pair(values[..., :1])
     return values
 
 
@@ -154,7 +146,7 @@ def loop(parameters: Array, condition: Condition, points: int = 240) -> Loop:
     angle = np.linspace(0.0, 2.0 * np.pi, points)
     u, v = condition.amplitude * np.sin(angle), top_speed(condition) * np.cos(angle)
     a = -((2.0 * np.pi * condition.frequency) ** 2) * u
-    return Loop(u, v, sine_force(parameters, u, v, a, condition.current))
+    return Loop(u, v, law.sine_force(parameters, u, v, a, condition.current))
 
 
 ACROSS = {"velocity": "Velocity [m/s]", "displacement": "Displacement [mm]"}
@@ -211,8 +203,8 @@ class CycleMisfit:
 
     def residual(self, parameters: Array) -> Array:
         """Model minus mean force [N], shape (..., bins)."""
-        c = operating_point_coefficients(parameters, self.peak_velocity, self.current)
-        return force_from_coefficients(c, self.velocity, -self.displacement) - self.force
+        c = law.operating_point_coefficients(parameters, self.peak_velocity, self.current)
+        return law.force_from_coefficients(c, self.velocity, -self.displacement) - self.force
 
     def costs(self, parameters: Array) -> Array:
         """Mean square error [N²] of sets of shape (..., 16)."""
@@ -220,9 +212,9 @@ class CycleMisfit:
 
     def jacobian(self, parameters: Array) -> Array:
         """Derivatives of the residual (bins, 16) for one set."""
-        c = operating_point_coefficients(parameters, self.peak_velocity, self.current)
-        outer = coefficient_jacobian(c, self.velocity, -self.displacement)
-        inner = coefficient_parameter_jacobian(parameters, self.peak_velocity, self.current)
+        c = law.operating_point_coefficients(parameters, self.peak_velocity, self.current)
+        outer = law.coefficient_jacobian(c, self.velocity, -self.displacement)
+        inner = law.coefficient_parameter_jacobian(parameters, self.peak_velocity, self.current)
         return np.asarray(outer @ inner[0])
 
 

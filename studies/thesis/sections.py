@@ -6,17 +6,14 @@ import os
 
 from studies import recordings
 from studies.program import QUICK_RUNS, RUNS, Campaign, Study
-from studies.thesis.conditions import conditions_part
-from studies.thesis.dependency import dependency_part
+from studies.thesis.conditions import conditions_part, dependency_part
 from studies.thesis.errata import errata_part
 from studies.thesis.force_error import force_error_part
-from studies.thesis.identifiability import identifiability_part
 from studies.thesis.laws import models_part, one_set_part
-from studies.thesis.methods import methods_part
 from studies.thesis.optimisers import optimisers_part
-from studies.thesis.repeated import repeated_part
 from studies.thesis.runs import PROVENANCE
-from studies.thesis.sensitivity import sensitivity_part
+from studies.thesis.searches import methods_part, repeated_part
+from studies.thesis.sensitivity import identifiability_part, sensitivity_part
 
 
 def _notice(campaign: Campaign) -> str:
@@ -28,8 +25,8 @@ def _notice(campaign: Campaign) -> str:
         f"not published. All runs here are {PROVENANCE}: the force of the Nelder–Mead set of a "
         "condition for the fitted sine, with noise of the reported size. Agreement therefore shows "
         "that methods and numbers are reproducible; it does not validate the law for the damper. "
-        f"Random searches: {campaign.runs} repetitions, seed {campaign.seed}"
-        f"{', quick variant' if campaign.quick else ''}."
+        f"Random searches: {campaign.runs} repetitions, seed "
+        f"{campaign.seed}{', quick variant' if campaign.quick else ''}."
     )
 
 

@@ -4,13 +4,15 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from operator import itemgetter
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from mr_damper_ros.api.findings import parameter_estimates
+from mr_damper_ros.api.replay import replay
 from mr_damper_ros.estimation.differential_evolution import EvolutionSettings
 from mr_damper_ros.estimation.global_fit import identify_global
 from mr_damper_ros.io.run_cuts import read_runs
@@ -18,28 +20,15 @@ from mr_damper_ros.kinematics.window import Window
 from mr_damper_ros.models import MODELS
 from mr_damper_ros.models.parameter_set import ParameterSet
 from mr_damper_ros.processes.files import json_ready
-from mr_damper_ros.report.document import (
-    GREY,
-    INK,
-    MARKS,
-    Block,
-    Cell,
-    Chapter,
-    Picture,
-    legend_above,
-    with_error,
-)
+from mr_damper_ros.report import document
 from mr_damper_ros.signals.arrays import Array
 from studies import recordings
-from studies.drawing import chart, draw_rows, line, name_rows, table
-from studies.program import Campaign, Part, Task
-from studies.truth.extent import extent_of
+from studies.drawing import chapter, chart, draw_rows, line, name_rows, table
+from studies.program import Campaign
 
 _RAW_COLUMNS = "time:0.005*s,-,force:980.665*N,displacement:10*mm"
 _RAW_CURRENTS = (0.0, 0.25, 0.5, 0.75, 1.0)
 _BLOCK = 10
-_SHOWN_EVERY = 5
-"""Stride of the samples of an earthquake that are kept for drawing."""
 
 
 def judge_records(utfsm: Path, law: str, left_out: str | None, every: int) -> dict[str, Any]:
@@ -94,11 +83,12 @@ def judge_earthquake(
     time [s], measured and predicted force [N] of some samples.
     """
     record = recordings.unsmoothed_earthquakes(utfsm)[recordings.EARTHQUAKE_CURRENTS.index(current)]
-    if longest < record.force.size * record.period:
+    if longest < record.duration:
         record = recordings.cut(record, slice(0, round(longest / record.period)))
-    force = recordings.predicted(record, known, identify=follows)
+    force = replay(record, known, identify=follows, block_size=20).predicted
     passed = record.period * np.arange(force.size)
-    series = np.stack([passed, record.force, force])[:, ::_SHOWN_EVERY]
+    # Every fifth sample is enough for the figure.
+    series = np.stack([passed, record.force, force])[:, ::5]
     return {"fit": recordings.fit_percent(record, force), "series": series}
 
 
@@ -116,79 +106,66 @@ def microseconds_per_sample(found: ParameterSet, window: Window) -> float:
     return 1e6 * min(times) / window.sample_count
 
 
-_SOURCE = (
-    "Recordings of an MR damper in a test machine, UTFSM, Chile, 2022 "
-    "(github.com/DanielMaurelE/vRTHS_AMBC_MRdamper, MIT licence, © 2022 mequiroz)."
-)
+QUICK_LAWS = ("hyperbolic_tangent", "sigmoid", "sigmoid_lag", "series_springs")
+QUICK_ONLINE = ("sigmoid",)
+"""Laws of the short variant, and those with the identifier running."""
+
+_QUICK_EVERY, _QUICK_CURRENTS, _QUICK_LONGEST = 4, (0.6,), 20.0
+"""Its stride over the currents of a motion, and its earthquakes: currents [A], duration [s]."""
+
 _SHOWN = (10.0, 14.0)
 """Time range [s] of an earthquake that is drawn."""
 
-
 Laws = Mapping[str, Any]
-"""Results of :func:`judge_records` for each law, with ``left_out``: NRMSE [1] by record."""
-
-Shaken = Mapping[tuple[str, float, bool], Any]
-"""Results of :func:`judge_earthquake` by law, current [A] and whether the identifier ran."""
+"""Results of :func:`judge_records` for each law, with ``left_out``: NRMSE [1] by record; and
+``static`` and ``online``: results of :func:`judge_earthquake` without and with the identifier."""
 
 
-def recordings_part(campaign: Campaign) -> Part:
+def recordings_part(campaign: Campaign) -> Iterator[document.Chapter]:
     """All laws on all recordings, and the chapters on them."""
-    utfsm = recordings.folder()
+    utfsm, quick = recordings.folder(), campaign.quick
     if utfsm is None:
-        return Part([])
-    extent = extent_of(campaign)
+        return
+    laws, online = (QUICK_LAWS, QUICK_ONLINE) if quick else (tuple(MODELS), tuple(MODELS))
+    currents = _QUICK_CURRENTS if quick else recordings.EARTHQUAKE_CURRENTS
     motions = [None, *recordings.processed_motions(utfsm)]
+    every = _QUICK_EVERY if quick else 1
     tasks = [
-        {"utfsm": utfsm, "law": law, "left_out": left_out, "every": extent.every}
-        for law in extent.laws
+        {"utfsm": utfsm, "law": law, "left_out": left_out, "every": every}
+        for law in laws
         for left_out in motions
     ]
     judged = campaign.each("sinusoid records", judge_records, tasks)
     found: dict[str, Any] = {}
-    for place, law in enumerate(extent.laws):
+    for place, law in enumerate(laws):
         whole, *others = judged[place * len(motions) : (place + 1) * len(motions)]
         left_out = {name: error for each in others for name, error in each["nrmse"].items()}
-        found[law] = {**whole, "left_out": left_out}
-    keys = [
-        (law, current, follows)
-        for follows in (False, True)
-        for law in extent.laws
-        if not follows or law in extent.online
-        for current in extent.currents
-    ]
-    common = {"utfsm": utfsm, "longest": extent.longest}
-    trials: list[Task] = [
+        found[law] = {**whole, "left_out": left_out, "static": [], "online": []}
+    common = {"utfsm": utfsm, "longest": _QUICK_LONGEST if quick else math.inf}
+    trials = [
         {**common, "known": found[law]["set"], "current": current, "follows": follows}
-        for law, current, follows in keys
+        for follows, chosen in ((False, laws), (True, online))
+        for law in chosen
+        for current in currents
     ]
-    shaken = dict(zip(keys, campaign.each("earthquakes", judge_earthquake, trials), strict=True))
-    window = recordings.processed_windows(utfsm)[0]
+    shaken = campaign.each("earthquakes", judge_earthquake, trials)
+    for trial, result in zip(trials, shaken, strict=True):
+        found[trial["known"].model]["online" if trial["follows"] else "static"].append(result)
+    window = next(iter(recordings.processed_motions(utfsm).values()))[0]
     for result in found.values():
         result["microseconds"] = microseconds_per_sample(result["set"], window)
-    chapters = [_sinusoids(found), _earthquakes(found, shaken), _parameters(found)]
-    return Part(chapters, _figures(found, shaken))
+    campaign.figures["recordings"] = _figures(found, currents)
+    yield from (_sinusoids(found), _earthquakes(found, currents), _parameters(found))
 
 
-def _currents(shaken: Shaken) -> list[float]:
-    """Currents [A] of the earthquakes."""
-    return sorted({current for _, current, _ in shaken})
-
-
-def _fits(shaken: Shaken, law: str, follows: bool) -> list[float | None]:
+def _fits(results: Sequence[Mapping[str, Any]], currents: Sequence[float]) -> list[float | None]:
     """Fit [%] of each earthquake; None if it was not computed."""
-    found = (shaken.get((law, current, follows)) for current in _currents(shaken))
-    return [None if result is None else result["fit"] for result in found]
+    return [result["fit"] for result in results] or [None] * len(currents)
 
 
-def _static_mean(shaken: Shaken, law: str) -> float:
-    """Mean fit [%] of the earthquakes with the sinusoid set alone; NaN if one is missing."""
-    fits = [math.nan if fit is None else fit for fit in _fits(shaken, law, follows=False)]
-    return float(np.mean(fits)) if fits else math.nan
-
-
-def _sinusoids(found: Laws) -> Chapter:
+def _sinusoids(found: Laws) -> document.Chapter:
     """Results of every law on the sinusoid records."""
-    rows: list[Sequence[Cell]] = []
+    rows: list[Sequence[document.Cell]] = []
     for law, result in found.items():
         errors, others = (list(result[kind].values()) for kind in ("nrmse", "left_out"))
         rows.append(
@@ -200,40 +177,38 @@ def _sinusoids(found: Laws) -> Chapter:
             )
         )
     names = list(next(iter(found.values()))["nrmse"])
-    alone, unseen = (
-        {law: _median(result[kind]) for law, result in found.items()}
+    (best, alone), (safest, unseen) = (
+        min(((law, _median(result[kind])) for law, result in found.items()), key=itemgetter(1))
         for kind in ("nrmse", "left_out")
     )
-    best, safest = (min(errors, key=errors.__getitem__) for errors in (alone, unseen))
-    return Chapter(
+    return chapter(
         "sinusoids",
         "Sinusoid records",
-        f"the median NRMSE of one set is {alone[best]:.1%} ({best}), and {unseen[safest]:.1%} for "
-        f"motions left out of the fit ({safest}).",
-        [
-            f"{_SOURCE} There are {len(names)} records at constant currents, with ramps. For each "
-            "law, one set is identified from all records. In addition, each motion (an amplitude "
-            "and frequency, at all its currents) is left out of an identification and then "
-            "predicted, with the peak velocity held within the range of the others. The authors "
-            "smoothed the processed records by a moving average over a tenth of a cycle. The raw "
-            "records of the logger exist for two motions; their mean is subtracted, because the "
-            "zero of their force is unknown.",
-            table(
-                "sinusoids",
-                "NRMSE (RMSE over the standard deviation of the force) in percent: median and "
-                "largest for one set, median and mean for the motions left out, median for the raw "
-                "records. Identification: processor time for one set. Streaming: processor time "
-                "per sample in blocks of ten. Both hold for the computer that made the report.",
-                "law | parameters | one set | largest | left out | left out, mean | raw | "
-                "identification (s) | streaming (µs)",
-                rows,
-            ),
-            _errors(found, names),
-        ],
+        f"the median NRMSE of one set is {alone:.1%} ({best}), and {unseen:.1%} for motions left "
+        f"out of the fit ({safest}).",
+        "Recordings of an MR damper in a test machine, UTFSM, Chile, 2022 "
+        "(github.com/DanielMaurelE/vRTHS_AMBC_MRdamper, MIT licence, © 2022 mequiroz). There are "
+        f"{len(names)} records at constant currents, with ramps. For each law, one set is "
+        "identified from all records. In addition, each motion (an amplitude and frequency, at all "
+        "its currents) is left out of an identification and then predicted, with the peak velocity "
+        "held within the range of the others. The authors smoothed the processed records by a "
+        "moving average over a tenth of a cycle. The raw records of the logger exist for two "
+        "motions; their mean is subtracted, because the zero of their force is unknown.",
+        table(
+            "sinusoids",
+            "NRMSE (RMSE over the standard deviation of the force) in percent: median and largest "
+            "for one set, median and mean for the motions left out, median for the raw records. "
+            "Identification: processor time for one set. Streaming: processor time per sample in "
+            "blocks of ten. Both hold for the computer that made the report.",
+            "law | parameters | one set | largest | left out | left out, mean | raw | "
+            "identification (s) | streaming (µs)",
+            rows,
+        ),
+        _errors(found, names),
     )
 
 
-def _errors(found: Laws, names: Sequence[str]) -> Picture:
+def _errors(found: Laws, names: Sequence[str]) -> document.Picture:
     picture, axes = chart(
         "sinusoids", "Error of every record, by law.", (2, 1, 6.8, 5.2), sharex=True
     )
@@ -243,83 +218,82 @@ def _errors(found: Laws, names: Sequence[str]) -> Picture:
     for axis, (kind, title) in zip(axes[:, 0], kinds, strict=True):
         for number, (law, result) in enumerate(found.items()):
             values = [100.0 * result[kind].get(name, math.nan) for name in names]
-            colour, mark = INK[number % len(INK)], MARKS[number % len(MARKS)]
-            axis.plot(places, values, color=colour, marker=mark, linestyle="none", label=law)
+            style = {"color": document.INK[number], "marker": document.MARKS[number]}
+            axis.plot(places, values, linestyle="none", label=law, **style)
         axis.set(ylabel=f"NRMSE (%), {title}", yscale="log")
         axis.yaxis.set_major_formatter("{x:g}")
         axis.yaxis.set_minor_formatter("{x:g}")
         for place in places[1:]:
             if motions[place] != motions[place - 1]:
-                axis.axvline(place - 0.5, color=GREY, linewidth=0.6)
+                axis.axvline(place - 0.5, color=document.GREY, linewidth=0.6)
     axes[1, 0].set_xticks(places, [current.removesuffix(" A").strip() for current in currents])
     told = ", ".join(map(_motion, dict.fromkeys(motions)))
     axes[1, 0].set_xlabel("current (A), motion by motion: " + told)
-    legend_above(axes[0, 0], 4)
+    document.legend_above(axes[0, 0], 4)
     return picture
 
 
-def _earthquakes(found: Laws, shaken: Shaken) -> Chapter:
+def _earthquakes(found: Laws, currents: Sequence[float]) -> document.Chapter:
     """Results of every law on the earthquakes."""
-    currents = _currents(shaken)
-    rows: list[Sequence[Cell]] = [
-        (
-            law,
-            *_fits(shaken, law, follows=False),
-            json_ready(_static_mean(shaken, law)),
-            *_fits(shaken, law, follows=True),
-        )
-        for law in found
-    ]
-    means = {law: _static_mean(shaken, law) for law in found}
+    means = {law: _mean_fit(result["static"]) for law, result in found.items()}
     steadiest = max(means, key=means.__getitem__)
-    middle = currents[len(currents) // 2]
-    best = max(found, key=lambda law: shaken[law, middle, False]["fit"])
+    rows: list[Sequence[document.Cell]] = [
+        (law, *_fits(result["static"], currents), means[law], *_fits(result["online"], currents))
+        for law, result in found.items()
+    ]
+    middle = len(currents) // 2
+    best = max(found, key=lambda law: found[law]["static"][middle]["fit"])
     picture, axes = chart(
         "earthquakes",
-        f"Measured and predicted force at {middle:g} A ({best}), and the residual.",
+        f"Measured and predicted force at {currents[middle]:g} A ({best}), and the residual.",
         (2, 1, 6.8, 4.2),
         sharex=True,
     )
-    for place, name in enumerate(("sinusoid set", "identifier running")):
-        if (best, middle, bool(place)) in shaken:
-            series = shaken[best, middle, bool(place)]["series"]
+    for place, (kind, name) in enumerate(
+        (("static", "sinusoid set"), ("online", "identifier running"))
+    ):
+        for result in found[best][kind][middle : middle + 1]:
+            series = result["series"]
             chosen = (series[0] >= _SHOWN[0]) & (series[0] < _SHOWN[1])
             passed, measured, predicted = series[:, chosen]
             if not place:
-                axes[0, 0].plot(passed, measured, color=GREY, linewidth=2.0, label="measured")
+                grey = {"color": document.GREY, "linewidth": 2.0}
+                axes[0, 0].plot(passed, measured, label="measured", **grey)
             draw_rows(axes, passed, (predicted, predicted - measured), name, **line(place))
     name_rows(axes, "force (N)", "residual (N)")
-    legend_above(axes[0, 0], 3)
+    document.legend_above(axes[0, 0], 3)
     static, online = (
         " | ".join(f"{kind}, {current:g} A" for current in currents)
         for kind in ("static", "on-line")
     )
-    return Chapter(
+    return chapter(
         "earthquakes",
         "Earthquake records",
         f"the set of the sinusoids alone has a mean fit of {means[steadiest]:.1f} % to the "
         f"earthquakes ({steadiest}).",
-        [
-            "The records contain one earthquake motion at each current. As delivered, displacement "
-            "and force are averages over 0.3 s, for which no nonlinear law holds; the averages "
-            "were undone exactly. The force of every block of 20 samples is predicted before it is "
-            "used: with the set of the sinusoid records alone (static), or with the identifier "
-            "running at the defaults of the nodes, starting from this set (on-line). The first "
-            "five seconds of motion are not evaluated.",
-            table(
-                "earthquakes",
-                "Fit (1 − NRMSE) in percent. –: not computed.",
-                f"law | {static} | mean | {online}",
-                rows,
-            ),
-            picture,
-        ],
+        "The records contain one earthquake motion at each current. As delivered, displacement and "
+        "force are averages over 0.3 s, for which no nonlinear law holds; the averages were undone "
+        "exactly. The force of every block of 20 samples is predicted before it is used: with the "
+        "set of the sinusoid records alone (static), or with the identifier running at the "
+        "defaults of the nodes, starting from this set (on-line). The first five seconds of motion "
+        "are not evaluated.",
+        table(
+            "earthquakes",
+            "Fit (1 − NRMSE) in percent. –: not computed.",
+            f"law | {static} | mean | {online}",
+            rows,
+        ),
+        picture,
     )
 
 
-def _parameters(found: Laws) -> Chapter:
+def _mean_fit(results: Sequence[Mapping[str, Any]]) -> float:
+    return float(np.mean([result["fit"] for result in results]))
+
+
+def _parameters(found: Laws) -> document.Chapter:
     """The set of every law."""
-    blocks: list[Block] = [
+    blocks: list[document.Block] = [
         "The sets were identified from the sinusoid records. The standard errors include the "
         "discrepancy, the model error that other motions reveal. –: the data do not determine the "
         "parameter, which keeps its start value. The records do not determine the lag of the coil, "
@@ -329,7 +303,7 @@ def _parameters(found: Laws) -> Chapter:
         rows = [
             (
                 name,
-                with_error(entry.value, entry.standard_error)
+                document.with_error(entry.value, entry.standard_error)
                 if entry.observable and 0.0 < entry.standard_error < math.inf
                 else None,
                 entry.unit,
@@ -340,10 +314,10 @@ def _parameters(found: Laws) -> Chapter:
         columns = "parameter | value ± standard error | unit | in the set"
         blocks.append(table(f"parameters_{law}", f"{MODELS[law].title} ({law}).", columns, rows))
     told = "the parameters of each law, with their standard errors."
-    return Chapter("parameters", "Parameters", told, blocks)
+    return document.Chapter("parameters", "Parameters", told, blocks)
 
 
-def _figures(found: Laws, shaken: Shaken) -> dict[str, object]:
+def _figures(found: Laws, currents: Sequence[float]) -> dict[str, object]:
     """The figures of the recordings for the JSON file, law by law; NRMSE [1], fits [%]."""
     return {
         law: {
@@ -352,9 +326,9 @@ def _figures(found: Laws, shaken: Shaken) -> dict[str, object]:
             "left_out_nrmse": result["left_out"],
             "left_out_median": _median(result["left_out"]),
             "raw_nrmse": result["raw"],
-            "earthquake_currents": _currents(shaken),
-            "earthquake_static_fit": _fits(shaken, law, follows=False),
-            "earthquake_online_fit": _fits(shaken, law, follows=True),
+            "earthquake_currents": currents,
+            "earthquake_static_fit": _fits(result["static"], currents),
+            "earthquake_online_fit": _fits(result["online"], currents),
             "identification_s": result["seconds"],
             "us_per_sample": result["microseconds"],
             "parameters": {

@@ -15,7 +15,7 @@ from mr_damper_ros.report.document import (
     write_report,
 )
 from studies.program import Campaign
-from studies.thesis import facts, identifiability, laws, optimisers, sensitivity
+from studies.thesis import facts, laws, optimisers, sensitivity
 from studies.thesis.optimisers import available
 
 
@@ -35,7 +35,7 @@ def test_an_optimiser_keeps_budget_and_bounds_and_ends_between_the_noise_and_the
 
 @pytest.mark.parametrize("law", laws.LAWS)
 def test_one_set_for_one_run_leaves_the_noise(law):
-    fit = laws.fit_runs([identifiability.CONDITION], 0, 4, law)
+    fit = laws.fit_runs([optimisers.CONDITION], 0, 4, law)
     # Relative: three standard errors of a standard deviation from 1750 samples.
     assert fit["rmse"][0] == pytest.approx(THESIS_FORCE_NOISE, rel=0.05)
 

@@ -11,8 +11,7 @@ from mr_damper_ros.models.published import (
     parameters,
 )
 from studies.program import Campaign, code_files
-from studies.thesis import dependency, errata, facts, force_error
-from studies.thesis.conditions import identified
+from studies.thesis import conditions, errata, facts, force_error
 from studies.thesis.facts import ROW_ERRATA
 
 SOUND_AFTER_ALL = (find("7.5mm_3Hz_1.5A"), "nelder_mead")
@@ -87,8 +86,8 @@ def test_force_error_is_normal_about_zero(errors):
 
 def test_temperature():
     cold, warm, same = (
-        max(map(abs, dependency.peaks(values)))
-        for values in (THESIS_28_CELSIUS, THESIS_71_CELSIUS, parameters(dependency.HEATED))
+        max(map(abs, conditions.peaks(values)))
+        for values in (THESIS_28_CELSIUS, THESIS_71_CELSIUS, parameters(conditions.HEATED))
     )
     assert cold == pytest.approx(facts.PEAK_COLD, rel=PEAK_COLD)
     assert warm == pytest.approx(facts.PEAK_WARM, rel=PEAK)
@@ -99,7 +98,7 @@ def test_temperature():
 
 def test_identified_loops_are_the_published_ones(campaign):
     found = errata.find_errata()
-    for name, run in identified(campaign).items():
+    for name, run in conditions.identified(campaign).items():
         condition = find(name)
         if (condition, "nelder_mead") in found:
             continue
