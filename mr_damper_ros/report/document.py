@@ -114,8 +114,8 @@ Block = str | Table | Picture
 """A paragraph of plain text, a table or a figure."""
 
 
-_SMALL = 1e-3
-"""Numbers below this are written with a power of ten."""
+_SMALL, _LARGE = 1e-3, 1e5
+"""Numbers outside this range are written with a power of ten."""
 
 
 def shown(value: Cell) -> str:
@@ -130,7 +130,7 @@ def shown(value: Cell) -> str:
         return "–"
     if value == 0.0:
         return "0"
-    if not _SMALL <= abs(value) < 1e5:
+    if not _SMALL <= abs(value) < _LARGE:
         mantissa, exponent = f"{value:.2e}".split("e")
         power = str(int(exponent)).translate(_SUPERSCRIPTS)
         return f"{mantissa}·10{power}".replace("-", "−")
@@ -141,9 +141,9 @@ _SUPERSCRIPTS = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 
 
 def with_error(value: float, error: float) -> str:
-    """A value with its standard error, with a common power of ten if both are small."""
+    """A value with its standard error, with a common power of ten if they are small or large."""
     size = max(abs(value), error)
-    if size >= _SMALL:
+    if _SMALL <= size < _LARGE:
         return f"{to_error(value, error)} ± {to_error(error, error)}"
     exponent = math.floor(math.log10(size))
     value, error = value * 10.0**-exponent, error * 10.0**-exponent

@@ -32,23 +32,14 @@ def _parser() -> argparse.ArgumentParser:
             for condition in CONDITIONS
         ),
     )
-    parser.add_argument("folder", type=Path, metavar="FOLDER", help="folder for the bags")
-    parser.add_argument(
-        "--conditions",
-        nargs="+",
-        metavar="NAME",
-        help="conditions to make, such as 2.5mm_1Hz_0.0A (default: all without errata)",
-    )
-    parser.add_argument(
-        "--errata",
-        action="store_true",
-        help="also make the conditions whose published row is in error; name and metadata mark "
-        "them",
-    )
-    parser.add_argument(
-        "--seed", type=int, default=0, help="seed of the noise (default %(default)s)"
-    )
-    parser.add_argument("--overwrite", action="store_true", help="replace existing bags")
+    add = parser.add_argument
+    add("folder", type=Path, metavar="FOLDER", help="folder for the bags")
+    chosen = "conditions to make, such as 2.5mm_1Hz_0.0A (default: all without errata)"
+    add("--conditions", nargs="+", metavar="NAME", help=chosen)
+    wrong = "also make the conditions whose published row is in error; name and metadata mark them"
+    add("--errata", action="store_true", help=wrong)
+    add("--seed", type=int, default=0, help="seed of the noise (default %(default)s)")
+    add("--overwrite", action="store_true", help="replace existing bags")
     return parser
 
 
@@ -68,9 +59,7 @@ def _chosen(options: argparse.Namespace) -> list[Condition]:
 def _make(options: argparse.Namespace) -> int:
     if options.seed < 0:
         raise ValueError(f"the seed is {options.seed}: it must not be negative")
-    paths = {
-        options.folder / recording_name(condition): condition for condition in _chosen(options)
-    }
+    paths = {options.folder / recording_name(each): each for each in _chosen(options)}
     existing = [path for path in paths if path.exists()]
     if existing and not options.overwrite:
         raise BagError(

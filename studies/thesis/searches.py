@@ -333,16 +333,15 @@ def methods_part(campaign: Campaign) -> Iterator[Chapter]:
     ]
     found = campaign.each("two_methods", identify, tasks)
     # Parameters (16,) by condition and origin.
-    sets = []
-    for condition, part in zip(CONDITIONS, found, strict=True):
-        sets.append(
-            {
-                "NM, thesis": parameters(condition, _SIMPLEX),
-                "DE, thesis": parameters(condition, _EVOLUTION),
-                "NM, ours": part["sets"][_SIMPLEX],
-                "DE, ours": part["sets"][_EVOLUTION],
-            }
-        )
+    sets = [
+        {
+            "NM, thesis": parameters(condition, _SIMPLEX),
+            "DE, thesis": parameters(condition, _EVOLUTION),
+            "NM, ours": part["sets"][_SIMPLEX],
+            "DE, ours": part["sets"][_EVOLUTION],
+        }
+        for condition, part in zip(CONDITIONS, found, strict=True)
+    ]
     worst = {
         method: max(part["residuals"][method] / part["floor"] for part in found)
         for method in PUBLISHED_METHODS

@@ -66,6 +66,7 @@ def test_cells(value, text):
         (-1.8449, 0.0131, "−1.845 ± 0.013"),
         (1234.0, 350.0, "1234 ± 350"),
         (-2.273e-7, 7.5e-9, "(−2.273 ± 0.075)·10⁻⁷"),
+        (3.02822805e11, 2.97288e12, "(0.3 ± 3.0)·10¹²"),
         (0.0, 4e-6, "(0.0 ± 4.0)·10⁻⁶"),
     ],
 )
@@ -75,7 +76,7 @@ def test_values_with_errors(value, error, text):
 
 def test_report_needs_nothing_from_outside_and_shows_the_numbers(tmp_path):
     with styled():
-        (chapter,) = sensitivity.sensitivity_part(Campaign(tmp_path)).chapters
+        (chapter,) = sensitivity.sensitivity_part(Campaign(tmp_path))
         chapters = [Chapter("s", "S", "found", ["a < b", *chapter.blocks])]
         page = write_report(tmp_path, "Title", "not original", chapters)
     text = page.read_text("utf-8")
