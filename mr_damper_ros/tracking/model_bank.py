@@ -30,6 +30,7 @@ from mr_damper_ros.signals.arrays import Array, RollingRows
 from mr_damper_ros.signals.blocks import NANOSECONDS
 from mr_damper_ros.tracking.bumpless_transfer import FADE_TIME
 from mr_damper_ros.tracking.operating_point import SAME_SPEED
+from mr_damper_ros.tracking.validity import DoubtKind
 
 _SAME_TIME = 1.5
 """A set replaces another with the same range of peak velocities if the half-cycles of their motions
@@ -476,27 +477,30 @@ class ModelBank:
         motion = Motion(u, v, a, v_m, sine=None)
         return JudgedSamples(motion, current, predicted, measured, stride * self._period)
 
-    def search_is_due(self) -> bool:
-        """Whether to search for another set now; searches are limited in rate."""
-        enough = self._rows.count * self._period >= _JUDGED_TIME
-        if not enough or self._since_search < 0.5 * _JUDGED_TIME:
-            return False
-        self._since_search = 0.0
-        return True
+    def choice(self, kind: DoubtKind, allowed: float) -> Choice | None:
+        """The set to use from now on, possibly with the other branch rule; None for no change.
 
-    def turning_is_due(self) -> bool:
-        """Whether the periodic comparison of the branch rules is due."""
+        ``kind`` is the reason code of the newest sample. Searches for a set that reproduces the
+        newest forces within an ``allowed`` error [N] are limited in rate. ``allowed`` is infinite
+        if no force is measured.
+        """
+        known = self._rows.count * self._period
+        wrong = kind in (DoubtKind.WRONG, DoubtKind.DRIVING)
+        unsuitable = wrong or kind in (DoubtKind.OUT_OF_RANGE, DoubtKind.TOO_LARGE)
+        if unsuitable and known >= _JUDGED_TIME and self._since_search >= 0.5 * _JUDGED_TIME:
+            self._since_search = 0.0
+            found = self._better(allowed, wrong=wrong)
+            return self.with_other_branch_rule() if found is None and wrong else found
         if not self._measured or self._since_turning < _TURNING_EVERY:
-            return False
+            return None
         self._since_turning = 0.0
-        return True
+        return self.with_other_branch_rule()
 
-    def better(self, allowed: float, *, wrong: bool) -> Choice | None:
-        """The set that reproduces the newest forces within an ``allowed`` error [N], or None.
+    def _better(self, allowed: float, *, wrong: bool) -> Choice | None:
+        """The set that reproduces the newest forces best.
 
-        ``wrong`` says that the force of the present set is wrong, not only outside its range. In
-        this case the present set is also tried, restarted from a new state. ``allowed`` is infinite
-        if no force is measured; the result is then the set last used for this motion.
+        If the force of the present set is ``wrong``, that set is also tried, restarted from a new
+        state. If no force is measured, the result is the set last used for this motion.
         """
         newest = self._newest(self._judged + 2.0 * _JUDGED_TIME)
         judged = slice(-max(round(self._judged / newest.period), 1), None)

@@ -28,7 +28,7 @@ from mr_damper_ros.signals.arrays import Array, Mask
 from mr_damper_ros.signals.blocks import KEEP_CURRENT, SampleBlock, ZeroOrderHold
 from mr_damper_ros.signals.uniform_grid import GridSettings, Placed, UniformGrid
 from mr_damper_ros.tracking.bumpless_transfer import ForceInUse
-from mr_damper_ros.tracking.model_bank import Choice, ModelBank
+from mr_damper_ros.tracking.model_bank import ModelBank
 from mr_damper_ros.tracking.reports import Report
 from mr_damper_ros.tracking.residual_monitor import ResidualMonitor
 from mr_damper_ros.tracking.validity import (
@@ -67,7 +67,7 @@ class Prediction:
     set_id: str
     doubts: Codes
     doubt: Doubt
-    continuity: str
+    continuity: str = ""
     motion: Motion | None = None
     current: Array | float | None = None
 
@@ -86,7 +86,6 @@ class Prediction:
             velocity=np.concatenate([part.velocity for part in parts]),
             doubts=np.concatenate([part.doubts for part in parts]),
             doubt=doubt,
-            continuity=parts[0].continuity,
         )
 
     @property
@@ -160,10 +159,6 @@ well as several short ones."""
 
 _SINE = np.arange(0.0, 2.0, 0.01)
 """Times [cycles] at which a sine is sampled to find the largest force of a set."""
-
-_SET_AT_FAULT = (DoubtKind.WRONG, DoubtKind.DRIVING, DoubtKind.OUT_OF_RANGE, DoubtKind.TOO_LARGE)
-"""Reason codes for which another set is tried."""
-
 
 _AT_REST = "the damper is at rest: its force depends on how it came to rest"
 
@@ -287,7 +282,7 @@ class ForcePredictor:
         ``known`` says whether the motion determines the force. The force of the first ``bridged``
         samples was not measured.
         """
-        follower, kind = self._motion, self._newest_kind
+        follower = self._motion
         assert follower is not None
         half_cycle, part = follower.centre.usual_half_cycle, slice(bridged, None)
         if known:
@@ -301,15 +296,7 @@ class ForcePredictor:
             steady=follower.steady,
             largest=partial(self._largest_force, half_cycle, motion, float(current[-1])),
         )
-        choice: Choice | None = None
-        if kind in _SET_AT_FAULT and self._bank.search_is_due():
-            wrong = kind in (DoubtKind.WRONG, DoubtKind.DRIVING)
-            choice = self._bank.better(self._monitor.allowed, wrong=wrong)
-            if choice is None and wrong:
-                choice = self._bank.with_other_branch_rule()
-        elif self._bank.turning_is_due():
-            choice = self._bank.with_other_branch_rule()
-        if choice is not None:
+        if (choice := self._bank.choice(self._newest_kind, self._monitor.allowed)) is not None:
             chosen, error = choice
             self._bank.use(chosen)
             gradual = self._bank.gradual
@@ -340,7 +327,7 @@ class ForcePredictor:
         whole, bridged = placed.block, placed.bridged
         if placed.kind == "repeat":
             repeated = Doubt(DoubtKind.REPEATED, placed.sentence)
-            return self._without_force(whole, repeated, placed.sentence)
+            return replace(self._without_force(whole, repeated), continuity=placed.sentence)
         if placed.kind == "jump_back":
             self._current.follow_jump()
             self.freshness.restart()
@@ -353,14 +340,11 @@ class ForcePredictor:
         ends = [*range(bridged + together, whole.sample_count, together), whole.sample_count]
         parts = [
             self._predict(
-                whole.part(first, end) if len(ends) > 1 else whole,
-                0 if first else bridged,
-                placed.sentence,
-                stale,
+                whole.part(first, end) if len(ends) > 1 else whole, 0 if first else bridged, stale
             )
             for first, end in pairwise([0, *ends])
         ]
-        prediction = Prediction.joined(parts)
+        prediction = replace(Prediction.joined(parts), continuity=placed.sentence)
         return prediction if whole is block else prediction.of_arrived(placed)
 
     def _begin(self, period: float) -> None:
@@ -372,14 +356,12 @@ class ForcePredictor:
         self._unlearned = None
         self._bank.forget_samples()
 
-    def _predict(self, block: SampleBlock, bridged: int, continuity: str, stale: str) -> Prediction:
+    def _predict(self, block: SampleBlock, bridged: int, stale: str) -> Prediction:
         assert self._motion is not None
         self._finish_learning()
         motion = self._motion.follow(block.displacement)
         if missing := lack_of_input(self.parameters, self._current, block.start_ns):
-            return self._without_force(
-                block, Doubt(DoubtKind.MISSING, missing), continuity, motion.velocity
-            )
+            return self._without_force(block, Doubt(DoubtKind.MISSING, missing), motion.velocity)
         current = self._current.at(block.start_ns, block.period, block.sample_count)
         self._bank.follow_current(float(current[-1]), block.end_ns)
         parameters = self.parameters
@@ -394,7 +376,7 @@ class ForcePredictor:
         if not np.isfinite(of_set).all():
             self._force.forget()
             overflow = Doubt(DoubtKind.NOT_FINITE, f"the force of {parameters.set_id} overflows")
-            return self._without_force(block, overflow, continuity, motion.velocity)
+            return self._without_force(block, overflow, motion.velocity)
         rules = self._rules_of_set(block, bridged, motion, current, of_set)
         self._newest_kind = rules[0].kind if rules else DoubtKind.NONE
         force = self._force.blended(of_set)
@@ -414,7 +396,6 @@ class ForcePredictor:
             set_id=parameters.set_id,
             doubts=codes,
             doubt=doubt,
-            continuity=continuity,
             motion=motion,
             current=current,
         )
@@ -469,7 +450,7 @@ class ForcePredictor:
         ]
 
     def _without_force(
-        self, block: SampleBlock, doubt: Doubt, continuity: str, velocity: Array | None = None
+        self, block: SampleBlock, doubt: Doubt, velocity: Array | None = None
     ) -> Prediction:
         """The prediction for a block without a force: NaN at every sample."""
         unknown = np.full(block.sample_count, np.nan)
@@ -482,7 +463,6 @@ class ForcePredictor:
             set_id=self.parameters.set_id if self.parameters else "",
             doubts=np.full(block.sample_count, doubt.kind, dtype=np.uint8),
             doubt=doubt,
-            continuity=continuity,
         )
 
 
