@@ -268,7 +268,7 @@ class UniformGrid:
         if last is None or self._clock is None:
             return "first", 0, ""
         if not math.isclose(block.period, last.period, rel_tol=1e-6):
-            changed = f"the sample period changed from {last.period:g} s to {block.period:g} s"
+            changed = f"the sample period changed from {last.period:.9g} s to {block.period:.9g} s"
             return "changed_period", 0, changed
         due_ns = self._clock.at(_end(last))
         late_ns = block.start_ns - due_ns

@@ -43,6 +43,7 @@ def test_of_a_block_that_overlaps_what_is_new_is_taken() -> None:
         (block(0), "repeat", 0, 10, "a block arrived twice or too late: it is ignored"),
         (block(0, late=-5.0), "jump_back", 0, 0, "the stamps jump back by 5.01 s"),
         (block(10, period=2e-3), "changed_period", 0, 0, "the sample period changed from 0.001 s"),
+        (block(10, period=1.00001e-3), "changed_period", 0, 0, "the sample period changed from 0."),
     ],
     ids=lambda value: value if isinstance(value, str) else "",
 )
@@ -54,6 +55,7 @@ def test_what_arrives_is_judged_and_counted_as_documented(
     (placed,) = grid.follow(then)
     assert placed.kind == kind
     assert placed.sentence.startswith(sentence)
+    assert "from 0.001 s to 0.001 s" not in placed.sentence
     assert ("restart" in placed.sentence) == (kind in ("gap", "jump_back", "changed_period"))
     assert grid.interruptions == bool(sentence)
     counts = (grid.lost_samples, grid.bridged_samples, grid.repeated_samples)
