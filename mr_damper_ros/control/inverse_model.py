@@ -83,8 +83,8 @@ class InverseModel:
     """The inverse of a parameter set between two currents [A] of the coil.
 
     ``gradual_reversal``: use the law without jumps at reversals, as in the prediction. Raises
-    ValueError if the highest current is not above the lowest. Warns if the set was identified at a
-    single current.
+    ValueError if the currents are not finite or the highest is not above the lowest. Warns if the
+    set was identified at a single current.
     """
 
     def __init__(
@@ -95,10 +95,10 @@ class InverseModel:
         *,
         gradual_reversal: bool = False,
     ) -> None:
-        if not lowest_current < highest_current:
+        if not -math.inf < lowest_current < highest_current < math.inf:
             raise ValueError(
                 f"the highest current, {highest_current:g} A, is not above the lowest, "
-                f"{lowest_current:g} A"
+                f"{lowest_current:g} A: give two finite currents"
             )
         if parameters.doubt_over_current:
             warnings.warn(parameters.doubt_over_current, stacklevel=2)
@@ -121,10 +121,10 @@ class InverseModel:
         """Currents for the desired forces ``wanted`` (n,) [N] at the samples of a motion.
 
         If several currents give the desired force, the one nearest to ``last`` [A] is returned,
-        without ``last`` the lowest. Each sample comes ``period`` [s] after the ``state``, which a
-        law with memory needs.
+        without ``last``, or where it is NaN, the lowest. Each sample comes ``period`` [s] after the
+        ``state``, which a law with memory needs. Raises ValueError if a desired force is NaN.
         """
-        forces = np.broadcast_to(np.asarray(wanted, dtype=float), motion.velocity.shape)
+        forces = _desired(wanted, motion)
         near: list[float] | list[None] = [None] * forces.size
         if last is not None:
             near = np.broadcast_to(np.asarray(last, dtype=float), forces.shape).tolist()
@@ -200,7 +200,7 @@ class InverseModel:
         Shapes are as in :meth:`currents`; also returns the state after the last sample. Of several
         currents, the one nearest to the previous current is used.
         """
-        forces = np.broadcast_to(np.asarray(wanted, dtype=float), motion.velocity.shape)
+        forces = _desired(wanted, motion)
         found: list[Inversion] = []
         last: float | None = None
         for place, force in enumerate(forces.tolist()):
@@ -212,8 +212,18 @@ class InverseModel:
         return _together(found), state
 
 
+def _desired(wanted: ArrayLike, motion: Motion) -> Array:
+    """One desired force per sample, (n,)."""
+    forces = np.broadcast_to(np.asarray(wanted, dtype=float), motion.velocity.shape)
+    if np.isnan(forces).any():
+        raise ValueError("a desired force is NaN: give a force [N] for each sample")
+    return forces
+
+
 def _together(found: list[Inversion]) -> Inversion:
-    return Inversion(*(np.array(part) for part in zip(*found, strict=True)))
+    columns = zip(*found, strict=True) if found else [[]] * len(Inversion._fields)
+    together = Inversion(*(np.array(part) for part in columns))
+    return together._replace(attainable=together.attainable.astype(bool))
 
 
 def _each(current: ArrayLike, motion: Motion) -> Array:
@@ -271,7 +281,7 @@ def _cell(nodes: list[float], above: list[bool], last: float | None) -> int:
         except ValueError:
             return best
         away = 0.0
-        if last is not None:
+        if last is not None and last == last:
             away = max(nodes[place] - last, last - nodes[place + 1], 0.0)
         if away < least:
             best, least = place, away

@@ -128,8 +128,10 @@ def test_of_several_currents_the_lowest_or_the_nearest_to_the_last():
     wanted = 0.5 * (force[top] + max(force[0], force[-1]))
     rising, falling = every[top], HIGHEST
     inverse = InverseModel(ParameterSet(values), LOWEST, HIGHEST)
-    assert inverse.currents(motion, wanted).current[0] < rising
-    assert inverse.currents(motion, wanted, last=LOWEST).current[0] < rising
+    for last in (None, math.nan, LOWEST):
+        found = inverse.currents(motion, wanted, last=last)
+        assert found.attainable[0]
+        assert found.current[0] < rising
     assert inverse.currents(motion, wanted, last=falling).current[0] > rising
 
 
@@ -143,9 +145,16 @@ def test_what_saturates_is_not_paid_for_with_current():
     assert found.current[0] < HIGHEST - 0.1
 
 
-def test_the_limits_must_leave_a_range():
-    with pytest.raises(ValueError, match="not above the lowest"):
-        InverseModel(ParameterSet(PLAUSIBLE), 1.0, 1.0)
+def test_what_cannot_be_inverted_is_refused():
+    for highest in (1.0, math.inf):
+        with pytest.raises(ValueError, match="not above the lowest, 1 A: give two finite"):
+            InverseModel(ParameterSet(PLAUSIBLE), 1.0, highest)
+    inverse = InverseModel(ParameterSet(PLAUSIBLE), LOWEST, HIGHEST)
+    motion = random_motion(2, np.random.default_rng(5))
+    with pytest.raises(ValueError, match="a desired force is NaN"):
+        inverse.currents(motion, [1.0, math.nan])
+    nothing = inverse.currents(motion.part(slice(0)), [])
+    assert nothing.current[nothing.attainable].size == 0
 
 
 # -- the coil --------------------------------------------------------------------------------------
