@@ -8,30 +8,39 @@ has no lag.
 
 from __future__ import annotations
 
-import math
 from dataclasses import replace
 
 import numpy as np
 
 from mr_damper_ros.kinematics.window import Window
+from mr_damper_ros.models.formulas import Formulas, staged
 from mr_damper_ros.models.quantities import SETTLING, Parameter, State
 from mr_damper_ros.signals.arrays import Array
 
-_SHORTEST, _LONGEST = 1e-9, 1e9
-"""Limits of the time constant in sample periods; other values are set to the nearest limit."""
+LAG: Formulas = (
+    ("mean_tau", "clip(0.5 * (tau_before + tau), 1e-9 * period, 1e9 * period)"),
+    ("steps", "period / mean_tau"),
+    ("kept", "exp(-steps)"),
+    ("mean", "-expm1(-steps) / steps"),
+    ("weight_before", "mean - kept"),
+    ("weight_now", "1.0 - mean"),
+    ("lagged", "weight_before * value_before + weight_now * value + kept * lagged_before"),
+)
+"""One step of a lag: time constants ``tau`` [s], a signal ``value``, and the ``lagged`` signal."""
 
+_weights = staged(
+    LAG,
+    [("tau_before", "tau", "period")],
+    ("mean_tau", "steps", "kept", "weight_before", "weight_now"),
+)
 
-def _weights(before: Array | float, now: Array, period: float) -> tuple[Array, ...]:
-    """Weights of a step between two samples with these time constants [s].
-
-    Returns the mean time constant [s], its ratio to the period, and the weights of the previous
-    lagged value and of the signal at both ends of the step, between which it is linear.
-    """
-    tau = (0.5 * (before + now)).clip(_SHORTEST * period, _LONGEST * period)
-    ratio = period / tau
-    decay = np.exp(-ratio)
-    mean = -np.expm1(-ratio) / ratio
-    return tau, ratio, decay, mean - decay, 1.0 - mean
+one_sample_later = staged(
+    LAG,
+    [("value", "tau", "period", "value_before", "lagged_before", "tau_before")],
+    ("lagged",),
+    scalars=1,
+)
+"""The lagged signal at one sample in floating-point scalars."""
 
 
 LagState = tuple[Array, Array, Array]
@@ -114,32 +123,6 @@ def solve_recursion(kept: Array, added: Array) -> Array:
     bands[1, :-1] = -kept[1:]
     solved = dtbtrs(bands, added, uplo="L", diag="U", overwrite_b=True)[0]
     return np.asarray(solved.reshape(added.shape))
-
-
-def one_sample_later(
-    value: float, time_constant: float, period: float, before: float, late: float, constant: float
-) -> float:
-    """The lagged signal at one sample in floating-point scalars; see :class:`FirstOrderLag`.
-
-    ``before``, ``late`` and ``constant`` [s]: signal, lagged signal and time constant at the
-    previous sample.
-    """
-    tau = min(max(0.5 * (constant + time_constant), _SHORTEST * period), _LONGEST * period)
-    ratio = period / tau
-    decay, mean = math.exp(-ratio), -math.expm1(-ratio) / ratio
-    return (mean - decay) * before + (1.0 - mean) * value + decay * late
-
-
-def next_lagged(
-    values: Array, time_constant: Array, period: float, state: tuple[float, float, float]
-) -> Array:
-    """Lagged values at the sample after ``state``, each with its own time constant [s].
-
-    The arguments broadcast; the values are alternatives for one sample, not a sequence.
-    """
-    value, late, constant = state
-    _, _, decay, before, now = _weights(constant, time_constant, period)
-    return np.asarray(before * value + now * values + decay * late)
 
 
 def _one_earlier(values: Array) -> Array:

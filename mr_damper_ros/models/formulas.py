@@ -1,9 +1,9 @@
 """Laws as formulas, which are differentiated, compiled, and translated to other languages.
 
 A formula is a name and a Python expression. It may contain numbers, inputs, earlier formulas, the
-operators ``+ - * / < >=`` and the functions ``exp``, ``tanh``, ``abs``, ``clip(x, low, high)``,
-``larger(x, y)``, ``where(condition, yes, no)``, ``sat(x)`` (x limited to ±1e100) and ``number(x)``
-(0 in place of NaN).
+operators ``+ - * / < >=`` and the functions ``exp``, ``expm1``, ``tanh``, ``abs``, ``clip(x, low,
+high)``, ``larger(x, y)``, ``where(condition, yes, no)``, ``sat(x)`` (x limited to ±1e100) and
+``number(x)`` (0 in place of NaN).
 """
 
 from __future__ import annotations
@@ -13,6 +13,7 @@ import math
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import cache
 from typing import Any, Protocol
 
 import numpy as np
@@ -80,7 +81,7 @@ def staged(
     """
     known = {name: stage for stage, names in enumerate(stages) for name in names}
     lines = [(name, _tree(text)) for name, text in _needed(formulas, results, known)]
-    parts = Counter(ast.unparse(node) for _, tree in lines for node in ast.walk(tree))
+    parts = Counter(_text(node) for _, tree in lines for node in ast.walk(tree))
     writer = _Writer(stages, known, {p for p in parts if parts[p] > 1}, scalars)
     for name, tree in lines:
         writer.add(name, tree)
@@ -133,10 +134,16 @@ def _needed(
     return ((name, text) for name, text in formulas if name in wanted and name not in known)
 
 
+# Several laws are compiled from the same formulas, so their parts are kept.
+@cache
 def _tree(text: str) -> ast.expr:
     return ast.parse(text, mode="eval").body
 
 
+_text = cache(ast.unparse)
+
+
+@cache
 def _names(tree: ast.AST) -> set[str]:
     functions = {id(node.func) for node in ast.walk(tree) if isinstance(node, ast.Call)}
     every = (node for node in ast.walk(tree) if isinstance(node, ast.Name))
@@ -150,7 +157,7 @@ def _derivative(node: ast.expr, by: str, name: str, line: ast.expr) -> str:
     """Derivative of a part of the formula ``name`` with respect to one of the names in it."""
     if by not in _names(node):
         return "0.0"
-    text = ast.unparse
+    text = _text
     match node:
         case ast.Name():
             return "1.0"
@@ -264,6 +271,7 @@ class Language:
 
 _SCALAR_FUNCTIONS: dict[str, Callable[..., Any]] = {
     "exp": math.exp,
+    "expm1": math.expm1,
     "tanh": math.tanh,
     "abs": abs,
     "clip": lambda x, low, high: high if x > high else low if x < low else x,
@@ -272,6 +280,7 @@ _SCALAR_FUNCTIONS: dict[str, Callable[..., Any]] = {
 
 _ARRAY_FUNCTIONS: dict[str, Callable[..., Any]] = {
     "each_exp": np.exp,
+    "each_expm1": np.expm1,
     "each_tanh": np.tanh,
     "each_abs": np.abs,
     "each_where": np.where,
@@ -369,7 +378,7 @@ class _Writer:
 
     def _part(self, node: ast.expr, stage: int) -> str:
         """Part of an expression; stored if it belongs to an earlier stage or is repeated."""
-        own, text = self._stage(node), ast.unparse(node)
+        own, text = self._stage(node), _text(node)
         simple = isinstance(node, (ast.Name, ast.Constant))
         if simple or (own == stage and text not in self._repeated):
             return self._written(node, own)

@@ -48,12 +48,11 @@ from mr_damper_ros.kinematics.motion import Motion, MotionSample
 from mr_damper_ros.models.first_order_lag import (
     COIL,
     FEW,
+    LAG,
     lagged,
-    next_lagged,
-    one_sample_later,
 )
 from mr_damper_ros.models.force_model import CurrentResponse
-from mr_damper_ros.models.formulas import staged
+from mr_damper_ros.models.formulas import Formulas, staged
 from mr_damper_ros.models.quantities import State
 from mr_damper_ros.models.sigmoid.law import (
     LAW,
@@ -115,32 +114,28 @@ def extension_of(parameters: Array) -> Extension:
     return Extension(*parameters[SIGMOID_COUNT:-1].tolist())
 
 
-class LagMemory(NamedTuple):
-    """State of the lag: force and lagged force of the sigmoid [N] and time constant [s]."""
+EXTENDED_LAW: Formulas = (
+    *LAW,
+    ("value", "force"),
+    ("tau", f"larger({COMPLIANCE} * damping, 0.0)"),
+    *LAG,
+    ("late", "where(started, lagged, force)"),
+    ("total", "late + (stiffness * u + offset)"),
+)
+"""The extended law; ``started`` is 0 at the first sample, which has no lag, and 1 later."""
 
-    plain: float
-    force: float
-    constant: float
+LAG_MEMORY = 3
+"""Number of arrays in the state of the lag: force, lagged force [N] and time constant [s]."""
 
-    @classmethod
-    def of(cls, state: State | None) -> LagMemory | None:
-        """The memory of the lag from a state of the extended law; None at a start."""
-        return None if state is None else cls(*map(float, state[-LAG_MEMORY:]))
+_LAG = ("started", "value_before", "lagged_before", "tau_before")
 
 
-LAG_MEMORY = len(LagMemory._fields)
-"""Number of arrays in the state of the lag."""
-
-
-def lagged_after(
-    force: float, damping: float, extension: Extension, period: float, before: LagMemory | None
-) -> LagMemory:
-    """State of the lag ``period`` [s] after ``before``; None starts without lag."""
-    constant = max(float(extension.compliance) * damping, 0.0)
-    late = force
-    if before is not None:
-        late = one_sample_later(force, constant, period, *before)
-    return LagMemory(force, late, constant)
+def _lag_before(state: State | None, extended: bool, jumps: bool) -> tuple[float, ...]:
+    """The inputs ``_LAG`` from a state, which may end with the coil's state."""
+    if not extended:
+        return ()
+    first = 0 if jumps else BRANCH_MEMORY
+    return (0.0,) * 4 if state is None else (1.0, *map(float, state[first : first + LAG_MEMORY]))
 
 
 # -- along a motion
@@ -148,12 +143,18 @@ def lagged_after(
 BRANCH_MEMORY = 2
 """Number of arrays in the state without the jump: the last velocity [m/s] and the last branch."""
 
-_sample = staged(
-    LAW,
-    [PARAMETER_NAMES, ("i",), ("v", "v_m", "s", "change")],
-    ("force", "damping", "branch"),
-    scalars=3,
+_SAMPLE = ("v", "v_m", "s", "change", "u")
+
+_SAMPLE_LAWS = (
+    staged(LAW, [PARAMETER_NAMES, ("i", "period"), _SAMPLE], ("force", "branch"), scalars=3),
+    staged(
+        EXTENDED_LAW,
+        [EXTENDED_NAMES, ("i", "period"), (*_SAMPLE, *_LAG)],
+        ("total", "branch", "force", "late", "tau"),
+        scalars=3,
+    ),
 )
+"""Laws of one sample, without and with the extension: force, branch, and state of the lag."""
 
 
 def follow(
@@ -198,10 +199,9 @@ def _follow_few(
     jumps: bool,
 ) -> tuple[Array, State]:
     """:func:`follow` for one set, sample by sample."""
-    at_current = _sample(*parameters[:SIGMOID_COUNT].tolist())
-    extension, late = None, None
-    if is_extended(parameters):
-        extension, late = extension_of(parameters), LagMemory.of(state)
+    extended = is_extended(parameters)
+    at_current = _SAMPLE_LAWS[extended](*parameters.tolist())
+    lag = _lag_before(state, extended, jumps)
     branch, last = branch_before(None if jumps else state, float(motion.acceleration[0]))
     branches = np.sign(motion.acceleration).tolist() if jumps else repeat(branch)
     columns = (current, motion.velocity, motion.peak_velocity, motion.displacement)
@@ -209,18 +209,17 @@ def _follow_few(
     known, forces, change = math.nan, [], 0.0
     for sign, amperes, v, v_m, u in rows:
         if amperes != known:
-            known, sample = amperes, at_current(amperes)
+            known, sample = amperes, at_current(amperes, period)
         if jumps:
             branch = sign
         elif last is not None:
             change = v - last
-        force, damping, branch = sample(v, v_m, branch, change)
+        force, branch, *late = sample(v, v_m, branch, change, u, *lag)
+        if extended:
+            lag = (1.0, *late)
         last = v
-        if extension is not None:
-            late = lagged_after(force, damping, extension, period, late)
-            force = late.force + extension.gas(u)
         forces.append(force)
-    remembered = (*(() if jumps else (last, branch)), *(late or ()))
+    remembered = (*(() if jumps else (last, branch)), *lag[1:])
     return np.array(forces), tuple(map(np.array, remembered))
 
 
@@ -270,16 +269,17 @@ _MOTION = ("scale", "alpha", "viscous", "centred", "width")
 """Formulas that depend only on the motion."""
 
 _of_motion = staged(LAW, [PARAMETER_NAMES, ("v", "v_m")], _MOTION, scalars=2)
-_SEEN = (*_MOTION, "s", "change")
 
 
 @cache
 def _over_current(extended: bool) -> tuple[Callable[..., Any], Callable[..., Any]]:
-    """Compiled formulas over the current: scalar for one sample, arrays for many samples."""
-    results = ("force", "damping") if extended else ("force",)
+    """Compiled law over the current: scalar for one sample, arrays for many samples."""
+    names = EXTENDED_NAMES if extended else PARAMETER_NAMES
+    seen = (*_MOTION, "s", "change", *(("u", "period", *_LAG) if extended else ()))
+    result = "total" if extended else "force"
     return (
-        staged(LAW, [PARAMETER_NAMES, _SEEN, ("i",)], results, scalars=3),
-        staged(LAW, [PARAMETER_NAMES, ("i",), _SEEN], results, scalars=1),
+        staged(EXTENDED_LAW, [names, seen, ("i",)], (result,), scalars=3),
+        staged(EXTENDED_LAW, [names, ("i",), seen], (result,), scalars=1),
     )
 
 
@@ -287,28 +287,18 @@ class SigmoidCurrentResponse(CurrentResponse):
     """Response of a set (16,) or (20,); motion terms are computed in scalar code."""
 
     def __init__(self, parameters: Array, *, jumps: bool) -> None:
-        self._jumps = jumps
-        numbers, extended = parameters[:SIGMOID_COUNT].tolist(), is_extended(parameters)
-        self._extension = extension_of(parameters) if extended else None
-        self._motion = _of_motion(*numbers)
-        self._scalar, self._arrays = (each(*numbers) for each in _over_current(extended))
+        self._jumps, self._extended = jumps, is_extended(parameters)
+        numbers = parameters.tolist()
+        self._motion = _of_motion(*numbers[:SIGMOID_COUNT])
+        self._scalar, self._arrays = (each(*numbers) for each in _over_current(self._extended))
         self._latest: tuple[Array, Callable[..., Any]] | None = None
 
     def at(
         self, sample: MotionSample, period: float, state: State | None
     ) -> Callable[[float], float]:
         """Force [N] of one sample at a current [A]."""
-        force_at: Callable[[float], Any] = self._scalar(*self._seen(sample, state))
-        if self._extension is None:
-            return force_at
-        extension, gas = self._extension, self._extension.gas(sample.displacement)
-        before = self._lag_before(state)
-
-        def late_force(current: float) -> float:
-            force, damping = force_at(current)
-            return float(lagged_after(force, damping, extension, period, before).force + gas)
-
-        return late_force
+        force_at: Callable[[float], float] = self._scalar(*self._seen(sample, period, state))
+        return force_at
 
     @np.errstate(over="ignore", divide="ignore", invalid="ignore")
     def forces(
@@ -317,27 +307,16 @@ class SigmoidCurrentResponse(CurrentResponse):
         """Force (n, m) [N]; the terms of the current are kept for the next samples."""
         if self._latest is None or self._latest[0] is not current:
             self._latest = current, self._arrays(current)
-        rows = [self._seen(sample, state) for sample in samples]
+        rows = [self._seen(sample, period, state) for sample in samples]
         # Scalars for one sample: arrays of one element are slower.
         seen = rows[0] if len(rows) == 1 else np.array(rows).T[:, :, np.newaxis]
-        found = self._latest[1](*seen)
-        if self._extension is None:
-            return np.reshape(found, (len(rows), -1))
-        displacement = np.array([[sample.displacement] for sample in samples])
-        late, damping = found
-        before = self._lag_before(state)
-        if before is not None:
-            constant = self._extension.time_constant(damping)
-            late = next_lagged(late, constant, period, before)
-        return np.asarray(late + self._extension.gas(displacement))
+        return np.reshape(self._latest[1](*seen), (len(rows), -1))
 
-    def _lag_before(self, state: State | None) -> LagMemory | None:
-        """The lag before a sample; the state may end with the coil's state."""
-        turning = 0 if self._jumps else BRANCH_MEMORY
-        return LagMemory.of(None if state is None else state[: turning + LAG_MEMORY])
-
-    def _seen(self, sample: MotionSample, state: State | None) -> tuple[float, ...]:
-        turning = None if self._jumps else state
-        branch, before = branch_before(turning, sample.acceleration)
+    def _seen(self, sample: MotionSample, period: float, state: State | None) -> tuple[float, ...]:
+        branch, before = branch_before(None if self._jumps else state, sample.acceleration)
         change = 0.0 if before is None else sample.velocity - before
-        return (*self._motion(sample.velocity, sample.peak_velocity), branch, change)
+        seen = (*self._motion(sample.velocity, sample.peak_velocity), branch, change)
+        if not self._extended:
+            return seen
+        lag = _lag_before(state, True, self._jumps)
+        return (*seen, sample.displacement, period, *lag)
