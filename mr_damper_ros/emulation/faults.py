@@ -10,7 +10,8 @@ import re
 from collections.abc import Callable, Sequence
 from copy import deepcopy
 from dataclasses import dataclass, replace
-from typing import Any, Literal, NamedTuple
+from functools import partial
+from typing import Any, Literal, NamedTuple, get_args
 
 import numpy as np
 
@@ -71,8 +72,8 @@ class Kind:
     active; otherwise ``act`` is always used and handles the times itself.
     """
 
-    name: str
     stage: Stage
+    name: str
     act: Callable[[Fault, Any], Any]
     unit: str = ""
     usual: float = 1.0
@@ -205,6 +206,15 @@ def _wear(fault: Fault, samples: Samples) -> Array:
     return np.interp(samples.time, times, (1.0, fault.amount)) * samples.values
 
 
+def _end_stop(fault: Fault, samples: Samples) -> Array:
+    u = samples.motion.displacement
+    return samples.values + 1e6 * (u - np.clip(u, -fault.amount, fault.amount))
+
+
+def _changed(fault: Fault, motion: Excitation, **changes: float) -> ChangedMotion:
+    return ChangedMotion(motion, fault.begin, fault.end, _CHANGE, **changes)
+
+
 def _backlash(fault: Fault, samples: Samples) -> Array:
     """After each reversal, the rod follows the machine only when the play is used up.
 
@@ -306,114 +316,66 @@ def _ahead(block: RigBlock, seconds: float) -> RigBlock:
     return replace(block, start_ns=block.start_ns + shift, ahead_ns=block.ahead_ns + shift)
 
 
+def _jitter(fault: Fault, block: RigBlock) -> RigBlock:
+    return _ahead(block, fault.amount * (2.0 * fault.rng.random() - 1.0) * block.period)
+
+
+_motion, _coil, _force, _channel, _block, _delivery, _label = (
+    partial(Kind, stage) for stage in get_args(Stage)
+)
+
 # In the functions of the table, f is the fault, s the samples, b the block.
 KINDS: tuple[Kind, ...] = (
-    Kind("force_loss", "force", lambda f, s: f.amount * s.values, "1", 0.5),
-    Kind("wear", "force", _wear, "1", 0.7, masked=False),
+    _force("force_loss", lambda f, s: f.amount * s.values, "1", 0.5),
+    _force("wear", _wear, "1", 0.7, masked=False),
     # The sign of the velocity, smoothed within 1 mm/s.
-    Kind(
-        "friction",
-        "force",
-        lambda f, s: s.values + f.amount * np.tanh(s.motion[1] / 1e-3),
-        "N",
-        200.0,
-    ),
-    Kind("spring", "force", lambda f, s: s.values + f.amount * s.motion[0], "N/m", 1e5),
-    Kind(
-        "end_stop",
-        "force",
-        lambda f, s: s.values + 1e6 * (s.motion[0] - np.clip(s.motion[0], -f.amount, f.amount)),
-        "m",
-        0.004,
-        0.0,
-    ),
-    Kind("backlash", "force", _backlash, "m", 0.5e-3, 0.0),
-    Kind("coil_factor", "coil", lambda f, s: f.amount * s.values, "1", 0.0),
-    Kind("coil_offset", "coil", lambda f, s: s.values + f.amount, "A", 0.1),
-    Kind(
-        "amplitude",
-        "motion",
-        lambda f, motion: ChangedMotion(motion, f.begin, f.end, _CHANGE, factor=f.amount),
-        "1",
-        0.1,
-    ),
-    Kind(
-        "tempo",
-        "motion",
-        lambda f, motion: ChangedMotion(motion, f.begin, f.end, _CHANGE, tempo=f.amount),
-        "1",
-        0.0,
-        0.0,
-    ),
-    Kind("gain", "channel", lambda f, s: f.amount * s.values, "1", 10.0),
-    Kind("offset", "channel", lambda f, s: s.values + f.amount, "channel"),
-    Kind("creep", "channel", lambda f, s: s.values + f.amount * (s.time - f.begin), "channel/s"),
-    Kind("stuck", "channel", _stuck),
-    Kind("dropouts", "channel", lambda f, s: _outages(f, s, 0.0), "1/s", 2.0, 0.0, masked=False),
-    Kind("nan", "channel", lambda f, s: _outages(f, s, math.nan), "1/s", 2.0, 0.0, masked=False),
-    Kind("missing", "channel", lambda f, s: np.full(s.values.size, math.nan)),
-    Kind("spikes", "channel", _spikes, "channel"),
-    Kind(
+    _force("friction", lambda f, s: s.values + f.amount * np.tanh(s.motion[1] / 1e-3), "N", 200.0),
+    _force("spring", lambda f, s: s.values + f.amount * s.motion[0], "N/m", 1e5),
+    _force("end_stop", _end_stop, "m", 0.004, 0.0),
+    _force("backlash", _backlash, "m", 0.5e-3, 0.0),
+    _coil("coil_factor", lambda f, s: f.amount * s.values, "1", 0.0),
+    _coil("coil_offset", lambda f, s: s.values + f.amount, "A", 0.1),
+    _motion("amplitude", lambda f, motion: _changed(f, motion, factor=f.amount), "1", 0.1),
+    _motion("tempo", lambda f, motion: _changed(f, motion, tempo=f.amount), "1", 0.0, 0.0),
+    _channel("gain", lambda f, s: f.amount * s.values, "1", 10.0),
+    _channel("offset", lambda f, s: s.values + f.amount, "channel"),
+    _channel("creep", lambda f, s: s.values + f.amount * (s.time - f.begin), "channel/s"),
+    _channel("stuck", _stuck),
+    _channel("dropouts", lambda f, s: _outages(f, s, 0.0), "1/s", 2.0, 0.0, masked=False),
+    _channel("nan", lambda f, s: _outages(f, s, math.nan), "1/s", 2.0, 0.0, masked=False),
+    _channel("missing", lambda f, s: np.full(s.values.size, math.nan)),
+    _channel("spikes", _spikes, "channel"),
+    _channel(
         "noise",
-        "channel",
         lambda f, s: s.values + f.amount * f.rng.standard_normal(s.time.size),
         "channel",
         least=0.0,
     ),
-    Kind(
-        "hum",
-        "channel",
-        lambda f, s: s.values + f.amount * np.sin(2.0 * np.pi * 50.0 * s.time),
-        "channel",
+    _channel("hum", lambda f, s: s.values + f.amount * np.sin(100.0 * np.pi * s.time), "channel"),
+    _channel("clip", lambda f, s: np.clip(s.values, -f.amount, f.amount), "channel", least=0.0),
+    _channel(
+        "coarse", lambda f, s: np.round(s.values / f.amount) * f.amount, "channel", least=1e-12
     ),
-    Kind(
-        "clip", "channel", lambda f, s: np.clip(s.values, -f.amount, f.amount), "channel", least=0.0
+    _channel("delay", _delay, "s", 0.05, 0.0),
+    _channel("sluggish", _sluggish, "s", 0.05, 0.0),
+    _block(
+        "swapped", lambda f, b: replace(b, displacement=1e-6 * b.force, force=b.displacement / 1e-6)
     ),
-    Kind(
-        "coarse",
-        "channel",
-        lambda f, s: np.round(s.values / f.amount) * f.amount,
-        "channel",
-        least=1e-12,
+    _block(
+        "crosstalk", lambda f, b: replace(b, force=b.force + f.amount * b.current), "N/A", 100.0
     ),
-    Kind("delay", "channel", _delay, "s", 0.05, 0.0),
-    Kind("sluggish", "channel", _sluggish, "s", 0.05, 0.0),
-    Kind(
-        "swapped",
-        "block",
-        lambda f, b: replace(b, displacement=1e-6 * b.force, force=b.displacement / 1e-6),
-    ),
-    Kind(
-        "crosstalk",
-        "block",
-        lambda f, b: replace(b, force=b.force + f.amount * b.current),
-        "N/A",
-        100.0,
-    ),
-    Kind("repeated_buffer", "block", _repeated_buffer, masked=False),
-    Kind("lost_blocks", "delivery", lambda f, b: [] if _chosen(f, b) else [b], "1", 0.05, 0.0),
-    Kind("doubled_blocks", "delivery", lambda f, b: [b] * (1 + _chosen(f, b)), "1", 0.1, 0.0),
-    Kind("reordered_blocks", "delivery", _reordered, "1", 0.1, 0.0),
-    Kind("late_blocks", "delivery", _late, "s", 0.3, 0.0),
-    Kind(
-        "stamp_jitter",
-        "label",
-        lambda f, b: _ahead(b, f.amount * (2.0 * f.rng.random() - 1.0) * b.period),
-        "1",
-        0.3,
-        0.0,
-    ),
-    Kind("clock_jump", "label", lambda f, b: _ahead(b, f.amount), "s", 60.0),
-    Kind("clock_drift", "label", lambda f, b: _ahead(b, f.amount * _since(f, b)), "s/s", 1e-4),
-    Kind(
-        "wrong_period", "label", lambda f, b: replace(b, period=b.period * f.amount), "1", 2.0, 1e-6
-    ),
-    Kind(
-        "recount", "label", lambda f, b: replace(b, sequence=b.sequence - round(f.begin / b.period))
-    ),
-    Kind(
+    _block("repeated_buffer", _repeated_buffer, masked=False),
+    _delivery("lost_blocks", lambda f, b: [] if _chosen(f, b) else [b], "1", 0.05, 0.0),
+    _delivery("doubled_blocks", lambda f, b: [b] * (1 + _chosen(f, b)), "1", 0.1, 0.0),
+    _delivery("reordered_blocks", _reordered, "1", 0.1, 0.0),
+    _delivery("late_blocks", _late, "s", 0.3, 0.0),
+    _label("stamp_jitter", _jitter, "1", 0.3, 0.0),
+    _label("clock_jump", lambda f, b: _ahead(b, f.amount), "s", 60.0),
+    _label("clock_drift", lambda f, b: _ahead(b, f.amount * _since(f, b)), "s/s", 1e-4),
+    _label("wrong_period", lambda f, b: replace(b, period=b.period * f.amount), "1", 2.0, 1e-6),
+    _label("recount", lambda f, b: replace(b, sequence=b.sequence - round(f.begin / b.period))),
+    _label(
         "supply_clock",
-        "label",
         lambda f, b: replace(b, supply_ahead_ns=round(f.amount * NANOSECONDS)),
         "s",
         2.0,

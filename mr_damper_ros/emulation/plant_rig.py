@@ -7,7 +7,6 @@ samples do not depend on the block size.
 from __future__ import annotations
 
 import math
-from dataclasses import replace
 from typing import Protocol
 
 import numpy as np
@@ -24,8 +23,6 @@ from mr_damper_ros.emulation.emulator import (
 )
 from mr_damper_ros.kinematics.motion import Motion
 from mr_damper_ros.kinematics.peak_velocity import PeakVelocity
-from mr_damper_ros.models import MODELS
-from mr_damper_ros.models.first_order_lag import COIL
 from mr_damper_ros.models.parameter_set import ParameterSet
 from mr_damper_ros.signals.arrays import Array
 from mr_damper_ros.signals.blocks import RigBlock
@@ -127,37 +124,20 @@ Tables 8 and 9, at 5 mm, 1 Hz and 1.5 A.
 
 HIGHEST_CURRENT = 1.6
 
-_VALUES = {
-    "f0": 40.0,
-    "I0": -0.35,
-    "I1": -0.25,
-    "a0": 900.0,
-    "a1": 2.5,
-    "a2": 4.0,
-    "a3": 3.0,
-    "a4": 2.0,
-    "k0": 9.0,
-    "k1c": 4.0,
-    "k1e": 6.0,
-    "k2": 18.0,
-    "k3": -0.45,
-    "k4": -0.11,
-    "k5": 0.06,
-    "k6": 0.012,
-    "compliance": 3e-08,
-    "stiffness": 2000.0,
-    "offset": -40.0,
-}
+_VALUES = (
+    *(40.0, -0.35, -0.25, 900.0, 2.5, 4.0, 3.0, 2.0),
+    *(9.0, 4.0, 6.0, 18.0, -0.45, -0.11, 0.06, 0.012),
+    *(3e-08, 2000.0, -40.0),
+)
+"""Values of the law ``sigmoid_lag``, without the time constant of the coil."""
 
 
 def invented_damper(coil_time_constant: float) -> ParameterSet:
     """Parameter set of an invented damper at 28 °C, with the given coil time constant [s]."""
-    values = {**_VALUES, COIL: coil_time_constant}
-    names = MODELS["sigmoid_lag"].parameter_names
-    return replace(
-        ParameterSet(
-            np.array([values[name] for name in names]), set_id="invented", model="sigmoid_lag"
-        ),
+    return ParameterSet(
+        np.array([*_VALUES, coil_time_constant]),
+        set_id="invented",
         peak_velocity_range=(0.0, 2.0),
         current_range=(0.0, HIGHEST_CURRENT),
+        model="sigmoid_lag",
     )
