@@ -38,7 +38,7 @@ from mr_damper_ros.kinematics.window import Window
 from mr_damper_ros.models.parameter_set import ParameterSet, start_set
 from mr_damper_ros.rig.blocks import Meter
 from mr_damper_ros.signals.arrays import Array
-from mr_damper_ros.signals.blocks import NANOSECONDS, BlockError, RigBlock, SampleBlock, check_live
+from mr_damper_ros.signals.blocks import NANOSECONDS, BlockError, RigBlock, check_live
 from mr_damper_ros.tracking.engine import Engine, EngineSettings
 from mr_damper_ros.tracking.reports import Report
 from mr_damper_ros.tracking.validity import DoubtKind
@@ -326,9 +326,7 @@ class StreamTrial:
         for reading in self._supply.read(block, block.current, block.supply_ahead_ns):
             self._engine.add_current(reading.stamp_ns, reading.value)
         try:
-            samples = SampleBlock(
-                block.start_ns, block.sequence, block.period, block.displacement, block.force
-            )
+            samples = block.samples
             check_live(samples)
         except BlockError:
             return

@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 
 from mr_damper_ros.control.force_controller import Command, ForceController
 from mr_damper_ros.emulation.emulator import MeasuredRig, SupplySetpoint
-from mr_damper_ros.signals.blocks import RigBlock, SampleBlock
+from mr_damper_ros.signals.blocks import RigBlock
 from mr_damper_ros.tracking.engine import Engine
 from mr_damper_ros.tracking.predictor import Prediction
 from mr_damper_ros.tracking.reports import Report
@@ -70,13 +70,7 @@ class ForceChoice:
     def __call__(self, measured: RigBlock) -> float:
         """The current [A] to supply after this block."""
         controller, engine = self.controller, self._engine
-        block = SampleBlock(
-            measured.start_ns,
-            measured.sequence,
-            measured.period,
-            measured.displacement,
-            measured.force,
-        )
+        block = measured.samples
         # The current changes only between blocks.
         current = measured.start_ns, float(measured.current[0])
         controller.predictor.add_current(*current)

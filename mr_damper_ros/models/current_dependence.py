@@ -348,18 +348,7 @@ class DifferentiatedModel(IntegratedModel):
 
     def window_forces(self, windows: Sequence[Window]) -> WindowForces:
         """Forces with exact derivatives."""
-        return _DifferentiatedForces(self, windows)
-
-
-class _DifferentiatedForces(WindowForces):
-    def __init__(self, model: DifferentiatedModel, windows: Sequence[Window]) -> None:
-        super().__init__(model, windows)
-        self._law = model
-
-    def derivatives(self, parameters: Array, columns: Sequence[int]) -> list[Array]:
-        """Derivatives (n, c) of the force of each window, for parameters (p,), at c places."""
-        law = self._law
-        return [law.window_derivatives(window, parameters, columns) for window in self.windows]
+        return WindowForces(self, windows, self.window_derivatives)
 
 
 def _excitation(by: Mapping[int, Array], chain: Array) -> Array:

@@ -411,13 +411,19 @@ class Model(ABC):
 class WindowForces:
     """Force of a law at the samples of windows, and its derivatives, for repeated evaluation.
 
-    For a law without exact derivatives they are forward differences; ``differences`` counts the
-    evaluations of the force for them.
+    ``exact`` gives the derivatives (n, c) of the force of a window by the parameters at columns.
+    Without it they are forward differences; ``differences`` counts the evaluations for them.
     """
 
-    def __init__(self, model: Model, windows: Sequence[Window]) -> None:
+    def __init__(
+        self,
+        model: Model,
+        windows: Sequence[Window],
+        exact: Callable[[Window, Array, Sequence[int]], Array] | None = None,
+    ) -> None:
         self.model = model
         self.windows = tuple(windows)
+        self._exact = exact
         self.differences = 0
 
     def forces(self, parameters: Array) -> list[Array]:
@@ -426,6 +432,8 @@ class WindowForces:
 
     def derivatives(self, parameters: Array, columns: Sequence[int]) -> list[Array]:
         """Derivatives (n, c) of the force of each window by the parameters at c ``columns``."""
+        if self._exact is not None:
+            return [self._exact(window, parameters, columns) for window in self.windows]
         values, places = parameters[columns], np.arange(len(columns))
         steps = DIFFERENCE * np.maximum(np.abs(values), NOTICED * self._sizes[columns])
         steps = np.where(values + steps > self.model.bounds[1][columns], -steps, steps)

@@ -149,23 +149,22 @@ class ParameterSet:
                 )
             array.flags.writeable = False
             object.__setattr__(self, name, array)
-        bounds = zip(*self.law.bounds, strict=True)
-        for name, value, error, (low, high) in zip(
-            names, self.values, self.standard_errors, bounds, strict=True
-        ):
+        for name, value, low, high in zip(names, self.values, *model.bounds, strict=True):
             if not math.isfinite(value):
                 raise ParameterError(f"parameter {name} is {value}: give a finite number")
             if not low <= value <= high:
                 raise ParameterError(
                     f"parameter {name} is {value}: it must lie in {low:g} to {high:g}"
                 )
-            if error < 0.0:
-                raise ParameterError(
-                    f"the standard error of {name} is {error}: it must not be negative"
-                )
-        for name, discrepancy in zip(names, self.discrepancies, strict=True):
-            if discrepancy < 0.0:
-                raise ParameterError(f"the discrepancy of {name} is {discrepancy}: it is negative")
+        for what, errors in (
+            ("standard error", self.standard_errors),
+            ("discrepancy", self.discrepancies),
+        ):
+            for name, error in zip(names, errors, strict=True):
+                if error < 0.0:
+                    raise ParameterError(
+                        f"the {what} of {name} is {error}: it must not be negative"
+                    )
         for name, (low, high) in self._ranges.items():
             if not low <= high:
                 raise ParameterError(f"{name} is [{low}, {high}]: give the lower bound first")
@@ -433,7 +432,7 @@ class ParameterSet:
         missing = [name for name in names if name not in entries and defaults[name] is None]
         if missing:
             raise ParameterError(f"parameter {', '.join(missing)} is missing: give its value")
-        values, errors, observable, discrepancies = [], [], [], []
+        rows = []
         for name in names:
             entry = entries.get(name, defaults[name])
             if not isinstance(entry, dict):
@@ -447,20 +446,21 @@ class ParameterSet:
                 raise ParameterError(
                     f"parameter {name} is given in {entry['unit']}: convert it to {units[name]}"
                 )
-            values.append(_number(entry.get("value"), f"parameter {name}"))
-            errors.append(_or_nan(entry.get("standard_error"), f"standard error of {name}"))
-            discrepancies.append(_or_nan(entry.get("discrepancy"), f"discrepancy of {name}"))
             flag = entry.get("observable", False)
             if not isinstance(flag, bool):
                 raise ParameterError(f"observable of {name} is {_shown(flag)}: give true or false")
-            observable.append(flag)
+            value = _number(entry.get("value"), f"parameter {name}")
+            error = _or_nan(entry.get("standard_error"), f"standard error of {name}")
+            discrepancy = _or_nan(entry.get("discrepancy"), f"discrepancy of {name}")
+            rows.append((value, error, flag, discrepancy))
+        values, errors, observable, discrepancies = map(np.array, zip(*rows, strict=True))
         stamp = document.get("stamp_ns", 0)
         if isinstance(stamp, bool) or not isinstance(stamp, int):
             raise ParameterError("stamp_ns must be a whole number of nanoseconds")
         return cls(
-            values=np.array(values),
-            standard_errors=np.array(errors),
-            observable=np.array(observable),
+            values=values,
+            standard_errors=errors,
+            observable=observable,
             set_id=str(document.get("id", "unnamed")),
             source=str(document.get("source", "file")),
             peak_velocity_range=_range(
@@ -473,7 +473,7 @@ class ParameterSet:
             stamp_ns=stamp,
             model=model,
             largest_force=_or_nan(document.get("largest_force"), "largest_force"),
-            discrepancies=np.array(discrepancies),
+            discrepancies=discrepancies,
         )
 
 

@@ -212,6 +212,11 @@ class RigBlock:
         """Number of samples."""
         return self.force.size
 
+    @property
+    def samples(self) -> SampleBlock:
+        """Displacement and force; raises BlockError like :class:`SampleBlock`."""
+        return SampleBlock(self.start_ns, self.sequence, self.period, self.displacement, self.force)
+
     def stamp_ns(self, index: int) -> int:
         """Stamp [ns] of a sample."""
         return self.start_ns + round(index * self.period * NANOSECONDS)

@@ -29,7 +29,6 @@ from mr_damper_ros.estimation.planned_run import ForceGoal, MachineLimits, Plann
 from mr_damper_ros.kinematics.periodic_motion import MotionKind, RepeatedMatch
 from mr_damper_ros.models.parameter_set import ParameterSet
 from mr_damper_ros.processes.worker import Done, Failed, Outcome
-from mr_damper_ros.signals.blocks import SampleBlock
 
 RATE, BLOCK = 500.0, 10
 GOAL = ForceGoal(0.06, (0.05, 0.2), (0.0, 1.5), speeds=3, currents=4)
@@ -112,9 +111,7 @@ class EmulatedMachine:
             self.lost -= 1
             return
         self.conductor.add_current(made.start_ns, float(made.current[0]))
-        self.conductor.add_block(
-            SampleBlock(made.start_ns, made.sequence, made.period, made.displacement, made.force)
-        )
+        self.conductor.add_block(made.samples)
 
     def until(self, condition: Callable[[], Any], longest: float = 60.0) -> Any:
         """Run until a condition holds, for at most ``longest`` [s] of simulated time."""

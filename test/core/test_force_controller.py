@@ -99,7 +99,7 @@ class ControlLoop:
             for place in range(BLOCK):
                 self.controller.predictor.add_current(made.stamp_ns(place), made.current[place])
             self._now = (number + 1) * BLOCK * PERIOD
-            yield SampleBlock(made.start_ns, made.sequence, PERIOD, made.displacement, made.force)
+            yield made.samples
 
     def command(self, current: float) -> None:
         """Set the supply current."""

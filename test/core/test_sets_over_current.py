@@ -14,7 +14,7 @@ from mr_damper_ros.emulation.motions import SineMotion
 from mr_damper_ros.models.parameter_set import GLOBAL_SOURCE, ParameterSet
 from mr_damper_ros.models.sigmoid.law import operating_point_coefficients
 from mr_damper_ros.signals.arrays import Array
-from mr_damper_ros.signals.blocks import NANOSECONDS, SampleBlock
+from mr_damper_ros.signals.blocks import NANOSECONDS
 from mr_damper_ros.tracking.model_bank import force_ratio
 from mr_damper_ros.tracking.predictor import ForcePredictor, Prediction, PredictorSettings
 from mr_damper_ros.tracking.validity import DoubtKind
@@ -147,10 +147,7 @@ def course(
                 made.follow_report(known.confirmation(one.parameters.set_id, begin_ns, end_ns))
             made.set_parameters(one.parameters, end_ns)
         made.add_current(block.start_ns, float(block.current[0]))
-        samples = SampleBlock(
-            block.start_ns, block.sequence, block.period, block.displacement, block.force
-        )
-        predictions.append(made.predict(samples))
+        predictions.append(made.predict(block.samples))
         made.catch_up()
         forces.append(block.force)
     return Course(predictions, np.concatenate(forces))
