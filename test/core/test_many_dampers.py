@@ -22,14 +22,18 @@ STRENGTHS = {"D1": 1.0, "D2": 1.01, "D3": 0.99, "D4": 0.7, "D5": 1.02, "D6": 0.9
 """Force of each damper of the lot relative to the normal one; D4 has lost its gas."""
 
 
-def record(path: Path, strength: float, current: float, seed: int) -> None:
+def made(strength: float, current: float, seed: int) -> mr.Recording:
     rig = EmulatedRig(
         EmulatedDamper(scaled(known.PLAUSIBLE, strength)),
         SineMotion(5e-3, 4.0),
         current,
         settings=RigSettings(sample_rate=500.0, seed=seed),
     )
-    run = rig.record(0.5)
+    return rig.record(0.5)
+
+
+def record(path: Path, strength: float, current: float, seed: int) -> None:
+    run = made(strength, current, seed)
     rows = np.column_stack((1e3 * run.displacement, run.force, run.current))
     path.parent.mkdir(parents=True, exist_ok=True)
     np.savetxt(path, rows, fmt="%.7g", delimiter=",")
@@ -37,11 +41,13 @@ def record(path: Path, strength: float, current: float, seed: int) -> None:
 
 @pytest.fixture(scope="module")
 def lot(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Six dampers with one run each (D1 has two) and two unusable files."""
+    """Six dampers with one run each (D1 also has a bag) and two unusable files."""
     root = tmp_path_factory.mktemp("lot")
     for seed, (name, strength) in enumerate(STRENGTHS.items()):
         record(root / name / "1A.csv", strength, 1.0, seed)
-    record(root / "D1" / "0.2A.csv", 1.0, 0.2, 9)
+    bag = tmp_path_factory.mktemp("bag") / "run"
+    mr.write_bag(bag, made(1.0, 0.2, 9))
+    (bag / "run.mcap").rename(root / "D1" / "0.2A.mcap")
     (root / "D2" / "broken.csv").write_text("nothing\n")
     (root / "D7").mkdir()
     (root / "D7" / "empty.csv").touch()
