@@ -83,15 +83,15 @@ def parts(program: str) -> dict[str, dict[str, Any]]:
 
 
 def measure(part: dict[str, Any], arguments: Sequence[Any]) -> list[Figure]:
-    """Figures of one part, measured in a separate process; raises ValueError for unknown keys.
+    """Figures of one part, measured in a separate process; raises ValueError for wrong keys.
 
     Fast DDS reads the network interfaces once per process. A process that already had a participant
     would not see the lossy link.
     """
     with ProcessPoolExecutor(1, mp_context=get_context("spawn")) as process:
         measured = process.submit(_measured, part["by"], tuple(arguments)).result()
-    if measured.keys() - part["figures"].keys():
-        raise ValueError(f"{part['by']} has measured {sorted(measured)}: not in figures.yaml")
+    if wrong := measured.keys() ^ part["figures"].keys():
+        raise ValueError(f"{part['by']} or figures.yaml lacks {', '.join(sorted(wrong))}")
     figures = []
     for key, told in measured.items():
         value, note = told if isinstance(told, tuple) else (told, "")
@@ -141,18 +141,22 @@ def main(arguments: Sequence[str] | None = None) -> int:
     options = _parser(soak, list(known)).parse_args(arguments)
     keep_one_thread()
     figures: list[Figure] = []
+    failed = []
     for name in options.only or known:
         part = known[name]
         began = time.monotonic()
         print(f"{name} ...", end=" ", file=sys.stderr, flush=True)
         given = [getattr(options, option) for option in part.get("options", ())]
-        figures += measure(part, part.get("quick", ()) if options.quick else given)
+        try:
+            figures += measure(part, part.get("quick", ()) if options.quick else given)
+        except Exception as error:  # the other parts are still measured
+            failed.append(f"{name} failed: {type(error).__name__}: {error}")
         print(f"{time.monotonic() - began:.1f} s", file=sys.stderr, flush=True)
         write(figures, options.output)
     if options.quick:
         print("QUICK RUN: fewer repetitions and shorter recordings; these are not the figures.")
-    print(f"{table(figures)}\n\nwritten to {options.output}")
-    return 0
+    print(f"{table(figures)}\n\nwritten to {options.output}", *failed, sep="\n")
+    return int(bool(failed))
 
 
 def _parser(soak: bool, names: Sequence[str]) -> argparse.ArgumentParser:

@@ -31,11 +31,7 @@ from mr_damper_ros.models.plausibility import check_plausible
 from mr_damper_ros.models.published import THESIS_28_CELSIUS
 from mr_damper_ros.models.sigmoid.law import sine_force
 from mr_damper_ros.nodes import quality
-from mr_damper_ros.nodes.messages import (
-    parameter_set,
-    parameters_message,
-    report_message,
-)
+from mr_damper_ros.nodes.messages import parameter_set, parameters_message, report_message
 from mr_damper_ros.signals.blocks import NANOSECONDS
 from mr_damper_ros.tracking.acceptance import Verdict
 from mr_damper_ros.tracking.state_directory import StateDirectory, StateError, read_parameter_file

@@ -15,12 +15,7 @@ import numpy as np
 from benchmarks.figure import Measured
 from mr_damper_ros.api.replay import replay
 from mr_damper_ros.control.inverse_model import InverseModel
-from mr_damper_ros.emulation.emulator import (
-    EmulatedDamper,
-    EmulatedRig,
-    RigSettings,
-    scaled,
-)
+from mr_damper_ros.emulation.emulator import EmulatedDamper, EmulatedRig, RigSettings, scaled
 from mr_damper_ros.emulation.motions import SineMotion
 from mr_damper_ros.estimation.differential_evolution import EvolutionSettings
 from mr_damper_ros.estimation.global_fit import identify_global
@@ -37,9 +32,7 @@ from mr_damper_ros.models.published import (
     find,
     parameters,
 )
-from mr_damper_ros.models.sigmoid.law import (
-    sine_force,
-)
+from mr_damper_ros.models.sigmoid.law import sine_force
 from mr_damper_ros.signals.arrays import Array
 from mr_damper_ros.signals.recording import Recording
 from studies.recordings import window_of
