@@ -23,12 +23,7 @@ from enum import Enum
 
 import numpy as np
 
-from mr_damper_ros.estimation.covariance import (
-    SIGNIFICANT,
-    discrepancy_between,
-    motion_numbers,
-    samples_per_cycle,
-)
+from mr_damper_ros.estimation.covariance import SIGNIFICANT, samples_per_cycle
 from mr_damper_ros.estimation.global_search import with_linear_refitted
 from mr_damper_ros.estimation.local_search import LocalSearch
 from mr_damper_ros.estimation.observability import (
@@ -356,19 +351,18 @@ class RunPlanner:
         self.candidates = candidate_runs(goal, limits)
         self._candidates = CandidateRuns(model, self.candidates, limits.sample_rate)
 
-    def shortcoming(self) -> str:
+    def _shortcoming(self) -> str:
         """Why the machine cannot cover the goal, in words; empty if it can."""
         goal, limits = self.goal, self.limits
-        if goal.peak_velocity[1] > limits.peak_velocity:
-            return (
-                f"the goal includes {goal.peak_velocity[1]:g} m/s, but the machine reaches only "
-                f"{limits.peak_velocity:g} m/s"
-            )
-        if goal.current[1] > limits.current:
-            return (
-                f"the goal includes {goal.current[1]:g} A, but the supply reaches only "
-                f"{limits.current:g} A"
-            )
+        for asked, machine, largest, unit in (
+            (goal.peak_velocity[1], "machine", limits.peak_velocity, "m/s"),
+            (goal.current[1], "supply", limits.current, "A"),
+        ):
+            if asked > largest:
+                return (
+                    f"the goal includes {asked:g} {unit}, but the {machine} reaches only "
+                    f"{largest:g} {unit}"
+                )
         return "" if self.candidates else "no run within the limits of the machine holds a cycle"
 
     def prior(self, parameters: Array) -> Prior:
@@ -470,21 +464,8 @@ class RunPlanner:
         law that is extrapolated to faster motions counts as exact.
         """
         posterior = self._posterior(windows, parameters, self.prior(parameters))
-        jacobian, residual = (
-            posterior.jacobian(posterior.start),
-            posterior.residual(posterior.start),
-        )
-        motions = np.concatenate(
-            [
-                np.full(window.sample_count, number)
-                for window, number in zip(windows, motion_numbers(windows), strict=True)
-            ]
-            # The rows of the prior belong to no motion.
-            + [np.full(parameters.size, -1)]
-        )
-        covariance = np.asarray(np.linalg.inv(jacobian.T @ jacobian), dtype=float)
-        covariance += np.nan_to_num(discrepancy_between(jacobian, residual, motions, covariance))
-        information = np.linalg.inv(covariance) / np.outer(posterior.widths, posterior.widths)
+        units = np.outer(posterior.widths, posterior.widths)
+        information = np.linalg.inv(posterior.covariances()[0] / units) / units
         return self._errors(parameters, information, self._model_errors(windows, parameters))
 
     def next(self, windows: Sequence[Window], parameters: Array, observable: np.ndarray) -> Plan:
@@ -502,11 +483,11 @@ class RunPlanner:
         now: PointErrors,
     ) -> Plan:
         """The plan of :meth:`next` as if the goal were not met; ``now``: the present accuracy."""
-        reason = self.shortcoming()
+        reason = self._shortcoming()
         if not reason:
             others = open_sets(self.model, windows, parameters, observable, self._top)
             sets = [parameters, *others]
-            allowed = self.allowed(windows, sets)
+            allowed = self._allowed(windows, sets)
             if not allowed.any():
                 reason = "every run that would help may leave the limits of force or heat"
         if reason:
@@ -535,7 +516,7 @@ class RunPlanner:
             )
         return Plan(state, now, self.candidates[best], expected, left, reason)
 
-    def allowed(self, windows: Sequence[Window], sets: Sequence[Array]) -> np.ndarray:
+    def _allowed(self, windows: Sequence[Window], sets: Sequence[Array]) -> np.ndarray:
         """Mask (m,) of runs within the limits for all sets, without a leap in speed or current."""
         fastest = max(window.motion.peak_velocity.max() for window in windows)
         highest = max(window.current.max() for window in windows)
