@@ -27,9 +27,8 @@ from mr_damper_ros.nodes.diagnostics import ERROR, OK, STALE, WARN, Diagnostics,
 from mr_damper_ros.nodes.goal_server import GoalServer
 from mr_damper_ros.nodes.inputs import CURRENT_TOPIC, SAMPLES_TOPIC, Inputs
 from mr_damper_ros.nodes.messages import (
-    coefficients_message,
     fluid_temperature_message,
-    parameter_numbers_message,
+    numbers_message,
     parameters_message,
     report_message,
 )
@@ -236,16 +235,12 @@ class IdentifierNode(Node):
                 self._temperature_publisher.publish(
                     fluid_temperature_message(report, self._frame_id)
                 )
+            node = self.get_fully_qualified_name()
             self._report_publisher.publish(
-                report_message(
-                    report,
-                    publication.duration,
-                    self._frame_id,
-                    self.get_fully_qualified_name(),
-                )
+                report_message(report, publication.duration, self._frame_id, node)
             )
             if np.isfinite(report.coefficients).any():
-                self._numbers_publisher.publish(coefficients_message(report, self._frame_id))
+                self._numbers_publisher.publish(numbers_message(report, self._frame_id))
             if report.verdict is Verdict.ACCEPTED:
                 self.get_logger().info(report.line)
             if publication.parameters is not None:
@@ -253,7 +248,7 @@ class IdentifierNode(Node):
 
     def _publish_parameters(self, parameters: ParameterSet) -> None:
         self._parameters_publisher.publish(self._set_message(parameters))
-        self._numbers_publisher.publish(parameter_numbers_message(parameters, self._frame_id))
+        self._numbers_publisher.publish(numbers_message(parameters, self._frame_id))
 
     def _set_message(self, parameters: ParameterSet) -> DamperParameters:
         return parameters_message(parameters, self._frame_id, self.get_fully_qualified_name())
@@ -279,16 +274,8 @@ class IdentifierNode(Node):
     def _publish_progress(self, event: SearchProgress) -> None:
         """Send the progress of a search to the client of its goal."""
         if event.search in self._goals:
-            progress = event.progress
-            self._goals[event.search].publish_feedback(
-                IdentifyGlobal.Feedback(
-                    stage=progress.stage,
-                    generation=progress.generation,
-                    generations=progress.generations,
-                    best_cost=progress.best_cost,
-                    time_left=progress.time_left,
-                )
-            )
+            feedback = IdentifyGlobal.Feedback(**vars(event.progress))
+            self._goals[event.search].publish_feedback(feedback)
 
     def _finish_goal(self, event: SearchEnded) -> None:
         """Deliver the result of a search to the client of its goal."""

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import array
 import math
-from collections.abc import Iterable
 from typing import Any
 
 import numpy as np
@@ -260,40 +259,28 @@ def fluid_temperature_message(report: Report, frame_id: str) -> Temperature:
     )
 
 
-def coefficients_message(report: Report, frame_id: str) -> DiagnosticArray:
-    """The coefficients of a report as named numbers, for plotting tools."""
-    errors = report.coefficient_errors
-    numbers = zip(report.coefficient_names, report.coefficients, errors, strict=True)
-    return _named_numbers("coefficients", report.set_id, report.stamp_ns, frame_id, numbers)
+def numbers_message(found: Report | ParameterSet, frame_id: str) -> DiagnosticArray:
+    """The coefficients of a report or the parameters of a set as named numbers.
 
-
-def parameter_numbers_message(parameters: ParameterSet, frame_id: str) -> DiagnosticArray:
-    """The parameters of a set as named numbers, for plotting tools."""
-    errors = np.where(parameters.observable, parameters.standard_errors, np.nan)
-    numbers = zip(parameters.law.parameter_names, parameters.values, errors, strict=True)
-    return _named_numbers("parameters", parameters.set_id, parameters.stamp_ns, frame_id, numbers)
-
-
-def _named_numbers(
-    name: str,
-    set_id: str,
-    stamp_ns: int,
-    frame_id: str,
-    numbers: Iterable[tuple[str, float, float]],
-) -> DiagnosticArray:
-    """A status whose key-value pairs plotting tools show as curves, each named by its key.
-
-    ``numbers`` are names, values and standard errors. The key of an error is the name of its value
-    with ``_error`` appended. Values that are not finite are omitted.
+    Plotting tools show the key-value pairs of a status as curves, each named by its key. The key of
+    a standard error is the name of its value with ``_error`` appended. Values that are not finite
+    are omitted.
     """
+    if isinstance(found, Report):
+        kind, names, values = "coefficients", found.coefficient_names, found.coefficients
+        errors = found.coefficient_errors
+    else:
+        kind, names, values = "parameters", found.law.parameter_names, found.values
+        errors = np.where(found.observable, found.standard_errors, np.nan)
+    numbers = zip(names, values, errors, strict=True)
     pairs = [pair for key, x, error in numbers for pair in ((key, x), (f"{key}_error", error))]
     status = DiagnosticStatus(
         level=DiagnosticStatus.OK,
-        name=name,
-        message=set_id,
+        name=kind,
+        message=found.set_id,
         values=[KeyValue(key=key, value=f"{x:.9g}") for key, x in pairs if np.isfinite(x)],
     )
-    return DiagnosticArray(header=header(stamp_ns, frame_id), status=[status])
+    return DiagnosticArray(header=header(found.stamp_ns, frame_id), status=[status])
 
 
 def fill_prediction(message: PredictedForce, prediction: Prediction) -> PredictedForce:
