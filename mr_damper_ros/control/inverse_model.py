@@ -125,9 +125,7 @@ class InverseModel:
         ``state``, which a law with memory needs. Raises ValueError if a desired force is NaN.
         """
         forces = _desired(wanted, motion)
-        near: list[float] | list[None] = [None] * forces.size
-        if last is not None:
-            near = np.broadcast_to(np.asarray(last, dtype=float), forces.shape).tolist()
+        near = np.broadcast_to(math.nan if last is None else np.asarray(last, float), forces.shape)
         found: list[Inversion] = []
         for first in range(0, forces.size, _TOGETHER):
             part = slice(first, first + _TOGETHER)
@@ -136,7 +134,7 @@ class InverseModel:
                 [self._response.at(sample, period, state) for sample in samples],
                 self._response.forces(samples, self._nodes, period, state).tolist(),
                 forces[part].tolist(),
-                near[part],
+                near[part].tolist(),
                 strict=True,
             )
             found += [

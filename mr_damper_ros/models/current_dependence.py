@@ -246,6 +246,9 @@ class _CurrentResponse(CurrentResponse):
     ) -> Array:
         """Force (n, m) [N]; the currents are treated like different parameter sets."""
         every = np.broadcast_to(current, (len(samples), current.shape[-1])).T
+        if self.model.remembers and len(samples) > 1:
+            pairs = zip(samples, every.T, strict=True)
+            return np.concatenate([self.forces([one], row, period, state) for one, row in pairs])
         own = None if state is None else state[: self.model.memory]
         before = None if own is None else tuple(np.broadcast_to(s, len(every)) for s in own)
         u, v, a, v_m = np.array(samples).T

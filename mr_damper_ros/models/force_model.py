@@ -456,8 +456,7 @@ class CurrentResponse(ABC):
     """The force of one parameter set as a function of the coil current [A], for an inverse.
 
     It does not include the lag of the coil: the inverse gives the coil current, and the supply
-    current is computed separately. Each sample comes ``period`` [s] after the same ``state``; for a
-    law with memory, pass only one sample.
+    current is computed separately. Each sample comes ``period`` [s] after the same ``state``.
     """
 
     @abstractmethod

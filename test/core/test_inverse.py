@@ -25,6 +25,8 @@ LOWEST, HIGHEST = 0.0, 2.0
 ROUNDING = 1e-9
 """[N] for a force of 1 N: rounding, which matters where the current hardly changes the force."""
 
+RNG = np.random.default_rng(5)
+
 
 def random_motion(count: int, rng: np.random.Generator) -> Motion:
     """Independent samples."""
@@ -100,6 +102,19 @@ def test_the_law_without_jumps_is_inverted_along_a_motion(name):
     )
 
 
+@pytest.mark.parametrize("name", ["series_springs", "bouc_wen", "sigmoid_lag"])
+def test_each_of_several_samples_follows_the_same_state(name):
+    inverse, motion = InverseModel(controllable(name), LOWEST, HIGHEST), random_motion(3, RNG)
+    before, wanted = random_motion(5, RNG), 3000.0 * motion.velocity
+    _, state = inverse.law.follow(inverse.values, before, np.full(5, 0.5), PERIOD, None)
+    every = [motion.part(slice(place, place + 1)) for place in range(3)]
+    alone = [inverse.currents(one, f, state=state) for one, f in zip(every, wanted, strict=True)]
+    together = inverse.currents(motion, wanted, state=state)
+    np.testing.assert_array_equal(np.array(alone)[:, :, 0].T, together)
+    alone = [inverse.force(one, 0.5, state=state) for one in every]
+    np.testing.assert_array_equal(np.ravel(alone), inverse.force(motion, 0.5, state=state))
+
+
 @pytest.mark.parametrize("name", MODELS)
 def test_the_slope_is_the_derivative_of_the_force(name):
     rng = np.random.default_rng(5)
@@ -150,7 +165,7 @@ def test_what_cannot_be_inverted_is_refused():
         with pytest.raises(ValueError, match="not above the lowest, 1 A: give two finite"):
             InverseModel(ParameterSet(PLAUSIBLE), 1.0, highest)
     inverse = InverseModel(ParameterSet(PLAUSIBLE), LOWEST, HIGHEST)
-    motion = random_motion(2, np.random.default_rng(5))
+    motion = random_motion(2, RNG)
     with pytest.raises(ValueError, match="a desired force is NaN"):
         inverse.currents(motion, [1.0, math.nan])
     nothing = inverse.currents(motion.part(slice(0)), [])
