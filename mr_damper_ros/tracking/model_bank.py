@@ -470,7 +470,7 @@ class ModelBank:
 
     def _newest(self, time: float = math.inf) -> JudgedSamples:
         """The samples of the last ``time`` [s], subsampled if there are too many."""
-        whole = int(min(time / self._period, self._rows.count))
+        whole = int(min(max(time / self._period, 1.0), self._rows.count))
         stride = whole // _MOST_TRIED + 1
         rows = self._rows.newest[:, self._rows.count - whole :: stride]
         u, v, a, v_m, current, predicted, measured = rows

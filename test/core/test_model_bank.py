@@ -1,14 +1,17 @@
 """Which of the sets from a user, a start and the windows the model bank uses."""
 
+import math
 from dataclasses import replace
 from typing import Any
 
 import numpy as np
 import pytest
 
+from mr_damper_ros.kinematics.motion import Motion
 from mr_damper_ros.models.parameter_set import ParameterSet, start_set
 from mr_damper_ros.models.published import THESIS_28_CELSIUS
 from mr_damper_ros.tracking.model_bank import ModelBank
+from mr_damper_ros.tracking.validity import DoubtKind
 
 GIVEN = ParameterSet(
     THESIS_28_CELSIUS, set_id="given", peak_velocity_range=(0.0, 1.0), current_range=(0.0, 2.0)
@@ -58,3 +61,9 @@ def test_a_given_set_is_displaced_only_by_one_that_holds_where_it_holds(
     added: list[tuple[ParameterSet, int | None]], used: str
 ) -> None:
     assert in_use(sets_of(*added)) == used
+
+
+def test_at_a_slow_sample_rate_the_bank_judges_by_a_single_sample() -> None:
+    sets, one = sets_of((GIVEN, None)), np.ones(1)
+    sets.follow(Motion(one, one, one, one, sine=None), one, (9.0 * one, one), 0.5, math.nan)
+    assert sets.choice(DoubtKind.WRONG, 1.0) is None
