@@ -331,7 +331,10 @@ def run_campaign(
                 if report is not None and not report(course.steps[-1]):
                     course.end("it was ended")
             elif course.next_run is not None:
-                course.add_recording(perform(course.next_run))
+                made = perform(course.next_run)
+                if not isinstance(made, Recording):
+                    raise ValueError(f"perform returned a {type(made).__name__}, not a recording")
+                course.add_recording(made)
     if course.outcome is CampaignOutcome.FAILED:
         raise ValueError(course.reason)
     return ForceCampaign(tuple(course.steps), course.outcome is CampaignOutcome.MET, course.reason)

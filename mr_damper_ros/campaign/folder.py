@@ -101,7 +101,7 @@ def keep_run(
     details = {
         **recording.details,
         "provenance": f"{what}: {run.sentence}" + (f"; {source}" if source else ""),
-        _RUN: json.dumps(asdict(run)),
+        _RUN: json.dumps(json_ready(asdict(run))),
     }
     write_bag(path, replace(recording, name=name, details=details))
 

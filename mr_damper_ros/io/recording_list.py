@@ -121,7 +121,7 @@ def read_list(path: str | os.PathLike[str]) -> tuple[list[ListedRecording], list
     place = Path(path)
     try:
         with place.open(encoding="utf-8-sig", newline="") as file:
-            rows = list(csv.DictReader(file))
+            rows = list(csv.DictReader(file, skipinitialspace=True))
     except (UnicodeDecodeError, csv.Error) as error:
         raise ListError(f"{place} is not a list: give a CSV file in UTF-8 ({error})") from error
     for column in ("path", "damper"):

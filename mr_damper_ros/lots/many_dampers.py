@@ -31,7 +31,7 @@ from mr_damper_ros.io.recording_list import (
 )
 from mr_damper_ros.lots.population import KnownDamper, Population
 from mr_damper_ros.models.parameter_set import DEFAULT_MODEL, ParameterSet
-from mr_damper_ros.processes.files import FolderLock, write_text
+from mr_damper_ros.processes.files import FolderLock, json_ready, write_text
 from mr_damper_ros.processes.process_pool import (
     KeptTask,
     ProcessPool,
@@ -272,7 +272,7 @@ def identify_many(
             {
                 "model": model,
                 "method": method,
-                "start": search.start_values.tolist(),
+                "start": search.start_values,
                 **asdict(settings),
                 "accept_doubtful": accept_doubtful,
                 "record_format": None if record_format is None else asdict(record_format),
@@ -303,7 +303,7 @@ def identify_many(
 
         remaining = [task for task in tasks if task.name not in documents]
         if remaining:
-            workforce: int | Workforce = workers if executor is None else Workforce(executor)
+            workforce: int | Workforce = int(workers) if executor is None else Workforce(executor)
             if scheduler is not None:
                 workforce = dask_cluster(scheduler)
             finish(
@@ -340,7 +340,7 @@ def _state(path: Path) -> list[tuple[str, int, int]] | None:
 
 def _check_options(folder: Path, wanted: dict[str, Any]) -> None:
     """Check that the results in a folder have the same options. Raises ValueError and OSError."""
-    path = folder / "options.json"
+    path, wanted = folder / "options.json", json_ready(wanted)
     if not path.exists():
         write_text(path, json.dumps(wanted, indent=2) + "\n")
         return

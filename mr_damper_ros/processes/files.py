@@ -45,7 +45,12 @@ def _sync(path: Path) -> None:
 
 
 def json_ready(value: Any) -> Any:
-    """A value converted to types that JSON can hold; numbers that are not finite become null."""
+    """A value converted to types that JSON can hold; numbers that are not finite become null.
+
+    Arrays and numbers of NumPy become lists and numbers.
+    """
+    if hasattr(value, "tolist"):
+        value = value.tolist()
     if isinstance(value, Mapping):
         return {str(key): json_ready(entry) for key, entry in value.items()}
     if isinstance(value, (list, tuple)):

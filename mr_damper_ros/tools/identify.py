@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import argparse
 from pathlib import Path
+from typing import Any
 
 from mr_damper_ros.api.findings import Findings, searches
 from mr_damper_ros.api.identification import AUTO, LARGEST_RUN_NRMSE, Identification, identify
@@ -73,8 +74,8 @@ def _options(parser: argparse.ArgumentParser) -> None:
 def _identify(options: argparse.Namespace) -> int:
     # A wrong range is refused before the long computation.
     tops = {"peak_velocity": options.top_velocity, "current": options.top_current}
-    given = {name: 1.0 if top is None else top for name, top in tops.items()}
-    MachineLimits(amplitude=1.0, force=1.0, duration=1.0, **given)
+    limits: dict[str, Any] = {n: 1.0 if top is None else top for n, top in tops.items()}
+    MachineLimits(amplitude=1.0, force=1.0, duration=1.0, **limits)
     with ProgressLine() as progress:
         given = arguments_of(options, identify)
         result = identify(options.bags, report=progress, **given)

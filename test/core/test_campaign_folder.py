@@ -108,6 +108,11 @@ def test_another_campaign_is_refused(
         mr.run_campaign(goal, limits, perform, folder=tmp_path)
 
 
+def test_what_is_no_recording_of_the_run_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(ValueError, match="perform returned a NoneType"):
+        mr.run_campaign(GOAL, LIMITS, lambda run: None, folder=tmp_path)
+
+
 def test_a_folder_in_use_is_refused(tmp_path: Path) -> None:
     first = claim_folder(tmp_path, TASK)
     try:

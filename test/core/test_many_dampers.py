@@ -163,6 +163,16 @@ def test_a_wrong_call_is_one_sentence(
     assert len(said.strip().splitlines()) == 1
 
 
+def test_numbers_of_numpy_are_options(tmp_path: Path) -> None:
+    listed = tmp_path / "list.csv"
+    listed.write_text("path, damper\nmissing.csv, A\n")
+    more = {"accept_doubtful": np.bool_(True), "current": np.float32(0.5), "workers": np.int64(1)}
+    found = mr.identify_many(
+        listed=listed, folder=tmp_path, columns="displacement:mm,force:N", seed=np.int64(1), **more
+    )
+    assert list(found.failures) == ["A"]
+
+
 def test_what_is_missing_for_an_option_is_said_before_the_work(
     lot: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
