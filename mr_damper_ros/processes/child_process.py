@@ -39,12 +39,17 @@ def command(function: Callable[..., object], *arguments: str) -> list[str]:
 def live_with(parent: int) -> None:
     """Called by the child: leave Ctrl-C to the process ``parent``, and end together with it."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
-    if sys.platform == "linux":
-        with contextlib.suppress(OSError):
-            ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGKILL)
-    # The parent may have died before the call of prctl.
+    request_signal_at_death(signal.SIGKILL)
+    # The parent may have died before.
     if os.getppid() != parent:
         os._exit(1)
+
+
+def request_signal_at_death(number: signal.Signals) -> None:
+    """Let this process receive a signal when its parent dies, for whatever reason (Linux)."""
+    if sys.platform == "linux":
+        with contextlib.suppress(OSError):
+            ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, number)
 
 
 def _run(parent: str, module: str, function: str, *arguments: str) -> None:

@@ -127,11 +127,15 @@ class ProgramError(RuntimeError):
     """A program did not behave as expected; the message contains its output."""
 
 
+_STARTER = "MR_DAMPER_STARTER"
+"""Environment variable of a node (entry_points.py): the process with which the node must end."""
+
+
 class Program:
     """A running program; its output is kept in memory, so that it never blocks.
 
-    ``environment`` is added to the environment of this process. Raises OSError if the program does
-    not exist.
+    ``environment`` is added to the environment of this process. A node ends when the thread that
+    has started it ends, even if it is killed. Raises OSError if the program does not exist.
     """
 
     def __init__(
@@ -148,7 +152,7 @@ class Program:
                 stdin=subprocess.DEVNULL,
                 stdout=self._stdout,
                 stderr=self._stderr,
-                env={**os.environ, **(environment or {})},
+                env={**os.environ, **(environment or {}), _STARTER: str(os.getpid())},
                 start_new_session=True,
             )
             # If this process fails, the program and its children must not continue.

@@ -33,7 +33,10 @@ def test_a_wrong_period_is_one_sentence() -> None:
     program.close()
 
 
-@pytest.mark.parametrize(("number", "code"), [(signal.SIGINT, 0), (signal.SIGTERM, 143)])
+@pytest.mark.parametrize(
+    ("number", "code"),
+    [(signal.SIGINT, 0), (signal.SIGTERM, 143), (signal.SIGHUP, -1), (signal.SIGKILL, -9)],
+)
 def test_a_rig_is_shown_until_it_is_stopped(number: signal.Signals, code: int) -> None:
     program = Program([str(installed_programs() / "demo"), "--live", "--port", "0"])
     found = until(lambda: re.search(r"the page is at (\S+);", program.output), "the page")
@@ -41,8 +44,16 @@ def test_a_rig_is_shown_until_it_is_stopped(number: signal.Signals, code: int) -
     nodes = program.children
     assert len(nodes) == 4
     assert program.stop(number) == code
-    assert not any(Path(f"/proc/{pid}").exists() for pid in nodes)
+    until(lambda: not any(map(runs, nodes)), "the end of the nodes")
     program.close()
+
+
+def runs(pid: int) -> bool:
+    """Whether a process runs; one that has ended may wait for its parent to notice."""
+    try:
+        return ") Z " not in Path(f"/proc/{pid}/stat").read_text(encoding="utf-8")
+    except FileNotFoundError:
+        return False
 
 
 def signals_at(address: str) -> int:
