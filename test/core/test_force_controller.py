@@ -157,8 +157,9 @@ def lagging_coil(name: str, time_constant: float) -> ParameterSet:
     )
 
 
-def test_a_dissipative_force_is_tracked() -> None:
-    trial = tracked(ControlLoop(controlled(WHOLE), EmulatedDamper(WHOLE)), 12e3)
+@pytest.mark.parametrize("damper", [WHOLE, lagging_coil("sigmoid_lag", 0.03)], ids=["", "lag"])
+def test_a_dissipative_force_is_tracked(damper: ParameterSet) -> None:
+    trial = tracked(ControlLoop(controlled(damper), EmulatedDamper(damper)), 12e3)
     assert trial.attainable.mean() > 0.3
     assert trial.nrmse < TRACKED
 
