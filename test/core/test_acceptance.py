@@ -202,6 +202,12 @@ def test_a_force_that_is_known_where_the_motion_has_come_back_to_needs_no_confir
     # The running set belongs to the other motion: half of its force is no change here.
     judgement = gatekeeper.judge(evidence(400.0, 5.0, -0.7), force(0.31, speed=0.006))
     assert judgement == ACCEPTED
+    # Nor is the loss of force that the first motion has already shown.
+    for before, after in ((1.0, 0.6), (0.6, 0.4)):
+        weaker = evidence(60.0, 5.0, after / before - 1.0)
+        assert gatekeeper.judge(weaker, force(after)) == ACCEPTED
+    judgement = gatekeeper.judge(evidence(400.0, 5.0, -0.7), force(0.12, speed=0.006))
+    assert judgement == ACCEPTED
 
 
 # -- residual baseline of an operating point --------------------------------------------------
