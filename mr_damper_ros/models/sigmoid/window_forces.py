@@ -163,6 +163,10 @@ class SigmoidForces(WindowForces):
         self._own = [_Along(window.motion, window.current) for window in windows]
         self._in_coil: tuple[float, SigmoidForces] | None = None
 
+    def __reduce__(self) -> tuple[Any, ...]:
+        # Kept terms hold compiled functions, which cannot be sent to another process.
+        return type(self), (self.model, self.windows)
+
     def forces(self, parameters: Array) -> list[Array]:
         """Force (..., n) [N] of each window, for parameters (..., p)."""
         if not is_extended(parameters):
