@@ -7,7 +7,6 @@ studies are run first, and take up what they have stored for the same code.
 from __future__ import annotations
 
 import json
-from importlib import import_module
 from pathlib import Path
 from typing import Any
 
@@ -45,7 +44,7 @@ def document(study: str, quick: bool) -> tuple[dict[str, Any], str]:
     The study is run, but computes only what it has not yet stored for this code.
     """
     folder = Path("build", study + "-quick" * quick)
-    code = import_module(STUDIES[study]).main(["--output", str(folder), *["--quick"] * quick])
+    code = STUDIES[study](["--output", str(folder), *["--quick"] * quick])
     if code:
         raise RuntimeError(f"the study {study} ended with exit code {code}")
     path = folder / f"{study}.json"

@@ -9,9 +9,10 @@ import os
 import pickle
 import sys
 import time
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import lru_cache, partial
+from importlib import import_module
 from pathlib import Path
 from typing import Any
 
@@ -121,17 +122,18 @@ def _code_digest() -> str:
 
 @dataclass(frozen=True)
 class Study:
-    """A study whose ``parts`` compute and return the chapters of a part of its report.
+    """A study whose ``parts`` name functions that return the chapters of a part of its report.
 
-    ``notice`` returns the paragraph above the report. ``quick`` describes what the short variant
-    leaves out; ``random`` adds the options of random searches.
+    The modules of these functions are loaded when the part is made. ``notice`` returns the
+    paragraph above the report. ``quick`` describes what the short variant leaves out; ``random``
+    adds the options of random searches.
     """
 
     name: str
     description: str
     title: str
     notice: Callable[[Campaign], str]
-    parts: Mapping[str, Callable[[Campaign], Iterable[Chapter]]]
+    parts: Mapping[str, str]
     quick: str
     random: bool = False
 
@@ -140,20 +142,17 @@ class Study:
         return run_tool(self._parser(), self._run, arguments)
 
     def _parser(self) -> argparse.ArgumentParser:
-        parser = argparse.ArgumentParser(prog=f"studies {self.name}", description=self.description)
+        told = f"{self.description} Results are stored, so a stopped study continues from them."
+        parser = argparse.ArgumentParser(prog=f"studies {self.name}", description=told)
         add = parser.add_argument
         names = tuple(self.parts)
         add("--only", choices=names, nargs="+", default=names, help="only these parts")
         add("--quick", action="store_true", help=f"quick variant: {self.quick}")
         workers = "processes; the results do not depend on it (default: one per core)"
         add("--workers", type=int, default=len(os.sched_getaffinity(0)), help=workers)
-        add(
-            "--output",
-            type=Path,
-            default=Path("build", self.name),
-            metavar="FOLDER",
-            help="folder for report.html, figures and tables (default %(default)s)",
-        )
+        output = "folder for report.html, figures and tables (default %(default)s)"
+        place = Path("build", self.name)
+        add("--output", type=Path, default=place, metavar="FOLDER", help=output)
         if self.random:
             runs = f"repetitions of random searches (default {RUNS}, quick {QUICK_RUNS})"
             add("--runs", type=int, default=0, help=runs)
@@ -172,7 +171,8 @@ class Study:
             for name, part in self.parts.items():
                 if name in options.only:
                     say(f"{name} ...")
-                    chapters += part(campaign)
+                    module, _, function = part.rpartition(".")
+                    chapters += getattr(import_module(f"studies.{module}"), function)(campaign)
             page = write_report(campaign.folder, self.title, notice, chapters)
         if campaign.figures:
             document = {"quick": campaign.quick, **campaign.figures}

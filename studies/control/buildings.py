@@ -139,11 +139,9 @@ def reversals(current: Array, least: float = REVERSAL) -> int:
     for value in current.tolist():
         low, high = min(low, value), max(high, value)
         if sense >= 0 and value < high - least:
-            turns, sense, low = turns + (sense > 0), -1, value
-            high = value
+            turns, sense, low, high = turns + (sense > 0), -1, value, value
         elif sense <= 0 and value > low + least:
-            turns, sense, high = turns + (sense < 0), 1, value
-            low = value
+            turns, sense, low, high = turns + (sense < 0), 1, value, value
     return turns
 
 
@@ -165,13 +163,12 @@ def _choice(
         held = HIGHEST_CURRENT if strategy == ON else 0.0
         return lambda _: held, _BLOCK
     weights = _CHOSEN if strategy == WEIGHTED else _AUTHORS
-    observed = _Observed(rig, building, weights)
+    wanted = _regulator(rig, building, weights)
     if strategy == BANG_BANG:
 
         def switch(measured: RigBlock) -> float:
-            wanted = observed(measured)
             force = DAMPERS * float(measured.force[-1])
-            return HIGHEST_CURRENT if (wanted - force) * force > 0.0 else 0.0
+            return HIGHEST_CURRENT if (wanted(measured) - force) * force > 0.0 else 0.0
 
         return switch, 1
     settings = ForceControlSettings(
@@ -184,41 +181,34 @@ def _choice(
     )
     controller = ForceController(settings)
     controller.predictor.set_parameters(recorded_damper(lag))
-    return ForceChoice(controller, lambda measured: observed(measured) / DAMPERS), _BLOCK
+    return ForceChoice(controller, lambda measured: wanted(measured) / DAMPERS), _BLOCK
 
 
-class _Observed:
-    """Desired force [N] of all dampers, from accelerations and measured force."""
+def _regulator(
+    rig: PlantRig, building: ShearBuilding, weights: OutputWeights
+) -> Callable[[RigBlock], float]:
+    """Desired force [N] of all dampers after a block, from accelerations and measured force."""
+    plant = building.plant
+    outputs, direct = building.dynamics[STOREYS:], building.by_force[STOREYS:]
+    roof = np.eye(2 * STOREYS)[STOREYS - 1]
+    gain = regulator_gain(
+        plant,
+        np.stack([roof, outputs[-1]]),
+        np.array([0.0, direct[-1]]),
+        np.array([weights.displacement, weights.acceleration]),
+        weights.force,
+    )
+    noise = {"disturbance": _DISTURBANCE, "noise": _NOISE}
+    estimator = StateEstimator(plant, outputs, direct, period=rig.settings.period, **noise)
 
-    def __init__(self, rig: PlantRig, building: ShearBuilding, weights: OutputWeights) -> None:
-        plant = building.plant
-        outputs, direct = building.dynamics[STOREYS:], building.by_force[STOREYS:]
-        roof = np.eye(2 * STOREYS)[STOREYS - 1]
-        self._gain = regulator_gain(
-            plant,
-            np.stack([roof, outputs[-1]]),
-            np.array([0.0, direct[-1]]),
-            np.array([weights.displacement, weights.acceleration]),
-            weights.force,
-        )
-        self._estimator = StateEstimator(
-            plant,
-            outputs,
-            direct,
-            disturbance=_DISTURBANCE,
-            noise=_NOISE,
-            period=rig.settings.period,
-        )
-        self._rig, self._building = rig, building
+    def wanted(measured: RigBlock) -> float:
+        assert rig.motion is not None
+        read = _absolute(building, rig.motion.states, DAMPERS * rig.motion.force)
+        for force, accelerations in zip(measured.force.tolist(), read, strict=True):
+            states = estimator.follow(DAMPERS * force, accelerations)
+        return -float(gain @ states)
 
-    def __call__(self, measured: RigBlock) -> float:
-        """Desired force [N] after a block."""
-        assert self._rig.motion is not None
-        motion = self._rig.motion
-        read = _absolute(self._building, motion.states, DAMPERS * motion.force)
-        for force, outputs in zip(measured.force.tolist(), read, strict=True):
-            states = self._estimator.follow(DAMPERS * force, outputs)
-        return -float(self._gain @ states)
+    return wanted
 
 
 CASES = tuple((building, earthquake) for building in BUILDINGS for earthquake in EARTHQUAKES)

@@ -211,7 +211,6 @@ def _best_on(drives: Drives, road: str) -> str:
 
 
 def _damper_chapter() -> Chapter:
-    """Description of the damper of the car."""
     picture, axes = chart(
         "damper",
         "Force of the damper in a sine of 20 mm and 2 Hz, at five currents.",
@@ -249,7 +248,6 @@ def _damper_chapter() -> Chapter:
 
 
 def _roads_chapter(drives: Drives, duration: float, told: str) -> Chapter:
-    """Comfort, road holding, travel and energy on roads of ISO 8608."""
     rows = []
     for road in SPEEDS:
         off = drives[OFF, road, LAG]
@@ -339,7 +337,6 @@ def _bump_chapter(drives: Drives, best: str) -> Chapter:
 
 
 def _lag_chapter(drives: Drives) -> Chapter:
-    """Loss of performance caused by the lag of the coil."""
     rows = []
     for strategy in CONTROLLERS:
         for road in ("A", "C", "E"):

@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from mr_damper_ros.control.linear_plant import DamperMotion, MovingPlant
+from mr_damper_ros.control.linear_plant import DamperMotion, LinearPlant, MovingPlant
 from mr_damper_ros.emulation.emulator import EmulatedDamper
 from mr_damper_ros.kinematics.motion import Motion
 from mr_damper_ros.kinematics.peak_velocity import PeakVelocity
@@ -54,7 +54,7 @@ def hybrid(name: str, duration: float) -> dict[str, Array]:
     """
     plant = MovingPlant(BUILDINGS["I"].plant, STEP)
     ground = el_centro().scaled(SCALE)
-    machine, damper = _LateMachine(), EmulatedDamper(recorded_damper(0.0), built_in=True)
+    machine, damper = _late_machine(), EmulatedDamper(recorded_damper(0.0), built_in=True)
     peak, smooth = PeakVelocity(STEP), 0.0
     share = -math.expm1(-STEP / _ACCELERATION_MEMORY)
     time = STEP * np.arange(round(duration / STEP), dtype=np.float64)
@@ -64,7 +64,8 @@ def hybrid(name: str, duration: float) -> dict[str, Array]:
         floor = plant.damper
         moved = floor
         if name != REFERENCE:
-            moved = machine.follow(floor, compensated=name == COMPENSATED)
+            machine.step(0.0, _compensated(floor) if name == COMPENSATED else floor.displacement)
+            moved = machine.damper
         smooth += share * (moved.acceleration - smooth)
         place, velocity, acceleration = np.array([[moved.displacement], [moved.velocity], [smooth]])
         speed = peak.follow(velocity, acceleration)
@@ -78,30 +79,18 @@ def hybrid(name: str, duration: float) -> dict[str, Array]:
     return {"time": time[: len(rows)], **dict(named)}
 
 
-class _LateMachine:
-    """A test machine that follows its command with a lag."""
+def _late_machine() -> MovingPlant:
+    """A test machine whose input is the commanded position."""
+    rate, across, along = 2.0 * math.pi * BANDWIDTH, np.array([1.0, 0.0]), np.array([0.0, 1.0])
+    dynamics = np.array([[0.0, 1.0], [-(rate**2), -2.0 * DAMPING * rate]])
+    return MovingPlant(LinearPlant(dynamics, 0.0 * along, rate**2 * along, across, along), STEP)
 
-    def __init__(self) -> None:
-        from scipy.linalg import expm  # here: see mr_damper_ros.entry_points
 
-        self._rate = 2.0 * math.pi * BANDWIDTH
-        whole = np.zeros((3, 3))
-        whole[0, 1] = 1.0
-        whole[1] = (-(self._rate**2), -2.0 * DAMPING * self._rate, self._rate**2)
-        self._step = expm(STEP * whole)[:2]
-        self._state = np.zeros(2)
-
-    def follow(self, wanted: DamperMotion, *, compensated: bool) -> DamperMotion:
-        """Motion of the machine one step later."""
-        command = wanted.displacement
-        if compensated:
-            modelled = self._rate * (1.0 + MODEL_ERROR)
-            command += 2.0 * DAMPING / modelled * wanted.velocity
-            command += wanted.acceleration / modelled**2
-        self._state = self._step @ np.append(self._state, command)
-        place, velocity = self._state.tolist()
-        pulled = self._rate**2 * (command - place) - 2.0 * DAMPING * self._rate * velocity
-        return DamperMotion(place, velocity, pulled)
+def _compensated(wanted: DamperMotion) -> float:
+    """Command [m] with which the modelled machine would follow the motion."""
+    modelled = 2.0 * math.pi * BANDWIDTH * (1.0 + MODEL_ERROR)
+    ahead = 2.0 * DAMPING / modelled * wanted.velocity + wanted.acceleration / modelled**2
+    return wanted.displacement + ahead
 
 
 def missed(values: Array, reference: Array) -> float:

@@ -37,7 +37,6 @@ from studies.thesis.runs import ACROSS, coefficients, draw_loop, loop, title, to
 # -- all conditions --------------------------------------------------------------------------------
 
 _UNITS = ("N", "s/m", "s/m", "s/m", "mm/s", "mm/s", "N")
-COEFFICIENT_UNITS = dict(zip(COEFFICIENT_NAMES, _UNITS, strict=True))
 _SCALES = np.array([1e3 if unit == "mm/s" else 1.0 for unit in _UNITS])
 
 _AGREEING = 0.02
@@ -167,7 +166,7 @@ def _coefficients(runs: Runs, sound: list[Condition]) -> document.Table:
             theirs = _SCALES * published_coefficients(condition, method)
             label = METHOD_TITLES[method] + _mark(condition, method)
             rows.append((name, label, *map(document.to_error, theirs, errors)))
-    heads = (f"{name} [{unit}]" for name, unit in COEFFICIENT_UNITS.items())
+    heads = (f"{name} [{unit}]" for name, unit in zip(COEFFICIENT_NAMES, _UNITS, strict=True))
     return table(
         "coefficients",
         "The seven coefficients that one run determines, with standard errors, in every sound "

@@ -142,27 +142,26 @@ def _cma_es(meter: EvaluationMeter, rng: np.random.Generator) -> None:
             search.tell(sets, np.log(costs).tolist())
 
 
+_UNIT = [(0.0, 1.0)] * _LOW.size
+_ENDLESS = 10**6
+"""Iterations of the two methods below, which end with the budget."""
+
+
+def _log_cost(meter: EvaluationMeter) -> Callable[[Array], float]:
+    return lambda x: math.log(meter.cost(_LOW + _SPAN * x))
+
+
 def _dual_annealing(meter: EvaluationMeter, rng: np.random.Generator) -> None:
-    start = rng.random(_LOW.size)
-    limits = {"maxfun": meter.budget, "maxiter": 10**6}
-    dual_annealing(
-        lambda x: math.log(meter.cost(_LOW + _SPAN * x)),
-        [(0.0, 1.0)] * _LOW.size,
-        seed=int(rng.integers(2**31)),
-        x0=start,
-        **limits,
-    )
+    start, seed = rng.random(_LOW.size), int(rng.integers(2**31))
+    limits = {"maxfun": meter.budget, "maxiter": _ENDLESS}
+    dual_annealing(_log_cost(meter), _UNIT, seed=seed, x0=start, **limits)
 
 
 def _basin_hopping(meter: EvaluationMeter, rng: np.random.Generator) -> None:
-    basinhopping(
-        lambda x: math.log(meter.cost(_LOW + _SPAN * x)),
-        rng.random(_LOW.size),
-        niter=10**6,
-        stepsize=0.2,
-        minimizer_kwargs={"method": "L-BFGS-B", "bounds": [(0.0, 1.0)] * _LOW.size},
-        seed=int(rng.integers(2**31)),
-    )
+    start, seed = rng.random(_LOW.size), int(rng.integers(2**31))
+    local = {"method": "L-BFGS-B", "bounds": _UNIT}
+    options = {"niter": _ENDLESS, "stepsize": 0.2, "minimizer_kwargs": local}
+    basinhopping(_log_cost(meter), start, seed=seed, **options)
 
 
 METHODS: dict[str, tuple[str, Method]] = {

@@ -14,7 +14,7 @@ reported. Both methods on the runs of 2.5 mm, 1 Hz: thesis 4.9, figures 53-57, t
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from scipy.optimize import minimize
@@ -55,14 +55,6 @@ _MUTATION, _RECOMBINATION = 0.8, 0.8
 """Factor on differences F, and the probability CR that a value is the mutant's; thesis 2.7.2."""
 
 
-class Evolved(NamedTuple):
-    """Best individual (p,), its cost, the evaluations spent."""
-
-    best: Array
-    cost: float
-    evaluations: int
-
-
 def evolve(
     cost: Callable[[Array], Array],
     low: Array,
@@ -72,15 +64,12 @@ def evolve(
     strategy: str = "rand/1",
     generations: int = 500,
     population: int = 160,
-) -> Evolved:
+) -> tuple[Array, int]:
     """Minimise ``cost``, which takes sets of shape (s, p) and returns (s,), within (p,) bounds.
 
-    Raises ValueError for an unknown strategy or a population below six.
+    ``strategy`` is one of the :data:`STRATEGIES`; the ``population`` is at least six. Returns the
+    best set (p,) and the number of evaluations.
     """
-    if strategy not in STRATEGIES:
-        raise ValueError(f"strategy '{strategy}' is unknown: use one of {', '.join(STRATEGIES)}")
-    if population < 6:
-        raise ValueError(f"the population is {population}: at least 6 are needed")
     people = low + (high - low) * rng.random((population, low.size))
     costs = _finite(cost(people))
     for _ in range(generations):
@@ -92,8 +81,7 @@ def evolve(
         better = trial_costs <= costs
         people[better] = trials[better]
         costs[better] = trial_costs[better]
-    place = int(np.argmin(costs))
-    return Evolved(people[place].copy(), float(costs[place]), population * (generations + 1))
+    return people[np.argmin(costs)], population * (generations + 1)
 
 
 def _finite(costs: Array) -> Array:
@@ -137,13 +125,13 @@ Sets = dict[str, Array]
 
 def search(name: str, noise_seed: int, seed: list[int]) -> tuple[Array, float]:
     """Task: one run of differential evolution (rand/1/bin, F = CR = 0.8): parameters, RMSE [N]."""
-    found = evolve(
+    best, _ = evolve(
         cycle(name, noise_seed, _PHASES).costs,
         *(facts.SEARCH_LOW, facts.SEARCH_HIGH, np.random.default_rng(seed)),
         generations=_GENERATIONS,
         population=_POPULATION,
     )
-    return found.best, float(np.sqrt(cycle(name, noise_seed).costs(found.best)))
+    return best, float(np.sqrt(cycle(name, noise_seed).costs(best)))
 
 
 def variance_distance(sets: Array) -> float:
@@ -315,13 +303,15 @@ def identify(name: str, noise_seed: int, seed: list[int]) -> dict[str, Any]:
     simplex, _, simplex_count = fminsearch(lambda p: float(misfit.costs(p)), start)
     reach = REACH * np.maximum(np.abs(published), 1e-3)
     bounds = published - reach, published + reach
-    evolved = evolve(misfit.costs, *bounds, np.random.default_rng(seed), generations=_GENERATIONS)
+    evolved, evolved_count = evolve(
+        misfit.costs, *bounds, np.random.default_rng(seed), generations=_GENERATIONS
+    )
     return {
         "floor": percent(published),
         "published": percent(parameters(find(name), _EVOLUTION)),
-        "sets": {_SIMPLEX: simplex, _EVOLUTION: evolved.best},
-        "residuals": {_SIMPLEX: percent(simplex), _EVOLUTION: percent(evolved.best)},
-        "evaluations": {_SIMPLEX: simplex_count, _EVOLUTION: evolved.evaluations},
+        "sets": {_SIMPLEX: simplex, _EVOLUTION: evolved},
+        "residuals": {_SIMPLEX: percent(simplex), _EVOLUTION: percent(evolved)},
+        "evaluations": {_SIMPLEX: simplex_count, _EVOLUTION: evolved_count},
     }
 
 

@@ -164,7 +164,6 @@ def _fits(results: Sequence[Mapping[str, Any]], currents: Sequence[float]) -> li
 
 
 def _sinusoids(found: Laws) -> document.Chapter:
-    """Results of every law on the sinusoid records."""
     rows: list[Sequence[document.Cell]] = []
     for law, result in found.items():
         errors, others = (list(result[kind].values()) for kind in ("nrmse", "left_out"))
@@ -234,7 +233,6 @@ def _errors(found: Laws, names: Sequence[str]) -> document.Picture:
 
 
 def _earthquakes(found: Laws, currents: Sequence[float]) -> document.Chapter:
-    """Results of every law on the earthquakes."""
     means = {law: _mean_fit(result["static"]) for law, result in found.items()}
     steadiest = max(means, key=means.__getitem__)
     rows: list[Sequence[document.Cell]] = [
@@ -292,7 +290,6 @@ def _mean_fit(results: Sequence[Mapping[str, Any]]) -> float:
 
 
 def _parameters(found: Laws) -> document.Chapter:
-    """The set of every law."""
     blocks: list[document.Block] = [
         "The sets were identified from the sinusoid records. The standard errors include the "
         "discrepancy, the model error that other motions reveal. –: the data do not determine the "
@@ -317,6 +314,10 @@ def _parameters(found: Laws) -> document.Chapter:
     return document.Chapter("parameters", "Parameters", told, blocks)
 
 
+_TOLD = ("value", "standard_error", "discrepancy", "unit", "observable")
+"""What the JSON file tells of a parameter."""
+
+
 def _figures(found: Laws, currents: Sequence[float]) -> dict[str, object]:
     """The figures of the recordings for the JSON file, law by law; NRMSE [1], fits [%]."""
     return {
@@ -332,13 +333,7 @@ def _figures(found: Laws, currents: Sequence[float]) -> dict[str, object]:
             "identification_s": result["seconds"],
             "us_per_sample": result["microseconds"],
             "parameters": {
-                name: {
-                    "value": entry.value,
-                    "standard_error": json_ready(entry.standard_error),
-                    "discrepancy": json_ready(entry.discrepancy),
-                    "unit": entry.unit,
-                    "observable": entry.observable,
-                }
+                name: {key: json_ready(getattr(entry, key)) for key in _TOLD}
                 for name, entry in parameter_estimates(result["set"]).items()
             },
         }

@@ -9,7 +9,8 @@ import pytest
 
 from mr_damper_ros.processes.files import write_bytes
 from mr_damper_ros.report import document
-from studies.control import buildings, car, heated, hybrid, report
+from studies.__main__ import main
+from studies.control import buildings, car, heated, hybrid
 from studies.control.buildings import BANG_BANG, ON, WEIGHTED
 
 
@@ -73,7 +74,7 @@ def written(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Path:
     monkeypatch.setattr(buildings, "simulate", shaken)
     monkeypatch.setattr(hybrid, "hybrid", reckoned)
     monkeypatch.setattr(document, "write_picture", sketched)
-    assert report.main(["--quick", "--workers", "1", "--output", str(tmp_path)]) == 0
+    assert main(["control", "--quick", "--workers", "1", "--output", str(tmp_path)]) == 0
     return tmp_path
 
 

@@ -49,7 +49,7 @@ def campaign(tmp_path_factory):
 
 def test_results_are_kept_for_the_code_that_they_were_computed_with():
     loaded = alone(
-        "import studies.thesis.sections\n"
+        "from studies.thesis import conditions, force_error, laws, optimisers, sensitivity\n"
         "for module in list(sys.modules.values()):\n"
         "    if module.__name__.partition('.')[0] in ('mr_damper_ros', 'studies'):\n"
         "        print(module.__file__)"

@@ -10,8 +10,8 @@ from scipy.io import savemat
 from scipy.signal import lfilter
 
 from mr_damper_ros.models import MODELS
+from studies.__main__ import main
 from studies.truth import oscillator, records
-from studies.truth import report as truth_report
 from studies.truth.hysteretic_oscillator import PERIOD, STEPS, TRUTH, multisine
 
 LAWS = ("bingham", "hyperbolic_tangent")
@@ -73,7 +73,7 @@ def test_the_report_holds_every_law_and_figure(
     write_recordings(tmp_path)
     monkeypatch.setenv("MR_DAMPER_DATA", str(tmp_path))
     out = tmp_path / "out"
-    assert truth_report.main(["--quick", "--workers", "1", "--output", str(out)]) == 0
+    assert main(["truth", "--quick", "--workers", "1", "--output", str(out)]) == 0
     page = (out / "report.html").read_text(encoding="utf-8")
     for chapter in ("sinusoids", "earthquakes", "parameters", "oscillator"):
         assert f'<section id="{chapter}">' in page
