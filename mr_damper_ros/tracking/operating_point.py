@@ -210,7 +210,7 @@ class KnownPoints:
         records = {each.point: each for each in self.records}
         for each in changed.records:
             if each.number and each.window is None:
-                each = replace(each, window=records[each.point].window)
+                each = replace(each, window=records.get(each.point, each).window)
             records[each.point] = each
         return KnownPoints(tuple(records.values()))
 
