@@ -247,7 +247,7 @@ class Identifier:
 
         The window in the worker is fitted again, starting from this set.
         """
-        if self._job is not None and self._job.raw is not None:
+        if self._job is not None and self._job.raw is not None and not self._superseded:
             self._windows.appendleft(self._job.raw)
         self._supersede()
         self.tracker.replace(parameters)

@@ -221,6 +221,15 @@ def test_a_new_set_makes_the_running_fit_start_again_from_it() -> None:
     assert results(b.work_off()) == results(reference.work_off())
 
 
+@pytest.mark.parametrize(("switch", "fitted"), [(Identifier.reset, []), (None, [0])])
+def test_a_window_is_fitted_again_at_most_once(switch: Any, fitted: list[int]) -> None:
+    b = bench()
+    b.identifier.add_windows([window(0)])
+    (switch or (lambda made: made.replace(INITIAL)))(b.identifier)
+    b.identifier.replace(INITIAL)
+    assert starts(b.work_off()) == fitted
+
+
 def test_a_window_that_makes_room_takes_its_looks_along() -> None:
     b = bench(waiting_windows=1)
     for number in range(4):
