@@ -6,6 +6,7 @@ import math
 import os
 import reprlib
 from dataclasses import dataclass, field, replace
+from numbers import Real
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -165,9 +166,11 @@ class ParameterSet:
                     raise ParameterError(
                         f"the {what} of {name} is {error}: it must not be negative"
                     )
-        for name, (low, high) in self._ranges.items():
+        for name in ("peak_velocity_range", "current_range"):
+            low, high = _range(getattr(self, name), name)
             if not low <= high:
                 raise ParameterError(f"{name} is [{low}, {high}]: give the lower bound first")
+            object.__setattr__(self, name, (low, high))
         if self.largest_force < 0.0 or math.isinf(self.largest_force):
             raise ParameterError(
                 f"largest_force is {self.largest_force}: give a finite, non-negative force [N]"
@@ -268,7 +271,8 @@ class ParameterSet:
         """
         if self.observable.any() or not self.has_evidence:
             return self
-        wide = [0.0 < high - low < math.inf for low, high in self._ranges.values()]
+        ranges = self.peak_velocity_range, self.current_range
+        wide = [0.0 < high - low < math.inf for low, high in ranges]
         if not any(wide):
             return self
         known = [
@@ -288,13 +292,6 @@ class ParameterSet:
             "other currents is unknown, and no current can be computed for a desired force: "
             "identify it from runs at several currents"
         )
-
-    @property
-    def _ranges(self) -> dict[str, tuple[float, float]]:
-        return {
-            "peak_velocity_range": self.peak_velocity_range,
-            "current_range": self.current_range,
-        }
 
     def of_model(self, model: str) -> ParameterSet:
         """Return the set; raises ParameterError if it is not of ``model``."""
@@ -329,8 +326,8 @@ class ParameterSet:
             "source": self.source,
             "stamp_ns": int(self.stamp_ns),
             "nrmse": _or_none(self.nrmse),
-            "peak_velocity_range": [float(x) for x in self.peak_velocity_range],
-            "current_range": [float(x) for x in self.current_range],
+            "peak_velocity_range": list(self.peak_velocity_range),
+            "current_range": list(self.current_range),
             "largest_force": _or_none(self.largest_force),
             "parameters": {
                 name: {
@@ -463,12 +460,8 @@ class ParameterSet:
             observable=observable,
             set_id=str(document.get("id", "unnamed")),
             source=str(document.get("source", "file")),
-            peak_velocity_range=_range(
-                document.get("peak_velocity_range", [0.0, math.inf]), "peak_velocity_range"
-            ),
-            current_range=_range(
-                document.get("current_range", [-math.inf, math.inf]), "current_range"
-            ),
+            peak_velocity_range=document.get("peak_velocity_range", cls.peak_velocity_range),
+            current_range=document.get("current_range", cls.current_range),
             nrmse=_or_nan(document.get("nrmse"), "nrmse"),
             stamp_ns=stamp,
             model=model,
@@ -513,7 +506,7 @@ def _number(value: Any, what: str) -> float:
             return float(value)
         except ValueError:
             pass
-    if isinstance(value, bool) or not isinstance(value, (int, float)):
+    if isinstance(value, bool) or not isinstance(value, Real):
         raise ParameterError(f"{what} is {_shown(value)}: give a number")
     try:
         return float(value)
@@ -532,7 +525,7 @@ def _or_none(value: float) -> float | None:
 
 
 def _range(value: Any, what: str) -> tuple[float, float]:
-    if not isinstance(value, (list, tuple)) or len(value) != 2:
+    if not isinstance(value, (list, tuple, np.ndarray)) or len(value) != 2:
         raise ParameterError(f"{what} must be a list of two numbers, lower bound first")
     return _number(value[0], what), _number(value[1], what)
 

@@ -50,6 +50,15 @@ def parameter_sets(draw: st.DrawFn) -> ParameterSet:
     )
 
 
+@pytest.mark.parametrize("given", [[0, 1], np.array([0.0, 1.0]), np.array([0, 1], np.float32)])
+def test_a_range_of_numpy_is_a_range(given: Any) -> None:
+    chosen = ParameterSet(LITERATURE, current_range=given, peak_velocity_range=given)
+    assert chosen.current_range == chosen.peak_velocity_range == (0.0, 1.0)
+    for wrong in (None, 1.0, (0, 1, 2)):
+        with pytest.raises(ParameterError, match="a list of two numbers"):
+            ParameterSet(LITERATURE, current_range=wrong)
+
+
 @known.fixed(25)
 @given(parameter_sets())
 def test_text_and_back_is_exact(original: ParameterSet) -> None:
