@@ -70,8 +70,9 @@ class ProcessPool(AbstractContextManager):
         self._pool: WorkerPool | None = None
 
     def __exit__(self, *_: object) -> None:
-        if self._pool is not None:
-            self._pool.close()
+        pool, self._pool = self._pool, None
+        if pool is not None:
+            pool.close()
 
     def map(
         self,
