@@ -226,7 +226,9 @@ def _scatter(search: GlobalSearch, places: Sequence[int]) -> Array:
     found = np.array([fit.coefficients for fit in fits])
     variances = np.array([np.diag(fit.coefficient_errors) for fit in fits])
     typical = np.maximum(np.mean(laws**2, axis=0), np.median(found**2, axis=0))
-    sizes = np.maximum(laws**2 + typical, np.finfo(float).tiny)
+    sizes = laws**2 + typical
+    # A coefficient that is zero everywhere, as after an early stop, has no scatter.
+    sizes = np.where(sizes > np.finfo(float).tiny, sizes, np.inf)
     # A coefficient has little weight if its window hardly determines it.
     weights = np.nan_to_num(1.0 / (1.0 + np.maximum(variances, 0.0) / sizes))
     excess = ((found - laws) ** 2 - np.nan_to_num(variances)) / sizes

@@ -16,6 +16,7 @@ from mr_damper_ros.estimation.differential_evolution import (
 from mr_damper_ros.estimation.global_fit import GlobalFit, error_of_set, identify_global
 from mr_damper_ros.estimation.observability import varied_parameters
 from mr_damper_ros.kinematics.window import Window
+from mr_damper_ros.models import MODELS
 from mr_damper_ros.models.misfit import Misfit
 from mr_damper_ros.models.published import LITERATURE, THESIS_28_CELSIUS
 from mr_damper_ros.models.sigmoid.law import PARAMETER_NAMES, SCALE_PARAMETER_NAMES, sine_force
@@ -270,6 +271,15 @@ def test_a_stop_returns_something_better_than_a_poor_start(after: int) -> None:
     assert "best result so far" in fit.message
     # Mean square relative to that of the start, whose errors are some 9000 times the noise.
     assert mean_square(SMALL, fit.parameter_set.values) < 1e-4 * mean_square(SMALL, LITERATURE)
+
+
+def test_an_early_stop_overflows_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(f"{EvolutionSettings.__module__}._REPORT_PERIOD", 0.0)
+    law, polls = MODELS["hyperbolic_tangent"], iter([True, True, False])
+    with np.errstate(over="raise", invalid="raise"):
+        fit = identify_global(law, SMALL, law.initial_values()[0], FEW, lambda _: next(polls))
+    assert fit.stopped
+    assert np.isfinite(fit.scatter).all()
 
 
 def test_an_unknown_method_is_refused() -> None:
