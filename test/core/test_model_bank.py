@@ -67,3 +67,11 @@ def test_at_a_slow_sample_rate_the_bank_judges_by_a_single_sample() -> None:
     sets, one = sets_of((GIVEN, None)), np.ones(1)
     sets.follow(Motion(one, one, one, one, sine=None), one, (9.0 * one, one), 0.5, math.nan)
     assert sets.choice(DoubtKind.WRONG, 1.0) is None
+
+
+def test_a_set_fits_at_the_currents_of_the_windows_that_confirm_it() -> None:
+    sets = sets_of((identified("window", (0.0, 2.0)), 1))
+    for stamp_ns, currents in enumerate(((1.0, 1.0), (0.4, 0.5)), start=2):
+        sets.confirm("window", stamp_ns, currents)
+    assert sets.present.currents == (0.4, 1.0)
+    assert [sets.present.fits_at(current) for current in (0.3, 0.7, 1.2)] == [False, True, False]
