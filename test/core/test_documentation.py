@@ -103,15 +103,11 @@ def test_pages_link_to_what_is_there() -> None:
     assert missing == []
 
 
-# -- the examples run on the data of the package ---------------------------------------------------
-
-TOP = Path(__file__).parents[2]
-EXAMPLES = sorted((TOP / "examples").glob("*.py"))
-
-
-@pytest.mark.parametrize("example", EXAMPLES, ids=lambda path: path.stem)
+@pytest.mark.parametrize(
+    "example", sorted((ROOT / "examples").glob("*.py")), ids=lambda path: path.stem
+)
 def test_an_example_runs(example: Path, tmp_path: Path) -> None:
     for folder in ("bags", "doc"):
-        (tmp_path / folder).symlink_to(TOP / folder)
-    environment = {**os.environ, "MPLBACKEND": "agg", "PYTHONPATH": str(TOP)}
+        (tmp_path / folder).symlink_to(ROOT / folder)
+    environment = {**os.environ, "MPLBACKEND": "agg", "PYTHONPATH": str(ROOT)}
     assert said(sys.executable, example, cwd=tmp_path, env=environment)
