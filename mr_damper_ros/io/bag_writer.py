@@ -36,6 +36,7 @@ from mr_damper_ros.io.bag_reader import (
     BagError,
 )
 from mr_damper_ros.io.mcap_checksums import add_checksums
+from mr_damper_ros.processes.files import named_errors
 from mr_damper_ros.signals.blocks import NANOSECONDS, STAMP_LIMIT, SampleBlock
 from mr_damper_ros.signals.recording import CurrentReading, Recording, StreamItem, stream_of
 
@@ -159,9 +160,10 @@ def write_bag(
     with tempfile.TemporaryDirectory(prefix=f".{path.name}.", dir=path.parent) as folder:
         fresh = Path(folder) / path.name
         bag = BagStream(fresh, topics, {"name": recording.name, **recording.details})
-        for item in stream_of(recording, block_size):
-            bag.write(*_message(item))
-        bag.close()
+        with named_errors(path):
+            for item in stream_of(recording, block_size):
+                bag.write(*_message(item))
+            bag.close()
         if path.exists():
             path.rename(Path(folder) / "replaced")
         fresh.rename(path)

@@ -8,7 +8,7 @@ import fcntl
 import math
 import os
 import stat
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -26,7 +26,8 @@ def write_bytes(path: Path, content: bytes, *, durable: bool = False) -> None:
     path.parent.mkdir(parents=True, exist_ok=True)
     fresh = path.with_name(f".{path.name}.{os.getpid()}")
     try:
-        fresh.write_bytes(content)
+        with named_errors(path):
+            fresh.write_bytes(content)
         if durable:
             _sync(fresh)
         fresh.replace(path)
@@ -34,6 +35,16 @@ def write_bytes(path: Path, content: bytes, *, durable: bool = False) -> None:
         fresh.unlink(missing_ok=True)
     if durable:
         _sync(path.parent)  # the new name
+
+
+@contextlib.contextmanager
+def named_errors(path: Path) -> Iterator[None]:
+    """Add the path to an OSError that names no file, as the error of a full disk."""
+    try:
+        yield
+    except OSError as error:
+        error.filename = error.filename or str(path)
+        raise
 
 
 def _sync(path: Path) -> None:

@@ -139,8 +139,10 @@ def test_an_interrupted_write_leaves_what_was_there(
     monkeypatch.setattr(Writer, "write", write)
     with pytest.raises(failure):
         write_bag(tmp_path / "bag", recording(20), overwrite=True)
-    with pytest.raises(failure):
+    with pytest.raises(failure) as raised:
         write_bag(tmp_path / "other", recording(20))
+    named = str(tmp_path / "other")
+    assert getattr(raised.value, "filename", named) == named
     assert [entry.name for entry in tmp_path.iterdir()] == ["bag"]
     assert_same(read_bag(tmp_path / "bag")[0], recording())
 
