@@ -4,7 +4,7 @@ The law is linearised about a parameter set. The Fisher information of the sampl
 plausible range of dampers as prior information, gives the covariance of the parameters, and from it
 follows the standard error of the force at every phase of a cycle. An uncertain parameter counts
 only as far as it affects the force. The repeatable part of the residual is model error, not noise.
-The largest relative model error in the windows is also assumed between and beyond the windows.
+The model error grows with the distance from the windows.
 
 Among the runs within the limits of the machine, the plan selects the run that is expected to reduce
 the worst error of the force most (G-optimality: Pukelsheim, "Optimal design of experiments", 1993),
@@ -49,7 +49,7 @@ from mr_damper_ros.kinematics.periodic_motion import MotionKind, PeriodicMotion
 from mr_damper_ros.kinematics.window import Window
 from mr_damper_ros.models.force_model import Model
 from mr_damper_ros.models.misfit import Misfit
-from mr_damper_ros.models.quantities import NOTICED, LoopReading
+from mr_damper_ros.models.quantities import NOTICED, SAME_CURRENT, LoopReading
 from mr_damper_ros.signals.arrays import Array
 
 _DRAWS = 200
@@ -60,6 +60,11 @@ _FEWEST_IN_PART = 8
 
 _NEAR = 0.1
 """Windows closer to a point than this, relative to the range, count as equally near."""
+
+_GROWTH = 2.0
+"""Relative growth of the model error per width of the range, away from the nearest window. With 0,
+1, 2 and 2.5, the true error over the claimed one has a 90 % quantile of 1.44, 1.37, 1.27 and 1.14,
+and a median of 0.96, 0.94, 0.79 and 0.73 (eleven foreign laws, three choices of runs)."""
 
 _SETS = 8
 """Number of sets that represent the undetermined parameters."""
@@ -406,18 +411,27 @@ class RunPlanner:
         gradient = self._cycles.relative_gradient(parameters)[:, ::_FEW_PHASES]
         return gradient, information, self._candidates.gains(parameters, *sigma)
 
-    def _model_errors(self, windows: Sequence[Window], parameters: Array) -> Array:
-        """Model errors (k,) at the points of the goal: a mean that weights near windows most."""
+    def _model_errors(
+        self, windows: Sequence[Window], parameters: Array, growth: float = _GROWTH
+    ) -> Array:
+        """Model errors (k,) at the points of the goal: a mean that weights near windows most.
+
+        ``growth`` is the relative growth with the distance from the nearest window.
+        """
         goal, squares = self.goal, [model_error(self.model, w, parameters) ** 2 for w in windows]
-        low, high = goal.peak_velocity
-        sizes = np.array([max(math.log(high / low), 1e-9), max(np.ptp(goal.current), 1e-9)])
+        (slow, fast), (low, high) = goal.peak_velocity, goal.current
+        # A narrow range has no smaller scale than a change of a few times the speed, or of half the
+        # current.
+        sizes = max(math.log(fast / slow), 1.0), max(high - low, 0.5 * high, SAME_CURRENT)
 
         def places(points: Sequence[tuple[float, float]]) -> Array:
             return np.array([(math.log(max(v, 1e-12)), i) for v, i in points]) / sizes
 
         apart = places(goal.points)[:, None] - places([w.operating_point for w in windows])
-        weights = 1.0 / (_NEAR + np.linalg.norm(apart, axis=-1)) ** 4
-        return np.asarray(np.sqrt(weights @ squares / weights.sum(axis=1)))
+        distances = np.linalg.norm(apart, axis=-1)
+        weights = 1.0 / (_NEAR + distances) ** 4
+        near = np.sqrt(weights @ squares / weights.sum(axis=1))
+        return np.asarray(near * (1.0 + growth * distances.min(axis=1)))
 
     def _errors(self, parameters: Array, information: Array, model_errors: Array) -> PointErrors:
         """Errors at the points of the goal; ``information`` (p, p) includes the prior."""
@@ -498,10 +512,12 @@ class RunPlanner:
             gradient, before, gains = self._design(windows, noise, values)
             scores[allowed] += np.log(_soft_worst(gradient, before + gains[allowed]))
         best = int(np.argmin(scores))
-        left, expected, reached = self._look_ahead(windows, parameters, noise, best)
-        if now.model_error > self.goal.error:
+        # Further runs leave no point far from a window.
+        model_errors = self._model_errors(windows, parameters, growth=0.0)
+        left, expected, reached = self._look_ahead(windows, parameters, noise, model_errors, best)
+        if model_errors.max() > self.goal.error:
             reason = (
-                f"the model error of the law {self.model.name} is {now.model_error:.2%} of the "
+                f"the model error of the law {self.model.name} is {model_errors.max():.2%} of the "
                 f"force, more than the goal of {self.goal.error:.2%}, and no run can reduce it: "
                 "choose another model (choose_law compares them on the recorded runs), or a larger "
                 "error"
@@ -531,10 +547,14 @@ class RunPlanner:
         return np.asarray(gentle & within)
 
     def _look_ahead(
-        self, windows: Sequence[Window], parameters: Array, noise: Sequence[float], first: int
+        self,
+        windows: Sequence[Window],
+        parameters: Array,
+        noise: Sequence[float],
+        model_errors: Array,
+        first: int,
     ) -> tuple[int | None, float, float]:
         """Number of runs until the goal is met, and worst error after the first and last run."""
-        model_errors = self._model_errors(windows, parameters)
         gradient, information, gains = self._design(windows, noise, parameters)
         information += gains[first]
         expected = worst = self._errors(parameters, information, model_errors).worst

@@ -130,10 +130,13 @@ def test_noise_alone_is_no_model_error() -> None:
 
 def test_the_error_of_the_force_includes_what_the_law_does_not_follow(planner: RunPlanner) -> None:
     wrong = [with_third_harmonic(window, MISFIT) for window in windows(RUNS[1])]
-    now = planner.errors(wrong, known.PLAUSIBLE)
+    there = replace(GOAL, peak_velocity=(0.19, 0.19), current=(0.5, 0.5))
+    now = RunPlanner(LAW, there, LIMITS).errors(wrong, known.PLAUSIBLE)
     assert now.model_error == pytest.approx(MISFIT, rel=0.1)
     assert now.worst >= now.model_error
     assert "is model error" in now.sentence
+    # It grows with the distance, here to 0.02 m/s and 1.5 A.
+    assert planner.errors(wrong, known.PLAUSIBLE).model_error > 3.0 * now.model_error
 
 
 def test_the_model_error_is_relative_to_the_measured_force() -> None:
