@@ -114,6 +114,8 @@ class MachineLimits:
     motions: tuple[MotionKind, ...] = (MotionKind.SINE,)
 
     def __post_init__(self) -> None:
+        # Names are accepted as well.
+        object.__setattr__(self, "motions", motions_of(self.motions))
         if MotionKind.SINE not in self.motions:
             raise ValueError(
                 f"the machine's motions are {', '.join(kind.value for kind in self.motions)}: "
@@ -162,12 +164,13 @@ class PlannedRun:
     highest_frequency: float = 0.0
     seed: int = 0
 
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "kind", MotionKind(self.kind))
+
     @classmethod
     def from_document(cls, document: Mapping[str, Any]) -> PlannedRun:
         """Read the output of ``asdict`` back from JSON. Raises ValueError or TypeError."""
-        given = dict(document)
-        kind = MotionKind(given.pop("kind", MotionKind.SINE))
-        return cls(**given | {"currents": tuple(given["currents"]), "kind": kind})
+        return cls(**dict(document) | {"currents": tuple(document["currents"])})
 
     @property
     def motion(self) -> PeriodicMotion:

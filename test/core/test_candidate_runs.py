@@ -74,6 +74,8 @@ def test_no_sample_of_any_run_leaves_the_limits(machine: tuple[ForceGoal, Machin
 def test_every_kind_is_there_where_the_machine_can_make_it() -> None:
     counts = Counter(run.kind for run in candidate_runs(GOAL, LIMITS))
     assert set(counts) == set(EVERY_KIND)
+    named = candidate_runs(GOAL, replace(LIMITS, motions=("sine", "sweep", "random")))
+    assert Counter(run.kind for run in named) == counts
     sines = candidate_runs(GOAL, replace(LIMITS, motions=(MotionKind.SINE,)))
     assert {run.kind for run in sines} == {MotionKind.SINE}
 
