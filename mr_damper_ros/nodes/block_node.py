@@ -19,7 +19,13 @@ from mr_damper_ros.models.plausibility import check_plausible
 from mr_damper_ros.nodes import quality
 from mr_damper_ros.nodes.diagnostics import ERROR, OK, STALE, WARN, Diagnostics, Finding
 from mr_damper_ros.nodes.inputs import Inputs
-from mr_damper_ros.nodes.messages import PARAMETERS_TOPIC, REPORT_TOPIC, parameter_set, report_of
+from mr_damper_ros.nodes.messages import (
+    PARAMETERS_TOPIC,
+    REPORT_TOPIC,
+    SHOWN,
+    parameter_set,
+    report_of,
+)
 from mr_damper_ros.nodes.node_parameters import ConfigurationError, NodeParameters
 from mr_damper_ros.settings.option_table import ParameterTable, option
 from mr_damper_ros.signals.blocks import SampleBlock
@@ -33,9 +39,6 @@ if they share a core with this process."""
 
 _UNKNOWN = "_NODE_NAME_UNKNOWN_"
 """Part of the name that the ROS graph gives to a node before its name is known."""
-
-_SHOWN = 100
-"""Shown characters of a name: a message may hold a megabyte of them."""
 
 
 @dataclass(frozen=True)
@@ -143,7 +146,7 @@ class BlockNode(Node, Generic[Options, Answer]):
         """
         names, trusted = set(quality.publishing_nodes(self, topic)), self._options.trusted_source
         if len(names) > 1 and trusted in names:
-            names = {claimed[:_SHOWN] or "a node that does not state its name"}
+            names = {claimed[:SHOWN] or "a node that does not state its name"}
         if not trusted or names == {trusted}:
             return ""
         found = " or ".join(sorted(names)) or "a node that has ended"
@@ -162,7 +165,7 @@ class BlockNode(Node, Generic[Options, Answer]):
             parameters = check_plausible(parameter_set(message))
         except ParameterError as error:
             self._refused = str(error)
-            self.get_logger().warning(f"parameters {message.id[:_SHOWN]} are not used: {error}")
+            self.get_logger().warning(f"parameters {message.id[:SHOWN]} are not used: {error}")
             return
         self._from = message.node or "a node that does not state its name"
         before = self._predictor.parameters

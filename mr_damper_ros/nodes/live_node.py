@@ -36,7 +36,7 @@ from std_srvs.srv import Trigger
 from mr_damper_ros.io.bag_writer import BagStream
 from mr_damper_ros.live.live_record import Concern, LiveRecord
 from mr_damper_ros.live.page_server import PageServer, is_local
-from mr_damper_ros.models.parameter_set import ParameterError, ParameterSet
+from mr_damper_ros.models.parameter_set import ParameterError
 from mr_damper_ros.nodes import quality
 from mr_damper_ros.nodes.command_topic import COMMAND_TOPIC, DEMAND_TOPIC, EXCITATION_TOPIC
 from mr_damper_ros.nodes.inputs import CURRENT_TOPIC, SAMPLES_TOPIC
@@ -45,6 +45,7 @@ from mr_damper_ros.nodes.messages import (
     JOINED_SAMPLES_TOPIC,
     PARAMETERS_TOPIC,
     REPORT_TOPIC,
+    SHOWN,
     from_field,
     parameter_set,
     report_of,
@@ -60,15 +61,11 @@ from mr_damper_ros.tracking.force_scale import FluidTemperature
 _WAITING = 50
 """Queue length; the oldest messages are dropped, so that a viewer exerts no back-pressure."""
 
-_SHOWN = 100
-"""Number of characters of a name that are shown; a message may hold a megabyte of them."""
-
 
 class RecordInput:
     """Stores the messages of a node's namespace in a record.
 
     Diagnostics are stored only from nodes of this namespace, or without a namespace from all nodes.
-    ``newest_set`` is the last published set.
     """
 
     def __init__(self, node: Node, record: LiveRecord) -> None:
@@ -77,7 +74,6 @@ class RecordInput:
         self._prefix = f"{namespace}/" if namespace else ""
         self._samples: deque[MtsSamples] = deque(maxlen=_WAITING)
         self._fluid = FluidTemperature()
-        self.newest_set: ParameterSet | None = None
         waiting = quality.stream(_WAITING)
         looking = quality.stream(_WAITING)
         looking.reliability = ReliabilityPolicy.BEST_EFFORT
@@ -133,11 +129,9 @@ class RecordInput:
 
     def _take_parameters(self, message: DamperParameters) -> None:
         try:
-            self.newest_set = parameter_set(message)
+            self._record.set_parameters(parameter_set(message))
         except ParameterError as error:
-            self._record.add_event(f"parameters {message.id[:_SHOWN]} are not shown: {error}")
-        else:
-            self._record.set_parameters(self.newest_set)
+            self._record.add_event(f"parameters {message.id[:SHOWN]} are not shown: {error}")
 
     def _take_diagnostics(self, message: DiagnosticArray) -> None:
         for status in message.status:
@@ -351,8 +345,8 @@ class LiveNode(Node):
             **entries,
             "provenance": f"recorded from the page{by}: {entries['note']}".rstrip(": "),
         }
-        if self._input.newest_set is not None:
-            details["start_set"] = self._input.newest_set.to_yaml()
+        if self._record.parameters is not None:
+            details["start_set"] = self._record.parameters.to_yaml()
         plain = re.sub(r"[^\w.+-]+", "_", details["name"]).strip("._")[:60] or "run"
         folder = Path(self._options.record_folder).expanduser()
         path = folder / f"{time.strftime('%Y%m%d_%H%M%S')}_{plain}"

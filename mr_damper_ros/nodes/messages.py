@@ -38,6 +38,9 @@ PARAMETERS_TOPIC, REPORT_TOPIC = "damper/parameters", "damper/fit_report"
 JOINED_SAMPLES_TOPIC, JOINED_FORCES_TOPIC = "damper/joined_samples", "damper/joined_forces"
 SUSPENSION_TOPIC = "suspension/motion"
 
+SHOWN = 100
+"""Shown characters of a name: a message may hold a megabyte of them."""
+
 _SECOND = 1_000_000_000
 
 

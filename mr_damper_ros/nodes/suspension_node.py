@@ -13,6 +13,7 @@ from mr_damper_ros.control.semi_active import SuspensionSettings, controller_of
 from mr_damper_ros.nodes import quality
 from mr_damper_ros.nodes.command_topic import DEMAND_TOPIC
 from mr_damper_ros.nodes.diagnostics import OK, STALE, WARN, Diagnostics, Finding
+from mr_damper_ros.nodes.inputs import Stream
 from mr_damper_ros.nodes.messages import (
     BODY,
     SUSPENSION_TOPIC,
@@ -53,13 +54,13 @@ class SuspensionNode(Node):
             self._controller = controller_of(self._options.control)
         except ValueError as error:
             raise ConfigurationError(str(error)) from error
-        self._wanted = self._failed = 0
         self._last = math.nan
-        self._problem = ""
         # Velocity of the body [m/s] and its stamp.
         self._body = math.nan, 0
         self._demand = quality.publisher(self, DesiredForce, DEMAND_TOPIC)
-        quality.subscription(self, JointState, SUSPENSION_TOPIC, self._take, quality.newest())
+        profile = quality.newest()
+        quality.subscription(self, JointState, SUSPENSION_TOPIC, self._take, profile)
+        self._stream = Stream(self, SUSPENSION_TOPIC, profile, "does the vehicle send its motion?")
         self._diagnostics = Diagnostics(self, {"force": self._finding})
         name = self._options.control.function or self._options.control.controller
         self.get_logger().info(
@@ -71,21 +72,21 @@ class SuspensionNode(Node):
         try:
             now = suspension_state(message, self._acceleration(message))
         except ValueError as error:
-            self._give_up(str(error))
+            self._stream.reject(str(error))
             return
         try:
             force = float(self._controller(now))
         except Exception as error:  # a user's function: its errors must not end the node
-            self._give_up(f"the controller failed: {type(error).__name__}: {error}")
+            self._stream.reject(f"the controller failed: {type(error).__name__}: {error}")
             return
         if not math.isfinite(force):
-            self._give_up(
+            self._stream.reject(
                 f"the controller returned {force} N: does it need a signal that is not measured?"
             )
             return
         limit = self._options.largest_force
         self._last = min(max(force, -limit), limit)
-        self._wanted += 1
+        self._stream.accept(1)
         demand = DesiredForce(force=self._last)
         demand.header.stamp = message.header.stamp
         demand.header.frame_id = self._options.frame_id
@@ -99,21 +100,12 @@ class SuspensionNode(Node):
         passed = (stamp_ns - before_ns) / NANOSECONDS
         return (velocity - before) / passed if 0.0 < passed < _LONGEST_STEP else 0.0
 
-    def _give_up(self, problem: str) -> None:
-        """Publish no desired force: the damper controller then falls back to its safe current."""
-        self._problem = problem
-        self._failed += 1
-        self.get_logger().error(problem, throttle_duration_sec=10.0)
-
     def _finding(self) -> Finding:
-        wanted, self._wanted = self._wanted, 0
-        failed, self._failed = self._failed, 0
-        values = {"desired force [N]": f"{self._last:.4g}", "wanted": wanted, "failed": failed}
-        if failed:
-            return Finding(WARN, f"{self._problem}; no desired force was published", values)
-        if not wanted:
-            topic = self.resolve_topic_name(SUSPENSION_TOPIC)
-            return Finding(STALE, f"no motion arrives on {topic}", values)
+        """The desired force; without it, the damper controller commands its safe current."""
+        rate, fault = self._stream.take_rate(), self._stream.take_fault()
+        values = {"desired force [N]": f"{self._last:.4g}", "forces/s": f"{rate:.1f}"}
+        if fault:
+            return Finding(STALE if self._stream.silent else WARN, fault, values)
         return Finding(OK, f"the desired force is {self._last:.0f} N", values)
 
 

@@ -86,6 +86,7 @@ def test_ones_own_controller_is_one_function(
     listener.until(answered, "a force")
     move(-0.1, 0.01)
     node.wait_for_log("not like this")
+    listener.wait_for_finding("suspension: force", "could not be used: the controller failed")
     move(0.1, 1.0)
     listener.until(lambda: forces[-1].force == 100.0, "the force after the failure")
     assert {force.force for force in forces} == {12.34, 100.0}
