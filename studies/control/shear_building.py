@@ -18,8 +18,6 @@ import numpy as np
 from scipy.linalg import expm, solve_continuous_are
 
 from mr_damper_ros.control.linear_plant import LinearPlant
-from mr_damper_ros.models import MODELS
-from mr_damper_ros.models.first_order_lag import COIL
 from mr_damper_ros.models.parameter_set import ParameterSet
 from mr_damper_ros.signals.arrays import Array
 
@@ -111,34 +109,18 @@ class StateEstimator:
         return self.states
 
 
-_DAMPER = {
-    "f0": 64.595135,
-    "I0": -0.47949810,
-    "I1": 0.492,
-    "a0": 695.36189,
-    "a1": 0.036241897,
-    "a2": 3.2626734,
-    "a3": 82.907410,
-    "a4": -9.4422296,
-    "k0": 73.941558,
-    "k1c": 3.6203654,
-    "k1e": 3.8709135,
-    "k2": 10.685450,
-    "k3": -67.9,
-    "k4": -0.043652854,
-    "k5": -0.014642521,
-    "k6": -0.014359756,
-    "compliance": 1.5061225e-07,
-    "stiffness": 797.75380,
-    "offset": -0.34959565,
-}
+_DAMPER = (
+    *(64.595135, -0.47949810, 0.492, 695.36189, 0.036241897, 3.2626734, 82.907410, -9.4422296),
+    *(73.941558, 3.6203654, 3.8709135, 10.685450, -67.9, -0.043652854, -0.014642521, -0.014359756),
+    *(1.5061225e-07, 797.75380, -0.34959565),
+)
+"""Values of the law in the order of its parameters, without the time constant of the coil."""
 
 
 def recorded_damper(coil_time_constant: float) -> ParameterSet:
     """Parameter set of the damper, with the time constant of the coil [s]."""
-    values = {**_DAMPER, COIL: coil_time_constant}
     return ParameterSet(
-        np.array([values[name] for name in MODELS["sigmoid_lag"].parameter_names]),
+        np.array([*_DAMPER, coil_time_constant]),
         set_id="recorded",
         model="sigmoid_lag",
         peak_velocity_range=(0.0148, 0.0630),
