@@ -379,6 +379,16 @@ def test_no_doubt_drives_the_current_up() -> None:
             assert current <= before
 
 
+def test_control_that_is_lost_again_soon_returns_after_twice_the_time() -> None:
+    fallback, waits = begun(doubt_time=0.05), []
+    for controlled_before in (0, 0, 0, 60):
+        currents_of(fallback, controlled_before * "." + 30 * "?")
+        waits.append(1)
+        while not fallback.follow(STEP, doubted=False):
+            waits[-1] += 1
+    assert waits == [5, 10, 20, 5]
+
+
 def test_what_was_commanded_is_given_up() -> None:
     controller = controlled(WHOLE, safe_current=0.1)
     after(controller)
