@@ -72,24 +72,13 @@ def test_imports_point_one_way() -> None:
     assert wrong == set(), "a room may not know one that comes after it"
 
 
-def test_what_is_installed_knows_neither_studies_nor_benchmarks() -> None:
-    outside = ("studies", "benchmarks", "test")
+def test_nothing_knows_what_is_not_installed_and_the_nodes_alone_know_ros() -> None:
+    outside = {"studies", "benchmarks", "test"}
     wrong = {
         (inside(path), name)
         for path in modules()
         for name in imported(path)
-        if name.split(".")[0] in outside
-    }
-    assert wrong == set()
-
-
-def test_ros_is_known_to_the_nodes_alone() -> None:
-    wrong = {
-        (inside(path), name)
-        for path in modules()
-        if room(path) != "nodes"
-        for name in imported(path)
-        if name.split(".")[0] in ROS
+        if name.split(".")[0] in (outside if room(path) == "nodes" else outside.union(ROS))
     }
     assert wrong == set()
 
