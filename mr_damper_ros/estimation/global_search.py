@@ -293,7 +293,7 @@ class GlobalSearch:
         """Find the best set on the thinned windows."""
         generations = self._settings.generations * self.model.searched_laws(self.free)
         direct = self._settings.generations if method == "differential_evolution" else 0
-        self._clock.expect((1 + self._again) * generations + direct)
+        self._clock.expect((1 + self._again) * (generations + direct))
         self._fit_windows(self._neutral)
         self._search_from(self._starts(), method)
         if self._again:

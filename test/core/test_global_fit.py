@@ -21,7 +21,7 @@ from mr_damper_ros.models.misfit import Misfit
 from mr_damper_ros.models.published import LITERATURE, THESIS_28_CELSIUS
 from mr_damper_ros.models.sigmoid.law import PARAMETER_NAMES, SCALE_PARAMETER_NAMES, sine_force
 from mr_damper_ros.signals.arrays import Array
-from studies.recordings import processed_windows
+from studies.recordings import processed_motions
 
 AT_THE_NOISE = 1.06
 """RMSE over the noise: two standard errors of 600 samples, reached by the worst of 24 windows."""
@@ -233,6 +233,11 @@ def test_progress_is_told_and_grows() -> None:
     assert not any(p.time_left < 0.0 for p in told)
     stages = [*dict.fromkeys(p.stage for p in told if p.generation > 0)]
     assert stages[:2] == ["yield force", "hysteresis"], "the laws over current, and no other"
+    told.clear()
+    lag, brief = MODELS["sigmoid_lag"], EvolutionSettings(generations=3, population=5)
+    start = lag.initial_values()[0]
+    identify_global(lag, SMALL, start, brief, report, method="differential_evolution")
+    assert all(p.generation <= p.generations for p in told)
 
 
 def test_the_time_left_follows_the_pace_of_the_present_stage(
@@ -317,7 +322,8 @@ def test_settings_out_of_range_are_refused(settings: dict[str, object], sentence
 
 
 def test_one_set_fits_all_records_of_a_real_damper() -> None:
-    windows = processed_windows(known.recordings_folder().parent)
+    motions = processed_motions(known.recordings_folder().parent)
+    windows = [window for each in motions.values() for window in each]
     fit = identify_global(SIGMOID, windows, LITERATURE, EvolutionSettings())
     # Median NRMSE of one set for all twenty records: 9 %, because one law must fit them all.
     assert np.median(fit.nrmse) <= 0.105
