@@ -49,7 +49,7 @@ _SKIPPED_COST = 1000.0
 _CONTRADICTED = 1e-3
 """Significance level below which a change contradicts the running set."""
 
-_WORSE_RATIO = 1.25
+WORSE_RATIO = 1.25
 """A window with a sine also contradicts the running set if the prior increases its residual by this
 factor."""
 
@@ -331,7 +331,7 @@ class _Posterior:
             # In random motion a smaller residual proves nothing, because a fit without a prior
             # follows the model error.
             steady = self.problem.window.motion.sine is not None
-            if apart @ apart <= most and not (steady and left > _WORSE_RATIO * at_best):
+            if apart @ apart <= most and not (steady and left > WORSE_RATIO * at_best):
                 break
             # The damper has changed by more than usual, so the prior is widened.
             self._width = 2.0 * self._width

@@ -22,6 +22,7 @@ from mr_damper_ros.estimation.differential_evolution import EvolutionSettings
 from mr_damper_ros.estimation.global_fit import error_of_set, identify_global
 from mr_damper_ros.estimation.window_fit import (
     WINDOW_METHODS,
+    WORSE_RATIO,
     WindowFit,
     WindowPrior,
     fit_window,
@@ -105,11 +106,9 @@ _LEAST_SPEED = 0.2
 """A part of a window counts as an operating point if it has ``ENOUGH_POINTS`` samples and an RMS
 speed of at least this fraction of the window's RMS speed."""
 
-_EXPLAINED_RATIO = 1.25
 _EXPLAINED_PART = 0.01
-"""One set explains the parts if its error is at most ``_EXPLAINED_RATIO`` times the error of
-separate fits, or if the additional error is at most ``_EXPLAINED_PART`` of the force."""
-
+"""One set explains the parts if its error is at most ``WORSE_RATIO`` times the error of separate
+fits, or if the additional error is at most this part of the force."""
 
 OF_THE_SET = "auto"
 """Option value: use the law of the initial set."""
@@ -716,7 +715,7 @@ def judge_parts(window: Window, parts: Sequence[Window], found: ParameterSet) ->
     alone = _pooled([fit.rmse for fit in own], parts)
     together = _pooled([error_of_set(found, [part]).rmse for part in few], parts)
     besides = _EXPLAINED_PART * float(np.std(window.force))
-    return alone, together <= max(_EXPLAINED_RATIO * alone, math.hypot(alone, besides))
+    return alone, together <= max(WORSE_RATIO * alone, math.hypot(alone, besides))
 
 
 def _pooled(errors: Sequence[float], parts: Sequence[Window]) -> float:

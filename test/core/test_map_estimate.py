@@ -18,7 +18,7 @@ from mr_damper_ros.models import MODELS
 from mr_damper_ros.models.parameter_set import ParameterSet
 from mr_damper_ros.models.sigmoid.law import sine_force
 from mr_damper_ros.signals.arrays import Array
-from mr_damper_ros.tracking import jobs
+from mr_damper_ros.tracking import tracker as tracking
 from mr_damper_ros.tracking.acceptance import Verdict
 from mr_damper_ros.tracking.tracker import TrackerSettings, WindowTracker, run
 from mr_damper_ros.tracking.window_assembler import RawWindow
@@ -176,7 +176,7 @@ def failing(*_: object, **__: object) -> None:
 
 def test_a_failure_of_ours_is_no_fault_of_the_data(monkeypatch: pytest.MonkeyPatch) -> None:
     tracked = WindowTracker(TrackerSettings(), START)
-    monkeypatch.setattr(jobs, "fit_window", failing)
+    monkeypatch.setattr(tracking, "fit_window", failing)
     report = tracked.follow(WINDOWS["sine"])
     assert report.verdict is Verdict.FAILED
     assert "SVD did not converge" in report.reason
@@ -185,5 +185,5 @@ def test_a_failure_of_ours_is_no_fault_of_the_data(monkeypatch: pytest.MonkeyPat
 def test_a_search_that_fails_is_no_fault_of_the_data(monkeypatch: pytest.MonkeyPatch) -> None:
     tracked = WindowTracker(TrackerSettings(), START)
     tracked.follow(WINDOWS["sine"])
-    monkeypatch.setattr(jobs, "identify_global", failing)
+    monkeypatch.setattr(tracking, "identify_global", failing)
     assert tracked.identify().verdict is Verdict.FAILED

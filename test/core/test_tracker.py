@@ -14,7 +14,7 @@ from mr_damper_ros.estimation.global_fit import GlobalFit, identify_global
 from mr_damper_ros.models.parameter_set import ParameterSet
 from mr_damper_ros.models.published import LITERATURE, THESIS_28_CELSIUS
 from mr_damper_ros.models.sigmoid.law import SCALE_INDICES, sine_force
-from mr_damper_ros.tracking import jobs
+from mr_damper_ros.tracking import tracker as tracking
 from mr_damper_ros.tracking.acceptance import Evidence, Verdict
 from mr_damper_ros.tracking.reports import Report
 from mr_damper_ros.tracking.tracker import TrackerSettings, WindowTracker
@@ -324,7 +324,7 @@ def test_a_search_improves_the_set_on_the_reservoir() -> None:
 def test_a_search_is_judged_against_the_running_set(monkeypatch: pytest.MonkeyPatch) -> None:
     tracked = toured()
     good = tracked.parameters
-    monkeypatch.setattr(jobs, "evidence_of_search", lambda *_: Evidence(0.1, 0.1))
+    monkeypatch.setattr(tracking, "evidence_of_search", lambda *_: Evidence(0.1, 0.1))
     report = tracked.identify()
     assert report.verdict is Verdict.NO_BETTER
     assert "running set predicts the reservoir as well" in report.reason
@@ -337,8 +337,8 @@ def waiting() -> tuple[WindowTracker, ParameterSet]:
     good = tracked.parameters
     with pytest.MonkeyPatch.context() as patch:
         poor = Evidence(0.2, 0.1, recent=(0.2, 0.1))
-        patch.setattr(jobs, "evidence_of_search", lambda *_: poor)
-        outcome = jobs.run(tracked.search(asked=False))
+        patch.setattr(tracking, "evidence_of_search", lambda *_: poor)
+        outcome = tracking.run(tracked.search(asked=False))
     report = tracked.complete(outcome)
     assert report.verdict is Verdict.UNCONFIRMED
     assert tracked.parameters is good
@@ -390,8 +390,8 @@ def test_a_set_that_the_model_would_refuse_is_not_taken(monkeypatch: pytest.Monk
         return dataclasses.replace(fit, parameter_set=found)
 
     better = Evidence(0.2, 0.1)
-    monkeypatch.setattr(jobs, "identify_global", absurd)
-    monkeypatch.setattr(jobs, "evidence_of_search", lambda *_: better)
+    monkeypatch.setattr(tracking, "identify_global", absurd)
+    monkeypatch.setattr(tracking, "evidence_of_search", lambda *_: better)
     report = tracked.identify()
     assert report.verdict is Verdict.POOR_FIT
     assert "more than the limit" in report.reason
