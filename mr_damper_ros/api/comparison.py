@@ -112,6 +112,10 @@ class ComparedRun:
         error = self.error
         return self.name, error.rmse, f"{error.nrmse:.2%}", f"{error.r2:.4f}", error.count
 
+    def document(self) -> dict[str, Any]:
+        """Name and error as JSON-compatible values."""
+        return {"bag": self.name, "metrics": error_entry(self.error)}
+
 
 RUN_COLUMNS: tuple[str, ...] = ("run", "RMSE [N]", "NRMSE", "R2", "samples")
 
@@ -143,12 +147,7 @@ class ComparedRuns(Shown):
 
 def error_entry(error: ErrorSums) -> dict[str, Any]:
     """RMSE [N], NRMSE, R² and the number of samples as JSON-compatible values."""
-    return {
-        "rmse": error.rmse,
-        "nrmse": error.nrmse,
-        "r2": error.r2,
-        "n_samples": error.count,
-    }
+    return {"rmse": error.rmse, "nrmse": error.nrmse, "r2": error.r2, "n_samples": error.count}
 
 
 FORMATS = ("png", "svg", "pdf")
@@ -275,10 +274,7 @@ class Validation(ComparedRuns):
     def document(self) -> dict[str, Any]:
         """The result as JSON-compatible values."""
         return {
-            "bags": [
-                {"bag": run.name, "metrics": error_entry(run.error), "remark": run.remark}
-                for run in self.runs
-            ],
+            "bags": [run.document() | {"remark": run.remark} for run in self.runs],
             "remarks": list(self.remarks),
         }
 

@@ -115,9 +115,7 @@ class FittedRun(ComparedRun):
     def document(self) -> dict[str, Any]:
         """The fit as JSON-compatible values."""
         speed, current = self.operating_point
-        return {
-            "bag": self.name,
-            "metrics": error_entry(self.error),
+        return super().document() | {
             "operating_point": {"peak_velocity": speed, "current": current},
             "coefficients": _each(self.coefficients, "value"),
             "coefficient_standard_errors": _each(self.coefficients, "standard_error"),

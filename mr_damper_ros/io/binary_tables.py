@@ -136,19 +136,20 @@ def _group(
         vectors = {g.name: next(iter(g.columns.values())) for g in groups if len(g.columns) == 1}
         return Group("", "", vectors), listed
     least = max(column.position for column in columns.wanted) + 1
+    headers = [column.header for column in columns.wanted if column.header]
     if variable is not None:
         fitting = [group for group in groups if group.name == variable]
         if not fitting:
             raise RecordError(f"{name} has no {form.words[0]} '{variable}': it holds {listed}")
     else:
-        headers = {column.header for column in columns.wanted} - {""}
-        fitting = [g for g in groups if len(g.columns) >= least and headers <= set(g.columns)]
+        fitting = [g for g in groups if len(g.columns) >= least and {*headers} <= set(g.columns)]
         if len(groups) == 1:
             fitting = groups
     if len(fitting) != 1:
+        needed = f"the columns {', '.join(headers)}" if headers else f"at least {least} columns"
+        choose = ": choose one by the option variable" if fitting else ""
         raise RecordError(
-            f"{name} holds {len(fitting)} {form.words[1]} with at least {least} columns: choose "
-            f"one by the option variable; it holds {listed}"
+            f"{name} holds {len(fitting)} {form.words[1]} with {needed}{choose}; it holds {listed}"
         )
     return fitting[0], ", ".join(fitting[0].columns)
 

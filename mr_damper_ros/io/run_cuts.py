@@ -60,7 +60,8 @@ def read_runs(
     """Read a file with several successive runs into one recording per run.
 
     A run ends where the time jumps or restarts (the logger has paused), where the rod rests for at
-    least one second, where a measured current changes, and where a steady cycle changes to another.
+    least one second, where a measured current changes, and where a steady cycle changes its
+    amplitude, frequency or force.
     ``currents`` [A] has one value per run, or is one number for all runs, if no column holds the
     current; None omits a run. The other parameters are as in :func:`read_record`.
 
@@ -87,10 +88,10 @@ class RunsOfFile:
     ) -> None:
         self._wanted = wanted = parse_columns(columns)
         self._record = read_samples(path, wanted, period, variable, maximum_samples)
-        self._rows = find_runs(self._record)
+        self._rows = _runs(self._record)
         self._name = Path(path).name
         self.asks = "current" not in wanted.quantities
-        self.summaries = [run_summary(self._record, rows) for rows in self._rows]
+        self.summaries = [_summary(self._record, rows) for rows in self._rows]
         if not self._rows:
             raise RecordError(f"{self._name} contains no run, because the displacement is constant")
 
@@ -118,13 +119,8 @@ class RunsOfFile:
         return recordings
 
 
-def find_runs(record: SampledRecord) -> list[slice]:
-    """Rows of each run of a record, in order.
-
-    A run ends where the time jumps or restarts, where a measured current changes, where the rod
-    rests for at least one second, and where a steady cycle changes its amplitude, frequency or
-    force. Parts without motion are not runs.
-    """
+def _runs(record: SampledRecord) -> list[slice]:
+    """Rows of each run of a record, in order; parts without motion are not runs."""
     steps, usual = np.diff(record.time), _usual_step(record.time)
     jumps = np.flatnonzero((steps <= 0.0) | (steps > GAP * usual)) + 1
     length = max(round(_BLOCK / usual), 1)
@@ -143,12 +139,8 @@ def find_runs(record: SampledRecord) -> list[slice]:
     ]
 
 
-def run_summary(record: SampledRecord, rows: slice) -> str:
-    """Description of a run: its duration, its start in the file, and its loop.
-
-    The frequency is half the number of strokes per second; the force is half the span of the
-    central 99 % of its values.
-    """
+def _summary(record: SampledRecord, rows: slice) -> str:
+    """Description of a run: its duration, its start in the file, and its loop without spikes."""
     low, high = np.percentile(record.values["force"][rows], (0.5, 99.5))
     position = _position(record, rows)
     turns = _turns(position)

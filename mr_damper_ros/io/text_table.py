@@ -210,7 +210,9 @@ class TextFile:
         """Description of a row in the middle of the file, as an example for a message."""
         middle = skipped + (self._row_count - skipped) // 2
         for line, fields in islice(self._rows(), middle, middle + 1):
-            return f"its line {line} has {len(fields)} columns, '{'; '.join(fields)}'"
+            dates = any(seconds_since_1970(field) is not None for field in fields)
+            hint = " (the unit of a date is time:datetime)" if dates else ""
+            return f"its line {line} has {len(fields)} columns, '{'; '.join(fields)}'{hint}"
         return "its header is its last line" if skipped else "it is empty"
 
     def _filled_lines(self) -> Iterator[tuple[int, str]]:

@@ -16,7 +16,7 @@ from pathlib import Path
 from types import FrameType
 from typing import Any, TypeVar
 
-from mr_damper_ros.api.comparison import FORMATS, Comparison, save_figures
+from mr_damper_ros.api.comparison import FORMATS, ComparedRun, save_figures
 from mr_damper_ros.api.identification import identify
 from mr_damper_ros.estimation.differential_evolution import GlobalProgress
 from mr_damper_ros.processes.files import write_text
@@ -243,8 +243,9 @@ def write_json(options: argparse.Namespace, document: Mapping[str, object]) -> N
         write_text(options.json, json.dumps(document, indent=2, allow_nan=False) + "\n")
 
 
-def add_plot_options(parser: argparse.ArgumentParser) -> None:
-    """Add the options for :func:`write_plots`."""
+def add_result_options(parser: argparse.ArgumentParser, what: str) -> None:
+    """Add the options for :func:`write_result`."""
+    add_json_option(parser, what)
     parser.add_argument(
         "--plot", type=Path, metavar="FOLDER", help="draw measured and predicted force of each run"
     )
@@ -257,10 +258,14 @@ def add_plot_options(parser: argparse.ArgumentParser) -> None:
     )
 
 
-def write_plots(options: argparse.Namespace, comparisons: Iterable[Comparison]) -> None:
-    """Draw the figures if the option is given, and print their paths."""
+def write_result(
+    options: argparse.Namespace, document: Mapping[str, object], runs: Iterable[ComparedRun]
+) -> None:
+    """Write the document and draw the runs if the options are given; prints the figures' paths."""
+    write_json(options, document)
     if options.plot is not None:
-        written = save_figures(comparisons, options.plot, options.plot_format)
+        compared = [run.comparison for run in runs]
+        written = save_figures(compared, options.plot, options.plot_format)
         print("figures: " + ", ".join(map(str, written)))
 
 

@@ -21,14 +21,12 @@ from mr_damper_ros.tools.console import (
     INTERRUPTED,
     ProgressLine,
     add_arguments,
-    add_json_option,
-    add_plot_options,
+    add_result_options,
     add_run_options,
     arguments_of,
     parameter_texts,
     program,
-    write_json,
-    write_plots,
+    write_result,
 )
 
 EXPLAINS_TOO_LITTLE = 3
@@ -67,8 +65,7 @@ def _options(parser: argparse.ArgumentParser) -> None:
     )
     add_arguments(parser, Identification.determination, ["top_velocity", "top_current"])
     parser.add_argument("--output", type=Path, metavar="FILE", help="write the set as YAML")
-    add_json_option(parser, "all results")
-    add_plot_options(parser)
+    add_result_options(parser, "all results")
 
 
 def _identify(options: argparse.Namespace) -> int:
@@ -91,8 +88,7 @@ def _identify(options: argparse.Namespace) -> int:
     print(more)
     if options.output is not None:
         result.save(options.output)
-    write_json(options, result.document() | more.document)
-    write_plots(options, [run.comparison for run in result.runs])
+    write_result(options, result.document() | more.document, result.runs)
     return 0 if result.explains else EXPLAINS_TOO_LITTLE
 
 

@@ -9,13 +9,11 @@ from mr_damper_ros.api.comparison import validate
 from mr_damper_ros.api.identification import identify
 from mr_damper_ros.tools.console import (
     add_arguments,
-    add_json_option,
-    add_plot_options,
+    add_result_options,
     add_run_options,
     arguments_of,
     program,
-    write_json,
-    write_plots,
+    write_result,
 )
 
 
@@ -25,8 +23,7 @@ def _options(parser: argparse.ArgumentParser) -> None:
     )
     add_run_options(parser)
     add_arguments(parser, identify, ["mass"])
-    add_json_option(parser, "the errors")
-    add_plot_options(parser)
+    add_result_options(parser, "the errors")
 
 
 def _validate(options: argparse.Namespace) -> int:
@@ -34,8 +31,7 @@ def _validate(options: argparse.Namespace) -> int:
         options.parameters, options.bags, **arguments_of(options, validate, "parameters")
     )
     print(result)
-    write_json(options, result.document())
-    write_plots(options, [run.comparison for run in result.runs])
+    write_result(options, result.document(), result.runs)
     return 0
 
 

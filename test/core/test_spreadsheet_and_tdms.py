@@ -138,6 +138,8 @@ def test_a_group_is_chosen_by_its_name(tmp_path: Path) -> None:
     sentence = refused(path)
     assert "holds 2 groups of numbers with at least 3 columns: choose one" in sentence
     assert "it holds Run 1, Run 2" in sentence
+    sentence = refused(path, "time=Zeit:s,displacement=Stroke:mm,force=Load:N")
+    assert "holds 0 groups of numbers with the columns Zeit, Stroke, Load; it" in sentence
     # A group without these columns is not a candidate.
     assert_is_the_run(channels(tmp_path / "one.tdms", {"Other": TIME}, GROUP))
 

@@ -208,6 +208,7 @@ def test_vectors_in_a_mat_file(tmp_path: Path) -> None:
     [
         (COLUMNS, None, "choose one by the option variable; it holds a (40 x 3), b (40 x 3)"),
         (COLUMNS, "c", "has no variable 'c': it holds a (40 x 3)"),
+        (COLUMNS + ",current:A", None, "holds 0 matrices with at least 4 columns; it holds a"),
         (COLUMNS + ",current:A", "a", "has no column '4'"),
         ("time=t:s,displacement=x:mm,force=F:N", None, "no variable 't': it holds a"),
         ("time=t:s,displacement=x:mm,force=F:N", "a", "omit the option variable"),
@@ -345,6 +346,7 @@ def with_line(index: int, text: str) -> list[str]:
         (rows()[:1], "holds one row of numbers"),
         (["time displacement force"], "holds no row with numbers in columns 1, 2, 3"),
         (["", "  "], "holds no row with numbers in columns 1, 2, 3: it is empty"),
+        (["2022-03-31T23:59:01 1 2"] * 3, "the unit of a date is time:datetime"),
     ],
 )
 def test_rows_that_cannot_be_used_are_named(write: Any, lines: list[str], sentence: str) -> None:
