@@ -29,7 +29,6 @@ from mr_damper_ros.nodes.messages import (
 from mr_damper_ros.nodes.node_parameters import ConfigurationError, NodeParameters
 from mr_damper_ros.settings.option_table import ParameterTable, option
 from mr_damper_ros.signals.blocks import SampleBlock
-from mr_damper_ros.signals.error_sums import RunningError
 from mr_damper_ros.tracking.predictor import ForcePredictor
 from mr_damper_ros.tracking.state_directory import StateError, read_parameter_file
 
@@ -62,7 +61,8 @@ class SetOptions(ParameterTable):
     )
     error_memory: float = option(
         10.0,
-        "Averaging time [s] of the error of the force in the diagnostics.",
+        "Averaging time [s] of the error of the force in the diagnostics; the model judges the "
+        "error once half of this time has passed with valid force.",
         within=(0.1, 3600.0),
     )
 
@@ -93,20 +93,14 @@ class BlockNode(Node, Generic[Options, Answer]):
         self._late = math.inf
         self._slowest, self._oldest, self._skipped = 0.0, math.nan, 0
 
-    def _listen(
-        self,
-        predictor: ForcePredictor,
-        max_age: float,
-        error: RunningError | None = None,
-    ) -> None:
+    def _listen(self, predictor: ForcePredictor, max_age: float) -> None:
         """Subscribe to samples, currents, sets and reports, and pass them to the predictor.
 
         Raises ConfigurationError if the parameter file is invalid. The diagnostics warn of samples
-        older than ``max_age`` [s]; 0 allows any age. A new set resets their ``error``.
+        older than ``max_age`` [s]; 0 allows any age.
         """
         self._predictor = predictor
         self._max_age = max_age
-        self._reset_by_sets = error
         self._unattributed: DamperParameters | None = None
         self._refused = self._given = ""
         self._from = file = self._options.parameter_file
@@ -172,8 +166,6 @@ class BlockNode(Node, Generic[Options, Answer]):
         # Published parameters that were not identified from samples have the stamp 0.
         self._predictor.set_parameters(parameters, parameters.stamp_ns or None)
         if self._predictor.parameters is not before:
-            if self._reset_by_sets is not None:
-                self._reset_by_sets.reset()
             self.get_logger().debug(f"using parameters {parameters.set_id}")
 
     def _take_report(self, message: FitReport) -> None:

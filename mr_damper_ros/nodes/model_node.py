@@ -106,7 +106,7 @@ class ModelNode(BlockNode[ModelParameters, Prediction]):
         # First prediction of the joined block, and the arrays of its parts.
         self._first: Prediction | None = None
         self._parts: list[tuple[np.ndarray, ...]] = []
-        self._listen(predictor, options.predictor.max_age, self._error)
+        self._listen(predictor, options.predictor.max_age)
         self._diagnose({"prediction": self._prediction_finding})
         file = options.parameter_file
         self.get_logger().info(
@@ -209,7 +209,8 @@ class ModelNode(BlockNode[ModelParameters, Prediction]):
             return Finding(
                 ERROR if doubt.kind.grave else WARN, f"not valid: {doubt.sentence}", values
             )
-        if math.isnan(nrmse):
+        # Over a fraction of a cycle the measured force varies little, and its NRMSE says nothing.
+        if math.isnan(nrmse) or self._error.duration < 0.5 * self._options.error_memory:
             return Finding(OK, "valid", values)
         level = ERROR if nrmse > _BAD_NRMSE else WARN if nrmse > _POOR_NRMSE else OK
         return Finding(level, f"valid; NRMSE {nrmse:.1%} of the measured force", values)

@@ -85,21 +85,17 @@ class RunningError:
     def __init__(self, memory: float) -> None:
         self._memory = memory
         self._blocks: deque[tuple[float, ErrorSums]] = deque()
-        self._duration = 0.0
+        self.duration = 0.0
+        """Duration of the samples [s], at least ``memory`` once there are enough."""
 
     def add(self, predicted: Array, measured: Array, period: float) -> None:
         """Add a block of samples ``period`` [s] apart; arrays of shape (n,), same unit."""
         duration = measured.size * period
         self._blocks.append((duration, ErrorSums.of(predicted, measured)))
-        self._duration += duration
+        self.duration += duration
         # The remaining blocks must still span the memory.
-        while self._duration - self._blocks[0][0] > (1.0 - 1e-9) * self._memory:
-            self._duration -= self._blocks.popleft()[0]
-
-    def reset(self) -> None:
-        """Discard all samples."""
-        self._blocks.clear()
-        self._duration = 0.0
+        while self.duration - self._blocks[0][0] > (1.0 - 1e-9) * self._memory:
+            self.duration -= self._blocks.popleft()[0]
 
     @property
     def nrmse(self) -> float:

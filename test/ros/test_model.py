@@ -125,6 +125,14 @@ def test_a_parameter_set_passes_through_its_message_unchanged(model: ForceModel)
     assert parameter_set(message).to_yaml() == original.to_yaml()
 
 
+def test_an_error_over_part_of_a_cycle_is_not_judged(
+    rig: Rig, listener: Listener, recording: Recording
+) -> None:
+    arrays = ("displacement", "force", "current")
+    rig.run(replace(recording, **{name: getattr(recording, name)[:3000] for name in arrays}))
+    assert listener.wait_for_finding("model: prediction", "valid").message == "valid"
+
+
 def test_with_a_parameter_file_it_works_alone(
     rig: Rig, listener: Listener, recording: Recording
 ) -> None:
