@@ -5,7 +5,12 @@ import numpy as np
 import pytest
 
 from mr_damper_ros.signals.arrays import Array
-from mr_damper_ros.tracking.screening import Screening, fault_of_samples, lack_of_motion
+from mr_damper_ros.tracking.screening import (
+    Screening,
+    fault_at_rest,
+    fault_of_samples,
+    lack_of_motion,
+)
 
 Samples = dict[str, Array]
 
@@ -76,3 +81,21 @@ def test_a_crank_that_rests_at_dead_centre_is_not_taken_for_clipped(dwell: float
     assert fault(data) == ""
     clipped = np.minimum(data["displacement"], 4.8e-3)
     assert "the displacement is clipped" in fault({**data, "displacement": clipped})
+
+
+@pytest.mark.parametrize(
+    ("moving", "size", "known", "stuck"),
+    [
+        (0.0, 1.0, 1.0, True),
+        (0.0, 0.05, 1.0, False),  # hum of the load cell
+        (0.0, 1.0, np.nan, False),
+        (1.0, 1.0, 1.0, False),
+    ],
+)
+def test_a_displacement_that_rests_while_the_force_goes_through_a_cycle_is_at_fault(
+    moving: float, size: float, known: float, stuck: bool
+) -> None:
+    data, noise = samples(), np.random.default_rng(0).normal(0.0, 1e-6, 1000)
+    largest = known * float(np.abs(data["force"]).max())
+    found = fault_at_rest(moving * data["displacement"] + noise, size * data["force"], largest)
+    assert bool(found) is stuck
