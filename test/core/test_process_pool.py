@@ -53,8 +53,3 @@ def test_a_stop_ends_those_that_run_and_begins_no_other(count: int) -> None:
     begun = [result for result in results if result is not None]
     assert 1 <= len(begun) < 8
     assert set(begun) == {"stopped"}
-
-
-def test_less_than_one_is_refused() -> None:
-    with pytest.raises(ValueError, match="workers is 0: at least 1 is needed"):
-        ProcessPool(0)

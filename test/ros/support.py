@@ -10,6 +10,8 @@ from typing import Any
 import pytest
 from ament_index_python.packages import PackageNotFoundError, get_package_prefix
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
+from lifecycle_msgs.msg import Transition
+from lifecycle_msgs.srv import ChangeState, GetState
 from rcl_interfaces.msg import Parameter as ParameterMessage
 from rcl_interfaces.msg import SetParametersResult
 from rcl_interfaces.srv import SetParameters
@@ -100,6 +102,15 @@ class Listener(Observer):
             return future.result()
         finally:
             self.node.destroy_client(client)
+
+    def state(self, node: str) -> int:
+        """State of a managed node."""
+        return self.call(GetState, f"{node}/get_state").current_state.id
+
+    def change(self, node: str, transition: int) -> bool:
+        """Ask a managed node for a transition; returns whether it was made."""
+        request = ChangeState.Request(transition=Transition(id=transition))
+        return self.call(ChangeState, f"{node}/change_state", request).success
 
     def set_parameter(self, node: str, name: str, value: object) -> SetParametersResult:
         """Set a parameter of a node, and return the node's answer."""

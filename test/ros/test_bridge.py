@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 from diagnostic_msgs.msg import DiagnosticStatus
 from lifecycle_msgs.msg import State, Transition
-from lifecycle_msgs.srv import ChangeState, GetState
 from mr_damper_msgs.msg import CurrentCommand, ExcitationCommand, MtsSamples, SupplyCurrent
 from sensor_msgs.msg import JointState, Temperature
 from support import Listener
@@ -137,15 +136,6 @@ def test_a_motion_stamped_ahead_is_refused_and_two_commanders_are_told_beside(
     assert "the motion is commanded by" in found.message
 
 
-def transition(listener: Listener, number: int) -> bool:
-    request = ChangeState.Request(transition=Transition(id=number))
-    return bool(listener.call(ChangeState, "bridge/change_state", request).success)
-
-
-def state(listener: Listener) -> int:
-    return int(listener.call(GetState, "bridge/get_state").current_state.id)
-
-
 def test_the_emulated_rig_obeys_commands_of_the_current(start: Any, listener: Listener) -> None:
     current = listener.listen(SupplyCurrent, "supply/current")
     publisher = listener.node.create_publisher(CurrentCommand, "supply/current_command", 10)
@@ -170,22 +160,22 @@ def test_a_lifecycle_manager_configures_activates_and_cleans_up(
     samples = listener.listen(MtsSamples, "mts/samples")
     start("bridge", autostart=False)
     listener.wait_for_finding("bridge: source", "not configured")
-    assert state(listener) == State.PRIMARY_STATE_UNCONFIGURED
-    assert transition(listener, Transition.TRANSITION_CONFIGURE)
+    assert listener.state("bridge") == State.PRIMARY_STATE_UNCONFIGURED
+    assert listener.change("bridge", Transition.TRANSITION_CONFIGURE)
     listener.wait_for_finding("bridge: source", "not active")
     assert not samples
     for _ in range(2):
-        assert transition(listener, Transition.TRANSITION_ACTIVATE)
+        assert listener.change("bridge", Transition.TRANSITION_ACTIVATE)
         listener.until(lambda: len(samples) >= 5, "samples")
-        assert transition(listener, Transition.TRANSITION_DEACTIVATE)
+        assert listener.change("bridge", Transition.TRANSITION_DEACTIVATE)
         assert samples[0].seq in (0, 10), "each activation starts at the beginning"
         listener.wait_for_finding("bridge: source", "not active")
         samples.clear()
-    assert transition(listener, Transition.TRANSITION_CLEANUP)
+    assert listener.change("bridge", Transition.TRANSITION_CLEANUP)
     listener.until(
         lambda: not listener.node.get_publishers_info_by_topic("/mts/samples"), "no publisher"
     )
-    assert state(listener) == State.PRIMARY_STATE_UNCONFIGURED
+    assert listener.state("bridge") == State.PRIMARY_STATE_UNCONFIGURED
 
 
 def test_before_it_is_configured_it_can_be_told_another_motion(
@@ -197,12 +187,12 @@ def test_before_it_is_configured_it_can_be_told_another_motion(
     assert listener.set_parameter("bridge", "emulated.amplitude", 0.02).successful
     assert listener.set_parameter("bridge", "rate", 10.0).successful
     assert not listener.set_parameter("bridge", "autostart", True).successful
-    assert transition(listener, Transition.TRANSITION_CONFIGURE)
+    assert listener.change("bridge", Transition.TRANSITION_CONFIGURE)
     refused = listener.set_parameter("bridge", "emulated.amplitude", 0.01)
     assert not refused.successful
     assert "fixed while the node is configured" in refused.reason
     assert listener.set_parameter("bridge", "emulated.current", 0.5).successful
-    assert transition(listener, Transition.TRANSITION_ACTIVATE)
+    assert listener.change("bridge", Transition.TRANSITION_ACTIVATE)
     listener.until(lambda: len(samples) >= 100, "a cycle")
     assert np.abs(joined(samples, "displacement")).max() == pytest.approx(0.02, rel=1e-3)
 
@@ -211,7 +201,7 @@ def test_a_source_that_cannot_be_opened_leaves_a_managed_node_alive(
     start: Any, listener: Listener, tmp_path: Path
 ) -> None:
     bridge = start("bridge", autostart=False, source="bag", bag=tmp_path / "nowhere")
-    assert not transition(listener, Transition.TRANSITION_CONFIGURE)
-    assert state(listener) == State.PRIMARY_STATE_UNCONFIGURED
+    assert not listener.change("bridge", Transition.TRANSITION_CONFIGURE)
+    assert listener.state("bridge") == State.PRIMARY_STATE_UNCONFIGURED
     listener.wait_for_finding("bridge: source", "there is no bag")
     bridge.stop()

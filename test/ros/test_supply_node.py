@@ -7,7 +7,6 @@ from typing import Any
 import pytest
 from diagnostic_msgs.msg import DiagnosticStatus
 from lifecycle_msgs.msg import State, Transition
-from lifecycle_msgs.srv import ChangeState, GetState
 from mr_damper_msgs.msg import CurrentCommand, SupplyCurrent
 from support import Listener
 
@@ -71,15 +70,6 @@ def off(server: InstrumentServer) -> Callable[[], bool]:
     return lambda: server.instrument.is_off and server.instrument.current() < NEARLY
 
 
-def state_of(listener: Listener) -> int:
-    return int(listener.call(GetState, "supply/get_state").current_state.id)
-
-
-def change(listener: Listener, transition: int) -> bool:
-    request = ChangeState.Request(transition=Transition(id=transition))
-    return bool(listener.call(ChangeState, "supply/change_state", request).success)
-
-
 def test_it_gives_what_is_commanded_and_publishes_what_is_measured(
     supply: Any, server: InstrumentServer, listener: Listener
 ) -> None:
@@ -133,20 +123,20 @@ def test_the_output_is_on_only_while_the_node_is_active(
     server: InstrumentServer, start: Any, listener: Listener
 ) -> None:
     node = start_supply(server, start, autostart=False, current=0.5)
-    listener.until(lambda: state_of(listener) == State.PRIMARY_STATE_UNCONFIGURED, "the node")
-    assert change(listener, Transition.TRANSITION_CONFIGURE)
+    listener.until(lambda: listener.state("supply") == State.PRIMARY_STATE_UNCONFIGURED, "the node")
+    assert listener.change("supply", Transition.TRANSITION_CONFIGURE)
     assert server.instrument.is_off
-    assert change(listener, Transition.TRANSITION_ACTIVATE)
+    assert listener.change("supply", Transition.TRANSITION_ACTIVATE)
     listener.until(gives(server, 0.5), "the current")
-    assert not change(listener, Transition.TRANSITION_CONFIGURE)
-    assert not change(listener, 77)
+    assert not listener.change("supply", Transition.TRANSITION_CONFIGURE)
+    assert not listener.change("supply", 77)
     assert "transition number 77 is not possible in the state active" in node.log
     assert gives(server, 0.5)()
-    assert change(listener, Transition.TRANSITION_DEACTIVATE)
+    assert listener.change("supply", Transition.TRANSITION_DEACTIVATE)
     assert server.instrument.is_off
-    assert change(listener, Transition.TRANSITION_ACTIVATE)
+    assert listener.change("supply", Transition.TRANSITION_ACTIVATE)
     listener.until(lambda: not server.instrument.is_off, "the output")
-    assert change(listener, Transition.TRANSITION_ACTIVE_SHUTDOWN)
+    assert listener.change("supply", Transition.TRANSITION_ACTIVE_SHUTDOWN)
     assert server.instrument.is_off
 
 
@@ -164,7 +154,7 @@ def test_a_current_of_before_comes_back_neither_with_activation_nor_with_configu
             Transition.TRANSITION_ACTIVATE,
         ],
     ):
-        assert all(change(listener, transition) for transition in transitions)
+        assert all(listener.change("supply", transition) for transition in transitions)
         del server.lines[:]
         listener.until(lambda: server.lines.count("MEAS:CURR?") > 10, "readings")
         assert not server.instrument.is_off
@@ -181,8 +171,8 @@ def test_after_a_cut_link_the_output_goes_off_over_a_new_one_and_stays_off(
     server.cut()
     listener.until(off(server), "no current")
     listener.wait_for_finding("supply: supply", "the output has been switched off")
-    assert state_of(listener) == State.PRIMARY_STATE_INACTIVE
-    assert change(listener, Transition.TRANSITION_ACTIVATE)
+    assert listener.state("supply") == State.PRIMARY_STATE_INACTIVE
+    assert listener.change("supply", Transition.TRANSITION_ACTIVATE)
     assert listener.set_parameter("supply", "current", 0.6).successful
     listener.until(gives(server, 0.6), "the current, once it is activated and set again")
 
@@ -196,8 +186,8 @@ def test_an_instrument_that_is_not_reached_switches_off_by_itself_and_the_node_s
     setattr(server, trouble, True)
     listener.until(off(server), "no current")
     listener.wait_for_finding("supply: supply", "the output may still be on")
-    assert state_of(listener) == State.PRIMARY_STATE_INACTIVE
-    assert not change(listener, Transition.TRANSITION_ACTIVATE), "it may still be on"
+    assert listener.state("supply") == State.PRIMARY_STATE_INACTIVE
+    assert not listener.change("supply", Transition.TRANSITION_ACTIVATE), "it may still be on"
     assert node.stop(signal.SIGINT) == 0
     assert "the output may still be on" in node.log
 
