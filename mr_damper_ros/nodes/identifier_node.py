@@ -354,7 +354,7 @@ class IdentifierNode(Node):
         values = {
             "NRMSE before": f"{report.nrmse_before:.4f}",
             "NRMSE after": f"{report.nrmse_after:.4f}",
-            "force scale": f"{report.scale.value:.4f} ± {report.scale.standard_error:.4f}",
+            "force scale": f"{report.scale.value:.4f} ± {report.scale.standard_error:.2g}",
             "temperature from the force [°C]": (
                 f"{report.fluid.celsius:.1f} ± {report.fluid.standard_error:.1f}"
             ),

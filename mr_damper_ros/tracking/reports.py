@@ -70,7 +70,7 @@ class Report:
             (self.frequency, "{:.3g} Hz"),
             (self.current, "{:.3g} A"),
             (self.temperature, "{:.1f} °C"),
-            (self.scale.value, f"force scale {{:.3f}} ± {self.scale.standard_error:.3f}"),
+            (self.scale.value, f"force scale {{:.4f}} ± {self.scale.standard_error:.2g}"),
         )
         return [text.format(value) for value, text in figures if math.isfinite(value)]
 

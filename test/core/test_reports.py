@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 from mr_damper_ros.models.parameter_set import ParameterSet
 from mr_damper_ros.signals.error_sums import ErrorSums, RunningError, pooled
 from mr_damper_ros.tracking.acceptance import Verdict
+from mr_damper_ros.tracking.force_scale import ForceScale
 from mr_damper_ros.tracking.reports import Report
 from mr_damper_ros.tracking.window_assembler import RawWindow
 
@@ -70,6 +71,7 @@ def test_a_line_says_what_is_in_use_and_leaves_out_what_is_not_known() -> None:
     assert report.line.startswith("window-1 is in use: NRMSE ")
     assert "5 mm" in report.line
     assert "nan" not in report.line
+    assert replace(report, scale=ForceScale(0.998, 1.2e-4)).line.endswith("0.9980 ± 0.00012")
 
 
 # -- RMSE, NRMSE and R² of records, singly and pooled ----------------------------------------------
