@@ -254,9 +254,7 @@ def optimisers_part(campaign: Campaign) -> Iterator[Chapter]:
     rows = [
         (
             METHODS[name][0],
-            "{:.0f} ({:.0f}–{:.0f})".format(
-                *(100 * x for x in (part["success"], *part["interval"]))
-            ),
+            "{:.0f} ({:.0f}–{:.0f})".format(100 * part["success"], *part["interval"]),
             f"{100 * part['first_success']:.0f}",
             "never" if math.isnan(part["reached"]) else round(part["reached"]),
             *(part["seconds"], part["rmse"][1]),
@@ -298,7 +296,7 @@ def optimisers_part(campaign: Campaign) -> Iterator[Chapter]:
 
 
 def _summary(results: list[dict[str, Any]]) -> dict[str, Any]:
-    """Success rate with interval, medians and spreads over the runs of one method."""
+    """Success rate [1] with its interval [%], medians and spreads over the runs of one method."""
     rmse, first, reached, seconds, traces, sets = (
         np.array([result[key] for result in results])
         for key in ("rmse", "first", "reached", "seconds", "trace", "parameters")
