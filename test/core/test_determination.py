@@ -87,9 +87,6 @@ def test_open_combinations_are_those_that_the_samples_do_not_notice(seed: int, r
             assert np.linalg.norm(jacobian @ move) <= unnoticed
 
 
-# -- currents within a window ----------------------------------------------------------------
-
-
 @pytest.mark.parametrize(
     ("levels", "most"),
     [((1.0,), 1), ((0.2, 1.2), 2), ((0.0, 0.4, 1.1), 3), ((0.1, 0.5, 0.9, 1.3, 0.3, 0.7), 5)],

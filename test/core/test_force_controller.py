@@ -395,9 +395,6 @@ def test_what_was_commanded_is_given_up() -> None:
     assert controller.give_up() == 0.1
 
 
-# -- feedback --------------------------------------------------------------------------------------
-
-
 def test_the_factor_of_the_feedback_has_limits() -> None:
     feedback = ForceFeedback(FeedbackSettings(feedback_gain=10.0, feedback_limit=0.3))
     for _ in range(100):

@@ -71,9 +71,6 @@ def unobservable(fit: GlobalFit) -> set[str]:
     return {name for name, seen in zip(PARAMETER_NAMES, observable, strict=True) if not seen}
 
 
-# -- the known damper ------------------------------------------------------------------------
-
-
 @pytest.fixture(scope="module")
 def found() -> GlobalFit:
     """The known damper, identified from 24 runs at four currents."""
@@ -316,9 +313,6 @@ def test_the_defaults_are_those_of_the_thesis() -> None:
 def test_settings_out_of_range_are_refused(settings: dict[str, object], sentence: str) -> None:
     with pytest.raises(ValueError, match=sentence):
         EvolutionSettings(**settings)  # type: ignore[arg-type]
-
-
-# -- real recordings -------------------------------------------------------------------------
 
 
 def test_one_set_fits_all_records_of_a_real_damper() -> None:

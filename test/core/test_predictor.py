@@ -198,9 +198,6 @@ def test_a_force_beyond_all_numbers_is_no_force() -> None:
     assert predicted(made, stream()[300:])[-1].valid
 
 
-# -- gaps and repeats ------------------------------------------------------------------------
-
-
 def test_a_force_that_was_not_measured_says_nothing_of_the_parameters() -> None:
     """The straight line over a gap misses the force of a lost reversal by far."""
     run = known.run(current=1.0, frequency=1.0, samples=1200, period=5e-3, seed=None)
@@ -212,9 +209,6 @@ def test_a_force_that_was_not_measured_says_nothing_of_the_parameters() -> None:
     doubts = {p.doubt.kind for p in predicted(made, kept)[55:]}
     assert made.sequence.bridged_samples == 10 * len(turns)
     assert doubts == {DoubtKind.NONE}
-
-
-# -- centre ----------------------------------------------------------------------------------
 
 
 def test_a_bag_that_loops_is_predicted_again_as_the_first_time() -> None:

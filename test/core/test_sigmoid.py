@@ -202,9 +202,6 @@ def test_derivatives_around_a_plausible_damper(
     )
 
 
-# -- published values ------------------------------------------------------------------------
-
-
 @pytest.mark.parametrize(
     ("values", "top", "bottom", "published"),
     [(THESIS_28_CELSIUS, 1352, -1235, 1332), (THESIS_71_CELSIUS, 994, -970, 989)],

@@ -411,9 +411,6 @@ def test_a_wrong_unit_of_the_time_is_told() -> None:
     assert "is the unit of the time right?" in rows.fault()
 
 
-# -- blocks ------------------------------------------------------------------------------------
-
-
 @given(st.sets(st.integers(0, 60), min_size=1), st.integers(1, 12))
 def test_blocks_hold_what_came_and_none_has_a_gap(taken: set[int], size: int) -> None:
     maker = BlockMaker(size)

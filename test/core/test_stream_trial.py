@@ -51,8 +51,6 @@ def test_a_fault_is_noticed_and_a_repaired_rig_soon_right_again(text: str) -> No
     assert outcome(text).recovery <= 4.0
 
 
-# -- an unknown damper at one current, then at another ---------------------------------------------
-
 STEP = 5.0
 """Seconds at the first current; after three, some windows have been fitted."""
 
@@ -70,9 +68,6 @@ def test_the_next_current_is_given_no_force_beyond_what_a_damper_can(model: str)
     known = result.time > 3.0
     # Multiple of the largest force of the whole run, which no other current can exceed.
     assert np.nanmax(np.abs(result.predicted[known])) < 2.0 * np.abs(result.true).max()
-
-
-# -- identifier, model and controller together must not starve each other --------------------------
 
 
 def test_an_identifier_that_starts_from_nothing_leaves_the_controller_its_set() -> None:

@@ -53,9 +53,6 @@ def windows(blocks: list[SampleBlock]) -> list[RawWindow]:
     return result
 
 
-# -- only differences of stamps count --------------------------------------------------------
-
-
 @pytest.mark.parametrize("epoch_ns", EPOCHS_NS.values(), ids=EPOCHS_NS)
 def test_nothing_depends_on_the_epoch(epoch_ns: int) -> None:
     usual = predicted(BLOCKS)
@@ -151,9 +148,6 @@ def test_predictor_and_windows_judge_a_stream_alike(names: list[str]) -> None:
         assembler.add_block(block)
     for counted in ("lost_samples", "repeated_samples", "interruptions", "last_interruption"):
         assert getattr(predictor.sequence, counted) == getattr(assembler.sequence, counted)
-
-
-# -- the supply current has a separate clock -------------------------------------------------
 
 
 def test_a_current_from_a_clock_far_ahead_is_told() -> None:

@@ -440,9 +440,6 @@ def test_without_ros_a_program_that_needs_it_says_so(
     assert "it needs ROS 2, but Python does not find " in capsys.readouterr().err
 
 
-# ---- recordings from a laboratory ----
-
-
 @pytest.fixture(scope="module")
 def laboratory() -> Path:
     folder = os.environ.get("MR_DAMPER_DATA")

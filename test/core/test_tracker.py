@@ -50,9 +50,6 @@ def error_of(parameters: ParameterSet, run: known.Run | None = None) -> float:
     return known.rms(predicted - run.clean)
 
 
-# -- drift -----------------------------------------------------------------------------------
-
-
 def drifting(number: int, noise: float = known.NOISE) -> tuple[RawWindow, float]:
     """Window of the thesis' damper while it heats from 28 to 71 °C, and its true force scale."""
     run = known.run(

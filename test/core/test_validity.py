@@ -17,7 +17,12 @@ from mr_damper_ros.signals.arrays import Array
 from mr_damper_ros.signals.blocks import NANOSECONDS, SampleBlock, joined
 from mr_damper_ros.tracking.acceptance import Verdict
 from mr_damper_ros.tracking.predictor import ForcePredictor, Prediction, PredictorSettings
-from mr_damper_ros.tracking.validity import DoubtKind, RefusedWindows
+from mr_damper_ros.tracking.validity import (
+    DoubtKind,
+    RefusedWindows,
+    ValiditySettings,
+    rules_of_range,
+)
 
 PERIOD = 1e-3
 RUN = known.run(current=1.0, samples=6000, seed=0)
@@ -191,6 +196,30 @@ def test_a_motion_beyond_the_identified_one_is_not_valid_until_the_force_was_rig
             parameters=slower, velocity_margin=0.01, maximum_error=maximum_error
         )
         assert kinds(predictions, 4000) == {kind}
+
+
+@pytest.mark.parametrize(
+    ("known", "current", "speed", "outside"),
+    [
+        ((0.5, 1.5), (0.41, 1.59), 0.03, (False, False)),
+        ((0.5, 1.5), (0.39, 1.0), 0.03, (True, False)),
+        ((0.5, 1.5), (1.0, 1.61), 0.03, (True, False)),
+        # A set for a single current holds within the resolution of a supply.
+        ((1.0, 1.0), (0.985, 1.015), 0.016, (False, False)),
+        ((1.0, 1.0), (0.975, 1.0), 0.062, (True, False)),
+        ((0.5, 1.5), (1.0, 1.0), 0.0149, (False, True)),
+        ((0.5, 1.5), (1.0, 1.0), 0.0626, (False, True)),
+    ],
+)
+def test_current_and_peak_velocity_have_margins_at_both_ends(
+    known: tuple[float, float],
+    current: tuple[float, float],
+    speed: float,
+    outside: tuple[bool, bool],
+) -> None:
+    parameters = dataclasses.replace(SET, current_range=known)
+    rules = rules_of_range(parameters, ValiditySettings(), np.array(current), speed, np.zeros(2))
+    assert (rules[0].where, rules[2].where) == outside
 
 
 # -- sets for other motions ------------------------------------------------------------------

@@ -178,9 +178,6 @@ def test_a_force_without_noise_is_fitted_exactly_and_without_a_warning(
     np.testing.assert_allclose(fit.coefficients, run.coefficients, rtol=1e-11)
 
 
-# -- outliers --------------------------------------------------------------------------------
-
-
 def with_outliers(seed: int) -> known.Run:
     """A run in which every twentieth sample has a large error to one side."""
     run = known.run(current=1.0, seed=seed)
