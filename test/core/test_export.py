@@ -1,6 +1,7 @@
 """Exported code computes the law, both for single points and along a stream."""
 
 import ctypes
+import math
 import shutil
 import subprocess
 from dataclasses import replace
@@ -121,6 +122,14 @@ def test_the_c_code_is_that_of_the_package(law: ExportedLaw, compiled: Compiled)
     expected = expected_stream(law, displacement, current, 0.02)
     # Of the largest force: rounding in the observer, amplified by its gain.
     assert np.abs(got - expected).max() <= 1e-7 * np.abs(expected).max()
+    # A wrong sample counts as its predecessor.
+    wrong, others = np.array([0, 1200, 1201, 1900]), np.array([0, 1199, 1199, 1899])
+    held, held_current = displacement.copy(), current.copy()
+    held[wrong], held_current[wrong] = displacement[others], current[others]
+    held[0], held_current[0] = 0.02, 0.0
+    displacement[wrong], current[wrong] = [math.nan, math.inf, -math.inf, math.nan], math.nan
+    got = compiled.stream(displacement, current, 0.02)
+    np.testing.assert_array_equal(got, compiled.stream(held, held_current, 0.02))
 
 
 def wanted_forces(law: ExportedLaw, count: int) -> tuple[Array, Array]:
