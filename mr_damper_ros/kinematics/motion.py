@@ -321,18 +321,13 @@ class MotionSample(NamedTuple):
     @classmethod
     def of(cls, motion: Motion, place: int) -> MotionSample:
         """The sample of a motion at index ``place``."""
-        return cls(
-            float(motion.displacement[place]),
-            float(motion.velocity[place]),
-            float(motion.acceleration[place]),
-            float(motion.peak_velocity[place]),
-        )
+        return cls(*(float(values[place]) for values in motion.arrays))
 
     @classmethod
     def each(cls, motion: Motion) -> list[MotionSample]:
         """All samples of a motion."""
-        columns = motion.displacement, motion.velocity, motion.acceleration, motion.peak_velocity
-        return [cls(*row) for row in zip(*(column.tolist() for column in columns), strict=True)]
+        columns = (values.tolist() for values in motion.arrays)
+        return [cls(*row) for row in zip(*columns, strict=True)]
 
     def held_within(self, low: float, high: float) -> MotionSample:
         """The same sample with a clipped peak velocity [m/s]; see :meth:`Motion.held_within`."""

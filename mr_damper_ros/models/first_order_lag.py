@@ -135,8 +135,6 @@ def lagged(
     values: Array,
     time_constant: Array,
     period: float,
-    *,
-    periodic: bool = False,
     state: tuple[Array, ...] | None = None,
 ) -> Array:
     """Lag of signals of shape (..., n) along their last axis; see :class:`FirstOrderLag`.
@@ -147,8 +145,7 @@ def lagged(
     result = np.empty(values.shape)
     for place in np.ndindex(values.shape[:-1]):
         before = None if state is None else (state[0][place], state[1][place], state[2][place])
-        lag = FirstOrderLag(time_constant[place], period, periodic=periodic, state=before)
-        result[place] = lag(values[place])
+        result[place] = FirstOrderLag(time_constant[place], period, state=before)(values[place])
     return result
 
 

@@ -23,7 +23,6 @@ from __future__ import annotations
 
 import dataclasses
 import math
-import numbers
 import textwrap
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
@@ -31,7 +30,7 @@ from typing import Any, TypeVar
 
 Value = bool | int | float | str
 
-_TYPE_NAMES = {bool: "true or false", int: "an integer", float: "a number", str: "a text"}
+_TYPE_NAMES = {bool: "true or false", int: "an integer", float: "a number"}
 
 
 @dataclass(frozen=True)
@@ -55,21 +54,22 @@ class Option:
         return type(self.default)
 
     def normalised(self, value: Any) -> Any:
-        """The value; an integer becomes a float if the option is a float (``rate: 1``)."""
+        """The value of Python; an integer becomes a float if the option is one (``rate: 1``)."""
+        if getattr(value, "shape", None) == ():  # a number of NumPy
+            value = value.item()
         if self.kind is float and type(value) is int:
             return float(value)
         return value
 
     def objection(self, value: Any) -> str:
         """A sentence why the value is invalid; empty if it is valid."""
-        if type(value) is not self.kind:
-            return f"parameter {self.name} must be {_TYPE_NAMES[self.kind]}, not {value!r}"
+        if self.kind is str and type(value) is not str:
+            return f"parameter {self.name} must be a text, not {value!r}"
         return self.out_of_range(value)
 
     def out_of_range(self, value: Any) -> str:
-        """A sentence why a value is invalid, whether of Python or NumPy; empty if it is valid."""
-        kinds = {int: numbers.Integral, float: numbers.Real}
-        if self.kind in kinds and not isinstance(value, kinds[self.kind]):
+        """As :meth:`objection`, but a text option also takes other values, such as a path."""
+        if self.kind is not str and type(value) is not self.kind:
             return f"parameter {self.name} must be {_TYPE_NAMES[self.kind]}, not {value!r}"
         if isinstance(value, float) and not math.isfinite(value):
             if math.isnan(value) and self.default != self.default:
@@ -109,9 +109,11 @@ class CheckedSettings:
         for field in dataclasses.fields(self):  # type: ignore[arg-type]
             if "option" in field.metadata:
                 item = dataclasses.replace(field.metadata["option"], name=field.name)
-                objection = item.out_of_range(getattr(self, field.name))
+                value = item.normalised(getattr(self, field.name))
+                objection = item.out_of_range(value)
                 if objection:
                     raise ValueError(objection)
+                object.__setattr__(self, field.name, value)
 
 
 T = TypeVar("T")

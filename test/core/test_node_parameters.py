@@ -4,6 +4,7 @@ import math
 from dataclasses import dataclass
 from typing import Any
 
+import numpy as np
 import pytest
 import yaml
 
@@ -36,6 +37,7 @@ class Example(ParameterTable):
 @dataclass(frozen=True)
 class Checked(CheckedSettings):
     speed: float = option(1.0, "Speed.", within=(0.0, 5.0))
+    gradual: bool = option(True, "Gradual.")
     inner: Inner = group(Inner)
 
     def __post_init__(self) -> None:
@@ -64,6 +66,7 @@ def test_a_table_is_built_from_values_by_full_name() -> None:
         ({"speed": 6.0}, "speed must be from 0 to 5, not 6"),
         ({"speed": math.nan}, "speed must be a finite number"),
         ({"speed": 3.0}, "speed is larger than inner.gain"),
+        ({"gradual": "no"}, "gradual must be true or false, not 'no'"),
     ],
 )
 def test_settings_cannot_be_made_with_values_that_are_not_allowed(
@@ -128,5 +131,7 @@ def test_a_generated_file_gives_every_option_its_default(node: str) -> None:
 
 def test_an_integer_counts_as_a_number_but_not_the_other_way_round() -> None:
     assert type(OPTIONS["inner.gain"].normalised(4)) is float
+    checked = Checked(np.float32(1.0), gradual=np.bool_(False))  # type: ignore[arg-type]
+    assert (type(checked.speed), checked.gradual) == (float, False)
     assert OPTIONS["count"].normalised(4.0) == 4.0
     assert OPTIONS["count"].objection(OPTIONS["count"].normalised(4.0))
