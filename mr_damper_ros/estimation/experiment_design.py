@@ -49,7 +49,7 @@ from mr_damper_ros.kinematics.periodic_motion import MotionKind, PeriodicMotion
 from mr_damper_ros.kinematics.window import Window
 from mr_damper_ros.models.force_model import Model
 from mr_damper_ros.models.misfit import Misfit
-from mr_damper_ros.models.quantities import NOTICED, SAME_CURRENT, LoopReading
+from mr_damper_ros.models.quantities import SAME_CURRENT, LoopReading
 from mr_damper_ros.signals.arrays import Array
 
 _DRAWS = 200
@@ -379,16 +379,13 @@ class RunPlanner:
         rng = np.random.default_rng(0)
         draws = [self.model.draw_shape(rng, *self._top) for _ in range(_DRAWS)]
         gradient = self._cycles.gradient(parameters).reshape(-1, parameters.size)
-        lengths = np.sqrt(np.mean(gradient**2, axis=0))
-        force = float(np.sqrt(np.mean(self._cycles.force(parameters) ** 2)))
-        change = NOTICED * force / np.where(lengths > 0.0, lengths, np.inf)
-        widths = np.maximum(np.abs(parameters), change)
+        widths = parameter_spans(self.model, gradient, parameters, {})
         for place, name in enumerate(self.model.parameter_names):
             if name in draws[0]:
                 values = np.array([draw[name] for draw in draws])
                 # The centre may lie outside the draws; its distance from them adds to the scatter.
                 widths[place] = np.hypot(np.std(values), np.mean(values) - parameters[place])
-        return Prior(parameters, np.maximum(widths, 1e-12))
+        return Prior(parameters, widths)
 
     def _noise(self, windows: Sequence[Window], parameters: Array) -> list[float]:
         """Standard deviation [N] of white noise with the effect of each window's residual."""
