@@ -206,6 +206,9 @@ class Findings:
     lines: list[str]
     document: dict[str, Any]
 
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "document", json_ready(self.document))
+
     def __str__(self) -> str:
         return "\n".join(self.lines)
 
@@ -243,19 +246,22 @@ def determined(
         )
     entry = {
         "rank": result.rank,
-        "condition": json_ready(result.condition),
-        "singular_values": result.singular_values.tolist(),
+        "condition": result.condition,
+        "singular_values": result.singular_values,
         "open": [
             {
                 "words": combination.words,
                 "weights": dict(combination.weights),
-                "standard_error": json_ready(combination.standard_error),
+                "standard_error": combination.standard_error,
             }
             for combination in result.open
         ],
     }
     advice = [asdict(run) | {"sentence": run.sentence} for run in runs]
-    return Findings(lines, json_ready({"determination": entry, "advice": advice}))
+    return Findings(lines, {"determination": entry, "advice": advice})
+
+
+_OF_A_PROFILE = ("values", "ratio", "best", "interval")
 
 
 def profiles(fit: GlobalFit, found: Sequence[Profile]) -> Findings:
@@ -270,13 +276,8 @@ def profiles(fit: GlobalFit, found: Sequence[Profile]) -> Findings:
         if not p.contains(values[p.name]):
             line += f", WHICH EXCLUDES THE IDENTIFIED VALUE, {values[p.name]:.6g}"
         lines.append(line)
-        document[p.name] = {
-            "values": p.values.tolist(),
-            "ratio": p.ratio.tolist(),
-            "best": p.best,
-            "interval": p.interval,
-        }
-    return Findings(lines, json_ready({"profiles": document}))
+        document[p.name] = {name: getattr(p, name) for name in _OF_A_PROFILE}
+    return Findings(lines, {"profiles": document})
 
 
 def searches(found: MultiStart) -> Findings:
@@ -310,15 +311,14 @@ def searches(found: MultiStart) -> Findings:
                 {
                     "origin": c.origin,
                     "cost": c.cost,
-                    "parameters": dict(zip(names, c.parameters.tolist(), strict=True)),
+                    "parameters": dict(zip(names, c.parameters, strict=True)),
                 }
                 for c in fit.candidates
             ],
         }
         for seed, fit in found.fits.items()
     ]
-    of_each = dict(zip(names, spread.tolist(), strict=True))
-    return Findings(lines, {"searches": entries, "spread": json_ready(of_each)})
+    return Findings(lines, {"searches": entries, "spread": dict(zip(names, spread, strict=True))})
 
 
 def temperatures(maps: Sequence[TemperatureMap]) -> Findings:
@@ -333,17 +333,18 @@ def temperatures(maps: Sequence[TemperatureMap]) -> Findings:
             f"{found.slope(middle):+.2%} per kelvin, from {found.low:.3g} to {found.high:.3g} °C; "
             f"the temperature can be computed from the force to within {kelvin:.2g} K"
         )
-        points = [(c, found.scale(c)) for c in np.linspace(found.low, found.high, 9).tolist()]
+        celsius = np.linspace(found.low, found.high, 9)
+        scales = [found.scale(value) for value in celsius.tolist()]
         entries.append(
             {
                 "operating_point": {"peak_velocity": speed, "current": current},
                 "range": [found.low, found.high],
                 "windows": found.windows,
-                "coefficients": found.coefficients.tolist(),
-                "covariance": found.covariance.tolist(),
-                "temperature": [celsius for celsius, _ in points],
-                "force_scale": [scale.value for _, scale in points],
-                "force_scale_standard_error": [scale.standard_error for _, scale in points],
+                "coefficients": found.coefficients,
+                "covariance": found.covariance,
+                "temperature": celsius,
+                "force_scale": [scale.value for scale in scales],
+                "force_scale_standard_error": [scale.standard_error for scale in scales],
             }
         )
     return Findings(lines, {"temperature_maps": entries})
