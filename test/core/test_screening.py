@@ -9,6 +9,7 @@ from mr_damper_ros.tracking.screening import (
     Screening,
     fault_at_rest,
     fault_of_samples,
+    fault_of_sign,
     lack_of_motion,
 )
 
@@ -99,3 +100,10 @@ def test_a_displacement_that_rests_while_the_force_goes_through_a_cycle_is_at_fa
     largest = known * float(np.abs(data["force"]).max())
     found = fault_at_rest(moving * data["displacement"] + noise, size * data["force"], largest)
     assert bool(found) is stuck
+
+
+@pytest.mark.parametrize("offset", [0.0, 10_000.0])
+def test_a_reversed_sign_is_found_whatever_the_zero_of_the_load_cell(offset: float) -> None:
+    run = known.run(current=1.0, samples=1000)
+    assert fault_of_sign(run.velocity, offset + run.force) == ""
+    assert "reverse the sign" in fault_of_sign(run.velocity, offset - run.force)

@@ -54,6 +54,9 @@ def test_a_command_holds_for_its_time_and_then_the_current_is_zero_at_once() -> 
     assert tried.step(10.499) == 1.0
     assert tried.step(10.5) == 0.0
     assert tried.origin(10.5) is Origin.TIMED_OUT
+    # The time begins with the stamp of the command, not with its arrival.
+    assert tried.command(1.0, 1, 0.3, now=20.0) == ""
+    assert [tried.origin(now) is Origin.TIMED_OUT for now in (20.19, 20.21)] == [False, True]
 
 
 def test_a_command_stamped_ahead_within_the_tolerance_keeps_no_other_out() -> None:
