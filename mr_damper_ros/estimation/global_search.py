@@ -16,8 +16,7 @@ within a window, step 1 is repeated with the parameters found so far.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -258,15 +257,9 @@ class GlobalSearch:
         Raises StopRequestedError when the report stops the search; ``best`` is then the best set so
         far.
         """
-        with self._best_if_stopped():
+        try:
             self.search(method)
             self._finish()
-
-    @contextmanager
-    def _best_if_stopped(self) -> Iterator[None]:
-        """Select the best known set if the search is stopped."""
-        try:
-            yield
         except StopRequestedError:
             known = (self.best, self._start, *(fit.parameters for fit in self.fits))
             self.best = min(known, key=self.pooled.mean_square)
@@ -285,9 +278,8 @@ class GlobalSearch:
         self._weigh(whole.noise[list(owners)])
         free = np.isin(self.model.parameter_names, list(self.free))
         self.best = np.where(free, whole.best, self._prior().centre)
-        with self._best_if_stopped():
-            self.best = self._rough(self.best, self.free)
-            self._finish()
+        self.best = self._rough(self.best, self.free)
+        self._finish()
 
     def search(self, method: str) -> None:
         """Find the best set on the thinned windows."""

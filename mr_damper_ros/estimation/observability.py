@@ -102,13 +102,6 @@ the force below this part of the largest change."""
 
 _MOST_WORDS = 5
 
-_EQUAL_MOVES = 0.1
-"""Two parameters are known only as a product or a ratio if the magnitudes of their relative moves
-agree within this part."""
-
-_LEADING_MOVE = 0.1
-"""Relative move of the leading parameter that a message describes."""
-
 _PREFER_SHAPE = 1e2
 """Factor by which a shape parameter is preferred to a scale as the leading parameter of a
 combination. With a larger factor, one direction would be reported several times."""
@@ -194,19 +187,15 @@ def determination(model: Model, jacobian: Array, spans: Array, parameters: Array
     singular[: values.size] = values
     scales = [name in model.scale_names for name in names]
     loose = singular * SURE <= 1.0
+    largest, smallest = float(singular[0]), float(singular[-1])
     return Determination(
         names=names,
         spans=spans,
         singular_values=singular,
         rank=int(np.sum(~loose)),
-        condition=_condition(singular),
+        condition=largest / smallest if smallest > DETERMINED * largest else math.inf,
         open=_combinations(rows[loose], triangular, model, np.array(scales), (parameters, spans)),
     )
-
-
-def _condition(singular: Array) -> float:
-    largest, smallest = float(singular[0]), float(singular[-1])
-    return largest / smallest if smallest > DETERMINED * largest else math.inf
 
 
 def _combinations(
@@ -254,19 +243,23 @@ def _combinations(
 
 
 def _words(moves: Mapping[str, tuple[float, float]], units: Mapping[str, str]) -> str:
-    """The uncertainty in words, from (value, move) of each parameter, the leading one first."""
+    """The uncertainty in words, from (value, move) of each parameter, the leading one first.
+
+    Two parameters are known only as a product or a ratio if their relative moves agree within
+    :data:`NOTICED`. The text describes a relative move of the leading one by the same part.
+    """
     lead, *others = moves
     if not others:
         return lead
     relative = {name: move / value if value else math.inf for name, (value, move) in moves.items()}
     if len(others) == 1:
         ratio = relative[lead] / relative[others[0]]
-        if abs(ratio + 1.0) < _EQUAL_MOVES:
+        if abs(ratio + 1.0) < NOTICED:
             return f"{lead} and {others[0]} only as a product"
-        if abs(ratio - 1.0) < _EQUAL_MOVES:
+        if abs(ratio - 1.0) < NOTICED:
             return f"{lead} and {others[0]} only as a ratio"
     _, move = moves[lead]
-    step = _LEADING_MOVE if math.isinf(relative[lead]) else _LEADING_MOVE / abs(relative[lead])
+    step = NOTICED if math.isinf(relative[lead]) else NOTICED / abs(relative[lead])
     # The linearisation does not hold beyond the plausible range, so the move is limited to it.
     step = math.copysign(min(step, 1.0), move)
     changes = [

@@ -40,10 +40,8 @@ from mr_damper_ros.models.misfit import Misfit
 from mr_damper_ros.processes.process_pool import Notify, ProcessPool
 from mr_damper_ros.signals.arrays import Array
 
-CONFIDENCE = 0.95
-
-_BOUND = math.sqrt(float(chdtri(1, 1.0 - CONFIDENCE)))
-"""Root of the likelihood ratio at the ends of an interval."""
+_BOUND = math.sqrt(float(chdtri(1, 0.05)))
+"""Root of the likelihood ratio at the ends of an interval of 95 % confidence."""
 
 _STEP_RISE = 0.5
 """Intended increase of the root of the likelihood ratio in one step."""
