@@ -20,9 +20,8 @@ from mr_damper_ros.kinematics.motion import Motion
 from mr_damper_ros.kinematics.peak_velocity import PeakVelocity
 from mr_damper_ros.report.document import DASHES, GREY, Chapter, legend_above
 from mr_damper_ros.signals.arrays import Array
-from studies.control.buildings import DAMPERS, SCALE
+from studies.control.buildings import BUILDINGS, DAMPERS, SCALE, recorded_damper
 from studies.control.ground_motion import el_centro
-from studies.control.shear_building import BUILDINGS, recorded_damper
 from studies.drawing import chapter, chart, draw_rows, line, name_rows, table
 from studies.program import Campaign
 

@@ -25,7 +25,7 @@ from mr_damper_ros.emulation.emulator import EmulatedDamper, RigSettings, Supply
 from mr_damper_ros.emulation.plant_rig import HOT_FORCE, PlantRig, invented_damper
 from mr_damper_ros.signals.arrays import Array
 from mr_damper_ros.signals.blocks import SuspensionState
-from studies.control.shear_building import BUILDINGS, STOREYS, StateEstimator
+from studies.control.buildings import BUILDINGS, STOREYS, StateEstimator
 
 CAR = QuarterCar()
 

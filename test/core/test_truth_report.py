@@ -12,7 +12,7 @@ from scipy.signal import lfilter
 from mr_damper_ros.models import MODELS
 from studies.__main__ import main
 from studies.truth import oscillator, records
-from studies.truth.hysteretic_oscillator import PERIOD, STEPS, TRUTH, multisine
+from studies.truth.oscillator import PERIOD, STEPS, TRUTH, multisine
 
 LAWS = ("bingham", "hyperbolic_tangent")
 
