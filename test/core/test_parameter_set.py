@@ -211,7 +211,7 @@ def test_whatever_yaml_stumbles_over_is_one_error(text: str) -> None:
 @pytest.mark.parametrize(
     ("time", "current", "sentence"),
     [
-        ([0.0, 1.0, 3.0], 1.0, "give uniform samples"),
+        ([0.0, 1e-3, 2.03e-3], 1.0, "give uniform samples"),
         ([0.0, 1.0], 1.0, "one displacement for each"),
         ([0.0, 1.0, 2.0], [1.0, 1.0], "one current for each"),
     ],
