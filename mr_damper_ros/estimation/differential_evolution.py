@@ -95,12 +95,16 @@ class ProgressClock:
     def tick(self, stage: str, best_cost: float) -> None:
         """Count one generation; the pace is that of the present stage, without its first one."""
         self._done += 1
-        if stage != self._stage:
-            self._stage, self._began, self._evolved = stage, time.monotonic(), 0
-        else:
+        if not self._begins(stage):
             self._evolved += 1
             self._pace = (time.monotonic() - self._began) / self._evolved
         self._tell(stage, best_cost)
+
+    def _begins(self, stage: str) -> bool:
+        if stage == self._stage:
+            return False
+        self._stage, self._began, self._evolved = stage, time.monotonic(), 0
+        return True
 
     def _tell(self, stage: str, best_cost: float) -> None:
         if self._report is None or self.stopped:
@@ -112,6 +116,7 @@ class ProgressClock:
 
     def poll(self, stage: str, best_cost: float) -> bool:
         """Report between generations, a few times a second; returns whether to stop."""
+        self._begins(stage)
         now = time.monotonic()
         if now - self._last_report >= _REPORT_PERIOD:
             self._tell(stage, best_cost)
