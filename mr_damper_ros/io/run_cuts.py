@@ -106,7 +106,8 @@ class RunsOfFile:
             listed = "; ".join(f"{k}: {text}" for k, text in enumerate(self.summaries, start=1))
             raise RecordError(
                 f"{self._name} holds {len(self._rows)} runs, but {len(currents or ())} currents "
-                f"are given: give one [A] for each run, or - to omit the run ({listed})"
+                f"are given: give one [A] for each run (currents, --currents), or None (-) to omit "
+                f"the run ({listed})"
             )
         recordings = []
         for number, rows in enumerate(self._rows, start=1):

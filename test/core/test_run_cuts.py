@@ -125,7 +125,7 @@ def test_each_run_is_asked_for_its_current(two_runs: Path, monkeypatch: pytest.M
     ("arguments", "sentence"),
     [
         (("--split",), "two.csv holds 2 runs, but 0 currents are given: give one [A] for each run"),
-        (("--split", "--currents", "1"), "2 runs, but 1 currents are given"),
+        (("--split", "--currents", "1"), "[A] for each run (currents, --currents), or None (-)"),
         (("--split", "--currents", "1,x"), "the current 'x' is not a number"),
         (("--split", "--currents", "1,1", "--from", "1"), "omit --split"),
         (("--currents", "1,1"), "--currents needs --split"),
