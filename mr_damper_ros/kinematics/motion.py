@@ -292,9 +292,9 @@ def window_motion(displacement: Array, period: float) -> Motion:
     if not (math.isfinite(period) and period > 0.0):
         raise ValueError(f"the sample period is {period} s: it must be positive")
     if not np.all(np.isfinite(u)):
-        raise DataError("the displacement holds NaN or infinite values: repair the recording")
+        raise DataError("the displacement holds NaN or infinite values: correct them")
     if np.ptp(u) == 0.0:
-        raise DataError("the displacement does not change: there is no motion to identify from")
+        raise DataError("the displacement does not change: there is no motion")
     sine = fit_sine(u, period)
     if sine is not None and sine.residual_rms <= allowed_residual(sine.amplitude, u):
         time: Array = np.arange(u.size, dtype=float) * period

@@ -214,6 +214,8 @@ def test_whatever_yaml_stumbles_over_is_one_error(text: str) -> None:
         ([0.0, 1e-3, 2.03e-3], 1.0, "give uniform samples"),
         ([0.0, 1.0], 1.0, "one displacement for each"),
         ([0.0, 1.0, 2.0], [1.0, 1.0], "one current for each"),
+        (np.arange(3).astype("datetime64[s]"), 1.0, "the times are dates: give seconds"),
+        (np.ma.masked_array([0.0, 1.0, 2.0], [False, True, False]), 1.0, "nan s apart"),
     ],
 )
 def test_times_that_do_not_fit_are_refused(time: Any, current: Any, sentence: str) -> None:
