@@ -28,6 +28,8 @@ def test_without_noise_the_limit_is_that_of_the_error_itself(error: float, valid
     watch, force = watch_of(0.0)
     off = np.where(np.arange(force.size) == 4, error * PEAK, 0.0)
     assert any(watch.judge(force + off, force)) is not valid
+    assert 0.19 * PEAK < watch.allowed < 0.21 * PEAK
+    assert ResidualMonitor(PERIOD, 0.2).allowed == math.inf, "no force was measured"
 
 
 def test_much_noise_alone_is_no_wrong_force() -> None:
