@@ -200,7 +200,8 @@ def _damped(whitened: Sequence[_Whitened], values: Array) -> Array:
     for each in whitened:
         along = each.left.T @ values[each.rows]
         left[each.rows] -= each.left @ along
-        extra.append((along.T / np.sqrt(1.0 + each.sizes**2)).T)
+        with np.errstate(over="ignore"):  # the extra rows of an infinite size are zero
+            extra.append((along.T / np.sqrt(1.0 + each.sizes**2)).T)
     return np.concatenate((left, *extra))
 
 

@@ -165,6 +165,13 @@ def test_a_set_far_from_any_damper_tells_nothing_of_levels(alpha: float) -> None
         assert 0.0 < counted_samples(pooled, LevelPrior((0, 0, 1, 2)), beyond) < 1e-3
 
 
+def test_the_square_of_a_large_force_overflows_without_a_warning() -> None:
+    large = TRUTH.copy()
+    large[0] *= 1e200
+    with np.errstate(over="raise"):
+        assert np.isfinite(problem(LAW.name).residual(large)).all()
+
+
 def test_a_spread_of_nothing_is_refused() -> None:
     with pytest.raises(ValueError, match=r"level_per_record .* is -0.1: give the expected"):
         mr.identify(records(), model=LAW.name, level_per_record=-0.1)
