@@ -93,14 +93,12 @@ class BlockNode(Node, Generic[Options, Answer]):
         self._late = math.inf
         self._slowest, self._oldest, self._skipped = 0.0, math.nan, 0
 
-    def _listen(self, predictor: ForcePredictor, max_age: float) -> None:
+    def _listen(self, predictor: ForcePredictor) -> None:
         """Subscribe to samples, currents, sets and reports, and pass them to the predictor.
 
-        Raises ConfigurationError if the parameter file is invalid. The diagnostics warn of samples
-        older than ``max_age`` [s]; 0 allows any age.
+        Raises ConfigurationError if the parameter file is invalid.
         """
         self._predictor = predictor
-        self._max_age = max_age
         self._unattributed: DamperParameters | None = None
         self._refused = self._given = ""
         self._from = file = self._options.parameter_file
@@ -259,7 +257,7 @@ class BlockNode(Node, Generic[Options, Answer]):
         if skipped:
             sentence += f"; {skipped} blocks have no {self.answer}, because newer ones had "
             sentence += "arrived: is the computer overloaded?"
-        late = skipped > 0 or (self._max_age > 0.0 and oldest > self._max_age)
+        late = skipped > 0 or oldest > self._predictor.freshness.max_age
         return Finding(
             WARN if late else OK,
             sentence,

@@ -99,7 +99,7 @@ class ControllerNode(BlockNode[ControllerParameters, Command]):
         quality.subscription(
             self, DesiredForce, DEMAND_TOPIC, self._take_desired_force, quality.newest()
         )
-        self._listen(self._controller.predictor, options.control.predictor.max_age)
+        self._listen(self._controller.predictor)
         self._watchdog = self.create_timer(
             0.5 * options.samples_timeout,
             self._watch,

@@ -106,7 +106,7 @@ class ModelNode(BlockNode[ModelParameters, Prediction]):
         # First prediction of the joined block, and the arrays of its parts.
         self._first: Prediction | None = None
         self._parts: list[tuple[np.ndarray, ...]] = []
-        self._listen(predictor, options.predictor.max_age)
+        self._listen(predictor)
         self._diagnose({"prediction": self._prediction_finding})
         file = options.parameter_file
         self.get_logger().info(

@@ -336,7 +336,7 @@ class Freshness:
     """
 
     def __init__(self, max_age: float) -> None:
-        self._max_age = max_age
+        self.max_age = max_age
         self.restart()
 
     def restart(self) -> None:
@@ -353,17 +353,17 @@ class Freshness:
 
         ``now_ns`` is the time by the clock; None without a clock.
         """
-        if now_ns is None or self._max_age == 0.0:
+        if now_ns is None or self.max_age == 0.0:
             return ""
         age = (now_ns - stamp_ns) / NANOSECONDS
         self.live = self.live or abs(age) <= _LIVE
         if not self.live:
             return ""
         self.age = age
-        if abs(age) <= self._max_age:
+        if abs(age) <= self.max_age:
             return ""
         return (
-            f"the samples are {age:.2f} s old, and max_age is {self._max_age:g} s: is the "
+            f"the samples are {age:.2f} s old, and max_age is {self.max_age:g} s: is the "
             "computer overloaded, or does its clock differ from the clock of the samples?"
             if age > 0.0
             else f"the samples are stamped {-age:.2f} s in the future: are the clocks of the "
