@@ -74,10 +74,10 @@ def motion_window(time: ArrayLike, displacement: ArrayLike, current: ArrayLike) 
     if np.asarray(time).dtype.kind in "mM":
         raise ValueError("the times are dates: give seconds")
     # The values under the mask of a masked array were not measured.
-    times, moved, amperes = (
-        np.asarray(np.ma.array(values, dtype=float).filled(np.nan))
-        for values in (time, displacement, current)
-    )
+    given: list[Array] = [
+        np.ma.array(values, dtype=float).filled(np.nan) for values in (time, displacement, current)
+    ]
+    times, moved, amperes = given
     if times.ndim != 1 or times.shape != moved.shape or times.size < 2:
         raise ValueError(
             f"time has the shape {times.shape} and displacement {moved.shape}: give one "
