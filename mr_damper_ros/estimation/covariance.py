@@ -99,9 +99,9 @@ def least_squares_covariance(
     freedom = max(n - p, 1)
     length = correlation_length(residual)
     white = float(residual @ residual) / freedom
-    if length == 0 and not prior_variances.size:
+    if length == 1 and not prior_variances.size:
         return np.asarray(white * bread)
-    if length == 0:
+    if length == 1:
         scores = white * jacobian.T @ jacobian
     else:
         scores = _block_scores(jacobian, residual, length) * (n / freedom)
@@ -125,7 +125,7 @@ def _block_scores(jacobian: Array, residual: Array, length: int) -> Array:
 
 
 def correlation_length(residual: Array) -> int:
-    """Correlation length of a residual in samples; 0 if it is white.
+    """Correlation length of a residual in samples; 1 if it is white.
 
     It is four times the first lag at which the autocorrelation is below 0.05.
     """
@@ -133,9 +133,9 @@ def correlation_length(residual: Array) -> int:
     centred = residual - residual.mean()
     power = float(centred @ centred)
     if power == 0.0 or n < 32:
-        return 0
+        return 1
     if abs(float(centred[1:] @ centred[:-1]) / power) <= _WHITE / math.sqrt(n):
-        return 0
+        return 1
     size = 1 << (2 * n - 1).bit_length()
     spectrum = np.fft.rfft(centred, size)
     correlation = np.fft.irfft(np.abs(spectrum) ** 2, size)[: n // 4] / power
@@ -146,7 +146,7 @@ def correlation_length(residual: Array) -> int:
 
 def independent_samples(residual: Array) -> float:
     """Number of independent samples with as much information as a residual (n,)."""
-    return residual.size / max(correlation_length(residual), 1)
+    return residual.size / correlation_length(residual)
 
 
 def without_negative_variance(covariance: Array) -> Array:

@@ -9,8 +9,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from mr_damper_ros.estimation.covariance import (
+    correlation_length,
     discrepancy_between,
-    independent_samples,
     least_squares_covariance,
     motion_numbers,
 )
@@ -24,7 +24,7 @@ def noise_level(misfit: Misfit, parameters: Array) -> float:
     It is larger for a correlated residual, so that model error does not average out like noise.
     """
     residual = misfit.residual(parameters)
-    power = float(np.mean(residual**2)) * residual.size / independent_samples(residual)
+    power = float(np.mean(residual**2)) * correlation_length(residual)
     return math.sqrt(max(power, 1e-300))
 
 
