@@ -122,9 +122,9 @@ class InverseModel:
 
         If several currents give the desired force, the one nearest to ``last`` [A] is returned,
         without ``last``, or where it is NaN, the lowest. Each sample comes ``period`` [s] after the
-        ``state``, which a law with memory needs. Raises ValueError if a desired force is NaN.
+        ``state``, which a law with memory needs. A force that is NaN is not attainable.
         """
-        forces = _desired(wanted, motion)
+        forces = np.broadcast_to(np.asarray(wanted, dtype=float), motion.velocity.shape)
         near = np.broadcast_to(math.nan if last is None else np.asarray(last, float), forces.shape)
         found: list[Inversion] = []
         for first in range(0, forces.size, _TOGETHER):
@@ -198,7 +198,7 @@ class InverseModel:
         Shapes are as in :meth:`currents`; also returns the state after the last sample. Of several
         currents, the one nearest to the previous current is used.
         """
-        forces = _desired(wanted, motion)
+        forces = np.broadcast_to(np.asarray(wanted, dtype=float), motion.velocity.shape)
         found: list[Inversion] = []
         last: float | None = None
         for place, force in enumerate(forces.tolist()):
@@ -208,14 +208,6 @@ class InverseModel:
             sample = motion.part(slice(place, place + 1)).held_within(*self._range)
             _, state = self.law.follow(self.values, sample, np.array([last]), period, state)
         return _together(found), state
-
-
-def _desired(wanted: ArrayLike, motion: Motion) -> Array:
-    """One desired force per sample, (n,)."""
-    forces = np.broadcast_to(np.asarray(wanted, dtype=float), motion.velocity.shape)
-    if np.isnan(forces).any():
-        raise ValueError("a desired force is NaN: give a force [N] for each sample")
-    return forces
 
 
 def _together(found: list[Inversion]) -> Inversion:

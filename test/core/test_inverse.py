@@ -166,8 +166,7 @@ def test_what_cannot_be_inverted_is_refused():
             InverseModel(ParameterSet(PLAUSIBLE), 1.0, highest)
     inverse = InverseModel(ParameterSet(PLAUSIBLE), LOWEST, HIGHEST)
     motion = random_motion(2, RNG)
-    with pytest.raises(ValueError, match="a desired force is NaN"):
-        inverse.currents(motion, [1.0, math.nan])
+    assert not inverse.currents(motion, [1.0, math.nan]).attainable[1]
     nothing = inverse.currents(motion.part(slice(0)), [])
     assert nothing.current[nothing.attainable].size == 0
 
