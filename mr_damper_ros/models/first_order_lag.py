@@ -119,6 +119,8 @@ def solve_recursion(kept: Array, added: Array) -> Array:
     """Solve y[k] = kept[k] y[k-1] + added[k] for columns (n, ...), which may be overwritten."""
     from scipy.linalg.lapack import dtbtrs  # imported late: see entry_points
 
+    if added.size == 0:
+        return added  # without columns, dtbtrs of SciPy 1.17 corrupts the memory of the process
     bands = np.ones((2, kept.size), order="F")
     bands[1, :-1] = -kept[1:]
     solved = dtbtrs(bands, added, uplo="L", diag="U", overwrite_b=True)[0]

@@ -8,6 +8,7 @@ from typing import Any
 import known
 import numpy as np
 import pytest
+from fresh_python import alone
 
 import mr_damper_ros as mr
 from mr_damper_ros.estimation.differential_evolution import EvolutionSettings
@@ -95,6 +96,15 @@ def identified(name: str) -> GlobalFit:
         for seed, (current, amplitude) in enumerate(runs)
     ]
     return identify_global(model, windows, model.initial_values()[0], EvolutionSettings())
+
+
+def test_derivatives_by_no_parameter_leave_the_memory_of_the_process_intact():
+    alone("""
+import numpy as np
+from mr_damper_ros.models.first_order_lag import solve_recursion
+for _ in range(2000):
+    assert solve_recursion(np.ones(300), np.empty((300, 0))).shape == (300, 0)
+""")
 
 
 @pytest.mark.parametrize("name", FOLLOWING)
