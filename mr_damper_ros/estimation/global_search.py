@@ -170,6 +170,9 @@ _PLAUSIBLE = 0.25
 """Prior standard deviation of a shape parameter relative to its plausible range. The ends of the
 range are then two standard deviations from its middle."""
 
+_BOUND_STEPS = 2
+"""Least-squares steps after a parameter was moved to its bound, from nearly optimal others."""
+
 _ON_BOUND = 1e-3
 """A parameter closer to a bound than this part of its prior width counts as being on the bound."""
 
@@ -455,7 +458,10 @@ class GlobalSearch:
         moved = np.where(free & (high - moved < near), high, moved)
         if np.any(changed := moved != self.best):
             held = {self.model.parameter_names[place] for place in np.flatnonzero(changed)}
-            moved = self._most_probable(whole, moved, self.free - held)
+            others, noise = self.free - held, noise_level(whole, moved)
+            exhausted = self.exhausted  # of the search, which this only corrects
+            moved = self._least_squares(whole, moved, others, noise=noise, most_steps=_BOUND_STEPS)
+            self.exhausted = exhausted
             posterior = self.posterior(whole, np.flatnonzero(free).tolist())
             allowed = _NEGLIGIBLE_STEP * posterior.noise**2
             if posterior.cost(moved) <= posterior.cost(self.best) + allowed:
