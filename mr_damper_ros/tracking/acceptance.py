@@ -13,7 +13,7 @@ from enum import IntEnum
 
 import numpy as np
 
-from mr_damper_ros.estimation.covariance import SAME_MOTION, NoiseModel
+from mr_damper_ros.estimation.covariance import NoiseModel
 from mr_damper_ros.estimation.global_fit import error_of_set
 from mr_damper_ros.kinematics.window import Window
 from mr_damper_ros.models.parameter_set import ParameterSet
@@ -267,11 +267,11 @@ LARGE_SHAPE_CHANGE = 0.2
 identified at this operating point (benchmark figure ``foreign_worse_sets``). Between windows of one
 steady motion, temperature and wear change the shape less than a delay between the sensors does."""
 
-SAME_FORCE = SAME_MOTION
-"""Largest relative change of a force that counts as unchanged, as for a motion. If the force at a
-new operating point is unchanged, the running set also holds there. If the force has changed where
-the running set was identified, and the residual stays large, a sensor is at fault unless the new
-set predicts much better."""
+SAME_FORCE = 0.1
+"""Largest relative change of a force that counts as unchanged. If the force at a new operating
+point is unchanged, the running set also holds there. If the force has changed where the running set
+was identified, and the residual stays large, a sensor is at fault unless the new set predicts much
+better."""
 
 
 class Verdict(IntEnum):
