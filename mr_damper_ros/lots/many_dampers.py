@@ -33,7 +33,6 @@ from mr_damper_ros.lots.population import KnownDamper, Population
 from mr_damper_ros.models.parameter_set import DEFAULT_MODEL, ParameterSet
 from mr_damper_ros.processes.files import FolderLock, json_ready, write_text
 from mr_damper_ros.processes.process_pool import (
-    KeptTask,
     ProcessPool,
     ResultFolder,
     Workforce,
@@ -115,7 +114,14 @@ def _result(group: DamperGroup, result: Identification) -> dict[str, Any]:
 
 _EVOLUTION = EvolutionSettings()
 
-_LOST = "the process that identified it died repeatedly: is there enough memory?"
+_LOST = {
+    "failure": "the process that identified it died repeatedly: is there enough memory?",
+    "recordings": [],
+    "left_out": [],
+    "passing": True,
+    "duration_s": 0.0,
+}
+"""The document of a damper whose process was lost, without its name."""
 
 Progress = Callable[[int, int, Mapping[str, Any]], None]
 """Receives the number of finished dampers, the total number, and the last damper's document."""
@@ -278,47 +284,33 @@ def identify_many(
                 "record_format": None if record_format is None else asdict(record_format),
             },
         )
-        tasks = []
-        for name, group in _groups(recordings).items():
-            files = [(str(r.path.absolute()), r.current, _state(r.path)) for r in group]
-            content = {"damper": name, "recordings": files}
-            argument = DamperGroup(name, tuple(group), search, accept_doubtful, record_format)
-            tasks.append(KeptTask(name, fingerprint(content), argument))
+        groups, prints = [], {}
+        for name, own in _groups(recordings).items():
+            files = [(str(r.path.absolute()), r.current, _state(r.path)) for r in own]
+            prints[name] = fingerprint({"damper": name, "recordings": files})
+            groups.append(DamperGroup(name, tuple(own), search, accept_doubtful, record_format))
         results = ResultFolder(place / "dampers")
-        stored = {task.name: results.kept(task) for task in tasks}
+        stored = {name: results.kept(name, known) for name, known in prints.items()}
         documents = {name: document for name, document in stored.items() if document is not None}
         kept = len(documents)
         for document in documents.values():
             _save_set(place, document)
-
-        def finished(task: KeptTask, document: dict[str, Any]) -> None:
-            documents[task.name] = document
+        remaining = [group for group in groups if group.damper not in documents]
+        workforce: int | Workforce = int(workers) if executor is None else Workforce(executor)
+        if remaining and scheduler is not None:
+            workforce = dask_cluster(scheduler)
+        for group, found in finish(identify_group, remaining, workforce):
+            name = group.damper
+            documents[name] = document = found or {"damper": name, **_LOST}
+            # A repetition would give the same result, unless the error may be temporary.
+            if not document["passing"]:
+                results.keep(name, prints[name], document)
             _save_set(place, document)
             if report is not None:
-                report(len(documents), len(tasks), document)
-
-        def lost(task: KeptTask) -> None:
-            nothing = {"recordings": [], "left_out": [], "passing": True, "duration_s": 0.0}
-            finished(task, {"damper": task.name, "failure": _LOST, **nothing})
-
-        remaining = [task for task in tasks if task.name not in documents]
-        if remaining:
-            workforce: int | Workforce = int(workers) if executor is None else Workforce(executor)
-            if scheduler is not None:
-                workforce = dask_cluster(scheduler)
-            finish(
-                remaining,
-                identify_group,
-                workforce,
-                results,
-                # A repetition would give the same result.
-                final=lambda document: not document["passing"],
-                finished=finished,
-                lost=lost,
-            )
+                report(len(documents), len(groups), document)
     finally:
         lock.release()
-    return ManyDampers(tuple(documents[task.name] for task in tasks), tuple(unnamed), kept)
+    return ManyDampers(tuple(documents[name] for name in prints), tuple(unnamed), kept)
 
 
 def _groups(recordings: Iterable[ListedRecording]) -> dict[str, list[ListedRecording]]:

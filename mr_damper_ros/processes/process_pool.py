@@ -4,9 +4,8 @@ A task is a picklable function of one picklable argument, and depends on nothing
 computes with one BLAS thread, because sums depend on the number of threads. The results are
 therefore identical to the last digit.
 
-:func:`finish` also stores each result in its own file, atomically, as soon as it is complete. A
-stored result is not computed again. Such a task returns a JSON document and raises no exception; a
-failure is described in its document.
+A task of :func:`finish` returns a JSON document and raises no exception; a failure is described in
+its document. A :class:`ResultFolder` stores such documents, each in its own file, atomically.
 """
 
 from __future__ import annotations
@@ -16,10 +15,10 @@ import json
 import math
 import re
 from collections import deque
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import FIRST_COMPLETED, CancelledError, Executor, Future, wait
 from contextlib import AbstractContextManager, closing
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import Any, TypeVar
@@ -32,6 +31,7 @@ from mr_damper_ros.processes.worker import (
     Done,
     Failed,
     Outcome,
+    Progress,
     Worker,
     WorkerPool,
 )
@@ -80,16 +80,33 @@ class ProcessPool(AbstractContextManager):
         tasks: Sequence[Task],
         listen: Listen | None = None,
         done: Callable[[int, Result], None] | None = None,
-        lost: Callable[[int], None] | None = None,
     ) -> list[Result | None]:
         """``function(task, notify)`` of every task, in order; None if a task was not started.
 
-        ``listen`` receives the progress of the tasks and may stop them; running tasks then return
-        their present results. ``done`` is called with each result as soon as it is complete, in any
-        order. A task whose process dies repeatedly runs once more while no other task runs. If its
-        process dies again, ``lost`` receives its index; without ``lost``, WorkersError is raised.
+        ``done`` is called with each result as soon as it is complete, in any order. Raises the
+        exception of a task, and WorkersError if a process dies with each attempt at a task.
         """
         results: list[Result | None] = [None] * len(tasks)
+        for outcome in self.outcomes(function, tasks, listen):
+            if isinstance(outcome, Failed):
+                raise WorkersError(f"a task cannot be done: {outcome.reason}")
+            results[outcome.task] = outcome.result
+            if done is not None:
+                done(outcome.task, outcome.result)
+        return results
+
+    def outcomes(
+        self,
+        function: Callable[[Task, Notify], Any],
+        tasks: Sequence[Task],
+        listen: Listen | None = None,
+    ) -> Iterator[Done | Failed]:
+        """The outcome of every task as soon as it is complete; its ``task`` is the index.
+
+        ``listen`` receives the progress of the tasks and may stop them; running tasks then return
+        their present results. A task whose process dies repeatedly runs once more while no other
+        task runs, and has failed if its process dies again. Raises the exception of a task.
+        """
         stopped = False
 
         def notify(index: int, news: Any) -> bool:
@@ -97,71 +114,47 @@ class ProcessPool(AbstractContextManager):
             stopped = stopped or not (listen is None or listen(index, news))
             return not stopped
 
-        def keep(index: int, result: Result) -> None:
-            results[index] = result
-            if done is not None:
-                done(index, result)
-
-        if not self._apart and (self.count == 1 or len(tasks) < 2):
+        if not tasks or (not self._apart and (self.count == 1 or len(tasks) < 2)):
             for index, task in enumerate(tasks):
                 if not stopped:
                     with one_thread():
                         result = function(task, partial(notify, index))
-                    keep(index, result)
-            return results
-        try:
-            for index in self._run(function, list(enumerate(tasks)), self.count, notify, keep):
-                # A second process died with the task: it runs once more, alone.
-                if lost is not None and not stopped:
-                    for died in self._run(function, [(index, tasks[index])], 1, notify, keep):
-                        lost(died)
-                elif lost is None:
-                    raise WorkersError("a task cannot be done: the worker process died")
-        except BaseException:
-            self.__exit__()
-            raise
-        return results
-
-    def _run(
-        self,
-        function: Callable[[Task, Notify], Result],
-        tasks: list[tuple[int, Task]],
-        at_once: int,
-        notify: Callable[[int, Any], bool],
-        keep: Callable[[int, Result], None],
-    ) -> list[int]:
-        """Run tasks with their indices until one stops all.
-
-        Returns the indices of the tasks whose processes died. Raises the exception of a task.
-        """
+                    yield Done(index, result)
+            return
         if self._pool is None:
             # A task may compute for a long time without checking whether it should stop.
             limits = {"grace": math.inf, "silence_limit": math.inf}
             self._pool = WorkerPool(_LOADED, self.count, **limits)
-        pool = self._pool
-        waiting, running, died = deque(tasks), dict[int, Worker](), list[int]()
-        while waiting or running:
-            while waiting and len(running) < at_once:
-                index, task = waiting.popleft()
-                running[index] = pool.worker()
-                running[index].submit(_call, function, task)
-            pool.supervise(LONGEST_PAUSE)
-            for index, worker in list(running.items()):
-                for outcome in worker.collect():
-                    if isinstance(outcome, Done):
-                        keep(index, outcome.result)
-                    elif not isinstance(outcome, Failed):
-                        if not notify(index, outcome.value):
-                            waiting.clear()
-                            for each in running.values():
-                                each.cancel()
-                    elif outcome.error is not None:
-                        raise outcome.error
-                    else:
-                        died.append(index)
-                if not worker.busy:
-                    del running[index]
-        return died
+        waiting, again, running = deque(range(len(tasks))), deque[int](), dict[int, Worker]()
+        last_try = set[int]()
+        try:
+            while waiting or again or running:
+                queue, most = (waiting, self.count) if waiting else (again, 1)
+                while queue and len(running) < most:
+                    index = queue.popleft()
+                    running[index] = self._pool.worker()
+                    running[index].submit(_call, function, tasks[index])
+                self._pool.supervise(LONGEST_PAUSE)
+                for index, worker in list(running.items()):
+                    for outcome in worker.collect():
+                        if isinstance(outcome, Progress):
+                            if not notify(index, outcome.value):
+                                waiting.clear()
+                                again.clear()
+                                for each in running.values():
+                                    each.cancel()
+                        elif isinstance(outcome, Failed) and outcome.error is not None:
+                            raise outcome.error
+                        elif isinstance(outcome, Done) or index in last_try:
+                            yield replace(outcome, task=index)
+                        elif not stopped:
+                            last_try.add(index)
+                            again.append(index)
+                    if not worker.busy:
+                        del running[index]
+        except BaseException:
+            self.__exit__()
+            raise
 
 
 def _call(function: Callable[[Any, Notify], Any], task: Any, control: Control) -> Any:
@@ -238,20 +231,12 @@ _SLUG = 60
 """Largest number of characters of a task's name that its file name contains."""
 
 
-@dataclass(frozen=True)
-class KeptTask:
-    """A task with a stored result.
-
-    ``name`` is unique; ``fingerprint`` changes with everything that the result depends on.
-    """
-
-    name: str
-    fingerprint: str
-    argument: Any
-
-
 class ResultFolder:
-    """One file for each finished task, with its document and the fingerprint of its input."""
+    """One file for each finished task, with its document and the fingerprint of its input.
+
+    The name of a task is unique; its fingerprint changes with everything on which the result
+    depends.
+    """
 
     def __init__(self, folder: Path) -> None:
         self._folder = folder
@@ -260,19 +245,19 @@ class ResultFolder:
         """Path of the file for the task of this name."""
         return self._folder / f"{file_stem(name)}.json"
 
-    def kept(self, task: KeptTask) -> Document | None:
+    def kept(self, name: str, fingerprint: str) -> Document | None:
         """The stored document of a task; None if the task must be run."""
         try:
-            found = json.loads(self.path(task.name).read_text(encoding="utf-8"))
-            document = found["document"] if found["fingerprint"] == task.fingerprint else None
+            found = json.loads(self.path(name).read_text(encoding="utf-8"))
+            document = found["document"] if found["fingerprint"] == fingerprint else None
         except (OSError, ValueError, TypeError, KeyError):
             return None
         return document if isinstance(document, dict) else None
 
-    def keep(self, task: KeptTask, document: Document) -> None:
+    def keep(self, name: str, fingerprint: str, document: Document) -> None:
         """Write the document of a task, completely or not at all. Raises OSError."""
-        entry = {"fingerprint": task.fingerprint, "document": document}
-        write_text(self.path(task.name), json.dumps(entry, allow_nan=False) + "\n")
+        entry = {"fingerprint": fingerprint, "document": document}
+        write_text(self.path(name), json.dumps(entry, allow_nan=False) + "\n")
 
 
 def file_stem(name: str) -> str:
@@ -282,55 +267,35 @@ def file_stem(name: str) -> str:
 
 
 def finish(
-    tasks: Iterable[KeptTask],
-    function: Callable[[Any], Document],
-    workers: int | Workforce,
-    results: ResultFolder,
-    *,
-    final: Callable[[Document], bool],
-    finished: Callable[[KeptTask, Document], None],
-    lost: Callable[[KeptTask], None],
-) -> None:
-    """Run the tasks and store their documents; ``finished`` receives each one at once.
+    function: Callable[[Task], Document], tasks: Sequence[Task], workers: int | Workforce
+) -> Iterator[tuple[Task, Document | None]]:
+    """Each task with its document, as soon as it is complete.
 
-    ``workers`` is the number of processes on this machine, or a workforce elsewhere. If ``final``
-    returns False, a document is reported but not stored, so that its task runs again the next time.
-    A task whose process dies repeatedly is abandoned and passed to ``lost``. Raises WorkersError if
-    the workers cannot run tasks at all, and OSError if a result cannot be written.
+    ``workers`` is the number of processes on this machine, or a workforce elsewhere. The document
+    is None if the process of the task dies repeatedly. Raises WorkersError if the workers cannot
+    run tasks at all.
     """
-    every = list(tasks)
-
-    def keep(task: KeptTask, document: Document) -> None:
-        if final(document):
-            results.keep(task, document)
-        finished(task, document)
-
     if isinstance(workers, int):
         with ProcessPool(workers, apart=True) as pool:
-            pool.map(
-                partial(_document, function),
-                [task.argument for task in every],
-                done=lambda index, document: keep(every[index], document),
-                lost=lambda index: lost(every[index]),
-            )
+            for outcome in pool.outcomes(partial(_document, function), tasks):
+                yield tasks[outcome.task], outcome.result if isinstance(outcome, Done) else None
         return
-    waiting = deque(every)
-    under_way: dict[Future[Document], KeptTask] = {}
+    waiting = deque(tasks)
+    under_way: dict[Future[Document], Task] = {}
     try:
         while waiting or under_way:
             while waiting and len(under_way) < workers.at_once:
-                future = workers.executor.submit(_document, function, waiting[0].argument)
+                future = workers.executor.submit(_document, function, waiting[0])
                 under_way[future] = waiting.popleft()
             for future in wait(under_way, return_when=FIRST_COMPLETED).done:
                 task = under_way.pop(future)
                 try:
                     document = future.result()
                 except workers.loses_with:
-                    lost(task)
-                    continue
+                    document = None
                 except (Exception, CancelledError) as error:
                     raise _workers_error(error) from error
-                keep(task, document)
+                yield task, document
     finally:
         for future in under_way:
             future.cancel()

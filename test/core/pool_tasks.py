@@ -73,7 +73,3 @@ def deadly(argument: tuple[str, str, float]) -> dict[str, str]:
 
 def unwilling(argument: tuple[str, str, float]) -> dict[str, str]:
     raise RuntimeError("not here")
-
-
-def always(document: dict[str, str]) -> bool:
-    return True

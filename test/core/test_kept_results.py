@@ -14,7 +14,6 @@ import pool_tasks
 import pytest
 
 from mr_damper_ros.processes.process_pool import (
-    KeptTask,
     ResultFolder,
     WorkersError,
     Workforce,
@@ -27,12 +26,12 @@ PATIENCE = 60.0
 
 
 class Work:
-    """Tasks that write a journal line when they begin."""
+    """Tasks that write a journal line when they begin, and whose results are stored."""
 
     def __init__(self, folder: Path, names: list[str], seconds: float = 0.0) -> None:
         self.journal = folder / "journal"
         self.results = ResultFolder(folder / "results")
-        self.tasks = [KeptTask(n, "as it is", (str(self.journal), n, seconds)) for n in names]
+        self.tasks = {name: (str(self.journal), name, seconds) for name in names}
         self.told: list[str] = []
         self.lost: list[str] = []
 
@@ -40,17 +39,12 @@ class Work:
         self,
         workers: int | Workforce,
         function: Callable[..., dict[str, Any]] = pool_tasks.journalled,
-        final: Callable[[dict[str, Any]], bool] = pool_tasks.always,
     ) -> None:
-        finish(
-            [task for task in self.tasks if self.results.kept(task) is None],
-            function,
-            workers,
-            self.results,
-            final=final,
-            finished=lambda task, document: self.told.append(document["name"]),
-            lost=lambda task: self.lost.append(task.name),
-        )
+        left = [task for name, task in self.tasks.items() if name not in self.kept]
+        for (_, name, _), document in finish(function, left, workers):
+            (self.lost if document is None else self.told).append(name)
+            if document is not None:
+                self.results.keep(name, "as it is", document)
 
     @property
     def begun(self) -> Counter[str]:
@@ -58,7 +52,7 @@ class Work:
 
     @property
     def kept(self) -> set[str]:
-        return {task.name for task in self.tasks if self.results.kept(task) is not None}
+        return {n for n in self.tasks if self.results.kept(n, "as it is") is not None}
 
 
 def in_threads() -> Workforce:
@@ -75,10 +69,9 @@ def test_every_task_is_done_told_and_kept_once(
 ) -> None:
     some = work(tmp_path)
     some.do(workers())
-    names = {task.name for task in some.tasks}
-    assert some.begun == Counter(names)
-    assert some.kept == set(some.told) == names
-    assert len(some.told) == len(names)
+    assert some.begun == Counter(some.tasks.keys())
+    assert some.kept == some.tasks.keys()
+    assert sorted(some.told) == sorted(some.tasks)
 
 
 @pytest.mark.parametrize("text", ["", '{"fingerprint": "as it is"', "[]", '"text"'])
@@ -101,37 +94,27 @@ def test_workers_that_can_do_nothing_are_an_error(tmp_path: Path) -> None:
         work(tmp_path).do(in_threads(), pool_tasks.unwilling)
 
 
-def test_an_interrupt_ends_the_processes_and_keeps_what_is_done(tmp_path: Path) -> None:
+def test_who_stops_early_ends_the_processes(tmp_path: Path) -> None:
     some = work(tmp_path, 6, seconds=0.2)
-
-    def interrupt(task: KeptTask, document: dict[str, Any]) -> None:
-        raise KeyboardInterrupt
-
-    with pytest.raises(KeyboardInterrupt):
-        finish(
-            some.tasks,
-            pool_tasks.journalled,
-            2,
-            some.results,
-            final=pool_tasks.always,
-            finished=interrupt,
-            lost=lambda task: None,
-        )
-    assert 1 <= len(some.kept) < len(some.tasks)
+    for _ in finish(pool_tasks.journalled, [*some.tasks.values()], 2):
+        break
+    begun = some.begun
+    time.sleep(0.5)
+    assert some.begun == begun
+    assert len(begun) < len(some.tasks)
 
 
 PROGRAM = """
 import sys
 sys.path[:] = {path!r}
 from pathlib import Path
-from mr_damper_ros.processes.process_pool import KeptTask, ResultFolder, finish
+from mr_damper_ros.processes.process_pool import ResultFolder, finish
 import pool_tasks
 
 if __name__ == "__main__":
-    names = [f"task{{number}}" for number in range({count})]
-    tasks = [KeptTask(n, "as it is", ({journal!r}, n, 0.1)) for n in names]
-    finish(tasks, pool_tasks.journalled, 2, ResultFolder(Path({results!r})),
-           final=pool_tasks.always, finished=lambda *told: None, lost=print)
+    tasks = [({journal!r}, f"task{{number}}", 0.1) for number in range({count})]
+    for (_, name, _), document in finish(pool_tasks.journalled, tasks, 2):
+        ResultFolder(Path({results!r})).keep(name, "as it is", document)
 """
 
 
@@ -150,7 +133,7 @@ def test_after_kill_9_of_the_program_the_rest_is_done_and_no_more(tmp_path: Path
     kept, begun = some.kept, some.begun
     assert 3 <= len(kept) < count
     some.do(in_threads())
-    assert some.kept == {task.name for task in some.tasks}
+    assert some.kept == some.tasks.keys()
     assert {name for name in kept if some.begun[name] != begun[name]} == set()
 
 
