@@ -82,11 +82,11 @@ def _good_files(folder: Path) -> dict[str, bytes]:
     files = {}
     for kind in _SETTINGS:
         tracker, state = _tracker(kind, folder / kind)
-        state.resume()
+        state.resume(tracker)
         for number in range(3):
             tracker.follow(_window(number, temperature=30.0 + number))
         assert tracker.accepted_windows
-        assert state.keep_now() == ""
+        assert state.keep_now(tracker) == ""
         state.close()
         files[kind] = (folder / kind / f"{_NAME}.yaml").read_bytes()
     return files
@@ -113,7 +113,7 @@ def _tracker(kind: str, folder: Path) -> tuple[WindowTracker, TrackerState]:
     if settings.law == "sigmoid":
         start = ParameterSet(0.9 * THESIS_28_CELSIUS, set_id="start")
     tracker = WindowTracker(settings, start)
-    return tracker, TrackerState(tracker, StateDirectory(folder), _NAME)
+    return tracker, TrackerState(StateDirectory(folder), _NAME)
 
 
 def _start(kind: str, folder: Path, follow: bool, data: bytes, damaged: bool) -> str:
@@ -132,12 +132,12 @@ def _start(kind: str, folder: Path, follow: bool, data: bytes, damaged: bool) ->
         str(error).encode()
     tracker, state = _tracker(kind, folder)
     try:
-        state.resume().encode()
+        state.resume(tracker).encode()
         state.set_aside.encode()
         _publishable(check_plausible(tracker.parameters))
-        fault = state.keep_now()
+        fault = state.keep_now(tracker)
         if not fault and follow:
-            fault = _followed(tracker) or state.keep_now()
+            fault = _followed(tracker) or state.keep_now(tracker)
         state.acknowledge()
     finally:
         state.close()

@@ -194,7 +194,7 @@ class IdentifierNode(Node):
     def _resume(self) -> None:
         state = self._identifier.state
         try:
-            known = state.resume()
+            known = state.resume(self._identifier.tracker)
         except StateError as error:
             raise ConfigurationError(f"state_dir: {error}") from error
         if known:
@@ -254,8 +254,9 @@ class IdentifierNode(Node):
         return parameters_message(parameters, self._frame_id, self.get_fully_qualified_name())
 
     def _save(self, request: Any) -> str:
-        path = self._identifier.state.save(request.name)
-        return f"saved {self._identifier.tracker.parameters.set_id} as {path}"
+        tracker = self._identifier.tracker
+        path = self._identifier.state.save(request.name, tracker)
+        return f"saved {tracker.parameters.set_id} as {path}"
 
     def _load(self, request: Any) -> str:
         parameters = self._identifier.state.load(request.name)
@@ -416,8 +417,8 @@ class IdentifierNode(Node):
     def _find_state(self) -> Finding:
         """Whether the state is stored on disk."""
         state = self._identifier.state
-        if state.fault:
-            return Finding(ERROR, state.fault)
+        if state.writer.fault:
+            return Finding(ERROR, state.writer.fault)
         if state.set_aside:
             return Finding(ERROR, f"{state.set_aside} (call ~/acknowledge once you have read this)")
         if state.path is None:
@@ -456,7 +457,7 @@ def _identifier(options: IdentifierParameters, own_name: str, worker: Worker) ->
         tracker,
         worker,
         options.work,
-        TrackerState(tracker, directory, own_name),
+        TrackerState(directory, own_name),
     )
 
 

@@ -28,11 +28,12 @@ class BackgroundWriter(Generic[T]):
         self._closed = False
         self.fault = ""
         self._thread = threading.Thread(target=self._work, name="state", daemon=True)
-        self._thread.start()
 
     def keep(self, item: T) -> None:
         """Write this item soon."""
         with self._changed:
+            if not self.given:
+                self._thread.start()
             self.given += 1
             self._newest = (self.given, item)
             self._changed.notify_all()
@@ -47,7 +48,8 @@ class BackgroundWriter(Generic[T]):
         with self._changed:
             self._closed = True
             self._changed.notify_all()
-        self._thread.join(timeout)
+        if self.given:
+            self._thread.join(timeout)
 
     def _work(self) -> None:
         while True:

@@ -99,7 +99,7 @@ class Identifier:
         self.assembler = assembler
         self.tracker = tracker
         self.worker = worker
-        self.state = state or TrackerState(tracker)
+        self.state = state or TrackerState()
         self.last_report: Report | None = None
         self.dropped_windows = 0
         self._settings = settings
@@ -181,7 +181,7 @@ class Identifier:
             elif self._search is not None:
                 events.append(SearchProgress(self._search, told.value))
         self._next()
-        return [*self._outbox.take(self.state.progress[1]), *events]
+        return [*self._outbox.take(self.state.writer.done), *events]
 
     def _end(self, outcome: Outcome) -> list[Event]:
         """Take over an outcome, unless its job was superseded by another set."""
@@ -195,9 +195,9 @@ class Identifier:
                 self._searches.append(Search())
             self.last_report = report
             if outcome.parameters is not None:
-                self.state.keep()
+                self.state.keep(self.tracker)
             publication = Publication(report, outcome.duration, outcome.parameters)
-            self._outbox.add(publication, self.state.progress[0])
+            self._outbox.add(publication, self.state.writer.given)
         return [] if search is None else [SearchEnded(search, outcome)]
 
     def _next(self) -> None:
@@ -240,18 +240,19 @@ class Identifier:
         self._supersede()
         self.tracker.reset()
         self.last_report = None
-        return self.state.keep_now()
+        return self.state.keep_now(self.tracker)
 
     def replace(self, parameters: ParameterSet) -> str:
         """Use this set from now on; returns why it could not be stored on disk, empty if it was.
 
-        The window in the worker is fitted again, starting from this set.
+        The window in the worker is fitted again, starting from this set. Raises ParameterError if
+        the set belongs to another law.
         """
+        self.tracker.replace(parameters)
         if self._job is not None and self._job.raw is not None and not self._superseded:
             self._windows.appendleft(self._job.raw)
         self._supersede()
-        self.tracker.replace(parameters)
-        return self.state.keep_now()
+        return self.state.keep_now(self.tracker)
 
     def _supersede(self) -> None:
         if self._job is not None:

@@ -283,20 +283,18 @@ DISK_PATIENCE = 1.0
 
 
 class TrackerState:
-    """Stores a tracker's state under its own name, in the same folder as the sets of the user.
+    """The file of a tracker's state, under its own name in the folder with the sets of the user.
 
-    Without a ``directory`` nothing is stored. ``set_aside`` is a message about unusable files that
-    were set aside; empty once acknowledged.
+    Without a ``directory`` nothing is stored. ``writer`` writes the state in the background.
+    ``set_aside`` is a message about unusable files that were set aside; empty once acknowledged.
     """
 
-    def __init__(
-        self, tracker: WindowTracker, directory: StateDirectory | None = None, name: str = "tracker"
-    ) -> None:
-        self._tracker = tracker
+    def __init__(self, directory: StateDirectory | None = None, name: str = "tracker") -> None:
         self._directory = directory or StateDirectory("")
         self._name = name
         self._lock: FolderLock | None = None
-        self._writer: BackgroundWriter[tuple[ParameterSet, TrackerMemory]] | None = None
+        self.writer: BackgroundWriter[tuple[ParameterSet, TrackerMemory]]
+        self.writer = BackgroundWriter(self._write)
         self.set_aside = ""
 
     @property
@@ -304,18 +302,8 @@ class TrackerState:
         """The file of the tracker's own state; None if state is not stored."""
         return self._directory.file(self._name) if self._directory.keeps else None
 
-    @property
-    def fault(self) -> str:
-        """Why the state is not on disk; empty if it is, or if nothing is stored."""
-        return self._writer.fault if self._writer else ""
-
-    @property
-    def progress(self) -> tuple[int, int]:
-        """Numbers of the newest state given to the writer, and of the newest finished or failed."""
-        return (self._writer.given, self._writer.done) if self._writer else (0, 0)
-
-    def resume(self) -> str:
-        """Continue from the stored state of this name, and store the state from now on.
+    def resume(self, tracker: WindowTracker) -> str:
+        """Continue a tracker from the stored state of this name, which can be kept from now on.
 
         Returns a description of the state found, empty for none. An unusable file is reported by
         :attr:`set_aside`. Raises StateError if the folder cannot be used, or if another process
@@ -328,21 +316,10 @@ class TrackerState:
             self.set_aside = "at an earlier start, unusable files were set aside as " + (
                 ", ".join(map(str, unread))
             )
-        is_kept = self._directory.file(self._name).exists()
-        if not is_kept:
-            self._directory.save(self._name, self._tracker.parameters)
         self._directory.remove_unfinished(self._name)
-        known = self._resumed() if is_kept else ""
-        self._writer = BackgroundWriter(self._write)
-        return known
-
-    def _write(self, item: tuple[ParameterSet, TrackerMemory]) -> None:
-        """Write a state; raises StateError if the next start would reject it."""
-        parameters, memory = item
-        self._directory.save(self._name, parameters, to_text(check(memory, parameters.law)))
-
-    def _resumed(self) -> str:
-        tracker = self._tracker
+        if not self._directory.file(self._name).exists():
+            self._directory.save(self._name, tracker.parameters)
+            return ""
         try:
             parameters, memory = self._directory.load_with_memory(self._name)
             parameters.of_model(tracker.parameters.model)
@@ -366,6 +343,11 @@ class TrackerState:
             f"{len(learnt.points.windows)} windows"
         )
 
+    def _write(self, item: tuple[ParameterSet, TrackerMemory]) -> None:
+        """Write a state; raises StateError if the next start would reject it."""
+        parameters, memory = item
+        self._directory.save(self._name, parameters, to_text(check(memory, parameters.law)))
+
     def _set_aside(self, why: str) -> None:
         try:
             why += f"; set aside as {self._directory.set_aside(self._name)}"
@@ -384,21 +366,19 @@ class TrackerState:
         taken, self.set_aside = self.set_aside, ""
         return taken
 
-    def keep(self) -> None:
-        """Write the running set and the memory in the background."""
-        if self._writer is not None:
-            self._writer.keep((self._tracker.parameters, self._tracker.memory))
+    def keep(self, tracker: WindowTracker) -> None:
+        """Write the running set and the memory in the background; needs :meth:`resume`."""
+        if self._lock is not None:
+            self.writer.keep((tracker.parameters, tracker.memory))
 
-    def keep_now(self) -> str:
+    def keep_now(self, tracker: WindowTracker) -> str:
         """Write the state and wait for the disk; returns why this failed, or an empty text."""
-        self.keep()
-        if self._writer is None:
-            return ""
-        if not self._writer.wait(DISK_PATIENCE):
+        self.keep(tracker)
+        if not self.writer.wait(DISK_PATIENCE):
             return f"writing to state_dir takes more than {DISK_PATIENCE:g} s"
-        return self._writer.fault
+        return self.writer.fault
 
-    def save(self, name: str) -> Path:
+    def save(self, name: str, tracker: WindowTracker) -> Path:
         """Store the running set under a name, "" for the tracker's own; returns its file.
 
         Raises StateError if this is not possible, or if another node stores its state under that
@@ -411,23 +391,20 @@ class TrackerState:
                     f"{path} is the state of another node, which would load this set: give "
                     "another name"
                 )
-            return self._directory.save(name, self._tracker.parameters)
-        fault = self.keep_now()
-        if fault:
+            return self._directory.save(name, tracker.parameters)
+        if fault := self.keep_now(tracker):
             raise StateError(fault)
         return path
 
     def load(self, name: str) -> ParameterSet:
         """The set stored under a name, "" for the tracker's own.
 
-        Raises StateError if there is no usable set, ParameterError if it belongs to another law.
+        Raises StateError if there is no usable set.
         """
-        found = self._directory.load(name or self._name)
-        return found.of_model(self._tracker.parameters.model)
+        return self._directory.load(name or self._name)
 
     def close(self) -> None:
         """Write the states that wait for the disk, release the lock and end."""
-        if self._writer is not None:
-            self._writer.close(DISK_PATIENCE)
+        self.writer.close(DISK_PATIENCE)
         if self._lock is not None:
             self._lock.release()

@@ -220,15 +220,15 @@ ROUNDING = 1e-4
 
 def state_in(folder: Path | str, name: str = "identifier") -> tuple[WindowTracker, TrackerState]:
     tracker = WindowTracker(TrackerSettings(method="least_squares"), FIRST)
-    return tracker, TrackerState(tracker, StateDirectory(folder), name)
+    return tracker, TrackerState(StateDirectory(folder), name)
 
 
 def taught(folder: Path) -> tuple[WindowTracker, TrackerState]:
     tracker, state = state_in(folder)
-    state.resume()
+    state.resume(tracker)
     tracker.follow(known.raw_window(known.run(samples=1000)))
     assert tracker.accepted_windows == 1
-    assert state.keep_now() == ""
+    assert state.keep_now(tracker) == ""
     return tracker, state
 
 
@@ -236,8 +236,8 @@ def test_a_tracker_goes_on_where_another_ended(tmp_path: Path) -> None:
     before, state = taught(tmp_path)
     state.close()
     after, again = state_in(tmp_path)
-    assert again.resume() == "parameters window-1 and 1 baselines, 1 windows"
-    assert again.fault == again.set_aside == ""
+    assert again.resume(after) == "parameters window-1 and 1 baselines, 1 windows"
+    assert again.writer.fault == again.set_aside == ""
     assert after.parameters.set_id == "window-1"
     np.testing.assert_array_equal(after.parameters.values, before.parameters.values)
     assert after.accepted_windows == 1
@@ -245,8 +245,8 @@ def test_a_tracker_goes_on_where_another_ended(tmp_path: Path) -> None:
 
 
 def test_the_initial_set_is_kept_at_once(tmp_path: Path) -> None:
-    _, state = state_in(tmp_path / "new")
-    assert state.resume() == ""
+    tracker, state = state_in(tmp_path / "new")
+    assert state.resume(tracker) == ""
     assert (tmp_path / "new" / "identifier.yaml").exists()
     state.close()
 
@@ -254,17 +254,17 @@ def test_the_initial_set_is_kept_at_once(tmp_path: Path) -> None:
 def test_what_was_set_aside_is_told_at_every_start_until_it_is_acknowledged(tmp_path: Path) -> None:
     (tmp_path / "identifier.yaml").write_text("half a fi")
     for part in ("mapping 'parameters'", "set aside as"):
-        _, state = state_in(tmp_path)
-        state.resume()
+        tracker, state = state_in(tmp_path)
+        state.resume(tracker)
         assert part in state.set_aside
         state.close()
-    _, state = state_in(tmp_path)
-    state.resume()
+    tracker, state = state_in(tmp_path)
+    state.resume(tracker)
     assert str(tmp_path / "identifier.aside") in state.acknowledge()
     assert state.set_aside == ""
     state.close()
-    _, later = state_in(tmp_path)
-    later.resume()
+    tracker, later = state_in(tmp_path)
+    later.resume(tracker)
     assert later.set_aside == ""
     assert (tmp_path / "identifier.aside-read").read_text() == "half a fi"
     later.close()
@@ -272,14 +272,14 @@ def test_what_was_set_aside_is_told_at_every_start_until_it_is_acknowledged(tmp_
 
 def test_a_folder_and_a_name_are_of_one_tracker_at_a_time(tmp_path: Path) -> None:
     _, state = taught(tmp_path)
-    _, second = state_in(tmp_path)
+    tracker, second = state_in(tmp_path)
     with pytest.raises(StateError, match=rf"in use by another node \(process {os.getpid()}\)"):
-        second.resume()
+        second.resume(tracker)
     state_of_another_name = state_in(tmp_path, "left.identifier")[1]
-    state_of_another_name.resume()
+    state_of_another_name.resume(tracker)
     state_of_another_name.close()
     state.close()
-    assert second.resume() != ""
+    assert second.resume(tracker) != ""
     second.close()
 
 
@@ -302,15 +302,15 @@ def test_a_killed_process_leaves_no_lock(tmp_path: Path) -> None:
 
 
 def test_the_state_of_another_tracker_is_not_replaced(tmp_path: Path) -> None:
-    _, left = state_in(tmp_path, "left.identifier")
-    left.resume()
-    _, right = taught(tmp_path)
+    tracker, left = state_in(tmp_path, "left.identifier")
+    left.resume(tracker)
+    tracker, right = taught(tmp_path)
     before = (tmp_path / "left.identifier.yaml").read_bytes()
     with pytest.raises(StateError, match="is the state of another node"):
-        right.save("left.identifier")
+        right.save("left.identifier", tracker)
     left.close()
     with pytest.raises(StateError, match="is the state of another node"):
-        right.save("left.identifier.yaml")
+        right.save("left.identifier.yaml", tracker)
     assert (tmp_path / "left.identifier.yaml").read_bytes() == before
     right.close()
 
@@ -319,15 +319,15 @@ def test_a_set_that_the_next_start_would_refuse_is_not_kept(tmp_path: Path) -> N
     tracker, state = taught(tmp_path)
     good = (tmp_path / "identifier.yaml").read_bytes()
     tracker.parameters = ParameterSet(-known.weaker(0.8), set_id="driving", nrmse=5.0)
-    assert "driving is not stored: the parameters state an nrmse of 5" in state.keep_now()
+    assert "driving is not stored: the parameters state an nrmse of 5" in state.keep_now(tracker)
     assert (tmp_path / "identifier.yaml").read_bytes() == good
     state.close()
 
 
 def test_sets_are_kept_under_names_beside_the_own_one(tmp_path: Path) -> None:
     tracker, state = taught(tmp_path)
-    assert state.save("cold") == tmp_path / "cold.yaml"
-    assert state.save("") == state.path == tmp_path / "identifier.yaml"
+    assert state.save("cold", tracker) == tmp_path / "cold.yaml"
+    assert state.save("", tracker) == state.path == tmp_path / "identifier.yaml"
     assert state.load("cold").set_id == "window-1"
     tracker.reset()
     assert state.load("").set_id == "window-1", "nothing was kept since"
@@ -339,9 +339,9 @@ def test_a_state_of_the_version_before_is_gone_on_with(tmp_path: Path) -> None:
     kept = Path(__file__).parent / "data" / "state_before_rooms.yaml"
     (tmp_path / "identifier.yaml").write_bytes(kept.read_bytes())
     tracker = WindowTracker(TrackerSettings(), FIRST)
-    state = TrackerState(tracker, StateDirectory(tmp_path), "identifier")
-    assert state.resume() == "parameters window-3 and 3 baselines, 3 windows"
-    assert state.fault == state.set_aside == ""
+    state = TrackerState(StateDirectory(tmp_path), "identifier")
+    assert state.resume(tracker) == "parameters window-3 and 3 baselines, 3 windows"
+    assert state.writer.fault == state.set_aside == ""
     assert [window.whole is not None for window in tracker.points.windows] == [False] * 2 + [True]
     run = known.run(current=0.5, samples=240, seed=9, period=5e-3)
     report = tracker.follow(known.raw_window(run, number=9))
@@ -361,9 +361,9 @@ def test_a_state_from_before_a_model_had_more_parameters_is_gone_on_with(tmp_pat
     settings = TrackerSettings(model="bingham", method="least_squares")
     start = ParameterSet(known.EXAMPLES["bingham"], model="bingham", set_id="start")
     tracker = WindowTracker(settings, start)
-    state = TrackerState(tracker, StateDirectory(tmp_path), "identifier")
-    assert state.resume() == "parameters window-1 and 1 baselines, 1 windows"
-    assert state.fault == state.set_aside == ""
+    state = TrackerState(StateDirectory(tmp_path), "identifier")
+    assert state.resume(tracker) == "parameters window-1 and 1 baselines, 1 windows"
+    assert state.writer.fault == state.set_aside == ""
     assert tracker.parameters.values.size == len(tracker.parameters.law.parameter_names)
     state.close()
 
