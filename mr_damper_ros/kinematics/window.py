@@ -10,7 +10,7 @@ import numpy as np
 
 from mr_damper_ros.kinematics.motion import DataError, Motion, Sine, window_motion
 from mr_damper_ros.kinematics.peak_velocity import REVERSAL
-from mr_damper_ros.signals.arrays import NOISE_SPAN, Array, white_noise
+from mr_damper_ros.signals.arrays import NOISE_SPAN, Array, Positive, white_noise
 
 _SAMPLES_PER_CYCLE = 1000
 """Samples per cycle that resolve the steepest sigmoid, which rises within 1/180 of a cycle."""
@@ -238,7 +238,7 @@ class Window:
     motion: Motion
     force: Array
     current: Array
-    period: float = math.nan
+    period: Positive = math.nan
     places: Array | None = None
     whole: Window | None = None
 

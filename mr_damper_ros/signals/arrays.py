@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from statistics import NormalDist
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,6 +13,9 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 """Array of doubles; the shape is stated where the type is used."""
 
+
+Positive = Annotated[float, "positive"]
+"""A number above zero, which the reader of a stored state checks."""
 
 Mask = NDArray[np.bool_]
 """Array of booleans, one for each sample."""

@@ -19,7 +19,7 @@ from mr_damper_ros.kinematics.window import Window
 from mr_damper_ros.models.parameter_set import ParameterSet
 from mr_damper_ros.models.quantities import SAME_CURRENT
 from mr_damper_ros.settings.option_table import CheckedSettings, option
-from mr_damper_ros.signals.arrays import Array, span_of
+from mr_damper_ros.signals.arrays import Array, Positive, span_of
 from mr_damper_ros.tracking.operating_point import (
     MOST_WINDOWS,
     KnownForce,
@@ -375,7 +375,7 @@ class Experience:
     points: KnownPoints = field(default_factory=KnownPoints)
     residuals: tuple[Residual, ...] = ()
     refused_for_residual: int = 0
-    level: float = 1.0
+    level: Positive = 1.0
 
 
 class Gatekeeper:

@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from mr_damper_ros.signals.arrays import Array
+from mr_damper_ros.signals.arrays import Array, Positive
 from mr_damper_ros.tracking.acceptance import CHUNKS
 
 SLACK = 0.5
@@ -42,12 +42,12 @@ class ChangeWatch:
     with the numbers of samples since each was last zero; ``top`` is the largest sum so far.
     """
 
-    noise: float
-    block_norm: float
-    smallest_change: float
+    noise: Positive
+    block_norm: Positive
+    smallest_change: Positive
     operating_point: tuple[float, float]
     block: int
-    threshold: float = THRESHOLD
+    threshold: Positive = THRESHOLD
     rising: float = 0.0
     falling: float = 0.0
     rising_samples: int = 0

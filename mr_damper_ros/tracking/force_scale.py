@@ -26,7 +26,7 @@ from mr_damper_ros.estimation.window_fit import WindowFit, fit_of
 from mr_damper_ros.kinematics.window import Window
 from mr_damper_ros.models.force_model import Model
 from mr_damper_ros.models.misfit import WindowProblem
-from mr_damper_ros.signals.arrays import NORMAL_MEDIAN, Array
+from mr_damper_ros.signals.arrays import NORMAL_MEDIAN, Array, Positive
 from mr_damper_ros.signals.recording import TEMPERATURES
 from mr_damper_ros.tracking.operating_point import (
     MOST_WINDOWS,
@@ -66,7 +66,7 @@ class WindowScale:
     start_ns: int
     end_ns: int
     value: float
-    standard_error: float
+    standard_error: Positive
 
 
 def widened(

@@ -21,7 +21,7 @@ from mr_damper_ros.estimation.window_fit import WindowFit
 from mr_damper_ros.kinematics.peak_velocity import MEMORY
 from mr_damper_ros.kinematics.window import Window
 from mr_damper_ros.models.quantities import SAME_CURRENT
-from mr_damper_ros.signals.arrays import Array
+from mr_damper_ros.signals.arrays import Array, Positive
 from mr_damper_ros.signals.blocks import NANOSECONDS
 
 OperatingPoint = tuple[float, float]
@@ -93,10 +93,10 @@ class KnownForce:
     ``largest`` [N] is the largest force there.
     """
 
-    peak_velocity: float
+    peak_velocity: Positive
     current: float
-    size: float
-    largest: float
+    size: Positive
+    largest: Positive
 
     @property
     def operating_point(self) -> OperatingPoint:

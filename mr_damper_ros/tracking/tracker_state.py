@@ -2,7 +2,8 @@
 
 The file contains the running set and the tracker's memory. The memory is one line of JSON. Arrays
 are stored as base64 of their doubles, so all digits are preserved. No content is ever executed. The
-reader checks the types against the dataclasses, and rejects impossible shapes and values.
+reader checks types and numbers against the declarations of the dataclasses, and rejects entries
+that do not fit each other.
 """
 
 from __future__ import annotations
@@ -10,11 +11,11 @@ from __future__ import annotations
 import base64
 import contextlib
 import dataclasses
+import functools
 import json
 import math
 import types
 import typing
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -26,8 +27,9 @@ from mr_damper_ros.models.parameter_set import ParameterError, ParameterSet
 from mr_damper_ros.models.plausibility import implausible
 from mr_damper_ros.processes.deferred import BackgroundWriter
 from mr_damper_ros.processes.files import FolderLock
+from mr_damper_ros.signals.arrays import Array
 from mr_damper_ros.tracking.force_scale import is_plausible
-from mr_damper_ros.tracking.operating_point import KnownPoints, PointRecord, nearest_same
+from mr_damper_ros.tracking.operating_point import KnownPoints, nearest_same
 from mr_damper_ros.tracking.state_directory import StateDirectory, StateError
 from mr_damper_ros.tracking.tracker import TrackerMemory, WindowTracker
 
@@ -62,11 +64,10 @@ def from_text(text: str, model: Model) -> TrackerMemory:
                 fit = dataclasses.replace(fit, parameters=model.completed(fit.parameters))
             read.append(dataclasses.replace(each, number=number, baseline=fit))
         memory.points = KnownPoints(tuple(read))
-        return check(memory, model)
+        _check(memory, model)
+        return memory
     except RecursionError as error:
         raise StateError("the memory of the tracker is nested too deeply") from error
-    except StateError:
-        raise
     except (ValueError, OverflowError, TypeError, LookupError) as error:
         raise StateError(f"the memory of the tracker cannot be used: {error}") from error
 
@@ -118,10 +119,16 @@ def _plain(value: Any) -> Any:
 
 
 def _read(kind: type[T], data: Any, where: str) -> T:
-    """Convert parsed JSON to a type; ``where`` names the value in errors (ValueError)."""
+    """Convert parsed JSON to a type; ``where`` names the value in errors (ValueError).
+
+    A float is finite, an integer is a count or a stamp, and a vector has finite entries.
+    """
     value: Any
     origin, arguments = typing.get_origin(kind), typing.get_args(kind)
-    if origin in (types.UnionType, typing.Union):  # all unions here are optional types
+    if origin is typing.Annotated:
+        value = _read(arguments[0], data, where)
+        _require(value > 0, f"{where} is not positive")
+    elif origin in (types.UnionType, typing.Union):  # all unions here are optional types
         value = None if data is None else _read(arguments[0], data, where)
     elif kind is ParameterSet:
         value = ParameterSet.from_yaml(_read(str, data, where))
@@ -131,32 +138,41 @@ def _read(kind: type[T], data: Any, where: str) -> T:
         value = _tuple(arguments, data, where)
     elif dataclasses.is_dataclass(kind):
         value = _dataclass(kind, data, where)
-    elif kind is float and type(data) is int:
-        value = float(data)
-    elif type(data) is kind:
-        value = data
     else:
-        raise ValueError(f"{where} has the wrong type")
+        value = float(data) if kind is float and type(data) is int else data
+        _require(type(value) is kind, f"{where} has the wrong type")
+    if kind is int:
+        least = -_LARGEST if where.endswith("_ns") else 0
+        _require(least <= value <= _LARGEST, f"{where} is out of range")
+    _require(kind is not float or math.isfinite(value), f"{where} is not finite")
     return typing.cast("T", value)
 
 
+_LARGEST = int(np.iinfo(np.int64).max)
+
+
+def _require(sound: bool, fault: str) -> None:
+    if not sound:
+        raise ValueError(fault)
+
+
 def _array(data: Any, where: str) -> np.ndarray:
-    if not isinstance(data, dict) or data.keys() != {"shape", _DATA}:
-        raise ValueError(f"{where} is not an array")
+    _require(isinstance(data, dict) and data.keys() == {"shape", _DATA}, f"{where} is not an array")
     shape = _read(tuple[int, ...], data["shape"], f"{where}.shape")
     values = np.frombuffer(base64.b64decode(_read(str, data[_DATA], where), validate=True), "<f8")
-    if min(shape, default=0) < 0 or math.prod(shape) != values.size:
-        raise ValueError(f"the data of {where} do not match its shape")
+    _require(math.prod(shape) == values.size, f"the data of {where} do not match its shape")
+    _require(len(shape) > 1 or bool(np.isfinite(values).all()), f"{where} is not finite")
     return values.astype(float).reshape(shape)
 
 
 def _tuple(arguments: tuple[Any, ...], data: Any, where: str) -> tuple[Any, ...]:
-    if not isinstance(data, list):
-        raise ValueError(f"{where} is not a list")
+    _require(isinstance(data, list), f"{where} is not a list")
     if arguments[1:] == (Ellipsis,):
         arguments = arguments[:1] * len(data)
-    if len(arguments) != len(data):
-        raise ValueError(f"{where} has {len(data)} entries instead of {len(arguments)}")
+    _require(
+        len(arguments) == len(data),
+        f"{where} has {len(data)} entries instead of {len(arguments)}",
+    )
     return tuple(
         _read(kind, item, f"{where}[{index}]")
         for index, (kind, item) in enumerate(zip(arguments, data, strict=True))
@@ -164,118 +180,79 @@ def _tuple(arguments: tuple[Any, ...], data: Any, where: str) -> tuple[Any, ...]
 
 
 def _dataclass(kind: Any, data: Any, where: str) -> Any:
-    hints = typing.get_type_hints(kind)
-    fields = dataclasses.fields(kind)
+    hints = _hints(kind)
+    fields = {field.name: field for field in dataclasses.fields(kind)}
     # Fields added by a later version have a default.
     needed = {
-        field.name
-        for field in fields
+        name
+        for name, field in fields.items()
         if field.default is dataclasses.MISSING and field.default_factory is dataclasses.MISSING
     }
-    names = {field.name for field in fields}
-    if not isinstance(data, dict) or not needed <= data.keys() <= names:
-        raise ValueError(f"{where} does not have the entries {', '.join(sorted(names))}")
-    return kind(**{name: _read(hints[name], data[name], f"{where}.{name}") for name in data})
-
-
-def check(memory: TrackerMemory, model: Model) -> TrackerMemory:
-    """Return the memory unchanged; raises StateError if it contains impossible values."""
-    for sound, what in _checks_of_memory(memory, model):
-        if not sound:
-            raise StateError(f"the memory of the tracker contains an invalid {what}")
-    return memory
-
-
-def _checks_of_memory(memory: TrackerMemory, model: Model) -> Iterator[tuple[bool, str]]:
-    watch, state, records = memory.watch, memory.state, memory.points.records
-    largest = np.iinfo(np.int64).max
-    counts = (
-        *(memory.windows, memory.accepted, memory.accepted_since_global),
-        *(memory.searched_points, memory.motion.windows, memory.global_patience - 1),
-        *(memory.unexplained_windows, memory.unexplained_patience, memory.refused_for_residual),
+    _require(
+        isinstance(data, dict) and needed <= data.keys() <= fields.keys(),
+        f"{where} does not have the entries {', '.join(sorted(fields))}",
     )
-    yield 0 <= min(counts) <= max(counts) <= largest, "count"
-    if (rival := memory.rival) is not None:
-        yield rival.model == model.name and not implausible(rival), "set to be confirmed"
-    stamps = [memory.changed_ns, memory.seen_ns]
-    stamps += [stamp for scale in memory.scales for stamp in (scale.start_ns, scale.end_ns)]
-    stamps += [number for record in records for number in (record.stamp_ns, record.number)]
-    stamps += [] if state is None else [state.stamp_ns]
-    yield max(map(abs, stamps)) <= largest, "stamp"
-    for residual in memory.residuals:
-        sound = len(residual) in (2, 4) and _finite(*residual)
-        yield sound and min(residual[:3]) >= 0.0, "residual"
-    yield 0.0 < memory.level < math.inf, "force level"
-    for scale in memory.scales:
-        sound = _finite(scale.value, scale.standard_error) and scale.standard_error > 0.0
-        yield sound, "force scale"
-    points = [record.point for record in records]
+    found = {}
+    for name, item in data.items():
+        # A number that is NaN by default may be unknown.
+        unknown = item != item and fields[name].default != fields[name].default
+        found[name] = math.nan if unknown else _read(hints[name], item, f"{where}.{name}")
+    return kind(**found)
+
+
+@functools.cache
+def _hints(kind: Any) -> dict[str, Any]:
+    return typing.get_type_hints(kind, include_extras=True)
+
+
+def _check(memory: TrackerMemory, model: Model) -> None:
+    """Raise ValueError if entries do not fit each other or the model."""
+    rival, state = memory.rival, memory.state
+    if rival is not None:
+        sound = rival.model == model.name and not implausible(rival)
+        _require(sound, "the set to be confirmed is not plausible")
+    _require(all(len(each) in (2, 4) for each in memory.residuals), "a residual is incomplete")
+    covariances: list[tuple[Array, Array | None]] = []
     if state is not None:
-        yield _square(state.scales, state.covariance), "covariance"
         fits = state.scales.size == model.unknown_indices.size
-        yield fits and _finite(*state.scales), "state of the filter"
-        points.append(state.operating_point)
-    if watch is not None:
-        points.append(watch.operating_point)
-        sizes = (watch.noise, watch.block_norm, watch.smallest_change, watch.threshold)
-        sums = (watch.rising, watch.falling, watch.top, watch.rising_samples, watch.falling_samples)
-        yield min(*sizes, watch.block) > 0.0 and _finite(*sizes), "state of the change detection"
-        yield min(sums) >= 0 and _finite(*sums), "sum of the change detection"
-    yield _finite(*(number for point in points for number in point)), "operating point"
-    for record in records:
-        yield from _checks_of_record(record, len(model.parameters))
+        _require(fits, "the state of the filter is for another model")
+        covariances.append((state.scales, state.covariance))
+    for record in memory.points.records:
+        seen, fit = record.temperatures, record.baseline
+        sound = seen.ndim == 2 and seen.shape[1] == 3 and is_plausible(seen)
+        _require(sound, "a temperature or force scale is not plausible")
+        if record.window is not None:
+            _check_window(record.window)
+        if fit is not None:
+            right = fit.parameters.shape == (len(model.parameters),)
+            _require(right, "a fit has the wrong number of parameters")
+            covariances += [
+                (fit.scales, fit.covariance),
+                (fit.scales, fit.discrepancy),
+                (fit.coefficients, fit.coefficient_covariance),
+                (fit.coefficients, fit.coefficient_discrepancy),
+            ]
+    for vector, matrix in covariances:
+        right = matrix is None or (vector.ndim == 1 and matrix.shape == vector.shape * 2)
+        sound = right and (matrix is None or not np.any(np.diagonal(matrix) < 0.0))
+        _require(sound, "a matrix is not a covariance")
 
 
-def _checks_of_record(record: PointRecord, parameter_count: int) -> Iterator[tuple[bool, str]]:
-    seen, force, fit = record.temperatures, record.force, record.baseline
-    sound = seen.ndim == 2 and seen.shape[1] == 3 and is_plausible(seen)
-    yield sound, "temperature or force scale"
-    if force is not None:
-        sizes = (force.peak_velocity, force.size, force.largest)
-        yield min(sizes) > 0.0 and _finite(*sizes, force.current), "known force"
-    if fit is not None:
-        yield fit.parameters.shape == (parameter_count,), "number of parameters"
-        for vector, matrix in (
-            (fit.scales, fit.covariance),
-            (fit.scales, fit.discrepancy),
-            (fit.coefficients, fit.coefficient_covariance),
-            (fit.coefficients, fit.coefficient_discrepancy),
-        ):
-            yield matrix is None or _square(vector, matrix), "covariance"
-        for array in (fit.parameters, fit.scales, fit.coefficients, fit.operating_point):
-            yield bool(np.all(np.isfinite(array))), "value in a fit"
-    if record.window is not None:
-        yield from _checks_of_window(record.window)
-
-
-def _checks_of_window(window: Window) -> Iterator[tuple[bool, str]]:
-    motion, shape = window.motion, window.force.shape
-    yield len(shape) == 1 and window.force.size > 0, "window without samples"
-    for array in (motion.displacement, motion.velocity, motion.acceleration, motion.peak_velocity):
-        yield array.shape == shape, "window: its arrays differ in length"
-        yield bool(np.all(np.isfinite(array))), "motion: it is not finite"
-    yield bool(np.all(motion.peak_velocity >= 0.0)), "peak velocity"
-    yield math.isnan(window.period) or 0.0 < window.period < math.inf, "sample period"
-    places, whole = window.places, window.whole
+def _check_window(window: Window) -> None:
+    motion, places, whole = window.motion, window.places, window.whole
+    arrays = (*motion.arrays, *(() if places is None else (places,)))
+    sound = window.force.size > 0 and all(each.shape == window.force.shape for each in arrays)
+    _require(sound, "the arrays of a window differ in length")
+    _require(bool(np.all(motion.peak_velocity >= 0.0)), "a peak velocity is negative")
     if whole is not None:
-        yield from _checks_of_window(whole)
+        _check_window(whole)
     if places is None:
-        yield whole is None, "part of a window: it has no places"
+        _require(whole is None, "a part of a window has no places")
     else:
         last = math.inf if whole is None else whole.sample_count - 1
-        yield places.shape == shape, "window: its arrays differ in length"
-        yield bool(np.all((places >= 0.0) & (places <= last))), "place in a window"
-        yield whole is not None or window.steady, "part of a window: the whole is missing"
-
-
-def _finite(*values: float) -> bool:
-    return all(map(math.isfinite, values))
-
-
-def _square(vector: np.ndarray, matrix: np.ndarray) -> bool:
-    """Whether a matrix can be the covariance of a vector."""
-    fits = vector.ndim == 1 and matrix.shape == vector.shape * 2
-    return fits and not bool(np.any(np.diagonal(matrix) < 0.0))
+        inside = bool(np.all((places >= 0.0) & (places <= last)))
+        _require(inside, "a place is outside its window")
+        _require(whole is not None or window.steady, "the whole of a part of a window is missing")
 
 
 DISK_PATIENCE = 1.0
@@ -346,7 +323,9 @@ class TrackerState:
     def _write(self, item: tuple[ParameterSet, TrackerMemory]) -> None:
         """Write a state; raises StateError if the next start would reject it."""
         parameters, memory = item
-        self._directory.save(self._name, parameters, to_text(check(memory, parameters.law)))
+        text = to_text(memory)
+        from_text(text, parameters.law)
+        self._directory.save(self._name, parameters, text)
 
     def _set_aside(self, why: str) -> None:
         try:

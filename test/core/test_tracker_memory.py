@@ -152,7 +152,7 @@ def test_what_cannot_be_is_refused_or_does_no_harm(path: tuple[Any, ...], wrong:
         ("[" * 100_000, "nested too deeply"),
         ("null", "does not have the entries"),
         ('{"windows": 1' + "0" * 5000 + "}", "cannot be used"),
-        ('{"windows": -1}', "an invalid count"),
+        ('{"windows": -1}', "is out of range"),
         ('{"future": 1}', "does not have the entries"),
     ],
 )
@@ -164,15 +164,19 @@ def test_other_texts_are_refused(text: str, sentence: str) -> None:
 @pytest.mark.parametrize(
     ("entry", "wrong", "sentence"),
     [
-        pytest.param("windows", 10**250, "an invalid count", id="name too long"),
-        ("seen_ns", 2**63, "an invalid stamp"),
-        ("level", 0.0, "an invalid force level"),
-        ("state", json.loads(to_text(OF_THREE))["state"], "an invalid state of the filter"),
-        ("rival", known.controllable("bingham").to_yaml(), "an invalid set to be confirmed"),
+        pytest.param("windows", 10**250, "is out of range", id="name too long"),
+        ("seen_ns", 2**63, "is out of range"),
+        ("level", 0.0, "level is not positive"),
+        ("state", json.loads(to_text(OF_THREE))["state"], "the state of the filter is for another"),
+        (
+            "rival",
+            known.controllable("bingham").to_yaml(),
+            "the set to be confirmed is not plausible",
+        ),
         (
             "rival",
             dataclasses.replace(START, nrmse=5.0).to_yaml(),
-            "an invalid set to be confirmed",
+            "the set to be confirmed is not plausible",
         ),
     ],
 )
@@ -206,7 +210,7 @@ def test_a_place_beyond_the_window_is_refused() -> None:
     window = Window.from_samples(time**2, time, 1.0, 1e-3).part(slice(None, None, 2))
     wrong = dataclasses.replace(window, places=np.asarray(window.places) + 2.0)
     memory = TrackerMemory(KnownPoints().with_window(wrong, window.operating_point))
-    with pytest.raises(StateError, match="an invalid place"):
+    with pytest.raises(StateError, match="a place is outside"):
         from_text(to_text(memory), SIGMOID)
 
 
