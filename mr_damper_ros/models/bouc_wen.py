@@ -46,12 +46,6 @@ _STEEPEST = 60.0
 _SMALL_RATE = 1e-4
 
 
-def relaxation(rate: float) -> float:
-    """(e^x - 1)/x, and 1 at x = 0; x is limited so that growth within a step is bounded."""
-    x = min(max(rate, -_STEEPEST), 1.0)
-    return math.expm1(x) / x if x != 0.0 else 1.0
-
-
 def hysteresis_step(
     z: float,
     w: float,
@@ -118,14 +112,19 @@ def follow_inner_point(
     """Follow a hysteresis and a damper in series with another damper.
 
     Fills the velocity (n,) [m/s] of the point between the two and returns the last z, s and
-    velocity, where s is the displacement of the rod relative to this point. ``numbers`` (n, 5):
+    velocity, where s is the displacement of the rod relative to this point. ``numbers`` (n, 4):
     damping parallel to the hysteresis and sum of both dampings [N s/m], force at full yield [N],
-    ratio of a half step of s to its rate [s], yield length [m].
+    yield length [m].
     """
+    easing = eased = 0.0
     for k in range(len(velocity)):
         v = velocity[k]
-        c0, both, alpha = numbers[k][0], numbers[k][1], numbers[k][2]
-        easing, length = numbers[k][3], numbers[k][4]
+        c0, both, alpha, length = numbers[k][0], numbers[k][1], numbers[k][2], numbers[k][3]
+        if both != eased:
+            # Ratio of a half step of s to its rate, exact for an equation linear in s.
+            x = -0.5 * period * k0 / both
+            easing = 0.5 * period * (math.expm1(x) / x if x < 0.0 else 1.0)
+            eased = both
         if z != z:  # NaN marks a start
             z = s = 0.0
         else:
@@ -284,9 +283,7 @@ class ModifiedBoucWen(_Hysteretic):
         # The dampings, the force at full yield and the yield length may depend on the current.
         c0s, c1s, alphas, lengths = (coefficients[place] for place in (0, 2, 5, 6))
         k0, share, power = (float(coefficients[place][0]) for place in (1, 7, 8))
-        rates = -0.5 * period * k0 / (c0s + c1s)
-        easings = 0.5 * period * np.array([relaxation(rate) for rate in rates.tolist()])
-        each = motion.velocity, c0s, c0s + c1s, alphas, easings, lengths
+        each = motion.velocity, c0s, c0s + c1s, alphas, lengths
         velocity, *numbers = np.broadcast_arrays(*each)
         given = velocity, np.stack(numbers, axis=-1)
         (inner,), memory[:] = run_loop(
