@@ -13,7 +13,7 @@ from mr_damper_ros.control.linear_plant import IsoRoad, QuarterCar
 from mr_damper_ros.emulation.emulator import CurrentSchedule
 from mr_damper_ros.emulation.motions import ChangedMotion, Excitation, SampledMotion, SineMotion
 from mr_damper_ros.signals.arrays import Array
-from studies.control.ground_motion import Shaking
+from studies.control.buildings import Shaking
 
 _GRID = 5e-3
 """Sample period [s] of a motion up to about 20 Hz; a spline interpolates the samples."""

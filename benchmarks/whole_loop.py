@@ -22,7 +22,7 @@ from benchmarks.figure import Measured, in_processes
 from benchmarks.motions import random_motion
 from benchmarks.motions import switched as switched_current
 from mr_damper_ros.api.replay import replay
-from mr_damper_ros.control.force_controller import ForceController, ForceControlSettings
+from mr_damper_ros.control.force_controller import ForceControlSettings
 from mr_damper_ros.control.linear_plant import IsoRoad, QuarterCar
 from mr_damper_ros.control.semi_active import SuspensionSettings, controller_of
 from mr_damper_ros.emulation.commanded_rig import ForceChoice, commanded
@@ -73,9 +73,7 @@ def chosen(
     settings = ForceControlSettings(highest_current=HIGHEST_CURRENT)
     if not watched:
         settings = replace(settings, predictor=_UNWATCHED)
-    controller = ForceController(settings)
-    controller.predictor.set_parameters(known)
-    return ForceChoice(controller, wanted, engine)
+    return ForceChoice(settings, known, wanted, engine)
 
 
 def smoothness(commands: Sequence[tuple[float, bool]]) -> tuple[float, float]:

@@ -36,7 +36,7 @@ for current, force, attainable in zip(found.current, found.force, found.attainab
 # the same `ForceController`.
 
 # %%
-from mr_damper_ros.control.force_controller import ForceController, ForceControlSettings
+from mr_damper_ros.control.force_controller import ForceControlSettings
 from mr_damper_ros.control.linear_plant import IsoRoad, QuarterCar
 from mr_damper_ros.control.semi_active import skyhook
 from mr_damper_ros.emulation.commanded_rig import ForceChoice, commanded
@@ -59,10 +59,10 @@ def comfort(controlled: bool) -> float:
         settings=RigSettings(displacement_noise=1e-6),
         coil_time_constant=COIL,
     )
-    controller = ForceController(ForceControlSettings(highest_current=HIGHEST_CURRENT))
-    controller.predictor.set_parameters(invented_damper(COIL))
+    settings = ForceControlSettings(highest_current=HIGHEST_CURRENT)
     wanted = skyhook(3000.0)
-    choice = ForceChoice(controller, lambda _: wanted(suspension_state_of(rig)))
+    known = invented_damper(COIL)
+    choice = ForceChoice(settings, known, lambda _: wanted(suspension_state_of(rig)))
     blocks = commanded(rig, supply, choice if controlled else lambda _: 0.0, 10, 10.0)
     body = np.concatenate([block.motion.rates[:, 1] for block in blocks])
     return float(np.std(body[round(SETTLED * rig.settings.sample_rate) :]))

@@ -6,7 +6,7 @@ import os
 import sys
 
 from studies import recordings
-from studies.program import QUICK_RUNS, RUNS, Campaign, Study
+from studies.program import QUICK_RUNS, RUNS, Campaign, study
 
 
 def _of_thesis(campaign: Campaign) -> str:
@@ -46,7 +46,7 @@ def _of_truth(campaign: Campaign) -> str:
 
 
 STUDIES = {
-    "thesis": Study(
+    "thesis": study(
         "thesis",
         "Reproduce the results of the thesis on runs re-synthesised from its published parameter "
         "sets, and write one report. If the variable MR_DAMPER_DATA names a folder that contains "
@@ -68,8 +68,8 @@ STUDIES = {
         },
         f"{QUICK_RUNS} runs instead of {RUNS}, fewer evaluations and cases",
         random=True,
-    ).main,
-    "control": Study(
+    ),
+    "control": study(
         "control",
         "Simulate a quarter car on roads of ISO 8608 and buildings in earthquakes, with an "
         "emulated MR damper under several controllers, and write one report.",
@@ -77,13 +77,13 @@ STUDIES = {
         _of_control,
         {
             "roads": "control.car.roads_part",
-            "heated": "control.heated.heated_part",
+            "heated": "control.car.heated_part",
             "buildings": "control.buildings.buildings_part",
             "hybrid": "control.hybrid.hybrid_part",
         },
         "shortened drives and earthquakes",
-    ).main,
-    "truth": Study(
+    ),
+    "truth": study(
         "truth",
         "Evaluate every force law on the recordings in the folder MR_DAMPER_DATA, if this variable "
         "is set, and on the simulated hysteretic benchmark of Noël and Schoukens. Write the report "
@@ -95,9 +95,9 @@ STUDIES = {
             "oscillator": "truth.oscillator.oscillator_part",
         },
         "few laws and few, short records",
-    ).main,
+    ),
 }
-"""The program of each report; it takes the arguments and returns the exit code."""
+"""The program of each report."""
 
 
 def main(arguments: list[str]) -> int:

@@ -7,47 +7,12 @@ from typing import Any
 
 import numpy as np
 
-from mr_damper_ros.report.document import (
-    DASHES,
-    INK,
-    MARKS,
-    Block,
-    Cell,
-    Chapter,
-    Picture,
-    Table,
-    panels,
-)
+from mr_damper_ros.report.document import DASHES, INK, MARKS, Block, Chapter
 
 
 def chapter(name: str, title: str, headline: str, *blocks: Block) -> Chapter:
     """A chapter of a report."""
     return Chapter(name, title, headline, blocks)
-
-
-def table(name: str, caption: str, heads: str, rows: Sequence[Sequence[Cell]]) -> Table:
-    """A table; bars separate the heads of its columns."""
-    return Table(name, caption, tuple(head.strip() for head in heads.split("|")), rows)
-
-
-def chart(
-    name: str,
-    caption: str,
-    shape: tuple[int, int, float, float],
-    across: str = "",
-    up: str = "",
-    **options: Any,
-) -> tuple[Picture, Any]:
-    """A figure of a ``shape``, rows, columns, width and height [inch], and its axes (r, c).
-
-    ``across`` labels the axes of the last row, ``up`` those of the first column.
-    """
-    figure, axes = panels(*shape, **options)
-    for axis in axes[-1]:
-        axis.set_xlabel(across)
-    for axis in axes[:, 0]:
-        axis.set_ylabel(up)
-    return Picture(name, caption, figure), axes
 
 
 def line(number: int, *, marked: bool = False) -> dict[str, Any]:

@@ -8,13 +8,14 @@ import json
 import os
 import pickle
 import sys
+import textwrap
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Hashable, Iterable, Mapping
 from dataclasses import dataclass, field
 from functools import lru_cache, partial
 from importlib import import_module
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 import scipy
@@ -24,9 +25,9 @@ from mr_damper_ros.processes.blas_threads import one_thread
 from mr_damper_ros.processes.files import write_bytes, write_text
 from mr_damper_ros.processes.process_pool import Notify, ProcessPool
 from mr_damper_ros.report.document import Chapter, styled, write_report
-from mr_damper_ros.tools.console import run_tool
+from mr_damper_ros.tools.console import program
 
-Task = dict[str, Any]
+K = TypeVar("K", bound=Hashable)
 
 _FOLDERS = (Path(mr_damper_ros.__file__).parent, Path(__file__).parent)
 """Code on which the results depend."""
@@ -61,22 +62,27 @@ class Campaign:
             if getattr(self, name) < least:
                 raise ValueError(f"{name} is {getattr(self, name)}: at least {least} is needed")
 
-    def seeds(self, purpose: int, count: int = 0) -> list[list[int]]:
-        """Independent seeds (as entropy lists) for ``count`` runs of one purpose."""
+    def seeds(self, purpose: int, count: int = 0) -> list[tuple[int, ...]]:
+        """Independent seeds (as entropy) for ``count`` runs of one purpose."""
         root = np.random.SeedSequence([self.seed, purpose])
         children = root.spawn(count or self.runs)
-        return [[int(x) for x in child.generate_state(4)] for child in children]
+        return [tuple(int(x) for x in child.generate_state(4)) for child in children]
 
-    def each(self, name: str, function: Callable[..., Any], tasks: Sequence[Task]) -> list[Any]:
-        """``function(**task)`` for every task, in order, whatever the number of processes.
+    def each(
+        self, name: str, function: Callable[..., Any], keys: Iterable[K], **common: Any
+    ) -> dict[K, Any]:
+        """``function(*key, **common)`` by key, in order, whatever the number of processes.
 
-        Results are stored, and reused until the tasks or the code change.
+        A key that is no tuple is a single argument. Results are stored, and reused until the
+        arguments or the code change.
         """
         folder = self.folder / "data" / f"{name}-{_code_digest()}"
+        tasks = {key: key if isinstance(key, tuple) else (key,) for key in keys}
         with np.printoptions(precision=17, threshold=sys.maxsize):
-            keys = [hashlib.sha256(repr(task).encode()).hexdigest()[:16] for task in tasks]
-        paths = [folder / f"{key}.pickle" for key in keys]
-        missing = [place for place, path in enumerate(paths) if not path.exists()]
+            texts = [repr((task, common)) for task in tasks.values()]
+        names = [hashlib.sha256(text.encode()).hexdigest()[:16] for text in texts]
+        paths = {key: folder / f"{name}.pickle" for key, name in zip(tasks, names, strict=True)}
+        missing = [key for key, path in paths.items() if not path.exists()]
         count = len(tasks) - len(missing)
 
         def keep(place: int, result: Any) -> None:
@@ -89,16 +95,18 @@ class Campaign:
 
         try:
             with ProcessPool(self.workers) as processes:
-                given = [tasks[place] for place in missing]
-                processes.map(partial(_call, function), given, done=keep)
+                given = [tasks[key] for key in missing]
+                processes.map(partial(_call, function, common), given, done=keep)
         except KeyboardInterrupt:
             self.say("finished tasks are stored: call again to continue")
             raise
-        return [pickle.loads(path.read_bytes()) for path in paths]
+        return {key: pickle.loads(path.read_bytes()) for key, path in paths.items()}
 
 
-def _call(function: Callable[..., Any], task: Task, notify: Notify) -> Any:
-    return function(**task)
+def _call(
+    function: Callable[..., Any], common: Mapping[str, Any], task: tuple[Any, ...], notify: Notify
+) -> Any:
+    return function(*task, **common)
 
 
 def code_files() -> list[Path]:
@@ -120,67 +128,59 @@ def _code_digest() -> str:
     return digest.hexdigest()[:12]
 
 
-@dataclass(frozen=True)
-class Study:
-    """A study whose ``parts`` name functions that return the chapters of a part of its report.
+def study(
+    name: str,
+    description: str,
+    title: str,
+    notice: Callable[[Campaign], str],
+    parts: Mapping[str, str],
+    quick: str,
+    *,
+    random: bool = False,
+) -> Callable[..., int]:
+    """The program of a study, which takes command-line arguments and returns the exit code.
 
-    The modules of these functions are loaded when the part is made. ``notice`` returns the
-    paragraph above the report. ``quick`` describes what the short variant leaves out; ``random``
-    adds the options of random searches.
+    The ``parts`` name functions that return the chapters of a part of the report; their modules are
+    loaded when the part is made. ``notice`` returns the paragraph above the report. ``quick``
+    describes what the short variant leaves out; ``random`` adds the options of random searches. The
+    program writes ``report.html`` and, if parts have figures, ``<name>.json``.
     """
 
-    name: str
-    description: str
-    title: str
-    notice: Callable[[Campaign], str]
-    parts: Mapping[str, str]
-    quick: str
-    random: bool = False
-
-    def main(self, arguments: Sequence[str]) -> int:
-        """Run the study with these command-line arguments; returns the exit code."""
-        return run_tool(self._parser(), self._run, arguments)
-
-    def _parser(self) -> argparse.ArgumentParser:
-        told = f"{self.description} Results are stored, so a stopped study continues from them."
-        parser = argparse.ArgumentParser(prog=f"studies {self.name}", description=told)
-        add = parser.add_argument
-        names = tuple(self.parts)
+    def options(parser: argparse.ArgumentParser) -> None:
+        add, names = parser.add_argument, tuple(parts)
         add("--only", choices=names, nargs="+", default=names, help="only these parts")
-        add("--quick", action="store_true", help=f"quick variant: {self.quick}")
+        add("--quick", action="store_true", help=f"quick variant: {quick}")
         workers = "processes; the results do not depend on it (default: one per core)"
         add("--workers", type=int, default=len(os.sched_getaffinity(0)), help=workers)
         output = "folder for report.html, figures and tables (default %(default)s)"
-        place = Path("build", self.name)
-        add("--output", type=Path, default=place, metavar="FOLDER", help=output)
-        if self.random:
+        add("--output", type=Path, default=Path("build", name), metavar="FOLDER", help=output)
+        if random:
             runs = f"repetitions of random searches (default {RUNS}, quick {QUICK_RUNS})"
             add("--runs", type=int, default=0, help=runs)
             add("--seed", type=int, default=0, help="seed of the random numbers (default 0)")
-        return parser
 
     @one_thread()
-    def _run(self, options: argparse.Namespace) -> int:
-        """Write ``report.html`` and, if parts have figures, ``<name>.json``."""
+    def run(given: argparse.Namespace) -> int:
         began = time.monotonic()
-        seed, runs = getattr(options, "seed", 0), getattr(options, "runs", 0)
-        campaign = Campaign(options.output, options.workers, options.quick, seed, runs, say)
-        notice = self.notice(campaign)
-        chapters: list[Chapter] = []
+        seed, runs = getattr(given, "seed", 0), getattr(given, "runs", 0)
+        campaign = Campaign(given.output, given.workers, given.quick, seed, runs, say)
+        told, chapters = notice(campaign), list[Chapter]()
         with styled():
-            for name, part in self.parts.items():
-                if name in options.only:
-                    say(f"{name} ...")
-                    module, _, function = part.rpartition(".")
-                    chapters += getattr(import_module(f"studies.{module}"), function)(campaign)
-            page = write_report(campaign.folder, self.title, notice, chapters)
+            for part in (each for each in parts if each in given.only):
+                say(f"{part} ...")
+                module, _, function = parts[part].rpartition(".")
+                chapters += getattr(import_module(f"studies.{module}"), function)(campaign)
+            page = write_report(campaign.folder, title, told, chapters)
         if campaign.figures:
             document = {"quick": campaign.quick, **campaign.figures}
             text = json.dumps(document, indent=2, allow_nan=False)
-            write_text(campaign.folder / f"{self.name}.json", text + "\n")
+            write_text(campaign.folder / f"{name}.json", text + "\n")
         say("")
         print(f"{page} written in {time.monotonic() - began:.0f} s")
         return 0
+
+    told = f"{description} Results are stored, so a stopped study continues from them."
+    return program(f"studies {name}", textwrap.fill(told, 79), options, run)
 
 
 def say(text: str) -> None:

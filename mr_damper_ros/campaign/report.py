@@ -30,8 +30,8 @@ from mr_damper_ros.report.document import (
     Chapter,
     Picture,
     Table,
+    chart,
     legend_above,
-    panels,
     styled,
     write_report,
 )
@@ -146,10 +146,8 @@ def _plan(steps: Sequence[CampaignStep], refused: Sequence[str]) -> list[Block]:
         "Each run was chosen from the results of the runs before it. Expected: the worst error "
         "after the run, as predicted by the plan. Left: the number of further runs that were then "
         "expected to be needed.",
-        (
-            *("run", "amplitude [mm]", "frequency [Hz]", "up to [Hz]", "motion"),
-            *("peak velocity [m/s]", "currents [A]", "expected", "worst error", "left"),
-        ),
+        "run | amplitude [mm] | frequency [Hz] | up to [Hz] | motion | peak velocity [m/s] | "
+        "currents [A] | expected | worst error | left",
         rows,
     )
     if not refused:
@@ -158,8 +156,13 @@ def _plan(steps: Sequence[CampaignStep], refused: Sequence[str]) -> list[Block]:
 
 
 def _error(steps: Sequence[CampaignStep], goal: float) -> Picture:
-    figure, axes = panels(1, 1, WIDTH, 3.0)
-    axis = axes[0, 0]
+    picture, ((axis,),) = chart(
+        "error",
+        "The median of the worst error after each run, and the value that the plan had predicted. "
+        "Grey: the standard error at each operating point.",
+        (1, 1, WIDTH, 3.0),
+        *("run", "relative error [%]"),
+    )
     numbers = np.arange(1, len(steps) + 1)
     errors, worst, expected = (
         100.0 * np.array(values)
@@ -176,22 +179,20 @@ def _error(steps: Sequence[CampaignStep], goal: float) -> Picture:
     axis.set_yscale("log")
     axis.yaxis.set_major_formatter("{x:g}")
     axis.set_xticks(numbers)
-    axis.set_xlabel("run")
-    axis.set_ylabel("relative error [%]")
     legend_above(axis, 3)
-    return Picture(
-        "error",
-        "The median of the worst error after each run, and the value that the plan had predicted. "
-        "Grey: the standard error at each operating point.",
-        figure,
-    )
+    return picture
 
 
 def _map(task: CampaignTask, last: CampaignStep, runs: Sequence[MadeRun]) -> Picture:
     speeds, currents = (np.unique(values) for values in zip(*task.goal.points, strict=True))
     percent = 100.0 * last.plan.now.errors.reshape(speeds.size, currents.size)
-    figure, axes = panels(1, 1, WIDTH, 3.6)
-    axis = axes[0, 0]
+    picture, ((axis,),) = chart(
+        "map",
+        "Relative standard error of the force [%] at each operating point of the goal, the "
+        "largest within a cycle. Circles: operating points of the runs.",
+        (1, 1, WIDTH, 3.6),
+        *("peak velocity [m/s]", "current [A]"),
+    )
     # Cells of equal size, so that the numbers are readable.
     image = axis.imshow(percent.T, origin="lower", aspect="auto", cmap="Greys", vmin=0.0)
     for (row, column), value in np.ndenumerate(percent):
@@ -209,22 +210,20 @@ def _map(task: CampaignTask, last: CampaignStep, runs: Sequence[MadeRun]) -> Pic
     )
     axis.set_xticks(range(speeds.size), [f"{speed:.3g}" for speed in speeds])
     axis.set_yticks(range(currents.size), [f"{current:.3g}" for current in currents])
-    axis.set_xlabel("peak velocity [m/s]")
-    axis.set_ylabel("current [A]")
-    figure.colorbar(image, label="standard error [%]")
-    return Picture(
-        "map",
-        "Relative standard error of the force [%] at each operating point of the goal, the "
-        "largest within a cycle. Circles: operating points of the runs.",
-        figure,
-    )
+    picture.figure.colorbar(image, label="standard error [%]")
+    return picture
 
 
 def _loops(found: ParameterSet, runs: Sequence[MadeRun]) -> tuple[list[Block], ErrorSums]:
     """Figure and table of the fits to the runs, and the error over all runs."""
     columns = min(3, len(runs))
     rows = -(-len(runs) // columns)
-    figure, axes = panels(rows, columns, WIDTH, 0.5 + 2.1 * rows)
+    picture, axes = chart(
+        "loops",
+        "Dots: measured. Lines: predicted by the final set, one for each current of the run, in "
+        "the order of the plan (black, red, blue and so on).",
+        (rows, columns, WIDTH, 0.5 + 2.1 * rows),
+    )
     for axis in axes.flat[len(runs) :]:
         axis.set_axis_off()
     errors = []
@@ -247,23 +246,17 @@ def _loops(found: ParameterSet, runs: Sequence[MadeRun]) -> tuple[list[Block], E
             )
         band = "" if run.kind is MotionKind.SINE else f" to {run.highest_frequency:g}"
         title = f"{len(errors)}: {1e3 * run.amplitude:g} mm, {run.frequency:g}{band} Hz"
-        axis.set_title(title)
-        axis.set_xlabel("velocity [m/s]")
-        axis.set_ylabel("force [kN]")
-    caption = (
-        "Dots: measured. Lines: predicted by the final set, one for each current of the run, in "
-        "the order of the plan (black, red, blue and so on)."
-    )
+        axis.set(title=title, xlabel="velocity [m/s]", ylabel="force [kN]")
     table = Table(
         "fits",
         "Errors of the final set in each run.",
-        ("run", "RMSE [N]", "NRMSE", "samples"),
+        "run | RMSE [N] | NRMSE | samples",
         [
             (number, error.rmse, f"{100.0 * error.nrmse:.2f} %", error.count)
             for number, error in enumerate(errors, start=1)
         ],
     )
-    return [Picture("loops", caption, figure), table], pooled(errors)
+    return [picture, table], pooled(errors)
 
 
 def _set(found: ParameterSet) -> list[Block]:
@@ -272,7 +265,7 @@ def _set(found: ParameterSet) -> list[Block]:
         "set",
         "Maximum-a-posteriori values, with standard errors of the parameters that the runs "
         "determine. The other values may be wrong, but hardly affect the force.",
-        tuple(columns),
+        columns,
         rows,
     )
     return ["The set is stored as set.yaml, for the nodes and all programs.", table]
@@ -284,7 +277,7 @@ def _unknown(last: CampaignStep) -> list[Block]:
         Table(
             "least-known",
             "The operating points with the least accurate force.",
-            ("peak velocity [m/s]", "current [A]", "standard error"),
+            "peak velocity [m/s] | current [A] | standard error",
             [(*points[k], _percent(float(errors[k]))) for k in np.argsort(-errors)[:5]],
         )
     ]

@@ -8,8 +8,9 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from typing import Any, NamedTuple
 
-from mr_damper_ros.control.force_controller import Command, ForceController
+from mr_damper_ros.control.force_controller import Command, ForceController, ForceControlSettings
 from mr_damper_ros.emulation.emulator import MeasuredRig, SupplySetpoint
+from mr_damper_ros.models.parameter_set import ParameterSet
 from mr_damper_ros.signals.blocks import RigBlock
 from mr_damper_ros.tracking.engine import Engine
 from mr_damper_ros.tracking.predictor import Prediction
@@ -47,7 +48,7 @@ def commanded(
 
 
 class ForceChoice:
-    """Chooses the current for a desired force, as the controller node does.
+    """Chooses the current for a desired force, as the controller node does, from a known set.
 
     ``wanted`` returns the desired force [N] after a block. With an ``engine``, the damper is
     identified during the run, as the identifier and model nodes do, and the controller follows the
@@ -56,11 +57,13 @@ class ForceChoice:
 
     def __init__(
         self,
-        controller: ForceController,
+        settings: ForceControlSettings,
+        known: ParameterSet,
         wanted: Callable[[RigBlock], float],
         engine: Engine | None = None,
     ) -> None:
-        self.controller = controller
+        self.controller = ForceController(settings)
+        self.controller.predictor.set_parameters(known)
         self._wanted = wanted
         self._engine = engine
         self.last: Command | None = None

@@ -19,7 +19,7 @@ from mr_damper_ros.report.document import (
     Chapter,
     Picture,
     Table,
-    panels,
+    chart,
     styled,
     with_error,
     write_report,
@@ -108,7 +108,7 @@ def _forces(population: Population) -> _Part:
         "forces",
         "Largest force [N] in extension within a cycle, for the dampers that were identified at "
         "this peak velocity and current. Own error: the median standard error of a single damper.",
-        ("at", "dampers", "median", "spread", "relative", "own error", "least", "most"),
+        "at | dampers | median | spread | relative | own error | least | most",
         rows,
     )
     shares = [s.deviation / s.median for s in spreads if s.known.size > 1 and s.median]
@@ -119,8 +119,13 @@ def _forces(population: Population) -> _Part:
 
 
 def _spread_figure(population: Population, spreads: Sequence[Spread]) -> Picture:
-    figure, axes = panels(1, 1, WIDTH, 0.9 + 0.42 * len(spreads))
-    axis = axes[0, 0]
+    picture, ((axis,),) = chart(
+        "forces",
+        "Every damper at every operating point, outliers as crosses. The height within a row has "
+        "no meaning.",
+        (1, 1, WIDTH, 0.9 + 0.42 * len(spreads)),
+        "force against the median of the lot [%]",
+    )
     rng = np.random.default_rng(0)
     named = {outlier.damper for outlier in population.outliers}
     stands_out = np.array([damper.name in named for damper in population.dampers])
@@ -133,13 +138,7 @@ def _spread_figure(population: Population, spreads: Sequence[Spread]) -> Picture
     axis.set_yticks(
         range(len(spreads)), [s.label.removeprefix("force at ") for s in reversed(spreads)]
     )
-    axis.set_xlabel("force against the median of the lot [%]")
-    return Picture(
-        "forces",
-        "Every damper at every operating point, outliers as crosses. The height within a row has "
-        "no meaning.",
-        figure,
-    )
+    return picture
 
 
 def _outliers(population: Population) -> _Part:
@@ -157,7 +156,7 @@ def _outliers(population: Population) -> _Part:
     if not found:
         return headline, [rule, "None does."]
     rows = [(o.damper, o.quantity, o.value, o.median, f"{o.score:+.1f}") for o in found]
-    columns = ("damper", "in", "its value", "median of the lot", "standard deviations off")
+    columns = "damper | in | its value | median of the lot | standard deviations off"
     caption = "Each with its largest deviation."
     return headline, [rule, Table("outliers", caption, columns, rows[:_MOST_SHOWN])]
 
@@ -166,15 +165,14 @@ def _fits(population: Population) -> _Part:
     if not population.dampers:
         return _NO_DAMPER, [f"{_NO_DAMPER.capitalize()}."]
     nrmse = 100.0 * np.array([damper.nrmse for damper in population.dampers])
-    figure, axes = panels(1, 1, WIDTH, 2.4)
-    axes[0, 0].hist(nrmse, bins=min(40, max(5, nrmse.size // 5)), color=GREY)
-    axes[0, 0].set_xlabel("NRMSE [%]")
-    axes[0, 0].set_ylabel("dampers")
+    shape = (1, 1, WIDTH, 2.4)
+    picture, ((axis,),) = chart("nrmse", "NRMSE of the sets.", shape, "NRMSE [%]", "dampers")
+    axis.hist(nrmse, bins=min(40, max(5, nrmse.size // 5)), color=GREY)
     order = np.argsort(-nrmse)[:10]
     rows = [(population.dampers[k].name, float(nrmse[k])) for k in order]
     return f"median NRMSE {np.median(nrmse):.1f}%, the poorest {nrmse.max():.1f}%", [
-        Picture("nrmse", "NRMSE of the sets.", figure),
-        Table("worst-fits", "The ten poorest fits.", ("damper", "NRMSE [%]"), rows),
+        picture,
+        Table("worst-fits", "The ten poorest fits.", "damper | NRMSE [%]", rows),
     ]
 
 
@@ -194,7 +192,7 @@ def _parameters(population: Population) -> _Part:
         low, high = np.quantile(values, (0.05, 0.95)).tolist()
         told = with_error(middle, error) if error > 0.0 else middle
         rows.append((parameter.name, parameter.unit, len(seen), told, low, high))
-    columns = ("parameter", "unit", "dampers", "median ± own error", "5 %", "95 %")
+    columns = "parameter | unit | dampers | median ± own error | 5 % | 95 %"
     caption = "For each parameter, only the dampers whose data determine it."
     return headline, [Table("parameters", caption, columns, rows)]
 
@@ -205,8 +203,8 @@ def _missing(found: ManyDampers) -> _Part:
     if not files and not failures:
         return "everything was used", ["Everything was used."]
     tables = (
-        ("failures", "Dampers that were not identified.", ("damper", "why"), failures),
-        ("left-out", "Unused files.", ("file", "why"), files),
+        ("failures", "Dampers that were not identified.", "damper | why", failures),
+        ("left-out", "Unused files.", "file | why", files),
     )
     return f"{len(files)} files were not used, and {len(failures)} dampers were not identified", [
         Table(name, caption, columns, rows[:_MOST_SHOWN])

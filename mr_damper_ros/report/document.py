@@ -93,12 +93,20 @@ Cell = str | int | float | None
 
 @dataclass(frozen=True)
 class Table:
-    """A table with a file name without extension, a caption, column heads and rows."""
+    """A table with a file name without extension, a caption, column heads and rows.
+
+    The heads may be given as one text, separated by bars.
+    """
 
     name: str
     caption: str
-    columns: tuple[str, ...]
+    columns: Sequence[str]
     rows: Sequence[Sequence[Cell]]
+
+    def __post_init__(self) -> None:
+        if isinstance(self.columns, str):
+            heads = tuple(head.strip() for head in self.columns.split("|"))
+            object.__setattr__(self, "columns", heads)
 
 
 @dataclass(frozen=True)
@@ -108,6 +116,26 @@ class Picture:
     name: str
     caption: str
     figure: Any
+
+
+def chart(
+    name: str,
+    caption: str,
+    shape: tuple[int, int, float, float],
+    across: str = "",
+    up: str = "",
+    **options: Any,
+) -> tuple[Picture, Any]:
+    """A figure of a ``shape``, rows, columns, width and height [inch], and its axes (r, c).
+
+    ``across`` labels the axes of the last row, ``up`` those of the first column.
+    """
+    figure, axes = panels(*shape, **options)
+    for axis in axes[-1]:
+        axis.set_xlabel(across)
+    for axis in axes[:, 0]:
+        axis.set_ylabel(up)
+    return Picture(name, caption, figure), axes
 
 
 Block = str | Table | Picture

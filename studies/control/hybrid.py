@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from typing import Any
 
 import numpy as np
 
@@ -18,11 +17,10 @@ from mr_damper_ros.control.linear_plant import DamperMotion, LinearPlant, Moving
 from mr_damper_ros.emulation.emulator import EmulatedDamper
 from mr_damper_ros.kinematics.motion import Motion
 from mr_damper_ros.kinematics.peak_velocity import PeakVelocity
-from mr_damper_ros.report.document import DASHES, GREY, Chapter, legend_above
+from mr_damper_ros.report.document import DASHES, GREY, Chapter, Table, chart, legend_above
 from mr_damper_ros.signals.arrays import Array
-from studies.control.buildings import BUILDINGS, DAMPERS, SCALE, recorded_damper
-from studies.control.ground_motion import el_centro
-from studies.drawing import chapter, chart, draw_rows, line, name_rows, table
+from studies.control.buildings import BUILDINGS, DAMPERS, SCALE, el_centro, recorded_damper
+from studies.drawing import chapter, draw_rows, line, name_rows
 from studies.program import Campaign
 
 STEP = 1.0 / 4096.0
@@ -103,9 +101,7 @@ def hybrid_part(campaign: Campaign) -> Iterator[Chapter]:
     """Results with a lagging machine, with and without compensation of the command."""
     names = (REFERENCE, LATE, COMPENSATED)
     duration = 6.0 if campaign.quick else 12.0
-    tasks = [{"name": name, "duration": duration} for name in names]
-    results = campaign.each("hybrid simulations", hybrid, tasks)
-    found: dict[str, dict[str, Any]] = dict(zip(names, results, strict=True))
+    found = campaign.each("hybrid simulations", hybrid, names, duration=duration)
     picture, axes = chart("hybrid", "Roof and force of the dampers.", (2, 1, 6.6, 3.8), sharex=True)
     for place, (name, result) in enumerate(found.items()):
         chosen = (result["time"] > 1.0) & (result["time"] < 6.0)
@@ -140,7 +136,7 @@ def hybrid_part(campaign: Campaign) -> Iterator[Chapter]:
         f"too high. The case is building I in El Centro at {SCALE:.0%} with passive-on; in the "
         "reference, the damper is in the building.",
         picture,
-        table(
+        Table(
             "hybrid",
             "RMS difference in percent of the RMS: motion of the damper and force, relative to the "
             "reference (J1 and J2 of the benchmark); motion of the damper, relative to the floor "

@@ -3,35 +3,27 @@
 from __future__ import annotations
 
 import argparse
-from collections.abc import Sequence
 from pathlib import Path
 
 from mr_damper_ros.io.bag_reader import BagError
 from mr_damper_ros.io.bag_writer import write_bag
 from mr_damper_ros.models.published import CONDITIONS, Condition, find
-from mr_damper_ros.tools.console import run_tool
+from mr_damper_ros.tools.console import program
 from studies.program import say
 from studies.thesis.facts import ERRATA, is_clean
 from studies.thesis.runs import recording_name, synthesise
 
+_DESCRIPTION = """\
+Make bags of the runs in the thesis, one folder for each condition, from the published parameter
+sets. They are re-synthesised, not the original recordings.
+"""
 
-def main(arguments: Sequence[str]) -> int:
-    """Run the program; returns the exit code."""
-    return run_tool(_parser(), _make, arguments)
+_EPILOG = "conditions:\n" + "\n".join(
+    f"  {each.name}{'' if is_clean(each) else '   (erratum)'}" for each in CONDITIONS
+)
 
 
-def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(
-        prog="studies bags",
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-        description="Make bags of the runs in the thesis, one folder for each condition, from the\n"
-        "published parameter sets. They are re-synthesised, not the original recordings.",
-        epilog="conditions:\n"
-        + "\n".join(
-            f"  {condition.name}{'' if is_clean(condition) else '   (erratum)'}"
-            for condition in CONDITIONS
-        ),
-    )
+def _options(parser: argparse.ArgumentParser) -> None:
     add = parser.add_argument
     add("folder", type=Path, metavar="FOLDER", help="folder for the bags")
     chosen = "conditions to make, such as 2.5mm_1Hz_0.0A (default: all without errata)"
@@ -40,7 +32,6 @@ def _parser() -> argparse.ArgumentParser:
     add("--errata", action="store_true", help=wrong)
     add("--seed", type=int, default=0, help="seed of the noise (default %(default)s)")
     add("--overwrite", action="store_true", help="replace existing bags")
-    return parser
 
 
 def _chosen(options: argparse.Namespace) -> list[Condition]:
@@ -77,3 +68,6 @@ def _make(options: argparse.Namespace) -> int:
     if marked:
         print(f"errata, not to be compared with other conditions: {', '.join(marked)}")
     return 0
+
+
+main = program("studies bags", _DESCRIPTION, _options, _make, _EPILOG)

@@ -27,7 +27,7 @@ from mr_damper_ros.models.published import THESIS_71_CELSIUS as WARM
 from mr_damper_ros.models.sigmoid.law import COEFFICIENT_NAMES, PARAMETER_NAMES
 from mr_damper_ros.report import document
 from mr_damper_ros.signals.arrays import Array
-from studies.drawing import chapter, chart, line, table
+from studies.drawing import chapter, line
 from studies.program import Campaign
 from studies.thesis import facts
 from studies.thesis.errata import METHOD_TITLES, disagreement, find_errata, sound_conditions
@@ -81,8 +81,7 @@ def identify(name: str, seed: int) -> dict[str, Any]:
 def identified(campaign: Campaign) -> dict[str, Any]:
     """Result of :func:`identify` by condition."""
     names = [condition.name for condition in CONDITIONS]
-    tasks = [{"name": name, "seed": campaign.seed} for name in names]
-    return dict(zip(names, campaign.each("conditions", identify, tasks), strict=True))
+    return campaign.each("conditions", identify, names, seed=campaign.seed)
 
 
 def _mark(condition: Condition, method: str) -> str:
@@ -102,7 +101,7 @@ def conditions_part(campaign: Campaign) -> Iterator[document.Chapter]:
         "row in error (see the section on errata).",
         _overview(runs),
         _coefficients(runs, sound),
-        table(
+        document.Table(
             "published_parameters",
             "The published sets (tables 17–40), in the units of the thesis. The loops of both "
             "methods agree but their parameters differ: a single run does not determine sixteen "
@@ -146,7 +145,7 @@ def _overview(runs: Runs) -> document.Table:
                 *(run["rmse"], 100.0 * run["nrmse"]),
             )
         )
-    return table(
+    return document.Table(
         "conditions",
         "Peak forces of our identified loops and of the Nelder–Mead sets of the thesis, and the "
         "difference between our loop and both published loops.",
@@ -167,7 +166,7 @@ def _coefficients(runs: Runs, sound: list[Condition]) -> document.Table:
             label = METHOD_TITLES[method] + _mark(condition, method)
             rows.append((name, label, *map(document.to_error, theirs, errors)))
     heads = (f"{name} [{unit}]" for name, unit in zip(COEFFICIENT_NAMES, _UNITS, strict=True))
-    return table(
+    return document.Table(
         "coefficients",
         "The seven coefficients that one run determines, with standard errors, in every sound "
         "condition, and the coefficients of both published sets (to the same digits). "
@@ -210,7 +209,7 @@ _STYLES = {
 
 
 def _all_loops(runs: Runs, current: float, against: str) -> document.Picture:
-    picture, axes = chart(
+    picture, axes = document.chart(
         f"loops_{against}_{current:.1f}A",
         f"Force over {against} at {current:.1f} A (thesis Fig. {FIGURES[current]}).",
         (3, 3, 6.8, 6.0),
@@ -335,7 +334,7 @@ def dependency_part(campaign: Campaign) -> Iterator[document.Chapter]:
             "Current dependency, 5 mm, 1 Hz (thesis Fig. 29–31). Published sets.",
             [(f"{each.current:.1f} A", each, parameters(each)) for each in CURRENT_SERIES],
         ),
-        table(
+        document.Table(
             "current_slopes",
             "Half the force span over current: least-squares slope, and slopes between "
             "neighbouring currents. The last slope shows the saturation.",
@@ -361,7 +360,7 @@ def dependency_part(campaign: Campaign) -> Iterator[document.Chapter]:
         ),
         comparison("dependency", "Stated dependencies.", values),
         comparison("temperature", "Force of the sets of tables 8 and 9.", heat),
-        table(
+        document.Table(
             "temperature_parameters",
             "Tables 8 and 9, and their difference. The signs of a0, a1, a2, I0, I1, k0 and k5 "
             "differ: the two sets belong to different local minima, so their differences contain "
@@ -381,7 +380,7 @@ def dependency_part(campaign: Campaign) -> Iterator[document.Chapter]:
 
 
 def _loops(name: str, caption: str, curves: list[tuple[str, Condition, Array]]) -> document.Picture:
-    picture, axes = chart(name, caption, (1, 2, 6.6, 2.8))
+    picture, axes = document.chart(name, caption, (1, 2, 6.6, 2.8))
     for a, against in zip(axes[0], ("displacement", "velocity"), strict=True):
         for number, (label, condition, values) in enumerate(curves):
             draw_loop(a, values, condition, against, label=label, **line(number))
@@ -391,7 +390,7 @@ def _loops(name: str, caption: str, curves: list[tuple[str, Condition, Array]]) 
 
 
 def _span_figure(groups: dict[str, Any]) -> document.Picture:
-    picture, axes = chart(
+    picture, axes = document.chart(
         "force_over_current",
         "Half the force span over the current, identified from the re-synthesised runs. 5.0 mm, "
         "1.0 A is missing, because its tables are copies of those of 0 A.",

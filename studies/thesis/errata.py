@@ -29,9 +29,9 @@ from mr_damper_ros.models.published import (
     parameters,
 )
 from mr_damper_ros.models.sigmoid.law import PARAMETER_NAMES, operating_point_coefficients
-from mr_damper_ros.report.document import Chapter, Picture
+from mr_damper_ros.report.document import Chapter, Picture, Table, chart
 from mr_damper_ros.signals.arrays import Array
-from studies.drawing import chapter, chart, line, table
+from studies.drawing import chapter, line
 from studies.program import Campaign
 from studies.thesis import facts
 from studies.thesis.runs import ACROSS, draw_loop, loop, title, top_speed
@@ -191,7 +191,9 @@ def statements() -> list[Statement]:
         Statement(
             "a0 has outliers in the box plot (4.6, Fig. 40), with the variance of table 10",
             float(variances[a0]),
-            _variance_with_outliers(low[a0], high[a0]),
+            # An outlier needs a short box: half of the values lie close together, with a quarter on
+            # each side. The variance is largest if the other quarter lies at the other bound.
+            0.75 * 0.25 * float(high[a0] - low[a0]) ** 2,
             "found: the largest variance within the bounds that permits an outlier, 1.5 boxes "
             "beyond the box; the stated variance is larger",
         ),
@@ -222,16 +224,6 @@ def statements() -> list[Statement]:
 
 def _half_span(name: str) -> float:
     return features(parameters(find(name)), find(name)).half_span
-
-
-def _variance_with_outliers(low: float, high: float) -> float:
-    """Bound on the variance between bounds where a box plot shows an outlier.
-
-    If the box is short enough to leave room for an outlier, half of the values lie close together,
-    with a quarter on each side. The variance is largest if this half and one quarter lie at one
-    bound, and the other quarter at the other bound.
-    """
-    return 0.75 * 0.25 * (high - low) ** 2
 
 
 def _largest_force(fastest: float) -> float:
@@ -269,7 +261,7 @@ def errata_part(campaign: Campaign) -> Iterator[Chapter]:
         "loop, because several parameters may change their signs together without a change of the "
         "loop. In this report, a condition is called sound if its Nelder–Mead row is sound: "
         f"{len(sound_conditions())} of {len(CONDITIONS)}.",
-        table(
+        Table(
             "errata_rows",
             "Rows in error, and a sound row that looks like an error: in the Nelder–Mead row of "
             "7.5 mm, 3 Hz, 1.5 A, k4 is positive, but because of k3, a3 and I1 the hysteresis "
@@ -280,7 +272,7 @@ def errata_part(campaign: Campaign) -> Iterator[Chapter]:
             rows,
         ),
         _loops(),
-        table(
+        Table(
             "errata_statements",
             "Statements that contradict numbers in the thesis.",
             "Statement | Stated | Found | Verdict",

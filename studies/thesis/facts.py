@@ -9,7 +9,6 @@ import numpy as np
 
 from mr_damper_ros.models.published import Condition, find
 from mr_damper_ros.report.document import Table
-from studies.drawing import table
 
 SINE = {"amplitude": 2.5e-3, "frequency": 1.0, "phase": 4.481}
 """Fitted sine of 2.5 mm, 1 Hz, 0 A: [m], [Hz], [rad] (figure 17, appendix D)."""
@@ -165,4 +164,4 @@ def comparison(
         stated = "not stated" if thesis is None else thesis
         rows.append((quantity, unit, ours, stated, difference, where))
     heads = "Quantity | Unit | Ours | Thesis | Difference | In the thesis"
-    return table(name, caption, heads, rows)
+    return Table(name, caption, heads, rows)

@@ -16,9 +16,9 @@ from mr_damper_ros.estimation.window_fit import fit_window
 from mr_damper_ros.models import MODELS
 from mr_damper_ros.models.published import LITERATURE
 from mr_damper_ros.models.sigmoid.law import PARAMETER_NAMES
-from mr_damper_ros.report.document import GREY, INK, Chapter, Picture
+from mr_damper_ros.report.document import GREY, INK, Chapter, Picture, Table, chart
 from mr_damper_ros.signals.arrays import Array
-from studies.drawing import chapter, chart, line, table
+from studies.drawing import chapter, line
 from studies.program import Campaign
 from studies.thesis import facts
 from studies.thesis.facts import Compared, comparison
@@ -99,7 +99,7 @@ def identify(name: str, seed: int) -> dict[str, Any]:
 
 def force_error_part(campaign: Campaign) -> Iterator[Chapter]:
     """The chapter on both errors."""
-    (found,) = campaign.each("force_error", identify, [{"name": CONDITION, "seed": campaign.seed}])
+    found = campaign.each("force_error", identify, [CONDITION], seed=campaign.seed)[CONDITION]
     sine, errors = found["sine"], normal_statistics(found["force_error"])
     scatter = 1e6 * normal_statistics(found["displacement_error"])["sigma"]
     sines: list[Compared] = [
@@ -131,7 +131,7 @@ def force_error_part(campaign: Campaign) -> Iterator[Chapter]:
         "assumed, because the thesis does not state it.",
         comparison("sine", "Sine fitted to the displacement.", sines),
         _sine_figure(found),
-        table(
+        Table(
             "force_fit",
             "Force fitted by Nelder–Mead from the literature set, over all sixteen parameters (as "
             "in the thesis) and over the seven that one run determines. The added noise has a "

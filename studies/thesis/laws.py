@@ -22,7 +22,7 @@ from mr_damper_ros.models import MODELS
 from mr_damper_ros.models.sigmoid.following import EXTENDED_MODEL, EXTENDED_NAMES
 from mr_damper_ros.report import document
 from studies import recordings
-from studies.drawing import bars, chapter, chart, line, table
+from studies.drawing import bars, chapter, line
 from studies.program import Campaign
 from studies.recordings import processed, window_of
 from studies.thesis import facts
@@ -89,14 +89,12 @@ def judged(campaign: Campaign) -> tuple[Results, Results]:
     names = [condition.name for condition in sound_conditions()]
     if campaign.quick:
         names = [name for name in names if name in _QUICK]
-    tasks = [{"name": name, "noise_seed": campaign.seed} for name in names]
-    runs = campaign.each("models", judge_run, tasks)
+    runs = campaign.each("models", judge_run, names, noise_seed=campaign.seed)
     utfsm = recordings.folder()
     paths = [] if utfsm is None else sorted((utfsm / "processed").glob("*.txt"))
     paths = paths[::7] if campaign.quick else paths
-    real = campaign.each("models_recorded", judge_record, [{"path": path} for path in paths])
-    records = dict(zip([path.stem for path in paths], real, strict=True))
-    return dict(zip(names, runs, strict=True)), records
+    records = campaign.each("models_recorded", judge_record, paths)
+    return runs, {path.stem: result for path, result in records.items()}
 
 
 def _of(group: Results, law: str, key: str = "nrmse") -> list[float]:
@@ -139,7 +137,7 @@ def models_part(campaign: Campaign) -> Iterator[document.Chapter]:
         f"{SAMPLES} samples, from starts derived from the record; the error is that of the whole "
         "record. The re-synthesised runs were made with the sigmoid law, so it must be "
         "best there; only real recordings show which model describes a damper. " + note,
-        table(
+        document.Table(
             "models",
             "Comparison of the models. NRMSE: RMSE over the standard deviation of the force. Table "
             "2 of the thesis quotes estimation errors of Yaakub et al. (2020). Neither source "
@@ -152,7 +150,7 @@ def models_part(campaign: Campaign) -> Iterator[document.Chapter]:
         ),
         _models_figure(runs, records),
         _model_loops(runs[_SHOWN], campaign.seed),
-        table(
+        document.Table(
             "model_parameters",
             f"Identified parameters of {title(_SHOWN)}.",
             "Model | Parameters",
@@ -161,7 +159,7 @@ def models_part(campaign: Campaign) -> Iterator[document.Chapter]:
                 for law, model in MODELS.items()
             ],
         ),
-        table(
+        document.Table(
             "model_sources",
             "Sources.",
             "Model | Parameters and units | Source",
@@ -191,7 +189,7 @@ def _models_figure(runs: Results, records: Results) -> document.Picture:
     groups = {"re-synthesised runs": runs}
     if records:
         groups["real recordings (utfsm)"] = records
-    picture, axes = chart(
+    picture, axes = document.chart(
         "models",
         "Error of every model on every record (ticks) and its median (diamonds).",
         (1, len(groups), 3.8 + 3.2 * (len(groups) - 1), 2.8),
@@ -215,7 +213,7 @@ def _models_figure(runs: Results, records: Results) -> document.Picture:
 
 
 def _model_loops(found: dict[str, Any], noise_seed: int) -> document.Picture:
-    picture, axes = chart(
+    picture, axes = document.chart(
         "model_loops",
         f"Loops of the models (lines) on {title(_SHOWN)}, re-synthesised (dots).",
         (2, 4, 7.2, 3.9),
@@ -243,7 +241,7 @@ _OPEN = 100.0
 """Standard error, relative to the value, above which a parameter counts as unknown."""
 
 
-def fit_runs(names: list[str], noise_seed: int, keep: int, law: str) -> dict[str, Any]:
+def fit_runs(law: str, names: list[str], noise_seed: int, keep: int) -> dict[str, Any]:
     """Task: one set of a law for all re-synthesised runs, from every ``keep``-th sample."""
     windows = [window(name, noise_seed).part(slice(None, None, keep)) for name in names]
     start = MODELS[law].initial_values()[0]
@@ -266,8 +264,7 @@ def identified(campaign: Campaign) -> tuple[list[str], dict[str, Any], int]:
     """
     names, keep = [condition.name for condition in sound_conditions()], 16 if campaign.quick else 4
     common = {"names": names, "noise_seed": campaign.seed, "keep": keep}
-    fits = campaign.each("one_set", fit_runs, [{**common, "law": law} for law in LAWS])
-    return names, dict(zip(LAWS, fits, strict=True)), keep
+    return names, campaign.each("one_set", fit_runs, LAWS, **common), keep
 
 
 def one_set_part(campaign: Campaign) -> Iterator[document.Chapter]:
@@ -297,7 +294,7 @@ def one_set_part(campaign: Campaign) -> Iterator[document.Chapter]:
         "thesis does not state the temperature of the damper. The median error is "
         f"{plain / each['sigmoid']:.0f} times the median error of separate sets. One set of every "
         "law for the real recordings is in the report of `make truth`.",
-        table(
+        document.Table(
             "one_set",
             "One set for all, and the median for separate sets of each run (section on models). "
             "Time: processor time on the computer that made this report.",
@@ -315,7 +312,7 @@ def one_set_part(campaign: Campaign) -> Iterator[document.Chapter]:
         _errors_figure(names, fits),
         _loops_figure(names, fits, campaign.seed),
         _parameters(fits),
-        table(
+        document.Table(
             "one_set_errors",
             "Error of the one set, by condition.",
             "Condition | Sigmoid, RMSE [N] | Sigmoid, NRMSE [%] | Extended, RMSE [N] | "
@@ -342,7 +339,7 @@ def _parameters(fits: dict[str, Any]) -> document.Table:
                     cell = document.with_error(value, error)
             cells.append(cell)
         rows.append((name, units[name], *cells))
-    return table(
+    return document.Table(
         "one_set_parameters",
         "The sets with their standard errors, which follow from the misfit. “Open”: the data do "
         "not determine the parameter.",
@@ -352,7 +349,7 @@ def _parameters(fits: dict[str, Any]) -> document.Table:
 
 
 def _errors_figure(names: list[str], fits: dict[str, Any]) -> document.Picture:
-    picture, ((a,),) = chart(
+    picture, ((a,),) = document.chart(
         "one_set",
         "Error of one set in every sound condition, re-synthesised.",
         (1, 1, 7.0, 3.0),
@@ -367,7 +364,7 @@ def _errors_figure(names: list[str], fits: dict[str, Any]) -> document.Picture:
 
 
 def _loops_figure(names: list[str], fits: dict[str, Any], noise_seed: int) -> document.Picture:
-    picture, axes = chart(
+    picture, axes = document.chart(
         "one_set_loops",
         "One set for all conditions, in the conditions in which the sigmoid law has the smallest, "
         "the median and the largest error.",

@@ -22,9 +22,9 @@ from mr_damper_ros.kinematics.motion import Motion
 from mr_damper_ros.kinematics.window import Window
 from mr_damper_ros.models import MODELS
 from mr_damper_ros.models.published import find, parameters
-from mr_damper_ros.report.document import INK, Block, Chapter, Picture
+from mr_damper_ros.report.document import INK, Block, Chapter, Picture, Table, chart
 from mr_damper_ros.signals.arrays import Array
-from studies.drawing import chapter, chart, line, table
+from studies.drawing import chapter, line
 from studies.program import Campaign
 from studies.thesis import facts
 from studies.thesis.runs import CycleMisfit, cycle, loop, window
@@ -194,7 +194,7 @@ SUCCESS = 1.05
 CHECKPOINTS = 60
 
 
-def run(method: str, noise_seed: int, seed: list[int], budget: int) -> dict[str, Any]:
+def run(method: str, seed: tuple[int, ...], noise_seed: int, budget: int) -> dict[str, Any]:
     """Task: one search from a random start, with new starts until the budget is spent.
 
     Returns the best ``parameters`` (16,) and its ``rmse`` [N], the ``floor`` [N] of the true set,
@@ -237,14 +237,12 @@ def optimisers_part(campaign: Campaign) -> Iterator[Chapter]:
     budget = QUICK_BUDGET if campaign.quick else BUDGET
     names = available()
     # The same seeds for all methods: the same random starts.
-    tasks = [
-        {"method": name, "noise_seed": campaign.seed, "seed": seed, "budget": budget}
-        for seed in campaign.seeds(4)
-        for name in names
-    ]
-    results = campaign.each("optimisers", run, tasks)
-    found = {name: _summary(results[place :: len(names)]) for place, name in enumerate(names)}
-    floor = results[0]["floor"]
+    seeds = campaign.seeds(4)
+    keys = [(name, seed) for seed in seeds for name in names]
+    common = {"noise_seed": campaign.seed, "budget": budget}
+    results = campaign.each("optimisers", run, keys, **common)
+    found = {name: _summary([results[name, seed] for seed in seeds]) for name in names}
+    floor = results[keys[0]]["floor"]
     missing = [METHODS[name][0] for name in METHODS if name not in names]
     rates = [
         f"{METHODS[name][0]} {100 * found[name]['success']:.0f} %"
@@ -278,7 +276,7 @@ def optimisers_part(campaign: Campaign) -> Iterator[Chapter]:
         "values derived from the data, and their scales have no bounds. Times are processor times "
         "on the computer that made this report.",
         *([f"Omitted, because not installed: {', '.join(missing)}."] if missing else []),
-        table(
+        Table(
             "optimisers",
             "Success rate in % with Wilson's 95 % interval, and that of the first descent alone; "
             "median number of evaluations in successful runs; processor time; final RMSE (median, "
@@ -335,9 +333,7 @@ def _trace_figure(found: dict[str, Any], x: Array, floor: float) -> Picture:
     halves = (thesis, [n for n in found if n not in thesis])
     for a, names in zip(axes[0], halves, strict=True):
         for number, name in enumerate(names):
-            low, middle, high = np.where(
-                np.isinf(found[name]["trace"]), np.nan, found[name]["trace"]
-            )
+            low, middle, high = found[name]["trace"]
             a.fill_between(x, low, high, color=INK[number], alpha=0.10, lw=0)
             style = {**line(number, marked=True), "markevery": (4 + 2 * number, 12)}
             a.loglog(x, middle, label=METHODS[name][0], **style)

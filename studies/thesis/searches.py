@@ -21,9 +21,9 @@ from scipy.optimize import minimize
 
 from mr_damper_ros.models.published import LITERATURE, PUBLISHED_METHODS, find, parameters
 from mr_damper_ros.models.sigmoid.law import PARAMETER_NAMES
-from mr_damper_ros.report.document import GREY, INK, Chapter, Picture, Table, legend_above
+from mr_damper_ros.report.document import GREY, INK, Chapter, Picture, Table, chart, legend_above
 from mr_damper_ros.signals.arrays import Array
-from studies.drawing import bars, chapter, chart, line, table
+from studies.drawing import bars, chapter, line
 from studies.program import Campaign
 from studies.thesis import facts
 from studies.thesis.errata import METHOD_TITLES
@@ -70,22 +70,22 @@ def evolve(
     ``strategy`` is one of the :data:`STRATEGIES`; the ``population`` is at least six. Returns the
     best set (p,) and the number of evaluations.
     """
+
+    def finite(sets: Array) -> Array:
+        return np.nan_to_num(cost(sets), nan=1e300, posinf=1e300)
+
     people = low + (high - low) * rng.random((population, low.size))
-    costs = _finite(cost(people))
+    costs = finite(people)
     for _ in range(generations):
         mutants = _mutants(people, people[np.argmin(costs)], strategy, rng)
         crossed = rng.random(people.shape) < _RECOMBINATION
         crossed[np.arange(population), rng.integers(low.size, size=population)] = True
         trials = np.clip(np.where(crossed, mutants, people), low, high)
-        trial_costs = _finite(cost(trials))
+        trial_costs = finite(trials)
         better = trial_costs <= costs
         people[better] = trials[better]
         costs[better] = trial_costs[better]
     return people[np.argmin(costs)], population * (generations + 1)
-
-
-def _finite(costs: Array) -> Array:
-    return np.nan_to_num(costs, nan=1e300, posinf=1e300)
 
 
 def _mutants(people: Array, best: Array, strategy: str, rng: np.random.Generator) -> Array:
@@ -123,7 +123,7 @@ Sets = dict[str, Array]
 """Parameters (r, 16) of all searches by run."""
 
 
-def search(name: str, noise_seed: int, seed: list[int]) -> tuple[Array, float]:
+def search(name: str, seed: tuple[int, ...], noise_seed: int) -> tuple[Array, float]:
     """Task: one run of differential evolution (rand/1/bin, F = CR = 0.8): parameters, RMSE [N]."""
     best, _ = evolve(
         cycle(name, noise_seed, _PHASES).costs,
@@ -143,16 +143,12 @@ def variance_distance(sets: Array) -> float:
 
 def repeated_part(campaign: Campaign) -> Iterator[Chapter]:
     """The chapter on the scatter of repeated searches."""
-    names = (AS_CAPTIONED, AS_FOUND)
-    tasks = [
-        {"name": name, "noise_seed": campaign.seed, "seed": seed}
-        for purpose, name in enumerate(names, start=1)
-        for seed in campaign.seeds(purpose)
-    ]
-    results = campaign.each("repeated_evolution", search, tasks)
+    seeds = {AS_CAPTIONED: campaign.seeds(1), AS_FOUND: campaign.seeds(2)}
+    keys = [(name, seed) for name in seeds for seed in seeds[name]]
+    results = campaign.each("repeated_evolution", search, keys, noise_seed=campaign.seed)
     sets, quality, far = {}, [], {}
-    for place, name in enumerate(names):
-        part = results[place * campaign.runs : (place + 1) * campaign.runs]
+    for name in seeds:
+        part = [results[name, seed] for seed in seeds[name]]
         sets[name], errors = map(np.array, zip(*part, strict=True))
         far[name] = variance_distance(sets[name])
         told = " / ".join(f"{error:.1f}" for error in np.percentile(errors, [0, 50, 100]))
@@ -173,7 +169,7 @@ def repeated_part(campaign: Campaign) -> Iterator[Chapter]:
         "the parameters. On the run of 1.5 A, the same search reproduces the scatter in the "
         "thesis, parameter by parameter. Tables 10 and 11 are therefore compared with both runs; "
         "very likely they belong to 1.5 A, like tables 8 and 9.",
-        table(
+        Table(
             "repeated_quality",
             "Agreement of each run with the tables. The last column is the median factor between "
             "our variances and those of the thesis.",
@@ -198,7 +194,7 @@ def _statistic(sets: Sets, statistic: str) -> Table:
         size, relative = theirs, "the thesis' value"
     apart = [f"{off:+.0f} %".replace("-", "−") for off in 100.0 * (ours - theirs) / size]
     columns = (ours.tolist(), theirs.tolist(), apart, at_zero.tolist())
-    return table(
+    return Table(
         f"repeated_{statistic}",
         f"{statistic.capitalize()} over the runs (tables 10 and 11); difference relative to "
         f"{relative}.",
@@ -285,7 +281,7 @@ together, so its search cannot have been much wider."""
 _SIMPLEX, _EVOLUTION = PUBLISHED_METHODS
 
 
-def identify(name: str, noise_seed: int, seed: list[int]) -> dict[str, Any]:
+def identify(name: str, seed: tuple[int, ...], noise_seed: int) -> dict[str, Any]:
     """Task: Nelder-Mead and DE over all sixteen parameters of one run.
 
     Returns the residual [%] of the true set and of the published one by DE; and for each method
@@ -317,11 +313,10 @@ def identify(name: str, noise_seed: int, seed: list[int]) -> dict[str, Any]:
 
 def methods_part(campaign: Campaign) -> Iterator[Chapter]:
     """The chapter on both methods."""
-    tasks = [
-        {"name": condition.name, "noise_seed": campaign.seed, "seed": seed}
-        for condition, seed in zip(CONDITIONS, campaign.seeds(3, len(CONDITIONS)), strict=True)
-    ]
-    found = campaign.each("two_methods", identify, tasks)
+    seeds = campaign.seeds(3, len(CONDITIONS))
+    keys = [(each.name, seed) for each, seed in zip(CONDITIONS, seeds, strict=True)]
+    results = campaign.each("two_methods", identify, keys, noise_seed=campaign.seed)
+    found = list(results.values())
     # Parameters (16,) by condition and origin.
     sets = [
         {
@@ -354,7 +349,7 @@ def methods_part(campaign: Campaign) -> Iterator[Chapter]:
         "has not reached the noise in every run. The runs are synthesised from the Nelder–Mead "
         "sets, so the residual of the published DE sets contains no information about the "
         "recordings.",
-        table(
+        Table(
             "residuals",
             "Residual: RMSE over the standard deviation of the force, in % (thesis Fig. 55). The "
             "noise is the lower limit.",
@@ -370,7 +365,7 @@ def methods_part(campaign: Campaign) -> Iterator[Chapter]:
             ],
         ),
         _residual_figure(found),
-        table(
+        Table(
             "literature",
             "2.5 mm, 1 Hz, 0 A: literature set (Santade 2017), published and our sets (tables 15, "
             "16, Fig. 56), and the difference between both methods (“absolute error” in the "

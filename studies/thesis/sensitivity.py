@@ -21,9 +21,17 @@ from scipy.optimize import least_squares
 from mr_damper_ros.emulation.emulator import THESIS_FORCE_NOISE
 from mr_damper_ros.models.published import find, parameters
 from mr_damper_ros.models.sigmoid.law import COEFFICIENT_NAMES, PARAMETER_NAMES, sine_force
-from mr_damper_ros.report.document import DASHES, GREY, INK, MARKS, Chapter, Picture, legend_above
+from mr_damper_ros.report.document import (
+    GREY,
+    INK,
+    Chapter,
+    Picture,
+    Table,
+    chart,
+    legend_above,
+)
 from mr_damper_ros.signals.arrays import Array
-from studies.drawing import chapter, chart, line, table
+from studies.drawing import chapter, line
 from studies.program import Campaign
 from studies.thesis import facts, laws
 from studies.thesis.facts import comparison, percent
@@ -39,15 +47,13 @@ _DRAWN = (0.0, 0.10, 0.20)
 
 def squared_change(condition: str, seed: int) -> dict[str, list[float]]:
     """Sum of the squared change of the force [N²] by parameter, one for each of ``CHANGES``."""
-    values = parameters(find(condition))
-    m = window(condition, seed).motion
-    sets = np.repeat(values[np.newaxis], 1 + len(CHANGES) * len(PARAMETER_NAMES), axis=0)
-    for place in range(len(PARAMETER_NAMES)):
-        for step, change in enumerate(CHANGES):
-            sets[1 + place * len(CHANGES) + step, place] *= 1.0 + change
+    m, count = window(condition, seed).motion, len(PARAMETER_NAMES)
+    factors = 1.0 + np.array([change * one for one in np.eye(count) for change in (0.0, *CHANGES)])
+    sets = parameters(find(condition)) * factors
     forces = sine_force(sets, m.displacement, m.velocity, m.acceleration, find(condition).current)
-    sums = np.sum((forces[1:] - forces[0]) ** 2, axis=1)
-    return dict(zip(PARAMETER_NAMES, sums.reshape(-1, len(CHANGES)).tolist(), strict=True))
+    forces = forces.reshape(count, 1 + len(CHANGES), -1)
+    sums = np.sum((forces[:, 1:] - forces[:, :1]) ** 2, axis=2)
+    return dict(zip(PARAMETER_NAMES, sums.tolist(), strict=True))
 
 
 def sensitivity_part(campaign: Campaign) -> Iterator[Chapter]:
@@ -83,7 +89,7 @@ def sensitivity_part(campaign: Campaign) -> Iterator[Chapter]:
             "Sum of the squared change of the force over 7001 samples for a change of +20 %.",
             values,
         ),
-        table(
+        Table(
             "sensitivity_steps",
             "Sum of the squared change of the force for all changes, in N²; the last column is for "
             "2.5 mm, 1 Hz, 1.0 A.",
@@ -125,10 +131,7 @@ def _changed_loops_figure() -> Picture:
         sharey=True,
     )
     for a, name in zip(axes[0], ("f0", "k5", "k1e", "k1c"), strict=True):
-        for number, change in enumerate(_DRAWN):
-            turn = _changed(name, change)
-            a.plot(1e3 * turn.velocity, turn.force, **_line(number))
-        a.set_title(name)
+        _draw_changed(a, name, _DRAWN)
     axes[0, 0].legend(loc="upper left", fontsize=6.5, handlelength=1.8)
     return picture
 
@@ -144,21 +147,22 @@ def _changes_figure(strongest: list[str]) -> Picture:
         sharex=True,
     )
     for a, name in zip(axes.ravel(), strongest, strict=True):
-        for number, change in enumerate(_DRAWN[1:], start=1):
-            turn = _changed(name, change)
-            a.plot(1e3 * turn.velocity, turn.force - _changed(name, 0.0).force, **_line(number))
-        a.set_title(name)
+        _draw_changed(a, name, _DRAWN[1:], _loop_after(name, 0.0).force)
         a.locator_params(axis="y", nbins=4)
     legend_above(axes[0, 0], 2)
     return picture
 
 
-def _line(number: int) -> dict[str, Any]:
-    colour, label = (INK[0], INK[2], INK[1])[number], f"+{100 * _DRAWN[number]:.0f} %"
-    return {"ls": DASHES[number], "color": colour, "label": label}
+def _draw_changed(axis: Any, name: str, changes: Sequence[float], less: Any = 0.0) -> None:
+    """Draw the loops after changes of a parameter, minus the force ``less`` [N]."""
+    axis.set_title(name)
+    for change in changes:
+        turn, number = _loop_after(name, change), _DRAWN.index(change)
+        style = {**line(number), "color": (INK[0], INK[2], INK[1])[number]}
+        axis.plot(1e3 * turn.velocity, turn.force - less, label=f"+{100 * change:.0f} %", **style)
 
 
-def _changed(name: str, change: float) -> Loop:
+def _loop_after(name: str, change: float) -> Loop:
     values = parameters(find(CONDITION)).copy()
     values[PARAMETER_NAMES.index(name)] *= 1.0 + change
     return loop(values, find(CONDITION))
@@ -176,7 +180,7 @@ def scaled_jacobian(name: str, noise_seed: int, values: Array) -> Array:
     return np.asarray(misfit.jacobian(values) * values * weight / THESIS_FORCE_NOISE)
 
 
-def descend(noise_seed: int, seed: list[int]) -> tuple[Array, float]:
+def descend(seed: tuple[int, ...], noise_seed: int) -> tuple[Array, float]:
     """Task: least squares over all sixteen parameters from a random start: set, RMSE [N]."""
     misfit = cycle(ONE_RUN, noise_seed)
     root = np.sqrt(misfit.weight)
@@ -195,8 +199,9 @@ def descend(noise_seed: int, seed: list[int]) -> tuple[Array, float]:
 def identifiability_part(campaign: Campaign) -> Iterator[Chapter]:
     """The chapter on observability."""
     names, fits, _ = laws.identified(campaign)
-    tasks = [{"noise_seed": campaign.seed, "seed": seed} for seed in campaign.seeds(5)]
-    sets, errors = zip(*campaign.each("descents", descend, tasks), strict=True)
+    keys = [(seed,) for seed in campaign.seeds(5)]
+    results = campaign.each("descents", descend, keys, noise_seed=campaign.seed)
+    sets, errors = zip(*results.values(), strict=True)
     truth = parameters(find(ONE_RUN))
     single = scaled_jacobian(ONE_RUN, campaign.seed, truth)
     _, one, directions = np.linalg.svd(single, full_matrices=False)
@@ -222,7 +227,7 @@ def identifiability_part(campaign: Campaign) -> Iterator[Chapter]:
         _singular_figure(singular),
         _direction_figure(directions),
         _walk_figure(campaign.seed, truth, directions),
-        table(
+        Table(
             "scatter",
             f"{len(good)} of {len(sets)} least-squares searches from random starts on the run of 5 "
             f"mm, 1 Hz, 1.5 A ended at the noise ({floor:.2f} N). The table gives the range of "
@@ -231,7 +236,7 @@ def identifiability_part(campaign: Campaign) -> Iterator[Chapter]:
             "Parameter | Smallest | Largest | Spread [1]",
             _spreads(PARAMETER_NAMES, good, facts.SEARCH_HIGH - facts.SEARCH_LOW),
         ),
-        table(
+        Table(
             "scatter_coefficients",
             "The seven coefficients of the same sets (SI units), and their standard deviation "
             "relative to their mean: all sets agree to the digits shown.",
@@ -259,8 +264,8 @@ def _singular_figure(singular: Sequence[Array]) -> Picture:
     )
     x = np.arange(1, len(PARAMETER_NAMES) + 1)
     for number, label in enumerate(("one run", "all sound conditions, one set")):
-        shown = np.maximum(singular[number], 1e-13)
-        a.semilogy(x, shown, MARKS[number], color=INK[number], label=label)
+        style = {**line(number, marked=True), "linestyle": ""}
+        a.semilogy(x, np.maximum(singular[number], 1e-13), label=label, **style)
     a.axhline(1.0, color="0.4", lw=0.7)
     a.text(8.0, 0.6, "a change of 100 % equals the noise", va="top", color="0.4", fontsize=7)
     a.set_xticks(x)
@@ -302,7 +307,7 @@ def _walk_figure(noise_seed: int, truth: Array, directions: Array) -> Picture:
     steps, misfit = np.linspace(-0.5, 0.5, 41), cycle(ONE_RUN, noise_seed)
     for number, direction in enumerate((1, 4, 7, 12)):
         walked = truth * (1.0 + np.outer(steps, directions[direction - 1]))
-        style = {"color": INK[number], "marker": MARKS[number], "markevery": 5}
+        style = {**line(number, marked=True), "linestyle": "-", "markevery": 5}
         rmse = np.sqrt(misfit.costs(walked))
         a.semilogy(100.0 * steps, rmse, label=f"direction {direction}", **style)
     a.legend(loc="upper right", ncols=2)

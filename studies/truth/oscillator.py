@@ -35,7 +35,7 @@ from mr_damper_ros.models.parameter_set import ParameterSet, start_set
 from mr_damper_ros.processes.files import json_ready
 from mr_damper_ros.report import document
 from mr_damper_ros.signals.arrays import Array
-from studies.drawing import chapter, chart, table
+from studies.drawing import chapter
 from studies.program import Campaign
 from studies.recordings import rms
 from studies.truth.records import QUICK_LAWS
@@ -342,10 +342,10 @@ def oscillator_part(campaign: Campaign) -> Iterator[document.Chapter]:
     """Results from motion to force, and from force to motion."""
     laws = QUICK_LAWS if campaign.quick else tuple(MODELS)
     task = QUICK if campaign.quick else {"count": COUNT, "steps": STEPS, "sweep": math.inf}
-    tasks = [{"law": law, "count": task["count"]} for law in laws]
-    results = campaign.each("laws on the benchmark", judge_on_oscillator, tasks)
-    found: dict[str, Any] = dict(zip(laws, results, strict=True))
-    (estimation,) = campaign.each("estimation of the benchmark", estimate_oscillator, [task])
+    name = "laws on the benchmark"
+    found = campaign.each(name, judge_on_oscillator, laws, count=task["count"])
+    name = "estimation of the benchmark"
+    estimation = campaign.each(name, estimate_oscillator, [()], **task)[()]
     truths = [float(getattr(TRUTH, name)) for _, name, _ in _NUMBERS]
     numbers = [
         (symbol, name, unit, truth, value, error)
@@ -402,7 +402,7 @@ def _chapter(
         "yields. In the laws bouc_wen and modified_bouc_wen, as in any MR damper, the hysteresis "
         "yields. No law therefore contains the true system, and a model error remains. Their share "
         "and sharpness end at a bound.",
-        table(
+        document.Table(
             "oscillator_laws",
             "Each law was identified from the displacement under one multisine and evaluated on "
             "another: NRMSE of the force in percent; RMS error of the displacement with the set "
@@ -422,7 +422,7 @@ def _chapter(
         "Force to motion: the parameters of the true equations are estimated by least squares of "
         "the displacement, starting from the best linear oscillator. One of β, γ and δ is "
         "redundant: only their products are identifiable.",
-        table(
+        document.Table(
             "oscillator_numbers",
             "The six parameters, estimated from one multisine and the displacement with "
             f"{1e6 * OUTPUT_NOISE:g} µm of noise, in {estimation['simulations']} simulations and "
@@ -433,7 +433,7 @@ def _chapter(
                 for symbol, _, unit, truth, value, error in numbers
             ],
         ),
-        table(
+        document.Table(
             "oscillator_errors",
             "RMS error of the simulated displacement under a multisine that was not used in the "
             "estimation, without noise. The published models do not use the equations (black box) "
@@ -449,7 +449,7 @@ def _chapter(
 
 def _loops(found: Mapping[str, Any]) -> document.Picture:
     chosen = sorted(found, key=lambda law: found[law]["other"])[:3]
-    picture, axes = chart(
+    picture, axes = document.chart(
         "oscillator",
         "Loops of the three best laws in half a second of the other multisine.",
         (1, len(chosen), 6.8, 2.8),

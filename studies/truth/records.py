@@ -23,7 +23,7 @@ from mr_damper_ros.processes.files import json_ready
 from mr_damper_ros.report import document
 from mr_damper_ros.signals.arrays import Array
 from studies import recordings
-from studies.drawing import chapter, chart, draw_rows, line, name_rows, table
+from studies.drawing import chapter, draw_rows, line, name_rows
 from studies.program import Campaign
 
 _RAW_COLUMNS = "time:0.005*s,-,force:980.665*N,displacement:10*mm"
@@ -31,7 +31,7 @@ _RAW_CURRENTS = (0.0, 0.25, 0.5, 0.75, 1.0)
 _BLOCK = 10
 
 
-def judge_records(utfsm: Path, law: str, left_out: str | None, every: int) -> dict[str, Any]:
+def judge_records(law: str, left_out: str | None, utfsm: Path, every: int) -> dict[str, Any]:
     """Task: identify the law, and predict records as the model node does.
 
     If a motion is left out, its records are evaluated, and the peak velocity is held within the
@@ -75,7 +75,7 @@ def _raw_errors(found: ParameterSet, utfsm: Path) -> dict[str, float]:
 
 
 def judge_earthquake(
-    utfsm: Path, known: ParameterSet, current: float, follows: bool, longest: float
+    known: ParameterSet, current: float, follows: bool, utfsm: Path, longest: float
 ) -> dict[str, Any]:
     """Task: undo the smoothing of a record, and predict at most ``longest`` [s] block by block.
 
@@ -131,27 +131,23 @@ def recordings_part(campaign: Campaign) -> Iterator[document.Chapter]:
     currents = _QUICK_CURRENTS if quick else recordings.EARTHQUAKE_CURRENTS
     motions = [None, *recordings.processed_motions(utfsm)]
     every = _QUICK_EVERY if quick else 1
-    tasks = [
-        {"utfsm": utfsm, "law": law, "left_out": left_out, "every": every}
-        for law in laws
-        for left_out in motions
-    ]
-    judged = campaign.each("sinusoid records", judge_records, tasks)
+    keys = [(law, left_out) for law in laws for left_out in motions]
+    judged = campaign.each("sinusoid records", judge_records, keys, utfsm=utfsm, every=every)
     found: dict[str, Any] = {}
-    for place, law in enumerate(laws):
-        whole, *others = judged[place * len(motions) : (place + 1) * len(motions)]
-        left_out = {name: error for each in others for name, error in each["nrmse"].items()}
-        found[law] = {**whole, "left_out": left_out, "static": [], "online": []}
-    common = {"utfsm": utfsm, "longest": _QUICK_LONGEST if quick else math.inf}
+    for law in laws:
+        others = [judged[law, left_out]["nrmse"] for left_out in motions[1:]]
+        left_out = {name: error for each in others for name, error in each.items()}
+        found[law] = {**judged[law, None], "left_out": left_out, "static": [], "online": []}
     trials = [
-        {**common, "known": found[law]["set"], "current": current, "follows": follows}
+        (found[law]["set"], current, follows)
         for follows, chosen in ((False, laws), (True, online))
         for law in chosen
         for current in currents
     ]
-    shaken = campaign.each("earthquakes", judge_earthquake, trials)
-    for trial, result in zip(trials, shaken, strict=True):
-        found[trial["known"].model]["online" if trial["follows"] else "static"].append(result)
+    common = {"utfsm": utfsm, "longest": _QUICK_LONGEST if quick else math.inf}
+    shaken = campaign.each("earthquakes", judge_earthquake, trials, **common)
+    for (known, _, follows), result in shaken.items():
+        found[known.model]["online" if follows else "static"].append(result)
     window = next(iter(recordings.processed_motions(utfsm).values()))[0]
     for result in found.values():
         result["microseconds"] = microseconds_per_sample(result["set"], window)
@@ -194,7 +190,7 @@ def _sinusoids(found: Laws) -> document.Chapter:
         "held within the range of the others. The authors smoothed the processed records by a "
         "moving average over a tenth of a cycle. The raw records of the logger exist for two "
         "motions; their mean is subtracted, because the zero of their force is unknown.",
-        table(
+        document.Table(
             "sinusoids",
             "NRMSE (RMSE over the standard deviation of the force) in percent: median and largest "
             "for one set, median and mean for the motions left out, median for the raw records. "
@@ -209,7 +205,7 @@ def _sinusoids(found: Laws) -> document.Chapter:
 
 
 def _errors(found: Laws, names: Sequence[str]) -> document.Picture:
-    picture, axes = chart(
+    picture, axes = document.chart(
         "sinusoids", "Error of every record, by law.", (2, 1, 6.8, 5.2), sharex=True
     )
     motions, _, currents = zip(*(name.rpartition(",") for name in names), strict=True)
@@ -242,7 +238,7 @@ def _earthquakes(found: Laws, currents: Sequence[float]) -> document.Chapter:
     ]
     middle = len(currents) // 2
     best = max(found, key=lambda law: found[law]["static"][middle]["fit"])
-    picture, axes = chart(
+    picture, axes = document.chart(
         "earthquakes",
         f"Measured and predicted force at {currents[middle]:g} A ({best}), and the residual.",
         (2, 1, 6.8, 4.2),
@@ -276,7 +272,7 @@ def _earthquakes(found: Laws, currents: Sequence[float]) -> document.Chapter:
         "set of the sinusoid records alone (static), or with the identifier running at the "
         "defaults of the nodes, starting from this set (on-line). The first five seconds of motion "
         "are not evaluated.",
-        table(
+        document.Table(
             "earthquakes",
             "Fit (1 − NRMSE) in percent. –: not computed.",
             f"law | {static} | mean | {online}",
@@ -310,7 +306,9 @@ def _parameters(found: Laws) -> document.Chapter:
             for name, entry in parameter_estimates(result["set"]).items()
         ]
         columns = "parameter | value ± standard error | unit | in the set"
-        blocks.append(table(f"parameters_{law}", f"{MODELS[law].title} ({law}).", columns, rows))
+        blocks.append(
+            document.Table(f"parameters_{law}", f"{MODELS[law].title} ({law}).", columns, rows)
+        )
     told = "the parameters of each law, with their standard errors."
     return document.Chapter("parameters", "Parameters", told, blocks)
 

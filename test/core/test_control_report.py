@@ -10,7 +10,7 @@ import pytest
 from mr_damper_ros.processes.files import write_bytes
 from mr_damper_ros.report import document
 from studies.__main__ import main
-from studies.control import buildings, car, heated, hybrid
+from studies.control import buildings, car, hybrid
 from studies.control.buildings import BANG_BANG, ON, WEIGHTED
 
 
@@ -48,7 +48,7 @@ def drive_heated(learns: bool, duration: float) -> Any:
     return {"series": values, "accepted": 7}
 
 
-def shaken(strategy: str, building: str, earthquake: str, lag: float, longest: float) -> Any:
+def shaken(strategy: str, case: tuple[str, str], lag: float, longest: float) -> Any:
     size = {WEIGHTED: 0.2, ON: 0.3, BANG_BANG: 0.25}.get(strategy, 1.0)
     names = ("displacement", "acceleration", "farthest", "highest")
     numbers = {**dict.fromkeys(names, size), "reversals": 10.0, "force": 1e3}
@@ -70,7 +70,7 @@ def sketched(folder: Path, picture: document.Picture) -> bytes:
 @pytest.fixture
 def written(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Path:
     monkeypatch.setattr(car, "drive", driven)
-    monkeypatch.setattr(heated, "drive_heated", drive_heated)
+    monkeypatch.setattr(car, "drive_heated", drive_heated)
     monkeypatch.setattr(buildings, "simulate", shaken)
     monkeypatch.setattr(hybrid, "hybrid", reckoned)
     monkeypatch.setattr(document, "write_picture", sketched)

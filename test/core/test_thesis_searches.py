@@ -21,7 +21,7 @@ from studies.thesis.optimisers import available
 
 @pytest.mark.parametrize("method", available())
 def test_an_optimiser_keeps_budget_and_bounds_and_ends_between_the_noise_and_the_force(method):
-    result = optimisers.run(method, 0, [1, 2], 1500)
+    result = optimisers.run(method, (1, 2), 0, 1500)
     assert 0 < result["evaluations"] <= 1500
     # RMSE [N]: the fit of 7 parameters to 7001 samples lowers it slightly; without a law it is 1069
     # N.
@@ -35,7 +35,7 @@ def test_an_optimiser_keeps_budget_and_bounds_and_ends_between_the_noise_and_the
 
 @pytest.mark.parametrize("law", laws.LAWS)
 def test_one_set_for_one_run_leaves_the_noise(law):
-    fit = laws.fit_runs([optimisers.CONDITION], 0, 4, law)
+    fit = laws.fit_runs(law, [optimisers.CONDITION], 0, 4)
     # Relative: three standard errors of a standard deviation from 1750 samples.
     assert fit["rmse"][0] == pytest.approx(THESIS_FORCE_NOISE, rel=0.05)
 
