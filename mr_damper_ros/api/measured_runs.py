@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import math
 import os
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations
 from pathlib import Path
-from typing import Any
+from typing import Any, SupportsFloat
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -17,7 +16,7 @@ from mr_damper_ros.io.recording_list import RECORD_ENDINGS
 from mr_damper_ros.kinematics.motion import DataError
 from mr_damper_ros.kinematics.window import Window, holds_cycle
 from mr_damper_ros.processes.process_pool import Notify, ProcessPool
-from mr_damper_ros.signals.arrays import Array
+from mr_damper_ros.signals.arrays import Array, samples_of
 from mr_damper_ros.signals.blocks import NANOSECONDS
 from mr_damper_ros.signals.moving_average import find_average
 from mr_damper_ros.signals.recording import DEFAULT_START_NS, LARGEST_CURRENT, Recording
@@ -34,6 +33,7 @@ RunSource = str | os.PathLike[str] | Recording | Iterable["RunSource"]
 RunArrays = tuple[ArrayLike | None, ArrayLike | None, ArrayLike | None, float | None]
 """Displacement [m], force [N] and current [A] of a run, and the sample period [s]."""
 
+_LARGEST_MASS = 1e6
 _REMEDY = "to use it anyway, give accept_doubtful=True or --accept-doubtful"
 
 _LIMITS = Screening(minimum_amplitude=1e-6, current_tolerance=2.0 * LARGEST_CURRENT)
@@ -148,8 +148,10 @@ def without_inertia(runs: Sequence[MeasuredRun], mass: float) -> tuple[MeasuredR
     and half of the load cell) belongs to the rig, not to the law. Raises ValueError if the mass is
     invalid.
     """
-    if not (math.isfinite(mass) and mass >= 0.0):
-        raise ValueError(f"the mass is {mass}: give kilograms, or 0 for none")
+    if not (isinstance(mass, SupportsFloat) and 0.0 <= mass <= _LARGEST_MASS):
+        raise ValueError(
+            f"the mass is {mass!r}: give a number of kilograms up to {_LARGEST_MASS:g}, or 0"
+        )
     if mass == 0.0:
         return tuple(runs)
 
@@ -212,9 +214,9 @@ def _from_arrays(
         name="arrays",
         start_ns=DEFAULT_START_NS,
         period=period,
-        displacement=np.asanyarray(displacement, dtype=float),
-        force=np.asanyarray(force, dtype=float),
-        current=np.full(count, current) if np.ndim(current) == 0 else np.asanyarray(current, float),
+        displacement=samples_of(displacement),
+        force=samples_of(force),
+        current=np.full(count, current) if np.ndim(current) == 0 else samples_of(current),
     )
 
 

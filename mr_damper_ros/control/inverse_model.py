@@ -168,6 +168,8 @@ class InverseModel:
         state: State | None = None,
     ) -> Array:
         """Force (n,) [N] at the samples of a motion and these currents (n,) [A] of the coil."""
+        if motion.velocity.size == 0:
+            return np.empty(0)
         samples = MotionSample.each(motion.held_within(*self._range))
         return self._response.forces(samples, _each(current, motion), period, state)[:, 0]
 

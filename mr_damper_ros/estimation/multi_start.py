@@ -13,7 +13,7 @@ import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
-from typing import Any
+from typing import Any, SupportsIndex
 
 import numpy as np
 
@@ -177,8 +177,8 @@ def identify_from_seeds(
 
     Raises ValueError for a count below 1 and the errors of :func:`identify_global`.
     """
-    if count < 1:
-        raise ValueError(f"starts is {count}: at least 1 is needed")
+    if not isinstance(count, SupportsIndex) or count < 1:
+        raise ValueError(f"starts is {count!r}: give a whole number of at least 1")
     seeds = [record.settings.seed + place for place in range(count)]
     missing = [seed for seed in seeds if not record.is_finished(seed)]
     began, parts = time.monotonic(), dict[int, float]()

@@ -18,7 +18,7 @@ from numpy.polynomial import polynomial
 
 from mr_damper_ros.kinematics.peak_velocity import peak_velocity_of_window
 from mr_damper_ros.kinematics.periodic_motion import Kinematics
-from mr_damper_ros.signals.arrays import Array, noise_power, span_of, white_noise
+from mr_damper_ros.signals.arrays import Array, noise_power, span_of, usable, white_noise
 
 SINE_TOLERANCE = 2e-3
 """A motion counts as a sine if the residual of the fit is below this fraction of the amplitude [1].
@@ -289,10 +289,12 @@ def window_motion(displacement: Array, period: float) -> Motion:
     u = np.asarray(displacement, dtype=float)
     if u.ndim != 1 or u.size < 16:
         raise DataError(f"a window needs at least 16 samples of displacement, but has {u.size}")
-    if not (math.isfinite(period) and period > 0.0):
-        raise ValueError(f"the sample period is {period} s: it must be positive")
-    if not np.all(np.isfinite(u)):
-        raise DataError("the displacement holds NaN or infinite values: correct them")
+    if not 1e-9 <= period <= 1e9:
+        raise ValueError(
+            f"the sample period is {period} s: it must be positive, from 1e-09 to 1e+09 s"
+        )
+    if not np.all(usable(u)):
+        raise DataError("the displacement holds NaN, infinite or huge values: correct them")
     if np.ptp(u) == 0.0:
         raise DataError("the displacement does not change: there is no motion")
     sine = fit_sine(u, period)

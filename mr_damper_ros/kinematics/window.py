@@ -10,7 +10,7 @@ import numpy as np
 
 from mr_damper_ros.kinematics.motion import DataError, Motion, Sine, window_motion
 from mr_damper_ros.kinematics.peak_velocity import REVERSAL
-from mr_damper_ros.signals.arrays import NOISE_SPAN, Array, Positive, white_noise
+from mr_damper_ros.signals.arrays import NOISE_SPAN, Array, Positive, usable, white_noise
 
 _SAMPLES_PER_CYCLE = 1000
 """Samples per cycle that resolve the steepest sigmoid, which rises within 1/180 of a cycle."""
@@ -248,8 +248,8 @@ class Window:
             array = np.asarray(getattr(self, name), dtype=float)
             if array.shape != (n,):
                 raise ValueError(f"{name} has shape {array.shape}, the motion {n} samples")
-            if not np.all(np.isfinite(array)):
-                raise DataError(f"the {name} holds NaN or infinite values")
+            if not np.all(usable(array)):
+                raise DataError(f"the {name} holds NaN, infinite or huge values")
             object.__setattr__(self, name, array)
 
     @classmethod

@@ -296,7 +296,7 @@ def identify_many(
         for document in documents.values():
             _save_set(place, document)
         remaining = [group for group in groups if group.damper not in documents]
-        workforce: int | Workforce = int(workers) if executor is None else Workforce(executor)
+        workforce: int | Workforce = workers if executor is None else Workforce(executor)
         if remaining and scheduler is not None:
             workforce = dask_cluster(scheduler)
         for group, found in finish(identify_group, remaining, workforce):

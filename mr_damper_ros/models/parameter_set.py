@@ -19,7 +19,7 @@ from mr_damper_ros.kinematics.window import Window
 from mr_damper_ros.models import MODELS, Model
 from mr_damper_ros.models.quantities import SAME_CURRENT, State
 from mr_damper_ros.processes.files import write_text
-from mr_damper_ros.signals.arrays import Array
+from mr_damper_ros.signals.arrays import Array, samples_of
 from mr_damper_ros.signals.blocks import fits_a_stamp
 
 DEFAULT_MODEL = "sigmoid"
@@ -61,6 +61,9 @@ Moved = TypeVar("Moved", Motion, MotionSample, Window)
 _TIME_TOLERANCE = 0.01
 """Largest deviation of a sample time, relative to the period, as by rounding in a file."""
 
+_LARGEST = 1e150
+"""Largest magnitude of a parameter; a fit that starts from a larger one overflows."""
+
 _UNKNOWN = np.empty(0)
 """Placeholder for NaN or False at all parameters, until the number of parameters is known."""
 
@@ -73,11 +76,7 @@ def motion_window(time: ArrayLike, displacement: ArrayLike, current: ArrayLike) 
     """The window of a motion, without a force; see :meth:`ParameterSet.force`."""
     if np.asarray(time).dtype.kind in "mM":
         raise ValueError("the times are dates: give seconds")
-    # The values under the mask of a masked array were not measured.
-    given: list[Array] = [
-        np.ma.array(values, dtype=float).filled(np.nan) for values in (time, displacement, current)
-    ]
-    times, moved, amperes = given
+    times, moved, amperes = map(samples_of, (time, displacement, current))
     if times.ndim != 1 or times.shape != moved.shape or times.size < 2:
         raise ValueError(
             f"time has the shape {times.shape} and displacement {moved.shape}: give one "
@@ -157,7 +156,7 @@ class ParameterSet:
             array.flags.writeable = False
             object.__setattr__(self, name, array)
         for name, value, low, high in zip(names, self.values, *model.bounds, strict=True):
-            if not math.isfinite(value):
+            if not abs(value) <= _LARGEST:
                 raise ParameterError(f"parameter {name} is {value}: give a finite number")
             if not low <= value <= high:
                 raise ParameterError(

@@ -21,7 +21,7 @@ from contextlib import AbstractContextManager, closing
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any, SupportsIndex, TypeVar
 
 from mr_damper_ros.processes.blas_threads import one_thread
 from mr_damper_ros.processes.files import write_text
@@ -63,8 +63,8 @@ class ProcessPool(AbstractContextManager):
     """
 
     def __init__(self, count: int = 1, *, apart: bool = False) -> None:
-        if count < 1:
-            raise ValueError(f"workers is {count}: at least 1 is needed")
+        if not isinstance(count, SupportsIndex) or count < 1:
+            raise ValueError(f"workers is {count!r}: give a whole number of at least 1")
         self.count = count
         self._apart = apart
         self._pool: WorkerPool | None = None
@@ -275,7 +275,7 @@ def finish(
     is None if the process of the task dies repeatedly. Raises WorkersError if the workers cannot
     run tasks at all.
     """
-    if isinstance(workers, int):
+    if not isinstance(workers, Workforce):
         with ProcessPool(workers, apart=True) as pool:
             for outcome in pool.outcomes(partial(_document, function), tasks):
                 yield tasks[outcome.task], outcome.result if isinstance(outcome, Done) else None

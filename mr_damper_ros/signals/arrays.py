@@ -5,10 +5,10 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from statistics import NormalDist
-from typing import Annotated
+from typing import Annotated, Any
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 Array = NDArray[np.float64]
 """Array of doubles; the shape is stated where the type is used."""
@@ -19,6 +19,29 @@ Positive = Annotated[float, "positive"]
 
 Mask = NDArray[np.bool_]
 """Array of booleans, one for each sample."""
+
+
+_LARGEST = 1e12
+"""Largest magnitude of a sample, in SI units: no machine reaches it, and no product overflows."""
+
+
+def usable(values: Array) -> Mask:
+    """Mask (n,) of the values that are finite and at most 1e12 in magnitude.
+
+    Instruments send 9.91e37 for a missing value. LAPACK may never return from an infinity.
+    """
+    return np.asarray(np.abs(values) <= _LARGEST)
+
+
+def samples_of(values: ArrayLike) -> Array:
+    """A copy of values (n,) as doubles; masked values, which were not measured, become NaN.
+
+    Raises ValueError for complex values, of which NumPy would drop the imaginary part.
+    """
+    given: Any = np.ma.array(values, copy=True)
+    if given.dtype.kind == "c":
+        raise ValueError("the samples are complex numbers: give real ones")
+    return np.asarray(given.astype(np.float64).filled(np.nan))
 
 
 def span_of(values: Array) -> tuple[float, float]:

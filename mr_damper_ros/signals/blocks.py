@@ -12,18 +12,13 @@ from typing import NamedTuple
 
 import numpy as np
 
-from mr_damper_ros.signals.arrays import Array
+from mr_damper_ros.signals.arrays import Array, samples_of, usable
 
 NANOSECONDS = 1_000_000_000
 
 LATE_NS = NANOSECONDS
 """A stamp that is earlier than the last one by up to this time is delayed or repeated. If it is
 earlier by more, the clock was set back."""
-
-_LARGEST = 1e12
-"""Largest magnitude of a displacement [m] or force [N]: no machine reaches it, and the square of
-this value does not overflow."""
-
 
 MOST_SAMPLES = 5000
 """Largest number of samples in a block that a node accepts, which bounds the work on a block."""
@@ -82,8 +77,7 @@ class SampleBlock:
         for name in ("displacement", "force"):
             values = getattr(self, name)
             if type(values) is not np.ndarray or values.dtype != np.float64:
-                found = np.ma.array(values, dtype=np.float64).filled(np.nan)
-                object.__setattr__(self, name, found)
+                object.__setattr__(self, name, samples_of(values))
         n = self.displacement.size
         if self.displacement.ndim != 1 or self.force.ndim != 1:
             raise BlockError("the block holds a table: give lists of samples")
@@ -99,7 +93,7 @@ class SampleBlock:
             )
         for name in ("displacement", "force"):
             values = getattr(self, name)
-            possible = np.abs(values) <= _LARGEST
+            possible = usable(values)
             if np.count_nonzero(possible) != n:
                 index = int(np.argmin(possible))
                 what = f"is {values[index]:g}" if np.isfinite(values[index]) else "is not finite"

@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from mr_damper_ros.signals.arrays import Array
+from mr_damper_ros.signals.arrays import Array, samples_of, usable
 from mr_damper_ros.signals.blocks import NANOSECONDS, SampleBlock
 
 DEFAULT_START_NS = 1_672_531_200 * NANOSECONDS
@@ -51,8 +51,8 @@ class Recording:
 
     The constructor checks the values, so all later computations may assume finite values.
 
-    Raises RecordingError if there are no samples, lengths differ, a value is not finite
-    (NotFiniteError), or the period is not positive.
+    Raises RecordingError if there are no samples, lengths differ, a value is not finite or its
+    magnitude exceeds 1e12 (NotFiniteError), or the period is not 1 ns to 1e9 s.
     """
 
     name: str
@@ -66,9 +66,10 @@ class Recording:
 
     def __post_init__(self) -> None:
         period = np.asarray(self.period, dtype=np.float64)
-        if period.size != 1 or not 0.0 < period.item() < math.inf:
+        if period.size != 1 or not 1e-9 <= period.item() <= 1e9:
             raise RecordingError(
-                f"the sample period of '{self.name}' is {self.period} s: it must be positive"
+                f"the sample period of '{self.name}' is {self.period} s: it must be positive, "
+                "1e-9 to 1e9"
             )
         # Numbers of NumPy would make every comparison with them a number of NumPy, too.
         object.__setattr__(self, "start_ns", int(self.start_ns))
@@ -81,8 +82,7 @@ class Recording:
             object.__setattr__(self, name, self._checked(name, values))
 
     def _checked(self, name: str, values: Array) -> Array:
-        # The values under the mask of a masked array were not measured.
-        array: Array = np.ma.array(values, dtype=np.float64, copy=True).filled(np.nan)
+        array = samples_of(values)
         if array.ndim != 1:
             raise RecordingError(
                 f"the {name} of '{self.name}' has shape {array.shape}: give a list of samples"
@@ -94,9 +94,9 @@ class Recording:
                 f"'{self.name}' holds {np.size(self.displacement)} displacements but "
                 f"{array.size} values of {name}: give one for each sample"
             )
-        finite = np.isfinite(array)
-        if not finite.all():
-            index = int(np.argmin(finite))
+        possible = usable(array)
+        if not possible.all():
+            index = int(np.argmin(possible))
             raise NotFiniteError(
                 f"the {name} of sample {index} of '{self.name}' is {array[index]}: "
                 "cut the recording before it, or correct the value",

@@ -101,6 +101,11 @@ def test_paths_recordings_and_arrays_give_the_same_set(
         ([RUN], {"start": {}}, "start cannot be of type dict: give a ParameterSet"),
         ([replace(RUN, **SHORT)], {}, f"{RUN.name}: a window needs at least 16 samples"),
         ([], {**SHORT, "period": "1 ms"}, "period is '1 ms': give the sample period"),
+        ([], {**SHORT, "force": 1j * SHORT["force"], "period": 1e-3}, "complex numbers"),
+        ([RUN], {"mass": "2 kg"}, "the mass is '2 kg': give a number of kilograms"),
+        ([RUN], {"mass": 1e306}, "kilograms up to 1e.06, or 0"),
+        ([RUN], {"starts": 1.0}, "starts is 1.0: give a whole number of at least 1"),
+        ([RUN], {"workers": "3"}, "workers is '3': give a whole number of at least 1"),
     ],
 )
 def test_what_cannot_be_used_is_one_sentence(

@@ -169,6 +169,7 @@ def test_what_cannot_be_inverted_is_refused():
     assert not inverse.currents(motion, [1.0, math.nan]).attainable[1]
     nothing = inverse.currents(motion.part(slice(0)), [])
     assert nothing.current[nothing.attainable].size == 0
+    assert inverse.force(motion.part(slice(0)), 0.5).size == 0
 
 
 # -- the coil --------------------------------------------------------------------------------------

@@ -36,7 +36,7 @@ def parameter_sets(draw: st.DrawFn) -> ParameterSet:
 
     return ParameterSet(
         model=model.name,
-        values=np.clip(one_for_each(FINITE), *model.bounds),
+        values=np.clip(one_for_each(st.floats(-1e150, 1e150)), *model.bounds),
         standard_errors=one_for_each(st.floats(0.0)),
         observable=one_for_each(st.booleans()),
         set_id=draw(PRINTABLE),
@@ -113,6 +113,7 @@ FAULTS = {
     "truth": (with_parameter("k6", True), "parameter k6 is True: give a number"),
     "nan": (with_parameter("k6", math.nan), "parameter k6 is nan: give a finite number"),
     "infinite": (with_parameter("k6", -math.inf), "parameter k6 is -inf: give a finite number"),
+    "huge": (with_parameter("f0", 1e308), r"parameter f0 is 1e\+308: give a finite number"),
     "stray in parameter": (
         with_parameter("k6", {"value": 1.0, "min": 0.0}),
         "parameter k6 has unknown entries min: remove them",
