@@ -56,13 +56,10 @@ def planned(
     planner: RunPlanner,
     windows: list[Window],
     before: Array | None = None,
-    evolution: EvolutionSettings | None = None,
 ) -> tuple[ParameterSet, Plan]:
     """Maximum-a-posteriori set of the windows, from the start ``before`` (p,), and the plan."""
     start = planner.model.initial_values()[0] if before is None else before
-    fit = identify_global(
-        planner.model, windows, start, evolution or EvolutionSettings(), known=before
-    )
+    fit = identify_global(planner.model, windows, start, EvolutionSettings(), known=before)
     found = fit.parameter_set
     found = replace(found, values=planner.most_probable(windows, found.values))
     return found, planner.next(windows, found.values, found.observable)
@@ -121,12 +118,11 @@ def find_step(
     task: CampaignTask,
     runs: Sequence[MadeRun],
     before: Array | None,
-    evolution: EvolutionSettings,
     control: Control | None = None,
 ) -> CampaignStep:
     """Identify from all runs and plan the next; ``before`` (p,): the set without the last run."""
     windows = [window for run, recording in runs for window in run.windows(recording)]
-    found, plan = planned(planner_of(task), windows, before, evolution)
+    found, plan = planned(planner_of(task), windows, before)
     return CampaignStep(runs[-1][0], found, plan)
 
 
@@ -146,7 +142,6 @@ class CampaignCourse:
         *,
         folder: Path | None = None,
         most_runs: int = 20,
-        evolution: EvolutionSettings | None = None,
     ) -> None:
         self.task = task
         self.runs: list[MadeRun] = []
@@ -155,7 +150,6 @@ class CampaignCourse:
         self.reason = ""
         self.folder = folder
         self._most_runs = most_runs
-        self._evolution = evolution or EvolutionSettings()
         self._first = first_run(task.goal, task.limits)
         self._ended: CampaignOutcome | None = None
         if folder is not None:
@@ -197,14 +191,12 @@ class CampaignCourse:
         return self.steps[-1].plan.run if self.steps else self._first
 
     @property
-    def work(
-        self,
-    ) -> tuple[CampaignTask, Sequence[MadeRun], Array | None, EvolutionSettings] | None:
+    def work(self) -> tuple[CampaignTask, Sequence[MadeRun], Array | None] | None:
         """Arguments of :func:`find_step` before the next run."""
         if self._ended is not None or len(self.steps) == len(self.runs):
             return None
         before = self.steps[-1].parameter_set.values if self.steps else None
-        return self.task, self.runs[: len(self.steps) + 1], before, self._evolution
+        return self.task, self.runs[: len(self.steps) + 1], before
 
     def add_recording(self, recording: Recording, made: PlannedRun | None = None) -> str:
         """Add a recording of the next run; returns the reason to reject it, or empty.
@@ -309,7 +301,6 @@ def run_campaign(
     *,
     model: str = DEFAULT_MODEL,
     most_runs: int = 20,
-    evolution: EvolutionSettings | None = None,
     report: Callable[[CampaignStep], bool] | None = None,
     folder: str | os.PathLike[str] | None = None,
 ) -> ForceCampaign:
@@ -323,7 +314,7 @@ def run_campaign(
     """
     task = CampaignTask(goal, limits, model)
     path = None if folder is None else Path(folder)
-    course = CampaignCourse(task, folder=path, most_runs=most_runs, evolution=evolution)
+    course = CampaignCourse(task, folder=path, most_runs=most_runs)
     with closing(course):
         while course.outcome is None:
             if course.work is not None:

@@ -115,8 +115,8 @@ def read_list(path: str | os.PathLike[str]) -> tuple[list[ListedRecording], list
     """The recordings in a CSV list, and the unusable entries.
 
     The list has the columns ``path``, ``damper`` and optionally ``current`` [A]. Paths are relative
-    to the folder of the list. Raises ListError if a column is missing or the list is empty, and
-    OSError.
+    to the folder of the list. Raises ListError if a column is missing, the list is empty or
+    a recording has two dampers, and OSError.
     """
     place = Path(path)
     try:
@@ -130,7 +130,7 @@ def read_list(path: str | os.PathLike[str]) -> tuple[list[ListedRecording], list
                 f"{place} has no column '{column}': its first line must name path, damper and, "
                 "optionally, current"
             )
-    found: dict[Path, ListedRecording] = {}
+    found = []
     left_out = []
     for row in rows:
         recording = place.parent / (row["path"] or "")
@@ -138,10 +138,21 @@ def read_list(path: str | os.PathLike[str]) -> tuple[list[ListedRecording], list
             if not (row["damper"] or "").strip():
                 raise ListError("the list does not name its damper")
             current = _current(row.get("current"))
-            found.setdefault(recording, ListedRecording(recording, row["damper"].strip(), current))
+            found.append(ListedRecording(recording, row["damper"].strip(), current))
         except ListError as error:
             left_out.append(LeftOut(recording, str(error)))
-    return list(found.values()), left_out
+    return without_repeats(found), left_out
+
+
+def without_repeats(recordings: Iterable[ListedRecording]) -> list[ListedRecording]:
+    """Each recording once; raises ListError for one with two dampers or currents."""
+    found: dict[Path, ListedRecording] = {}
+    for each in recordings:
+        first = found.setdefault(each.path.resolve(), each)
+        if first.damper != each.damper or first.current != each.current:
+            both = [f"damper {one.damper} (current: {one.current} A)" for one in (first, each)]
+            raise ListError(f"{each.path} is given for {both[0]} and for {both[1]}: give one")
+    return list(found.values())
 
 
 def _roots(source: str) -> list[Path]:

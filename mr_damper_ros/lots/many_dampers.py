@@ -28,6 +28,7 @@ from mr_damper_ros.io.recording_list import (
     RecordFormat,
     find_recordings,
     read_list,
+    without_repeats,
 )
 from mr_damper_ros.lots.population import KnownDamper, Population
 from mr_damper_ros.models.parameter_set import DEFAULT_MODEL, ParameterSet
@@ -265,7 +266,8 @@ def identify_many(
     )
     if listed is not None:
         more, nameless = read_list(listed)
-        recordings, unnamed = [*recordings, *more], [*unnamed, *nameless]
+        recordings = without_repeats([*recordings, *more])
+        unnamed += nameless
     if not recordings:
         raise ValueError(
             "there are no recordings of a known damper: give folders, a list, or another pattern"
@@ -314,11 +316,11 @@ def identify_many(
 
 
 def _groups(recordings: Iterable[ListedRecording]) -> dict[str, list[ListedRecording]]:
-    """The recordings by damper, without duplicates."""
-    groups: dict[str, dict[Path, ListedRecording]] = defaultdict(dict)
+    """The recordings by damper."""
+    groups: dict[str, list[ListedRecording]] = defaultdict(list)
     for recording in recordings:
-        groups[recording.damper].setdefault(recording.path.absolute(), recording)
-    return {name: list(groups[name].values()) for name in sorted(groups)}
+        groups[recording.damper].append(recording)
+    return dict(sorted(groups.items()))
 
 
 def _state(path: Path) -> list[tuple[str, int, int]] | None:

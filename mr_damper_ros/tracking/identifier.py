@@ -255,6 +255,9 @@ class Identifier:
         return self.state.keep_now(self.tracker)
 
     def _supersede(self) -> None:
+        """Give up the running job and the waiting searches, whose windows are no longer known."""
+        self._given_up += map(SearchEnded, self._searches)
+        self._searches.clear()
         if self._job is not None:
             self._superseded = True
             self.worker.cancel()

@@ -1,6 +1,8 @@
 """The Python interface for a user with recordings and without ROS."""
 
 import math
+import subprocess
+import sys
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -45,6 +47,17 @@ def test_using_every_name_changes_no_environment_variable_and_needs_no_ros() -> 
         "print(dict(os.environ) == before, 'rclpy' in sys.modules)"
     )
     assert said.split() == ["True", "False"]
+
+
+def test_without_an_installation_the_programs_are_refused_in_a_sentence(tmp_path: Path) -> None:
+    (tmp_path / "mr_damper_ros").symlink_to(ROOT / "mr_damper_ros")
+    done = subprocess.run(
+        [sys.executable, "-S", "-m", "mr_damper_ros"],
+        env={"PYTHONPATH": str(tmp_path)},
+        capture_output=True,
+        check=False,
+    )
+    assert (done.returncode, done.stderr.count(b"\n")) == (2, 1)
 
 
 def test_all_names_are_listed_and_no_other_is_made_up() -> None:

@@ -261,6 +261,11 @@ def test_another_set_forgets_what_runs_and_is_kept(switch: Callable[[Identifier]
     b.identifier.add_windows([window(0)])
     b.work_off()
     b.identifier.flush()
+    searches = Search(QUICK_SEARCH), Search()
+    for search in searches:
+        b.identifier.add_search(search)
     assert switch(b.identifier) == ""
+    ended = [event for event in b.work_off() if isinstance(event, SearchEnded)]
+    assert {each.search: each.outcome for each in ended} == dict.fromkeys(searches)
     assert b.tracker.parameters is INITIAL
     assert (disk.given, disk.done) == (2, 2)

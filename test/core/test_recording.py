@@ -176,7 +176,10 @@ def test_a_list_names_paths_dampers_and_currents(tmp_path: Path) -> None:
     ]
 
 
-@pytest.mark.parametrize("text", ["", "path\n1\n", "damper\nA\n", "\x00", "path,damper\n"])
+@pytest.mark.parametrize(
+    "text",
+    ["", "path\n1\n", "damper\nA\n", "\x00", "path,damper\n", "path,damper\n1,A\nx/../1,B\n"],
+)
 def test_a_file_that_is_no_list_is_refused(tmp_path: Path, text: str) -> None:
     file = tmp_path / "runs.csv"
     file.write_text(text)
