@@ -83,38 +83,37 @@ class Failed:
 
 
 Outcome = Progress | Done | Failed
+"""A message of a process on a task; the other messages are these three."""
 
-_OUTCOMES: dict[str, type[Outcome]] = {"progress": Progress, "done": Done, "failed": Failed}
-"""Outcomes by the first word of a message from the worker."""
+_READY, _ALIVE, _GONE = "ready", "alive", "gone"
 
 
 class Control:
-    """The connection of a task in the worker to the node; calls take little time.
+    """The connection of the task ``number`` in the worker to the node; calls take little time.
 
-    ``stopped`` holds the tickets of the tasks that should stop.
+    ``stopped`` holds the numbers of the tasks that should stop.
     """
 
-    def __init__(self, ticket: int, send: Callable[[Any], None], stopped: set[int]) -> None:
-        self._ticket = ticket
+    def __init__(self, number: int, send: Callable[[Any], None], stopped: set[int]) -> None:
+        self.number = number
         self._send = send
         self._stopped = stopped
 
     def should_stop(self) -> bool:
         """Whether the task should stop and return its present result."""
-        return self._ticket in self._stopped
+        return self.number in self._stopped
 
     def report(self, value: Any) -> bool:
         """Report any picklable value as a :class:`Progress`; False if the task should stop."""
-        self._send(("progress", value))
+        self._send(Progress(self.number, value))
         return not self.should_stop()
 
 
 @dataclass(eq=False)
 class _Task:
-    """A task: its number in its worker, its ticket in the processes, and its pickled call."""
+    """A task: its number in the pool, and its pickled call."""
 
     number: int
-    ticket: int
     call: bytes
     budget: float
     outcomes: list[Outcome] = field(default_factory=list)
@@ -152,24 +151,24 @@ class _Process:
 
     def _receive(self, news: threading.Event) -> None:
         message: Any = None
-        while message != ("gone",):
+        while message != _GONE:
             try:
                 message = self._connection.recv()
             except Exception:  # closed, or an incomplete message of a killed process
-                message = ("gone",)
+                message = _GONE
             self._inbox.put(message)
             news.set()
         # A running send ends by itself, because the other end is closed; wait for it.
         with self._sending:
             self._connection.close()
 
-    def send(self, ticket: int, call: bytes | None) -> None:
+    def send(self, number: int, call: bytes | None) -> None:
         """Send a task, or a request to stop it if ``call`` is None; never wait for the process."""
 
         def work() -> None:
             # A broken pipe means a dead worker, which the receiving thread reports.
             with self._sending, contextlib.suppress(OSError):
-                self._connection.send((ticket, call))
+                self._connection.send((number, call))
 
         threading.Thread(target=work, daemon=True).start()
 
@@ -177,9 +176,9 @@ class _Process:
         """Run a task; the time until the process is ready does not count towards the budget."""
         self.task = task
         self._began = time.monotonic() if self.ready else math.inf
-        self.send(task.ticket, task.call)
+        self.send(task.number, task.call)
         if task.stop_asked is not None:
-            self.send(task.ticket, None)
+            self.send(task.number, None)
 
     def follow(self, grace: float, silence_limit: float) -> Exception | None:
         """Take messages and enforce the budget; returns why the process must be replaced."""
@@ -187,15 +186,15 @@ class _Process:
         self._silence += min(now - self._followed, LONGEST_PAUSE)
         self._followed = now
         while not self._inbox.empty():
-            kind, *content = self._inbox.get_nowait()
+            message = self._inbox.get_nowait()
             self._silence = 0.0
-            if kind == "gone":
+            if message == _GONE:
                 return ChildProcessError("the worker process died")
-            if kind == "ready":
+            if message == _READY:
                 self.ready, self._began = True, now
-            elif self.task is not None and content:
-                self.task.outcomes.append(_OUTCOMES[kind](self.task.number, *content))
-                self.task = self.task if kind == "progress" else None
+            elif self.task is not None and message != _ALIVE:
+                self.task.outcomes.append(message)
+                self.task = self.task if isinstance(message, Progress) else None
         if not self.ready and now - self.started > _START_LIMIT:
             return ChildProcessError(f"the worker did not start within {_START_LIMIT:g} s")
         if self.ready and self._silence > silence_limit:
@@ -206,7 +205,7 @@ class _Process:
         over_budget = now - self._began > task.budget
         if over_budget and task.stop_asked is None:
             task.stop_asked = now
-            self.send(task.ticket, None)
+            self.send(task.number, None)
         if task.stop_asked is None or now <= max(task.stop_asked, self._began) + grace:
             return None
         why = f"the task exceeded its {task.budget:g} s" if over_budget else "it was cancelled"
@@ -244,7 +243,7 @@ class WorkerPool:
         self._processes: list[_Process] = []
         self._start_at = -math.inf
         self._waiting: deque[_Task] = deque()
-        self._tickets = itertools.count(1)
+        self._numbers = itertools.count(1)
         self.replaced = 0
         """Number of processes replaced so far."""
         self.notices: list[str] = []
@@ -266,9 +265,9 @@ class WorkerPool:
         while self._processes:
             self._processes.pop().kill()
 
-    def submit(self, number: int, call: bytes, budget: float) -> _Task:
+    def submit(self, call: bytes, budget: float) -> _Task:
         """Run a pickled call in a process when its turn comes."""
-        task = _Task(number, next(self._tickets), call, budget)
+        task = _Task(next(self._numbers), call, budget)
         self._waiting.append(task)
         self.supervise()
         return task
@@ -324,7 +323,6 @@ class Worker:
     def __init__(self, pool: WorkerPool) -> None:
         self.pool = pool
         self._task: _Task | None = None
-        self._number = 0
         self._notices: list[str] = []
 
     @property
@@ -352,9 +350,8 @@ class Worker:
         """
         if self.busy:
             raise RuntimeError("the worker is busy: wait for its task to end")
-        self._number += 1
-        self._task = self.pool.submit(self._number, pickle.dumps((function, args), -1), budget)
-        return self._number
+        self._task = self.pool.submit(pickle.dumps((function, args), -1), budget)
+        return self._task.number
 
     def cancel(self) -> None:
         """Ask the task to stop with its present result; :meth:`poll` still returns it."""
@@ -363,7 +360,7 @@ class Worker:
             task.stop_asked = time.monotonic()
             process = self.pool.process_of(task)
             if process is not None:
-                process.send(task.ticket, None)
+                process.send(task.number, None)
 
     def poll(self, patience: float = 0.0) -> list[Outcome]:
         """Return the outcomes since the last call, and end overdue tasks.
@@ -404,11 +401,11 @@ def serve(descriptor: str, modules: str) -> None:
     def receive() -> None:
         with contextlib.suppress(EOFError, OSError):
             while True:
-                ticket, call = connection.recv()
+                number, call = connection.recv()
                 if call is None:
-                    stopped.add(ticket)
+                    stopped.add(number)
                 else:
-                    tasks.put((ticket, call))
+                    tasks.put((number, call))
         os._exit(0)
 
     sending = threading.Lock()
@@ -422,27 +419,27 @@ def serve(descriptor: str, modules: str) -> None:
         with contextlib.suppress(OSError):
             while True:
                 time.sleep(_BEAT)
-                send(("alive",))
+                send(_ALIVE)
 
-    send(("ready",))
+    send(_READY)
     for work in (receive, beat):
         threading.Thread(target=work, daemon=True).start()
     while True:
-        ticket, call = tasks.get()
-        send(_answer(call, Control(ticket, send, stopped)))
+        number, call = tasks.get()
+        send(_answer(call, Control(number, send, stopped)))
 
 
 def _answer(call: bytes, control: Control) -> bytes:
     try:
         function, args = pickle.loads(call)
-        return pickle.dumps(("done", function(*args, control)), -1)
+        return pickle.dumps(Done(control.number, function(*args, control)), -1)
     except Exception as error:
         reason = f"{type(error).__name__}: {error}"
         try:
-            data = pickle.dumps(("failed", reason, error))
+            data = pickle.dumps(Failed(control.number, reason, error))
             pickle.loads(data)  # raises if the exception cannot be unpickled
         except Exception:
-            data = pickle.dumps(("failed", reason, RuntimeError(reason)))
+            data = pickle.dumps(Failed(control.number, reason, RuntimeError(reason)))
         return data
 
 

@@ -224,8 +224,7 @@ def test_waiting_does_not_count_as_time_of_the_task(pool: WorkerPool) -> None:
 
 def test_a_task_cancelled_while_it_waits_ends_in_its_turn(pool: WorkerPool) -> None:
     first, second = pool.worker(), pool.worker()
-    first.submit(tasks.wait)
-    second.submit(tasks.wait)
+    numbers = [first.submit(tasks.wait), second.submit(tasks.wait)]
     second.cancel()
     first.cancel()
-    assert [ending(first), ending(second)] == [Done(1, "waited"), Done(1, "waited")]
+    assert [ending(first), ending(second)] == [Done(number, "waited") for number in numbers]
