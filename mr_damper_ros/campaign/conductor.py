@@ -19,6 +19,7 @@ from mr_damper_ros.campaign.course import (
 from mr_damper_ros.campaign.folder import MadeRun
 from mr_damper_ros.campaign.runs import REST, DriveSettings, DriveStage, MachineCommand, RunDriver
 from mr_damper_ros.estimation.experiment_design import PlanState
+from mr_damper_ros.processes.files import reason_of
 from mr_damper_ros.processes.worker import Done, Failed, Outcome, TaskRunner
 from mr_damper_ros.settings.option_table import CheckedSettings, group, option
 from mr_damper_ros.signals.blocks import NANOSECONDS, SampleBlock
@@ -262,7 +263,7 @@ class CampaignConductor:
             try:
                 course.add_step(result)
             except OSError as error:
-                course.fail(f"the result could not be stored: {error.strerror or error}")
+                course.fail(f"the result could not be stored: {reason_of(error)}")
                 return
             self._notices.append(f"the force is known to {plan.now.sentence}")
             if plan.state is PlanState.RUN and plan.reason:

@@ -38,6 +38,7 @@ from mr_damper_ros.nodes.inputs import Inputs
 from mr_damper_ros.nodes.messages import header, parameters_message, to_nanoseconds
 from mr_damper_ros.nodes.node_parameters import ConfigurationError, NodeParameters
 from mr_damper_ros.nodes.spinning import run
+from mr_damper_ros.processes.files import reason_of
 from mr_damper_ros.processes.worker import Worker, WorkerPool
 from mr_damper_ros.settings.option_table import ParameterTable, group, option
 from mr_damper_ros.signals.blocks import SampleBlock
@@ -150,7 +151,7 @@ class CampaignNode(Node):
             try:
                 self._begin(self._options.goal)
             except (ValueError, OSError) as error:
-                raise ConfigurationError(str(error)) from error
+                raise ConfigurationError(reason_of(error)) from error
         else:
             self.get_logger().info(
                 f"waiting for a goal on {self.get_fully_qualified_name()}/run_campaign"
@@ -194,9 +195,11 @@ class CampaignNode(Node):
         try:
             self._begin(self._wanted(goal.request))
         except (ValueError, OSError) as error:
-            self.get_logger().error(f"the campaign cannot begin: {error}")
+            self.get_logger().error(f"the campaign cannot begin: {reason_of(error)}")
             failed = RunCampaign.Result.FAILED
-            result = RunCampaign.Result(outcome=failed, message=str(error), worst_error=math.nan)
+            result = RunCampaign.Result(
+                outcome=failed, message=reason_of(error), worst_error=math.nan
+            )
             self._goals.finish(goal, result)
         else:
             self._goal = goal

@@ -54,6 +54,7 @@ from mr_damper_ros.nodes.messages import (
 )
 from mr_damper_ros.nodes.node_parameters import ConfigurationError, NodeParameters
 from mr_damper_ros.nodes.spinning import run
+from mr_damper_ros.processes.files import reason_of
 from mr_damper_ros.settings.option_table import ParameterTable, option
 from mr_damper_ros.signals.blocks import BlockError
 from mr_damper_ros.tracking.force_scale import FluidTemperature
@@ -191,7 +192,7 @@ class _BagRecording:
             try:
                 self._bag.write(topic, self._node.get_clock().now().nanoseconds, bytes(data))
             except OSError as error:
-                self.failure = error.strerror or str(error)
+                self.failure = reason_of(error)
 
     def close(self) -> str:
         """End the recording; returns its failure, and where the written part is."""
@@ -202,7 +203,7 @@ class _BagRecording:
         try:
             self._bag.close()
         except OSError as error:
-            self.failure = self.failure or error.strerror or str(error)
+            self.failure = self.failure or reason_of(error)
             written = self._bag.fresh
         return self.failure and f"{self.failure}; what was written is in {written}"
 
@@ -353,7 +354,7 @@ class LiveNode(Node):
         try:
             self._recording = _BagRecording(self, path, details)
         except (OSError, ValueError) as error:
-            self._record.add_event(f"recording cannot start: {error}")
+            self._record.add_event(f"recording cannot start: {reason_of(error)}")
             return
         began = f"{time.time():.3f}"
         self._record.set_recording({**entries, "path": str(path), "began": began})

@@ -8,6 +8,7 @@ from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackRet
 
 from mr_damper_ros.nodes import rclpy_internals
 from mr_damper_ros.nodes.node_parameters import ConfigurationError
+from mr_damper_ros.processes.files import reason_of
 from mr_damper_ros.settings.option_table import ParameterTable, option
 
 
@@ -45,11 +46,9 @@ class ManagedNode(LifecycleNode):
                 raise ConfigurationError(self._problem)
         self._starting = False
 
-    def _fail(self, what: str, error: object) -> TransitionCallbackReturn:
+    def _fail(self, what: str, error: Exception) -> TransitionCallbackReturn:
         """Store the problem, and log it unless the node is just starting."""
-        if isinstance(error, OSError) and error.filename:
-            error = f"{error.filename}: {error.strerror}"
-        self._problem = f"{what}: {error}"
+        self._problem = f"{what}: {reason_of(error)}"
         if not self._starting:
             self.get_logger().error(self._problem)
         return TransitionCallbackReturn.FAILURE

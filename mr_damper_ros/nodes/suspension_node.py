@@ -22,6 +22,7 @@ from mr_damper_ros.nodes.messages import (
 )
 from mr_damper_ros.nodes.node_parameters import ConfigurationError, NodeParameters
 from mr_damper_ros.nodes.spinning import run
+from mr_damper_ros.processes.files import reason_of
 from mr_damper_ros.settings.option_table import ParameterTable, group, option
 from mr_damper_ros.signals.blocks import NANOSECONDS
 
@@ -77,7 +78,7 @@ class SuspensionNode(Node):
         try:
             force = float(self._controller(now))
         except Exception as error:  # a user's function: its errors must not end the node
-            self._stream.reject(f"the controller failed: {type(error).__name__}: {error}")
+            self._stream.reject(f"the controller failed: {reason_of(error)}")
             return
         if not math.isfinite(force):
             self._stream.reject(

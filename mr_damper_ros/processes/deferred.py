@@ -8,6 +8,8 @@ from collections import deque
 from collections.abc import Callable
 from typing import Generic, TypeVar
 
+from mr_damper_ros.processes.files import reason_of
+
 T = TypeVar("T")
 
 
@@ -63,7 +65,7 @@ class BackgroundWriter(Generic[T]):
             try:
                 self._write(item)
             except (OSError, ValueError) as error:
-                fault = str(error)
+                fault = reason_of(error)
             with self._changed:
                 self.fault, self.done = fault, number
                 self._changed.notify_all()

@@ -47,6 +47,21 @@ def named_errors(path: Path) -> Iterator[None]:
         raise
 
 
+_FULL = "free space there (df -h lists all disks and the shared memory /dev/shm)"
+_REMEDIES = {errno.ENOSPC: f": {_FULL}", errno.EDQUOT: f": {_FULL}"}
+
+
+def reason_of(error: BaseException) -> str:
+    """An exception in words, for a user: of an error of the system the file and the remedy."""
+    if isinstance(error, OSError) and error.strerror:
+        where = f"{error.filename}: " if error.filename else ""
+        return f"{where}{error.strerror}{_REMEDIES.get(error.errno or 0, '')}"
+    if isinstance(error, MemoryError):
+        return "there is not enough memory for these data: use a part of them"
+    plain = isinstance(error, (OSError, ValueError))
+    return str(error) if plain else f"{type(error).__name__}: {error}"
+
+
 def _sync(path: Path) -> None:
     descriptor = os.open(path, os.O_RDONLY)
     try:

@@ -24,7 +24,7 @@ from pathlib import Path
 from typing import Any, SupportsIndex, TypeVar
 
 from mr_damper_ros.processes.blas_threads import one_thread
-from mr_damper_ros.processes.files import write_text
+from mr_damper_ros.processes.files import reason_of, write_text
 from mr_damper_ros.processes.worker import (
     LONGEST_PAUSE,
     Control,
@@ -305,7 +305,7 @@ def finish(
 def _workers_error(error: BaseException) -> WorkersError:
     if isinstance(error, WorkersError):
         return error
-    return WorkersError(f"the workers cannot run the tasks: {type(error).__name__}: {error}")
+    return WorkersError(f"the workers cannot run the tasks: {reason_of(error)}")
 
 
 def _document(function: Callable[[Any], Document], argument: Any, *_: Notify) -> Document:

@@ -32,6 +32,7 @@ from typing import Any
 
 from mr_damper_ros.processes import child_process
 from mr_damper_ros.processes.blas_threads import keep_one_thread, one_thread
+from mr_damper_ros.processes.files import reason_of
 
 _GRACE = 1.0
 """Time [s] that a task has to stop after it was asked to."""
@@ -434,7 +435,7 @@ def _answer(call: bytes, control: Control) -> bytes:
         function, args = pickle.loads(call)
         return pickle.dumps(Done(control.number, function(*args, control)), -1)
     except Exception as error:
-        reason = f"{type(error).__name__}: {error}"
+        reason = reason_of(error)
         try:
             data = pickle.dumps(Failed(control.number, reason, error))
             pickle.loads(data)  # raises if the exception cannot be unpickled
@@ -492,7 +493,7 @@ class InlineWorker:
             with one_thread():
                 self._outcome = Done(self._number, function(*args, control))
         except Exception as error:
-            self._outcome = Failed(self._number, f"{type(error).__name__}: {error}", error)
+            self._outcome = Failed(self._number, reason_of(error), error)
         self.processor_time += time.process_time() - began
         self._due = self.now + self._latency(args[0])
         return self._number

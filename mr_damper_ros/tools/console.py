@@ -19,7 +19,7 @@ from typing import Any, TypeVar
 from mr_damper_ros.api.comparison import FORMATS, ComparedRun, save_figures
 from mr_damper_ros.api.identification import identify
 from mr_damper_ros.estimation.differential_evolution import GlobalProgress
-from mr_damper_ros.processes.files import write_text
+from mr_damper_ros.processes.files import reason_of, write_text
 
 Self = TypeVar("Self", bound="StatusLine")
 
@@ -81,11 +81,8 @@ def run_tool(
         # The reader has closed the pipe; without this, Python would fail again in its final flush.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 0
-    except OSError as error:
-        where = f"{error.filename}: " if error.filename else ""
-        return _fail(parser, f"{where}{error.strerror or error}")
-    except ValueError as error:
-        return _fail(parser, str(error))
+    except (MemoryError, OSError, ValueError) as error:
+        return _fail(parser, reason_of(error))
     except ModuleNotFoundError as error:
         missing = (error.name or "").partition(".")[0]
         if missing not in _ROS and not missing.endswith("_msgs"):
@@ -95,8 +92,6 @@ def run_tool(
             f"it needs ROS 2, but Python does not find {missing}: source the setup file of the "
             "workspace in which this package was built, or env.bash of its folder",
         )
-    except MemoryError:
-        return _fail(parser, "there is not enough memory for these data: use a part of them")
 
 
 def _joined(parser: argparse.ArgumentParser, arguments: Sequence[str]) -> list[str]:

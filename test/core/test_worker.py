@@ -2,6 +2,7 @@
 
 import operator
 import os
+import pathlib
 import signal
 import subprocess
 import sys
@@ -79,6 +80,9 @@ def test_a_cancelled_task_returns_what_it_has(worker: Worker) -> None:
 def test_an_exception_is_a_failure_and_the_worker_goes_on(worker: Worker) -> None:
     number = worker.submit(tasks.call, operator.truediv, 1, 0)
     assert ending(worker) == Failed(number, "ZeroDivisionError: division by zero")
+    number = worker.submit(tasks.call, pathlib.Path("/dev/full").write_text, "1")
+    full = "No space left on device: free space there (df -h lists all disks and the shared memory "
+    assert ending(worker) == Failed(number, f"{full}/dev/shm)")
     worker.submit(tasks.unpicklable)
     assert isinstance(ending(worker), Failed)
     assert_it_works(worker)

@@ -183,7 +183,8 @@ def test_recordings_end_alone_with_their_messages_and_their_failures(
         writers[-1](b"more")
         node.do_commands()
         told = node._record.status(0)["events"][-1]
-        assert f"failed: No space left on device; what was written is in {tmp_path}/" in told
+        assert "failed: No space left on device: free space there" in told
+        assert f"; what was written is in {tmp_path}/" in told
         node.destroy_node()
     finally:
         rclpy.shutdown()
