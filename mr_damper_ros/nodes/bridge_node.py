@@ -369,6 +369,4 @@ def _last_stamp(block: RigBlock) -> int:
     return block.stamp_ns(block.sample_count - 1)
 
 
-def main() -> int:
-    """Run the node."""
-    return run(BridgeNode, BridgeParameters)
+main = partial(run, BridgeNode, BridgeParameters)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import time
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 from mr_damper_msgs.msg import CurrentCommand, DesiredForce
@@ -212,6 +213,4 @@ class ControllerNode(BlockNode[ControllerParameters, Command]):
         )
 
 
-def main() -> int:
-    """Run the node."""
-    return run(ControllerNode, ControllerParameters, between=ControllerNode.finish_in_time)
+main = partial(run, ControllerNode, ControllerParameters, between=ControllerNode.finish_in_time)

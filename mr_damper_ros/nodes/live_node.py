@@ -386,6 +386,4 @@ class LiveNode(Node):
         self._record.add_event(f"{name}: {outcome}: {answer.message}")
 
 
-def main() -> int:
-    """Run the node."""
-    return run(LiveNode, LiveParameters, between=LiveNode.do_commands)
+main = partial(run, LiveNode, LiveParameters, between=LiveNode.do_commands)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from array import array
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 from geometry_msgs.msg import Vector3, Wrench, WrenchStamped
@@ -216,6 +217,4 @@ class ModelNode(BlockNode[ModelParameters, Prediction]):
         return Finding(level, f"valid; NRMSE {nrmse:.1%} of the measured force", values)
 
 
-def main() -> int:
-    """Run the node, or one in each of several namespaces."""
-    return run(ModelNode, ModelParameters, between=ModelNode.finish_in_time, hosted=True)
+main = partial(run, ModelNode, ModelParameters, between=ModelNode.finish_in_time, hosted=True)

@@ -263,6 +263,4 @@ class ReplayNode(Node):  # type: ignore[misc]
         return Finding(OK, self._sender.state, figures)
 
 
-def main() -> int:
-    """Run the node."""
-    return run(ReplayNode, ReplayParameters, ended=ReplayNode.exit_code)
+main = partial(run, ReplayNode, ReplayParameters, ended=ReplayNode.exit_code)

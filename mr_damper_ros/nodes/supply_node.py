@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Collection
 from dataclasses import dataclass
+from functools import partial
 
 from mr_damper_msgs.msg import SupplyCurrent
 from rclpy.lifecycle import LifecycleState, TransitionCallbackReturn
@@ -315,6 +316,4 @@ def _supply(values: SupplyParameters) -> ScpiSupply:
     )
 
 
-def main() -> int:
-    """Run the node."""
-    return run(SupplyNode, SupplyParameters, between=SupplyNode.watch)
+main = partial(run, SupplyNode, SupplyParameters, between=SupplyNode.watch)

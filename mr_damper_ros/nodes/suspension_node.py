@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import partial
 
 from mr_damper_msgs.msg import DesiredForce
 from rclpy.node import Node
@@ -110,6 +111,4 @@ class SuspensionNode(Node):
         return Finding(OK, f"the desired force is {self._last:.0f} N", values)
 
 
-def main() -> int:
-    """Run the node."""
-    return run(SuspensionNode, SuspensionParameters)
+main = partial(run, SuspensionNode, SuspensionParameters)

@@ -272,7 +272,7 @@ def finish(
     """Each task with its document, as soon as it is complete.
 
     ``workers`` is the number of processes on this machine, or a workforce elsewhere. The document
-    is None if the process of the task dies repeatedly. Raises WorkersError if the workers cannot
+    is None if the process of the task dies repeatedly. Raises WorkersError if a workforce cannot
     run tasks at all.
     """
     if not isinstance(workers, Workforce):
@@ -294,7 +294,8 @@ def finish(
                 except workers.loses_with:
                     document = None
                 except (Exception, CancelledError) as error:
-                    raise _workers_error(error) from error
+                    why = reason_of(error)
+                    raise WorkersError(f"the workers cannot run the tasks: {why}") from error
                 yield task, document
     finally:
         for future in under_way:
@@ -302,18 +303,9 @@ def finish(
         workers.end()
 
 
-def _workers_error(error: BaseException) -> WorkersError:
-    if isinstance(error, WorkersError):
-        return error
-    return WorkersError(f"the workers cannot run the tasks: {reason_of(error)}")
-
-
 def _document(function: Callable[[Any], Document], argument: Any, *_: Notify) -> Document:
-    try:
-        with one_thread():  # the process may belong to another program
-            return function(argument)
-    except Exception as error:
-        raise _workers_error(error) from error
+    with one_thread():  # the process may belong to another program
+        return function(argument)
 
 
 def fingerprint(content: Mapping[str, Any]) -> str:
