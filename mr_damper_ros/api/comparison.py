@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import io
-import os
 import re
 import textwrap
 from collections.abc import Iterable, Sequence
@@ -29,7 +28,7 @@ from mr_damper_ros.report.document import Cell, Grid, Shown, figure_of, styled
 from mr_damper_ros.signals.arrays import Array
 from mr_damper_ros.signals.error_sums import ErrorSums, pooled
 from mr_damper_ros.tracking.predictor import PredictorSettings
-from mr_damper_ros.tracking.state_directory import read_parameter_file
+from mr_damper_ros.tracking.state_directory import SetSource, given_set
 from mr_damper_ros.tracking.validity import current_allowance
 
 if TYPE_CHECKING:
@@ -288,7 +287,7 @@ class Validation(ComparedRuns):
 
 @one_thread()
 def validate(
-    parameters: ParameterSet | str | os.PathLike[str],
+    parameters: SetSource,
     *runs: RunSource,
     displacement: ArrayLike | None = None,
     force: ArrayLike | None = None,
@@ -324,8 +323,7 @@ def validate(
     run     RMSE [N]   NRMSE      R2  samples
     arrays     202.1  21.53%  0.9536     2000
     """
-    if not isinstance(parameters, ParameterSet):
-        parameters = read_parameter_file(Path(parameters))
+    parameters = given_set(parameters)
     measured = measured_runs(
         runs,
         (displacement, force, current, period),

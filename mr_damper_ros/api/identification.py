@@ -70,7 +70,7 @@ from mr_damper_ros.processes.files import json_ready, write_text
 from mr_damper_ros.processes.process_pool import ProcessPool
 from mr_damper_ros.report.document import Cell, Grid
 from mr_damper_ros.signals.arrays import Array
-from mr_damper_ros.tracking.state_directory import read_parameter_file
+from mr_damper_ros.tracking.state_directory import SetSource, given_set
 
 LARGEST_RUN_NRMSE = 0.3
 """Largest acceptable NRMSE of a run; above it, the set explains too little of the force."""
@@ -78,6 +78,9 @@ LARGEST_RUN_NRMSE = 0.3
 
 _MOST_MASSES = 3
 """Largest number of repetitions of the identification, each with a more accurate mass."""
+
+_LARGEST_START = 1e150
+"""Largest magnitude of a start value."""
 
 AUTO = "auto"
 """Value of ``model`` for which the law is chosen by cross-validation."""
@@ -332,7 +335,7 @@ def identify(
     period: float | None = None,
     model: str = DEFAULT_MODEL,
     method: str = "global",
-    start: ParameterSet | str | os.PathLike[str] | None = None,
+    start: SetSource | None = None,
     seed: int = 0,
     strategy: str = _EVOLUTION.strategy,
     generations: int = _EVOLUTION.generations,
@@ -601,18 +604,17 @@ def _fitted_mass(fit: GlobalFit, windows: Sequence[Window], mass: float = 0.0) -
     )
 
 
-def start_values_of(source: ParameterSet | str | os.PathLike[str] | None, model: str) -> Array:
+def start_values_of(source: SetSource | None, model: str) -> Array:
     """Start values (p,) for a search with the model; for None, the initial values of the model."""
     law = known_model(model)
     if source is None:
         return law.initial_values()[0]
-    if not isinstance(source, (ParameterSet, str, os.PathLike)):
-        raise ValueError(
-            f"start cannot be of type {type(source).__name__}: give a ParameterSet or the path of "
-            "its file"
-        )
-    found = source if isinstance(source, ParameterSet) else read_parameter_file(Path(source))
-    return found.start_of(model)
+    values = given_set(source).start_of(model)
+    largest = int(np.argmax(np.abs(values)))
+    if abs(values[largest]) > _LARGEST_START:
+        name = law.parameter_names[largest]
+        raise ValueError(f"the start of {name} is {values[largest]:g}: the force would overflow")
+    return values
 
 
 def _resume(record: SearchRecord, path: Path) -> None:

@@ -29,7 +29,7 @@ from mr_damper_ros.signals.recording import (
 from mr_damper_ros.tracking.acceptance import Verdict
 from mr_damper_ros.tracking.engine import Engine, EngineSettings
 from mr_damper_ros.tracking.reports import Report
-from mr_damper_ros.tracking.state_directory import read_parameter_file
+from mr_damper_ros.tracking.state_directory import SetSource
 from mr_damper_ros.tracking.tracker import WindowTracker
 from mr_damper_ros.tracking.validity import DoubtKind
 from mr_damper_ros.tracking.window_assembler import WindowAssembler, WindowSettings
@@ -185,7 +185,7 @@ def _percent(value: float) -> str:
 
 def replay(
     source: Recording | str | os.PathLike[str],
-    parameters: ParameterSet | str | os.PathLike[str] | None = None,
+    parameters: SetSource | None = None,
     *,
     identify: bool = True,
     settings: EngineSettings | None = None,
@@ -213,10 +213,7 @@ def replay(
     >>> said.reports[0].verdict.name, f"{said.valid[-1000:].mean():.0%}"
     ('ACCEPTED', '100%')
     """
-    start = parameters
-    if start is not None and not isinstance(start, ParameterSet):
-        start = read_parameter_file(Path(start))
-    engine = Engine(settings, start, identify=identify)
+    engine = Engine(settings, parameters, identify=identify)
     if isinstance(source, Recording):
         return _replayed(source.name, stream_of(source, block_size), engine)
     return _replayed(os.fspath(source), bag_stream(Path(source)), engine)

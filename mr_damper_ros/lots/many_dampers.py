@@ -43,6 +43,7 @@ from mr_damper_ros.processes.process_pool import (
     finish,
 )
 from mr_damper_ros.signals.recording import Recording
+from mr_damper_ros.tracking.state_directory import SetSource
 
 _PERMANENT = (FileNotFoundError, PermissionError, ValueError)
 """Errors of the file itself; other errors may be temporary."""
@@ -193,7 +194,7 @@ def identify_many(
     variable: str | None = None,
     model: str = DEFAULT_MODEL,
     method: str = "global",
-    start: ParameterSet | str | os.PathLike[str] | None = None,
+    start: SetSource | None = None,
     seed: int = 0,
     generations: int = _EVOLUTION.generations,
     accept_doubtful: bool = False,

@@ -61,9 +61,6 @@ Moved = TypeVar("Moved", Motion, MotionSample, Window)
 _TIME_TOLERANCE = 0.01
 """Largest deviation of a sample time, relative to the period, as by rounding in a file."""
 
-_LARGEST = 1e150
-"""Largest magnitude of a parameter; a fit that starts from a larger one overflows."""
-
 _UNKNOWN = np.empty(0)
 """Placeholder for NaN or False at all parameters, until the number of parameters is known."""
 
@@ -156,7 +153,7 @@ class ParameterSet:
             array.flags.writeable = False
             object.__setattr__(self, name, array)
         for name, value, low, high in zip(names, self.values, *model.bounds, strict=True):
-            if not abs(value) <= _LARGEST:
+            if not math.isfinite(value):
                 raise ParameterError(f"parameter {name} is {value}: give a finite number")
             if not low <= value <= high:
                 raise ParameterError(
@@ -477,9 +474,9 @@ class ParameterSet:
 
 def check_name(what: str, text: str) -> None:
     """Raise ParameterError if a text is too long for a message or not printable."""
-    if not text.isprintable() or len(text) > LONGEST_NAME:
+    if not isinstance(text, str) or not text.isprintable() or len(text) > LONGEST_NAME:
         raise ParameterError(
-            f"the {what} of the parameters is {text[:40]!a}: give at most "
+            f"the {what} of the parameters is {str(text)[:40]!a}: give at most "
             f"{LONGEST_NAME} printable characters"
         )
 

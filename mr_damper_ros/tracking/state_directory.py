@@ -178,6 +178,22 @@ class StateDirectory:
                 unfinished.unlink()
 
 
+SetSource = ParameterSet | str | os.PathLike[str]
+"""A parameter set, or the path of its file."""
+
+
+def given_set(source: SetSource) -> ParameterSet:
+    """The set, or the set in the file; raises StateError also for a source of another type."""
+    if isinstance(source, ParameterSet):
+        return source
+    if isinstance(source, (str, os.PathLike)):
+        return read_parameter_file(Path(source))
+    raise StateError(
+        f"a parameter set cannot be of type {type(source).__name__}: give a ParameterSet or the "
+        "path of its file"
+    )
+
+
 def read_parameter_file(path: str | Path) -> ParameterSet:
     """The parameter set in a file, written by a :class:`StateDirectory` or by hand.
 

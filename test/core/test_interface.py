@@ -111,7 +111,8 @@ def test_paths_recordings_and_arrays_give_the_same_set(
             {"displacement": np.arange(50.0), "force": [1.0], "current": 0.0, "period": 1.0},
             "50 displacements but 1 values of force",
         ),
-        ([RUN], {"start": {}}, "start cannot be of type dict: give a ParameterSet"),
+        ([RUN], {"start": mr.ParameterSet(np.full(16, 1e308))}, "the start of f0 is 1e.308"),
+        ([RUN], {"start": {}}, "set cannot be of type dict: give a ParameterSet"),
         ([replace(RUN, **SHORT)], {}, f"{RUN.name}: a window needs at least 16 samples"),
         ([], {**SHORT, "period": "1 ms"}, "period is '1 ms': give the sample period"),
         ([], {**SHORT, "force": 1j * SHORT["force"], "period": 1e-3}, "complex numbers"),
@@ -170,8 +171,10 @@ def test_terminal_file_and_document_tell_one_nrmse(
     assert again.nrmse == pytest.approx(result.nrmse)
     file = tmp_path / "folder" / "set.yaml"
     result.parameter_set.save(file)
-    again = mr.ParameterSet.load(file)
-    assert again.to_yaml() == result.parameter_set.to_yaml()
+    predictor = mr.ForcePredictor()
+    predictor.set_parameters(str(file))
+    for read in (mr.ParameterSet.load(file), mr.WindowTracker(None, file).parameters):
+        assert read.to_yaml() == predictor.parameters.to_yaml() == result.parameter_set.to_yaml()
 
 
 def test_the_law_that_the_runs_support_can_be_asked_for(monkeypatch: pytest.MonkeyPatch) -> None:
