@@ -159,6 +159,9 @@ SENTENCES_KEPT = 200
 CONCERNS_KEPT = 200
 """Largest number of diagnostic names, so that a changing set of nodes cannot fill the memory."""
 
+ENDED = "ended"
+"""Value in the last diagnostic of a node that has done its work; its silence is no fault."""
+
 SILENT_AFTER = 2.0
 """Age [s] above which the last values are no longer shown as the present state."""
 
@@ -443,8 +446,9 @@ class LiveRecord:
         """List silent nodes as faults."""
         now = self._clock()
         heard: dict[str, float] = {}
-        for name, (_, when) in self._concerns.items():
+        for name, (concern, when) in self._concerns.items():
             node = name.partition(": ")[0]
+            when = math.inf if ENDED in concern.values else when
             heard[node] = max(when, heard.get(node, -math.inf))
         for node, when in heard.items():
             self._judge(node, "no messages any more", wrong=now - when > SILENT_AFTER)

@@ -16,6 +16,7 @@ from rosgraph_msgs.msg import Clock
 from std_srvs.srv import Trigger
 
 from mr_damper_ros.io.bag_reader import BagError, OpenBag, opened_bag
+from mr_damper_ros.live.live_record import ENDED
 from mr_damper_ros.nodes import quality
 from mr_damper_ros.nodes.diagnostics import ERROR, OK, WARN, Diagnostics, Finding
 from mr_damper_ros.nodes.messages import to_stamp
@@ -246,6 +247,7 @@ class ReplayNode(Node):  # type: ignore[misc]
         """Return None while there is something to send, then the exit code of the replay."""
         if not self._sender.finished:
             return None
+        self._diagnostics.publish()  # the last one says that the silence to follow is no fault
         return FAILURE if self._sender.failure else SUCCESS
 
     def _find(self) -> Finding:
@@ -256,6 +258,8 @@ class ReplayNode(Node):  # type: ignore[misc]
         }
         if self._sender.failure:
             return Finding(ERROR, self._sender.failure, figures)
+        if self._sender.finished:
+            return Finding(OK, "the recording has ended", {**figures, ENDED: "yes"})
         if self._others or self._omitted:
             return Finding(WARN, "; ".join(self._others + self._omitted), figures)
         if self._sender.paused:

@@ -191,8 +191,11 @@ def test_a_node_that_died_is_a_fault_until_seen_also_where_nobody_looked(clock: 
     record.add_concern(Concern("supply: current", 0, "0.5 A", {}))
     clock.now += 12.0
     record.add_concern(Concern("supply: current", 0, "0.5 A", {}))
+    record.add_concern(Concern("replay: replay", 0, "the recording has ended", {"ended": "yes"}))
     assert faults(record) == [("supply", False, False)]
     assert status(record)["faults"][0]["since"] == 0.0
+    clock.now += 12.0
+    assert faults(record) == [("supply", True, False)]
 
 
 def follow(record: LiveRecord, begin: float, duration: float, current: float) -> None:

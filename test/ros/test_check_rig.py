@@ -46,8 +46,8 @@ def test_without_a_rig_it_says_what_to_start() -> None:
 
 
 def test_an_interrupt_ends_it_also_if_nothing_arrives(listener: Listener) -> None:
-    begin = time.monotonic()
+    deadline = time.monotonic() + PATIENCE
     threading.Timer(0.5, signal.raise_signal, [signal.SIGINT]).start()
     with pytest.raises(KeyboardInterrupt):
-        listener.spin_for(PATIENCE)
-    assert time.monotonic() - begin < 0.5 * PATIENCE
+        listener.spin_for(2.0 * PATIENCE)
+    assert time.monotonic() < deadline

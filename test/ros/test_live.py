@@ -251,6 +251,9 @@ def test_a_run_is_recorded_and_opened_again(start: Any, listener: Listener, tmp_
     listener.until(lambda: not replay.running, "the end of the bag")
     listener.until(lambda: live.status()["tables"]["signals"]["next"] > 500, "the signals")
     assert live.status()["tables"]["samples"]["next"] > 4000, "the full rate"
+    listener.until(lambda: live.status()["silence"] > SILENT_AFTER, "the silence")
+    assert "the recording has ended" in [each["message"] for each in live.status()["concerns"]]
+    assert live.status()["faults"] == []
     live.command("stop_recording")
     listener.until(lambda: "recorded: " in " ".join(live.status()["events"]), "the bag")
 

@@ -453,6 +453,7 @@ const nodeOf = (known) => known.name.split(": ")[0];
 function silenceOf(...sources) {
   const since = (performance.now() - received) / 1000;
   const silences = status.concerns.filter((known) => sources.includes(known.name) || sources.includes(nodeOf(known)))
+    .filter((known) => !("ended" in known.values)) // its last message: no fault
     .map((known) => known.silence);
   if (sources.includes("signals") && status.silence !== null) silences.push(status.silence);
   return silences.length ? Math.min(...silences) + since : null;
@@ -589,7 +590,8 @@ function showConcerns() {
 function showState() {
   const silence = status && silenceOf("signals");
   const lost = status ? [...new Set(status.concerns.map(nodeOf))].filter((node) => isSilent(silenceOf(node))) : [];
-  const signals = silence === null ? "waiting for signals" : isSilent(silence) ? `no signals for ${clock(Math.round(silence))}` : "live";
+  const ended = status?.concerns.find((known) => "ended" in known.values);
+  const signals = silence === null ? "waiting for signals" : isSilent(silence) ? ended?.message ?? `no signals for ${clock(Math.round(silence))}` : "live";
   const [text, level] = failing.size ? ["✕ no connection: trying again", "bad"]
     : status === null ? ["… connecting", ""]
     : status.recorded ? [`■ recorded: ${status.recorded}`, "good"]
