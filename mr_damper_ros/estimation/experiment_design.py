@@ -48,7 +48,7 @@ from mr_damper_ros.kinematics.motion import Motion
 from mr_damper_ros.kinematics.periodic_motion import MotionKind, PeriodicMotion
 from mr_damper_ros.kinematics.window import Window
 from mr_damper_ros.models.force_model import Model
-from mr_damper_ros.models.misfit import Misfit
+from mr_damper_ros.models.misfit import ChosenParameters, Misfit
 from mr_damper_ros.models.quantities import SAME_CURRENT, LoopReading
 from mr_damper_ros.signals.arrays import Array
 
@@ -446,13 +446,16 @@ class RunPlanner:
         median, bound = np.quantile(worst, [0.5, 0.95]).tolist()
         return PointErrors(self.goal.points, errors, median, math.hypot(bound, largest), largest)
 
-    def _posterior(self, windows: Sequence[Window], parameters: Array, prior: Prior) -> Posterior:
+    def _posterior(
+        self, windows: Sequence[Window], parameters: Array, prior: Prior
+    ) -> Posterior[ChosenParameters]:
         """The posterior of all parameters; the noise of each window is that of this set."""
         # A misfit weights all windows equally.
         sizes = np.array([window.sample_count for window in windows])
         level = np.array(self._noise(windows, parameters)) * np.sqrt(sizes.mean() / sizes)
         misfit = Misfit(self.model, windows, level.tolist())
-        return Posterior(misfit, parameters, range(parameters.size), prior, 1.0)
+        everything = ChosenParameters(misfit, parameters, range(parameters.size))
+        return Posterior(everything, prior, 1.0)
 
     def most_probable(self, windows: Sequence[Window], parameters: Array) -> Array:
         """The most probable set (p,) near the identified one, with all parameters free.

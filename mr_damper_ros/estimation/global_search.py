@@ -41,7 +41,7 @@ from mr_damper_ros.estimation.window_fit import WindowFit, fit_window
 from mr_damper_ros.kinematics.motion import DataError
 from mr_damper_ros.kinematics.window import Window, holds_cycle
 from mr_damper_ros.models.force_model import Model
-from mr_damper_ros.models.misfit import Misfit
+from mr_damper_ros.models.misfit import ChosenParameters, Misfit
 from mr_damper_ros.models.quantities import CoefficientTable
 from mr_damper_ros.signals.arrays import Array
 
@@ -511,10 +511,10 @@ class GlobalSearch:
         known = errors < np.minimum(spans / width, _MORE_THAN_PRIOR)
         return frozenset(self.model.parameter_names[k] for k in np.array(places)[known].tolist())
 
-    def posterior(self, misfit: Misfit, places: Sequence[int]) -> Posterior:
+    def posterior(self, misfit: Misfit, places: Sequence[int]) -> Posterior[ChosenParameters]:
         """Posterior of the parameters at these places, linearised about the best set."""
-        noise = noise_level(misfit, self.best)
-        return Posterior(misfit, self.best, places, self._prior(), noise)
+        free = ChosenParameters(misfit, self.best, places)
+        return Posterior(free, self._prior().at(places), noise_level(misfit, self.best))
 
     def _most_probable(self, pooled: Misfit, start: Array, names: frozenset[str]) -> Array:
         """The most probable parameters (p,); only the named ones are free."""
@@ -546,7 +546,8 @@ class GlobalSearch:
             overflows = not math.isfinite(float(residual @ residual))
         if not places or overflows:
             return start
-        problem = Posterior(pooled, start, places, self._prior(), noise)
+        free = ChosenParameters(pooled, start, places)
+        problem = Posterior(free, self._prior().at(places), noise)
         stage = "Nelder-Mead" if simplex else "least squares"
         search = LocalSearch(
             problem,

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Generic, TypeVar
 
 import numpy as np
 
@@ -14,7 +15,7 @@ from mr_damper_ros.estimation.covariance import (
     least_squares_covariance,
     motion_numbers,
 )
-from mr_damper_ros.models.misfit import Misfit
+from mr_damper_ros.models.misfit import ChosenParameters, Misfit
 from mr_damper_ros.signals.arrays import Array
 
 
@@ -35,49 +36,48 @@ class Prior:
     centre: Array
     width: Array
 
+    def at(self, places: Sequence[int]) -> Prior:
+        """The prior (f,) of the parameters at these places."""
+        return Prior(self.centre[list(places)], self.width[list(places)])
 
-class Posterior:
-    """Residual of a pooled problem, then of the prior, for unknowns (f,).
 
-    The unknowns are the parameters at ``places``, each in units of the width of its prior. All
-    other parameters keep their ``values`` (p,). ``noise`` [1], the standard deviation of one
-    independent sample of the residual, sets the weight of the prior.
+P = TypeVar("P", bound=ChosenParameters)
+
+
+class Posterior(Generic[P]):
+    """Residual of a problem, then of the prior, for unknowns (f,) in units of the prior's width.
+
+    ``noise``, the standard deviation of one independent sample of the problem's residual, sets the
+    weight of the prior.
     """
 
-    def __init__(
-        self, pooled: Misfit, values: Array, places: Sequence[int], prior: Prior, noise: float
-    ) -> None:
-        self._pooled = pooled
-        self._values = np.array(values, dtype=float)
-        self._places = list(places)
-        self.widths = prior.width[self._places]
-        self._centre = prior.centre[self._places] / self.widths
+    def __init__(self, problem: P, prior: Prior, noise: float) -> None:
+        self.problem = problem
+        self.widths = prior.width
         self.noise = noise
-        self.start = self._values[self._places] / self.widths
-        low, high = (bound[self._places] / self.widths for bound in pooled.model.bounds)
-        unbounded = bool(np.all(np.isinf(low)) and np.all(np.isinf(high)))
-        self.bounds = None if unbounded else (low, high)
+        self.start = problem.start / self.widths
+        self._centre = prior.centre / self.widths
+        bounds = problem.bounds
+        self.bounds = None if bounds is None else (bounds[0] / self.widths, bounds[1] / self.widths)
 
     def parameters(self, unknowns: Array) -> Array:
         """All parameters (p,)."""
-        values = self._values.copy()
-        values[self._places] = unknowns * self.widths
-        return values
+        return self.problem.parameters(unknowns * self.widths)
 
     def residual(self, unknowns: Array) -> Array:
-        """Weighted residual of all windows [1], then of the prior (f,)."""
-        plain = self._pooled.residual(self.parameters(unknowns))
+        """Residual of the problem, then of the prior (f,)."""
+        plain = self.problem.residual(unknowns * self.widths)
         return np.concatenate((plain, self.noise * (unknowns - self._centre)))
 
     def jacobian(self, unknowns: Array) -> Array:
         """Derivatives of the residual with respect to the unknowns."""
-        derivatives = self._pooled.jacobian(self.parameters(unknowns), self._places)
-        prior = self.noise * np.eye(len(self._places))
+        derivatives = self.problem.jacobian(unknowns * self.widths)
+        prior = self.noise * np.eye(unknowns.size)
         return np.concatenate((derivatives * self.widths, prior))
 
     def cost(self, parameters: Array) -> float:
         """Sum of squares of the residual for parameters (p,)."""
-        residual = self.residual(parameters[self._places] / self.widths)
+        residual = self.residual(self.problem.unknowns(parameters) / self.widths)
         return float(residual @ residual)
 
     def covariances(self) -> tuple[Array, Array]:
@@ -85,15 +85,15 @@ class Posterior:
 
         The discrepancy is NaN if unknown.
         """
+        misfit = self.problem.misfit
         jacobian, residual = self.jacobian(self.start), self.residual(self.start)
-        known = self._pooled.prior_variances
-        variances = np.append(known, np.full(self.start.size, self.noise**2))
+        variances = np.append(misfit.prior_variances, np.full(self.start.size, self.noise**2))
         covariance = least_squares_covariance(jacobian, residual, variances)
         by_noise = least_squares_covariance(jacobian, residual, np.zeros_like(variances))
         # The rows of the prior belong to no motion.
         motions = np.full(residual.size, -1)
-        windows = self._pooled.row_windows
-        motions[: windows.size] = motion_numbers(self._pooled.windows)[windows]
+        windows = misfit.row_windows
+        motions[: windows.size] = motion_numbers(misfit.windows)[windows]
         discrepancy = discrepancy_between(jacobian, residual, motions, by_noise)
         units = np.outer(self.widths, self.widths)
         return (covariance + np.nan_to_num(discrepancy)) * units, discrepancy * units

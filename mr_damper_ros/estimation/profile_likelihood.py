@@ -36,7 +36,7 @@ from mr_damper_ros.estimation.local_search import LocalSearch, StopRequestedErro
 from mr_damper_ros.estimation.observability import parameter_ranges, parameter_spans
 from mr_damper_ros.estimation.posterior import Posterior, Prior
 from mr_damper_ros.kinematics.window import Window
-from mr_damper_ros.models.misfit import Misfit
+from mr_damper_ros.models.misfit import ChosenParameters, Misfit
 from mr_damper_ros.processes.process_pool import Notify, ProcessPool
 from mr_damper_ros.signals.arrays import Array
 
@@ -158,7 +158,8 @@ class ProfileLikelihood:
         weak = _WEAK_PRIOR * math.sqrt(self._misfit.sample_count)
         others = [other for other in range(self._start.size) if other != place]
         for values in sorted(starts, key=self._cost):
-            problem = Posterior(self._misfit, values, others, Prior(values, self._spans), weak)
+            free = ChosenParameters(self._misfit, values, others)
+            problem = Posterior(free, Prior(values, self._spans).at(others), weak)
             search = LocalSearch(problem, problem.start, self._should_stop)
             search.try_out(problem.start)
             search.least_squares(tolerance=self._model.effort.tolerance)

@@ -30,6 +30,7 @@ from mr_damper_ros.estimation.covariance import (
     without_negative_variance,
 )
 from mr_damper_ros.estimation.local_search import Ending, LocalSearch, StopRequestedError
+from mr_damper_ros.estimation.posterior import Posterior, Prior
 from mr_damper_ros.kinematics.motion import DataError
 from mr_damper_ros.kinematics.window import Window
 from mr_damper_ros.models.force_model import Model, WindowForces
@@ -151,7 +152,7 @@ def fit_window(
     cycle, effort = samples_per_cycle(window), model.effort
     weights = np.ones(window.sample_count)
     searches: list[LocalSearch[WindowProblem]] = []
-    posterior: _Posterior | None = None
+    problem: WindowProblem | None = None
     ending = Ending.CONVERGED
 
     def enter(parameters: Array, forces: WindowForces | None = None) -> LocalSearch[WindowProblem]:
@@ -177,23 +178,23 @@ def fit_window(
             search.nelder_mead()
         search.least_squares(tolerance=tolerance or effort.tolerance, most_steps=effort.most_steps)
         exhausted = search.exhausted
-        running = None if prior is None else WindowProblem(model, window, prior.parameters)
-        if running is not None and prior is not None:
+        if prior is not None:
+            running = WindowProblem(model, window, prior.parameters)
             width = _usual_change(running, prior.fastest)
             # Without a force of the running set, there is no prior.
-            posterior = _Posterior(running, width, cycle) if np.isfinite(width).all() else None
-        if posterior is not None:
-            exhausted = posterior.search(search, robust, should_stop)
-        elif robust:
+            if np.isfinite(width).all():
+                unknowns, errors, exhausted = _with_prior(
+                    running, width, search, cycle, robust=robust, should_stop=should_stop
+                )
+                problem = running
+        if problem is None and robust:
             weights = search.reweighted_least_squares()
         if exhausted:
             ending = Ending.EXHAUSTED
     except StopRequestedError:
-        ending, posterior = Ending.STOPPED, None
+        ending = Ending.STOPPED
         search = min(searches, key=_mean_square)
-    if posterior is not None:
-        problem, unknowns, errors = posterior.problem, posterior.best, posterior.errors()
-    else:
+    if problem is None:
         problem, unknowns, settled = search.problem, search.best, search.problem.settled
         root = np.sqrt(weights[settled])
         jacobian = root[:, np.newaxis] * problem.jacobian(unknowns)[settled]
@@ -278,99 +279,83 @@ def _usual_change(running: WindowProblem, fastest: float) -> Array:
     return np.asarray(np.min(changes, axis=0))
 
 
-class _Posterior:
-    """Residual of a window, then of the prior, in the unit of the samples' noise.
+def _with_prior(
+    running: WindowProblem,
+    width: Array,
+    without: LocalSearch[WindowProblem],
+    cycle: float,
+    *,
+    robust: bool,
+    should_stop: Callable[[], bool] | None,
+) -> tuple[Array, ErrorCovariances, bool]:
+    """The most probable unknowns (f,), their errors, and whether the search was exhausted.
 
-    ``problem`` has the running set as its start; ``width`` (f,): prior standard deviation of the
-    unknowns; ``best`` (f,): the most probable unknowns.
+    The problem ``running`` has the running set as its start; ``width`` (f,) is the prior standard
+    deviation of the unknowns. The weight of the samples follows from the residual of their best
+    fit, so ``without`` is at the minimum without the prior.
     """
+    from scipy.special import chdtri  # late: see mr_damper_ros.entry_points
 
-    def __init__(self, problem: WindowProblem, width: Array, cycle: float) -> None:
-        self.bounds = problem.bounds
-        self.problem = problem
-        self.best = self._known = problem.start
-        self._width = width
-        self._cycle = cycle
+    # Quantile of the sum of squares of standard normal variables.
+    most = float(chdtri(width.size, _CONTRADICTED))
+    at_best = float(np.linalg.norm(running.residual(without.best)))
+    noise, of_samples = _noise(running, without.best, cycle)
+    for _ in range(_MOST_DOUBLINGS):
+        posterior = Posterior(running, Prior(running.start, width), noise)
+        search = LocalSearch(posterior, without.best / width, should_stop)
+        for start in (posterior.start, search.best):
+            search.try_out(start)
+        search.least_squares()
+        if robust:
+            search.reweighted_least_squares()
+        apart = search.best - posterior.start
+        left = float(np.linalg.norm(running.residual(search.best * width)))
+        # In random motion a smaller residual proves nothing, because a fit without a prior follows
+        # the model error.
+        steady = running.window.motion.sine is not None
+        if apart @ apart <= most and not (steady and left > WORSE_RATIO * at_best):
+            break
+        # The damper has changed by more than usual, so the prior is widened.
+        width = 2.0 * width
+    errors = _errors(posterior, search.best, of_samples)
+    return search.best * posterior.widths, errors, search.exhausted
 
-    def residual(self, unknowns: Array) -> Array:
-        """Residual of the samples [N] (n,), then of the prior (f,)."""
-        apart = (unknowns - self._known) / self._width
-        return np.concatenate((self.problem.residual(unknowns), self._noise * apart))
 
-    def jacobian(self, unknowns: Array) -> Array:
-        """Derivatives (n + f, f) of the residual."""
-        return np.vstack((self.problem.jacobian(unknowns), np.diag(self._noise / self._width)))
+def _noise(problem: WindowProblem, unknowns: Array, cycle: float) -> tuple[float, ErrorCovariances]:
+    """Standard deviation [N] of white noise that gives the uncertainty of a fit to samples alone.
 
-    def search(
-        self,
-        without: LocalSearch[WindowProblem],
-        robust: bool,
-        should_stop: Callable[[], bool] | None,
-    ) -> bool:
-        """Find the most probable unknowns; returns whether the last search was exhausted.
-
-        The weight of the samples follows from the residual of their best fit, so ``without`` is at
-        the minimum without the prior.
-        """
-        from scipy.special import chdtri  # late: see mr_damper_ros.entry_points
-
-        # Quantile of the sum of squares of standard normal variables.
-        most = float(chdtri(self._width.size, _CONTRADICTED))
-        at_best = float(np.linalg.norm(self.problem.residual(without.best)))
-        self._at_best(without.best)
-        for _ in range(_MOST_DOUBLINGS):
-            search = LocalSearch(self, without.best, should_stop)
-            for start in (self._known, without.best):
-                search.try_out(start)
-            search.least_squares()
-            if robust:
-                search.reweighted_least_squares()
-            self.best = search.best
-            apart = (self.best - self._known) / self._width
-            left = float(np.linalg.norm(self.problem.residual(self.best)))
-            # In random motion a smaller residual proves nothing, because a fit without a prior
-            # follows the model error.
-            steady = self.problem.window.motion.sine is not None
-            if apart @ apart <= most and not (steady and left > WORSE_RATIO * at_best):
-                break
-            # The damper has changed by more than usual, so the prior is widened.
-            self._width = 2.0 * self._width
-        return search.exhausted
-
-    def _at_best(self, unknowns: Array) -> None:
-        """Estimate the errors of the fit (f,) to the samples alone, and the noise.
-
-        The noise is the standard deviation [N] of white noise that gives the same uncertainty.
-        """
-        problem, settled = self.problem, self.problem.settled
-        jacobian, left = problem.jacobian(unknowns), problem.residual(unknowns)
-        self._errors = error_covariances(jacobian[settled], left[settled], self._cycle)
-        if math.isfinite(self._cycle):
-            white = np.diag(normal_inverse(jacobian))
-            whole = np.diag(self._errors.repeatability) + np.diag(self._errors.discrepancy)
-            known = np.isfinite(whole) & (white > 0.0)
-            ratio = np.median(whole[known] / white[known]) if known.any() else np.mean(left**2)
-            self._noise = math.sqrt(max(float(ratio), 0.0))
-            return
+    Also returns the errors of the unknowns (f,) of this fit.
+    """
+    settled = problem.settled
+    jacobian, left = problem.jacobian(unknowns), problem.residual(unknowns)
+    errors = error_covariances(jacobian[settled], left[settled], cycle)
+    if not math.isfinite(cycle):
         # With few independent samples, the noise is corrected for the degrees of freedom.
-        freedom = max(independent_samples(left) - self._width.size, 1.0)
-        self._noise = float(np.sqrt(np.sum(left**2) / freedom))
+        freedom = max(independent_samples(left) - unknowns.size, 1.0)
+        return float(np.sqrt(np.sum(left**2) / freedom)), errors
+    white = np.diag(normal_inverse(jacobian))
+    whole = np.diag(errors.repeatability) + np.diag(errors.discrepancy)
+    known = np.isfinite(whole) & (white > 0.0)
+    ratio = np.median(whole[known] / white[known]) if known.any() else np.mean(left**2)
+    return math.sqrt(max(float(ratio), 0.0)), errors
 
-    def errors(self) -> ErrorCovariances:
-        """The errors of the most probable unknowns (f,).
 
-        Errors of the window enter with the matrix ``gain``. The rest is the error of the running
-        set, which does not change from window to window and has the covariance of the prior.
-        """
-        jacobian = self.problem.jacobian(self.best)
-        scaled = jacobian * self._width / max(self._noise, 1e-300)
-        information = scaled.T @ scaled
-        held = np.linalg.inv(np.eye(self._width.size) + information)
-        gain = held @ information
-        units = np.outer(self._width, self._width)
-        # Directions that the window does not determine have no gain, so NaN counts as zero.
-        repeatability, discrepancy = (
-            gain @ np.nan_to_num(covariance / units) @ gain.T
-            for covariance in (self._errors.repeatability, self._errors.discrepancy)
-        )
-        return ErrorCovariances(repeatability * units, (discrepancy + held @ held.T) * units)
+def _errors(
+    posterior: Posterior[WindowProblem], unknowns: Array, of_samples: ErrorCovariances
+) -> ErrorCovariances:
+    """The errors of the most probable unknowns (f,), from those of a fit to the samples alone.
+
+    Errors of the window enter with the matrix ``gain``. The rest is the error of the running set,
+    which does not change from window to window and has the covariance of the prior.
+    """
+    samples = posterior.jacobian(unknowns)[: -unknowns.size] / max(posterior.noise, 1e-300)
+    information = samples.T @ samples
+    held = np.linalg.inv(np.eye(unknowns.size) + information)
+    gain = held @ information
+    units = np.outer(posterior.widths, posterior.widths)
+    # Directions that the window does not determine have no gain, so NaN counts as zero.
+    repeatability, discrepancy = (
+        gain @ np.nan_to_num(covariance / units) @ gain.T
+        for covariance in (of_samples.repeatability, of_samples.discrepancy)
+    )
+    return ErrorCovariances(repeatability * units, (discrepancy + held @ held.T) * units)

@@ -104,7 +104,48 @@ class Misfit:
         return np.asarray(np.mean(np.square(self.residual(parameters)), axis=-1))
 
 
-class WindowProblem:
+class ChosenParameters:
+    """Residual (n,) of a misfit and its Jacobian (n, f), for the parameters (f,) at ``places``.
+
+    All other parameters keep their ``given`` values (p,).
+    """
+
+    def __init__(self, misfit: Misfit, values: Array, places: Sequence[int]) -> None:
+        self.misfit = misfit
+        self.given = np.array(values, dtype=float)
+        self.places = list(places)
+
+    @property
+    def start(self) -> Array:
+        """Unknowns (f,) of the given parameters."""
+        return self.unknowns(self.given)
+
+    @property
+    def bounds(self) -> tuple[Array, Array] | None:
+        """Lower and upper bounds (f,) of the unknowns, None if all are infinite."""
+        low, high = (bound[self.places] for bound in self.misfit.model.bounds)
+        return None if np.all(np.isinf(low)) and np.all(np.isinf(high)) else (low, high)
+
+    def unknowns(self, parameters: Array) -> Array:
+        """The unknowns (f,) of parameters (p,)."""
+        return parameters[self.places]
+
+    def parameters(self, unknowns: Array) -> Array:
+        """All parameters (p,) for these unknowns (f,)."""
+        values = self.given.copy()
+        values[self.places] = unknowns
+        return values
+
+    def residual(self, unknowns: Array) -> Array:
+        """Weighted model minus measurement; 0 for samples without a weight."""
+        return self.misfit.residual(self.parameters(unknowns))
+
+    def jacobian(self, unknowns: Array) -> Array:
+        """Derivatives of the residual with respect to the unknowns, shape (n, f)."""
+        return self.misfit.jacobian(self.parameters(unknowns), self.places)
+
+
+class WindowProblem(ChosenParameters):
     """Residual (n,) [N] of a window and its Jacobian (n, f), for the unknowns (f,) of its law.
 
     ``given`` (p,): the values of all parameters that are no unknowns; ``settled`` (n,): mask of the
@@ -120,42 +161,30 @@ class WindowProblem:
         *,
         forces: WindowForces | None = None,
     ) -> None:
+        misfit = Misfit(model, [window], [1.0], np.array(parameters, dtype=float), forces=forces)
+        super().__init__(misfit, parameters, model.unknown_indices.tolist())
         self.model = model
         self.window = window
         self.differences = 0
-        self.given = np.array(parameters, dtype=float)
-        self._misfit = Misfit(model, [window], [1.0], self.given, forces=forces)
-        self.settled, self.forces = self._misfit.settled, self._misfit.forces
-        self._columns = model.unknown_indices.tolist()
-
-    @property
-    def start(self) -> Array:
-        """Unknowns (f,) of the given parameters."""
-        return self.model.unknowns(self.given)
+        self.settled, self.forces = misfit.settled, misfit.forces
 
     @property
     def strength(self) -> np.ndarray:
         """Mask (f,) of the unknowns that are gain parameters."""
         return self.model.strong_unknowns
 
-    @property
-    def bounds(self) -> tuple[Array, Array] | None:
-        """Lower and upper bounds (f,) of the unknowns, None if all are infinite."""
-        low, high = (bound[self._columns] for bound in self.model.bounds)
-        return None if np.all(np.isinf(low)) and np.all(np.isinf(high)) else (low, high)
+    def unknowns(self, parameters: Array) -> Array:
+        """The unknowns (f,) of parameters (p,)."""
+        return self.model.unknowns(parameters)
 
     def parameters(self, unknowns: Array) -> Array:
         """All parameters (..., p) for these unknowns (..., f)."""
         return self.model.with_unknowns(self.given, unknowns)
 
-    def residual(self, unknowns: Array) -> Array:
-        """Model minus measurement [N], (..., n) for unknowns (..., f); 0 for transient samples."""
-        return self._misfit.residual(self.parameters(unknowns))
-
     def jacobian(self, unknowns: Array) -> Array:
         """Derivatives of the residual with respect to the unknowns, shape (n, f)."""
         before = self.forces.differences
-        derivatives = self._misfit.jacobian(self.parameters(unknowns), self._columns)
+        derivatives = super().jacobian(unknowns)
         self.differences += self.forces.differences - before
         return self.model.by_unknowns(unknowns, derivatives)
 
@@ -164,4 +193,4 @@ class WindowProblem:
         model, parameters = self.model, self.parameters(unknowns)
         values = model.coefficients_at(parameters, *self.window.operating_point)[:, 0]
         gradient = model.coefficient_gradient(parameters, *self.window.operating_point)
-        return values, model.by_unknowns(unknowns, gradient[:, self._columns])
+        return values, model.by_unknowns(unknowns, gradient[:, self.places])
