@@ -78,6 +78,19 @@ def normal_inverse(jacobian: Array) -> Array:
     return np.asarray(inverse)
 
 
+def white_level(jacobian: Array, covariance: Array, otherwise: float) -> float:
+    """Standard deviation of white noise that gives unknowns (f,) the same uncertainty.
+
+    ``jacobian`` has shape (n, f), ``covariance`` (f, f). The median over the unknowns counts;
+    ``otherwise`` is the level if none is determined.
+    """
+    white, variances = np.diag(normal_inverse(jacobian)), np.diag(covariance)
+    known = np.isfinite(variances) & (white > 0.0)
+    if not known.any():
+        return otherwise
+    return math.sqrt(max(float(np.median(variances[known] / white[known])), 0.0))
+
+
 _NO_PRIOR: Array = np.empty(0)
 
 

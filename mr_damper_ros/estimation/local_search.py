@@ -16,7 +16,7 @@ import numpy as np
 
 from mr_damper_ros.estimation.covariance import triangular_factor
 from mr_damper_ros.models.formulas import LIMIT
-from mr_damper_ros.signals.arrays import Array
+from mr_damper_ros.signals.arrays import NORMAL_MEDIAN, Array
 
 _FAR = 30.0
 """Nelder-Mead restarts with new axes if it has moved by more standard errors than this."""
@@ -197,7 +197,7 @@ class LocalSearch(Generic[P]):
         weights = np.ones(self.problem.residual(self.best).size)
         for _ in range(10):
             residual = self.problem.residual(self.best)
-            deviation = 1.4826 * float(np.median(np.abs(residual - np.median(residual))))
+            deviation = float(np.median(np.abs(residual - np.median(residual)))) / NORMAL_MEDIAN
             bound = HUBER * deviation
             if bound == 0.0:
                 break

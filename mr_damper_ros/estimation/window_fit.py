@@ -25,8 +25,8 @@ from mr_damper_ros.estimation.covariance import (
     ErrorCovariances,
     error_covariances,
     independent_samples,
-    normal_inverse,
     samples_per_cycle,
+    white_level,
     without_negative_variance,
 )
 from mr_damper_ros.estimation.local_search import Ending, LocalSearch, StopRequestedError
@@ -48,7 +48,7 @@ _SKIPPED_COST = 1000.0
 """A start is not refined if its sum of squares exceeds the best start's by this factor."""
 
 _CONTRADICTED = 1e-3
-"""Significance level below which a change contradicts the running set."""
+"""Significance level below which a change contradicts what was known before the window."""
 
 WORSE_RATIO = 1.25
 """A window with a sine also contradicts the running set if the prior increases its residual by this
@@ -279,6 +279,13 @@ def _usual_change(running: WindowProblem, fastest: float) -> Array:
     return np.asarray(np.min(changes, axis=0))
 
 
+def contradicting(count: int) -> float:
+    """Sum of squares of ``count`` standard normal variables that contradicts their prior."""
+    from scipy.special import chdtri  # late: see mr_damper_ros.entry_points
+
+    return float(chdtri(count, _CONTRADICTED))
+
+
 def _with_prior(
     running: WindowProblem,
     width: Array,
@@ -294,10 +301,7 @@ def _with_prior(
     deviation of the unknowns. The weight of the samples follows from the residual of their best
     fit, so ``without`` is at the minimum without the prior.
     """
-    from scipy.special import chdtri  # late: see mr_damper_ros.entry_points
-
-    # Quantile of the sum of squares of standard normal variables.
-    most = float(chdtri(width.size, _CONTRADICTED))
+    most = contradicting(width.size)
     at_best = float(np.linalg.norm(running.residual(without.best)))
     noise, of_samples = _noise(running, without.best, cycle)
     for _ in range(_MOST_DOUBLINGS):
@@ -333,11 +337,8 @@ def _noise(problem: WindowProblem, unknowns: Array, cycle: float) -> tuple[float
         # With few independent samples, the noise is corrected for the degrees of freedom.
         freedom = max(independent_samples(left) - unknowns.size, 1.0)
         return float(np.sqrt(np.sum(left**2) / freedom)), errors
-    white = np.diag(normal_inverse(jacobian))
-    whole = np.diag(errors.repeatability) + np.diag(errors.discrepancy)
-    known = np.isfinite(whole) & (white > 0.0)
-    ratio = np.median(whole[known] / white[known]) if known.any() else np.mean(left**2)
-    return math.sqrt(max(float(ratio), 0.0)), errors
+    size = float(np.sqrt(np.mean(left**2)))
+    return white_level(jacobian, errors.repeatability + errors.discrepancy, size), errors
 
 
 def _errors(

@@ -14,11 +14,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from mr_damper_ros.estimation.covariance import least_squares_covariance, normal_inverse
+from mr_damper_ros.estimation.covariance import least_squares_covariance, white_level
 from mr_damper_ros.estimation.local_search import HUBER
-from mr_damper_ros.estimation.window_fit import WindowFit, fit_of
+from mr_damper_ros.estimation.window_fit import WindowFit, contradicting, fit_of
 from mr_damper_ros.models.misfit import WindowProblem
-from mr_damper_ros.signals.arrays import Array
+from mr_damper_ros.signals.arrays import NORMAL_MEDIAN, Array
 from mr_damper_ros.signals.blocks import NANOSECONDS
 
 METHOD = "recursive"
@@ -26,9 +26,6 @@ METHOD = "recursive"
 _STEPS = 3
 """Number of Gauss-Newton steps. After a change of the force by a quarter, they reach the minimum to
 within 1e-3 standard errors."""
-
-_SURPRISE = 3.09
-"""Normal quantile that the squared innovation of a window exceeds once in 1000 windows."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -135,15 +132,12 @@ def _noise(jacobian: Array, residual: Array, robust: bool) -> Array:
     unexplained = residual - basis @ (basis.T @ residual)
     variance = float(unexplained @ unexplained) / max(count - unknowns, 1)
     # Correlated noise averages out more slowly; it is replaced by larger white noise.
-    honest = np.diag(least_squares_covariance(jacobian, unexplained))
-    white = variance * np.diag(normal_inverse(jacobian))
-    known = np.isfinite(honest) & (white > 0.0)
-    excess = float(np.median(honest[known] / white[known])) if np.any(known) else 1.0
-    level = math.sqrt(variance * max(excess, 1.0))
+    honest, least = least_squares_covariance(jacobian, unexplained), math.sqrt(variance)
+    level = max(white_level(jacobian, honest, least), least)
     if not robust:
         return np.full(count, level)
-    usual = 1.4826 * float(np.median(np.abs(unexplained)))
-    shrunk = min(usual, math.sqrt(variance)) * level / max(math.sqrt(variance), 1e-300)
+    usual = float(np.median(np.abs(unexplained))) / NORMAL_MEDIAN
+    shrunk = min(usual, least) * level / max(least, 1e-300)
     outlying = np.abs(unexplained) / max(HUBER * usual, 1e-300)
     return np.asarray(shrunk * np.sqrt(np.maximum(outlying, 1.0)))
 
@@ -152,17 +146,13 @@ def _fading(jacobian: Array, residual: Array) -> float:
     """Factor on the covariance if the window contradicts the state, as after a sudden change.
 
     ``jacobian`` (n, f) and ``residual`` (n,) are in units of standard deviations. If the state is
-    right, the squared innovation follows a chi-squared distribution with f degrees of freedom
-    (quantile by Wilson and Hilferty, Proceedings of the National Academy of Sciences 17, 1931).
+    right, the squared innovation follows a chi-squared distribution with f degrees of freedom.
     """
     values, vectors = np.linalg.eigh(jacobian.T @ jacobian)
     seen = values > np.finfo(float).eps * values.size * max(float(values[-1]), 1e-300)
     score = (vectors.T @ (jacobian.T @ residual))[seen]
     surprise = float(np.sum(score**2 / (values[seen] * (1.0 + values[seen]))))
-    size = values.size
-    spread = 2.0 / (9.0 * size)
-    limit = size * (1.0 - spread + _SURPRISE * math.sqrt(spread)) ** 3
-    return 1.0 if surprise <= limit else surprise / size
+    return 1.0 if surprise <= contradicting(values.size) else surprise / values.size
 
 
 def _root(covariance: Array) -> Array:
