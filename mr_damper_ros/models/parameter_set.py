@@ -283,6 +283,16 @@ class ParameterSet:
         ]
         return replace(self, observable=np.array(known))
 
+    def times_force(self, factor: float, error: float = 0.0, **changes: Any) -> ParameterSet:
+        """The set with ``changes``, and its force multiplied by a factor with a standard error."""
+        values, errors = self.values.copy(), self.standard_errors.copy()
+        discrepancies, gains = self.discrepancies.copy(), self.law.strength_indices
+        errors[gains] = np.hypot(errors[gains] * factor, values[gains] * error)
+        values[gains] *= factor
+        discrepancies[gains] *= factor
+        changed: dict[str, Any] = {"values": values, "standard_errors": errors} | changes
+        return replace(self, discrepancies=discrepancies, **changed)
+
     @property
     def doubt_over_current(self) -> str:
         """Why the set is not valid at several currents, in words; empty if it is."""

@@ -22,7 +22,7 @@ from numpy.polynomial.polynomial import polyvander
 
 from mr_damper_ros.estimation.covariance import NoiseModel, least_squares_covariance
 from mr_damper_ros.estimation.observability import SURE
-from mr_damper_ros.estimation.window_fit import WindowFit, fit_of
+from mr_damper_ros.estimation.window_fit import WindowFit
 from mr_damper_ros.kinematics.window import Window
 from mr_damper_ros.models.force_model import Model
 from mr_damper_ros.models.misfit import WindowProblem
@@ -148,25 +148,6 @@ def _measured_scale(reference: Array, measured: Array) -> ForceScale:
     variance = float(noise.score_covariance(reference[:, np.newaxis])[0, 0]) / power**2
     misfit = math.sqrt(noise.variance * reference.size / power)
     return ForceScale(value, math.sqrt(max(variance, 0.0)), misfit, misfit)
-
-
-def with_gain(
-    model: Model, window: Window, start: Array, factor: float, error: float, method: str
-) -> WindowFit:
-    """Parameters ``start`` (p,) with gain parameters scaled by a factor, as a window fit."""
-    # A window fit holds these gain parameters fixed, so they are scaled here.
-    rest = np.setdiff1d(model.strength_indices, model.free_indices)
-    start = start.copy()
-    start[rest] *= factor
-    problem = WindowProblem(model, window, start)
-    moved = np.where(problem.strength, problem.start, 0.0)
-    return fit_of(
-        problem,
-        problem.start + moved * (factor - 1.0),
-        np.outer(moved, moved) * error**2,
-        method=method,
-        evaluations=2,
-    )
 
 
 def scale_between(

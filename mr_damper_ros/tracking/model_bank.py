@@ -160,17 +160,11 @@ def _times_force(whole: ParameterSet, factor: float, present: ParameterSet) -> P
 
     The result has the peak velocity range of ``present`` if this includes the range of ``whole``.
     """
-    values, errors = whole.values.copy(), whole.standard_errors.copy()
-    strength = whole.law.strength_indices
-    values[strength] *= factor
-    errors[strength] *= factor
     slow, fast = present.peak_velocity_range
     known = whole.peak_velocity_range
     suffix = f" x {factor:.3f}"
-    return replace(
-        whole,
-        values=values,
-        standard_errors=errors,
+    return whole.times_force(
+        factor,
         set_id=whole.set_id[: LONGEST_NAME - len(suffix)] + suffix,
         peak_velocity_range=(slow, fast) if slow <= known[0] and known[1] <= fast else known,
         largest_force=float(np.fmax(whole.largest_force, present.largest_force)),

@@ -10,7 +10,7 @@ import numpy as np
 from mr_damper_ros.estimation.covariance import SAME_MOTION
 from mr_damper_ros.estimation.window_fit import WindowFit
 from mr_damper_ros.kinematics.window import Window
-from mr_damper_ros.models.parameter_set import EARLY_SOURCE, ParameterSet
+from mr_damper_ros.models.parameter_set import ParameterSet
 from mr_damper_ros.models.quantities import SAME_CURRENT
 from mr_damper_ros.signals.arrays import Array
 from mr_damper_ros.tracking.acceptance import LARGE_SHAPE_CHANGE, SAME_FORCE, Evidence
@@ -108,31 +108,11 @@ def new_set(
     Parameters that were not fitted keep their values and errors. The set holds in the range of the
     window, and in that of the running set if its dependence on the peak velocity, or on the
     current, is known and agrees with the window. A window that is not a sine does not change the
-    lower end of a known range. An early fit only scales the gain parameters and keeps the range.
+    lower end of a known range.
     """
     model = running.law
     errors, discrepancies = running.standard_errors.copy(), running.discrepancies.copy()
     places, found = model.fitted_errors(fit.scales, fit.whole_covariance)
-    made = replace(
-        running,
-        values=fit.parameters,
-        set_id=set_id,
-        source=fit.method,
-        nrmse=evidence.nrmse_after,
-        stamp_ns=stamp_ns,
-    )
-    if fit.method == EARLY_SOURCE:
-        fitted = np.full(errors.size, math.nan)
-        fitted[places] = found
-        changed, factor = model.strength_indices, abs(1.0 + evidence.force_change)
-        errors[changed] = np.hypot(errors[changed] * factor, fitted[changed])
-        discrepancies[changed] *= factor
-        return replace(
-            made,
-            standard_errors=errors,
-            discrepancies=discrepancies,
-            largest_force=float(np.fmax(window.largest_force, running.largest_force)),
-        )
     errors[places] = found
     observable = running.observable.copy()
     observable[places] = np.isfinite(found)
@@ -160,7 +140,12 @@ def new_set(
         # If the largest force is unknown for the running set, it is also unknown for the new set.
         largest_force = float(np.maximum(largest_force, running.largest_force))
     return replace(
-        made,
+        running,
+        values=fit.parameters,
+        set_id=set_id,
+        source=fit.method,
+        nrmse=evidence.nrmse_after,
+        stamp_ns=stamp_ns,
         standard_errors=errors,
         discrepancies=discrepancies,
         observable=observable,

@@ -25,6 +25,7 @@ from mr_damper_ros.estimation.window_fit import (
     WORSE_RATIO,
     WindowFit,
     WindowPrior,
+    fit_of,
     fit_window,
 )
 from mr_damper_ros.kinematics.motion import DataError
@@ -66,7 +67,6 @@ from mr_damper_ros.tracking.force_scale import (
     force_scale,
     temperature_map,
     widened,
-    with_gain,
     with_temperature,
 )
 from mr_damper_ros.tracking.operating_point import (
@@ -768,19 +768,27 @@ def _look(job: Job, window: Window) -> Outcome:
     factor, error = fit_scale(own, measured)
     if not factor > 0.0 or np.ptp(changed.force) == 0.0:
         return unchanged  # only a failed sensor gives such a force
-    fit = with_gain(model, changed, running.values, factor, error, EARLY_SOURCE)
     evidence = Evidence(before / spread, after / spread, after, trained - 1.0, lead)
-    name = f"early-{memory.windows + 1}"
-    found = new_set(running, fit, evidence, changed, set_id=name, stamp_ns=raw.end_ns)
+    found = running.times_force(
+        factor,
+        error,
+        set_id=f"early-{memory.windows + 1}",
+        source=EARLY_SOURCE,
+        nrmse=evidence.nrmse_after,
+        stamp_ns=raw.end_ns,
+        largest_force=float(np.fmax(changed.largest_force, running.largest_force)),
+    )
     gatekeeper = Gatekeeper(job.settings.acceptance, memory)
     if not gatekeeper.may_be_early(evidence) or implausible(found):
         return unchanged
+    problem = WindowProblem(model, changed, found.values)
+    gains = np.where(problem.strength, problem.start, 0.0) * (error / factor)
+    fit = fit_of(problem, problem.start, np.outer(gains, gains), method=EARLY_SOURCE, evaluations=2)
     of_window = force_scale(model, changed, fit, memory.points.baselines)
     gatekeeper.follow_change(evidence)
     memory.windows += 1
     if (state := memory.state) is not None:
-        strength = WindowProblem(model, changed, running.values).strength
-        factors = np.where(strength, factor, 1.0)
+        factors = np.where(problem.strength, factor, 1.0)
         covariance = state.covariance * np.outer(factors, factors) + fit.covariance
         memory.state = FilterState(state.scales * factors, covariance, raw.end_ns, here)
     # The residual of an inexact law oscillates, so the change detection stops until the next
