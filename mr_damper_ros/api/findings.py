@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from mr_damper_ros.api.measured_runs import MeasuredRun
+from mr_damper_ros.estimation.covariance import noise_level
 from mr_damper_ros.estimation.experiment_design import extra_runs
 from mr_damper_ros.estimation.global_fit import GlobalFit
 from mr_damper_ros.estimation.multi_start import MultiStart
@@ -21,7 +22,6 @@ from mr_damper_ros.estimation.observability import (
     parameter_spans,
 )
 from mr_damper_ros.estimation.planned_run import MachineLimits
-from mr_damper_ros.estimation.posterior import noise_level
 from mr_damper_ros.estimation.profile_likelihood import Profile
 from mr_damper_ros.estimation.window_fit import fit_window
 from mr_damper_ros.kinematics.window import Window
@@ -220,7 +220,7 @@ def determination_of(fit: GlobalFit, windows: Sequence[Window]) -> Determination
     """The combinations of parameters that the windows of a fit determine."""
     found = fit.parameter_set
     misfit = fit.misfit(windows)
-    jacobian = misfit.jacobian(found.values) / noise_level(misfit, found.values)
+    jacobian = misfit.jacobian(found.values) / noise_level(misfit.residual(found.values))
     spans = parameter_spans(found.law, jacobian, found.values, parameter_ranges(found.law, windows))
     return determination(found.law, jacobian, spans, found.values)
 

@@ -162,6 +162,15 @@ def independent_samples(residual: Array) -> float:
     return residual.size / correlation_length(residual)
 
 
+def noise_level(residual: Array, unknowns: int = 0) -> float:
+    """Standard deviation of one independent sample of a residual (n,) after a fit of unknowns.
+
+    It is larger for a correlated residual, so that model error does not average out like noise.
+    """
+    freedom = max(independent_samples(residual) - unknowns, 1.0)
+    return math.sqrt(max(float(np.sum(residual**2)) / freedom, 1e-300))
+
+
 def without_negative_variance(covariance: Array) -> Array:
     """The covariance (f, f), with negative variances caused by rounding set to zero.
 

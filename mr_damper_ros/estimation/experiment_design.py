@@ -23,7 +23,7 @@ from enum import Enum
 
 import numpy as np
 
-from mr_damper_ros.estimation.covariance import SIGNIFICANT, samples_per_cycle
+from mr_damper_ros.estimation.covariance import SIGNIFICANT, noise_level, samples_per_cycle
 from mr_damper_ros.estimation.global_search import with_linear_refitted
 from mr_damper_ros.estimation.local_search import LocalSearch
 from mr_damper_ros.estimation.observability import (
@@ -43,7 +43,7 @@ from mr_damper_ros.estimation.planned_run import (
     steady_cycle,
     with_motion_before,
 )
-from mr_damper_ros.estimation.posterior import Posterior, Prior, noise_level
+from mr_damper_ros.estimation.posterior import Posterior, Prior
 from mr_damper_ros.kinematics.motion import Motion
 from mr_damper_ros.kinematics.periodic_motion import MotionKind, PeriodicMotion
 from mr_damper_ros.kinematics.window import Window
@@ -390,7 +390,7 @@ class RunPlanner:
     def _noise(self, windows: Sequence[Window], parameters: Array) -> list[float]:
         """Standard deviation [N] of white noise with the effect of each window's residual."""
         misfits = (Misfit(self.model, [window], [1.0]) for window in windows)
-        return [max(noise_level(misfit, parameters), 1e-9) for misfit in misfits]
+        return [max(noise_level(misfit.residual(parameters)), 1e-9) for misfit in misfits]
 
     def _design(
         self, windows: Sequence[Window], noise: Sequence[float], parameters: Array
@@ -638,7 +638,7 @@ def extra_runs(
         ],
         sample_rate=misfit.sample_count / len(misfit.windows),
     )
-    level = noise_level(misfit, parameters)
+    level = noise_level(misfit.residual(parameters))
     top = top[0], max(top[1], 1e-6)
     sets = open_sets(model, misfit.windows, parameters, observable, top, 2 * _SETS)
     jacobians = [misfit.jacobian(values) * spans / level for values in sets]

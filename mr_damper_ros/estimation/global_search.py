@@ -21,7 +21,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from mr_damper_ros.estimation.covariance import independent_samples, triangular_factor
+from mr_damper_ros.estimation.covariance import independent_samples, noise_level, triangular_factor
 from mr_damper_ros.estimation.differential_evolution import (
     EvolutionSettings,
     ProgressClock,
@@ -35,7 +35,7 @@ from mr_damper_ros.estimation.observability import (
     parameter_spans,
     varied_parameters,
 )
-from mr_damper_ros.estimation.posterior import Posterior, Prior, noise_level
+from mr_damper_ros.estimation.posterior import Posterior, Prior
 from mr_damper_ros.estimation.record_levels import LevelledProblem, LevelPrior
 from mr_damper_ros.estimation.window_fit import WindowFit, fit_window
 from mr_damper_ros.kinematics.motion import DataError
@@ -458,7 +458,7 @@ class GlobalSearch:
         moved = np.where(free & (high - moved < near), high, moved)
         if np.any(changed := moved != self.best):
             held = {self.model.parameter_names[place] for place in np.flatnonzero(changed)}
-            others, noise = self.free - held, noise_level(whole, moved)
+            others, noise = self.free - held, noise_level(whole.residual(moved))
             exhausted = self.exhausted  # of the search, which this only corrects
             moved = self._least_squares(whole, moved, others, noise=noise, most_steps=_BOUND_STEPS)
             self.exhausted = exhausted
@@ -503,7 +503,7 @@ class GlobalSearch:
         if not places:
             return frozenset()
         width = self._prior().width[places]
-        jacobian = misfit.jacobian(self.best, places) / noise_level(misfit, self.best)
+        jacobian = misfit.jacobian(self.best, places) / noise_level(misfit.residual(self.best))
         factor = triangular_factor(jacobian)
         spans = parameter_spans(self.model, factor, self.best, self._ranges, places)
         information = (factor * width).T @ (factor * width)
@@ -514,11 +514,11 @@ class GlobalSearch:
     def posterior(self, misfit: Misfit, places: Sequence[int]) -> Posterior[ChosenParameters]:
         """Posterior of the parameters at these places, linearised about the best set."""
         free = ChosenParameters(misfit, self.best, places)
-        return Posterior(free, self._prior().at(places), noise_level(misfit, self.best))
+        return Posterior(free, self._prior().at(places), noise_level(misfit.residual(self.best)))
 
     def _most_probable(self, pooled: Misfit, start: Array, names: frozenset[str]) -> Array:
         """The most probable parameters (p,); only the named ones are free."""
-        noise = noise_level(pooled, start)
+        noise = noise_level(pooled.residual(start))
         return self._least_squares(pooled, start, names, noise=noise)
 
     def _rough(self, start: Array, names: frozenset[str]) -> Array:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Generic, TypeVar
@@ -10,23 +9,12 @@ from typing import Generic, TypeVar
 import numpy as np
 
 from mr_damper_ros.estimation.covariance import (
-    correlation_length,
     discrepancy_between,
     least_squares_covariance,
     motion_numbers,
 )
-from mr_damper_ros.models.misfit import ChosenParameters, Misfit
+from mr_damper_ros.models.misfit import ChosenParameters
 from mr_damper_ros.signals.arrays import Array
-
-
-def noise_level(misfit: Misfit, parameters: Array) -> float:
-    """Standard deviation [1] of one independent sample of the residual at parameters (p,).
-
-    It is larger for a correlated residual, so that model error does not average out like noise.
-    """
-    residual = misfit.residual(parameters)
-    power = float(np.mean(residual**2)) * correlation_length(residual)
-    return math.sqrt(max(power, 1e-300))
 
 
 @dataclass(frozen=True, eq=False)

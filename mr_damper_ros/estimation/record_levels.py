@@ -29,7 +29,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from mr_damper_ros.estimation.posterior import noise_level
+from mr_damper_ros.estimation.covariance import noise_level
 from mr_damper_ros.models.misfit import Misfit
 from mr_damper_ros.signals.arrays import Array
 
@@ -190,7 +190,7 @@ def counted_samples(pooled: Misfit, prior: LevelPrior, parameters: Array) -> flo
     The number follows from the residual after a fit of gain and offset without a prior.
     """
     without = LevelledProblem(pooled, replace(prior, spread=_FREE, counted_samples=math.inf))
-    noise = noise_level(without, parameters)
+    noise = noise_level(without.residual(parameters))
     return max(pooled.sample_count / max(noise * noise, 1.0), float(np.finfo(float).eps))
 
 

@@ -24,7 +24,7 @@ import numpy as np
 from mr_damper_ros.estimation.covariance import (
     ErrorCovariances,
     error_covariances,
-    independent_samples,
+    noise_level,
     samples_per_cycle,
     white_level,
     without_negative_variance,
@@ -334,11 +334,10 @@ def _noise(problem: WindowProblem, unknowns: Array, cycle: float) -> tuple[float
     jacobian, left = problem.jacobian(unknowns), problem.residual(unknowns)
     errors = error_covariances(jacobian[settled], left[settled], cycle)
     if not math.isfinite(cycle):
-        # With few independent samples, the noise is corrected for the degrees of freedom.
-        freedom = max(independent_samples(left) - unknowns.size, 1.0)
-        return float(np.sqrt(np.sum(left**2) / freedom)), errors
+        return noise_level(left, unknowns.size), errors
     size = float(np.sqrt(np.mean(left**2)))
-    return white_level(jacobian, errors.repeatability + errors.discrepancy, size), errors
+    level = white_level(jacobian, errors.repeatability + errors.discrepancy, size)
+    return max(level, 1e-150), errors
 
 
 def _errors(
@@ -349,7 +348,7 @@ def _errors(
     Errors of the window enter with the matrix ``gain``. The rest is the error of the running set,
     which does not change from window to window and has the covariance of the prior.
     """
-    samples = posterior.jacobian(unknowns)[: -unknowns.size] / max(posterior.noise, 1e-300)
+    samples = posterior.jacobian(unknowns)[: -unknowns.size] / posterior.noise
     information = samples.T @ samples
     held = np.linalg.inv(np.eye(unknowns.size) + information)
     gain = held @ information

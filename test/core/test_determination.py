@@ -11,6 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from known import SIGMOID
 
+from mr_damper_ros.estimation.covariance import noise_level
 from mr_damper_ros.estimation.experiment_design import ExtraRun, extra_runs
 from mr_damper_ros.estimation.observability import (
     Determination,
@@ -20,7 +21,6 @@ from mr_damper_ros.estimation.observability import (
     varied_parameters,
 )
 from mr_damper_ros.estimation.planned_run import MachineLimits
-from mr_damper_ros.estimation.posterior import noise_level
 from mr_damper_ros.kinematics.window import Window
 from mr_damper_ros.models import MODELS
 from mr_damper_ros.models.misfit import Misfit
@@ -53,7 +53,7 @@ def pooled(chosen: list[Window]) -> Misfit:
 
 def determined(chosen: list[Window]) -> Determination:
     misfit = pooled(chosen)
-    jacobian = misfit.jacobian(known.PLAUSIBLE) / noise_level(misfit, known.PLAUSIBLE)
+    jacobian = misfit.jacobian(known.PLAUSIBLE) / noise_level(misfit.residual(known.PLAUSIBLE))
     spans = parameter_spans(SIGMOID, jacobian, known.PLAUSIBLE, RANGES)
     return determination(SIGMOID, jacobian, spans, known.PLAUSIBLE)
 
