@@ -15,7 +15,7 @@ from mr_damper_ros.io.text_table import read_text_table
 from mr_damper_ros.processes.files import irregularity
 from mr_damper_ros.signals.arrays import Array
 from mr_damper_ros.signals.blocks import NANOSECONDS
-from mr_damper_ros.signals.moving_average import undo_average, undo_average_in_motion
+from mr_damper_ros.signals.moving_average import pattern_left, undo_average, undo_average_in_motion
 from mr_damper_ros.signals.recording import DEFAULT_START_NS, NotFiniteError, Recording
 
 _JITTER_TO_MENTION = 0.01
@@ -71,8 +71,8 @@ class SampledRecord:
         """The record without its moving average over ``count`` samples.
 
         The record must begin at rest, unless ``in_motion``; then the result is approximate, see
-        :func:`undo_average_in_motion`. Raises RecordError if the record does not begin at rest, or
-        is too short for the average.
+        :func:`undo_average_in_motion`. Raises RecordError if the record does not begin at rest, is
+        too short for the average, or was averaged over another number of samples.
         """
         if not 2 <= count < self.time.size:
             raise RecordError(
@@ -83,19 +83,23 @@ class SampledRecord:
         values = dict(self.values)
         for quantity in _AVERAGED & set(values):
             smooth = values[quantity]
-            if in_motion:
-                try:
-                    values[quantity] = undo_average_in_motion(smooth, count)
-                except ValueError as error:
-                    raise RecordError(str(error)) from error
-                continue
-            if np.ptp(smooth[:count]) > _REST * np.ptp(smooth):
+            if not in_motion and np.ptp(smooth[:count]) > _REST * np.ptp(smooth):
                 raise RecordError(
                     f"the {quantity} does not rest in the first {count} samples, so its moving "
                     "average cannot be undone exactly: give the record from its very beginning, or "
                     "say that it begins in motion (--begins-in-motion)"
                 )
-            values[quantity] = undo_average(smooth, count)
+            try:
+                undo = undo_average_in_motion if in_motion else undo_average
+                values[quantity] = undo(smooth, count)
+            except ValueError as error:
+                raise RecordError(str(error)) from error
+            if pattern := pattern_left(values[quantity], count):
+                raise RecordError(
+                    f"without the moving average, a pattern of {count} samples makes up "
+                    f"{pattern:.0%} of the {quantity}: it was averaged over another number of "
+                    "samples, or not at all, or begins in motion (--begins-in-motion)"
+                )
         note = f"a moving average over {count} samples was undone"
         return replace(self, values=values, details={**self.details, "smoothing": note})
 

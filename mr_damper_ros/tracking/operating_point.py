@@ -40,6 +40,10 @@ MOST_SAMPLES = 500
 MOST_WINDOWS = 100
 """Largest numbers of samples of a kept window, and of kept windows, one per operating point."""
 
+_MOST_POINTS = 2 * MOST_WINDOWS
+"""Largest number of records, which bounds the state on disk. The oldest without a window go first.
+"""
+
 RECENT = MEMORY
 """Seconds for which an operating point counts as recent. A set must hold at all recent points."""
 
@@ -206,12 +210,18 @@ class KnownPoints:
         return KnownPoints(tuple(each for each in self.records if id(each) not in same))
 
     def updated(self, changed: KnownPoints) -> KnownPoints:
-        """Return the records with new and changed ones; windows of a number alone stay."""
+        """Return the records with new and changed ones, but no more than the largest number.
+
+        Windows of a number alone stay.
+        """
         records = {each.point: each for each in self.records}
         for each in changed.records:
             if each.number and each.window is None:
                 each = replace(each, window=records.get(each.point, each).window)
             records[each.point] = each
+        idle = [point for point, each in records.items() if not each.number]
+        for point in idle[: max(len(records) - _MOST_POINTS, 0)]:
+            del records[point]
         return KnownPoints(tuple(records.values()))
 
     def without_temperatures(self) -> KnownPoints:

@@ -120,6 +120,14 @@ def test_what_cannot_be_undone_is_refused(
         )
 
 
+@pytest.mark.parametrize("in_motion", [False, True])
+def test_an_average_that_never_was_is_not_undone(in_motion: bool) -> None:
+    path = Path(__file__).parents[2] / "doc" / "example.csv"
+    columns, more = "time:s,displacement:mm,force:N", {"begins_in_motion": in_motion}
+    with pytest.raises(RecordError, match="a pattern of 5 samples makes up"):
+        mr.read_record(path, columns, current=0.5, moving_average=5, **more)
+
+
 @pytest.mark.skipif("MR_DAMPER_DATA" not in os.environ, reason="MR_DAMPER_DATA is not set")
 def test_the_average_of_a_real_record_is_found() -> None:
     path = Path(os.environ["MR_DAMPER_DATA"], "utfsm", "earthquake.mat")

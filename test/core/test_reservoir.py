@@ -36,12 +36,15 @@ def test_of_a_law_without_memory_only_the_samples_are_kept() -> None:
     np.testing.assert_array_equal(bare.force, kept.force)
 
 
-def test_the_oldest_window_goes_when_too_many_are_kept() -> None:
+def test_the_oldest_window_and_record_go_when_too_many_are_kept() -> None:
     points = KnownPoints()
     window = known.run(samples=200).window
-    for number in range(103):
+    for number in range(303):
         current = 0.1 * number
         shifted = Window(window.motion, window.force, np.full(200, current))
-        points = keep(points, shifted, number)
+        after = keep(points, shifted, number).noted((1e-3, current), force=None)
+        points = points.updated(after.changed_since(points))
     currents = [float(w.current[0]) for w in points.windows]
-    assert currents == pytest.approx([0.1 * number for number in range(3, 103)])
+    assert currents == pytest.approx([0.1 * number for number in range(203, 303)])
+    others = [each.point[1] for each in points.records if not each.number]
+    assert others == pytest.approx([0.1 * number for number in range(203, 303)])
