@@ -140,6 +140,10 @@ _JITTER_NS, _JITTER = 5_000_000, 1.5
 """Largest error of a stamp while the sample count continues, the larger of a time [ns] and a number
 of sample periods. Computers assign stamps with a variable delay."""
 
+_PERIOD_ERROR = 2e-3
+"""A block whose period deviates by at most this fraction has the period of the blocks before: some
+sources compute the period of each block from inaccurate stamps."""
+
 _EVEN = 0.02
 """A stamp with an error of at most this fraction of a period is used unchanged. Stamps with larger
 errors show whether the sampling is non-uniform."""
@@ -240,6 +244,8 @@ class UniformGrid:
 
     def follow(self, block: SampleBlock) -> list[Placed]:
         """Add a block; returns the blocks placed on the grid, which is one block if none waits."""
+        if self.last is not None and _same(block.period, self.last.period):
+            block = replace(block, period=self.last.period)
         verdict = self._judge(block)
         if self._hold_back == 0.0 or (not self._held and verdict[0] != "bridged"):
             return [self._place(block, verdict)]
@@ -267,9 +273,9 @@ class UniformGrid:
         last = self.last
         if last is None or self._clock is None:
             return "first", 0, ""
-        if not math.isclose(block.period, last.period, rel_tol=1e-6):
+        if block.period != last.period:
             changed = f"the sample period changed from {last.period:.9g} s to {block.period:.9g} s"
-            return "changed_period", 0, changed
+            return "changed_period", 0, f"{changed} (every block must state the nominal period)"
         due_ns = self._clock.at(_end(last))
         late_ns = block.start_ns - due_ns
         late = late_ns / NANOSECONDS
@@ -392,6 +398,11 @@ def _measured(force: Array, after: Array, lost: int) -> tuple[Array, Array]:
     after = after.copy()
     after[:lost] = after[lost] + np.arange(lost, 0.0, -1.0)
     return np.concatenate([np.full(lost, force[0]), force]), after
+
+
+def _same(period: float, before: float) -> bool:
+    """Whether a period is another statement of the period before."""
+    return 0.0 < abs(period - before) <= _PERIOD_ERROR * before
 
 
 def _end(block: SampleBlock) -> int:

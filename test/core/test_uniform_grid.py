@@ -43,7 +43,8 @@ def test_of_a_block_that_overlaps_what_is_new_is_taken() -> None:
         (block(0), "repeat", 0, 10, "a block arrived twice or too late: it is ignored"),
         (block(0, late=-5.0), "jump_back", 0, 0, "the stamps jump back by 5.01 s"),
         (block(10, period=2e-3), "changed_period", 0, 0, "the sample period changed from 0.001 s"),
-        (block(10, period=1.00001e-3), "changed_period", 0, 0, "the sample period changed from 0."),
+        (block(10, period=1.003e-3), "changed_period", 0, 0, "the sample period changed from 0."),
+        (block(10, period=1.001e-3), "next", 0, 0, ""),
     ],
     ids=lambda value: value if isinstance(value, str) else "",
 )
