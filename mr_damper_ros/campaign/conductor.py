@@ -113,11 +113,11 @@ class CampaignConductor:
         """Continue after a pause."""
         self._paused = False
 
-    def stop(self, reason: str = "it was stopped") -> None:
+    def stop(self) -> None:
         """End the campaign; it continues if the same goal is sent again."""
         if self._course is not None and self._course.outcome is None:
             self._driver = None
-            self._course.end(reason)
+            self._course.end("it was stopped")
             if self._worker.busy:
                 self._worker.cancel()
 

@@ -12,7 +12,7 @@ from mr_damper_ros.live.live_record import LiveRecord
 from mr_damper_ros.models.parameter_set import ParameterSet
 from mr_damper_ros.signals.blocks import NANOSECONDS
 from mr_damper_ros.signals.recording import CurrentReading, StreamItem
-from mr_damper_ros.tracking.engine import Engine, EngineSettings
+from mr_damper_ros.tracking.engine import Engine
 from mr_damper_ros.tracking.validity import DoubtKind
 
 _SET_POINTS = (
@@ -44,12 +44,7 @@ def empty_record(path: Path) -> LiveRecord:
     return LiveRecord(recorded=title_of(path), signals_kept=_MOST_SIGNALS)
 
 
-def replay_into(
-    record: LiveRecord,
-    path: Path,
-    start: ParameterSet | None = None,
-    settings: EngineSettings | None = None,
-) -> None:
+def replay_into(record: LiveRecord, path: Path, start: ParameterSet | None = None) -> None:
     """Replay a bag into a record, with the same results as the live identifier and model.
 
     Without ``start``, the initial set is the set in use at the start of the recording. Raises
@@ -57,9 +52,8 @@ def replay_into(
     """
     start = start or start_of(path)
     if start is not None:
-        settings = settings or EngineSettings().for_law(start.model)
         record.set_parameters(replace(start, stamp_ns=0))
-    engine = Engine(settings, start)
+    engine = Engine(None, start)
     set_points = deque(_set_points(path))
 
     def stream() -> Iterator[StreamItem]:

@@ -41,7 +41,7 @@ from mr_damper_ros.report.document import (
 )
 from mr_damper_ros.rig.sources.emulated_source import suspension_state_of
 from mr_damper_ros.signals.arrays import Array
-from mr_damper_ros.tracking.engine import Engine, EngineSettings
+from mr_damper_ros.tracking.engine import Engine
 from studies.drawing import bars, chapter, draw_rows, line, name_rows
 from studies.program import Campaign
 from studies.recordings import rms
@@ -488,7 +488,7 @@ def drive_heated(learns: bool, duration: float) -> dict[str, Any]:
     supply = SupplySetpoint()
     rig = car_rig(_ROAD, supply, LAG, _THERMAL)
     known = invented_damper(LAG)
-    engine = Engine(EngineSettings().for_law(known.model), known) if learns else None
+    engine = Engine(start=known) if learns else None
     choose = force_choice(rig, known, semi_active.passive(_DAMPING), engine)
     per_stretch = round(_STRETCH / rig.settings.period / BLOCK)
     rows, stretches, before = [], [], None

@@ -187,7 +187,7 @@ _DELAY, _WATCHDOG = "OUTP:PROT:WDOG:DEL", "OUTP:PROT:WDOG"
 
 
 class EmulatedInstrument:
-    """One output on a coil of ``time_constant`` [s], up to ``largest_current`` [A].
+    """One output of up to 5 A on a coil of ``time_constant`` [s].
 
     ``clock`` returns seconds. The object is instrument and link at once; several threads may use
     it.
@@ -196,7 +196,6 @@ class EmulatedInstrument:
     def __init__(
         self,
         time_constant: float = 0.02,
-        largest_current: float = 5.0,
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
         self._time_constant = time_constant
@@ -205,7 +204,7 @@ class EmulatedInstrument:
         self._errors: deque[str] = deque()
         self._values = {"CURR": 0.0, "VOLT": 0.0, "VOLT:LIM": 0.0, _DELAY: 60.0}
         self._values |= {"OUTP": 0.0, _WATCHDOG: 0.0}
-        self._ranges = {"CURR": (0.0, largest_current), _DELAY: (1e-3, 3600.0)}
+        self._ranges = {"CURR": (0.0, 5.0), _DELAY: (1e-3, 3600.0)}
         self._tripped = False
         self._coil = 0.0
         self._at = self._received_at = clock()
