@@ -31,7 +31,7 @@ _NOISE = 0.02
 def scores(law: str, known: Sequence[Window], left_out: Sequence[Window]) -> tuple[Array, Array]:
     """True over claimed errors: of the coefficients (k, c) and of the force (k,) left out.
 
-    A fit to the window alone gives its true coefficients; its errors count, too.
+    A fit to the window alone gives the true coefficients that it determines; its errors count, too.
     """
     model = MODELS[law]
     fit = identify_global(model, known, model.initial_values()[0], EvolutionSettings())
@@ -39,10 +39,10 @@ def scores(law: str, known: Sequence[Window], left_out: Sequence[Window]) -> tup
     coefficients, forces = [], []
     for window in left_out:
         own = fit_window(model, window, values, method="least_squares")
-        found, errors, _ = fit.coefficients(own.operating_point)
-        claimed = np.hypot(errors, np.sqrt(np.maximum(np.diag(own.coefficient_errors), 0.0)))
-        missed = found - own.coefficients
-        coefficients.append(missed / np.where(claimed > 0.0, claimed, math.nan))
+        found, errors, _ = fit.coefficients(own.operating_point, own.loop.frequency)
+        variances = np.diag(own.coefficient_errors)
+        claimed = np.where(variances > 0.0, np.sqrt(errors**2 + variances), math.nan)
+        coefficients.append((found - own.coefficients) / claimed)
         settled = model.settled(window, values)
         residual = (model.window_force(window, values) - window.force)[settled]
         forces.append(recordings.rms(residual) / recordings.rms(fit.force_error(window)[settled]))

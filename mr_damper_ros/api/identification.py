@@ -64,7 +64,7 @@ from mr_damper_ros.models.parameter_set import (
     known_model,
     motion_window,
 )
-from mr_damper_ros.models.quantities import NOTICED
+from mr_damper_ros.models.quantities import NOTICED, LoopReading
 from mr_damper_ros.processes.blas_threads import one_thread
 from mr_damper_ros.processes.files import json_ready, write_text
 from mr_damper_ros.processes.process_pool import ProcessPool
@@ -637,7 +637,8 @@ def _fitted(searches: MultiStart, runs: Sequence[MeasuredRun]) -> tuple[FittedRu
     levels = dict(enumerate(fit.record_levels(all_windows(runs))))
     fitted = []
     for place, run in enumerate(runs):
-        point = run.longest.operating_point
+        point, frequency = run.longest.operating_point, LoopReading.of(run.longest).frequency
+        found = (row.tolist() for row in fit.coefficients(point, frequency))
         coefficients = {
             each.name: Estimate(
                 value,
@@ -646,9 +647,7 @@ def _fitted(searches: MultiStart, runs: Sequence[MeasuredRun]) -> tuple[FittedRu
                 meaning=each.meaning,
                 discrepancy=discrepancy,
             )
-            for each, value, error, discrepancy in zip(
-                law.at_one_current, *(row.tolist() for row in fit.coefficients(point)), strict=True
-            )
+            for each, value, error, discrepancy in zip(law.at_one_current, *found, strict=True)
         }
         comparison = compare(fit.parameter_set, run)
         fitted.append(FittedRun(run, comparison, point, coefficients, levels.get(place)))

@@ -7,6 +7,7 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
+from scipy.optimize import nnls
 
 from mr_damper_ros.estimation.covariance import (
     error_covariances,
@@ -30,8 +31,12 @@ from mr_damper_ros.kinematics.window import Window
 from mr_damper_ros.models.force_model import Model
 from mr_damper_ros.models.misfit import Misfit
 from mr_damper_ros.models.parameter_set import GLOBAL_SOURCE, ParameterSet
+from mr_damper_ros.models.quantities import LoopReading
 from mr_damper_ros.signals.arrays import Array
 from mr_damper_ros.signals.error_sums import ErrorSums, pooled
+
+_LEAST_EXPLAINED = 1e-4
+"""Smallest part of the variance of the force that a set is assumed to explain."""
 
 GLOBAL_METHODS = (GLOBAL_SOURCE, "nelder_mead", "least_squares", "differential_evolution")
 
@@ -47,8 +52,9 @@ class GlobalFit:
     samples in units of this noise; it is 1 if only noise is left. ``candidates``: results of the
     local searches from which the set was selected. ``stopped``: whether the search was stopped
     before its end. ``levels``: the prior of the record levels, None without record levels.
-    ``scatter`` (2, c): standard deviation of the coefficients of single windows about the laws,
-    beyond their errors; it has a constant part [unit] and a part relative to the coefficient [1].
+    ``spread`` (2, c): standard deviation of the coefficients of single windows about the laws,
+    beyond their errors, relative to their sizes (:func:`coefficient_sizes`) [1]; then what is added
+    to it in squares per e-fold of frequency away from ``frequency`` [Hz].
     """
 
     parameter_set: ParameterSet
@@ -63,13 +69,17 @@ class GlobalFit:
     candidates: tuple[Candidate, ...] = ()
     stopped: bool = False
     levels: LevelPrior | None = None
-    scatter: Array = field(default_factory=lambda: np.zeros((2, 1)))
+    spread: Array = field(default_factory=lambda: np.zeros((2, 1)))
+    frequency: float = 1.0
 
-    def coefficients(self, operating_point: tuple[float, float]) -> tuple[Array, Array, Array]:
-        """Coefficients (c,) at (peak velocity [m/s], current [A]), with their errors.
+    def coefficients(
+        self, operating_point: tuple[float, float], frequency: float = math.nan
+    ) -> tuple[Array, Array, Array]:
+        """Coefficients (c,) at (peak velocity [m/s], current [A]), with their errors in a motion.
 
         Returns the coefficients, their standard errors and the part of these that comes from model
-        error. Both include the scatter, because no law follows the coefficients exactly.
+        error. Both include the spread, because no law follows the coefficients exactly. They hold
+        for a motion of this ``frequency`` [Hz], by default the typical one of the windows.
         """
         model, values = self.parameter_set.law, self.parameter_set.values
         coefficients = model.coefficients_at(values, *operating_point)[:, 0]
@@ -77,13 +87,15 @@ class GlobalFit:
         # Parameters without influence on the coefficients must not make the errors NaN.
         used = np.any(gradient != 0.0, axis=0)
         block, gradient = np.ix_(used, used), gradient[:, used]
-        constant, relative = self.scatter
+        if math.isnan(frequency):
+            frequency = self.frequency
+        cycle = Window.of_sine(operating_point[0], frequency, operating_point[1])
+        cycle = replace(cycle, force=model.window_force(cycle, values))
+        sizes = coefficient_sizes(model, coefficients, LoopReading.of(cycle))
+        near, growth = self.spread * sizes
+        spread = near**2 + (growth * math.log(frequency / self.frequency)) ** 2
         errors, discrepancies = (
-            np.sqrt(
-                np.einsum("cp,pq,cq->c", gradient, each[block], gradient)
-                + constant**2
-                + (relative * coefficients) ** 2
-            )
+            np.sqrt(np.einsum("cp,pq,cq->c", gradient, each[block], gradient) + spread)
             for each in (self.covariance, self.discrepancy)
         )
         return coefficients, errors, discrepancies
@@ -97,7 +109,9 @@ class GlobalFit:
         free = np.flatnonzero(np.diag(self.covariance) > 0.0)
         jacobian = Misfit(model, [window], [1.0], values).jacobian(values, free.tolist())
         by_parameters = np.sum(jacobian @ self.covariance[np.ix_(free, free)] * jacobian, axis=1)
-        left = float(np.mean(self.nrmse**2) * np.var(model.window_force(window, values)))
+        # The force of a fit is orthogonal to the residual, and so smaller than the measured force.
+        squares = np.mean(self.nrmse**2 / np.maximum(1.0 - self.nrmse**2, _LEAST_EXPLAINED))
+        left = float(squares * np.var(model.window_force(window, values)))
         return np.asarray(np.sqrt(by_parameters + left))
 
     def misfit(self, windows: Sequence[Window]) -> Misfit:
@@ -190,6 +204,7 @@ def _result(search: GlobalSearch, method: str, ending: Ending) -> GlobalFit:
         covariance[block], discrepancy[block] = _errors(search, misfit, places)
         errors[places] = np.sqrt(np.diag(covariance[block]))
     parameter_set = set_of(search, errors, np.sqrt(np.diag(discrepancy)), method)
+    spread, frequency = _spread(search, places)
     errors_of_set = [error_of_set(parameter_set, [window]) for window in search.windows]
     return GlobalFit(
         parameter_set=replace(parameter_set, nrmse=pooled(errors_of_set).nrmse),
@@ -203,39 +218,73 @@ def _result(search: GlobalSearch, method: str, ending: Ending) -> GlobalFit:
         cost=misfit.mean_square(best),
         candidates=tuple(search.candidates),
         stopped=ending is Ending.STOPPED,
-        scatter=_scatter(search, places),
+        spread=spread,
+        frequency=frequency,
     )
 
 
-def _scatter(search: GlobalSearch, places: Sequence[int]) -> Array:
-    """The scatter (2, c) of a search whose parameters at ``places`` are free.
+def coefficient_sizes(model: Model, coefficients: Array, loop: LoopReading) -> Array:
+    """Sizes (c,) of coefficients (c,) in a motion, in their units.
+
+    A force that the law does not follow changes a stiffness by this force over the amplitude, a
+    viscosity by this force over the speed. The typical size of a coefficient is therefore that of
+    its unit in the loop of the motion.
+    """
+    units = [loop.size(each.unit) for each in model.at_one_current]
+    return np.hypot(coefficients, units)
+
+
+def _spread(search: GlobalSearch, places: Sequence[int]) -> tuple[Array, float]:
+    """The spread (2, c) of a search whose parameters at ``places`` are free, and its frequency.
 
     It is zero for a law with as many free parameters as windows, and with record levels, which
     account for differences between windows.
     """
     model, fits = search.model, search.fits
-    scatter = np.zeros((2, len(model.coefficient_names)))
+    spread = np.zeros((2, len(model.coefficient_names)))
     if search.levels is not None or not fits:
-        return scatter
+        return spread, 1.0
     gradient = np.any(
         [model.coefficient_gradient(search.best, *fit.operating_point) for fit in fits], axis=0
     )
     freedom = len(fits) - np.count_nonzero(gradient[:, list(places)], axis=1)
     points = np.array([fit.operating_point for fit in fits]).T
     laws = model.coefficients_at(search.best, *points).T
-    found = np.array([fit.coefficients for fit in fits])
-    variances = np.array([np.diag(fit.coefficient_errors) for fit in fits])
-    typical = np.maximum(np.mean(laws**2, axis=0), np.median(found**2, axis=0))
-    sizes = laws**2 + typical
-    # A coefficient that is zero everywhere, as after an early stop, has no scatter.
-    sizes = np.where(sizes > np.finfo(float).tiny, sizes, np.inf)
-    # A coefficient has little weight if its window hardly determines it.
-    weights = np.nan_to_num(1.0 / (1.0 + np.maximum(variances, 0.0) / sizes))
-    excess = ((found - laws) ** 2 - np.nan_to_num(variances)) / sizes
-    part = np.sum(weights * excess, axis=0) / np.maximum(np.sum(weights, axis=0), 1e-12)
-    part *= len(fits) / np.maximum(freedom, 1)
-    relative = np.sqrt(np.where(freedom > 0, np.maximum(part, 0.0), 0.0))
-    return np.stack((relative * np.sqrt(typical), relative))
+    pairs = zip(laws, fits, strict=True)
+    sizes = np.array([coefficient_sizes(model, law, fit.loop) for law, fit in pairs])
+    squares = ((np.array([fit.coefficients for fit in fits]) - laws) / sizes) ** 2
+    variances = np.array([np.diag(fit.coefficient_errors) for fit in fits]) / sizes**2
+    variances = np.nan_to_num(variances, nan=_UNDETERMINED).clip(0.0, _UNDETERMINED)
+    logarithms = np.log([fit.loop.frequency for fit in fits])
+    apart = (logarithms - np.mean(logarithms)) ** 2
+    for place in np.flatnonzero(freedom > 0).tolist():
+        larger = squares[:, place] * len(fits) / freedom[place]
+        spread[:, place] = np.sqrt(_excess(larger, variances[:, place], apart))
+    return spread, math.exp(float(np.mean(logarithms)))
+
+
+_UNDETERMINED = 1e12
+"""Relative variance of a coefficient that its window does not determine."""
+
+_EXACT = 1e-9
+"""Relative variance up to which a coefficient counts as exact."""
+
+_SCORINGS = 50
+
+
+def _excess(squares: Array, variances: Array, apart: Array) -> Array:
+    """Variance of deviations beyond their ``variances`` (k,), and its growth with ``apart`` (k,).
+
+    The most likely values for ``squares`` (k,) of normal deviations, by Fisher's scoring. The
+    frequency of a motion is not in the laws, so the deviations grow with the distance. If all
+    frequencies are equal, an e-fold counts like another motion.
+    """
+    columns = np.stack((np.ones_like(apart), apart), axis=1)
+    found = np.full(2, np.median(squares))
+    for _ in range(_SCORINGS):
+        weights = 1.0 / (variances + columns @ found + _EXACT)
+        found = nnls(columns * weights[:, np.newaxis], (squares - variances) * weights)[0]
+    return found if np.ptp(apart) > 0.0 else found[[0, 0]]
 
 
 def set_of(search: GlobalSearch, errors: Array, discrepancies: Array, name: str) -> ParameterSet:

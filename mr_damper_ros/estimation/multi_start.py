@@ -206,8 +206,8 @@ def identify_from_seeds(
     return MultiStart({seed: record.fits[seed] for seed in seeds if seed in record.fits})
 
 
-_ARRAYS = ("covariance", "discrepancy", "nrmse", "noise", "scatter")
-_PLAIN = ("evaluations", "success", "message", "stopped", "cost")
+_ARRAYS = ("covariance", "discrepancy", "nrmse", "noise", "spread")
+_PLAIN = ("evaluations", "success", "message", "stopped", "cost", "frequency")
 """Fields of a fit that a record stores unchanged."""
 
 
@@ -230,11 +230,11 @@ def _from_document(document: dict[str, Any], levels: LevelPrior | None) -> Globa
     if levels is not None:
         count = document["counted_samples"]
         levels = replace(levels, counted_samples=math.inf if count is None else float(count))
-    # Older records have no discrepancy.
+    # Older records have neither discrepancy nor spread.
     unknown = np.full_like(document["covariance"], math.nan, dtype=float)
     given = {"discrepancy": unknown} | {n: document[n] for n in _ARRAYS if n in document}
     fields: dict[str, Any] = {n: np.array(values, dtype=float) for n, values in given.items()}
-    fields |= {name: document[name] for name in _PLAIN}
+    fields |= {name: document[name] for name in _PLAIN if name in document}
     fields["cost"] = math.nan if document["cost"] is None else float(document["cost"])
     return GlobalFit(
         parameter_set=ParameterSet.from_yaml(document["set"]),

@@ -86,8 +86,9 @@ class WindowFit:
     error, None if unknown (see :mod:`covariance`). ``parameters`` (p,) are all parameters.
     ``coefficients`` (c,) and their covariances ``coefficient_covariance`` and
     ``coefficient_discrepancy`` (c, c) hold at ``operating_point`` (peak velocity [m/s], current
-    [A]); they are empty for a model without coefficients. ``rmse`` [N] covers the ``sample_count``
-    samples with a known past; ``nrmse`` = RMSE/std of the force.
+    [A]); they are empty for a model without coefficients. ``loop`` is the size of the loop of the
+    window. ``rmse`` [N] covers the ``sample_count`` samples with a known past; ``nrmse`` = RMSE/std
+    of the force.
     """
 
     scales: Array
@@ -96,6 +97,7 @@ class WindowFit:
     coefficients: Array
     coefficient_covariance: Array
     operating_point: tuple[float, float]
+    loop: LoopReading
     rmse: float
     nrmse: float
     sample_count: int
@@ -237,6 +239,7 @@ def fit_of(
         coefficients=coefficients,
         coefficient_covariance=gradient @ covariance @ gradient.T,
         operating_point=window.operating_point,
+        loop=LoopReading.of(window),
         rmse=rmse,
         nrmse=rmse / float(np.std(window.force)),
         sample_count=window.sample_count,

@@ -143,10 +143,10 @@ def test_what_one_motion_alone_determines_is_unknown_and_leaves_the_others_alone
 
 
 def sine(
-    amplitude: float, *, strength: float = 1.0, samples: int = 500, start: float = 0.0
+    amplitude: float, strength: float = 1.0, samples: int = 500, start: float = 0.0, hz: float = 2.0
 ) -> Window:
     """A steady run of the known damper at 2 Hz and 1 A, with its force times ``strength``."""
-    run = known.run(amplitude=amplitude, frequency=2.0, samples=samples, start=start, period=2e-3)
+    run = known.run(amplitude=amplitude, frequency=hz, samples=samples, start=start, period=2e-3)
     return Window.from_samples(run.displacement, strength * run.force, run.current, run.period)
 
 
@@ -156,12 +156,16 @@ def test_windows_of_one_motion_count_once() -> None:
 
 
 @cache
-def fitted(spread: float) -> GlobalFit:
-    """Bingham's law, fitted to eight motions whose gains scatter by ``spread``."""
+def fitted(spread: float, trend: float = 0.0) -> GlobalFit:
+    """Bingham's law, fitted to eight motions whose gains scatter by ``spread``.
+
+    With a ``trend``, they have frequencies of 0.5 to 2 Hz, and gains proportional to this power.
+    """
     rng = np.random.default_rng(3)
+    hertz = np.geomspace(0.5 if trend else 2.0, 2.0, 8)
     windows = [
-        sine(amplitude, strength=1.0 + spread * rng.standard_normal())
-        for amplitude in np.geomspace(2e-3, 12e-3, 8)
+        sine(amplitude, strength=(1.0 + spread * rng.standard_normal()) * hz**trend, hz=hz)
+        for amplitude, hz in zip(rng.permutation(np.geomspace(2e-3, 12e-3, 8)), hertz, strict=True)
     ]
     law = MODELS["bingham"]
     start = law.initial_values()[0]
@@ -183,6 +187,12 @@ def test_a_coefficient_in_another_motion_is_known_to_what_the_law_does_not_follo
         values, errors, _ = fit.coefficients((0.1, 1.0))
         found.append(float(errors[0] / abs(values[0])))
     assert found[1] > LEVELS / 2.0 > found[0]
+
+
+def test_a_coefficient_is_known_less_at_a_frequency_far_from_all_others() -> None:
+    fit = fitted(0.0, trend=0.6)
+    (_, near, _), (_, far, _) = (fit.coefficients((0.1, 1.0), hz) for hz in (1.0, 16.0))
+    assert far[0] > 2.0 * near[0]
 
 
 def test_so_is_the_force() -> None:

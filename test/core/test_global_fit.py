@@ -282,7 +282,7 @@ def test_an_early_stop_overflows_nothing(monkeypatch: pytest.MonkeyPatch) -> Non
     with np.errstate(over="raise", invalid="raise"):
         fit = identify_global(law, SMALL, law.initial_values()[0], FEW, lambda _: next(polls))
     assert fit.stopped
-    assert np.isfinite(fit.scatter).all()
+    assert np.isfinite(fit.spread).all()
 
 
 def test_an_unknown_method_is_refused() -> None:
