@@ -28,7 +28,7 @@ from mr_damper_ros.estimation.experiment_design import Plan, PlanState, PointErr
 from mr_damper_ros.estimation.planned_run import ForceGoal, MachineLimits, PlannedRun
 from mr_damper_ros.kinematics.periodic_motion import MotionKind, RepeatedMatch
 from mr_damper_ros.models.parameter_set import ParameterSet
-from mr_damper_ros.processes.worker import Done, Failed, Outcome
+from mr_damper_ros.processes.worker import InlineWorker
 
 RATE, BLOCK = 500.0, 10
 GOAL = ForceGoal(0.06, (0.05, 0.2), (0.0, 1.5), speeds=3, currents=4)
@@ -43,31 +43,23 @@ BROAD = [
 ]
 
 
-class Inline:
-    """A worker that runs each task at once; ``fail`` makes it fail."""
+class Inline(InlineWorker):
+    """A worker that runs each task at once; ``fail`` makes it fail, and no report is written."""
 
     def __init__(self) -> None:
+        super().__init__(lambda _: 0.0)
         self.fail = ""
-        self.busy = False
         self.done: list[str] = []
-        self._outcomes: list[Outcome] = []
 
-    def submit(self, function: Callable[..., Any], *arguments: Any) -> int:
+    def submit(self, function: Callable[..., Any], *arguments: Any, **limits: float) -> int:
         self.done.append(function.__name__)
-        if function.__name__ == "report_campaign":
-            self._outcomes.append(Done(1, None))
-        elif self.fail and function.__name__ == "find_step":
-            self._outcomes.append(Failed(1, self.fail))
-        else:
-            self._outcomes.append(Done(1, function(*arguments, None)))
-        return 1
+        if self.done[-1] == "report_campaign" or (self.fail and self.done[-1] == "find_step"):
+            function = self._ended
+        return super().submit(function, *arguments, **limits)
 
-    def poll(self) -> list[Outcome]:
-        found, self._outcomes = self._outcomes, []
-        return found
-
-    def cancel(self) -> None:
-        raise AssertionError("nothing takes time here")
+    def _ended(self, *_: object) -> None:
+        if self.fail:
+            raise ValueError(self.fail)
 
 
 class EmulatedMachine:

@@ -8,6 +8,7 @@ import known
 import numpy as np
 import pytest
 import running_damper
+from waiting import SetClock
 
 from mr_damper_ros.live import live_record
 from mr_damper_ros.live.live_record import Concern, LiveRecord
@@ -150,26 +151,16 @@ def test_a_summary_says_that_there_is_no_set_and_no_current() -> None:
     assert "nan" not in text
 
 
-class Clock:
-    """A clock that advances only when a test sets it."""
-
-    def __init__(self) -> None:
-        self.now = 100.0
-
-    def __call__(self) -> float:
-        return self.now
-
-
 @pytest.fixture
-def clock() -> Clock:
-    return Clock()
+def clock() -> SetClock:
+    return SetClock()
 
 
 def faults(record: LiveRecord) -> list[tuple[str, bool, bool]]:
     return [(fault["name"], fault["active"], fault["seen"]) for fault in status(record)["faults"]]
 
 
-def test_a_fault_stays_until_it_is_over_and_seen(clock: Clock) -> None:
+def test_a_fault_stays_until_it_is_over_and_seen(clock: SetClock) -> None:
     record = LiveRecord(clock)
     wrong, good = (Concern("supply: current", level, "no load", {}) for level in (2, 0))
     record.add_concern(wrong)
@@ -186,7 +177,7 @@ def test_a_fault_stays_until_it_is_over_and_seen(clock: Clock) -> None:
     assert faults(record) == []
 
 
-def test_a_node_that_died_is_a_fault_until_seen_also_where_nobody_looked(clock: Clock) -> None:
+def test_a_node_that_died_is_a_fault_until_seen_also_where_nobody_looked(clock: SetClock) -> None:
     record = LiveRecord(clock)
     record.add_concern(Concern("supply: current", 0, "0.5 A", {}))
     clock.now += 12.0

@@ -2,20 +2,12 @@
 
 import threading
 
+from waiting import SetClock
+
 from mr_damper_ros.processes.deferred import BackgroundWriter, Outbox
 
 
-class Clock:
-    """A clock that is set by hand."""
-
-    def __init__(self) -> None:
-        self.now = 100.0
-
-    def __call__(self) -> float:
-        return self.now
-
-
-def filled(clock: Clock) -> Outbox[str]:
+def filled(clock: SetClock) -> Outbox[str]:
     outbox: Outbox[str] = Outbox(1.0, clock)
     for number, item in enumerate("abc"):
         outbox.add(item, number)
@@ -23,7 +15,7 @@ def filled(clock: Clock) -> Outbox[str]:
 
 
 def test_an_item_waits_until_its_state_is_written() -> None:
-    outbox = filled(Clock())
+    outbox = filled(SetClock())
     assert outbox.take(written=0) == ["a"]
     assert outbox.take(written=0) == []
     assert outbox.take(written=2) == ["b", "c"]
@@ -31,13 +23,13 @@ def test_an_item_waits_until_its_state_is_written() -> None:
 
 
 def test_an_item_does_not_overtake_the_one_before_it() -> None:
-    outbox = filled(Clock())
+    outbox = filled(SetClock())
     outbox.add("needs no state", 0)
     assert outbox.take(written=1) == ["a", "b"]
 
 
 def test_a_disk_that_takes_too_long_holds_nothing_up() -> None:
-    clock = Clock()
+    clock = SetClock()
     outbox = filled(clock)
     clock.now += 0.9
     outbox.add("d", 3)
@@ -50,7 +42,7 @@ def test_a_disk_that_takes_too_long_holds_nothing_up() -> None:
 
 
 def test_all_can_be_had_at_once() -> None:
-    outbox = filled(Clock())
+    outbox = filled(SetClock())
     assert outbox.take_all() == ["a", "b", "c"]
     assert outbox.take(written=9) == []
 

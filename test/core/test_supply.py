@@ -11,7 +11,7 @@ from importlib.util import find_spec
 from pathlib import Path
 
 import pytest
-from waiting import until
+from waiting import SetClock, until
 
 from benchmarks.instrument_server import InstrumentServer
 from mr_damper_ros.rig.commander import CommandSettings, CurrentCommander, Origin
@@ -130,16 +130,6 @@ def test_it_says_when_the_current_will_change_by_itself() -> None:
 
 
 # --- the emulated instrument --------------------------------------------------------------------
-
-
-class SetClock:
-    """A clock that advances only when the test sets it."""
-
-    def __init__(self) -> None:
-        self.now = 100.0
-
-    def __call__(self) -> float:
-        return self.now
 
 
 @pytest.fixture

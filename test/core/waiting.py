@@ -1,4 +1,4 @@
-"""Waiting for other threads and processes, with a deadline instead of a sleep."""
+"""Waiting for other threads and processes, with a deadline instead of a sleep; a set clock."""
 
 import time
 from collections.abc import Callable
@@ -25,3 +25,13 @@ def is_gone(pid: int) -> bool:
     except FileNotFoundError:
         return True
     return state == "Z"
+
+
+class SetClock:
+    """A clock that advances only when a test sets it."""
+
+    def __init__(self) -> None:
+        self.now = 100.0
+
+    def __call__(self) -> float:
+        return self.now
