@@ -142,18 +142,3 @@ def change_point(predicted: Array, measured: Array, fewest: int) -> int:
     # Decrease of the squared error if the change is at each index.
     gain = explained - power - 2.0 * to_the_end(predicted * (measured - predicted))
     return int(np.argmax(gain[: max(predicted.size - fewest, 0) + 1]))
-
-
-def fit_scale(predicted: Array, measured: Array) -> tuple[float, float]:
-    """Early fit: the least-squares factor on ``predicted`` (n,) [N] that gives ``measured``.
-
-    Returns the factor and its standard error. A fraction of a cycle determines this single factor
-    well, but not seven coefficients. Raises ValueError if the predicted force is zero.
-    """
-    power = float(predicted @ predicted)
-    if power == 0.0:
-        raise ValueError("the predicted force is zero, so its scale cannot be fitted")
-    factor = float(predicted @ measured) / power
-    residual = measured - factor * predicted
-    noise = float(residual @ residual) / max(predicted.size - 1, 1)
-    return factor, math.sqrt(noise / power)

@@ -128,7 +128,7 @@ def force_scale(
     settled = problem.settled
     reference = model.window_force(window, baseline.parameters)[settled]
     if not steady:
-        return _measured_scale(reference, window.force[settled])
+        return measured_scale(reference, window.force[settled])
     present = model.window_force(window, fit.parameters)[settled]
     jacobian = problem.jacobian(fit.scales)[settled]
     scale = scale_between(reference, present, jacobian, fit.covariance)
@@ -138,8 +138,12 @@ def force_scale(
     return replace(scale, discrepancy=besides)
 
 
-def _measured_scale(reference: Array, measured: Array) -> ForceScale:
-    """Least-squares scale that maps the baseline's force (n,) [N] onto the measured force."""
+def measured_scale(reference: Array, measured: Array) -> ForceScale:
+    """Least-squares scale that maps a predicted force (n,) [N] onto the measured force.
+
+    It is NaN if the forces are hardly correlated. A fraction of a cycle determines this single
+    factor well, but not seven coefficients.
+    """
     power = float(reference @ reference)
     if not _are_proportional(reference, measured):
         return ForceScale()

@@ -60,11 +60,12 @@ from mr_damper_ros.tracking.acceptance import (
     rival_wins,
     validation_mask,
 )
-from mr_damper_ros.tracking.cusum import ChangeWatch, change_point, fit_scale
+from mr_damper_ros.tracking.cusum import ChangeWatch, change_point
 from mr_damper_ros.tracking.force_scale import (
     FluidTemperature,
     WindowScale,
     force_scale,
+    measured_scale,
     temperature_map,
     widened,
     with_temperature,
@@ -756,7 +757,10 @@ def _look(job: Job, window: Window) -> Outcome:
     lasting = model.lasting_force(changed, running.values)
     own, measured = predicted - lasting, changed.force - lasting
     validation = validation_mask(count)
-    trained, _ = fit_scale(own[~validation], measured[~validation])
+    trained = measured_scale(own[~validation], measured[~validation]).value
+    scale = measured_scale(own, measured)
+    if not (trained > 0.0 and scale.value > 0.0) or np.ptp(changed.force) == 0.0:
+        return unchanged  # only a failed sensor gives such a force
     spread = float(np.std(window.force))
     before, after = (
         float(np.sqrt(np.mean((each * own - measured)[validation] ** 2))) for each in (1.0, trained)
@@ -765,13 +769,10 @@ def _look(job: Job, window: Window) -> Outcome:
     # resembles a change.
     noise = NoiseModel.of(trained * own - measured)
     lead = lead_of([(own, trained * own, measured, validation, noise)])
-    factor, error = fit_scale(own, measured)
-    if not factor > 0.0 or np.ptp(changed.force) == 0.0:
-        return unchanged  # only a failed sensor gives such a force
     evidence = Evidence(before / spread, after / spread, after, trained - 1.0, lead)
     found = running.times_force(
-        factor,
-        error,
+        scale.value,
+        scale.standard_error,
         set_id=f"early-{memory.windows + 1}",
         source=EARLY_SOURCE,
         nrmse=evidence.nrmse_after,
@@ -782,13 +783,13 @@ def _look(job: Job, window: Window) -> Outcome:
     if not gatekeeper.may_be_early(evidence) or implausible(found):
         return unchanged
     problem = WindowProblem(model, changed, found.values)
-    gains = np.where(problem.strength, problem.start, 0.0) * (error / factor)
+    gains = np.where(problem.strength, problem.start, 0.0) * (scale.standard_error / scale.value)
     fit = fit_of(problem, problem.start, np.outer(gains, gains), method=EARLY_SOURCE, evaluations=2)
     of_window = force_scale(model, changed, fit, memory.points.baselines)
     gatekeeper.follow_change(evidence)
     memory.windows += 1
     if (state := memory.state) is not None:
-        factors = np.where(problem.strength, factor, 1.0)
+        factors = np.where(problem.strength, scale.value, 1.0)
         covariance = state.covariance * np.outer(factors, factors) + fit.covariance
         memory.state = FilterState(state.scales * factors, covariance, raw.end_ns, here)
     # The residual of an inexact law oscillates, so the change detection stops until the next
