@@ -76,6 +76,10 @@ class WindowPrior:
     fastest: float = math.inf
 
 
+_NO_LOOP = LoopReading(1e-9, 0.0, 1e-9, 1e-9)
+"""The reading of a fit in a stored state of an earlier version."""
+
+
 @dataclass(frozen=True, eq=False)
 class WindowFit:
     """Result of the fit of one window.
@@ -97,7 +101,6 @@ class WindowFit:
     coefficients: Array
     coefficient_covariance: Array
     operating_point: tuple[float, float]
-    loop: LoopReading
     rmse: float
     nrmse: float
     sample_count: int
@@ -107,6 +110,7 @@ class WindowFit:
     message: str
     discrepancy: Array | None = None
     coefficient_discrepancy: Array | None = None
+    loop: LoopReading = _NO_LOOP
 
     @property
     def whole_covariance(self) -> Array:
