@@ -5,7 +5,6 @@ from __future__ import annotations
 import time
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from pathlib import Path
 from typing import Any
 
 from mr_damper_ros.control.linear_plant import ROUGHNESS, Bump, IsoRoad, QuarterCar
@@ -30,7 +29,12 @@ from mr_damper_ros.emulation.motions import (
 from mr_damper_ros.emulation.plant_rig import HOT_FORCE, PlantRig, Surroundings, invented_damper
 from mr_damper_ros.kinematics.periodic_motion import MotionKind, PeriodicMotion
 from mr_damper_ros.models.parameter_set import ParameterSet
-from mr_damper_ros.models.published import THESIS_28_CELSIUS, THESIS_71_CELSIUS
+from mr_damper_ros.models.published import (
+    THESIS_28_CELSIUS,
+    THESIS_71_CELSIUS,
+    find,
+    parameters,
+)
 from mr_damper_ros.rig.commander import CommandSettings, CurrentCommander, MotionCommander, Origin
 from mr_damper_ros.rig.sources.source import Source
 from mr_damper_ros.settings.option_table import ParameterTable, option, with_default
@@ -288,13 +292,9 @@ def _damper(rig: EmulatedOptions) -> Damper:
     """The damper that the options describe; raises ValueError or OSError."""
     if rig.damper == _THESIS_TEMPERATURES:
         return EmulatedDamper(THESIS_28_CELSIUS, scaled(THESIS_71_CELSIUS, rig.hot_force))
-    if rig.damper.endswith((".yaml", ".yml")):
-        given = ParameterSet.from_yaml(Path(rig.damper).read_text(encoding="utf-8"))
-        return EmulatedDamper(given, rig.hot_force)
-    from mr_damper_ros.models.published import find, parameters
-
-    values = parameters(find(rig.damper))
-    return EmulatedDamper(values, rig.hot_force)
+    is_file = rig.damper.endswith((".yaml", ".yml"))
+    known = ParameterSet.load(rig.damper) if is_file else parameters(find(rig.damper))
+    return EmulatedDamper(known, rig.hot_force)
 
 
 _BUMP = "bump"
@@ -335,11 +335,8 @@ class QuarterCarSource(_EmulatedSupply):
     def open(self) -> list[str]:
         """Read the parameters of the damper."""
         given = self.settings
-        known = (
-            invented_damper(0.0)
-            if given.damper == _INVENTED
-            else ParameterSet.from_yaml(Path(given.damper).read_text(encoding="utf-8"))
-        )
+        invented = given.damper == _INVENTED
+        known = invented_damper(0.0) if invented else ParameterSet.load(given.damper)
         self._damper = EmulatedDamper(known, given.hot_force, built_in=True)
         self.commander = self._supply()
         return []
