@@ -22,11 +22,7 @@ from collections.abc import Mapping, MutableSequence, Sequence
 import numpy as np
 
 from mr_damper_ros.kinematics.motion import Motion
-from mr_damper_ros.models.current_dependence import (
-    DifferentiatedModel,
-    IntegratedModel,
-    Recursion,
-)
+from mr_damper_ros.models.current_dependence import IntegratedModel, Recursion
 from mr_damper_ros.models.machine_code import run_loop
 from mr_damper_ros.models.quantities import Coefficient, LoopReading
 from mr_damper_ros.signals.arrays import Array
@@ -101,6 +97,8 @@ def follow_inner_point(
     velocity: Sequence[float],
     numbers: Sequence[Sequence[float]],
     inner: MutableSequence[float],
+    states: MutableSequence[float],
+    springs: MutableSequence[float],
     period: float,
     k0: float,
     share: float,
@@ -111,10 +109,10 @@ def follow_inner_point(
 ) -> tuple[float, float, float]:
     """Follow a hysteresis and a damper in series with another damper.
 
-    Fills the velocity (n,) [m/s] of the point between the two and returns the last z, s and
-    velocity, where s is the displacement of the rod relative to this point. ``numbers`` (n, 4):
-    damping parallel to the hysteresis and sum of both dampings [N s/m], force at full yield [N],
-    yield length [m].
+    Fills the velocity (n,) [m/s] of the point between the two, z and s (n,), and returns the last
+    z, s and velocity, where s is the displacement of the rod relative to this point. ``numbers``
+    (n, 4): damping parallel to the hysteresis and sum of both dampings [N s/m], force at full yield
+    [N], yield length [m].
     """
     easing = eased = 0.0
     for k in range(len(velocity)):
@@ -135,21 +133,32 @@ def follow_inner_point(
             z = hysteresis_step(z, slip, alpha / both, length, share, power, period)
             s += easing * (w - (alpha * z + c0 * w + k0 * s) / both)
         last = v
-        inner[k] = (alpha * z + c0 * v + k0 * s) / both
+        inner[k], states[k], springs[k] = (alpha * z + c0 * v + k0 * s) / both, z, s
     return z, s, last
 
 
-def step_derivatives(
-    z: Array, velocity: Array, length: Array, share: Array, power: Array, period: float
-) -> tuple[Array, ...]:
-    """Derivatives (n,) of :func:`hysteresis_step`; ``z`` (n,) are the states after each step.
+def _eased(x: Array) -> tuple[Array, Array]:
+    """(e^x - 1)/x and its derivative, for x of any shape."""
+    small = np.abs(x) < _SMALL_RATE
+    safe = np.where(small, 1.0, x)
+    eased = np.where(small, 1.0 + 0.5 * x, np.expm1(x) / safe)
+    return eased, np.where(small, 0.5 + x / 3.0, (np.exp(x) - eased) / safe)
 
-    The derivatives are by the previous state, the yield length, the share and the power. The
-    driving velocity is the mean of two samples and does not depend on z. The first elements belong
-    to the start at rest.
+
+def step_derivatives(
+    before: Array,
+    after: Array,
+    w: Array,
+    back: Array | float,
+    length: Array,
+    share: Array,
+    power: Array,
+    period: float,
+) -> list[Array]:
+    """Derivatives (n,) of :func:`hysteresis_step` at the states ``before`` and ``after`` a step.
+
+    They are by the previous state, w, ``back``, the yield length, the share and the power.
     """
-    before = np.concatenate(([0.0], z[:-1]))
-    w = np.concatenate(([0.0], 0.5 * (velocity[1:] + velocity[:-1])))
     size, sign = np.abs(before), np.sign(before)
     along = sign * np.sign(w)
     towards = share + (1.0 - share) * along
@@ -159,30 +168,43 @@ def step_derivatives(
     raised, less, log = size**power, here * some ** (power - 1.0), here * np.log(some)
     gain = (1.0 - raised * towards) / length
     slope = power * less * sign / length
-    x = -period * slope * towards * w
+    x = -period * (slope * towards * w + gain * back)
     inside = (x > -_STEEPEST) & (x < 1.0)
     x = np.clip(x, -_STEEPEST, 1.0)
-    small = np.abs(x) < _SMALL_RATE
-    safe = np.where(small, 1.0, x)
-    eased = np.where(small, 1.0 + 0.5 * x, np.expm1(x) / safe)
-    bends = np.where(small, 0.5 + x / 3.0, (np.exp(x) - eased) / safe) * inside
+    eased, bends = _eased(x)
+    bends *= inside
 
-    def change(of_gain: Array, of_x: Array) -> Array:
+    def change(of_gain: Array, of_bend: Array) -> Array:
+        of_x = -period * (of_bend * w + of_gain * back)
         return np.asarray(period * w * (of_gain * eased + gain * bends * of_x))
 
     bent = power * (power - 1.0) * here * some ** (power - 2.0) * towards / length
-    kept = 1.0 + change(-slope * towards, -period * w * bent)
-    by_length = change(-gain / length, -x / length)
     other = 1.0 - along
-    by_share = change(-raised * other / length, -period * w * slope * other)
-    by_power = change(
-        -raised * log * towards / length,
-        -period * w * less * (1.0 + power * log) * sign * towards / length,
-    )
-    # A step limited to full yield has no derivative.
-    moves = np.abs(z) < 1.0
+    derivatives = [
+        1.0 + change(-slope * towards, bent),
+        period * gain * (eased - period * w * bends * slope * towards),
+        -((period * gain) ** 2) * w * bends,
+        change(-gain / length, -slope * towards / length),
+        change(-raised * other / length, slope * other),
+        change(
+            -raised * log * towards / length,
+            less * (1.0 + power * log) * sign * towards / length,
+        ),
+    ]
+    # A step limited to full yield has no derivative, nor has the start at rest.
+    moves = np.abs(after) < 1.0
     moves[0] = False
-    return tuple(moves * part for part in (kept, by_length, by_share, by_power))
+    return [moves * part for part in derivatives]
+
+
+def _steps(states: Array) -> Array:
+    """States (n,) before each step; the first is the start at rest."""
+    return np.concatenate(([0.0], states[:-1]))
+
+
+def _driving(velocity: Array) -> Array:
+    """The mean velocity (n,) in each step, zero for the start at rest."""
+    return np.concatenate(([0.0], 0.5 * (velocity[1:] + velocity[:-1])))
 
 
 class _Hysteretic(IntegratedModel):
@@ -194,7 +216,7 @@ class _Hysteretic(IntegratedModel):
         return _SETTLING_TRAVEL * float(self.coefficients_at(parameters, 0.0, current)[place, 0])
 
 
-class BoucWen(_Hysteretic, DifferentiatedModel):
+class BoucWen(_Hysteretic):
     """A damper, a spring and a hysteresis in parallel."""
 
     name = "bouc_wen"
@@ -235,9 +257,11 @@ class BoucWen(_Hysteretic, DifferentiatedModel):
         """The derivatives of the force, and the recursion of z."""
         z = self.integrate(coefficients, motion, period, [math.nan] * self.memory)
         length, share, power = coefficients[4:]
-        kept, *by = step_derivatives(z, motion.velocity, length, share, power, period)
+        driving = _driving(motion.velocity)
+        kept, _, _, *by = step_derivatives(_steps(z), z, driving, 0.0, length, share, power, period)
         direct = {0: motion.velocity, 1: motion.displacement, 2: np.ones(z.size), 3: z}
-        return direct, [Recursion(coefficients[3], kept, dict(enumerate(by, start=4)))]
+        kept_by = dict(enumerate(by, start=4))
+        return direct, [Recursion((coefficients[3],), ((kept,),), (kept_by,))]
 
     def starts_at_one_current(self, reading: LoopReading) -> Array:
         """Starts dominated by the yield force; its yield length is 5 % or 20 % of the amplitude."""
@@ -280,21 +304,78 @@ class ModifiedBoucWen(_Hysteretic):
         The memory holds z, the displacement s of the rod relative to the inner point, and the last
         velocity. Only s enters the equations, so the centre of the motion may move.
         """
+        (inner, _, _), memory[:] = self._followed(coefficients, motion, period, memory)
+        return inner
+
+    @staticmethod
+    def _followed(
+        coefficients: Sequence[Array], motion: Motion, period: float, memory: Sequence[float]
+    ) -> tuple[list[Array], Sequence[float]]:
+        """Velocity of the inner point, z and s (n,), and the memory after them."""
         # The dampings, the force at full yield and the yield length may depend on the current.
         c0s, c1s, alphas, lengths = (coefficients[place] for place in (0, 2, 5, 6))
         k0, share, power = (float(coefficients[place][0]) for place in (1, 7, 8))
         each = motion.velocity, c0s, c0s + c1s, alphas, lengths
         velocity, *numbers = np.broadcast_arrays(*each)
         given = velocity, np.stack(numbers, axis=-1)
-        (inner,), memory[:] = run_loop(
-            follow_inner_point, (hysteresis_step,), given, 1, period, k0, share, power, *memory
+        return run_loop(
+            follow_inner_point, (hysteresis_step,), given, 3, period, k0, share, power, *memory
         )
-        return inner
 
     def force_from(self, coefficients: Sequence[Array], motion: Motion, integrated: Array) -> Array:
         """Force [N]."""
         outer_damping, stiffness, offset = coefficients[2:5]
         return np.asarray(outer_damping * integrated + stiffness * motion.displacement + offset)
+
+    def sensitivities(
+        self, coefficients: list[Array], motion: Motion, period: float
+    ) -> tuple[Mapping[int, Array], list[Recursion]]:
+        """The derivatives of the force, and the joint recursion of z and s."""
+        c0, k0, c1, _, _, alpha, length, share, power = coefficients
+        start = [math.nan] * self.memory
+        (inner, z, s), _ = self._followed(coefficients, motion, period, start)
+        before, w, half = _steps(z), _driving(motion.velocity), 0.5 * period
+        by_z, by_s, per = alpha / (c0 + c1), k0 / (c0 + c1), 1.0 / (c0 + c1)  # of the inner point
+
+        def inner_point(z: Array, s: Array, v: Array) -> tuple[Array, dict[int, Array]]:
+            """Velocity of the inner point, and its derivatives by the coefficients."""
+            y = by_z * z + c0 * per * v + by_s * s
+            return y, {0: per * (v - y), 1: per * s, 2: -per * y, 5: per * z}
+
+        easing, bends = _eased(-half * by_s)
+        easing *= half
+        softer = -half * half * bends * per
+        eased_by = {0: -by_s * softer, 1: softer, 2: -by_s * softer}
+        back_by = {0: -by_z * per, 2: -by_z * per, 5: per}
+        # The three parts of a step: s, then z, then s.
+        first, first_by = inner_point(before, _steps(s), w)
+        between = _steps(s) + easing * (w - first)
+        second, second_by = inner_point(before, between, w)
+        third, third_by = inner_point(z, between, w)
+        of_z, of_slip, of_back, *of_yield = step_derivatives(
+            before, z, w - second, by_z, length, share, power, period
+        )
+        kept = 1.0 - easing * by_s
+        z_by_z, z_by_s = of_z - of_slip * by_z * kept, -of_slip * by_s * kept
+        s_by_z = -easing * by_z * (kept + z_by_z)
+        s_by_s = kept * kept - easing * by_z * z_by_s
+        z_by = dict(enumerate(of_yield, start=6))
+        s_by = {place: -easing * by_z * by for place, by in z_by.items()}
+        for place in (0, 1, 2, 5):
+            eased = eased_by.get(place, 0.0)
+            moved = eased * (w - first) - easing * first_by[place]
+            z_by[place] = of_back * back_by.get(place, 0.0)
+            z_by[place] -= of_slip * (second_by[place] + by_s * moved)
+            s_by[place] = kept * moved + eased * (w - third)
+            s_by[place] -= easing * (third_by[place] + by_z * z_by[place])
+        for by in (s_by_z, s_by_s, *s_by.values()):
+            by[0] = 0.0
+        _, direct = inner_point(z, s, motion.velocity)
+        direct = {place: c1 * by for place, by in direct.items()}
+        direct[2] = direct[2] + inner
+        direct |= {3: motion.displacement, 4: np.ones(z.size)}
+        both = (z_by_z, z_by_s), (s_by_z, s_by_s)
+        return direct, [Recursion((c1 * by_z, c1 * by_s), both, (z_by, s_by))]
 
     def starts_at_one_current(self, reading: LoopReading) -> Array:
         """Starts dominated by yield force, with short or long yield, low or high series damping."""

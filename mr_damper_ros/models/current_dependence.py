@@ -132,28 +132,32 @@ class CurrentDependentModel(Model):
         value = value * (1.0 + change) if coefficient.grows else value + change
         return np.clip(value, coefficient.low, coefficient.high)
 
-    def dependences(self, parameters: Array, current: Array, by_coil: Array) -> Array:
-        """Derivatives (c, n, p) of the coefficients at currents (n,) [A] for parameters (p,).
+    def dependences(
+        self, parameters: Array, current: Array, by_coil: Array
+    ) -> list[dict[int, Array]]:
+        """Derivatives (n or 1,) of each coefficient at currents (n,) [A], by index of parameter.
 
         ``by_coil`` (n,): derivative of the current with respect to the coil's time constant [A/s].
         The derivative of a coefficient at its bound is zero.
         """
-        # Each column is contiguous in memory.
-        result = np.zeros((len(self.at_one_current), parameters.size, current.size))
-        result = result.swapaxes(1, 2)
+        found = []
         for place, coefficient in enumerate(self.at_one_current):
-            value = float(parameters[place])
+            value, columns = float(parameters[place]), self._orders[place]
             size = value if coefficient.grows else 1.0
-            growth, slope = np.ones(current.size), np.zeros(current.size)
-            for order, column in enumerate(self._orders[place], start=1):
-                result[place, :, column] = size * current**order
+            growth, slope, by = np.ones(1), np.zeros(1), {}
+            for order, column in enumerate(columns, start=1):
+                by[column] = size * current**order
                 growth = growth + parameters[column] * current**order
-                slope += size * parameters[column] * order * current ** (order - 1)
-            result[place, :, place] = growth if coefficient.grows else 1.0
-            result[place, :, -1] = slope * by_coil
+                slope = slope + size * parameters[column] * order * current ** (order - 1)
+            by[place] = growth if coefficient.grows else np.ones(1)
+            if columns:
+                by[parameters.size - 1] = slope * by_coil
             at = value * growth if coefficient.grows else value + growth - 1.0
-            result[place, (at < coefficient.low) | (at > coefficient.high)] = 0.0
-        return result
+            outside = (at < coefficient.low) | (at > coefficient.high)
+            if np.any(outside):
+                by = {column: np.where(outside, 0.0, values) for column, values in by.items()}
+            found.append(by)
+        return found
 
     def coefficients_at(
         self, parameters: Array, peak_velocity: ArrayLike, current: ArrayLike
@@ -169,7 +173,11 @@ class CurrentDependentModel(Model):
         self, parameters: Array, peak_velocity: float, current: float
     ) -> Array:
         """Derivatives (c, p) of the coefficients at one current with respect to the parameters."""
-        return self.dependences(parameters, np.array([current]), np.zeros(1))[:, 0]
+        result = np.zeros((len(self.at_one_current), parameters.size))
+        chain = self.dependences(parameters, np.array([current]), np.zeros(1))
+        for row, by in zip(result, chain, strict=True):
+            row[list(by)] = [value.item() for value in by.values()]
+        return result
 
     def plausible_ranges(
         self, windows: Sequence[Window], top_velocity: float, top_current: float
@@ -258,8 +266,24 @@ class _CurrentResponse(CurrentResponse):
         return np.broadcast_to(forces, every.shape).T
 
 
+class Recursion(NamedTuple):
+    """Sensitivity of m states: x[k] = kept[k] x[k-1] + the sum of ``by`` times the coefficients.
+
+    ``force_by``: derivative (n,) [N] of the force by each state; ``kept``: derivatives (n,) of each
+    state (rows) by the previous states (columns); ``by``: derivatives (n,) of each state by the
+    coefficients, by their index.
+    """
+
+    force_by: Sequence[Array]
+    kept: Sequence[Sequence[Array]]
+    by: Sequence[Mapping[int, Array]]
+
+
 class IntegratedModel(CurrentDependentModel):
-    """A law whose state is integrated sample by sample."""
+    """A law whose state is integrated sample by sample, with exact derivatives of its force.
+
+    Differences would multiply the computation time by the number of parameters.
+    """
 
     remembers = True
 
@@ -295,25 +319,6 @@ class IntegratedModel(CurrentDependentModel):
             kept[(slice(None), *place)] = memory
         return self.force_from(coefficients, motion, result), tuple(kept)
 
-
-class Recursion(NamedTuple):
-    """Sensitivity of a state: x[k] = kept[k] x[k-1] + the sum of ``by`` times the coefficients.
-
-    ``by`` (n,) of each coefficient, by its index; ``force_by`` (n,) [N] is the derivative of the
-    force with respect to the state.
-    """
-
-    force_by: Array
-    kept: Array
-    by: Mapping[int, Array]
-
-
-class DifferentiatedModel(IntegratedModel):
-    """An integrated law with exact derivatives of its force.
-
-    Differences would multiply the computation time by the number of parameters.
-    """
-
     @abstractmethod
     def sensitivities(
         self, coefficients: list[Array], motion: Motion, period: float
@@ -341,12 +346,23 @@ class DifferentiatedModel(IntegratedModel):
             chain = self.dependences(parameters, late, (later - late) / DIFFERENCE)
         else:
             chain = self.dependences(parameters, current[:1], np.zeros(1))
-        chain = chain[..., list(columns)]
         values = [np.broadcast_to(c, current.shape) for c in self.all_at(parameters, late)]
         direct, recursions = self.sensitivities(values, motion, history.period)
-        result = _excitation(direct, chain)
-        for force_by, kept, by in recursions:
-            result += force_by[:, np.newaxis] * solve_recursion(kept, _excitation(by, chain))
+        # Columns are contiguous in memory. All steps at once would leave the processor's cache.
+        result = np.empty((len(columns), current.size)).T
+        states = [np.zeros((len(recursion.by), len(columns))) for recursion in recursions]
+        for begin in range(0, current.size, _CHUNK):
+            part = slice(begin, begin + _CHUNK)
+            rows = result[part]
+            rows[...] = _excitation([direct], chain, columns, part)
+            for recursion, state in zip(recursions, states, strict=True):
+                kept = np.array([[values[part] for values in row] for row in recursion.kept])
+                added = _excitation(recursion.by, chain, columns, part)
+                added[: len(state)] += kept[..., 0] @ state
+                found = solve_recursion(kept, added)
+                state[...] = found[-len(state) :]
+                for place, force_by in enumerate(recursion.force_by):
+                    rows += force_by[part, np.newaxis] * found[place :: len(state)]
         return history.at_samples(result[-count:])
 
     def window_forces(self, windows: Sequence[Window]) -> WindowForces:
@@ -354,10 +370,28 @@ class DifferentiatedModel(IntegratedModel):
         return WindowForces(self, windows, self.window_derivatives)
 
 
-def _excitation(by: Mapping[int, Array], chain: Array) -> Array:
-    """Sum (n, p) over the coefficients: ``by`` (n,) of each times its ``chain`` (n or 1, p)."""
-    places = list(by)
-    if chain.shape[1] == 1:
-        # Columns are contiguous in memory, so each can be solved in place.
-        return np.asarray(chain[places, 0].T @ np.stack(list(by.values()))).T
-    return sum((by[place][:, np.newaxis] * chain[place] for place in places), np.zeros(()))
+_CHUNK = 8192
+"""Number of steps whose derivatives are computed at once."""
+
+
+def _excitation(
+    by: Sequence[Mapping[int, Array]],
+    chain: Sequence[Mapping[int, Array]],
+    columns: Sequence[int],
+    part: slice,
+) -> Array:
+    """Derivatives (n m, p) of m interleaved states by the parameters at p ``columns``.
+
+    ``by``: those by the coefficients, of which the ``part`` with n steps counts; ``chain``: those
+    of the coefficients.
+    """
+    rows = {column: row for row, column in enumerate(columns)}
+    count = next(iter(by[0].values()))[part].size
+    result = np.zeros((len(rows), len(by) * count))
+    for state, derivatives in enumerate(by):
+        for place, values in derivatives.items():
+            for column, effect in chain[place].items():
+                if column in rows:
+                    many = effect[part] if effect.size > 1 else effect
+                    result[rows[column], state :: len(by)] += values[part] * many
+    return result.T

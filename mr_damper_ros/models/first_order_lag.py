@@ -107,7 +107,7 @@ class FirstOrderLag:
         return self._recursion(driven)
 
     def _recursion(self, driven: Array) -> Array:
-        result = solve_recursion(self._decay, driven)
+        result = solve_recursion(self._decay[np.newaxis, np.newaxis], driven)
         if self._periodic:
             passed = np.cumsum(self._ratio)
             before = result[-1] / -np.expm1(-passed[-1])
@@ -116,13 +116,20 @@ class FirstOrderLag:
 
 
 def solve_recursion(kept: Array, added: Array) -> Array:
-    """Solve y[k] = kept[k] y[k-1] + added[k] for columns (n, ...), which may be overwritten."""
+    """Solve y[k] = kept[k] y[k-1] + added[k] for columns (n m, ...), which may be overwritten.
+
+    The rows are n samples of m interleaved states; ``kept`` (m, m, n) are the derivatives of each
+    state (rows) by the previous ones (columns).
+    """
     from scipy.linalg.lapack import dtbtrs  # imported late: see entry_points
 
     if added.size == 0:
         return added  # without columns, dtbtrs of SciPy 1.17 corrupts the memory of the process
-    bands = np.ones((2, kept.size), order="F")
-    bands[1, :-1] = -kept[1:]
+    states = len(kept)
+    bands = np.zeros((2 * states, len(added)), order="F")
+    bands[0] = 1.0
+    for row, column in np.ndindex(states, states):
+        bands[states + row - column, column:-states:states] = -kept[row, column, 1:]
     solved = dtbtrs(bands, added, uplo="L", diag="U", overwrite_b=True)[0]
     return np.asarray(solved.reshape(added.shape))
 

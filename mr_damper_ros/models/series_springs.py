@@ -28,7 +28,7 @@ import numpy as np
 
 from mr_damper_ros.kinematics.motion import Motion
 from mr_damper_ros.kinematics.window import Window
-from mr_damper_ros.models.current_dependence import DifferentiatedModel, Recursion
+from mr_damper_ros.models.current_dependence import IntegratedModel, Recursion
 from mr_damper_ros.models.machine_code import run_loop, runs_machine_code
 from mr_damper_ros.models.quantities import FORGOTTEN, SETTLING, Coefficient, LoopReading, State
 from mr_damper_ros.signals.arrays import Array
@@ -164,7 +164,7 @@ def flow_of(strength: float, width: float, held: float, load: float, guess: floa
     return sign * flow
 
 
-class SeriesSprings(DifferentiatedModel):
+class SeriesSprings(IntegratedModel):
     """Two parallel paths of a spring and a yield, one with a damper, and a parallel gas spring."""
 
     name = "series_springs"
@@ -227,7 +227,7 @@ class SeriesSprings(DifferentiatedModel):
             by = {0: part * strength, 1: width, 4: sign * f_y * strength, spring: stiffness}
             if spring == 3:
                 by[2] = damping
-            recursions.append(Recursion(coefficients[spring], kept, by))
+            recursions.append(Recursion((coefficients[spring],), ((kept,),), (by,)))
         return direct, recursions
 
     def follow_in_coil(

@@ -103,7 +103,7 @@ def test_derivatives_by_no_parameter_leave_the_memory_of_the_process_intact():
 import numpy as np
 from mr_damper_ros.models.first_order_lag import solve_recursion
 for _ in range(2000):
-    assert solve_recursion(np.ones(300), np.empty((300, 0))).shape == (300, 0)
+    assert solve_recursion(np.ones((1, 1, 300)), np.empty((300, 0))).shape == (300, 0)
 """)
 
 

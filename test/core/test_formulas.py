@@ -106,7 +106,7 @@ LOOPS = [
         bouc_wen.follow_inner_point,
         (bouc_wen.hysteresis_step,),
         (VELOCITY, INNER),
-        1,
+        3,
         (PERIOD, 500.0, 0.4, 1.5, *START),
     ),
 ]
