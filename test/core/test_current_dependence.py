@@ -224,5 +224,5 @@ def test_a_known_mass_is_taken_off_the_force() -> None:
 
 @pytest.mark.parametrize("mass", [-1.0, math.nan, math.inf])
 def test_a_mass_that_cannot_be_is_refused(mass: float) -> None:
-    with pytest.raises(ValueError, match="give kilograms"):
+    with pytest.raises(ValueError, match="number of kilograms"):
         mr.identify(**shaken(), mass=mass)
