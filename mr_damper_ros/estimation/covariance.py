@@ -176,11 +176,8 @@ def without_negative_variance(covariance: Array) -> Array:
 
     This happens if the relative standard errors of the unknowns differ greatly.
     """
-    variances = np.diagonal(covariance)
-    if not np.any(variances < 0.0):
-        return covariance
     result = covariance.copy()
-    np.fill_diagonal(result, np.where(variances < 0.0, 0.0, variances))
+    np.fill_diagonal(result, np.diagonal(covariance).clip(min=0.0))
     return result
 
 
@@ -383,21 +380,17 @@ def motion_numbers(windows: Sequence[Window]) -> np.ndarray:
         )
         for window in windows
     ]
-    motions = _numbers(np.array(sizes)[:, :2])
-    return motions if motions.max() + 1 >= FEWEST_MOTIONS else _numbers(np.array(sizes))
+    motions = group_numbers(np.array(sizes)[:, :2])
+    return motions if motions.max() + 1 >= FEWEST_MOTIONS else group_numbers(np.array(sizes))
 
 
-def _numbers(sizes: Array) -> np.ndarray:
+def group_numbers(sizes: Array) -> np.ndarray:
     """A number (k,) for each row (k, n); rows that differ by less than 1 everywhere share it."""
-    seen: list[Array] = []
-    numbers = []
-    for size in sizes:
-        same = (k for k, other in enumerate(seen) if np.all(np.abs(size - other) < 1.0))
-        number = next(same, len(seen))
-        if number == len(seen):
-            seen.append(size)
-        numbers.append(number)
-    return np.array(numbers, dtype=int)
+    numbers = np.full(len(sizes), -1)
+    while (left := np.flatnonzero(numbers < 0)).size:
+        same = np.all(np.abs(sizes[left] - sizes[left[0]]) < 1.0, axis=1)
+        numbers[left[same]] = numbers.max() + 1
+    return numbers
 
 
 def discrepancy_between(

@@ -35,8 +35,7 @@ from mr_damper_ros.models.quantities import LoopReading
 from mr_damper_ros.signals.arrays import Array
 from mr_damper_ros.signals.error_sums import ErrorSums, pooled
 
-_LEAST_EXPLAINED = 1e-4
-"""Smallest part of the variance of the force that a set is assumed to explain."""
+_TINY = float(np.finfo(float).eps)
 
 GLOBAL_METHODS = (GLOBAL_SOURCE, "nelder_mead", "least_squares", "differential_evolution")
 
@@ -110,7 +109,7 @@ class GlobalFit:
         jacobian = Misfit(model, [window], [1.0], values).jacobian(values, free.tolist())
         by_parameters = np.sum(jacobian @ self.covariance[np.ix_(free, free)] * jacobian, axis=1)
         # The force of a fit is orthogonal to the residual, and so smaller than the measured force.
-        squares = np.mean(self.nrmse**2 / np.maximum(1.0 - self.nrmse**2, _LEAST_EXPLAINED))
+        squares = np.mean(self.nrmse**2 / np.maximum(1.0 - self.nrmse**2, _TINY))
         left = float(squares * np.var(model.window_force(window, values)))
         return np.asarray(np.sqrt(by_parameters + left))
 
@@ -254,7 +253,7 @@ def _spread(search: GlobalSearch, places: Sequence[int]) -> tuple[Array, float]:
     sizes = np.array([coefficient_sizes(model, law, fit.loop) for law, fit in pairs])
     squares = ((np.array([fit.coefficients for fit in fits]) - laws) / sizes) ** 2
     variances = np.array([np.diag(fit.coefficient_errors) for fit in fits]) / sizes**2
-    variances = np.nan_to_num(variances, nan=_UNDETERMINED).clip(0.0, _UNDETERMINED)
+    variances = np.nan_to_num(variances, nan=math.inf).clip(0.0, 1.0 / _TINY)
     logarithms = np.log([fit.loop.frequency for fit in fits])
     apart = (logarithms - np.mean(logarithms)) ** 2
     for place in np.flatnonzero(freedom > 0).tolist():
@@ -262,12 +261,6 @@ def _spread(search: GlobalSearch, places: Sequence[int]) -> tuple[Array, float]:
         spread[:, place] = np.sqrt(_excess(larger, variances[:, place], apart))
     return spread, math.exp(float(np.mean(logarithms)))
 
-
-_UNDETERMINED = 1e12
-"""Relative variance of a coefficient that its window does not determine."""
-
-_EXACT = 1e-9
-"""Relative variance up to which a coefficient counts as exact."""
 
 _SCORINGS = 50
 
@@ -282,7 +275,7 @@ def _excess(squares: Array, variances: Array, apart: Array) -> Array:
     columns = np.stack((np.ones_like(apart), apart), axis=1)
     found = np.full(2, np.median(squares))
     for _ in range(_SCORINGS):
-        weights = 1.0 / (variances + columns @ found + _EXACT)
+        weights = 1.0 / (variances + columns @ found + _TINY)
         found = nnls(columns * weights[:, np.newaxis], (squares - variances) * weights)[0]
     return found if np.ptp(apart) > 0.0 else found[[0, 0]]
 

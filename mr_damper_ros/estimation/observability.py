@@ -21,10 +21,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from mr_damper_ros.estimation.covariance import (
-    DETERMINED,
-    triangular_factor,
-)
+from mr_damper_ros.estimation.covariance import DETERMINED, group_numbers, triangular_factor
 from mr_damper_ros.kinematics.window import Window
 from mr_damper_ros.models.force_model import Model
 from mr_damper_ros.models.quantities import NOTICED
@@ -48,11 +45,11 @@ def varied_parameters(
 ) -> frozenset[str]:
     """Names of the parameters that these peak velocities [m/s] and currents [A] could determine."""
     many_speeds = 2 if min(speeds) * _DIFFERENT_VELOCITY < max(speeds) else 1
-    many_currents = _count_different(currents)
+    many_currents = group_numbers(np.sort(currents)[:, np.newaxis] / _DIFFERENT_CURRENT).max() + 1
     return frozenset(
         parameter.name
         for parameter in model.parameters
-        if parameter.peak_velocities <= many_speeds and parameter.currents <= max(many_currents, 1)
+        if parameter.peak_velocities <= many_speeds and parameter.currents <= many_currents
     )
 
 
@@ -86,14 +83,6 @@ def operating_points_within(windows: Sequence[Window]) -> tuple[list[float], lis
             currents += window.current[order[np.minimum(places, order.size - 1)]].tolist()
         currents += [float(window.current.min()), float(window.current.max())]
     return speeds, currents
-
-
-def _count_different(currents: Sequence[float]) -> int:
-    count, last = 0, -np.inf
-    for current in sorted(currents):
-        if current - last > _DIFFERENT_CURRENT:
-            count, last = count + 1, current
-    return count
 
 
 _NEGLIGIBLE = 0.05
