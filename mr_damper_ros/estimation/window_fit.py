@@ -35,6 +35,7 @@ from mr_damper_ros.kinematics.motion import DataError
 from mr_damper_ros.kinematics.window import Window
 from mr_damper_ros.models.force_model import Model, WindowForces
 from mr_damper_ros.models.misfit import WindowProblem
+from mr_damper_ros.models.parameter_set import ParameterSet
 from mr_damper_ros.models.quantities import LoopReading
 from mr_damper_ros.signals.arrays import Array
 
@@ -62,18 +63,6 @@ DRIFT_PER_WINDOW = 0.03
 Heating changes the force by less (thesis: 26 % in ten minutes). After a sudden change, when the
 window contradicts the running set, larger changes are allowed.
 """
-
-
-@dataclass(frozen=True, eq=False)
-class WindowPrior:
-    """The prior of a window: the running set with parameters (p,).
-
-    ``fastest`` [m/s] is the largest peak velocity of its range, infinite if unknown. The effect of
-    an unknown on the force is evaluated in the window, and in a sine of this peak velocity.
-    """
-
-    parameters: Array
-    fastest: float = math.inf
 
 
 _NO_LOOP = LoopReading(1e-9, 0.0, 1e-9, 1e-9)
@@ -134,7 +123,7 @@ def fit_window(
     *,
     method: str = "nelder_mead",
     robust: bool = False,
-    prior: WindowPrior | None = None,
+    prior: ParameterSet | None = None,
     tolerance: float | None = None,
     should_stop: Callable[[], bool] | None = None,
 ) -> WindowFit:
@@ -142,11 +131,12 @@ def fit_window(
 
     If the mean square residual of the start exceeds a quarter of the force variance, starts that
     the model derives from the window are also tried. ``robust`` limits the influence of outliers
-    (Huber's weights). ``prior`` adds a prior to the samples. It must agree with the start in all
-    parameters that a window does not determine. If the window determines the unknowns, the prior
-    has little effect. ``tolerance``: relative decrease of the sum of squares at which the search
-    ends (None: the model's value). ``should_stop`` is called at every evaluation; if it returns
-    True, the best fit so far is returned with ``success`` False.
+    (Huber's weights). ``prior``, the running set, adds a prior to the samples. The effect of an
+    unknown on the force is evaluated in the window and in a sine of its largest peak velocity.
+    The set must agree with the start in all parameters that a window does not determine. If the
+    window determines the unknowns, the prior has little effect. ``tolerance``: relative decrease of
+    the sum of squares at which the search ends (None: the model's value). ``should_stop`` is called
+    at every evaluation; if it returns True, the best fit so far is returned with ``success`` False.
 
     Raises DataError for a constant force, ValueError for an unknown method.
     """
@@ -185,8 +175,8 @@ def fit_window(
         search.least_squares(tolerance=tolerance or effort.tolerance, most_steps=effort.most_steps)
         exhausted = search.exhausted
         if prior is not None:
-            running = WindowProblem(model, window, prior.parameters)
-            width = _usual_change(running, prior.fastest)
+            running = WindowProblem(model, window, prior.values)
+            width = _usual_change(running, prior.peak_velocity_range[1])
             # Without a force of the running set, there is no prior.
             if np.isfinite(width).all():
                 unknowns, errors, exhausted = _with_prior(

@@ -24,7 +24,6 @@ from mr_damper_ros.estimation.window_fit import (
     WINDOW_METHODS,
     WORSE_RATIO,
     WindowFit,
-    WindowPrior,
     fit_of,
     fit_window,
 )
@@ -627,9 +626,8 @@ def _fitted(job: Job, window: Window, should_stop: Callable[[], bool] | None) ->
     model, options = job.running.law, job.settings
     validation = validation_mask(window.sample_count, job.fresh)
     start = job.running.values
-    _, fastest = job.running.peak_velocity_range
     # Only a set that was identified on this damper is evidence.
-    prior = WindowPrior(start, fastest) if job.running.observable.any() else None
+    prior = job.running if job.running.observable.any() else None
     trained = fit_window(
         model,
         window.part(~validation),

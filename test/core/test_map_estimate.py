@@ -12,7 +12,7 @@ from random_motion import BandLimitedRandom
 from benchmarks.dampers import DAMPERS
 from mr_damper_ros.emulation.emulator import EmulatedDamper, EmulatedRig, RigSettings
 from mr_damper_ros.emulation.motions import SineMotion
-from mr_damper_ros.estimation.window_fit import WindowFit, WindowPrior, fit_window
+from mr_damper_ros.estimation.window_fit import WindowFit, fit_window
 from mr_damper_ros.kinematics.window import Window
 from mr_damper_ros.models import MODELS
 from mr_damper_ros.models.parameter_set import ParameterSet
@@ -58,7 +58,7 @@ def own(window: Window) -> WindowFit:
 def weigh(
     window: Window, running: Array = RUNNING, name: str = "sigmoid", fastest: float = np.inf
 ) -> WindowFit:
-    prior = WindowPrior(running, fastest)
+    prior = ParameterSet(running, model=name, peak_velocity_range=(0.0, fastest))
     return fit_window(MODELS[name], window, running, method="least_squares", prior=prior)
 
 
