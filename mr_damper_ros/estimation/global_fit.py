@@ -7,7 +7,6 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-from scipy.optimize import nnls
 
 from mr_damper_ros.estimation.covariance import (
     error_covariances,
@@ -272,6 +271,8 @@ def _excess(squares: Array, variances: Array, apart: Array) -> Array:
     frequency of a motion is not in the laws, so the deviations grow with the distance. If all
     frequencies are equal, an e-fold counts like another motion.
     """
+    from scipy.optimize import nnls  # imported late: see entry_points
+
     columns = np.stack((np.ones_like(apart), apart), axis=1)
     found = np.full(2, np.median(squares))
     for _ in range(_SCORINGS):
