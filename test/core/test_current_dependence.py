@@ -3,7 +3,8 @@
 import math
 from collections.abc import Sequence
 from functools import cache
-from typing import Any
+from types import SimpleNamespace
+from typing import Any, cast
 
 import known
 import numpy as np
@@ -11,6 +12,7 @@ import pytest
 from fresh_python import alone
 
 import mr_damper_ros as mr
+from mr_damper_ros.api.identification import _fitted_mass
 from mr_damper_ros.estimation.differential_evolution import EvolutionSettings
 from mr_damper_ros.estimation.global_fit import GlobalFit, identify_global
 from mr_damper_ros.kinematics.motion import Motion
@@ -178,16 +180,23 @@ WEAK[known.index("f0")] *= 0.2
 """A damper whose force is weak enough for the inertia to be seen."""
 
 
+RIGID = np.array([959.0, 0.0, 4.23e5, 2100.0, -109.0, 39.8, 7.13e-4, 0.428, 1.995])
+RIGID = np.append(RIGID, [-0.0388, 14.2, 21.43, -8.03, -0.00666, 0.00709])
+"""A modified Bouc-Wen damper without inner spring; its damper in series is nearly rigid."""
+
+
 @cache
-def shaken() -> dict[str, Any]:
-    """Random motion up to 12 Hz for 30 s with a stepped current, measured at 100 Hz."""
+def shaken(law: str = "sigmoid", top: float = 0.01, duration: int = 30) -> dict[str, Any]:
+    """Random motion up to 12 Hz with a stepped current, measured at 100 Hz."""
     fine = PERIOD / 10
-    time = np.arange(30_000) * fine
-    u, v, a = PeriodicMotion(MotionKind.RANDOM, 0.01, 0.5, 12.0, 30.0, 1).at(time)
+    time = np.arange(1000 * duration) * fine
+    u, v, a = PeriodicMotion(MotionKind.RANDOM, top, 0.5, 12.0, duration, 1).at(time)
     motion = Motion(u, v, a, peak_velocity_of_period(v, a, fine), sine=None)
     rng = np.random.default_rng(0)
-    current = np.repeat(rng.uniform(0.0, 1.5, 15), 2000)
-    damper = known.SIGMOID.continuous.force(WEAK, motion, current, fine)
+    current = np.repeat(rng.uniform(0.0, 1.5, duration // 2), 2000)
+    damper = MODELS[law].continuous.force(
+        WEAK if law == "sigmoid" else RIGID, motion, current, fine
+    )
     force = (damper + MASS * a)[::10]
     force += NOISE * force.std() * rng.standard_normal(force.size)
     return {
@@ -205,11 +214,22 @@ def test_the_mass_is_found_with_the_law() -> None:
     assert "kg between load cell and damper" in str(found)
 
 
+def test_undetermined_springs_do_not_make_up_for_the_mass() -> None:
+    run = shaken("modified_bouc_wen", 0.02, 60)
+    fitted = RIGID.copy()
+    fitted[[1, 2, 3, 10]] = 4000.0, 1e7, -2000.0, 0.0  # the springs are known as a sum only
+    observable = np.arange(fitted.size) != 10
+    known_set = mr.ParameterSet(fitted, model="modified_bouc_wen", observable=observable)
+    fit = SimpleNamespace(parameter_set=known_set, noise=np.array([NOISE * np.std(run["force"])]))
+    found = _fitted_mass(cast(GlobalFit, fit), [Window.from_samples(**run)])
+    assert found.value == pytest.approx(MASS, rel=0.1)
+
+
 def test_a_variance_that_is_negative_by_rounding_is_unknown(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     name = "mr_damper_ros.api.identification.least_squares_covariance"
-    monkeypatch.setattr(name, lambda jacobian, residual: -np.eye(jacobian.shape[1]))
+    monkeypatch.setattr(name, lambda jacobian, *_: -np.eye(jacobian.shape[1]))
     found = mr.identify(**shaken(), model="bingham", fit_mass=True)
     assert math.isnan(found.mass.standard_error)
     assert found.mass.value == 0.0
