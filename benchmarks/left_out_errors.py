@@ -14,6 +14,7 @@ from mr_damper_ros.estimation.global_fit import identify_global
 from mr_damper_ros.estimation.window_fit import fit_window
 from mr_damper_ros.kinematics.window import Window
 from mr_damper_ros.models import MODELS
+from mr_damper_ros.models.quantities import LoopReading
 from mr_damper_ros.signals.arrays import Array
 from studies import recordings
 
@@ -39,7 +40,8 @@ def scores(law: str, known: Sequence[Window], left_out: Sequence[Window]) -> tup
     coefficients, forces = [], []
     for window in left_out:
         own = fit_window(model, window, values, method="least_squares")
-        found, errors, _ = fit.coefficients(own.operating_point, own.loop.frequency)
+        frequency = LoopReading.of(window).frequency
+        found, errors, _ = fit.coefficients(own.operating_point, frequency)
         variances = np.diag(own.coefficient_errors)
         claimed = np.where(variances > 0.0, np.sqrt(errors**2 + variances), math.nan)
         coefficients.append((found - own.coefficients) / claimed)

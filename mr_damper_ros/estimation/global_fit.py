@@ -248,12 +248,12 @@ def _spread(search: GlobalSearch, places: Sequence[int]) -> tuple[Array, float]:
     freedom = len(fits) - np.count_nonzero(gradient[:, list(places)], axis=1)
     points = np.array([fit.operating_point for fit in fits]).T
     laws = model.coefficients_at(search.best, *points).T
-    pairs = zip(laws, fits, strict=True)
-    sizes = np.array([coefficient_sizes(model, law, fit.loop) for law, fit in pairs])
+    pairs = zip(laws, search.loops, strict=True)
+    sizes = np.array([coefficient_sizes(model, *pair) for pair in pairs])
     squares = ((np.array([fit.coefficients for fit in fits]) - laws) / sizes) ** 2
     variances = np.array([np.diag(fit.coefficient_errors) for fit in fits]) / sizes**2
     variances = np.nan_to_num(variances, nan=math.inf).clip(0.0, 1.0 / _TINY)
-    logarithms = np.log([fit.loop.frequency for fit in fits])
+    logarithms = np.log([loop.frequency for loop in search.loops])
     apart = (logarithms - np.mean(logarithms)) ** 2
     for place in np.flatnonzero(freedom > 0).tolist():
         larger = squares[:, place] * len(fits) / freedom[place]

@@ -42,7 +42,7 @@ from mr_damper_ros.kinematics.motion import DataError
 from mr_damper_ros.kinematics.window import Window, holds_cycle
 from mr_damper_ros.models.force_model import Model
 from mr_damper_ros.models.misfit import ChosenParameters, Misfit
-from mr_damper_ros.models.quantities import CoefficientTable
+from mr_damper_ros.models.quantities import CoefficientTable, LoopReading
 from mr_damper_ros.signals.arrays import Array
 
 
@@ -207,9 +207,9 @@ class GlobalSearch:
     ``free``: before the search, the parameters that the windows may separate; after the search, the
     parameters that they determine. If the windows allow it, the other parameters have their start
     values, or values that describe no dependence on velocity and current. ``noise`` (k,) [N]: RMSE
-    of the separate fit of each window; ``fits``: separate fits of the windows or their pieces;
-    ``pooled``: the misfit that the search minimises; ``evaluations`` of the force, or of cheaper
-    approximations.
+    of the separate fit of each window; ``fits``: separate fits of the windows or their pieces,
+    whose ``loops`` are known; ``pooled``: the misfit that the search minimises; ``evaluations`` of
+    the force, or of cheaper approximations.
     """
 
     def __init__(
@@ -243,6 +243,7 @@ class GlobalSearch:
         self._again = bool(model.common_names) or any(map(current_varies, windows))
         self.evaluations = 0
         self.fits: list[WindowFit] = []
+        self.loops = [LoopReading.of(stretch) for stretch in self._excerpts.stretches]
         self._tolerance = 0.0
         self.best = start
         self.exhausted = False

@@ -65,10 +65,6 @@ window contradicts the running set, larger changes are allowed.
 """
 
 
-_NO_LOOP = LoopReading(1e-9, 0.0, 1e-9, 1e-9)
-"""The reading of a fit in a stored state of an earlier version."""
-
-
 @dataclass(frozen=True, eq=False)
 class WindowFit:
     """Result of the fit of one window.
@@ -79,9 +75,8 @@ class WindowFit:
     error, None if unknown (see :mod:`covariance`). ``parameters`` (p,) are all parameters.
     ``coefficients`` (c,) and their covariances ``coefficient_covariance`` and
     ``coefficient_discrepancy`` (c, c) hold at ``operating_point`` (peak velocity [m/s], current
-    [A]); they are empty for a model without coefficients. ``loop`` is the size of the loop of the
-    window. ``rmse`` [N] covers the ``sample_count`` samples with a known past; ``nrmse`` = RMSE/std
-    of the force.
+    [A]); they are empty for a model without coefficients. ``rmse`` [N] covers the ``sample_count``
+    samples with a known past; ``nrmse`` = RMSE/std of the force.
     """
 
     scales: Array
@@ -99,7 +94,6 @@ class WindowFit:
     message: str
     discrepancy: Array | None = None
     coefficient_discrepancy: Array | None = None
-    loop: LoopReading = _NO_LOOP
 
     @property
     def whole_covariance(self) -> Array:
@@ -233,7 +227,6 @@ def fit_of(
         coefficients=coefficients,
         coefficient_covariance=gradient @ covariance @ gradient.T,
         operating_point=window.operating_point,
-        loop=LoopReading.of(window),
         rmse=rmse,
         nrmse=rmse / float(np.std(window.force)),
         sample_count=window.sample_count,

@@ -136,8 +136,6 @@ def _read(kind: type[T], data: Any, where: str) -> T:
         value = _array(data, where)
     elif origin is tuple:
         value = _tuple(arguments, data, where)
-    elif issubclass(kind, tuple):  # a named one
-        value = kind(*_tuple(tuple(_hints(kind).values()), data, where))
     elif dataclasses.is_dataclass(kind):
         value = _dataclass(kind, data, where)
     else:
