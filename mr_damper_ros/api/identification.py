@@ -57,7 +57,7 @@ from mr_damper_ros.estimation.profile_likelihood import profiled, profiles_of
 from mr_damper_ros.estimation.record_levels import Level, LevelPrior
 from mr_damper_ros.kinematics.window import Window
 from mr_damper_ros.models import MODELS
-from mr_damper_ros.models.misfit import Misfit
+from mr_damper_ros.models.misfit import ChosenParameters, Misfit
 from mr_damper_ros.models.parameter_set import (
     DEFAULT_MODEL,
     ParameterSet,
@@ -575,34 +575,29 @@ def _fitted_mass(fit: GlobalFit, windows: Sequence[Window], mass: float = 0.0) -
     within = found.peak_velocity_range
     few = [w.resolved(_MASS_RESOLUTION).held_within(*within).thinned(most) for w in windows]
     misfit = Misfit(found.law, few, fit.noise.tolist(), found.values)
-    places = np.flatnonzero(found.observable)
+    law = ChosenParameters(misfit, found.values, np.flatnonzero(found.observable).tolist())
     inertia = misfit.sample_weights * np.concatenate([w.motion.acceleration for w in few])
-    sizes = np.maximum(np.abs(found.values), found.law.typical_sizes(windows))[places]
+    sizes = np.maximum(np.abs(found.values), found.law.typical_sizes(windows))
     noise = noise_level(misfit.residual(found.values) + mass * inertia)
-    prior = np.append(noise / (_MASS_PRIOR * sizes), 0.0)
-
-    def values(unknowns: Array) -> Array:
-        changed = found.values.copy()
-        changed[places] = unknowns[:-1]
-        return changed
+    prior = np.append(noise / (_MASS_PRIOR * law.unknowns(sizes)), 0.0)
 
     def residual(unknowns: Array) -> Array:
-        left = misfit.residual(values(unknowns)) + unknowns[-1] * inertia
+        left = law.residual(unknowns[:-1]) + unknowns[-1] * inertia
         return np.append(left, (prior * (unknowns - start))[:-1])
 
     def jacobian(unknowns: Array) -> Array:
-        by = np.column_stack((misfit.jacobian(values(unknowns), places.tolist()), inertia))
+        by = np.column_stack((law.jacobian(unknowns[:-1]), inertia))
         return np.vstack((by, np.diag(prior)[:-1]))
 
     low, high = (
-        np.append(bound[places], end)
+        np.append(law.unknowns(bound), end)
         for bound, end in zip(found.law.bounds, (0.0, np.inf), strict=True)
     )
-    start = np.clip(np.append(found.values[places], mass), low, high)
+    start = np.clip(np.append(law.start, mass), low, high)
     best = least_squares(
         residual, start, jacobian, (low, high), x_scale="jac", max_nfev=_MASS_STEPS
     ).x
-    variances = np.full(places.size, noise**2)
+    variances = np.full(len(law.places), noise**2)
     covariance = least_squares_covariance(jacobian(best), residual(best), variances)
     variance = float(covariance[-1, -1])
     # Rounding can make the variance of a mass that the motion does not determine negative.

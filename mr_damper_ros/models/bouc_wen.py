@@ -180,16 +180,14 @@ def step_derivatives(
 
     bent = power * (power - 1.0) * here * some ** (power - 2.0) * towards / length
     other = 1.0 - along
+    bent_by_power = less * (1.0 + power * log) * sign * towards / length
     derivatives = [
         1.0 + change(-slope * towards, bent),
         period * gain * (eased - period * w * bends * slope * towards),
         -((period * gain) ** 2) * w * bends,
         change(-gain / length, -slope * towards / length),
         change(-raised * other / length, slope * other),
-        change(
-            -raised * log * towards / length,
-            less * (1.0 + power * log) * sign * towards / length,
-        ),
+        change(-raised * log * towards / length, bent_by_power),
     ]
     # A step limited to full yield has no derivative, nor has the start at rest.
     moves = np.abs(after) < 1.0
