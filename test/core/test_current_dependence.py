@@ -19,8 +19,9 @@ from mr_damper_ros.kinematics.motion import Motion
 from mr_damper_ros.kinematics.peak_velocity import peak_velocity_of_period
 from mr_damper_ros.kinematics.periodic_motion import MotionKind, PeriodicMotion
 from mr_damper_ros.kinematics.window import Window
-from mr_damper_ros.models import MODELS
+from mr_damper_ros.models import MODELS, current_dependence
 from mr_damper_ros.models.current_dependence import COIL, CurrentDependentModel
+from mr_damper_ros.models.misfit import Misfit
 from mr_damper_ros.models.quantities import Coefficient, LoopReading, State
 from mr_damper_ros.signals.arrays import Array
 from mr_damper_ros.tracking.operating_point import thinned_to_keep
@@ -107,6 +108,18 @@ from mr_damper_ros.models.first_order_lag import solve_recursion
 for _ in range(2000):
     assert solve_recursion(np.ones((1, 1, 300)), np.empty((300, 0))).shape == (300, 0)
 """)
+
+
+@pytest.mark.parametrize("name", ["bouc_wen", "modified_bouc_wen", "series_springs"])
+def test_derivatives_do_not_depend_on_their_division(
+    name: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    values = np.where(np.array(MODELS[name].parameter_names) == COIL, LAG, truth(name))
+    window = moved(name, truth(name), np.repeat([0.2, 1.0, 0.5], 250))
+    misfit = Misfit(MODELS[name], [window], [1.0])
+    at_once = misfit.jacobian(values)
+    monkeypatch.setattr(current_dependence, "_CHUNK", 77)
+    np.testing.assert_allclose(misfit.jacobian(values), at_once, rtol=1e-9)
 
 
 @pytest.mark.parametrize("name", FOLLOWING)
@@ -199,12 +212,8 @@ def shaken(law: str = "sigmoid", top: float = 0.01, duration: int = 30) -> dict[
     )
     force = (damper + MASS * a)[::10]
     force += NOISE * force.std() * rng.standard_normal(force.size)
-    return {
-        "displacement": u[::10],
-        "force": force,
-        "current": current[::10],
-        "period": PERIOD,
-    }
+    measured = {"displacement": u[::10], "force": force, "current": current[::10]}
+    return {**measured, "period": PERIOD}
 
 
 def test_the_mass_is_found_with_the_law() -> None:
