@@ -15,6 +15,7 @@ from numpy.typing import ArrayLike
 from mr_damper_ros.io.recording_list import RECORD_ENDINGS
 from mr_damper_ros.kinematics.motion import DataError
 from mr_damper_ros.kinematics.window import Window, holds_cycle
+from mr_damper_ros.models.quantities import SAME_CURRENT
 from mr_damper_ros.processes.process_pool import Notify, ProcessPool
 from mr_damper_ros.signals.arrays import Array, samples_of
 from mr_damper_ros.signals.blocks import NANOSECONDS
@@ -226,9 +227,6 @@ _FULL_SPEED = 0.85
 _SAME_SPEED = 0.2
 """Largest difference of the peak velocities of compared runs, relative to the larger one."""
 
-_SAME_CURRENT = 0.05
-"""Largest difference [A] between currents that count as equal."""
-
 _STROKE_BEGINS = 0.1
 """Fraction of the peak velocity from which a stroke has begun."""
 
@@ -298,7 +296,7 @@ def _fast_cycles(windows: Sequence[Window]) -> Array:
         for first, last in zip(strokes, strokes[2:], strict=False):
             cycle = slice(first, last)
             current = window.current[cycle]
-            if float(np.ptp(current)) <= _SAME_CURRENT:
+            if float(np.ptp(current)) <= SAME_CURRENT:
                 speed = float(np.max(np.abs(velocity[cycle])))
                 height = 0.5 * float(np.ptp(window.force[cycle]))
                 found.append((speed, float(np.mean(current)), height))
@@ -313,8 +311,8 @@ def _within(run: MeasuredRun, table: Array) -> list[str]:
     causes no remark.
     """
     _, currents, every = table.T
-    for current in np.unique(np.round(currents / _SAME_CURRENT)) * _SAME_CURRENT:
-        heights = np.sort(every[np.abs(currents - current) <= _SAME_CURRENT])
+    for current in np.unique(np.round(currents / SAME_CURRENT)) * SAME_CURRENT:
+        heights = np.sort(every[np.abs(currents - current) <= SAME_CURRENT])
         if heights.size >= 4 and heights[-2] > _CONTRADICTING * heights[1]:
             return [
                 f"{run.name}: at {current:.3g} A and the same speed the force reaches "
@@ -329,7 +327,7 @@ def _between(
 ) -> list[str]:
     """A remark on two runs of equal speed with contradicting currents [A] and forces [N]."""
     ratio = f1 / f2 if i1 < i2 else f2 / f1
-    if abs(i1 - i2) <= _SAME_CURRENT:
+    if abs(i1 - i2) <= SAME_CURRENT:
         ratio = max(f1, f2) / min(f1, f2)
     if abs(v1 - v2) > _SAME_SPEED * max(v1, v2) or ratio <= _CONTRADICTING:
         return []

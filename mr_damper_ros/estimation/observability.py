@@ -33,9 +33,6 @@ _DIFFERENT_VELOCITY = 1.2
 _DIFFERENT_CURRENT = 0.02
 """Smallest distance of two different currents [A]."""
 
-_CURRENT_QUANTILES = np.array([0.1, 0.3, 0.5, 0.7, 0.9])
-"""Quantiles of a varying current, weighted by travelled distance, that represent the current."""
-
 SURE = 0.25
 """A shape parameter is determined if its standard error is below this part of its range."""
 
@@ -70,19 +67,21 @@ def operating_points_within(windows: Sequence[Window]) -> tuple[list[float], lis
     speeds: list[float] = []
     currents: list[float] = []
     for window in windows:
-        peak_velocity = window.motion.peak_velocity
-        order = np.argsort(peak_velocity)
         # Weight the samples by speed, so that rest has no weight.
-        travelled = np.cumsum(np.abs(window.motion.velocity[order]))
-        places = np.searchsorted(travelled, np.array([0.1, 0.5, 0.9]) * travelled[-1])
-        speeds += peak_velocity[order[np.minimum(places, order.size - 1)]].tolist()
+        weights = np.abs(window.motion.velocity)
+        speeds += _quantiles(window.motion.peak_velocity, weights, (0.1, 0.5, 0.9))
         if current_varies(window):
-            order = np.argsort(window.current)
-            travelled = np.cumsum(np.abs(window.motion.velocity[order]))
-            places = np.searchsorted(travelled, _CURRENT_QUANTILES * travelled[-1])
-            currents += window.current[order[np.minimum(places, order.size - 1)]].tolist()
+            currents += _quantiles(window.current, weights, (0.1, 0.3, 0.5, 0.7, 0.9))
         currents += [float(window.current.min()), float(window.current.max())]
     return speeds, currents
+
+
+def _quantiles(values: Array, weights: Array, shares: Sequence[float]) -> list[float]:
+    """Quantiles of weighted values (n,)."""
+    order = np.argsort(values)
+    total = np.cumsum(weights[order])
+    places = np.searchsorted(total, np.array(shares) * total[-1])
+    return values[order[np.minimum(places, order.size - 1)]].tolist()
 
 
 _NEGLIGIBLE = 0.05
