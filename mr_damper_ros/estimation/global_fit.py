@@ -252,7 +252,9 @@ def _spread(search: GlobalSearch, places: Sequence[int]) -> tuple[Array, float]:
     sizes = np.array([coefficient_sizes(model, *pair) for pair in pairs])
     squares = ((np.array([fit.coefficients for fit in fits]) - laws) / sizes) ** 2
     variances = np.array([np.diag(fit.coefficient_errors) for fit in fits]) / sizes**2
-    variances = np.nan_to_num(variances, nan=math.inf).clip(0.0, 1.0 / _TINY)
+    finite = np.isfinite(squares + variances)
+    squares = np.where(finite, squares, 0.0).clip(max=1.0 / _TINY)
+    variances = np.where(finite, variances, math.inf).clip(0.0, 1.0 / _TINY)
     logarithms = np.log([loop.frequency for loop in search.loops])
     apart = (logarithms - np.mean(logarithms)) ** 2
     for place in np.flatnonzero(freedom > 0).tolist():
