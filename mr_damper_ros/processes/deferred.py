@@ -31,6 +31,10 @@ class BackgroundWriter(Generic[T]):
         self.fault = ""
         self._thread = threading.Thread(target=self._work, name="state", daemon=True)
 
+    def __deepcopy__(self, memo: object) -> BackgroundWriter[T]:
+        """A copy of an engine, as a trial makes, shares the writer."""
+        return self
+
     def keep(self, item: T) -> None:
         """Write this item soon."""
         with self._changed:
