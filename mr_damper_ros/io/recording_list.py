@@ -150,8 +150,10 @@ def without_repeats(recordings: Iterable[ListedRecording]) -> list[ListedRecordi
     for each in recordings:
         first = found.setdefault(each.path.resolve(), each)
         if first.damper != each.damper or first.current != each.current:
-            both = [f"damper {one.damper} (current: {one.current} A)" for one in (first, each)]
-            raise ListError(f"{each.path} is given for {both[0]} and for {both[1]}: give one")
+            raise ListError(
+                f"{each.path} is given twice, for the dampers {first.damper} and {each.damper}, or "
+                "with two currents: remove one of the two"
+            )
     return list(found.values())
 
 

@@ -144,6 +144,10 @@ _PERIOD_ERROR = 2e-3
 """A block whose period deviates by at most this fraction has the period of the blocks before: some
 sources compute the period of each block from inaccurate stamps."""
 
+_JUMP, _JUMP_SPEED = 0.5, 50.0
+"""No damper moves by this distance [m] at this speed [m/s] from one sample to the next. The motion
+restarts, because such a sample would distort its statistics for a minute."""
+
 _EVEN = 0.02
 """A stamp with an error of at most this fraction of a period is used unchanged. Stamps with larger
 errors show whether the sampling is non-uniform."""
@@ -244,8 +248,9 @@ class UniformGrid:
 
     def follow(self, block: SampleBlock) -> list[Placed]:
         """Add a block; returns the blocks placed on the grid, which is one block if none waits."""
-        if self.last is not None and _same(block.period, self.last.period):
-            block = replace(block, period=self.last.period)
+        before = block.period if self.last is None else self.last.period
+        if 0.0 < abs(block.period - before) <= _PERIOD_ERROR * before:
+            block = replace(block, period=before)
         verdict = self._judge(block)
         if self._hold_back == 0.0 or (not self._held and verdict[0] != "bridged"):
             return [self._place(block, verdict)]
@@ -284,6 +289,9 @@ class UniformGrid:
         off_ns = abs(late_ns - missing * block.period * NANOSECONDS)
         allowed_ns = max(_JITTER_NS, _JITTER * block.period * NANOSECONDS)
         if off_ns <= allowed_ns:
+            if (step := _largest_step(last, block)) > max(_JUMP, _JUMP_SPEED * block.period):
+                jump = f"the displacement jumps by {step:.3g} m between two samples"
+                return "gap", max(missing, 0), f"{jump} (is the cable of the sensor loose?)"
             if -block.sample_count < missing <= 0:
                 return "next", 0, ""
             if missing > 0 and missing * block.period <= self._settings.longest_gap + 1e-9:
@@ -400,9 +408,9 @@ def _measured(force: Array, after: Array, lost: int) -> tuple[Array, Array]:
     return np.concatenate([np.full(lost, force[0]), force]), after
 
 
-def _same(period: float, before: float) -> bool:
-    """Whether a period is another statement of the period before."""
-    return 0.0 < abs(period - before) <= _PERIOD_ERROR * before
+def _largest_step(last: SampleBlock, block: SampleBlock) -> float:
+    """Largest change of the displacement [m] between samples of two successive blocks."""
+    return float(np.abs(np.diff(np.concatenate((last.displacement, block.displacement)))).max())
 
 
 def _end(block: SampleBlock) -> int:

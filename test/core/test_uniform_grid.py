@@ -1,5 +1,7 @@
 """Blocks on a uniform grid: order, gaps, repetitions, and jitter of stamps."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -17,11 +19,19 @@ SMOOTHED_NS = 0.15 * PERIOD * NANOSECONDS
 """Accuracy from some hundred stamps with errors of 0.29 periods (RMS)."""
 
 
+SPIKE = replace(block(10), displacement=np.where(np.arange(10) == 4, 1.0, 0.0))
+
+
 def followed(*blocks: SampleBlock) -> UniformGrid:
     sequence = UniformGrid()
     for one in blocks:
         sequence.follow(one)
     return sequence
+
+
+def test_after_an_impossible_displacement_the_next_block_begins_anew() -> None:
+    assert followed(block(0), SPIKE).follow(block(20))[0].kind == "gap"
+    assert followed(block(0), SPIKE, block(20)).follow(block(30))[0].kind == "next"
 
 
 def test_of_a_block_that_overlaps_what_is_new_is_taken() -> None:
@@ -45,6 +55,7 @@ def test_of_a_block_that_overlaps_what_is_new_is_taken() -> None:
         (block(10, period=2e-3), "changed_period", 0, 0, "the sample period changed from 0.001 s"),
         (block(10, period=1.003e-3), "changed_period", 0, 0, "the sample period changed from 0."),
         (block(10, period=1.001e-3), "next", 0, 0, ""),
+        (SPIKE, "gap", 0, 0, "the displacement jumps by 1"),
     ],
     ids=lambda value: value if isinstance(value, str) else "",
 )

@@ -96,12 +96,12 @@ def test_windows_keep_their_stamps_where_the_rate_is_not_the_nominal_one() -> No
                 start_ns=at(float(index[0]) * true_period),
                 sequence=int(index[0]),
                 period=PERIOD,
-                displacement=index,
+                displacement=1e-3 * index,
                 force=np.zeros(70),
             )
         )
     late = windows[-1]
-    true_start = at(float(late.displacement[0]) * true_period)
+    true_start = at(1e3 * float(late.displacement[0]) * true_period)
     assert abs(late.start_ns - true_start) <= 2e-3 * NANOSECONDS
 
 
