@@ -51,12 +51,8 @@ def test_using_every_name_changes_no_environment_variable_and_needs_no_ros() -> 
 
 def test_without_an_installation_the_programs_are_refused_in_a_sentence(tmp_path: Path) -> None:
     (tmp_path / "mr_damper_ros").symlink_to(ROOT / "mr_damper_ros")
-    done = subprocess.run(
-        [sys.executable, "-S", "-m", "mr_damper_ros"],
-        env={"PYTHONPATH": str(tmp_path)},
-        capture_output=True,
-        check=False,
-    )
+    command, there = [sys.executable, "-S", "-m", "mr_damper_ros"], {"PYTHONPATH": str(tmp_path)}
+    done = subprocess.run(command, env=there, capture_output=True, check=False)
     assert (done.returncode, done.stderr.count(b"\n")) == (2, 1)
 
 
@@ -148,9 +144,7 @@ def test_the_result_tells_coefficients_and_parameters_with_their_errors(
     shown = str(result)
     assert shown.index("yield force") < shown.index("not observable")
     assert shown.index("f_t") < shown.index("f0")
-    import dataclasses
-
-    odd = dataclasses.replace(RUN, name="<b>run</b>")
+    odd = replace(RUN, name="<b>run</b>")
     page = mr.validate(result.parameter_set, odd)._repr_html_()
     assert "&lt;b&gt;run" in page
     assert ">f_t</td>" in result._repr_html_()
@@ -203,9 +197,7 @@ def test_a_file_that_is_no_set_is_named(tmp_path: Path, content: bytes, sentence
 
 
 def test_a_run_that_does_not_fit_to_the_others_is_named() -> None:
-    import dataclasses
-
-    odd = dataclasses.replace(RUN, name="the odd one", force=0.6 * RUN.force)
+    odd = replace(RUN, name="the odd one", force=0.6 * RUN.force)
     found = mr.identify([*[RUN] * 9, odd], method="least_squares")
     assert found.nrmse < 0.3
     assert not found.success
