@@ -33,39 +33,44 @@ P = TypeVar("P", bound=ChosenParameters)
 
 
 class Posterior(Generic[P]):
-    """Residual of a problem, then of the prior, for unknowns (f,) in units of the prior's width.
+    """Residual of a problem, then of the prior, for unknowns (f,) in a ``unit``.
+
+    The unit is the width of the prior, or 1 for the unknowns of the problem themselves.
 
     ``noise``, the standard deviation of one independent sample of the problem's residual, sets the
     weight of the prior.
     """
 
-    def __init__(self, problem: P, prior: Prior, noise: float) -> None:
+    def __init__(
+        self, problem: P, prior: Prior, noise: float, unit: Array | float | None = None
+    ) -> None:
         self.problem = problem
         self.widths = prior.width
         self.noise = noise
-        self.start = problem.start / self.widths
-        self._centre = prior.centre / self.widths
+        self.unit = unit = prior.width if unit is None else unit
+        self.start = problem.start / unit
+        self._centre, self._width = prior.centre / unit, prior.width / unit
         bounds = problem.bounds
-        self.bounds = None if bounds is None else (bounds[0] / self.widths, bounds[1] / self.widths)
+        self.bounds = None if bounds is None else (bounds[0] / unit, bounds[1] / unit)
 
     def parameters(self, unknowns: Array) -> Array:
         """All parameters (p,)."""
-        return self.problem.parameters(unknowns * self.widths)
+        return self.problem.parameters(unknowns * self.unit)
 
     def residual(self, unknowns: Array) -> Array:
         """Residual of the problem, then of the prior (f,)."""
-        plain = self.problem.residual(unknowns * self.widths)
-        return np.concatenate((plain, self.noise * (unknowns - self._centre)))
+        plain = self.problem.residual(unknowns * self.unit)
+        return np.concatenate((plain, self.noise * ((unknowns - self._centre) / self._width)))
 
     def jacobian(self, unknowns: Array) -> Array:
         """Derivatives of the residual with respect to the unknowns."""
-        derivatives = self.problem.jacobian(unknowns * self.widths)
-        prior = self.noise * np.eye(unknowns.size)
-        return np.concatenate((derivatives * self.widths, prior))
+        derivatives = self.problem.jacobian(unknowns * self.unit)
+        prior = np.diag(self.noise / self._width)
+        return np.concatenate((derivatives * self.unit, prior))
 
     def cost(self, parameters: Array) -> float:
         """Sum of squares of the residual for parameters (p,)."""
-        residual = self.residual(self.problem.unknowns(parameters) / self.widths)
+        residual = self.residual(self.problem.unknowns(parameters) / self.unit)
         return float(residual @ residual)
 
     def covariances(self) -> tuple[Array, Array]:
@@ -83,5 +88,5 @@ class Posterior(Generic[P]):
         windows = misfit.row_windows
         motions[: windows.size] = motion_numbers(misfit.windows)[windows]
         discrepancy = discrepancy_between(jacobian, residual, motions, by_noise)
-        units = np.outer(self.widths, self.widths)
+        units = np.outer(self.unit, self.unit)
         return (covariance + np.nan_to_num(discrepancy)) * units, discrepancy * units

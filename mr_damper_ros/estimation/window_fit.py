@@ -295,15 +295,15 @@ def _with_prior(
     at_best = float(np.linalg.norm(running.residual(without.best)))
     noise, of_samples = _noise(running, without.best, cycle)
     for _ in range(_MOST_DOUBLINGS):
-        posterior = Posterior(running, Prior(running.start, width), noise)
-        search = LocalSearch(posterior, without.best / width, should_stop)
+        posterior = Posterior(running, Prior(running.start, width), noise, 1.0)
+        search = LocalSearch(posterior, without.best, should_stop)
         for start in (posterior.start, search.best):
             search.try_out(start)
         search.least_squares()
         if robust:
             search.reweighted_least_squares()
-        apart = search.best - posterior.start
-        left = float(np.linalg.norm(running.residual(search.best * width)))
+        apart = (search.best - posterior.start) / width
+        left = float(np.linalg.norm(running.residual(search.best)))
         # In random motion a smaller residual proves nothing, because a fit without a prior follows
         # the model error.
         steady = running.window.motion.sine is not None
@@ -312,7 +312,7 @@ def _with_prior(
         # The damper has changed by more than usual, so the prior is widened.
         width = 2.0 * width
     errors = _errors(posterior, search.best, of_samples)
-    return search.best * posterior.widths, errors, search.exhausted
+    return search.best, errors, search.exhausted
 
 
 def _noise(problem: WindowProblem, unknowns: Array, cycle: float) -> tuple[float, ErrorCovariances]:
@@ -338,7 +338,7 @@ def _errors(
     Errors of the window enter with the matrix ``gain``. The rest is the error of the running set,
     which does not change from window to window and has the covariance of the prior.
     """
-    samples = posterior.jacobian(unknowns)[: -unknowns.size] / posterior.noise
+    samples = posterior.jacobian(unknowns)[: -unknowns.size] * posterior.widths / posterior.noise
     information = samples.T @ samples
     held = np.linalg.inv(np.eye(unknowns.size) + information)
     gain = held @ information
