@@ -294,7 +294,7 @@ def _block(message: Any, stamp_ns: int, bag: str, topic: str) -> SampleBlock:
 def _place(segments: list[tuple[int, list[SampleBlock]]], placed: Iterable[Placed]) -> None:
     """Add blocks of the grid to the last segment, or to a new one after a discontinuity."""
     for one in placed:
-        if one.kind in ("next", "bridged"):
+        if one.kind in ("next", "bridged", "displaced"):
             segments[-1][1].append(one.block)
         elif one.kind != "repeat":
             before = segments[-1][0] if segments else 0

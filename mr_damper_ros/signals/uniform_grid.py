@@ -180,9 +180,9 @@ class GridSettings(CheckedSettings):
 class Placed:
     """A block on the grid, and its relation to its predecessor.
 
-    ``kind`` is "first", "next", "bridged", "gap", "jump_back", "repeat" or "changed_period".
-    ``sentence`` describes an interruption; it is empty for "first", "next" and "bridged". The first
-    ``bridged`` samples of the block were not measured.
+    ``kind`` is "first", "next", "bridged", "displaced" (after an impossible displacement), "gap",
+    "jump_back", "repeat" or "changed_period". ``sentence`` describes an interruption; it is empty
+    for "first", "next" and "bridged". The first ``bridged`` samples of the block were not measured.
 
     ``arrived`` is the new part of the arriving block, with its original stamp. For a repeat,
     ``arrived`` and ``block`` are both the arriving block. ``stamp_ns`` is the time of the first
@@ -205,7 +205,7 @@ class Placed:
         return self.kind in _RESTARTS
 
 
-_RESTARTS = ("gap", "jump_back", "changed_period")
+_RESTARTS = ("displaced", "gap", "jump_back", "changed_period")
 
 _Verdict = tuple[str, int, str]
 """Kind of a block, number of samples lost before it, and sentence, as in :class:`Placed`."""
@@ -289,9 +289,10 @@ class UniformGrid:
         off_ns = abs(late_ns - missing * block.period * NANOSECONDS)
         allowed_ns = max(_JITTER_NS, _JITTER * block.period * NANOSECONDS)
         if off_ns <= allowed_ns:
-            if (step := _largest_step(last, block)) > max(_JUMP, _JUMP_SPEED * block.period):
+            step = _largest_step(last, block)
+            if missing == 0 and step > max(_JUMP, _JUMP_SPEED * block.period):
                 jump = f"the displacement jumps by {step:.3g} m between two samples"
-                return "gap", max(missing, 0), f"{jump} (is the cable of the sensor loose?)"
+                return "displaced", 0, f"{jump} (a loose cable, or millimetres?)"
             if -block.sample_count < missing <= 0:
                 return "next", 0, ""
             if missing > 0 and missing * block.period <= self._settings.longest_gap + 1e-9:

@@ -50,7 +50,7 @@ def test_of_a_block_that_overlaps_what_is_new_is_taken() -> None:
         (block(10, period=2e-3), "changed_period", 0, 0, "the sample period changed from 0.001 s"),
         (block(10, period=1.003e-3), "changed_period", 0, 0, "the sample period changed from 0."),
         (block(10, period=1.001e-3), "next", 0, 0, ""),
-        (SPIKE, "gap", 0, 0, "the displacement jumps by 1"),
+        (SPIKE, "displaced", 0, 0, "the displacement jumps by 1"),
     ],
     ids=lambda value: value if isinstance(value, str) else "",
 )
@@ -63,12 +63,12 @@ def test_what_arrives_is_judged_and_counted_as_documented(
     assert placed.kind == kind
     assert placed.sentence.startswith(sentence)
     assert "from 0.001 s to 0.001 s" not in placed.sentence
-    assert ("restart" in placed.sentence) == (kind in ("gap", "jump_back", "changed_period"))
+    assert ("restart" in placed.sentence) == placed.restarts
     assert grid.interruptions == bool(sentence)
     counts = (grid.lost_samples, grid.bridged_samples, grid.repeated_samples)
     assert counts == (lost, lost * (kind == "bridged"), repeated)
     if then is SPIKE:
-        assert [grid.follow(block(at))[0].kind for at in (20, 30)] == ["gap", "next"]
+        assert [grid.follow(block(at))[0].kind for at in (20, 30)] == ["displaced", "next"]
 
 
 # -- streams ---------------------------------------------------------------------------------
