@@ -65,28 +65,28 @@ def leave(browser: Browser) -> None:
 @contextmanager
 def opened(browser: Browser, record: LiveRecord, *served: Any) -> Iterator[str]:
     """Open the page of a record, yield its address, and leave the page at the end."""
+    leave(browser)  # an earlier page may still report what it requested
+    browser.errors.clear()
+    browser.requested.clear()
     with closing(PageServer(record, "127.0.0.1", 0, *served)) as server:
         browser.open(server.address)
-        yield server.address
-        leave(browser)
+        try:
+            yield server.address
+        finally:
+            leave(browser)
 
 
 @pytest.fixture
 def page(browser: Browser, record: LiveRecord) -> Iterator[Browser]:
     """The live page; fails if the page has reported an error at the end."""
-    with closing(PageServer(record, "127.0.0.1", 0, "/")) as server:
-        browser.errors.clear()
-        browser.requested.clear()
-        browser.resize(1280, 900)
-        browser.prefer("light")
-        browser.open(server.address)
+    browser.resize(1280, 900)
+    browser.prefer("light")
+    with opened(browser, record, "/") as address:
         browser.until("document.querySelector('#state')?.innerText.includes('live')")
         browser.until("document.querySelectorAll('figure canvas').length >= 35")
         yield browser
         assert browser.errors == []
-        host = urlsplit(server.address).netloc
-        assert {urlsplit(url).netloc for url in browser.requested} == {host}
-        leave(browser)
+        assert {urlsplit(url).netloc for url in browser.requested} == {urlsplit(address).netloc}
 
 
 def ink(page: Browser, chart: str) -> str:
@@ -212,7 +212,6 @@ RUN = running_damper.running(120)
 @pytest.fixture
 def whole(browser: Browser) -> Iterator[Browser]:
     """The page of a run that does not advance."""
-    browser.errors.clear()
     with opened(browser, RUN):
         browser.until("document.querySelectorAll('[data-chart=run] canvas').length")
         browser.until("document.querySelectorAll('[data-chart=force-time] canvas').length")
@@ -366,12 +365,10 @@ def test_a_recording_is_opened_on_the_page(browser: Browser) -> None:
     bag = Path(__file__).parents[2] / "bags" / "5.0mm_1Hz_1.5A"
     record = empty_record(bag)
     replay_into(record, bag)
-    browser.errors.clear()
     with opened(browser, record):
         browser.until("document.querySelector('#state')?.innerText.includes('recorded')")
         assert browser.text("#state") == f"■ recorded: {bag.name}"
-        height = browser.evaluate("document.querySelector('#alarms').clientHeight")
-        assert height == 0, "no node is looked for"
+        browser.until("document.querySelector('#alarms').clientHeight === 0")  # no node is missed
         browser.until("document.querySelectorAll('#window-rows tr').length > 2")
         begin, end = first_and_last_time(browser)
         assert begin < 0.2

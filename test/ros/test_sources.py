@@ -117,9 +117,10 @@ def test_a_stream_that_was_cut_is_connected_again(start: Any, listener: Listener
     server, ended = socket.create_server(("127.0.0.1", 0)), threading.Event()
 
     def send() -> None:
-        begin, sent = time.monotonic(), 0
+        begin, sent = 0.0, 0
         for lasts in (1.0, 60.0):
             with server.accept()[0] as link, suppress(OSError):
+                begin = begin or time.monotonic()
                 until = time.monotonic() + lasts
                 while time.monotonic() < until and not ended.wait(0.04):
                     present = round(500.0 * (time.monotonic() - begin))
@@ -131,6 +132,6 @@ def test_a_stream_that_was_cut_is_connected_again(start: Any, listener: Listener
     address = f"tcp:127.0.0.1:{server.getsockname()[1]}"
     start("bridge", source="stream", stream__address=address, stream__columns=COLUMNS)
     listener.until(lambda: samples and samples[-1].seq >= 1000, "samples after the cut")
-    ended.set()
     found = listener.wait_for_finding("bridge: source", "")
+    ended.set()
     assert {item.key: item.value for item in found.values}["connections"] == "2"
