@@ -29,7 +29,7 @@ from mr_damper_ros.signals.recording import (
 from mr_damper_ros.tracking.acceptance import Verdict
 from mr_damper_ros.tracking.engine import Engine, EngineSettings
 from mr_damper_ros.tracking.reports import Report
-from mr_damper_ros.tracking.state_directory import SetSource
+from mr_damper_ros.tracking.state_directory import SetSource, given_set
 from mr_damper_ros.tracking.tracker import WindowTracker
 from mr_damper_ros.tracking.validity import DoubtKind
 from mr_damper_ros.tracking.window_assembler import WindowAssembler, WindowSettings
@@ -213,7 +213,8 @@ def replay(
     >>> said.reports[0].verdict.name, f"{said.valid[-1000:].mean():.0%}"
     ('ACCEPTED', '100%')
     """
-    engine = Engine(settings, parameters, identify=identify)
+    start = None if parameters is None else given_set(parameters)
+    engine = Engine(settings, start, identify=identify)
     if isinstance(source, Recording):
         return _replayed(source.name, stream_of(source, block_size), engine)
     return _replayed(os.fspath(source), bag_stream(Path(source)), engine)

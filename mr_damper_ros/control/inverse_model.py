@@ -21,10 +21,9 @@ from numpy.typing import ArrayLike
 
 from mr_damper_ros.kinematics.motion import Motion, MotionSample
 from mr_damper_ros.models.first_order_lag import COIL
-from mr_damper_ros.models.parameter_set import ParameterSet
+from mr_damper_ros.models.parameter_set import ParameterSet, check_set
 from mr_damper_ros.models.quantities import State
 from mr_damper_ros.signals.arrays import Array
-from mr_damper_ros.tracking.state_directory import SetSource, given_set
 
 NODES = 65
 """Number of currents at which the force is evaluated first. Between two of them the force should
@@ -81,7 +80,7 @@ class SampleResponse(NamedTuple):
 
 
 class InverseModel:
-    """The inverse of a parameter set, or of its file, between two currents [A] of the coil.
+    """The inverse of a parameter set between two currents [A] of the coil.
 
     ``gradual_reversal``: use the law without jumps at reversals, as in the prediction. Raises
     ValueError if the currents are not finite or the highest is not above the lowest. Warns if the
@@ -90,7 +89,7 @@ class InverseModel:
 
     def __init__(
         self,
-        parameters: SetSource,
+        parameters: ParameterSet,
         lowest_current: float,
         highest_current: float,
         *,
@@ -101,7 +100,7 @@ class InverseModel:
                 f"the highest current, {highest_current:g} A, is not above the lowest, "
                 f"{lowest_current:g} A: give two finite currents"
             )
-        parameters = given_set(parameters)
+        check_set(parameters)
         if parameters.doubt_over_current:
             warnings.warn(parameters.doubt_over_current, stacklevel=2)
         self.law = parameters.law.continuous if gradual_reversal else parameters.law

@@ -491,6 +491,15 @@ def check_name(what: str, text: str) -> None:
         )
 
 
+def check_set(given: object) -> None:
+    """Raise ParameterError for anything but a parameter set, such as the path of its file."""
+    if not isinstance(given, ParameterSet):
+        raise ParameterError(
+            f"a parameter set cannot be of type {type(given).__name__}: give a ParameterSet, which "
+            "ParameterSet.load reads from a file"
+        )
+
+
 def known_model(name: Any) -> Model:
     """The model of this name; raises ParameterError for an unknown name."""
     if not isinstance(name, str) or name not in MODELS:

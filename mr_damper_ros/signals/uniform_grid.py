@@ -289,8 +289,8 @@ class UniformGrid:
         off_ns = abs(late_ns - missing * block.period * NANOSECONDS)
         allowed_ns = max(_JITTER_NS, _JITTER * block.period * NANOSECONDS)
         if off_ns <= allowed_ns:
-            step = _largest_step(last, block)
-            if missing == 0 and step > max(_JUMP, _JUMP_SPEED * block.period):
+            most = max(_JUMP, _JUMP_SPEED * block.period)
+            if missing == 0 and (step := _largest_step(last, block)) > most:
                 jump = f"the displacement jumps by {step:.3g} m between two samples"
                 return "displaced", 0, f"{jump} (a loose cable, or millimetres?)"
             if -block.sample_count < missing <= 0:

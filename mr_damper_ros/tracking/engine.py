@@ -12,7 +12,7 @@ import math
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
 
-from mr_damper_ros.models.parameter_set import start_set
+from mr_damper_ros.models.parameter_set import ParameterSet, start_set
 from mr_damper_ros.processes.worker import InlineWorker
 from mr_damper_ros.settings.option_table import CheckedSettings, group, option
 from mr_damper_ros.signals.blocks import NANOSECONDS, SampleBlock
@@ -20,7 +20,6 @@ from mr_damper_ros.signals.recording import CurrentReading, StreamItem
 from mr_damper_ros.signals.uniform_grid import GridSettings
 from mr_damper_ros.tracking.identifier import Identifier, PipelineSettings, Publication
 from mr_damper_ros.tracking.predictor import ForcePredictor, Prediction, PredictorSettings
-from mr_damper_ros.tracking.state_directory import SetSource, given_set
 from mr_damper_ros.tracking.tracker import Job, TrackerSettings, WindowTracker
 from mr_damper_ros.tracking.window_assembler import WindowAssembler, WindowSettings
 
@@ -64,12 +63,12 @@ class Engine:
     def __init__(
         self,
         settings: EngineSettings | None = None,
-        start: SetSource | None = None,
+        start: ParameterSet | None = None,
         *,
         identify: bool = True,
     ) -> None:
         self.settings = given = settings or EngineSettings()
-        begin = start_set(given.tracking.law) if start is None else given_set(start)
+        begin = start_set(given.tracking.law) if start is None else start
         tracker = WindowTracker(given.tracking, begin)
         self.worker = InlineWorker(self._seconds_until_outcome)
         assembler = WindowAssembler(given.windows, given.grid)

@@ -21,7 +21,7 @@ import numpy as np
 
 from mr_damper_ros.kinematics.motion import Motion
 from mr_damper_ros.kinematics.motion_follower import MotionFollower
-from mr_damper_ros.models.parameter_set import ParameterSet
+from mr_damper_ros.models.parameter_set import ParameterSet, check_set
 from mr_damper_ros.models.quantities import State
 from mr_damper_ros.settings.option_table import option
 from mr_damper_ros.signals.arrays import Array, Mask
@@ -31,7 +31,6 @@ from mr_damper_ros.tracking.bumpless_transfer import ForceInUse
 from mr_damper_ros.tracking.model_bank import ModelBank
 from mr_damper_ros.tracking.reports import Report
 from mr_damper_ros.tracking.residual_monitor import ResidualMonitor
-from mr_damper_ros.tracking.state_directory import SetSource, given_set
 from mr_damper_ros.tracking.validity import (
     NO_DOUBT,
     Codes,
@@ -210,16 +209,15 @@ class ForcePredictor:
 
     # Inputs other than samples
 
-    def set_parameters(self, parameters: SetSource, confirmed_ns: int | None = None) -> None:
+    def set_parameters(self, parameters: ParameterSet, confirmed_ns: int | None = None) -> None:
         """Predict with this set from the next block on, unless the bank has a better one.
 
-        ``parameters`` may be the path of a file. ``confirmed_ns`` is the stamp of the last sample
-        that the set is known to fit; None for a set that does not age, such as one loaded by a
-        user. A set with a stamp takes effect by
+        ``confirmed_ns`` is the stamp of the last sample that the set is known to fit; None for a
+        set that does not age, such as one loaded by a user. A set with a stamp takes effect by
         bumpless transfer, a set without one at once. :meth:`ModelBank.add` describes which sets
         replace a loaded set. The state of the law is recomputed.
         """
-        parameters = given_set(parameters)
+        check_set(parameters)
         self._refused.forget()
         if self._bank.is_in_use(parameters):
             return

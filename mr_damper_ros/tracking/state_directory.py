@@ -9,7 +9,12 @@ import re
 import stat
 from pathlib import Path
 
-from mr_damper_ros.models.parameter_set import ParameterError, ParameterSet, UserError
+from mr_damper_ros.models.parameter_set import (
+    ParameterError,
+    ParameterSet,
+    UserError,
+    check_set,
+)
 from mr_damper_ros.models.plausibility import check_plausible
 from mr_damper_ros.processes.files import FolderLock, LockHeldError, write_text
 
@@ -183,15 +188,11 @@ SetSource = ParameterSet | str | os.PathLike[str]
 
 
 def given_set(source: SetSource) -> ParameterSet:
-    """The set, or the set in the file; raises StateError also for a source of another type."""
-    if isinstance(source, ParameterSet):
-        return source
+    """The set, or the set in the file. Raises StateError, and ParameterError for another type."""
     if isinstance(source, (str, os.PathLike)):
         return read_parameter_file(Path(source))
-    raise StateError(
-        f"a parameter set cannot be of type {type(source).__name__}: give a ParameterSet or the "
-        "path of its file"
-    )
+    check_set(source)
+    return source
 
 
 def read_parameter_file(path: str | Path) -> ParameterSet:

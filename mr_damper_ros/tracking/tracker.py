@@ -36,6 +36,7 @@ from mr_damper_ros.models.parameter_set import (
     DEFAULT_MODEL,
     EARLY_SOURCE,
     ParameterSet,
+    check_set,
     start_set,
 )
 from mr_damper_ros.models.plausibility import implausible
@@ -93,7 +94,6 @@ from mr_damper_ros.tracking.screening import (
     lack_of_cycle,
     lack_of_motion,
 )
-from mr_damper_ros.tracking.state_directory import SetSource, given_set
 from mr_damper_ros.tracking.window_assembler import ENOUGH_POINTS, RawWindow
 
 _DIVERGED = 2.0
@@ -852,14 +852,15 @@ class WindowTracker:
     """
 
     def __init__(
-        self, settings: TrackerSettings | None = None, initial: SetSource | None = None
+        self, settings: TrackerSettings | None = None, initial: ParameterSet | None = None
     ) -> None:
-        """Start with the set, or file, ``initial``; None takes the start set of the law.
+        """Start with the set ``initial``; None takes the start set of the law in the settings.
 
         Raises ParameterError as :meth:`TrackerSettings.following` does.
         """
         settings = settings or TrackerSettings()
-        initial = start_set(settings.law) if initial is None else given_set(initial)
+        initial = start_set(settings.law) if initial is None else initial
+        check_set(initial)
         self._settings = settings.following(initial)
         self.parameters = self._initial = initial.as_given()
         self.memory = TrackerMemory()

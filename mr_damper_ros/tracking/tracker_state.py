@@ -207,7 +207,9 @@ def _hints(kind: Any) -> dict[str, Any]:
 
 def _check(memory: TrackerMemory, model: Model) -> None:
     """Raise ValueError if entries do not fit each other or the model."""
-    rival, state = memory.rival, memory.state
+    rival, state, watch = memory.rival, memory.state, memory.watch
+    sound = memory.global_patience > 0 and (watch is None or watch.block > 0)
+    _require(sound, "a count is zero")
     if rival is not None:
         sound = rival.model == model.name and not implausible(rival)
         _require(sound, "the set to be confirmed is not plausible")

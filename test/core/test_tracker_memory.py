@@ -167,6 +167,7 @@ def test_other_texts_are_refused(text: str, sentence: str) -> None:
         pytest.param("windows", 10**250, "is out of range", id="name too long"),
         ("seen_ns", 2**63, "is out of range"),
         ("level", 0.0, "level is not positive"),
+        ("watch", DOCUMENT["watch"] | {"block": 0}, "a count is zero"),
         ("state", json.loads(to_text(OF_THREE))["state"], "the state of the filter is for another"),
         (
             "rival",
