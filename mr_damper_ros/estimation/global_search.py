@@ -27,8 +27,14 @@ from mr_damper_ros.estimation.differential_evolution import (
     ProgressClock,
     evolve,
 )
-from mr_damper_ros.estimation.local_search import MOST_STEPS, LocalSearch, StopRequestedError
+from mr_damper_ros.estimation.local_search import (
+    MARGIN,
+    MOST_STEPS,
+    LocalSearch,
+    StopRequestedError,
+)
 from mr_damper_ros.estimation.observability import (
+    SURE,
     current_varies,
     operating_points_within,
     parameter_ranges,
@@ -166,15 +172,8 @@ _SCALE_WIDTH = 3.0
 """Prior standard deviation of a scale about zero, relative to its median size in the separate fits.
 """
 
-_PLAUSIBLE = 0.25
-"""Prior standard deviation of a shape parameter relative to its plausible range. The ends of the
-range are then two standard deviations from its middle."""
-
 _BOUND_STEPS = 2
 """Least-squares steps after a parameter was moved to its bound, from nearly optimal others."""
-
-_ON_BOUND = 1e-3
-"""A parameter closer to a bound than this part of its prior width counts as being on the bound."""
 
 _MORE_THAN_PRIOR = math.sqrt(0.5)
 """Standard error relative to the prior at which the windows contain as much information as it."""
@@ -399,7 +398,7 @@ class GlobalSearch:
                 low, high = self._ranges[name]
                 plausible = low <= self._start[place] <= high
                 centre[place] = (self._start if plausible else self._neutral)[place]
-                width[place] = _PLAUSIBLE * (high - low)
+                width[place] = SURE * (high - low)
         return Prior(centre, width)
 
     def _search_from(self, starts: Mapping[str, Array], method: str) -> None:
@@ -453,7 +452,7 @@ class GlobalSearch:
         whole = self.whole_misfit()
         self.best = self._most_probable(whole, self.best, self.free)
         # A search only approaches an optimum on a bound.
-        near, (low, high) = _ON_BOUND * self._prior().width, self.model.bounds
+        near, (low, high) = MARGIN * self._prior().width, self.model.bounds
         free = np.isin(self.model.parameter_names, list(self.free))
         moved = np.where(free & (self.best - low < near), low, self.best)
         moved = np.where(free & (high - moved < near), high, moved)

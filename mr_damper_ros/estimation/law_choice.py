@@ -25,20 +25,16 @@ from mr_damper_ros.estimation.differential_evolution import (
     Report,
 )
 from mr_damper_ros.estimation.global_fit import set_of
-from mr_damper_ros.estimation.global_search import GlobalSearch
+from mr_damper_ros.estimation.global_search import AS_GOOD, GlobalSearch
 from mr_damper_ros.estimation.local_search import StopRequestedError
 from mr_damper_ros.kinematics.window import Window
 from mr_damper_ros.models import MODELS
 from mr_damper_ros.models.parameter_set import GLOBAL_SOURCE, known_model
+from mr_damper_ros.models.quantities import GOOD_NRMSE
 from mr_damper_ros.processes.process_pool import Notify, ProcessPool
 from mr_damper_ros.signals.arrays import Array
 
 MOST_FOLDS = 5
-_PREDICTS = 0.3
-"""Largest NRMSE on the validation samples of a law that predicts the force."""
-
-_NEGLIGIBLE = 0.01
-"""Negligible increase of the error, relative to the error of the best law."""
 
 _SHORTEST_SEGMENT = 200
 """Smallest number of samples in a segment of a run."""
@@ -107,7 +103,7 @@ class LawChoice:
 
     def _is_as_good(self, trial: LawTrial) -> bool:
         behind, error = trial.behind(self.best)
-        return behind <= max(error, _NEGLIGIBLE * self.best.nrmse)
+        return behind <= max(error, (math.sqrt(AS_GOOD) - 1.0) * self.best.nrmse)
 
     def __str__(self) -> str:
         count = len(self.best.errors)
@@ -133,7 +129,7 @@ class LawChoice:
         return "\n".join(lines)
 
     def _verdict(self) -> str:
-        if self.best.nrmse > _PREDICTS:
+        if self.best.nrmse > GOOD_NRMSE:
             return (
                 f"NO LAW PREDICTS THE DATA LEFT OUT: {self.chosen.model} is used, but the choice "
                 "is uncertain; add runs at more amplitudes, frequencies and currents."

@@ -31,8 +31,9 @@ MOST_STEPS = 300
 _LAST_DIGITS = math.sqrt(np.finfo(float).eps)
 """Relative tolerance: half of the digits of double precision."""
 
-_MARGIN = 1e-3
-"""Smallest distance of a start from a bound, relative to the value."""
+MARGIN = 1e-3
+"""Smallest distance of a start from a bound, relative to the value. An optimum that is closer,
+relative to the width of its prior, counts as being on the bound."""
 
 
 class Ending(Enum):
@@ -216,7 +217,7 @@ def _without_overflow(jacobian: Array) -> Array:
 
 def _inside(values: Array, low: Array, high: Array) -> Array:
     """The values, moved slightly inside where they are on a bound or beyond it."""
-    margin = np.minimum(_MARGIN * np.maximum(np.abs(values), 1e-6), 0.25 * (high - low))
+    margin = np.minimum(MARGIN * np.maximum(np.abs(values), 1e-6), 0.25 * (high - low))
     return np.clip(values, low + margin, high - margin)
 
 

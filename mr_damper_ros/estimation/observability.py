@@ -34,7 +34,8 @@ _DIFFERENT_CURRENT = 0.02
 """Smallest distance of two different currents [A]."""
 
 SURE = 0.25
-"""A shape parameter is determined if its standard error is below this part of its range."""
+"""Prior standard deviation of a shape parameter relative to its plausible range. The ends of the
+range are then two standard deviations from its middle. A smaller error determines the parameter."""
 
 
 def varied_parameters(

@@ -18,8 +18,9 @@ _SAMPLES_PER_CYCLE = 1000
 _FEWER_PER_CYCLE = 200
 """Samples per cycle that resolve a hysteresis, which yields over about a tenth of a cycle."""
 
-LONGEST_SETTLING = 0.25
-"""Largest fraction of a window that is omitted because the motion before the window is unknown."""
+MOST_UNUSED = 0.25
+"""Largest fraction of a window without information: of samples that depend on the unknown motion
+before the window, no more are omitted, and a window with a longer rest is rejected."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -116,7 +117,7 @@ class MotionHistory:
         if self.periodic:
             return np.zeros(self.places.size, dtype=bool)
         since = self.places * self.period
-        return np.asarray(since < min(duration, since[int(LONGEST_SETTLING * since.size)]))
+        return np.asarray(since < min(duration, since[int(MOST_UNUSED * since.size)]))
 
 
 _PER_CYCLE = 50

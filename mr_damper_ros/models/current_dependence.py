@@ -45,9 +45,6 @@ from mr_damper_ros.signals.arrays import Array
 LARGEST_GROWTH = 100.0
 """Largest plausible ratio of a coefficient's values over the current range."""
 
-_AT_ZERO = 0.01
-"""Lower limit of a multiplied coefficient at 0 A, relative to its mean over the currents."""
-
 
 class CurrentDependentModel(Model):
     """A law with coefficients at one current, and the current dependence of these coefficients."""
@@ -223,7 +220,8 @@ class CurrentDependentModel(Model):
             found = np.linalg.lstsq(basis, weights * target, rcond=None)[0]
             if coefficient.grows:
                 # A coefficient that is zero at 0 A could not grow with the current.
-                least = max(coefficient.low, _AT_ZERO * float(np.mean(np.abs(target))), 1e-12)
+                mean = float(np.mean(np.abs(target)))
+                least = max(coefficient.low, mean / LARGEST_GROWTH, 1e-12)
                 found[0] = max(found[0], least)
                 found[1:] /= found[0]
             values[place], values[columns] = found[0], found[1:]

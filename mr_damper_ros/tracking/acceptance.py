@@ -17,7 +17,7 @@ from mr_damper_ros.estimation.covariance import NoiseModel
 from mr_damper_ros.estimation.global_fit import error_of_set
 from mr_damper_ros.kinematics.window import Window
 from mr_damper_ros.models.parameter_set import ParameterSet
-from mr_damper_ros.models.quantities import SAME_CURRENT
+from mr_damper_ros.models.quantities import GOOD_NRMSE, NOTICED, SAME_CURRENT
 from mr_damper_ros.settings.option_table import CheckedSettings, option
 from mr_damper_ros.signals.arrays import Array, Positive, span_of
 from mr_damper_ros.tracking.operating_point import (
@@ -49,9 +49,6 @@ _LARGEST_LOSS = 0.5
 """Largest increase of a window set's mean square error at the other operating points, relative to
 its decrease in the window. A window set is fitted to that window alone (benchmark figure
 ``foreign_worse_sets``)."""
-
-GOOD_NRMSE = 0.3
-"""Up to this NRMSE the running set counts as good, and replacing it is a risk."""
 
 WORTHWHILE_RATIO = 0.9
 """A good set is replaced only by a set with an NRMSE below this multiple of its NRMSE. A set that
@@ -266,12 +263,6 @@ LARGE_SHAPE_CHANGE = 0.2
 """A larger shape change [1] must be confirmed by the next window if the running set has been
 identified at this operating point (benchmark figure ``foreign_worse_sets``). Between windows of one
 steady motion, temperature and wear change the shape less than a delay between the sensors does."""
-
-SAME_FORCE = 0.1
-"""Largest relative change of a force that counts as unchanged. If the force at a new operating
-point is unchanged, the running set also holds there. If the force has changed where the running set
-was identified, and the residual stays large, a sensor is at fault unless the new set predicts much
-better."""
 
 
 class Verdict(IntEnum):
@@ -535,9 +526,9 @@ class Gatekeeper:
             return None
         known.refused_for_residual += 1
         # The force at this operating point is known, so a sensor has changed rather than the
-        # damper.
+        # damper, unless the new set predicts much better.
         doubtful = (
-            holds and abs(evidence.force_change) > SAME_FORCE and WORTHWHILE_RATIO * before < after
+            holds and abs(evidence.force_change) > NOTICED and WORTHWHILE_RATIO * before < after
         )
         patience = self._PATIENCE_WHERE_KNOWN if holds else self._PATIENCE
         if known.refused_for_residual > patience and not doubtful:

@@ -20,7 +20,7 @@ from mr_damper_ros.estimation.covariance import SAME_MOTION
 from mr_damper_ros.estimation.window_fit import WindowFit
 from mr_damper_ros.kinematics.peak_velocity import MEMORY
 from mr_damper_ros.kinematics.window import Window
-from mr_damper_ros.models.quantities import SAME_CURRENT
+from mr_damper_ros.models.quantities import MODEL_ERROR, SAME_CURRENT
 from mr_damper_ros.signals.arrays import Array, Positive
 from mr_damper_ros.signals.blocks import NANOSECONDS
 
@@ -280,10 +280,6 @@ class KnownPoints:
 _NO_NOISE = 1e-4
 """Lower limit of a baseline NRMSE; no load cell reaches a smaller one."""
 
-_UNFITTED_NRMSE = 0.05
-"""Smallest baseline NRMSE at an operating point where the law has not been fitted; for the records
-of a commercial damper the median is 0.08."""
-
 Residual = tuple[float, ...]
 """RMSE [N] and NRMSE of a good window; at constant current also its operating point [m/s, A]."""
 
@@ -308,5 +304,5 @@ def excess_residual(
     usual_rmse, usual_nrmse = median(e[0] for e in known), median(e[1] for e in known)
     # A simulated force has no noise, and its residual is only rounding error.
     spread = rmse / max(nrmse, _NO_NOISE)
-    usual_nrmse = max(usual_nrmse, _NO_NOISE if near else _UNFITTED_NRMSE)
+    usual_nrmse = max(usual_nrmse, _NO_NOISE if near else MODEL_ERROR)
     return min(rmse / max(usual_rmse, _NO_NOISE * spread), nrmse / usual_nrmse)

@@ -11,9 +11,9 @@ from mr_damper_ros.estimation.covariance import SAME_MOTION
 from mr_damper_ros.estimation.window_fit import WindowFit
 from mr_damper_ros.kinematics.window import Window
 from mr_damper_ros.models.parameter_set import ParameterSet
-from mr_damper_ros.models.quantities import SAME_CURRENT
+from mr_damper_ros.models.quantities import NOTICED, SAME_CURRENT
 from mr_damper_ros.signals.arrays import Array
-from mr_damper_ros.tracking.acceptance import LARGE_SHAPE_CHANGE, SAME_FORCE, Evidence
+from mr_damper_ros.tracking.acceptance import LARGE_SHAPE_CHANGE, Evidence
 from mr_damper_ros.tracking.operating_point import (
     SAME_SPEED,
     KnownForce,
@@ -121,7 +121,7 @@ def new_set(
         discrepancies[places] = model.fitted_errors(fit.scales, fit.discrepancy)[1]
     # The running set predicted the force here, or its shape, so its range stays valid.
     similar = evidence.shape_change <= LARGE_SHAPE_CHANGE
-    agrees = abs(evidence.force_change) <= SAME_FORCE
+    agrees = abs(evidence.force_change) <= NOTICED
     velocity_range, largest_force = window.peak_velocity_range, window.largest_force
     current_range = float(window.current.min()), float(window.current.max())
     known = (

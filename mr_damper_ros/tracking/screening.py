@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from mr_damper_ros.kinematics.window import holds_cycle
+from mr_damper_ros.kinematics.window import MOST_UNUSED, holds_cycle
 from mr_damper_ros.settings.option_table import CheckedSettings, option
 from mr_damper_ros.signals.arrays import NOISE_SPAN, Array, Mask, white_noise
 from mr_damper_ros.signals.recording import wrong_unit
@@ -40,9 +40,7 @@ _SMALLEST_APPROACH = 3.0
 """Shortest approach that is judged, in steps of the finest digit."""
 
 _RESTING = 0.02
-_LONGEST_REST = 0.25
-"""The machine rests while its speed is below the first fraction of the top speed. A window with a
-rest longer than the second fraction of the window is rejected."""
+"""The machine rests while its speed is below this fraction of the top speed."""
 
 NEGATIVE_POWER = 0.1
 """If the correlation of force and velocity is below minus this value, one of the signs is wrong."""
@@ -129,7 +127,7 @@ def long_rest(velocity: Array) -> slice | None:
     """The longest rest of the machine in a window (n,) [m/s] if it is too long for a fit."""
     speed = np.abs(velocity)
     rest = _longest(_runs(speed < _RESTING * speed.max()))
-    return rest if rest.stop - rest.start > _LONGEST_REST * velocity.size else None
+    return rest if rest.stop - rest.start > MOST_UNUSED * velocity.size else None
 
 
 def fault_of_rest(velocity: Array, force: Array) -> str:

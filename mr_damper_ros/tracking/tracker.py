@@ -28,7 +28,7 @@ from mr_damper_ros.estimation.window_fit import (
     fit_window,
 )
 from mr_damper_ros.kinematics.motion import DataError
-from mr_damper_ros.kinematics.window import LONGEST_SETTLING, Window
+from mr_damper_ros.kinematics.window import MOST_UNUSED, Window
 from mr_damper_ros.models import MODELS
 from mr_damper_ros.models.force_model import Model
 from mr_damper_ros.models.misfit import WindowProblem
@@ -40,6 +40,7 @@ from mr_damper_ros.models.parameter_set import (
     start_set,
 )
 from mr_damper_ros.models.plausibility import implausible
+from mr_damper_ros.models.quantities import GOOD_NRMSE
 from mr_damper_ros.processes.blas_threads import one_thread
 from mr_damper_ros.processes.worker import Control
 from mr_damper_ros.settings.option_table import CheckedSettings, group, option
@@ -47,7 +48,6 @@ from mr_damper_ros.signals.arrays import Array
 from mr_damper_ros.signals.blocks import NANOSECONDS
 from mr_damper_ros.tracking.acceptance import (
     CHUNKS,
-    GOOD_NRMSE,
     AcceptanceSettings,
     Evidence,
     Experience,
@@ -680,7 +680,7 @@ def parts_by_current(model: Model, window: Window, tolerance: float) -> list[Win
     """
     if float(np.ptp(window.current)) <= tolerance:
         return [window]
-    lead_in = round(LONGEST_SETTLING * window.sample_count) if model.needs_past(window) else 0
+    lead_in = round(MOST_UNUSED * window.sample_count) if model.needs_past(window) else 0
     edges = _edges(window.current, tolerance)
     place = np.searchsorted(edges, window.current, side="right")
     speed = window.motion.velocity

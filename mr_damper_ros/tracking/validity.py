@@ -17,10 +17,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mr_damper_ros.models.parameter_set import ParameterSet
+from mr_damper_ros.models.quantities import GOOD_NRMSE
 from mr_damper_ros.settings.option_table import CheckedSettings, option
 from mr_damper_ros.signals.arrays import Array, Mask, span_of
 from mr_damper_ros.signals.blocks import NANOSECONDS, ZeroOrderHold
-from mr_damper_ros.tracking.acceptance import GOOD_NRMSE, Verdict
+from mr_damper_ros.tracking.acceptance import Verdict
 
 Codes = NDArray[np.uint8]
 """A :class:`DoubtKind` for each sample."""

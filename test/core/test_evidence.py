@@ -12,14 +12,9 @@ from mr_damper_ros.emulation.emulator import scaled
 from mr_damper_ros.estimation.covariance import NoiseModel
 from mr_damper_ros.kinematics.window import Window
 from mr_damper_ros.models.parameter_set import ParameterSet
+from mr_damper_ros.models.quantities import GOOD_NRMSE
 from mr_damper_ros.signals.arrays import Array
-from mr_damper_ros.tracking.acceptance import (
-    GOOD_NRMSE,
-    evidence_of,
-    lead_of,
-    rival_wins,
-    validation_mask,
-)
+from mr_damper_ros.tracking.acceptance import evidence_of, lead_of, rival_wins, validation_mask
 
 N = 1000
 

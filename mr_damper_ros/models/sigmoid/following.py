@@ -124,10 +124,10 @@ EXTENDED_LAW: Formulas = (
 )
 """The extended law; ``started`` is 0 at the first sample, which has no lag, and 1 later."""
 
-LAG_MEMORY = 3
-"""Number of arrays in the state of the lag: force, lagged force [N] and time constant [s]."""
-
 _LAG = ("started", "value_before", "lagged_before", "tau_before")
+
+LAG_MEMORY = len(_LAG[1:])
+"""Number of arrays in the state of the lag: force, lagged force [N] and time constant [s]."""
 
 
 def _lag_before(state: State | None, extended: bool, jumps: bool) -> tuple[float, ...]:
