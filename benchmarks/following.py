@@ -122,7 +122,7 @@ def _thermal_model(duration: float) -> ThermalModel:
     ]
 
     def heating(capacity: float) -> ThermalModel:
-        return ThermalModel(capacity=capacity, conductance=0.2)
+        return ThermalModel(heat_capacity=capacity, conductance=0.2)
 
     def excess(capacity: float) -> float:
         model = heating(capacity)

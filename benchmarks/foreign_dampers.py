@@ -103,7 +103,7 @@ class Combination:
         thermal = None
         if math.isfinite(self.capacity):
             # A large damper has more to heat.
-            thermal = ThermalModel(capacity=self.capacity * self.size)
+            thermal = ThermalModel(heat_capacity=self.capacity * self.size)
         trial = StreamTrial(
             ForeignDamper(self.law, self.size),
             motion,

@@ -126,7 +126,7 @@ def driven(road: str, seed: int, duration: float = DRIVEN, *, given: bool = True
         IsoRoad(road, SPEED, seed),
         supply,
         settings=RigSettings(displacement_noise=1e-6, seed=seed),
-        thermal=ThermalModel(initial=28.0, capacity=430.0),
+        thermal=ThermalModel(initial_temperature=28.0, heat_capacity=430.0),
         coil_time_constant=LAG,
         substeps=2,
     )
@@ -293,7 +293,9 @@ def followed(name: str, watched: bool, duration: float = FOLLOWED) -> Followed:
         supply,
         settings=RigSettings(displacement_noise=1e-6),
         # So much heat capacity that it stays as it is.
-        thermal=ThermalModel(ambient=case.celsius, initial=case.celsius, capacity=1e9),
+        thermal=ThermalModel(
+            ambient_temperature=case.celsius, initial_temperature=case.celsius, heat_capacity=1e9
+        ),
     )
     rig.live = True
 

@@ -24,6 +24,7 @@ from mr_damper_ros.models.first_order_lag import coil_current
 from mr_damper_ros.models.parameter_set import ParameterSet
 from mr_damper_ros.models.quantities import State
 from mr_damper_ros.models.sigmoid.law import PARAMETER_NAMES
+from mr_damper_ros.settings.option_table import CheckedSettings, option
 from mr_damper_ros.signals.arrays import Array
 from mr_damper_ros.signals.blocks import NANOSECONDS, RigBlock
 from mr_damper_ros.signals.recording import DEFAULT_START_NS, Recording
@@ -43,14 +44,6 @@ This number is fixed, so that the samples do not depend on the block size.
 
 class EmulatorError(ValueError):
     """Invalid settings of the emulated rig; the message says what to change."""
-
-
-def _require(told: str, value: float, *, positive: bool = False) -> None:
-    """Raise EmulatorError if a value is not finite or negative; if ``positive``, also if zero."""
-    if not (math.isfinite(value) and (value > 0.0 if positive else value >= 0.0)):
-        raise EmulatorError(
-            f"the {told}: it must {'be positive' if positive else 'not be negative'}"
-        )
 
 
 def scaled(parameters: Array, factor: float) -> Array:
@@ -119,33 +112,37 @@ class EmulatedDamper:
 
 
 @dataclass(frozen=True)
-class ThermalModel:
+class ThermalModel(CheckedSettings):
     """A lumped heat capacity, heated by the dissipated power and cooled by the ambient air.
 
-    ``capacity`` is the heat capacity [J/K], ``conductance`` the conductance of the convection
-    [W/K], and ``ambient`` and ``initial`` are temperatures [°C]. The defaults are assumed: about
-    one kilogram of steel that settles some 50 K above the ambient air at 25 W, with a time constant
-    of 14 minutes.
-
-    Raises EmulatorError if a value is out of range.
+    The defaults are assumed: about one kilogram of steel that settles some 50 K above the ambient
+    air at 25 W, with a time constant of 14 minutes.
     """
 
-    ambient: float = 22.0
-    initial: float = 28.0
-    capacity: float = 430.0
-    conductance: float = 0.5
-
-    def __post_init__(self) -> None:
-        _require(f"heat capacity is {self.capacity} J/K", self.capacity, positive=True)
-        _require(f"conductance is {self.conductance} W/K", self.conductance)
+    ambient_temperature: float = option(
+        22.0,
+        "Ambient temperature [°C]. It can be changed while the rig runs.",
+        within=(-50.0, 200.0),
+        read_only=False,
+    )
+    initial_temperature: float = option(
+        28.0, "Temperature of the damper at the start [°C].", within=(-50.0, 200.0)
+    )
+    heat_capacity: float = option(
+        430.0,
+        "Heat capacity of the damper [J/K], which absorbs the dissipated power. With a smaller "
+        "value, the damper heats up faster.",
+        within=(0.1, 1e9),
+    )
+    conductance: float = option(0.5, "Heat loss to the air [W/K]; 0.0: none.", within=(0.0, 1e4))
 
     def after(self, celsius: float, power: float, duration: float) -> float:
         """Temperature [°C] after constant ``power`` [W] for ``duration`` [s]; exact."""
         if self.conductance == 0.0:
-            return celsius + power * duration / self.capacity
-        settled = self.ambient + power / self.conductance
+            return celsius + power * duration / self.heat_capacity
+        settled = self.ambient_temperature + power / self.conductance
         return settled + (celsius - settled) * math.exp(
-            -self.conductance * duration / self.capacity
+            -self.conductance * duration / self.heat_capacity
         )
 
 
@@ -210,26 +207,24 @@ class SupplySetpoint(CurrentSchedule):
 
 
 @dataclass(frozen=True)
-class RigSettings:
-    """Sampling and noise of an emulated rig.
+class RigSettings(CheckedSettings):
+    """Sampling and white Gaussian noise of an emulated rig.
 
-    ``sample_rate`` [Hz]; ``force_noise`` [N] and ``displacement_noise`` [m] are standard deviations
-    of white Gaussian noise; ``seed`` is one integer or several; ``start_ns`` is the stamp of the
-    first sample [ns].
-
-    Raises EmulatorError if a value is out of range.
+    ``seed`` is one integer or several; ``start_ns`` is the stamp of the first sample [ns].
     """
 
-    sample_rate: float = 1000.0
-    force_noise: float = THESIS_FORCE_NOISE
-    displacement_noise: float = 0.0
+    sample_rate: float = option(1000.0, "Samples per second [Hz].", within=(1.0, 100_000.0))
+    force_noise: float = option(
+        THESIS_FORCE_NOISE,
+        f"Standard deviation of the force noise [N]; {THESIS_FORCE_NOISE} is the residual error "
+        "reported in the thesis.",
+        within=(0.0, 1e6),
+    )
+    displacement_noise: float = option(
+        0.0, "Standard deviation [m] of the displacement noise.", within=(0.0, 0.1)
+    )
     seed: int | Sequence[int] = 0
     start_ns: int = DEFAULT_START_NS
-
-    def __post_init__(self) -> None:
-        _require(f"sample rate is {self.sample_rate} Hz", self.sample_rate, positive=True)
-        _require(f"force noise is {self.force_noise}", self.force_noise)
-        _require(f"displacement noise is {self.displacement_noise}", self.displacement_noise)
 
     @property
     def period(self) -> float:
@@ -284,7 +279,7 @@ class MeasuredRig(ABC):
         self.settings = settings or RigSettings()
         """Sampling and noise."""
         self._thermal = thermal
-        self._celsius = thermal.initial if thermal else _COLD
+        self._celsius = thermal.initial_temperature if thermal else _COLD
         self._rng = np.random.default_rng(self.settings.seed)
         self._noise, self._power = np.empty((2, CHUNK)), np.empty(CHUNK)
         self._made = self._taken = 0
@@ -344,8 +339,6 @@ class EmulatedRig(MeasuredRig):
     The rig measures the current of the supply. The current in the coil follows it with a lag of
     ``coil_time_constant`` [s]. The rig applies the ``faults`` of the machine and the damper;
     :class:`Instruments` applies the faults of instruments and transmission.
-
-    Raises EmulatorError if the time constant is negative.
     """
 
     def __init__(
@@ -361,7 +354,6 @@ class EmulatedRig(MeasuredRig):
     ) -> None:
         super().__init__(damper, current, settings, thermal)
         self._excitation = excitation
-        _require(f"time constant of the coil is {coil_time_constant} s", coil_time_constant)
         self._coil = np.array(coil_time_constant)
         self._coil_state: State = ()
         self._faults: list[Fault] = []
@@ -395,7 +387,7 @@ class EmulatedRig(MeasuredRig):
     def set_ambient(self, ambient: float) -> None:
         """Set the ambient temperature [°C]; without a thermal model, this has no effect."""
         if self._thermal is not None:
-            self._thermal = replace(self._thermal, ambient=ambient)
+            self._thermal = replace(self._thermal, ambient_temperature=ambient)
 
     def record(
         self, duration: float, *, name: str = "emulated", details: dict[str, str] | None = None

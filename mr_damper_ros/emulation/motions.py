@@ -29,31 +29,10 @@ class Excitation(Protocol):
         """Kinematics at the times [s], shape (n,)."""
 
 
-def _require_positive(**values: float) -> None:
-    for name, value in values.items():
-        if not (math.isfinite(value) and value > 0.0):
-            raise ExcitationError(f"the {name.replace('_', ' ')} is {value}: it must be positive")
-
-
-@dataclass(frozen=True)
-class SineMotion:
-    """A sine of ``amplitude`` [m], ``frequency`` [Hz] and ``phase`` [rad] about zero.
-
-    Raises ExcitationError if a value is out of range.
-    """
+class SineMotion(Sine):
+    """A sine about zero."""
 
     centre = 0.0
-
-    amplitude: float
-    frequency: float
-    phase: float = 0.0
-
-    def __post_init__(self) -> None:
-        _require_positive(amplitude=self.amplitude, frequency=self.frequency)
-
-    def at(self, time: Array) -> Kinematics:
-        """Kinematics at the times [s], shape (n,)."""
-        return Sine(self.amplitude, self.frequency, self.phase).at(time)
 
 
 class SampledMotion:
@@ -67,7 +46,6 @@ class SampledMotion:
         """Samples [m] of shape (n,), n >= 4, ``period`` [s] apart; raises ExcitationError."""
         from scipy.interpolate import CubicSpline  # imported late: see entry_points
 
-        _require_positive(period=period)
         samples = np.array(displacement, dtype=np.float64)
         if samples.ndim != 1 or samples.size < 4 or not np.isfinite(samples).all():
             raise ExcitationError("the motion needs at least four finite samples of displacement")

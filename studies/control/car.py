@@ -460,7 +460,7 @@ def _shown(drives: Drives) -> list[str]:
 
 # -- while the damper heats ------------------------------------------------------------------------
 
-_THERMAL = ThermalModel(capacity=215.0)
+_THERMAL = ThermalModel(heat_capacity=215.0)
 """Half of the usual heat capacity, which permits a short drive."""
 
 _DAMPING = 2500.0

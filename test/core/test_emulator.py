@@ -12,17 +12,16 @@ from mr_damper_ros.emulation.emulator import (
     CurrentSchedule,
     EmulatedDamper,
     EmulatedRig,
-    EmulatorError,
     RigSettings,
     ThermalModel,
 )
 from mr_damper_ros.emulation.faults import fault_of
-from mr_damper_ros.emulation.motions import Excitation, ExcitationError, SampledMotion, SineMotion
+from mr_damper_ros.emulation.motions import Excitation, SampledMotion, SineMotion
 from mr_damper_ros.models.published import LITERATURE, THESIS_28_CELSIUS, THESIS_71_CELSIUS
 
 SINE = SineMotion(0.005, 1.0, phase=0.3)
 SILENT = RigSettings(force_noise=0.0)
-THERMAL = ThermalModel(capacity=20.0)
+THERMAL = ThermalModel(heat_capacity=20.0)
 
 MOTIONS = [
     pytest.param(SineMotion(0.005, 3.0, phase=4.481), id="sine"),
@@ -75,7 +74,7 @@ def test_the_size_of_the_blocks_does_not_change_the_stream(sizes: list[int]) -> 
 
 def test_the_heat_balance_closes() -> None:
     # Without convection all the work of the stroke heats the damper.
-    thermal = ThermalModel(capacity=100.0, conductance=0.0)
+    thermal = ThermalModel(heat_capacity=100.0, conductance=0.0)
     rig = EmulatedRig(
         EmulatedDamper(THESIS_28_CELSIUS), SINE, 1.5, settings=SILENT, thermal=thermal
     )
@@ -90,14 +89,11 @@ def test_the_heat_balance_closes() -> None:
 @pytest.mark.parametrize(
     ("make", "sentence"),
     [
-        (lambda: SineMotion(0.0, 1.0), "the amplitude is 0.0: it must be positive"),
-        (lambda: SineMotion(0.005, float("nan")), "the frequency is nan"),
-        (lambda: SineMotion(0.005, 1.0, offset=0.01), "unexpected keyword"),  # type: ignore[call-arg]
         (lambda: SampledMotion(np.array([0.0, 1.0, np.nan, 0.0]), 0.01), "four finite samples"),
-        (lambda: RigSettings(sample_rate=0.0), "sample rate"),
-        (lambda: RigSettings(force_noise=-1.0), "the force noise is -1.0"),
-        (lambda: ThermalModel(capacity=0.0), "the heat capacity is 0.0"),
-        (lambda: ThermalModel(conductance=-1.0), "must not be negative"),
+        (lambda: RigSettings(sample_rate=0.0), "sample_rate must be from 1"),
+        (lambda: RigSettings(force_noise=-1.0), "force_noise must be from 0"),
+        (lambda: ThermalModel(heat_capacity=0.0), "heat_capacity must be from"),
+        (lambda: ThermalModel(conductance=-1.0), "conductance must be from 0"),
         (lambda: CurrentSchedule((), ()), "give equal numbers of both"),
         (lambda: CurrentSchedule((1.0, 0.0), (0.0, 1.0)), "must increase"),
         (lambda: CurrentSchedule.constant(float("nan")), "not finite"),
@@ -105,5 +101,5 @@ def test_the_heat_balance_closes() -> None:
     ],
 )
 def test_settings_out_of_range_are_refused(make: Any, sentence: str) -> None:
-    with pytest.raises((EmulatorError, ExcitationError, TypeError), match=sentence):
+    with pytest.raises(ValueError, match=sentence):
         make()

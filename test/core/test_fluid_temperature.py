@@ -235,7 +235,7 @@ def heated(current: float = 1.5, *, thermometer: bool = True) -> Recording:
         EmulatedDamper(THESIS_28_CELSIUS, THESIS_71_CELSIUS),
         SineMotion(5e-3, 1.0),
         current,
-        thermal=ThermalModel(capacity=25.0, conductance=0.0),
+        thermal=ThermalModel(heat_capacity=25.0, conductance=0.0),
     )
     recording = rig.record(50.0)
     return recording if thermometer else replace(recording, temperature=None)

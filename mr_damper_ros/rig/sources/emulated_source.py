@@ -37,7 +37,7 @@ from mr_damper_ros.models.published import (
 )
 from mr_damper_ros.rig.commander import CommandSettings, CurrentCommander, MotionCommander, Origin
 from mr_damper_ros.rig.sources.source import Source
-from mr_damper_ros.settings.option_table import ParameterTable, option, with_default
+from mr_damper_ros.settings.option_table import ParameterTable, group, option, with_default
 from mr_damper_ros.signals.blocks import RigBlock, SuspensionState
 
 MOST_CURRENT = 10.0
@@ -72,25 +72,7 @@ class _RigOptions(ParameterTable):
         "current.",
         within=(0.0, 1.0),
     )
-    force_noise: float = option(
-        5.53,
-        "Standard deviation of the force noise [N]; 5.53 is the residual error reported in "
-        "the thesis.",
-        within=(0.0, 1e6),
-    )
-    displacement_noise: float = option(
-        0.0, "Standard deviation [m] of the displacement noise.", within=(0.0, 0.1)
-    )
-    sample_rate: float = option(1000.0, "Samples per second [Hz].", within=(1.0, 100_000.0))
-    initial_temperature: float = option(
-        28.0, "Temperature of the damper at the start [°C].", within=(-50.0, 200.0)
-    )
-    heat_capacity: float = option(
-        430.0,
-        "Heat capacity of the damper [J/K], which absorbs the dissipated power. With a smaller "
-        "value, the damper heats up faster.",
-        within=(0.1, 1e6),
-    )
+    rig: RigSettings = group(RigSettings, flat=True)
     seed: int = option(
         0, "Seed of noise and road; the same seed gives the same samples.", within=(0, 2**31 - 1)
     )
@@ -142,13 +124,7 @@ class EmulatedOptions(_RigOptions):
         "Largest peak velocity [m/s] of a commanded motion; larger commands are rejected.",
         within=(1e-6, 10.0),
     )
-    ambient_temperature: float = option(
-        22.0,
-        "Ambient temperature [°C]. It can be changed while the rig runs.",
-        within=(-50.0, 200.0),
-        read_only=False,
-    )
-    conductance: float = option(0.5, "Heat loss to the air [W/K]; 0.0: none.", within=(0.0, 1e4))
+    thermal: ThermalModel = group(ThermalModel, flat=True)
     faults: str = option(
         "",
         "Faults, as name[:value][@begin[-end]] with times in seconds since the start, "
@@ -193,14 +169,7 @@ class _EmulatedSupply(Source):
         return CurrentCommander(limits, given.current)
 
     def _rig(self, start_ns: int) -> RigSettings:
-        given = self.settings
-        return RigSettings(
-            sample_rate=given.sample_rate,
-            force_noise=given.force_noise,
-            displacement_noise=given.displacement_noise,
-            seed=given.seed,
-            start_ns=start_ns,
-        )
+        return replace(self.settings.rig, seed=self.settings.seed, start_ns=start_ns)
 
     def close(self) -> None:
         """Discard the commanders."""
@@ -239,12 +208,7 @@ class EmulatedSource(_EmulatedSupply):
             supply,
             settings=settings,
             faults=faults,
-            thermal=ThermalModel(
-                ambient=given.ambient_temperature,
-                initial=given.initial_temperature,
-                capacity=given.heat_capacity,
-                conductance=given.conductance,
-            ),
+            thermal=given.thermal,
             coil_time_constant=given.coil_time_constant,
         )
         motion: CommandedMotion | None = None
@@ -252,7 +216,7 @@ class EmulatedSource(_EmulatedSupply):
         while True:
             now = time.monotonic()
             supply.set(taken * settings.period, commander.step(now))
-            rig.set_ambient(self.settings.ambient_temperature)
+            rig.set_ambient(self.settings.thermal.ambient_temperature)
             rig.live = commander.origin(now) is not Origin.HAND or mover.commanded
             if mover.commanded:
                 # Up to one chunk of samples may already have been computed ahead.
@@ -303,6 +267,12 @@ _CAR = QuarterCar()
 
 
 @dataclass(frozen=True)
+class _CarSettings(RigSettings):
+    displacement_noise: float = with_default(RigSettings, "displacement_noise", 1e-6)
+    sample_rate: float = option(1000.0, "Samples per second [Hz].", within=(200.0, 10_000.0))
+
+
+@dataclass(frozen=True)
 class QuarterCarOptions(_RigOptions):
     """The emulated quarter car of ``source: quarter_car``."""
 
@@ -321,8 +291,9 @@ class QuarterCarOptions(_RigOptions):
     hot_force: float = with_default(_RigOptions, "hot_force", HOT_FORCE)
     current: float = with_default(_RigOptions, "current", 0.0)
     coil_time_constant: float = with_default(_RigOptions, "coil_time_constant", 0.01)
-    displacement_noise: float = with_default(_RigOptions, "displacement_noise", 1e-6)
-    sample_rate: float = option(1000.0, "Samples per second [Hz].", within=(200.0, 10_000.0))
+    rig: _CarSettings = group(_CarSettings, flat=True)
+    initial_temperature: float = with_default(ThermalModel, "initial_temperature", 28.0)
+    heat_capacity: float = with_default(ThermalModel, "heat_capacity", 430.0)
 
 
 class QuarterCarSource(_EmulatedSupply):
@@ -357,13 +328,15 @@ class QuarterCarSource(_EmulatedSupply):
             road,
             supply,
             settings=self._rig(start_ns),
-            thermal=ThermalModel(initial=given.initial_temperature, capacity=given.heat_capacity),
+            thermal=ThermalModel(
+                initial_temperature=given.initial_temperature, heat_capacity=given.heat_capacity
+            ),
             coil_time_constant=given.coil_time_constant,
             substeps=2,
         )
         taken = 0
         while True:
-            supply.set(taken / given.sample_rate, self.commander.step(time.monotonic()))
+            supply.set(taken * rig.settings.period, self.commander.step(time.monotonic()))
             made = rig.next_block(self.stream.block_size)
             taken += self.stream.block_size
             yield replace(made, suspension=suspension_state_of(rig))
