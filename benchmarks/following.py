@@ -126,14 +126,14 @@ def _thermal_model(duration: float) -> ThermalModel:
 
     def excess(capacity: float) -> float:
         model = heating(capacity)
-        celsius, steps = model.initial, 1000
+        celsius, steps = model.initial_temperature, 1000
         for _ in range(steps):
             warm = (celsius - COLD) / (HOT - COLD)
             power = powers[0] + warm * (powers[1] - powers[0])
             celsius = model.after(celsius, power, duration / steps)
         return celsius - HOT
 
-    return heating(brentq(excess, 1e-3, 1e5))
+    return heating(brentq(excess, 0.1, 1e5))
 
 
 def _true_loop(run: Recording, part: slice) -> Array:
