@@ -75,7 +75,7 @@ def _run(name: str) -> int:
     # Nothing needs an orderly shutdown yet, so the process may exit during an import.
     _end_at_once(_SIGNALS, 0)
     if os.environ.get("MR_DAMPER_STARTER") == str(os.getppid()):
-        from mr_damper_ros.processes.child_process import request_signal_at_death
+        from mr_damper_ros.processes.worker import request_signal_at_death
 
         request_signal_at_death(signal.SIGTERM)
     if name not in _WORK:

@@ -11,8 +11,8 @@ from contextlib import contextmanager
 from typing import Any
 
 _lock = threading.Lock()
-_users = 0
-_limits: Any = None
+_limits: list[Any] = []
+"""The limit of this process, once for each of its present users."""
 
 
 @contextmanager
@@ -22,18 +22,15 @@ def one_thread() -> Iterator[None]:
     The process gets its BLAS threads back when the last such context of any Python thread ends.
     """
     _load()
-    global _users, _limits
     with _lock:
-        if _users == 0:
-            _limits = _limited()
-        _users += 1
+        _limits.append(_limits[0] if _limits else _limited())
     try:
         yield
     finally:
         with _lock:
-            _users -= 1
-            if _users == 0:
-                _limits.restore_original_limits()
+            limit = _limits.pop()
+            if not _limits:
+                limit.restore_original_limits()
 
 
 def keep_one_thread(*, with_scipy: bool = True) -> None:

@@ -120,7 +120,7 @@ def _processors() -> int:
 
 
 PATIENCE = 60.0
-"""Deadline [s] for waiting; generous, for a loaded machine."""
+"""Deadline [s] for the start or end of a process; generous, for a loaded machine."""
 
 
 class ProgramError(RuntimeError):

@@ -1,26 +1,30 @@
 """Supervised worker processes for long computations, during which the node continues to receive.
 
-A process is a new interpreter that loads only the module of its tasks
-(:mod:`mr_damper_ros.processes.child_process`). Tasks and answers are pickles over a private socket
-pair.
+A process is a new interpreter that loads only the module of its tasks, not a fork, because DDS
+threads do not survive a fork. It finds the modules of its parent, but none in the working directory
+of the program. Tasks and answers are pickles over a private socket pair.
 
 - A worker that dies is replaced at once, and the interrupted task is tried once more. A worker
   without a sign of life (stopped, or hanging in a C function) is treated like a dead one.
 - A task that exceeds its time budget is asked to stop and return its present result. If the worker
   does not answer, it is killed and replaced, and the task has failed.
-- The worker ends with its parent, even if the parent is killed.
+- Ctrl-C, which goes to all processes of a terminal, is left to the parent. The worker ends with its
+  parent, even if the parent is killed.
 """
 
 from __future__ import annotations
 
 import contextlib
+import ctypes
 import itertools
 import math
 import os
 import pickle
 import queue
+import signal
 import socket
 import subprocess
+import sys
 import threading
 import time
 from collections import deque
@@ -30,15 +34,12 @@ from importlib import import_module
 from multiprocessing.connection import Connection
 from typing import Any
 
-from mr_damper_ros.processes import child_process
 from mr_damper_ros.processes.blas_threads import keep_one_thread, one_thread
 from mr_damper_ros.processes.files import reason_of
+from mr_damper_ros.processes.programs import PATIENCE
 
 _GRACE = 1.0
 """Time [s] that a task has to stop after it was asked to."""
-
-_START_LIMIT = 60.0
-"""Time [s] after which a process that has not become ready counts as dead."""
 
 _BEAT = 0.25
 """Seconds between two signs of life of a worker, also during a task."""
@@ -52,6 +53,41 @@ itself was delayed, perhaps with the whole computer, it could not read the signs
 
 _RESTART_PAUSE = 1.0
 """Time [s] between two starts if the process does not become ready."""
+
+_PR_SET_PDEATHSIG = 1
+
+_START = (
+    "import sys; count, *rest = sys.argv[1:]; "
+    "sys.path[:] = rest[int(count):]; del rest[int(count):]; "
+    f"from {__name__} import _run; _run(*rest)"
+)
+
+
+def child_command(function: Callable[..., object], *arguments: str) -> list[str]:
+    """Command line of a child that calls ``function(*arguments)``, a function of a module.
+
+    Start the child in its own session.
+    """
+    call = [str(os.getpid()), function.__module__, function.__qualname__, *arguments]
+    paths = map(os.path.abspath, sys.path)
+    # Isolated: only the given import paths count, not the environment.
+    return [sys.executable, "-I", "-c", _START, str(len(call)), *call, *paths]
+
+
+def request_signal_at_death(number: signal.Signals) -> None:
+    """Let this process receive a signal when its parent dies, for whatever reason (Linux)."""
+    if sys.platform == "linux":
+        with contextlib.suppress(OSError):
+            ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, number)
+
+
+def _run(parent: str, module: str, function: str, *arguments: str) -> None:
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    request_signal_at_death(signal.SIGKILL)
+    # The parent may have died before.
+    if os.getppid() != int(parent):
+        os._exit(1)
+    getattr(import_module(module), function)(*arguments)
 
 
 @dataclass(frozen=True)
@@ -140,7 +176,7 @@ class _Process:
         ours, theirs = socket.socketpair()
         with theirs:
             self._child = subprocess.Popen(
-                child_process.command(serve, str(theirs.fileno()), modules),
+                child_command(serve, str(theirs.fileno()), modules),
                 stdin=subprocess.DEVNULL,
                 pass_fds=[theirs.fileno()],
                 # Ctrl-C goes to the whole group of the terminal; the worker must not receive it.
@@ -196,8 +232,8 @@ class _Process:
             elif self.task is not None and message != _ALIVE:
                 self.task.outcomes.append(message)
                 self.task = self.task if isinstance(message, Progress) else None
-        if not self.ready and now - self.started > _START_LIMIT:
-            return ChildProcessError(f"the worker did not start within {_START_LIMIT:g} s")
+        if not self.ready and now - self.started > PATIENCE:
+            return ChildProcessError(f"the worker did not start within {PATIENCE:g} s")
         if self.ready and self._silence > silence_limit:
             return ChildProcessError("the worker process hangs")
         task = self.task

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 
 from mr_damper_ros.estimation.differential_evolution import EvolutionSettings, GlobalProgress
 from mr_damper_ros.models.parameter_set import ParameterSet
-from mr_damper_ros.processes.deferred import Outbox
+from mr_damper_ros.processes.files import Outbox
 from mr_damper_ros.processes.worker import Failed, Progress, TaskRunner
 from mr_damper_ros.settings.option_table import CheckedSettings, option
 from mr_damper_ros.signals.blocks import SampleBlock

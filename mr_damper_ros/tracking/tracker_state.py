@@ -25,8 +25,7 @@ from mr_damper_ros.kinematics.window import Window
 from mr_damper_ros.models.force_model import Model
 from mr_damper_ros.models.parameter_set import ParameterError, ParameterSet
 from mr_damper_ros.models.plausibility import implausible
-from mr_damper_ros.processes.deferred import BackgroundWriter
-from mr_damper_ros.processes.files import FolderLock
+from mr_damper_ros.processes.files import BackgroundWriter, FolderLock
 from mr_damper_ros.signals.arrays import Array
 from mr_damper_ros.tracking.force_scale import is_plausible
 from mr_damper_ros.tracking.operating_point import KnownPoints, nearest_same

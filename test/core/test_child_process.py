@@ -11,14 +11,14 @@ import pool_tasks
 import pytest
 from fresh_python import said
 
-from mr_damper_ros.processes import child_process
 from mr_damper_ros.processes.programs import Program, ProgramError, RosDomain, node_arguments
+from mr_damper_ros.processes.worker import child_command
 
 PATIENCE = 30.0
 
 
 def output(function: Callable[..., object], *arguments: str) -> str:
-    return said(*child_process.command(function, *arguments))
+    return said(*child_command(function, *arguments))
 
 
 def test_a_function_is_called_with_its_arguments() -> None:
@@ -54,7 +54,7 @@ def test_processes_of_a_pool_do_not_read_the_program(tmp_path: Path) -> None:
 
 
 def test_an_interrupt_of_the_terminal_is_not_heeded() -> None:
-    command = child_process.command(pool_tasks.answering)
+    command = child_command(pool_tasks.answering)
     with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE) as child:
         assert child.stdout.readline() == b"ready\n"
         child.send_signal(signal.SIGINT)
@@ -64,7 +64,7 @@ def test_an_interrupt_of_the_terminal_is_not_heeded() -> None:
 
 
 def test_one_whose_parent_has_died_before_ends_at_once() -> None:
-    command = child_process.command(pool_tasks.told)
+    command = child_command(pool_tasks.told)
     nobody = [str(os.getpid() + 1) if part == str(os.getpid()) else part for part in command]
     done = subprocess.run(nobody, capture_output=True, timeout=PATIENCE, check=False)
     assert (done.returncode, done.stdout) == (1, b"")

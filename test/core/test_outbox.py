@@ -4,7 +4,7 @@ import threading
 
 from waiting import SetClock
 
-from mr_damper_ros.processes.deferred import BackgroundWriter, Outbox
+from mr_damper_ros.processes.files import BackgroundWriter, Outbox
 
 
 def filled(clock: SetClock) -> Outbox[str]:
