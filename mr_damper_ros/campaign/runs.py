@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import csv
-import io
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from enum import Enum, auto
 from pathlib import Path
 from typing import NamedTuple
@@ -16,6 +14,7 @@ from mr_damper_ros.estimation.planned_run import MachineLimits, PlannedRun
 from mr_damper_ros.kinematics.periodic_motion import MotionKind, PeriodicMotion, RepeatedMatch
 from mr_damper_ros.kinematics.window import Window
 from mr_damper_ros.processes.files import write_text
+from mr_damper_ros.report.document import csv_text
 from mr_damper_ros.settings.option_table import CheckedSettings, option
 from mr_damper_ros.signals.arrays import Array
 from mr_damper_ros.signals.blocks import NANOSECONDS, SampleBlock, ZeroOrderHold
@@ -268,12 +267,8 @@ def signal(run: PlannedRun, sample_rate: float) -> tuple[Array, Array, Array]:
 
 def write_signal(run: PlannedRun, path: Path, sample_rate: float = 1000.0) -> None:
     """Write the samples of a run as CSV with units in the header. Raises OSError."""
-    text = io.StringIO()
-    writer = csv.writer(text, lineterminator="\n")
-    writer.writerow(COLUMNS)
-    for row in zip(*signal(run, sample_rate), strict=True):
-        writer.writerow([f"{value:.9g}" for value in row])
-    write_text(path, text.getvalue())
+    rows = zip(*signal(run, sample_rate), strict=True)
+    write_text(path, csv_text(COLUMNS, ([f"{value:.9g}" for value in row] for row in rows)))
 
 
 _STARTS_PER_CYCLE = 8
@@ -330,15 +325,7 @@ def cut_run(run: PlannedRun, recording: Recording) -> Recording:
             f"{500.0 * np.ptp(displacement):.3g} mm, its duration {recording.duration:.3g} s, and "
             f"its current {np.median(recording.current):.3g} A{off}"
         )
-    part, celsius = slice(best, best + count), recording.temperature
-    return replace(
-        recording,
-        start_ns=recording.stamp_ns(best),
-        displacement=displacement[part],
-        force=recording.force[part],
-        current=recording.current[part],
-        temperature=None if celsius is None else celsius[part],
-    )
+    return recording.part(slice(best, best + count))
 
 
 def run_as_made(recording: Recording) -> PlannedRun:

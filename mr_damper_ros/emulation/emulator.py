@@ -42,10 +42,6 @@ This number is fixed, so that the samples do not depend on the block size.
 """
 
 
-class EmulatorError(ValueError):
-    """Invalid settings of the emulated rig; the message says what to change."""
-
-
 def scaled(parameters: Array, factor: float) -> Array:
     """Parameters (16,) of a damper with ``factor`` times the force of ``parameters``."""
     values = np.array(parameters, dtype=np.float64)
@@ -152,7 +148,7 @@ class CurrentSchedule:
 
     The first value also holds before its time.
 
-    Raises EmulatorError if the schedule is empty, the times do not increase, or a value is not
+    Raises ValueError if the schedule is empty, the times do not increase, or a value is not
     finite.
     """
 
@@ -161,14 +157,14 @@ class CurrentSchedule:
 
     def __post_init__(self) -> None:
         if len(self.times) == 0 or len(self.times) != len(self.currents):
-            raise EmulatorError(
+            raise ValueError(
                 f"the current's schedule has {len(self.times)} times and {len(self.currents)} "
                 "currents: give equal numbers of both, and at least one"
             )
         if not np.isfinite([*self.times, *self.currents]).all():
-            raise EmulatorError("the current's schedule holds a value that is not finite")
+            raise ValueError("the current's schedule holds a value that is not finite")
         if not (np.diff(self.times) > 0.0).all():
-            raise EmulatorError("the times of the current's schedule must increase")
+            raise ValueError("the times of the current's schedule must increase")
 
     @classmethod
     def constant(cls, current: float) -> CurrentSchedule:
@@ -288,9 +284,9 @@ class MeasuredRig(ABC):
         """True quantities of the last block of a plant."""
 
     def next_block(self, count: int) -> RigBlock:
-        """The next ``count`` samples; raises EmulatorError if ``count`` is less than one."""
+        """The next ``count`` samples; raises ValueError if ``count`` is less than one."""
         if count < 1:
-            raise EmulatorError(f"{count} samples were requested: request at least one")
+            raise ValueError(f"{count} samples were requested: request at least one")
         parts, first = [self._ready], self._taken
         self._taken += count
         while self._made < self._taken:
@@ -394,7 +390,7 @@ class EmulatedRig(MeasuredRig):
     ) -> Recording:
         """The next ``duration`` [s] as a recording.
 
-        Raises EmulatorError if the duration holds no sample.
+        Raises ValueError if the duration holds no sample.
         """
         block = self.next_block(round(duration * self.settings.sample_rate))
         return Recording(

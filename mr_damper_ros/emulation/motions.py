@@ -14,10 +14,6 @@ from mr_damper_ros.kinematics.periodic_motion import Kinematics, MotionKind, Per
 from mr_damper_ros.signals.arrays import Array
 
 
-class ExcitationError(ValueError):
-    """An invalid motion; the message says what to change."""
-
-
 class Excitation(Protocol):
     """A motion as a function of time about ``centre`` [m]."""
 
@@ -43,12 +39,12 @@ class SampledMotion:
     """
 
     def __init__(self, displacement: Array, period: float) -> None:
-        """Samples [m] of shape (n,), n >= 4, ``period`` [s] apart; raises ExcitationError."""
+        """Samples [m] of shape (n,), n >= 4, ``period`` [s] apart; raises ValueError."""
         from scipy.interpolate import CubicSpline  # imported late: see entry_points
 
         samples = np.array(displacement, dtype=np.float64)
         if samples.ndim != 1 or samples.size < 4 or not np.isfinite(samples).all():
-            raise ExcitationError("the motion needs at least four finite samples of displacement")
+            raise ValueError("the motion needs at least four finite samples of displacement")
         self.centre = float(np.mean(samples))
         self._end = (samples.size - 1) * period
         self._spline = CubicSpline(np.arange(samples.size) * period, samples, bc_type="clamped")

@@ -30,10 +30,6 @@ _FOOTER_SIZE = 20
 _PIECE = 1 << 20
 
 
-class ChecksumError(ValueError):
-    """A file is damaged."""
-
-
 class OversizedError(ValueError):
     """The unpacked size of a file exceeds the limit."""
 
@@ -50,7 +46,7 @@ def add_checksums(path: Path) -> None:
 def check_mcap(path: Path, maximum_bytes: int | None = None) -> None:
     """Check the checksums of a file and its unpacked size, which compressed chunks may misstate.
 
-    Raises OversizedError if the unpacked size exceeds ``maximum_bytes``, ChecksumError if a
+    Raises OversizedError if the unpacked size exceeds ``maximum_bytes``, ValueError if a
     checksum or a size is wrong, and other exceptions for other damage.
     """
     with path.open("rb") as file:
@@ -61,7 +57,7 @@ def check_mcap(path: Path, maximum_bytes: int | None = None) -> None:
         for what, place, start, stop in _sections(file):
             expected = _number(file, place, 4)
             if expected and expected != _crc(file, start, stop):
-                raise ChecksumError(f"the checksum of its {what} is wrong")
+                raise ValueError(f"the checksum of its {what} is wrong")
         for start in chunks:
             _check_size(file, start)
 
@@ -77,7 +73,7 @@ def _chunks(file: BinaryIO) -> Iterator[int]:
         if operation == _CHUNK:
             yield start
     if position != end:
-        raise ChecksumError("it ends within a record")
+        raise ValueError("it ends within a record")
 
 
 def _sections(file: BinaryIO) -> Iterator[tuple[str, int, int, int]]:
@@ -90,13 +86,13 @@ def _sections(file: BinaryIO) -> Iterator[tuple[str, int, int, int]]:
     end = summary - len(_END_OF_DATA) - 4
     file.seek(max(end, 0))
     if file.read(len(_END_OF_DATA)) != _END_OF_DATA:
-        raise ChecksumError("the end of its data is missing")
+        raise ValueError("the end of its data is missing")
     yield "data section", summary - 4, 0, end
     yield "summary", footer + 16, summary, footer + 16
 
 
 def _check_size(file: BinaryIO, start: int) -> None:
-    """Raise ChecksumError if a compressed chunk does not unpack to its stated size."""
+    """Raise ValueError if a compressed chunk does not unpack to its stated size."""
     name_size = _number(file, start + 28, 4)
     if name_size == 0:
         return
@@ -113,7 +109,7 @@ def _check_size(file: BinaryIO, start: int) -> None:
         left -= len(piece)
         packed = b""
     if left != 0 or not unpacker.eof or unpacker.unused_data:
-        raise ChecksumError("a chunk does not unpack to its stated size")
+        raise ValueError("a chunk does not unpack to its stated size")
 
 
 def _crc(file: BinaryIO, start: int, stop: int) -> int:
@@ -122,7 +118,7 @@ def _crc(file: BinaryIO, start: int, stop: int) -> int:
     while start < stop:
         piece = file.read(min(_PIECE, stop - start))
         if not piece:
-            raise ChecksumError("it is cut off")
+            raise ValueError("it is cut off")
         crc, start = crc32(piece, crc), start + len(piece)
     return crc
 

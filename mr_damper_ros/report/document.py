@@ -8,7 +8,7 @@ import html
 import io
 import math
 import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -187,11 +187,16 @@ def to_error(value: float, error: float) -> str:
 
 def write_table(folder: Path, table: Table) -> None:
     """Write a table as CSV with full precision."""
+    write_text(folder / f"{table.name}.csv", csv_text(table.columns, table.rows))
+
+
+def csv_text(columns: Sequence[str], rows: Iterable[Sequence[Cell]]) -> str:
+    """A table as CSV."""
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
-    writer.writerow(table.columns)
-    writer.writerows(table.rows)
-    write_text(folder / f"{table.name}.csv", text.getvalue())
+    writer.writerow(columns)
+    writer.writerows(rows)
+    return text.getvalue()
 
 
 def write_picture(folder: Path, picture: Picture) -> bytes:

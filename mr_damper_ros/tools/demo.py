@@ -38,10 +38,6 @@ _LOOK = 0.2
 """Time [s] between two checks that all nodes are still running."""
 
 
-class DemoError(ValueError):
-    """The demonstration cannot continue, because a node is missing or has failed."""
-
-
 def _options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--live", action="store_true", help="serve the page until Ctrl-C")
     parser.add_argument(
@@ -78,14 +74,16 @@ def _demo(options: argparse.Namespace) -> int:
         while not set(_NODES) <= set(heard.observer.node.get_node_names()):
             check_running(running)
             if time.monotonic() > deadline:
-                raise DemoError(f"{' and '.join(_NODES)} did not start within {_START_LIMIT:.0f} s")
+                raise ValueError(
+                    f"{' and '.join(_NODES)} did not start within {_START_LIMIT:.0f} s"
+                )
             heard.observer.spin_once()
         running["replay"] = stack.enter_context(
             closing(start_node("replay", bag=bag, rate=options.rate, wait_for_subscribers=3))
         )
         heard.receive(running)
     if not heard.sets or not heard.reports:
-        raise DemoError("no window was identified: see the messages of the nodes above")
+        raise ValueError("no window was identified: see the messages of the nodes above")
     from mr_damper_ros.nodes.messages import parameter_set
 
     found = parameter_set(heard.sets[-1])
@@ -131,26 +129,26 @@ def _own_domain() -> Iterator[ExitStack]:
 
 
 def start_node(name: str, **parameters: object) -> Program:
-    """Start a node of this installation; raises DemoError if the package is not built."""
+    """Start a node of this installation; raises ValueError if the package is not built."""
     path = Path(sys.argv[0]).resolve().parent / name
     if not path.exists():
-        raise DemoError(f"{path} does not exist: build the package with `make setup`")
+        raise ValueError(f"{path} does not exist: build the package with `make setup`")
     return Program([str(path), *node_arguments(parameters)])
 
 
 def check_running(running: Mapping[str, Program]) -> None:
-    """Raise DemoError if a node has failed, with the end of its output."""
+    """Raise ValueError if a node has failed, with the end of its output."""
     for name, node in running.items():
         if node.exit_code:
-            raise DemoError(f"{name} ended with code {node.exit_code}: {node.last_words}")
+            raise ValueError(f"{name} ended with code {node.exit_code}: {node.last_words}")
 
 
 def page_of(live: Program) -> str:
-    """Address of the page that the live node serves; raises DemoError if it serves none."""
+    """Address of the page that the live node serves; raises ValueError if it serves none."""
     try:
         live.wait_for_log("the page is at")
     except ProgramError as error:
-        raise DemoError(live.last_words) from error
+        raise ValueError(live.last_words) from error
     found = re.search(r"the page is at (\S+)", live.log)
     assert found
     return found[1]
@@ -181,18 +179,18 @@ class _Messages:
         )
 
     def receive(self, running: Mapping[str, Program]) -> None:
-        """Receive until the bag has ended and the identifier has finished. Raises DemoError."""
+        """Receive until the bag has ended and the identifier has finished. Raises ValueError."""
         print("\nwindow        validation samples: before -> after the fit")
         while running["replay"].running or time.monotonic() - self._last < _SETTLE:
             check_running(running)
             self.observer.spin_once()
 
     def predicted(self, recording: Recording) -> Comparison:
-        """The force that was predicted during the run. Raises DemoError."""
+        """The force that was predicted during the run. Raises ValueError."""
         samples = {message.seq: message for message in self.samples}
         forces = {m.seq: m.force for m in self.forces if m.valid and m.seq in samples}
         if not forces:
-            raise DemoError("the model node predicted no valid force: see /diagnostics")
+            raise ValueError("the model node predicted no valid force: see /diagnostics")
         numbers, period = sorted(forces), recording.period
         moved, measured = (
             np.concatenate([getattr(samples[seq], name) for seq in numbers])

@@ -32,8 +32,7 @@ from typing import Any
 import numpy as np
 from scipy.linalg import expm, solve_continuous_are
 
-from mr_damper_ros.control.fallback import FallbackSettings
-from mr_damper_ros.control.force_controller import ForceControlSettings
+from mr_damper_ros.control.force_controller import FallbackSettings, ForceControlSettings
 from mr_damper_ros.control.linear_plant import LinearPlant
 from mr_damper_ros.control.semi_active import regulator_gain
 from mr_damper_ros.emulation.commanded_rig import Choice, ForceChoice, commanded

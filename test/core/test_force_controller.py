@@ -10,9 +10,10 @@ import pytest
 from known import EXAMPLES, PLAUSIBLE, T0
 from random_motion import BandLimitedRandom
 
-from mr_damper_ros.control.fallback import Fallback, FallbackSettings
 from mr_damper_ros.control.force_controller import (
     Command,
+    Fallback,
+    FallbackSettings,
     FeedbackSettings,
     ForceController,
     ForceControlSettings,

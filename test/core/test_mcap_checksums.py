@@ -11,7 +11,7 @@ from backports import zstd
 from benchmarks.hostile import checksum_places
 from mr_damper_ros.io.bag_reader import BagError, check_bag_files, read_bag
 from mr_damper_ros.io.bag_writer import write_bag
-from mr_damper_ros.io.mcap_checksums import ChecksumError, OversizedError, add_checksums, check_mcap
+from mr_damper_ros.io.mcap_checksums import OversizedError, add_checksums, check_mcap
 from mr_damper_ros.signals.recording import Recording
 
 CHUNK = 0x06
@@ -105,7 +105,7 @@ def test_the_size_of_a_chunk_is_the_one_it_says(bag: Path, size: int) -> None:
     packed(bag / "bag.mcap", bytes(3_000_000), 3_000_000)
     check_mcap(bag / "bag.mcap")
     packed(bag / "bag.mcap", bytes(3_000_000), size)
-    with pytest.raises(ChecksumError, match="a chunk does not unpack to its stated size"):
+    with pytest.raises(ValueError, match="a chunk does not unpack to its stated size"):
         check_mcap(bag / "bag.mcap")
 
 

@@ -22,7 +22,6 @@ from mr_damper_ros.rig.supplies.scpi_link import (
     connect,
 )
 from mr_damper_ros.rig.supplies.supply import (
-    ProfileError,
     ScpiSupply,
     SupplyDrive,
     SupplyError,
@@ -172,12 +171,12 @@ def test_it_complains_in_a_queue_that_overflows(instrument: EmulatedInstrument) 
 def test_a_profile_that_cannot_be_used_is_refused(tmp_path: Path, text: str, part: str) -> None:
     path = tmp_path / "mine.yaml"
     path.write_text(text, encoding="utf-8")
-    with pytest.raises(ProfileError, match=part):
+    with pytest.raises(ValueError, match=part):
         read_profile(str(path))
 
 
 def test_a_profile_that_is_not_there_is_answered_with_those_that_are() -> None:
-    with pytest.raises(ProfileError, match="emulated, keysight_n7900, scpi"):
+    with pytest.raises(ValueError, match="emulated, keysight_n7900, scpi"):
         read_profile("mine")
 
 

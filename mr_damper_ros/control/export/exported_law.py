@@ -12,16 +12,12 @@ from mr_damper_ros.kinematics.observer import (
     possible_bandwidths,
     settling_samples,
 )
-from mr_damper_ros.models.parameter_set import ParameterSet, UserError
+from mr_damper_ros.models.parameter_set import ParameterSet
 from mr_damper_ros.settings.option_table import CheckedSettings, option
 from mr_damper_ros.signals.arrays import Array
 
 _SATURATED, _BEYOND = 0.1, 1e4
 """Fraction of the test vectors with extreme values, and the factor on these values."""
-
-
-class ExportError(UserError):
-    """A set cannot be exported; the message gives the reason and what to change."""
 
 
 @dataclass(frozen=True)
@@ -46,28 +42,26 @@ class ExportedLaw:
     ``constants`` are the parameters by name. The observer has the state matrix ``observer`` (4, 4)
     and the input vector ``observer_gain`` (4,); it settles within ``settling`` samples. ``nodes``
     [A] are the nodes of the inverse. ``held``: range [m/s] to which v_m is limited. Raises
-    ExportError if the model has no formulas or the settings are invalid.
+    ValueError if the model has no formulas or the settings are invalid.
     """
 
     def __init__(self, parameters: ParameterSet, settings: ExportSettings) -> None:
         formulas = parameters.law.formulas
         if formulas is None:
-            raise ExportError(
+            raise ValueError(
                 f"model '{parameters.model}' cannot be exported: identify the damper with one of "
                 "the sigmoid laws, sigmoid or sigmoid_lag"
             )
         period, bandwidth = settings.period, settings.bandwidth
         lowest, highest = possible_bandwidths(period)
         if not lowest <= bandwidth <= highest:
-            raise ExportError(
+            raise ValueError(
                 f"the bandwidth is {bandwidth:g} Hz: samples {period:g} s apart allow {lowest:g} "
                 f"to {highest:g} Hz"
             )
         low, high = settings.lowest_current, settings.highest_current
         if not low < high:
-            raise ExportError(
-                f"the highest current, {high:g} A, is not above the lowest, {low:g} A"
-            )
+            raise ValueError(f"the highest current, {high:g} A, is not above the lowest, {low:g} A")
         self.parameters, self.settings, self.formulas = parameters, settings, formulas
         self.constants = formulas.constants(parameters.values)
         self.observer, self.observer_gain = closed_loop(period, bandwidth)

@@ -14,7 +14,7 @@ import zipfile
 from pathlib import Path
 from xml.sax.saxutils import quoteattr
 
-from mr_damper_ros.control.export.exported_law import ExportedLaw, ExportError, number
+from mr_damper_ros.control.export.exported_law import ExportedLaw, number
 from mr_damper_ros.control.export.source_code import filled, header, template
 
 WARNINGS = ("-std=c99", "-Wall", "-Wextra", "-pedantic")
@@ -29,10 +29,10 @@ def compiler() -> str | None:
 
 
 def compile_library(source: Path, library: Path, *options: str) -> str:
-    """Compile a shared library; returns the compiler output. Raises ExportError on failure."""
+    """Compile a shared library; returns the compiler output. Raises ValueError on failure."""
     found = compiler()
     if found is None:
-        raise ExportError(
+        raise ValueError(
             "there is no C compiler on this machine: install gcc or clang, or choose another format"
         )
     command = [found, *WARNINGS, "-O2", "-fPIC", "-shared", "-s", *options]
@@ -43,7 +43,7 @@ def compile_library(source: Path, library: Path, *options: str) -> str:
         check=False,
     )
     if done.returncode != 0:
-        raise ExportError(f"the C compiler has failed: {done.stderr.strip()[:500]}")
+        raise ValueError(f"the C compiler has failed: {done.stderr.strip()[:500]}")
     return done.stderr
 
 
@@ -65,7 +65,7 @@ _EPOCH = (1980, 1, 1, 0, 0, 0)
 
 
 def fmu(law: ExportedLaw, name: str) -> bytes:
-    """The content of the FMU. Raises ExportError if there is no compiler or it fails; OSError."""
+    """The content of the FMU. Raises ValueError if there is no compiler or it fails; OSError."""
     code = header(law, name)
     guid = hashlib.sha256(code.encode()).hexdigest()[:32]
     source = filled(template("fmu.c.in"), {"GUARD": name.upper(), "NAME": name, "GUID": guid})

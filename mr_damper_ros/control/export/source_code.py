@@ -6,7 +6,7 @@ import ast
 import re
 from importlib import resources
 
-from mr_damper_ros.control.export.exported_law import ExportedLaw, ExportError, number
+from mr_damper_ros.control.export.exported_law import ExportedLaw, number
 from mr_damper_ros.kinematics.peak_velocity import MEMORY
 from mr_damper_ros.models.formulas import Language
 
@@ -48,9 +48,9 @@ def filled(text: str, values: dict[str, str]) -> str:
 
 
 def header(law: ExportedLaw, name: str) -> str:
-    """The header; all its names begin with ``name``. Raises ExportError for an invalid name."""
+    """The header; all its names begin with ``name``. Raises ValueError for an invalid name."""
     if not _NAME.fullmatch(name):
-        raise ExportError(
+        raise ValueError(
             f"'{name}' is not a valid C name: use a letter, followed by up to 40 letters, digits "
             "and underscores"
         )

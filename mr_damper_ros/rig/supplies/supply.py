@@ -18,10 +18,6 @@ _FILLED_IN = {"current": 1.0, "voltage": 1.0, "seconds": 1.0}
 """Allowed names in the braces of a command."""
 
 
-class ProfileError(ValueError):
-    """A profile that cannot be used; the message says what to change."""
-
-
 @dataclass(frozen=True)
 class SupplyProfile:
     """SCPI lines by their effect. A line may hold ``{current}``, ``{voltage}``, ``{seconds}``.
@@ -33,7 +29,7 @@ class SupplyProfile:
     again. An answer to ``read_error`` that begins with ``no_error`` means that there are no more
     errors. ``tested`` says in a sentence with which instruments the profile was tested.
 
-    Raises ProfileError if a line has other names in braces.
+    Raises ValueError if a line has other names in braces.
     """
 
     tested: str
@@ -54,12 +50,12 @@ class SupplyProfile:
             try:
                 line.format(**_FILLED_IN)
             except (KeyError, IndexError, ValueError) as error:
-                raise ProfileError(
+                raise ValueError(
                     f"the line '{line}' of the profile is invalid: only {{current}}, {{voltage}} "
                     "and {seconds} may stand in braces"
                 ) from error
         if not (math.isfinite(self.watchdog_step) and self.watchdog_step > 0.0):
-            raise ProfileError("watchdog_step of the profile must be positive [s]")
+            raise ValueError("watchdog_step of the profile must be positive [s]")
 
     def watchdog_delay(self, wanted: float) -> float:
         """The shortest delay [s] of the instrument's watchdog that is at least ``wanted``."""
@@ -67,7 +63,7 @@ class SupplyProfile:
 
 
 def read_profile(name: str) -> SupplyProfile:
-    """The profile of a name, or of the path of a YAML file; raises ProfileError."""
+    """The profile of a name, or of the path of a YAML file; raises ValueError."""
     import yaml  # imported late, because a node without a supply needs no YAML
 
     path = Path(name) if name.endswith((".yaml", ".yml")) else _FOLDER / f"{name}.yaml"
@@ -75,12 +71,12 @@ def read_profile(name: str) -> SupplyProfile:
         content = yaml.safe_load(path.read_text(encoding="utf-8"))
     except OSError as error:
         shipped = ", ".join(sorted(each.stem for each in _FOLDER.glob("*.yaml")))
-        raise ProfileError(
+        raise ValueError(
             f"the profile '{name}' cannot be read: name one of {shipped}, or "
             "the path of a YAML file"
         ) from error
     except (yaml.YAMLError, UnicodeDecodeError) as error:
-        raise ProfileError(
+        raise ValueError(
             f"the profile '{name}' is not valid YAML: {error}".split("\n")[0]
         ) from error
     return _profile(content, name)
@@ -88,12 +84,12 @@ def read_profile(name: str) -> SupplyProfile:
 
 def _profile(content: Any, name: str) -> SupplyProfile:
     if not isinstance(content, dict):
-        raise ProfileError(f"the profile '{name}' is not a table of names and lines")
+        raise ValueError(f"the profile '{name}' is not a table of names and lines")
     defaults = {field.name: field.default for field in fields(SupplyProfile)}
     values: dict[str, Any] = {}
     for key, value in content.items():
         if key not in defaults:
-            raise ProfileError(
+            raise ValueError(
                 f"the profile '{name}' has the unknown entry '{key}': use {', '.join(defaults)}"
             )
         if isinstance(defaults[key], tuple):
@@ -101,11 +97,11 @@ def _profile(content: Any, name: str) -> SupplyProfile:
         elif not isinstance(defaults[key], float):
             values[key] = str(value)
         elif isinstance(value, bool) or not isinstance(value, (int, float)):
-            raise ProfileError(f"'{key}' of the profile '{name}' must be a number [s]")
+            raise ValueError(f"'{key}' of the profile '{name}' must be a number [s]")
         else:
             values[key] = float(value)
     if "tested" not in values:
-        raise ProfileError(
+        raise ValueError(
             f"the profile '{name}' does not say with which instruments it was tested: add 'tested'"
         )
     return SupplyProfile(**values)
