@@ -190,11 +190,16 @@ def arguments_of(
     return {name: value for name, value in vars(options).items() if name in names}
 
 
+def add_path(
+    parser: argparse.ArgumentParser, name: str, kind: str, text: str, **given: object
+) -> None:
+    """Add an argument or an option for a path; ``kind`` is its placeholder, such as FILE."""
+    parser.add_argument(name, type=Path, metavar=kind, help=text, **given)  # type: ignore[arg-type]
+
+
 def add_run_options(parser: argparse.ArgumentParser) -> None:
     """Add the options of all programs that read runs."""
-    parser.add_argument(
-        "bags", nargs="+", type=Path, metavar="BAG", help="bag folder or .mcap file"
-    )
+    add_path(parser, "bags", "BAG", "bag folder or .mcap file", nargs="+")
     add_arguments(parser, identify, ["accept_doubtful"])
 
 
@@ -229,7 +234,7 @@ def add_port_option(parser: argparse.ArgumentParser) -> None:
 
 def add_json_option(parser: argparse.ArgumentParser, what: str) -> None:
     """Add the option for :func:`write_json`."""
-    parser.add_argument("--json", type=Path, metavar="FILE", help=f"write {what} as JSON")
+    add_path(parser, "--json", "FILE", f"write {what} as JSON")
 
 
 def write_json(options: argparse.Namespace, document: Mapping[str, object]) -> None:
@@ -241,9 +246,7 @@ def write_json(options: argparse.Namespace, document: Mapping[str, object]) -> N
 def add_result_options(parser: argparse.ArgumentParser, what: str) -> None:
     """Add the options for :func:`write_result`."""
     add_json_option(parser, what)
-    parser.add_argument(
-        "--plot", type=Path, metavar="FOLDER", help="draw measured and predicted force of each run"
-    )
+    add_path(parser, "--plot", "FOLDER", "draw measured and predicted force of each run")
     parser.add_argument(
         "--plot-format",
         choices=FORMATS,

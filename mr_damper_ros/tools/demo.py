@@ -23,7 +23,7 @@ from mr_damper_ros.models.parameter_set import start_set
 from mr_damper_ros.processes.programs import Program, ProgramError, RosDomain, node_arguments
 from mr_damper_ros.report.document import text_table
 from mr_damper_ros.signals.recording import Recording
-from mr_damper_ros.tools.console import add_port_option, program
+from mr_damper_ros.tools.console import add_path, add_port_option, program
 
 if TYPE_CHECKING:
     from mr_damper_ros.nodes.observer import Observer
@@ -40,18 +40,13 @@ _LOOK = 0.2
 
 def _options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--live", action="store_true", help="serve the page until Ctrl-C")
-    parser.add_argument(
-        "--bag",
-        type=Path,
-        help="bag to play (default: 5 mm, 1 Hz, 1.5 A; with --live the emulated rig)",
-    )
+    default = "5 mm, 1 Hz, 1.5 A; with --live the emulated rig"
+    add_path(parser, "--bag", "BAG", f"bag to play (default: {default})")
     add_port_option(parser)
     parser.add_argument(
         "--rate", type=float, default=1.0, help="speed of the replay (default 1: real time)"
     )
-    parser.add_argument(
-        "--output", type=Path, default=Path("build/demo"), help="folder of the figures"
-    )
+    add_path(parser, "--output", "FOLDER", "folder of the figures", default=Path("build/demo"))
 
 
 def _demo(options: argparse.Namespace) -> int:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import argparse
 import sys
 from collections.abc import Callable
-from pathlib import Path
 
 from mr_damper_ros.control.export.exported_law import ExportedLaw, ExportSettings, Vectors
 from mr_damper_ros.control.export.fmu import fmu
@@ -13,25 +12,21 @@ from mr_damper_ros.control.export.source_code import functions, header
 from mr_damper_ros.models.parameter_set import ParameterSet
 from mr_damper_ros.processes.files import write_bytes
 from mr_damper_ros.settings.option_table import options
-from mr_damper_ros.tools.console import program
+from mr_damper_ros.tools.console import add_path, program
 
 _POINTS = 1000
 """Number of points in the table of test vectors."""
 
 
 def _options(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument(
-        "parameters", type=Path, metavar="PARAMETERS.yaml", help="file of identify --output"
-    )
+    add_path(parser, "parameters", "PARAMETERS.yaml", "file of identify --output")
     parser.add_argument(
         "--format",
         choices=list(_FORMATS),
         required=True,
         help="a C99 header, an FMU (FMI 2.0, co-simulation), or M-code for MATLAB and Octave",
     )
-    parser.add_argument(
-        "--output", type=Path, required=True, metavar="FOLDER", help="folder of the files"
-    )
+    add_path(parser, "--output", "FOLDER", "folder of the files", required=True)
     parser.add_argument(
         "--name", default="mr_damper", help="prefix of the names in C (default %(default)s)"
     )

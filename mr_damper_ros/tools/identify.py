@@ -6,7 +6,6 @@ The bags may have different amplitudes, frequencies and currents.
 from __future__ import annotations
 
 import argparse
-from pathlib import Path
 from typing import Any
 
 from mr_damper_ros.api.findings import Findings, searches
@@ -16,18 +15,7 @@ from mr_damper_ros.estimation.global_fit import GLOBAL_METHODS
 from mr_damper_ros.estimation.planned_run import MachineLimits
 from mr_damper_ros.estimation.record_levels import USUAL_SPREAD
 from mr_damper_ros.models import MODELS
-from mr_damper_ros.tools.console import (
-    FAILED,
-    INTERRUPTED,
-    ProgressLine,
-    add_arguments,
-    add_result_options,
-    add_run_options,
-    arguments_of,
-    parameter_texts,
-    program,
-    write_result,
-)
+from mr_damper_ros.tools import console
 
 EXPLAINS_TOO_LITTLE = 3
 """Exit code if the NRMSE of a run exceeds the acceptable limit."""
@@ -45,15 +33,15 @@ _OPTIONS = (
 
 _EPILOG = f"""\
 Exit code: 0: success; {EXPLAINS_TOO_LITTLE}: the NRMSE of a run exceeds
-{100 * LARGEST_RUN_NRMSE:.0f} %, all results are written; {FAILED}: a bag or an option
-cannot be used; {INTERRUPTED}: Ctrl-C was pressed twice.
+{100 * LARGEST_RUN_NRMSE:.0f} %, all results are written; {console.FAILED}: a bag or an option
+cannot be used; {console.INTERRUPTED}: Ctrl-C was pressed twice.
 """
 
 
 def _options(parser: argparse.ArgumentParser) -> None:
-    add_run_options(parser)
+    console.add_run_options(parser)
     choices = {**SEARCH_CHOICES, "model": (*MODELS, AUTO), "strategy": STRATEGIES}
-    add_arguments(parser, identify, _OPTIONS, choices)
+    console.add_arguments(parser, identify, _OPTIONS, choices)
     parser.add_argument(
         "--level-per-record",
         nargs="?",
@@ -61,11 +49,11 @@ def _options(parser: argparse.ArgumentParser) -> None:
         const=USUAL_SPREAD,
         default=0.0,
         metavar="SPREAD",
-        help=f"{parameter_texts(identify)['level_per_record']} Default: %(const)s.",
+        help=f"{console.parameter_texts(identify)['level_per_record']} Default: %(const)s.",
     )
-    add_arguments(parser, Identification.determination, ["top_velocity", "top_current"])
-    parser.add_argument("--output", type=Path, metavar="FILE", help="write the set as YAML")
-    add_result_options(parser, "all results")
+    console.add_arguments(parser, Identification.determination, ["top_velocity", "top_current"])
+    console.add_path(parser, "--output", "FILE", "write the set as YAML")
+    console.add_result_options(parser, "all results")
 
 
 def _identify(options: argparse.Namespace) -> int:
@@ -73,13 +61,15 @@ def _identify(options: argparse.Namespace) -> int:
     tops = {"peak_velocity": options.top_velocity, "current": options.top_current}
     limits: dict[str, Any] = {n: 1.0 if top is None else top for n, top in tops.items()}
     MachineLimits(amplitude=1.0, force=1.0, duration=1.0, **limits)
-    with ProgressLine() as progress:
-        given = arguments_of(options, identify)
+    with console.ProgressLine() as progress:
+        given = console.arguments_of(options, identify)
         result = identify(options.bags, report=progress, **given)
         more = Findings([], {})
         # After Ctrl-C the user wants the result at once, without another long computation.
         if not progress.stopped:
-            more += result.determination(**arguments_of(options, Identification.determination))
+            more += result.determination(
+                **console.arguments_of(options, Identification.determination)
+            )
         more += searches(result.searches)
         more += result.profiles
     if not progress.stopped:
@@ -88,8 +78,8 @@ def _identify(options: argparse.Namespace) -> int:
     print(more)
     if options.output is not None:
         result.save(options.output)
-    write_result(options, result.document() | more.document, result.runs)
+    console.write_result(options, result.document() | more.document, result.runs)
     return 0 if result.explains else EXPLAINS_TOO_LITTLE
 
 
-main = program(__name__, __doc__, _options, _identify, _EPILOG)
+main = console.program(__name__, __doc__, _options, _identify, _EPILOG)

@@ -19,14 +19,7 @@ from mr_damper_ros.lots.report import (
     write_parquet,
     write_population_report,
 )
-from mr_damper_ros.tools.console import (
-    FAILED,
-    INTERRUPTED,
-    StatusLine,
-    add_arguments,
-    arguments_of,
-    program,
-)
+from mr_damper_ros.tools import console
 from mr_damper_ros.tools.identify import SEARCH_CHOICES, SEARCH_OPTIONS
 
 LEFT_OUT = 3
@@ -50,7 +43,7 @@ examples:
   identify_many --list runs.csv --columns time:s,displacement:mm,force:N --output results/runs
 
 Exit code: 0: success; {LEFT_OUT}: a file was not used or a damper not identified, all other results
-are written; {FAILED}: an option cannot be used; {INTERRUPTED}: Ctrl-C.
+are written; {console.FAILED}: an option cannot be used; {console.INTERRUPTED}: Ctrl-C.
 """
 
 
@@ -61,11 +54,11 @@ def _options(parser: argparse.ArgumentParser) -> None:
         metavar="SOURCE",
         help="folder to search, bag, or quoted pattern such as 'lot*/**/*.mcap'",
     )
-    add_arguments(parser, identify_many, _OPTIONS, flags=_FLAGS)
+    console.add_arguments(parser, identify_many, _OPTIONS, flags=_FLAGS)
     records = parser.add_argument_group("record files (only with --columns)")
-    add_arguments(records, identify_many, _RECORD_OPTIONS)
+    console.add_arguments(records, identify_many, _RECORD_OPTIONS)
     search = parser.add_argument_group("identification")
-    add_arguments(search, identify, SEARCH_OPTIONS, SEARCH_CHOICES)
+    console.add_arguments(search, identify, SEARCH_OPTIONS, SEARCH_CHOICES)
     parser.add_argument(
         "--parquet", action="store_true", help="also write the table as dampers.parquet"
     )
@@ -77,7 +70,7 @@ def _identify_many(options: argparse.Namespace) -> int:
     if options.parquet:
         require_parquet()
     with _Progress() as progress:
-        given = arguments_of(options, identify_many, "sources")
+        given = console.arguments_of(options, identify_many, "sources")
         found = identify_many(*options.sources, report=progress, **given)
     rows, folder = found.table, Path(options.folder)
     write_csv(rows, folder)
@@ -103,7 +96,7 @@ def _tell(found: ManyDampers, page: Path) -> None:
     print(f"report: {page}")
 
 
-class _Progress(StatusLine):
+class _Progress(console.StatusLine):
     """The number of finished dampers, and the estimated time left."""
 
     def __init__(self) -> None:
@@ -118,4 +111,4 @@ class _Progress(StatusLine):
         self.show(f"{done} of {count} dampers, about {left:.0f} s left")
 
 
-main = program(__name__, __doc__, _options, _identify_many, _EPILOG)
+main = console.program(__name__, __doc__, _options, _identify_many, _EPILOG)

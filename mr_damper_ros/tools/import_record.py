@@ -14,7 +14,7 @@ from mr_damper_ros.io.records import read_record
 from mr_damper_ros.io.run_cuts import RunsOfFile
 from mr_damper_ros.signals.arrays import Array
 from mr_damper_ros.signals.recording import Recording
-from mr_damper_ros.tools.console import add_arguments, arguments_of, program
+from mr_damper_ros.tools.console import add_arguments, add_path, arguments_of, program
 
 _EPILOG = f"""\
 columns: QUANTITY:UNIT for each column from the left; - skips a column, ... at the end skips all
@@ -45,14 +45,9 @@ _LEFT_OUT = "-"
 
 
 def _options(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("file", type=Path, metavar="FILE", help="text, CSV, MAT, XLSX or TDMS file")
-    parser.add_argument(
-        "--output",
-        required=True,
-        type=Path,
-        metavar="BAG",
-        help="bag to write; with --split, folder of the bags, one for each run",
-    )
+    add_path(parser, "file", "FILE", "text, CSV, MAT, XLSX or TDMS file")
+    where = "bag to write; with --split, folder of the bags, one for each run"
+    add_path(parser, "--output", "BAG", where, required=True)
     add_arguments(parser, read_record, _OPTIONS, flags=_FLAGS)
     parser.add_argument(
         "--split",

@@ -9,19 +9,16 @@ from __future__ import annotations
 import argparse
 import threading
 from contextlib import closing
-from pathlib import Path
 
 from mr_damper_ros.live.page_server import PageServer
 from mr_damper_ros.live.recorded import empty_record, replay_into
-from mr_damper_ros.tools.console import add_port_option, program
+from mr_damper_ros.tools.console import add_path, add_port_option, program
 from mr_damper_ros.tracking.state_directory import read_parameter_file
 
 
 def _options(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("--bag", type=Path, required=True, metavar="FILE", help="the recording")
-    parser.add_argument(
-        "--parameters", type=Path, metavar="FILE", help="parameter set to start from instead"
-    )
+    add_path(parser, "--bag", "FILE", "the recording", required=True)
+    add_path(parser, "--parameters", "FILE", "parameter set to start from instead")
     add_port_option(parser)
 
 

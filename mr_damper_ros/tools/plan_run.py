@@ -9,7 +9,6 @@ import argparse
 from collections.abc import Mapping, Sequence
 from contextlib import closing
 from dataclasses import asdict
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -34,7 +33,7 @@ from mr_damper_ros.models import MODELS
 from mr_damper_ros.models.parameter_set import DEFAULT_MODEL
 from mr_damper_ros.settings.option_table import options as table_options
 from mr_damper_ros.signals.recording import Recording
-from mr_damper_ros.tools.console import FAILED, add_json_option, program, write_json
+from mr_damper_ros.tools.console import FAILED, add_json_option, add_path, program, write_json
 
 OUT_OF_REACH = 3
 """Exit code if the goal cannot be reached within the limits of the machine."""
@@ -73,20 +72,11 @@ Exit code: 0: success; {OUT_OF_REACH}: the goal cannot be met within the limits;
 
 
 def _options(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument(
-        "bags",
-        nargs="*",
-        type=Path,
-        metavar="BAG",
-        help="bags of the runs so far, or folders of bags; with --keep only the new runs",
-    )
-    parser.add_argument(
-        "--signal", type=Path, metavar="FILE", help="write the run as CSV for the machine"
-    )
+    known = "bags of the runs so far, or folders of bags; with --keep only the new runs"
+    add_path(parser, "bags", "BAG", known, nargs="*")
+    add_path(parser, "--signal", "FILE", "write the run as CSV for the machine")
     add_json_option(parser, "the plan")
-    parser.add_argument(
-        "--keep", type=Path, metavar="FOLDER", help="folder of a campaign to begin or continue"
-    )
+    add_path(parser, "--keep", "FOLDER", "folder of a campaign to begin or continue")
     parser.add_argument(
         "--runs",
         type=int,

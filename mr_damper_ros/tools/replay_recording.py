@@ -6,22 +6,19 @@ The report contains the verdict on each window, the predicted force and its vali
 from __future__ import annotations
 
 import argparse
-from pathlib import Path
 
 from mr_damper_ros.api.comparison import FORMATS, save_figure
 from mr_damper_ros.api.replay import replay
 from mr_damper_ros.models import MODELS
 from mr_damper_ros.models.parameter_set import DEFAULT_MODEL
-from mr_damper_ros.tools.console import add_json_option, program, write_json
+from mr_damper_ros.tools.console import add_json_option, add_path, program, write_json
 from mr_damper_ros.tracking.engine import EngineSettings
 from mr_damper_ros.tracking.tracker import OF_THE_SET
 
 
 def _options(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("bag", type=Path, metavar="BAG", help="bag folder or .mcap file")
-    parser.add_argument(
-        "--parameters", type=Path, metavar="FILE", help="initial parameter set (default: none)"
-    )
+    add_path(parser, "bag", "BAG", "bag folder or .mcap file")
+    add_path(parser, "--parameters", "FILE", "initial parameter set (default: none)")
     parser.add_argument(
         "--model",
         choices=(OF_THE_SET, *MODELS),
@@ -29,11 +26,9 @@ def _options(parser: argparse.ArgumentParser) -> None:
         help=f"force law to identify (default {OF_THE_SET}: the law of --parameters, or "
         f"{DEFAULT_MODEL} without --parameters)",
     )
-    parser.add_argument("--output", type=Path, metavar="FILE", help="write the newest set as YAML")
+    add_path(parser, "--output", "FILE", "write the newest set as YAML")
     add_json_option(parser, "the result")
-    parser.add_argument(
-        "--plot", type=Path, metavar="FILE", help=f"draw the result ({', '.join(FORMATS)})"
-    )
+    add_path(parser, "--plot", "FILE", f"draw the result ({', '.join(FORMATS)})")
 
 
 def _replay(options: argparse.Namespace) -> int:

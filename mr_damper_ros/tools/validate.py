@@ -3,36 +3,26 @@
 from __future__ import annotations
 
 import argparse
-from pathlib import Path
 
 from mr_damper_ros.api.comparison import validate
 from mr_damper_ros.api.identification import identify
-from mr_damper_ros.tools.console import (
-    add_arguments,
-    add_result_options,
-    add_run_options,
-    arguments_of,
-    program,
-    write_result,
-)
+from mr_damper_ros.tools import console
 
 
 def _options(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument(
-        "parameters", type=Path, metavar="PARAMETERS.yaml", help="file of identify --output"
-    )
-    add_run_options(parser)
-    add_arguments(parser, identify, ["mass"])
-    add_result_options(parser, "the errors")
+    console.add_path(parser, "parameters", "PARAMETERS.yaml", "file of identify --output")
+    console.add_run_options(parser)
+    console.add_arguments(parser, identify, ["mass"])
+    console.add_result_options(parser, "the errors")
 
 
 def _validate(options: argparse.Namespace) -> int:
     result = validate(
-        options.parameters, options.bags, **arguments_of(options, validate, "parameters")
+        options.parameters, options.bags, **console.arguments_of(options, validate, "parameters")
     )
     print(result)
-    write_result(options, result.document(), result.runs)
+    console.write_result(options, result.document(), result.runs)
     return 0
 
 
-main = program(__name__, __doc__, _options, _validate)
+main = console.program(__name__, __doc__, _options, _validate)
