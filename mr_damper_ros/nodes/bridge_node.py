@@ -19,17 +19,10 @@ from rclpy.lifecycle import LifecycleState, TransitionCallbackReturn
 from rclpy.node import Node
 from sensor_msgs.msg import JointState, Temperature
 
-from mr_damper_ros.nodes import quality
+from mr_damper_ros.nodes import messages, quality
 from mr_damper_ros.nodes.command_topic import CommandTopic
 from mr_damper_ros.nodes.diagnostics import ERROR, OK, WARN, Diagnostics, Finding
 from mr_damper_ros.nodes.managed_node import ManagedNode, ManagedOptions
-from mr_damper_ros.nodes.messages import (
-    SUSPENSION_TOPIC,
-    current_message,
-    header,
-    samples_message,
-    suspension_message,
-)
 from mr_damper_ros.nodes.node_parameters import NodeParameters
 from mr_damper_ros.nodes.pacing import PacedSender, PacingSettings
 from mr_damper_ros.nodes.spinning import run
@@ -47,7 +40,7 @@ _TOPICS = {
     "supply/current": SupplyCurrent,
     "temperature": Temperature,
     _MIRROR: JointState,
-    SUSPENSION_TOPIC: JointState,
+    messages.SUSPENSION_TOPIC: JointState,
 }
 
 _CURRENT_STEP = 0.005
@@ -219,7 +212,7 @@ class BridgeNode(ManagedNode):
                 topic: kind
                 for topic, kind in _TOPICS.items()
                 if (topic != _MIRROR or values.mirror_rate > 0.0)
-                and (topic != SUSPENSION_TOPIC or source.suspended)
+                and (topic != messages.SUSPENSION_TOPIC or source.suspended)
             }
             self._sender = PacedSender(self, values.pacing, topics)
         except (ValueError, OSError) as error:
@@ -266,7 +259,7 @@ class BridgeNode(ManagedNode):
         frame_id = values.frame_id
 
         def publish_current(reading: Reading) -> None:
-            message = current_message(reading.stamp_ns, reading.value, frame_id)
+            message = messages.current_message(reading.stamp_ns, reading.value, frame_id)
             sender.publish("supply/current", message)
 
         sender.state = "streams"
@@ -280,14 +273,16 @@ class BridgeNode(ManagedNode):
             for reading in supply.read(block, block.current, block.supply_ahead_ns):
                 publish_current(reading)
             for reading in thermometer.read(block, block.temperature):
-                stamp = header(reading.stamp_ns, frame_id)
+                stamp = messages.header(reading.stamp_ns, frame_id)
                 sender.publish("temperature", Temperature(header=stamp, temperature=reading.value))
             if block.suspension is not None:
                 # The desired force must be known when the controller of the damper receives the
                 # samples.
-                stamp = header(_last_stamp(block), frame_id)
-                sender.publish(SUSPENSION_TOPIC, suspension_message(block.suspension, stamp))
-            sender.publish("mts/samples", samples_message(block, frame_id))
+                stamp = messages.header(_last_stamp(block), frame_id)
+                sender.publish(
+                    messages.SUSPENSION_TOPIC, messages.suspension_message(block.suspension, stamp)
+                )
+            sender.publish("mts/samples", messages.samples_message(block, frame_id))
             if _MIRROR in sender.publishers:
                 for k, stamp_ns in decimator.due(block.start_ns, block.period, block.sample_count):
                     self._publish_mirror(sender, block, k, stamp_ns)
@@ -311,7 +306,7 @@ class BridgeNode(ManagedNode):
             return
         joint = self.parameters.values.frame_id
         message = JointState(
-            header=header(stamp_ns, joint),
+            header=messages.header(stamp_ns, joint),
             name=[joint],
             position=[position],
             velocity=[(position - before[1]) / (stamp_ns - before[0]) * NANOSECONDS],

@@ -37,21 +37,9 @@ from mr_damper_ros.io.bag_writer import BagStream
 from mr_damper_ros.live.live_record import Concern, LiveRecord
 from mr_damper_ros.live.page_server import PageServer, is_local
 from mr_damper_ros.models.parameter_set import ParameterError
-from mr_damper_ros.nodes import quality
+from mr_damper_ros.nodes import messages, quality
 from mr_damper_ros.nodes.command_topic import COMMAND_TOPIC, DEMAND_TOPIC, EXCITATION_TOPIC
 from mr_damper_ros.nodes.inputs import CURRENT_TOPIC, SAMPLES_TOPIC
-from mr_damper_ros.nodes.messages import (
-    JOINED_FORCES_TOPIC,
-    JOINED_SAMPLES_TOPIC,
-    PARAMETERS_TOPIC,
-    REPORT_TOPIC,
-    SHOWN,
-    from_field,
-    parameter_set,
-    report_of,
-    sample_block,
-    to_seconds,
-)
 from mr_damper_ros.nodes.node_parameters import ConfigurationError, NodeParameters
 from mr_damper_ros.nodes.spinning import run
 from mr_damper_ros.processes.files import reason_of
@@ -79,14 +67,14 @@ class RecordInput:
         looking = quality.stream(_WAITING)
         looking.reliability = ReliabilityPolicy.BEST_EFFORT
         for kind, topic, take, profile in (
-            (MtsSamples, JOINED_SAMPLES_TOPIC, self._take_samples, looking),
-            (PredictedForce, JOINED_FORCES_TOPIC, self._take_forces, looking),
+            (MtsSamples, messages.JOINED_SAMPLES_TOPIC, self._take_samples, looking),
+            (PredictedForce, messages.JOINED_FORCES_TOPIC, self._take_forces, looking),
             (SupplyCurrent, CURRENT_TOPIC, self._take_current, looking),
             (CurrentCommand, COMMAND_TOPIC, self._take_command, looking),
             (DesiredForce, DEMAND_TOPIC, self._take_desired_force, looking),
-            (DamperParameters, PARAMETERS_TOPIC, self._take_parameters, quality.latched()),
+            (DamperParameters, messages.PARAMETERS_TOPIC, self._take_parameters, quality.latched()),
             (Temperature, "damper/fluid_temperature", self._take_temperature, waiting),
-            (FitReport, REPORT_TOPIC, self._take_report, waiting),
+            (FitReport, messages.REPORT_TOPIC, self._take_report, waiting),
             (DiagnosticArray, "/diagnostics", self._take_diagnostics, waiting),
         ):
             node.create_subscription(kind, topic, take, profile)
@@ -98,19 +86,19 @@ class RecordInput:
         """Join predicted forces with their samples, which arrive before them."""
         same = [block for block in self._samples if block.seq == message.seq]
         self._samples.clear()
-        predicted = from_field(message.force)
+        predicted = messages.from_field(message.force)
         valid = np.frombuffer(message.sample_doubts, dtype=np.uint8) == PredictedForce.NONE
         if not same or not len(same[0].force) == predicted.size == valid.size:
             return
         with suppress(BlockError):
-            block = sample_block(same[0])
-            start_s = to_seconds(message.header.stamp)
+            block = messages.sample_block(same[0])
+            start_s = messages.to_seconds(message.header.stamp)
             self._record.add_samples(
                 start_s, block.period, block.displacement, block.force, predicted, valid
             )
 
     def _take_current(self, message: SupplyCurrent) -> None:
-        self._record.add_current(to_seconds(message.header.stamp), message.current)
+        self._record.add_current(messages.to_seconds(message.header.stamp), message.current)
 
     def _take_command(self, message: CurrentCommand) -> None:
         self._record.set_point("current_command", message.current)
@@ -124,15 +112,17 @@ class RecordInput:
 
     def _take_report(self, message: FitReport) -> None:
         """Add a report, with the fluid temperature that was published before it."""
-        report = replace(report_of(message), fluid=self._fluid)
+        report = replace(messages.report_of(message), fluid=self._fluid)
         self._fluid = FluidTemperature()
         self._record.add_report(report, message.duration)
 
     def _take_parameters(self, message: DamperParameters) -> None:
         try:
-            self._record.set_parameters(parameter_set(message))
+            self._record.set_parameters(messages.parameter_set(message))
         except ParameterError as error:
-            self._record.add_event(f"parameters {message.id[:SHOWN]} are not shown: {error}")
+            self._record.add_event(
+                f"parameters {message.id[: messages.SHOWN]} are not shown: {error}"
+            )
 
     def _take_diagnostics(self, message: DiagnosticArray) -> None:
         for status in message.status:
@@ -152,8 +142,8 @@ _RECORDED = {
     CURRENT_TOPIC: SupplyCurrent,
     "temperature": Temperature,
     "damper/predicted_force": PredictedForce,
-    REPORT_TOPIC: FitReport,
-    PARAMETERS_TOPIC: DamperParameters,
+    messages.REPORT_TOPIC: FitReport,
+    messages.PARAMETERS_TOPIC: DamperParameters,
     COMMAND_TOPIC: CurrentCommand,
     DEMAND_TOPIC: DesiredForce,
     EXCITATION_TOPIC: ExcitationCommand,

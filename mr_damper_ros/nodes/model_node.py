@@ -12,19 +12,10 @@ from geometry_msgs.msg import Vector3, Wrench, WrenchStamped
 from mr_damper_msgs.msg import DamperSignals, MtsSamples, PredictedForce
 from std_msgs.msg import Header
 
-from mr_damper_ros.nodes import quality
+from mr_damper_ros.nodes import messages, quality
 from mr_damper_ros.nodes.block_node import BlockNode, SetOptions
 from mr_damper_ros.nodes.diagnostics import ERROR, OK, STALE, WARN, Finding
 from mr_damper_ros.nodes.inputs import CURRENT_TOPIC, SAMPLES_TOPIC
-from mr_damper_ros.nodes.messages import (
-    JOINED_FORCES_TOPIC,
-    JOINED_SAMPLES_TOPIC,
-    PARAMETERS_TOPIC,
-    fill_prediction,
-    header,
-    set_stamp,
-    to_field,
-)
 from mr_damper_ros.nodes.spinning import run
 from mr_damper_ros.rig.blocks import Decimator
 from mr_damper_ros.settings.option_table import group, option
@@ -102,8 +93,8 @@ class ModelNode(BlockNode[ModelParameters, Prediction]):
         self._signal = DamperSignals(header=Header(frame_id=options.frame_id))
         self._signals = quality.publisher(self, DamperSignals, "damper/signals")
         self._wrench = quality.publisher(self, WrenchStamped, "damper/predicted_wrench")
-        self._joined_samples = quality.publisher(self, MtsSamples, JOINED_SAMPLES_TOPIC)
-        self._joined_forces = quality.publisher(self, PredictedForce, JOINED_FORCES_TOPIC)
+        self._joined_samples = quality.publisher(self, MtsSamples, messages.JOINED_SAMPLES_TOPIC)
+        self._joined_forces = quality.publisher(self, PredictedForce, messages.JOINED_FORCES_TOPIC)
         # First prediction of the joined block, and the arrays of its parts.
         self._first: Prediction | None = None
         self._parts: list[tuple[np.ndarray, ...]] = []
@@ -113,13 +104,13 @@ class ModelNode(BlockNode[ModelParameters, Prediction]):
         self.get_logger().info(
             f"waiting for {self.resolve_topic_name(SAMPLES_TOPIC)}, "
             f"{self.resolve_topic_name(CURRENT_TOPIC)} and "
-            f"{self.resolve_topic_name(PARAMETERS_TOPIC)}"
+            f"{self.resolve_topic_name(messages.PARAMETERS_TOPIC)}"
             + (f"; until then the parameters of {file} are used" if file else "")
         )
 
     def _publish_answer(self, block: SampleBlock, now_ns: int) -> Prediction:
         prediction = self._predictor.predict(block, now_ns)
-        self._force.publish(fill_prediction(self._message, prediction))
+        self._force.publish(messages.fill_prediction(self._message, prediction))
         return prediction
 
     def _finish(self, prediction: Prediction, block: SampleBlock) -> None:
@@ -150,7 +141,7 @@ class ModelNode(BlockNode[ModelParameters, Prediction]):
         for k, stamp_ns in self._signal_rate.due(
             prediction.start_ns, prediction.period, prediction.force.size
         ):
-            set_stamp(message.header.stamp, stamp_ns)
+            messages.set_stamp(message.header.stamp, stamp_ns)
             predicted = float(prediction.force[k])
             message.displacement = float(displacement[k])
             message.velocity = float(prediction.velocity[k])
@@ -167,7 +158,7 @@ class ModelNode(BlockNode[ModelParameters, Prediction]):
         last_ns = prediction.start_ns + round((prediction.force.size - 1) * period * NANOSECONDS)
         for _, stamp_ns in self._wrench_rate.due(last_ns, period, 1):
             wrench = Wrench(force=Vector3(x=float(prediction.force[-1])))
-            stamped = header(stamp_ns, self._options.frame_id)
+            stamped = messages.header(stamp_ns, self._options.frame_id)
             self._wrench.publish(WrenchStamped(header=stamped, wrench=wrench))
 
     def _join(self, prediction: Prediction, displacement: Array, measured: Array) -> None:
@@ -183,20 +174,20 @@ class ModelNode(BlockNode[ModelParameters, Prediction]):
 
     def _publish_joined(self, first: Prediction) -> None:
         """Publish samples and forces as two messages with the same sequence number and stamp."""
-        joined = map(np.concatenate, zip(*self._parts, strict=True))
-        displacement, measured, predicted, doubts = joined
+        *joined, doubts = map(np.concatenate, zip(*self._parts, strict=True))
         self._first, self._parts = None, []
         common = {
-            "header": header(first.start_ns, self._options.frame_id),
+            "header": messages.header(first.start_ns, self._options.frame_id),
             "seq": first.sequence,
             "period": first.period,
         }
+        displacement, measured, predicted = map(messages.to_field, joined)
         self._joined_samples.publish(
-            MtsSamples(**common, displacement=to_field(displacement), force=to_field(measured))
+            MtsSamples(**common, displacement=displacement, force=measured)
         )
         sample_doubts = array("B", doubts.astype(np.uint8).tobytes())
         self._joined_forces.publish(
-            PredictedForce(**common, force=to_field(predicted), sample_doubts=sample_doubts)
+            PredictedForce(**common, force=predicted, sample_doubts=sample_doubts)
         )
 
     def _prediction_finding(self) -> Finding:
