@@ -44,8 +44,6 @@ class RollingTable:
     """
 
     def __init__(self, columns: Sequence[str], capacity: int, join: Join | None = None) -> None:
-        if capacity < 2 * _PART:
-            raise ValueError(f"capacity must be at least {2 * _PART}, not {capacity}")
         self.columns = ("index", *columns)
         self._join = join
         # Filling the array allocates all of its memory at once.
@@ -58,11 +56,8 @@ class RollingTable:
         return self._size
 
     def extend(self, rows: Sequence[Sequence[float]] | Array) -> None:
-        """Add rows (k, columns); raises ValueError if the number of columns is wrong."""
+        """Add rows (k, columns)."""
         values = np.asarray(rows, dtype=np.float64)
-        if values.ndim != 2 or values.shape[1] != len(self.columns) - 1:
-            given = values.shape[-1]
-            raise ValueError(f"{given} values do not fill {len(self.columns) - 1} columns")
         longest = len(self._rows) // _PART
         for first in range(0, len(values), longest):
             part = values[first : first + longest]

@@ -145,12 +145,7 @@ class TopicSource(Source):
         values: dict[str, object] = {
             f"{name} {what}": count
             for name, channel in (("force", join.leader), ("displacement", join.follower))
-            for what, count in (
-                *vars(channel.counts).items(),
-                ("lost", channel.lost),
-                ("unclear", channel.unclear),
-                ("rate [Hz]", f"{1.0 / channel.period:.6g}"),
-            )
+            for what, count in channel.figures().items()
         }
         values["force without displacement"] = join.without_partner
         return SourceState(self._fault(), values)

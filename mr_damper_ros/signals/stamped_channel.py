@@ -95,6 +95,15 @@ class StampedChannel(Generic[V]):
         self.lost = 0
         self.unclear = 0
 
+    def figures(self) -> dict[str, object]:
+        """The counts of received, lost and unusable values and the sample rate, by name."""
+        return {
+            **vars(self.counts),
+            "lost": self.lost,
+            "unclear": self.unclear,
+            "rate [Hz]": f"{1.0 / self.period:.6g}",
+        }
+
     def add(self, stamp_ns: int, arrival_ns: int, value: V) -> list[NumberedSample[V]]:
         """Add a value; returns the samples whose order and index are now certain."""
         counts, held = self.counts, self._held

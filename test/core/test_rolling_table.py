@@ -1,7 +1,6 @@
 """Tables of limited size: dropped rows, thinning, and the data for readers."""
 
 import numpy as np
-import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -42,13 +41,3 @@ def test_numbers_rise_the_newest_is_there_and_the_memory_bounded(
     assert rows == 0 or numbers[-1] == rows - 1
     if thins and rows:
         assert numbers[0] == 0
-
-
-def test_a_row_must_fill_the_columns() -> None:
-    with pytest.raises(ValueError, match="2 values do not fill 1 columns"):
-        filled(0).extend([(1.0, 2.0)])
-
-
-def test_a_table_of_a_few_rows_is_refused() -> None:
-    with pytest.raises(ValueError, match="at least 8"):
-        RollingTable(("value",), 7)

@@ -114,14 +114,7 @@ class StampedRows:
 
     def values(self) -> Mapping[str, object]:
         """The counts of received, lost and unusable rows."""
-        channel = self._channel
-        return {
-            **vars(channel.counts),
-            "lost": channel.lost,
-            "unclear": channel.unclear,
-            "wrong stamps": self._odd,
-            "rate [Hz]": f"{1.0 / channel.period:.6g}",
-        }
+        return {**self._channel.figures(), "wrong stamps": self._odd}
 
     @property
     def _rate_is_wrong(self) -> bool:
