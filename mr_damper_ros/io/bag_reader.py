@@ -33,13 +33,14 @@ from mr_damper_ros.signals.recording import (
 )
 from mr_damper_ros.signals.uniform_grid import Placed, UniformGrid
 
-MTS_TOPIC = "/mts/samples"
-CURRENT_TOPIC = "/supply/current"
-TEMPERATURE_TOPIC = "/temperature"
+TOPICS: dict[type, tuple[str, str]] = {
+    SampleBlock: ("/mts/samples", "mr_damper_msgs/msg/MtsSamples"),
+    CurrentReading: ("/supply/current", "mr_damper_msgs/msg/SupplyCurrent"),
+    TemperatureReading: ("/temperature", "sensor_msgs/msg/Temperature"),
+}
+"""Topic and message type of each kind of item in a stream."""
 
-SAMPLES_TYPE = "mr_damper_msgs/msg/MtsSamples"
-CURRENT_TYPE = "mr_damper_msgs/msg/SupplyCurrent"
-TEMPERATURE_TYPE = "sensor_msgs/msg/Temperature"
+_SAMPLES, _CURRENT = (TOPICS[kind][0] for kind in (SampleBlock, CurrentReading))
 
 
 class BagError(ValueError):
@@ -144,6 +145,12 @@ class OpenBag:
                 yield connection.topic, self.reader.deserialize(data, connection.msgtype)
 
 
+def stamp_of(message: Any) -> int:
+    """The stamp of a decoded message [ns]."""
+    stamp = message.header.stamp
+    return int(stamp.sec) * NANOSECONDS + int(stamp.nanosec)
+
+
 @contextmanager
 def opened_bag(
     path: str | Path, maximum_samples: int | None = MAXIMUM_SAMPLES
@@ -221,10 +228,10 @@ def read_bag(path: str | Path, *, maximum_samples: int = MAXIMUM_SAMPLES) -> lis
         _place(segments, grid.flush())
         name, details = bag.details.pop("name", bag.name), dict(bag.details)
     if not blocks:
-        raise BagError(f"the bag '{bag.name}' holds no samples: the topic {MTS_TOPIC} is empty")
+        raise BagError(f"the bag '{bag.name}' holds no samples: the topic {_SAMPLES} is empty")
     if not rounds:
         raise BagError(
-            f"the bag '{bag.name}' holds no current: the topic {CURRENT_TOPIC} is empty; "
+            f"the bag '{bag.name}' holds no current: the topic {_CURRENT} is empty; "
             "record at least one message of the supply's current"
         )
     assembled = (
@@ -256,13 +263,11 @@ def bag_stream(path: str | Path, *, maximum_samples: int = MAXIMUM_SAMPLES) -> I
 
 
 def _items(bag: OpenBag, maximum_samples: int) -> Iterator[StreamItem]:
-    samples = bag.topic(MTS_TOPIC, SAMPLES_TYPE)
-    current = bag.topic(CURRENT_TOPIC, CURRENT_TYPE)
-    temperature = bag.topic(TEMPERATURE_TOPIC, TEMPERATURE_TYPE, required=False)
+    samples, current = (bag.topic(*TOPICS[kind]) for kind in (SampleBlock, CurrentReading))
+    temperature = bag.topic(*TOPICS[TemperatureReading], required=False)
     left = maximum_samples
     for topic, message in bag.decoded({samples, current, temperature} - {""}):
-        stamp = message.header.stamp
-        stamp_ns = int(stamp.sec) * NANOSECONDS + int(stamp.nanosec)
+        stamp_ns = stamp_of(message)
         if topic == current:
             yield CurrentReading(stamp_ns, float(message.current))
         elif topic == temperature:
@@ -311,7 +316,7 @@ def _hold(bag: str, rounds: list[tuple[int, ZeroOrderHold]], reading: CurrentRea
         rounds[-1][1].add(stamp_ns, value)
     except CurrentError as error:
         raise BagError(
-            f"the bag '{bag}' cannot be used: the current on {CURRENT_TOPIC} stamped "
+            f"the bag '{bag}' cannot be used: the current on {_CURRENT} stamped "
             f"{stamp_ns / NANOSECONDS:.3f} s is {value}"
         ) from error
 

@@ -26,19 +26,17 @@ from rosbags.interfaces import (
 from rosbags.rosbag2 import StoragePlugin, Writer
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
-from mr_damper_ros.io.bag_reader import (
-    CURRENT_TOPIC,
-    CURRENT_TYPE,
-    MTS_TOPIC,
-    SAMPLES_TYPE,
-    TEMPERATURE_TOPIC,
-    TEMPERATURE_TYPE,
-    BagError,
-)
+from mr_damper_ros.io.bag_reader import TOPICS, BagError
 from mr_damper_ros.io.mcap_checksums import add_checksums
 from mr_damper_ros.processes.files import named_errors
 from mr_damper_ros.signals.blocks import NANOSECONDS, STAMP_LIMIT, SampleBlock
-from mr_damper_ros.signals.recording import CurrentReading, Recording, StreamItem, stream_of
+from mr_damper_ros.signals.recording import (
+    CurrentReading,
+    Recording,
+    StreamItem,
+    TemperatureReading,
+    stream_of,
+)
 
 _FRAME = "damper"
 """Frame in the headers of all messages."""
@@ -153,9 +151,9 @@ def write_bag(
         )
     path = Path(os.path.abspath(path))
     _check_free(path, overwrite)
-    topics = {MTS_TOPIC: SAMPLES_TYPE, CURRENT_TOPIC: CURRENT_TYPE}
-    if recording.temperature is not None:
-        topics[TEMPERATURE_TOPIC] = TEMPERATURE_TYPE
+    topics = dict(TOPICS.values())
+    if recording.temperature is None:
+        del topics[TOPICS[TemperatureReading][0]]
     path.parent.mkdir(parents=True, exist_ok=True)
     with tempfile.TemporaryDirectory(prefix=f".{path.name}.", dir=path.parent) as folder:
         fresh = Path(folder) / path.name
@@ -183,9 +181,10 @@ def _check_free(path: Path, overwrite: bool) -> None:
 
 def _message(item: StreamItem) -> tuple[str, int, bytes]:
     """Topic, recording time [ns] and serialised message of a block or a reading."""
+    topic, kind = TOPICS[type(item)]
+    stamp_ns = time_ns = item.start_ns if isinstance(item, SampleBlock) else item.stamp_ns
     if isinstance(item, SampleBlock):
-        topic, kind, stamp_ns = MTS_TOPIC, SAMPLES_TYPE, item.start_ns
-        time_ns = stamp_ns + round((item.sample_count - 1) * item.period * NANOSECONDS)
+        time_ns += round((item.sample_count - 1) * item.period * NANOSECONDS)
         fields: dict[str, object] = {
             "seq": item.sequence,
             "period": item.period,
@@ -193,11 +192,9 @@ def _message(item: StreamItem) -> tuple[str, int, bytes]:
             "force": item.force,
         }
     elif isinstance(item, CurrentReading):
-        topic, kind, stamp_ns = CURRENT_TOPIC, CURRENT_TYPE, item.stamp_ns
-        time_ns, fields = stamp_ns, {"current": item.current}
+        fields = {"current": item.current}
     else:
-        topic, kind, stamp_ns = TEMPERATURE_TOPIC, TEMPERATURE_TYPE, item.stamp_ns
-        time_ns, fields = stamp_ns, {"temperature": item.celsius, "variance": 0.0}
+        fields = {"temperature": item.celsius, "variance": 0.0}
     store = _typestore()
     seconds, nanoseconds = divmod(stamp_ns, NANOSECONDS)
     stamp = store.types["builtin_interfaces/msg/Time"](sec=seconds, nanosec=nanoseconds)

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 
-from mr_damper_ros.io.bag_reader import bag_stream, opened_bag
+from mr_damper_ros.io.bag_reader import OpenBag, bag_stream, opened_bag, stamp_of
 from mr_damper_ros.live.live_record import LiveRecord
 from mr_damper_ros.models.parameter_set import ParameterSet
 from mr_damper_ros.signals.blocks import NANOSECONDS
@@ -25,23 +25,15 @@ _MOST_SIGNALS = 1_000_000
 """Capacity of the table ``signals``, almost three hours."""
 
 
-def title_of(path: Path) -> str:
-    """Name, operator, note and file name of a recording."""
+def empty_record(path: Path) -> LiveRecord:
+    """A record with room for the signals of a bag, for :func:`replay_into`; raises BagError.
+
+    Its title is name, operator, note and file name of the recording.
+    """
     with opened_bag(path) as bag:
         told = [bag.details.get(key, "") for key in ("name", "operator", "note")]
-    return ", ".join(dict.fromkeys([*filter(None, told), path.name]))
-
-
-def start_of(path: Path) -> ParameterSet | None:
-    """The set in use at the start of the recording; None if the bag does not contain it."""
-    with opened_bag(path) as bag:
-        text = bag.details.get("start_set", "")
-    return ParameterSet.from_yaml(text) if text else None
-
-
-def empty_record(path: Path) -> LiveRecord:
-    """A record with room for the signals of a bag, for :func:`replay_into`; raises BagError."""
-    return LiveRecord(recorded=title_of(path), signals_kept=_MOST_SIGNALS)
+    title = ", ".join(dict.fromkeys([*filter(None, told), path.name]))
+    return LiveRecord(recorded=title, signals_kept=_MOST_SIGNALS)
 
 
 def replay_into(record: LiveRecord, path: Path, start: ParameterSet | None = None) -> None:
@@ -50,11 +42,14 @@ def replay_into(record: LiveRecord, path: Path, start: ParameterSet | None = Non
     Without ``start``, the initial set is the set in use at the start of the recording. Raises
     BagError or ParameterError if the bag or the set cannot be used.
     """
-    start = start or start_of(path)
+    with opened_bag(path) as bag:
+        set_points = deque(_set_points(bag))
+        text = bag.details.get("start_set", "")
+    if start is None and text:
+        start = ParameterSet.from_yaml(text)
     if start is not None:
         record.set_parameters(replace(start, stamp_ns=0))
     engine = Engine(None, start)
-    set_points = deque(_set_points(path))
 
     def stream() -> Iterator[StreamItem]:
         for item in bag_stream(path):
@@ -86,18 +81,15 @@ def _show_publications(record: LiveRecord, engine: Engine) -> None:
             record.set_parameters(replace(published.parameters, stamp_ns=report.stamp_ns))
 
 
-def _set_points(path: Path) -> list[tuple[int, str, float]]:
+def _set_points(bag: OpenBag) -> list[tuple[int, str, float]]:
     """Stamp [ns], name and value of each setpoint in a bag, in the order of the stamps."""
     found = []
-    with opened_bag(path) as bag:
-        fields = {
-            bag.topic(topic, kind, required=False): (name, field)
-            for topic, kind, name, field in _SET_POINTS
-        }
-        fields.pop("", None)
-        for topic, message in bag.decoded(set(fields)) if fields else ():
-            name, field = fields[topic]
-            stamp = message.header.stamp
-            stamp_ns = int(stamp.sec) * NANOSECONDS + int(stamp.nanosec)
-            found.append((stamp_ns, name, float(getattr(message, field))))
+    fields = {
+        bag.topic(topic, kind, required=False): (name, field)
+        for topic, kind, name, field in _SET_POINTS
+    }
+    fields.pop("", None)
+    for topic, message in bag.decoded(set(fields)) if fields else ():
+        name, field = fields[topic]
+        found.append((stamp_of(message), name, float(getattr(message, field))))
     return sorted(found)
