@@ -17,8 +17,8 @@ from waiting import until
 
 from mr_damper_ros.live.live_record import Concern, LiveRecord
 from mr_damper_ros.live.page_server import PageServer
-from mr_damper_ros.live.recorded import empty_record, replay_into
 from mr_damper_ros.tools import live_bag, watch
+from mr_damper_ros.tools.live_bag import empty_record, replay_into
 
 SECONDS = 12
 

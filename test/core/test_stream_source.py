@@ -20,12 +20,17 @@ from streamed import START, Streamed, source_of
 from waiting import until
 
 from mr_damper_ros.rig.blocks import BlockMaker, Measured
-from mr_damper_ros.rig.sources.device_source import DeviceReader, HostClock, Portions, StampedRows
-from mr_damper_ros.rig.sources.rows import (
+from mr_damper_ros.rig.sources.device_source import (
+    DeviceReader,
+    HostClock,
+    Portions,
+    Row,
+    StampedRows,
+)
+from mr_damper_ros.rig.sources.stream_source import (
     CHECKS,
     LineDecoder,
     RecordDecoder,
-    Row,
     SimulatedSender,
     parse_row_format,
 )

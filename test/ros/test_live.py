@@ -21,11 +21,11 @@ from support import PATIENCE, Listener, TriedProgram, assert_one_sentence
 from mr_damper_ros.io.bag_reader import read_bag
 from mr_damper_ros.io.bag_writer import BagStream
 from mr_damper_ros.live.live_record import SIGNALS, SILENT_AFTER
-from mr_damper_ros.live.recorded import empty_record, replay_into
 from mr_damper_ros.nodes import quality
 from mr_damper_ros.nodes.live_node import LiveNode
 from mr_damper_ros.nodes.messages import from_field, to_nanoseconds
 from mr_damper_ros.processes.programs import node_arguments
+from mr_damper_ros.tools.live_bag import empty_record, replay_into
 
 BAG = Path(__file__).parents[2] / "bags" / "5.0mm_1Hz_1.5A"
 

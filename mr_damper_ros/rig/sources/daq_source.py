@@ -23,11 +23,11 @@ from mr_damper_ros.rig.sources.device_source import (
     DeviceSource,
     Portion,
     Portions,
+    Row,
     StampedRows,
     TimedSample,
     library,
 )
-from mr_damper_ros.rig.sources.rows import Row
 from mr_damper_ros.settings.option_table import ParameterTable, option
 from mr_damper_ros.signals.arrays import Array
 from mr_damper_ros.signals.blocks import NANOSECONDS

@@ -13,7 +13,6 @@ from importlib import import_module
 from typing import Any, ClassVar, Generic, NamedTuple, TypeVar
 
 from mr_damper_ros.rig.blocks import BlockMaker, Measured
-from mr_damper_ros.rig.sources.rows import Row
 from mr_damper_ros.rig.sources.source import Source, SourceState, StreamSettings
 from mr_damper_ros.signals.blocks import NANOSECONDS, RigBlock
 from mr_damper_ros.signals.clocks import ArrivalClock, CountedTimes
@@ -27,6 +26,14 @@ _LARGEST_ADVANCE, _LARGEST_STEP_BACK = 10.0, 1.0
 
 _IMPLAUSIBLE_IN_A_ROW = 16
 """This number of implausible stamps in a row means that the clock was set; fewer are errors."""
+
+
+class Row(NamedTuple):
+    """A line or a record: measured values, the sender's count and its time [s]; None if absent."""
+
+    measured: Measured
+    number: int | None
+    time: float | None
 
 
 class TimedSample(NamedTuple):
