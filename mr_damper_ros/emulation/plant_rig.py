@@ -12,15 +12,7 @@ from typing import Protocol
 import numpy as np
 
 from mr_damper_ros.control.linear_plant import LinearPlant, MovingPlant
-from mr_damper_ros.emulation.emulator import (
-    CHUNK,
-    CurrentSchedule,
-    Damper,
-    MeasuredRig,
-    PlantMotion,
-    RigSettings,
-    ThermalModel,
-)
+from mr_damper_ros.emulation import emulator
 from mr_damper_ros.kinematics.motion import Motion
 from mr_damper_ros.kinematics.peak_velocity import PeakVelocity
 from mr_damper_ros.models.parameter_set import ParameterSet
@@ -42,7 +34,7 @@ class Surroundings(Protocol):
         """The input (n,) at the times (n,) [s]; for a road, its vertical velocity [m/s]."""
 
 
-class PlantRig(MeasuredRig):
+class PlantRig(emulator.MeasuredRig):
     """A damper in a plant.
 
     Each sample period has ``substeps`` steps. The force of the damper is computed at every step and
@@ -53,13 +45,13 @@ class PlantRig(MeasuredRig):
 
     def __init__(
         self,
-        damper: Damper,
+        damper: emulator.Damper,
         plant: LinearPlant,
         surroundings: Surroundings,
-        current: CurrentSchedule | float,
+        current: emulator.CurrentSchedule | float,
         *,
-        settings: RigSettings | None = None,
-        thermal: ThermalModel | None = None,
+        settings: emulator.RigSettings | None = None,
+        thermal: emulator.ThermalModel | None = None,
         coil_time_constant: float = 0.0,
         dampers: int = 1,
         substeps: int = 4,
@@ -82,15 +74,15 @@ class PlantRig(MeasuredRig):
         """The next ``count`` samples."""
         self._moved = []
         block = super().next_block(count)
-        self.motion = PlantMotion(*map(np.array, zip(*self._moved, strict=True)))
+        self.motion = emulator.PlantMotion(*map(np.array, zip(*self._moved, strict=True)))
         return block
 
     def _true(self, time: Array, current: Array) -> tuple[Array, Array, Array]:
-        begin = self._made % CHUNK
+        begin = self._made % emulator.CHUNK
         if begin == 0:
-            steps = np.arange(CHUNK * self._substeps, dtype=np.float64)
+            steps = np.arange(emulator.CHUNK * self._substeps, dtype=np.float64)
             inputs = self._surroundings.at((steps + self._made * self._substeps) * self._step)
-            self._inputs = inputs.reshape(CHUNK, self._substeps).tolist()
+            self._inputs = inputs.reshape(emulator.CHUNK, self._substeps).tolist()
         rows = np.empty((3, time.size))
         for place, supplied in enumerate(current.tolist()):
             heat = sum([self._step_on(supplied, moved) for moved in self._inputs[begin + place]])

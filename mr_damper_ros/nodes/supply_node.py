@@ -22,13 +22,7 @@ from mr_damper_ros.nodes.messages import current_message
 from mr_damper_ros.nodes.node_parameters import ConfigurationError, NodeParameters
 from mr_damper_ros.nodes.spinning import run
 from mr_damper_ros.rig.commander import CommandSettings, CurrentCommander
-from mr_damper_ros.rig.supplies.scpi_link import (
-    EmulatedInstrument,
-    LinkLostError,
-    Patience,
-    ScpiLink,
-    connect,
-)
+from mr_damper_ros.rig.supplies import scpi_link
 from mr_damper_ros.rig.supplies.supply import ScpiSupply, SupplyDrive, read_profile
 from mr_damper_ros.settings.option_table import group, option
 
@@ -231,7 +225,7 @@ class SupplyNode(ManagedNode):
             return
         try:
             supply.close()
-        except LinkLostError as error:
+        except scpi_link.LinkLostError as error:
             self.get_logger().warning(f"closing the link failed: {error}")
         self.destroy_publisher(self._publisher)
 
@@ -302,10 +296,10 @@ def _supply(values: SupplyParameters) -> ScpiSupply:
     """The supply of the parameters; raises ValueError."""
     emulated = values.address == _EMULATED
     profile = read_profile(values.profile or (_EMULATED if emulated else "scpi"))
-    instrument = EmulatedInstrument()
+    instrument = scpi_link.EmulatedInstrument()
 
-    def link(patience: Patience) -> ScpiLink:
-        return instrument if emulated else connect(values.address, patience)
+    def link(patience: scpi_link.Patience) -> scpi_link.ScpiLink:
+        return instrument if emulated else scpi_link.connect(values.address, patience)
 
     return ScpiSupply(
         link,

@@ -8,24 +8,8 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 from mr_damper_ros.control.linear_plant import ROUGHNESS, Bump, IsoRoad, QuarterCar
-from mr_damper_ros.emulation.emulator import (
-    CHUNK,
-    Damper,
-    EmulatedDamper,
-    EmulatedRig,
-    RigSettings,
-    SupplySetpoint,
-    ThermalModel,
-    scaled,
-)
+from mr_damper_ros.emulation import emulator, motions
 from mr_damper_ros.emulation.faults import FaultError, Instruments, faults_of
-from mr_damper_ros.emulation.motions import (
-    CommandedMotion,
-    Excitation,
-    SampledMotion,
-    SineMotion,
-    stepped,
-)
 from mr_damper_ros.emulation.plant_rig import HOT_FORCE, PlantRig, Surroundings, invented_damper
 from mr_damper_ros.kinematics.periodic_motion import MotionKind, PeriodicMotion
 from mr_damper_ros.models.parameter_set import ParameterSet
@@ -72,7 +56,7 @@ class _RigOptions(ParameterTable):
         "current.",
         within=(0.0, 1.0),
     )
-    rig: RigSettings = group(RigSettings, flat=True)
+    rig: emulator.RigSettings = group(emulator.RigSettings, flat=True)
     seed: int = option(
         0, "Seed of noise and road; the same seed gives the same samples.", within=(0, 2**31 - 1)
     )
@@ -124,7 +108,7 @@ class EmulatedOptions(_RigOptions):
         "Largest peak velocity [m/s] of a commanded motion; larger commands are rejected.",
         within=(1e-6, 10.0),
     )
-    thermal: ThermalModel = group(ThermalModel, flat=True)
+    thermal: emulator.ThermalModel = group(emulator.ThermalModel, flat=True)
     faults: str = option(
         "",
         "Faults, as name[:value][@begin[-end]] with times in seconds since the start, "
@@ -168,7 +152,7 @@ class _EmulatedSupply(Source):
         )
         return CurrentCommander(limits, given.current)
 
-    def _rig(self, start_ns: int) -> RigSettings:
+    def _rig(self, start_ns: int) -> emulator.RigSettings:
         return replace(self.settings.rig, seed=self.settings.seed, start_ns=start_ns)
 
     def close(self) -> None:
@@ -201,8 +185,8 @@ class EmulatedSource(_EmulatedSupply):
         settings = self._rig(start_ns)
         faults = faults_of(given.faults.split(), given.seed)
         instruments = Instruments(faults)
-        supply = SupplySetpoint(commander.step(time.monotonic()))
-        rig = EmulatedRig(
+        supply = emulator.SupplySetpoint(commander.step(time.monotonic()))
+        rig = emulator.EmulatedRig(
             self._damper,
             self._excitation,
             supply,
@@ -211,7 +195,7 @@ class EmulatedSource(_EmulatedSupply):
             thermal=given.thermal,
             coil_time_constant=given.coil_time_constant,
         )
-        motion: CommandedMotion | None = None
+        motion: motions.CommandedMotion | None = None
         taken = 0
         while True:
             now = time.monotonic()
@@ -220,9 +204,9 @@ class EmulatedSource(_EmulatedSupply):
             rig.live = commander.origin(now) is not Origin.HAND or mover.commanded
             if mover.commanded:
                 # Up to one chunk of samples may already have been computed ahead.
-                begin = (taken + CHUNK) * settings.period
+                begin = (taken + emulator.CHUNK) * settings.period
                 if motion is None:
-                    motion = CommandedMotion(self._excitation, begin)
+                    motion = motions.CommandedMotion(self._excitation, begin)
                     rig.move(motion)
                 motion.command(mover.motion(now), begin)
             made = rig.next_block(self.stream.block_size)
@@ -233,13 +217,13 @@ class EmulatedSource(_EmulatedSupply):
             taken += self.stream.block_size
 
 
-def _excitation(rig: EmulatedOptions) -> Excitation:
+def _excitation(rig: EmulatedOptions) -> motions.Excitation:
     """The motion that the options describe; raises ValueError or OSError."""
     low, high = rig.frequency, rig.highest_frequency
     if rig.excitation == "chirp":
         return PeriodicMotion(MotionKind.SWEEP, rig.amplitude, low, high, rig.sweep_time)
     if rig.excitation == "steps":
-        return stepped(rig.amplitude, low, high, rig.sweep_time)
+        return motions.stepped(rig.amplitude, low, high, rig.sweep_time)
     if rig.excitation == "random":
         seed = rig.seed % 10_000  # the number of different random motions
         return PeriodicMotion(MotionKind.RANDOM, rig.amplitude, low, high, rig.sweep_time, seed)
@@ -248,17 +232,19 @@ def _excitation(rig: EmulatedOptions) -> Excitation:
 
         # Only the displacement is used, so any current is valid.
         record = read_record(rig.motion_file, rig.motion_columns, current=0.0)
-        return SampledMotion(record.displacement, record.period)
-    return SineMotion(rig.amplitude, low)
+        return motions.SampledMotion(record.displacement, record.period)
+    return motions.SineMotion(rig.amplitude, low)
 
 
-def _damper(rig: EmulatedOptions) -> Damper:
+def _damper(rig: EmulatedOptions) -> emulator.Damper:
     """The damper that the options describe; raises ValueError or OSError."""
     if rig.damper == _THESIS_TEMPERATURES:
-        return EmulatedDamper(THESIS_28_CELSIUS, scaled(THESIS_71_CELSIUS, rig.hot_force))
+        return emulator.EmulatedDamper(
+            THESIS_28_CELSIUS, emulator.scaled(THESIS_71_CELSIUS, rig.hot_force)
+        )
     is_file = rig.damper.endswith((".yaml", ".yml"))
     known = ParameterSet.load(rig.damper) if is_file else parameters(find(rig.damper))
-    return EmulatedDamper(known, rig.hot_force)
+    return emulator.EmulatedDamper(known, rig.hot_force)
 
 
 _BUMP = "bump"
@@ -267,8 +253,8 @@ _CAR = QuarterCar()
 
 
 @dataclass(frozen=True)
-class _CarSettings(RigSettings):
-    displacement_noise: float = with_default(RigSettings, "displacement_noise", 1e-6)
+class _CarSettings(emulator.RigSettings):
+    displacement_noise: float = with_default(emulator.RigSettings, "displacement_noise", 1e-6)
     sample_rate: float = option(1000.0, "Samples per second [Hz].", within=(200.0, 10_000.0))
 
 
@@ -292,8 +278,8 @@ class QuarterCarOptions(_RigOptions):
     current: float = with_default(_RigOptions, "current", 0.0)
     coil_time_constant: float = with_default(_RigOptions, "coil_time_constant", 0.01)
     rig: _CarSettings = group(_CarSettings, flat=True)
-    initial_temperature: float = with_default(ThermalModel, "initial_temperature", 28.0)
-    heat_capacity: float = with_default(ThermalModel, "heat_capacity", 430.0)
+    initial_temperature: float = with_default(emulator.ThermalModel, "initial_temperature", 28.0)
+    heat_capacity: float = with_default(emulator.ThermalModel, "heat_capacity", 430.0)
 
 
 class QuarterCarSource(_EmulatedSupply):
@@ -308,7 +294,7 @@ class QuarterCarSource(_EmulatedSupply):
         given = self.settings
         invented = given.damper == _INVENTED
         known = invented_damper(0.0) if invented else ParameterSet.load(given.damper)
-        self._damper = EmulatedDamper(known, given.hot_force, built_in=True)
+        self._damper = emulator.EmulatedDamper(known, given.hot_force, built_in=True)
         self.commander = self._supply()
         return []
 
@@ -321,14 +307,14 @@ class QuarterCarSource(_EmulatedSupply):
             if given.road == _BUMP
             else IsoRoad(given.road, given.speed, given.seed)
         )
-        supply = SupplySetpoint(self.commander.step(time.monotonic()))
+        supply = emulator.SupplySetpoint(self.commander.step(time.monotonic()))
         rig = PlantRig(
             self._damper,
             _CAR.plant,
             road,
             supply,
             settings=self._rig(start_ns),
-            thermal=ThermalModel(
+            thermal=emulator.ThermalModel(
                 initial_temperature=given.initial_temperature, heat_capacity=given.heat_capacity
             ),
             coil_time_constant=given.coil_time_constant,
