@@ -47,19 +47,6 @@ def compile_library(source: Path, library: Path, *options: str) -> str:
     return done.stderr
 
 
-_VARIABLES = (
-    ("displacement", "input", "m", "Displacement of the rod, extension positive"),
-    ("current", "input", "A", "Current of the supply"),
-    ("desired_force", "input", "N", "Desired force, tension positive"),
-    ("force", "output", "N", "Force of the damper, tension positive"),
-    ("velocity", "output", "m/s", "Estimated velocity"),
-    ("peak_velocity", "output", "m/s", "Peak velocity of the present cycle"),
-    ("coil_current", "output", "A", "Current in the coil"),
-    ("desired_current", "output", "A", "Current in the coil for the desired force"),
-    ("attainable_force", "output", "N", "Force that this current gives"),
-    ("centre", "parameter", "m", "Displacement at the centre of the motion"),
-)
-
 _EPOCH = (1980, 1, 1, 0, 0, 0)
 """Fixed time stamp in the archive, so that the same set gives the same bytes."""
 
@@ -68,7 +55,14 @@ def fmu(law: ExportedLaw, name: str) -> bytes:
     """The content of the FMU. Raises ValueError if there is no compiler or it fails; OSError."""
     code = header(law, name)
     guid = hashlib.sha256(code.encode()).hexdigest()[:32]
-    source = filled(template("fmu.c.in"), {"GUARD": name.upper(), "NAME": name, "GUID": guid})
+    values = {
+        "GUARD": name.upper(),
+        "NAME": name,
+        "GUID": guid,
+        "PROVENANCE": quoteattr(law.provenance),
+        "PERIOD": number(law.settings.period),
+    }
+    source, description = (filled(template(f"fmu.{kind}.in"), values) for kind in ("c", "xml"))
     # The platform's folder of binaries in FMI 2.0, and the suffix of a library.
     system, suffix = {"darwin": ("darwin", ".dylib"), "win32": ("win", ".dll")}.get(
         sys.platform, (sys.platform, ".so")
@@ -81,7 +75,7 @@ def fmu(law: ExportedLaw, name: str) -> bytes:
         library = place / f"{name}{suffix}"
         compile_library(place / "fmu.c", library, "-fvisibility=hidden")
         entries = {
-            "modelDescription.xml": _description(law, name, guid).encode(),
+            "modelDescription.xml": description.encode(),
             f"sources/{name}.h": code.encode(),
             "sources/fmu.c": source.encode(),
             f"binaries/{system}{bits}/{library.name}": library.read_bytes(),
@@ -91,54 +85,3 @@ def fmu(law: ExportedLaw, name: str) -> bytes:
         for entry, content in entries.items():
             archive.writestr(zipfile.ZipInfo(entry, _EPOCH), content, zipfile.ZIP_DEFLATED)
     return packed.getvalue()
-
-
-_KINDS = {
-    "input": ('causality="input" variability="continuous"', ' start="0.0"'),
-    "output": ('causality="output" variability="continuous" initial="calculated"', ""),
-    "parameter": ('causality="parameter" variability="fixed" initial="exact"', ' start="0.0"'),
-}
-"""XML attributes of a variable and of its value, by its causality."""
-
-_UNITS = (
-    ("m", 'm="1"'),
-    ("A", 'A="1"'),
-    ("N", 'kg="1" m="1" s="-2"'),
-    ("m/s", 'm="1" s="-1"'),
-)
-
-
-def _description(law: ExportedLaw, name: str, guid: str) -> str:
-    rows = "\n".join(
-        f'    <ScalarVariable name="{variable}" valueReference="{place}" {_KINDS[causality][0]} '
-        f"description={quoteattr(meaning)}>\n"
-        f'      <Real unit="{unit}"{_KINDS[causality][1]}/>\n    </ScalarVariable>'
-        for place, (variable, causality, unit, meaning) in enumerate(_VARIABLES)
-    )
-    unknowns = "".join(
-        f'<Unknown index="{place}"/>'
-        for place, (_, causality, _, _) in enumerate(_VARIABLES, start=1)
-        if causality == "output"
-    )
-    units = "\n".join(f'    <Unit name="{unit}"><BaseUnit {base}/></Unit>' for unit, base in _UNITS)
-    return f"""\
-<?xml version="1.0" encoding="UTF-8"?>
-<fmiModelDescription fmiVersion="2.0" modelName="{name}" guid="{guid}"
-  description={quoteattr(law.provenance)} generationTool="mr_damper_ros"
-  variableNamingConvention="flat">
-  <CoSimulation modelIdentifier="{name}" canHandleVariableCommunicationStepSize="true">
-    <SourceFiles><File name="fmu.c"/></SourceFiles>
-  </CoSimulation>
-  <UnitDefinitions>
-{units}
-  </UnitDefinitions>
-  <DefaultExperiment startTime="0.0" stopTime="10.0" stepSize="{number(law.settings.period)}"/>
-  <ModelVariables>
-{rows}
-  </ModelVariables>
-  <ModelStructure>
-    <Outputs>{unknowns}</Outputs>
-    <InitialUnknowns>{unknowns}</InitialUnknowns>
-  </ModelStructure>
-</fmiModelDescription>
-"""

@@ -10,12 +10,15 @@ from mr_damper_ros.control.export.exported_law import ExportedLaw, number
 from mr_damper_ros.kinematics.peak_velocity import MEMORY
 from mr_damper_ros.models.formulas import Language
 
+_HELPERS = ("sat", "clip", "larger", "where", "number")
+"""Functions of the generated code."""
+
 C = Language(
     functions={
         "exp": "exp",
         "tanh": "tanh",
         "abs": "fabs",
-        **{name: f"@NAME@_{name}" for name in ("clip", "larger", "where", "sat", "number")},
+        **{name: f"@NAME@_{name}" for name in _HELPERS},
     },
     assignment="const double {name} = {value};",
 )
@@ -24,13 +27,16 @@ C = Language(
 M = Language(
     functions={
         **{name: name for name in ("exp", "tanh", "abs")},
-        **{name: f"damper_{name}" for name in ("clip", "larger", "where", "sat", "number")},
+        **{name: f"damper_{name}" for name in _HELPERS},
     },
     assignment="{name} = {value};",
     operators={ast.Mult: ".*", ast.Div: "./"},
 )
 """MATLAB and Octave, element by element."""
 
+
+_FILES = ("force", "coefficients", "inverse", "check", *_HELPERS)
+"""Files of the M-code, without their prefix."""
 
 _NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]{0,40}")
 
@@ -99,22 +105,4 @@ def functions(law: ExportedLaw) -> dict[str, str]:
         "HELD_LOW": number(law.held[0]),
         "HELD_HIGH": number(law.held[1]),
     }
-    names = ("damper_force", "damper_coefficients", "damper_inverse", "damper_check")
-    texts = {f"{name}.m": filled(template(f"{name}.m.in"), values) for name in names}
-    for name, body in _HELPERS.items():
-        texts[f"damper_{name}.m"] = f"function r = damper_{body}\nend\n"
-    return texts
-
-
-_HELPERS = {
-    "sat": "sat(x)\n% Limit to ±1e100.\nr = min(max(x, -1e100), 1e100);",
-    "clip": "clip(x, low, high)\n% Limit to a range.\nr = min(max(x, low), high);",
-    "larger": "larger(x, y)\nr = max(x, y);",
-    "where": (
-        "where(condition, yes, no)\n% One or the other, element by element.\n"
-        "none = zeros(size(condition + yes + no));\n"
-        "r = none + no;\nyes = none + yes;\nplaces = (none + condition) ~= 0;\n"
-        "r(places) = yes(places);"
-    ),
-    "number": "number(x)\n% 0 where x is NaN.\nr = x;\nr(isnan(x)) = 0;",
-}
+    return {f"damper_{name}.m": filled(template(f"damper_{name}.m.in"), values) for name in _FILES}
