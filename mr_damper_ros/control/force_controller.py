@@ -483,7 +483,6 @@ class ForceController:
     def _fall_back(
         self, prediction: Prediction, doubt: Doubt, wanted: float, duration: float
     ) -> Command:
-        """The command without a valid force."""
         self._feedback.expect(math.nan)
         safe = self.settings.fallback.safe_current
         # With a lagging coil, the command overshoots the setpoint of the coil current. Of these

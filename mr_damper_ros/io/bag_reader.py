@@ -307,7 +307,6 @@ def _place(segments: list[tuple[int, list[SampleBlock]]], placed: Iterable[Place
 
 
 def _hold(bag: str, rounds: list[tuple[int, ZeroOrderHold]], reading: CurrentReading) -> None:
-    """Add a value of the current."""
     stamp_ns, value = reading
     last = rounds[-1][1].last_stamp_ns if rounds else None
     if last is None or stamp_ns < last - LATE_NS:

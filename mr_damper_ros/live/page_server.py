@@ -236,7 +236,6 @@ class _Handler(BaseHTTPRequestHandler):
         self._serve(self._take_command)
 
     def _serve(self, answer: Callable[[bytes], None]) -> None:
-        """Answer a request; if it is rejected, send the reason."""
         try:
             body = self._body()
             self._check_host()

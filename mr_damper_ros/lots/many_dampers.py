@@ -317,7 +317,6 @@ def identify_many(
 
 
 def _groups(recordings: Iterable[ListedRecording]) -> dict[str, list[ListedRecording]]:
-    """The recordings by damper."""
     groups: dict[str, list[ListedRecording]] = defaultdict(list)
     for recording in recordings:
         groups[recording.damper].append(recording)

@@ -171,7 +171,6 @@ class BlockNode(Node, Generic[Options, Answer]):
             self._predictor.follow_report(report_of(message))
 
     def _set_finding(self) -> Finding:
-        """The set in use."""
         if self._unattributed is not None:
             self._take_set(self._unattributed)
         parameters, file = self._predictor.parameters, self._options.parameter_file

@@ -254,7 +254,6 @@ class BridgeNode(ManagedNode):
     # --- sending, in its own thread -------------------------------------------------------------
 
     def _send(self, sender: PacedSender, blocks: Iterator[RigBlock]) -> None:
-        """Publish all blocks until the sender is stopped."""
         values = self.parameters.values
         frame_id = values.frame_id
 

@@ -262,7 +262,6 @@ class CampaignNode(Node):
             self._log_next_run(status)
 
     def _publish_feedback(self, status: CampaignStatus) -> None:
-        """Send the status of the campaign to the client of the goal."""
         if self._goal is not None:
             self._goal.publish_feedback(
                 RunCampaign.Feedback(

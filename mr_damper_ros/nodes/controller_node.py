@@ -131,7 +131,6 @@ class ControllerNode(BlockNode[ControllerParameters, Command]):
         self._command.publish(self._message)
 
     def _give_up(self) -> None:
-        """Command the safe current."""
         self._publish(self._controller.give_up(), self.get_clock().now().nanoseconds)
 
     def _watch(self) -> None:

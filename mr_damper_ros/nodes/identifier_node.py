@@ -273,13 +273,11 @@ class IdentifierNode(Node):
     # --- goals: each is a search of the identification -------------------------------------------
 
     def _publish_progress(self, event: SearchProgress) -> None:
-        """Send the progress of a search to the client of its goal."""
         if event.search in self._goals:
             feedback = IdentifyGlobal.Feedback(**vars(event.progress))
             self._goals[event.search].publish_feedback(feedback)
 
     def _finish_goal(self, event: SearchEnded) -> None:
-        """Deliver the result of a search to the client of its goal."""
         if event.search in self._goals:
             self._server.finish(self._goals.pop(event.search), self._goal_result(event))
 
@@ -337,7 +335,6 @@ class IdentifierNode(Node):
     # --- state ----------------------------------------------------------------------------------
 
     def _find_window(self) -> Finding:
-        """The progress of the next window."""
         assembler = self._identifier.assembler
         if assembler.waits_for_current:
             return Finding(
@@ -348,7 +345,6 @@ class IdentifierNode(Node):
         return Finding(OK, f"window {assembler.fill:.0%} full")
 
     def _find_fit(self) -> Finding:
-        """The result of the last window."""
         report, tracker = self._identifier.last_report, self._identifier.tracker
         if report is None:
             return Finding(STALE, "no window has been fitted yet")
@@ -394,7 +390,6 @@ class IdentifierNode(Node):
         return Finding(OK, identifier.running or "idle", values)
 
     def _find_parameters(self) -> Finding:
-        """The set in use."""
         tracker = self._identifier.tracker
         parameters = tracker.parameters
         age = (self.get_clock().now().nanoseconds - parameters.stamp_ns) / NANOSECONDS
@@ -415,7 +410,6 @@ class IdentifierNode(Node):
         return Finding(OK, f"running with {parameters.set_id}", values)
 
     def _find_state(self) -> Finding:
-        """Whether the state is stored on disk."""
         state = self._identifier.state
         if state.writer.fault:
             return Finding(ERROR, state.writer.fault)

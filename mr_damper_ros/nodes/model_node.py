@@ -153,7 +153,6 @@ class ModelNode(BlockNode[ModelParameters, Prediction]):
             self._signals.publish(message)
 
     def _publish_wrench(self, prediction: Prediction) -> None:
-        """Publish the last force of a block, if it is due."""
         period = prediction.period
         last_ns = prediction.start_ns + round((prediction.force.size - 1) * period * NANOSECONDS)
         for _, stamp_ns in self._wrench_rate.due(last_ns, period, 1):

@@ -166,7 +166,6 @@ class TopicSource(Source):
         )
 
     def _fault(self) -> str:
-        """The fault of the topics, as a sentence; empty without a fault."""
         for item in self._inputs:
             fault = item.fault()
             if fault:

@@ -239,12 +239,13 @@ def write_report(
         parts += [_block(folder, block) for block in chapter.blocks]
         parts.append("</section>")
     body = "\n".join(parts)
+    style = (Path(__file__).parent / "report.css").read_text(encoding="utf-8")
     place = folder / page
     write_text(
         place,
         f'<!DOCTYPE html>\n<html lang="en"><head><meta charset="utf-8">'
         f'<meta name="viewport" content="width=device-width, initial-scale=1">'
-        f"<title>{html.escape(title)}</title><style>{_STYLE}</style></head>\n"
+        f"<title>{html.escape(title)}</title><style>\n{style}</style></head>\n"
         f"<body>{body}</body></html>\n",
     )
     return place
@@ -343,36 +344,3 @@ _NUMBER = re.compile(r"[<>+−-]? ?\d[\d.]*(e[-+]\d+)?( ± [\d.]+)?( ?%| \*)?$")
 def _classes(**chosen: bool) -> str:
     names = " ".join(name for name, on in chosen.items() if on)
     return f' class="{names}"' if names else ""
-
-
-_STYLE = """
-:root{color-scheme:light dark;--ink:#1a1a1a;--paper:#fff;--soft:#5c5c5c;--line:#d0d0d0;
---mark:#f5f1e6}
-@media (prefers-color-scheme:dark){:root{--ink:#e4e4e4;--paper:#141414;--soft:#a5a5a5;
---line:#3c3c3c;--mark:#2a2619}figure img{filter:invert(.92) hue-rotate(180deg)}}
-body{font:16px/1.5 Georgia,"Times New Roman",serif;color:var(--ink);background:var(--paper);
-max-width:62rem;margin:2rem auto;padding:0 1.2rem}
-h1,h2{line-height:1.25;font-weight:600}h1{font-size:1.7rem}
-h2{font-size:1.3rem;margin-top:3rem;border-top:1px solid var(--line);padding-top:1rem}
-p{max-width:46rem}a{color:inherit}nav li{margin:.35rem 0;max-width:46rem}
-.notice{background:var(--mark);padding:.6rem .9rem;max-width:none}
-figure{margin:1.5rem 0;break-inside:avoid}figure img{max-width:100%;height:auto}
-@media screen and (max-width:44rem){.picture{overflow-x:auto}figure img{max-width:none}}
-figcaption,.caption{font-size:.9rem;color:var(--soft);margin:.3rem 0;max-width:46rem}
-.table{overflow-x:auto;margin:1.5rem 0}table{border-collapse:collapse;font-size:.84rem;
-font-variant-numeric:tabular-nums;border-bottom:1px solid var(--ink)}
-th{text-align:left;border-top:1px solid var(--ink);border-bottom:1px solid var(--ink);
-vertical-align:bottom}
-th,td{padding:.18rem .7rem .18rem 0}.number{text-align:right}
-.short{white-space:nowrap}
-tbody tr+tr td{border-top:1px solid var(--line)}
-@page{size:A4;margin:14mm}
-@media print{:root{color-scheme:light;--ink:#000;--paper:#fff;--soft:#333;--line:#bbb;
---mark:#f0f0f0}
-html{font-size:12px}body{font-size:9pt;max-width:none;margin:0;padding:0}
-figure img{filter:none;max-height:105mm}p,nav li,.caption,figcaption{max-width:none}
-h2{break-after:avoid;margin-top:1.5rem}p{orphans:3;widows:3}.caption{break-after:avoid}
-table{font-size:7pt}.wide table{font-size:5.4pt}.wide th,.wide td{padding-right:.3rem}
-.table{overflow:visible}tr{break-inside:avoid}
-.table:not(.long){break-inside:avoid}}
-"""

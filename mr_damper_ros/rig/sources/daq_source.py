@@ -393,7 +393,6 @@ class DaqSource(DeviceSource[Readings]):
 
     @property
     def _wanted(self) -> list[str]:
-        """The quantities with a channel."""
         given = self.settings
         return [
             name for name in _QUANTITIES

@@ -181,7 +181,6 @@ class LineDecoder:
 
 
 def _shown(data: bytes) -> str:
-    """The beginning of unreadable data, as text."""
     text = data[:40].decode("ascii", "replace")
     return "".join(c if c.isprintable() else "\N{REPLACEMENT CHARACTER}" for c in text)
 
