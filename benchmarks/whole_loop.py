@@ -27,15 +27,18 @@ from mr_damper_ros.control.linear_plant import IsoRoad, QuarterCar
 from mr_damper_ros.control.semi_active import SuspensionSettings, controller_of
 from mr_damper_ros.emulation.commanded_rig import ForceChoice, commanded
 from mr_damper_ros.emulation.emulator import (
+    HIGHEST_CURRENT,
+    HOT_FORCE,
     Damper,
     EmulatedDamper,
     EmulatedRig,
+    PlantRig,
     RigSettings,
     SupplySetpoint,
     ThermalModel,
+    invented_damper,
 )
 from mr_damper_ros.emulation.motions import Excitation, SineMotion
-from mr_damper_ros.emulation.plant_rig import HIGHEST_CURRENT, HOT_FORCE, PlantRig, invented_damper
 from mr_damper_ros.models.parameter_set import ParameterSet
 from mr_damper_ros.models.published import THESIS_28_CELSIUS
 from mr_damper_ros.rig.sources.emulated_source import suspension_state_of

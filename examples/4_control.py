@@ -40,8 +40,14 @@ from mr_damper_ros.control.force_controller import ForceControlSettings
 from mr_damper_ros.control.linear_plant import IsoRoad, QuarterCar
 from mr_damper_ros.control.semi_active import skyhook
 from mr_damper_ros.emulation.commanded_rig import ForceChoice, commanded
-from mr_damper_ros.emulation.emulator import EmulatedDamper, RigSettings, SupplySetpoint
-from mr_damper_ros.emulation.plant_rig import HIGHEST_CURRENT, PlantRig, invented_damper
+from mr_damper_ros.emulation.emulator import (
+    HIGHEST_CURRENT,
+    EmulatedDamper,
+    PlantRig,
+    RigSettings,
+    SupplySetpoint,
+    invented_damper,
+)
 from mr_damper_ros.rig.sources.emulated_source import suspension_state_of
 
 COIL = 0.01  # time constant of the coil [s]

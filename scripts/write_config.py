@@ -11,7 +11,7 @@ from pathlib import Path
 
 import yaml
 
-from mr_damper_ros.emulation.plant_rig import invented_damper
+from mr_damper_ros.emulation.emulator import invented_damper
 from mr_damper_ros.settings.option_table import Option, ParameterTable, options, tables_of
 
 CONFIG = Path(__file__).resolve().parents[1] / "config"

@@ -36,8 +36,7 @@ from mr_damper_ros.control.force_controller import FallbackSettings, ForceContro
 from mr_damper_ros.control.linear_plant import LinearPlant
 from mr_damper_ros.control.semi_active import regulator_gain
 from mr_damper_ros.emulation.commanded_rig import Choice, ForceChoice, commanded
-from mr_damper_ros.emulation.emulator import EmulatedDamper, RigSettings, SupplySetpoint
-from mr_damper_ros.emulation.plant_rig import PlantRig
+from mr_damper_ros.emulation.emulator import EmulatedDamper, PlantRig, RigSettings, SupplySetpoint
 from mr_damper_ros.models.parameter_set import ParameterSet
 from mr_damper_ros.report.document import GREY, Chapter, Picture, Table, chart, legend_above
 from mr_damper_ros.signals.arrays import Array

@@ -20,15 +20,17 @@ import numpy as np
 from mr_damper_ros.control import semi_active
 from mr_damper_ros.control.force_controller import ForceControlSettings
 from mr_damper_ros.control.linear_plant import Bump, IsoRoad, QuarterCar
-from mr_damper_ros.emulation import plant_rig
+from mr_damper_ros.emulation import emulator
 from mr_damper_ros.emulation.commanded_rig import Choice, ForceChoice, commanded
 from mr_damper_ros.emulation.emulator import (
+    HIGHEST_CURRENT,
     EmulatedDamper,
+    PlantRig,
     RigSettings,
     SupplySetpoint,
     ThermalModel,
+    invented_damper,
 )
-from mr_damper_ros.emulation.plant_rig import HIGHEST_CURRENT, PlantRig, invented_damper
 from mr_damper_ros.kinematics.motion import Motion
 from mr_damper_ros.models.parameter_set import ParameterSet
 from mr_damper_ros.report.document import (
@@ -99,7 +101,7 @@ Drives = Mapping[tuple[str, str, float], Any]
 
 
 @cache
-def _surroundings(road: str) -> plant_rig.Surroundings:
+def _surroundings(road: str) -> emulator.Surroundings:
     return BUMP if road == BUMP_ROAD else IsoRoad(road, SPEEDS[road], 1)
 
 
@@ -111,7 +113,7 @@ def car_rig(
 ) -> PlantRig:
     """The car with the invented damper."""
     return PlantRig(
-        EmulatedDamper(invented_damper(coil_time_constant), plant_rig.HOT_FORCE, built_in=True),
+        EmulatedDamper(invented_damper(coil_time_constant), emulator.HOT_FORCE, built_in=True),
         CAR.plant,
         _surroundings(road),
         supply,

@@ -21,8 +21,14 @@ from mr_damper_ros.control.semi_active import (
     skyhook,
 )
 from mr_damper_ros.emulation.commanded_rig import commanded
-from mr_damper_ros.emulation.emulator import EmulatedDamper, RigSettings, SupplySetpoint
-from mr_damper_ros.emulation.plant_rig import HOT_FORCE, PlantRig, invented_damper
+from mr_damper_ros.emulation.emulator import (
+    HOT_FORCE,
+    EmulatedDamper,
+    PlantRig,
+    RigSettings,
+    SupplySetpoint,
+    invented_damper,
+)
 from mr_damper_ros.signals.arrays import Array
 from mr_damper_ros.signals.blocks import SuspensionState
 from studies.control.buildings import BUILDINGS, STOREYS, StateEstimator

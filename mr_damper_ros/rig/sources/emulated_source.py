@@ -9,8 +9,8 @@ from typing import Any
 
 from mr_damper_ros.control.linear_plant import ROUGHNESS, Bump, IsoRoad, QuarterCar
 from mr_damper_ros.emulation import emulator, motions
+from mr_damper_ros.emulation.emulator import HOT_FORCE, PlantRig, Surroundings, invented_damper
 from mr_damper_ros.emulation.faults import FaultError, Instruments, faults_of
-from mr_damper_ros.emulation.plant_rig import HOT_FORCE, PlantRig, Surroundings, invented_damper
 from mr_damper_ros.kinematics.periodic_motion import MotionKind, PeriodicMotion
 from mr_damper_ros.models.parameter_set import ParameterSet
 from mr_damper_ros.models.published import (
