@@ -324,7 +324,7 @@ class StreamTrial:
     def _send(self, delivery: Delivery) -> None:
         block = delivery.block
         for reading in self._supply.read(block, block.current, block.supply_ahead_ns):
-            self._engine.add_current(reading.stamp_ns, reading.value)
+            self._engine.add_current(*reading)
         try:
             samples = block.samples
             check_live(samples)

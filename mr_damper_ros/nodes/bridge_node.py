@@ -27,7 +27,7 @@ from mr_damper_ros.nodes.node_parameters import NodeParameters
 from mr_damper_ros.nodes.pacing import PacedSender, PacingSettings
 from mr_damper_ros.nodes.spinning import run
 from mr_damper_ros.nodes.topic_source import TopicOptions, TopicSource
-from mr_damper_ros.rig.blocks import Decimator, Meter, Reading, aligned
+from mr_damper_ros.rig.blocks import Decimator, Meter, aligned
 from mr_damper_ros.rig.sources import SOURCES
 from mr_damper_ros.rig.sources.source import Source, StreamSettings
 from mr_damper_ros.settings.option_table import ParameterTable, group, groups, option
@@ -257,8 +257,8 @@ class BridgeNode(ManagedNode):
         values = self.parameters.values
         frame_id = values.frame_id
 
-        def publish_current(reading: Reading) -> None:
-            message = messages.current_message(reading.stamp_ns, reading.value, frame_id)
+        def publish_current(stamp_ns: int, current: float) -> None:
+            message = messages.current_message(stamp_ns, current, frame_id)
             sender.publish("supply/current", message)
 
         sender.state = "streams"
@@ -270,10 +270,10 @@ class BridgeNode(ManagedNode):
             # Current and temperature are published first, so that subscribers know them when the
             # samples arrive.
             for reading in supply.read(block, block.current, block.supply_ahead_ns):
-                publish_current(reading)
-            for reading in thermometer.read(block, block.temperature):
-                stamp = messages.header(reading.stamp_ns, frame_id)
-                sender.publish("temperature", Temperature(header=stamp, temperature=reading.value))
+                publish_current(*reading)
+            for stamp_ns, celsius in thermometer.read(block, block.temperature):
+                stamp = messages.header(stamp_ns, frame_id)
+                sender.publish("temperature", Temperature(header=stamp, temperature=celsius))
             if block.suspension is not None:
                 # The desired force must be known when the controller of the damper receives the
                 # samples.
@@ -290,7 +290,7 @@ class BridgeNode(ManagedNode):
             return
         if block is not None and not math.isnan(block.current[-1]):
             # The current is now known up to the last sample.
-            publish_current(Reading(_last_stamp(block), float(block.current[-1])))
+            publish_current(_last_stamp(block), float(block.current[-1]))
         sender.wait_for_acknowledgements()
         sender.state = "the recording has ended: no more samples are sent"
         self.get_logger().info(f"end of the recording: {self._sent} samples were sent")

@@ -101,9 +101,10 @@ class CommandTopic:
 
     def finding(self) -> Finding:
         """The present command, and all faults of the commands."""
-        state, refused = self._commander.state(time.monotonic()), self._commander.refused
+        sentence, commanded, timed_out = self._commander.state(time.monotonic())
+        refused = self._commander.refused
         new, self._reported = refused - self._reported, refused
-        values = {"refused": refused, **state.values}
+        values = {"refused": refused, **commanded}
         wrong = []
         publishers = quality.publishing_nodes(self._node, self._topic)
         if len(publishers) > 1:
@@ -113,4 +114,4 @@ class CommandTopic:
             wrong.append(f"{new} commands were rejected since the last report: {self._refusal}")
         if wrong:
             return Finding(ERROR if len(publishers) > 1 else WARN, "; ".join(wrong), values)
-        return Finding(WARN if state.timed_out else OK, state.sentence, values)
+        return Finding(WARN if timed_out else OK, sentence, values)

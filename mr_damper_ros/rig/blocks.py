@@ -156,13 +156,6 @@ class Decimator:
             k = max(math.ceil((self._due_ns - start_ns) / period_ns - 0.5), k + 1)
 
 
-class Reading(NamedTuple):
-    """A value and its stamp."""
-
-    stamp_ns: int
-    value: float
-
-
 class Meter:
     """Picks the readings that an instrument with a lower sample rate would report.
 
@@ -175,8 +168,8 @@ class Meter:
         self._step = step
         self._last = math.nan
 
-    def read(self, block: RigBlock, values: Array, ahead_ns: int = 0) -> list[Reading]:
-        """Return the readings in a block; ``values`` has shape (n,).
+    def read(self, block: RigBlock, values: Array, ahead_ns: int = 0) -> list[tuple[int, float]]:
+        """Stamp [ns] and value of each reading in a block; ``values`` has shape (n,).
 
         ``ahead_ns`` is the offset of the instrument's clock from the clock of the samples.
         """
@@ -189,5 +182,5 @@ class Meter:
             if index in regular or abs(value - self._last) > self._step:
                 self._last = value
                 if not math.isnan(value):
-                    readings.append(Reading(block.stamp_ns(index) + ahead_ns, value))
+                    readings.append((block.stamp_ns(index) + ahead_ns, value))
         return readings

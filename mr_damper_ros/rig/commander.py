@@ -7,7 +7,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from dataclasses import dataclass
 from enum import Enum
-from typing import Generic, NamedTuple, TypeVar
+from typing import Generic, TypeVar
 
 from mr_damper_ros.kinematics.periodic_motion import PeriodicMotion
 from mr_damper_ros.settings.option_table import CheckedSettings, option
@@ -19,12 +19,9 @@ STAMP_TOLERANCE = 0.05
 T = TypeVar("T")
 
 
-class CommandState(NamedTuple):
-    """What is commanded at present: a sentence, and values by name."""
-
-    sentence: str
-    values: Mapping[str, object]
-    timed_out: bool = False
+CommandState = tuple[str, Mapping[str, object], bool]
+"""What is commanded at present, as a sentence; values by name; whether the commands have stopped.
+"""
 
 
 class Commander(ABC, Generic[T]):
@@ -110,11 +107,11 @@ class MotionCommander(Commander[PeriodicMotion | None]):
         """The present command."""
         if not self.commanded:
             sentence = "the machine makes its own motion until a command arrives"
-            return CommandState(sentence, {"excitation": "its own"})
+            return sentence, {"excitation": "its own"}, False
         motion = self.motion(now)
         if motion is None:
-            return CommandState("the machine rests", {"excitation": "at rest"})
-        return CommandState(f"{motion.sentence} commanded", {"excitation": motion.sentence})
+            return "the machine rests", {"excitation": "at rest"}, False
+        return f"{motion.sentence} commanded", {"excitation": motion.sentence}, False
 
     def motion(self, now: float) -> PeriodicMotion | None:
         """The present motion; None for rest."""
@@ -201,7 +198,7 @@ class CurrentCommander(Commander[float]):
         """The present command."""
         origin = self.origin(now)
         values = {"origin": origin.name, "cut": self.cut}
-        return CommandState(f"the current is {origin.value}", values, origin is Origin.TIMED_OUT)
+        return f"the current is {origin.value}", values, origin is Origin.TIMED_OUT
 
     def origin(self, now: float) -> Origin:
         """Origin of the current at this time."""

@@ -85,7 +85,7 @@ def fake(monkeypatch: pytest.MonkeyPatch, rig: Callable[..., Streamed]) -> Calla
     def make(*connections: list[Any]) -> Streamed:
         turns = iter(connections)
 
-        def read(library: None, channels: daq_source.AnalogChannels) -> Portions[Any]:
+        def read(library: None, channels: daq_source.DaqOptions) -> Portions[Any]:
             return fake_device(next(turns, []))
 
         monkeypatch.setitem(daq_source.DRIVERS, "labjack", daq_source.Driver(read))

@@ -51,50 +51,41 @@ class Readings(NamedTuple):
 
 
 @dataclass(frozen=True)
-class AnalogChannels:
-    """The requested channels of a ``device``, each from -range to +range [V]."""
-
-    device: str
-    names: tuple[str, ...]
-    ranges: tuple[float, ...]
-    rate: float
-    differential: bool
-
-
-@dataclass(frozen=True)
 class Driver:
     """Reads channels through a library: a Python module, and the packages to install for it.
 
     ``what`` is the name in messages for a device without a name.
     """
 
-    read: Callable[[Any, AnalogChannels], Portions[Readings]]
+    read: Callable[[Any, DaqOptions], Portions[Readings]]
     module: str = ""
     install: str = ""
     what: str = ""
 
-    def connector(self, channels: AnalogChannels) -> Callable[[], Portions[Readings]]:
+    def connector(self, given: DaqOptions) -> Callable[[], Portions[Readings]]:
         """A function that connects to the channels; raises ValueError if the library is missing."""
         module = library(self.module, "daq.driver", self.install) if self.module else None
-        return partial(self.read, module, channels)
+        return partial(self.read, module, given)
 
 
-def _national_instruments(nidaqmx: Any, channels: AnalogChannels) -> Portions[Readings]:
+def _national_instruments(nidaqmx: Any, given: DaqOptions) -> Portions[Readings]:
     """One task with all channels, through nidaqmx and the driver NI-DAQmx."""
     constants = nidaqmx.constants
     wiring = constants.TerminalConfiguration
     with nidaqmx.Task() as task:
-        for name, limit in zip(channels.names, channels.ranges, strict=True):
+        for name, limit in zip(
+            given.of_channels("channel"), given.of_channels("range"), strict=True
+        ):
             task.ai_channels.add_ai_voltage_chan(
-                f"{channels.device}/{name}",
-                terminal_config=wiring.DIFF if channels.differential else wiring.RSE,
+                f"{given.device}/{name}",
+                terminal_config=wiring.DIFF if given.differential else wiring.RSE,
                 min_val=-limit,
                 max_val=limit,
             )
         task.timing.cfg_samp_clk_timing(
-            channels.rate,
+            given.rate,
             sample_mode=constants.AcquisitionType.CONTINUOUS,
-            samps_per_chan=round(BUFFERED * channels.rate),
+            samps_per_chan=round(BUFFERED * given.rate),
         )
         rate = float(task.timing.samp_clk_rate)
         readers = import_module("nidaqmx.stream_readers")
@@ -106,7 +97,7 @@ def _national_instruments(nidaqmx: Any, channels: AnalogChannels) -> Portions[Re
             if ready == 0:
                 yield None
                 continue
-            values = np.empty((len(channels.names), ready))
+            values = np.empty((len(given.of_channels("channel")), ready))
             taken = reader.read_many_sample(values, ready, POLL)
             yield Readings(values[:, :taken], rate)
 
@@ -118,21 +109,21 @@ _MISSED = -9999.0
 """Value that a LabJack gives in place of a skipped sample."""
 
 
-def _labjack(ljm: Any, channels: AnalogChannels) -> Portions[Readings]:
+def _labjack(ljm: Any, given: DaqOptions) -> Portions[Readings]:
     """The stream of a T4, T7 or T8, through labjack-ljm and LabJack's library LJM."""
-    names = list(channels.names)
+    names = given.of_channels("channel")
     with ExitStack() as stack:
         try:
-            handle = ljm.openS("ANY", "ANY", channels.device or "ANY")
+            handle = ljm.openS("ANY", "ANY", given.device or "ANY")
         except AttributeError:  # without the library, the module has no functions
             raise OSError("LabJack's library LJM is not installed") from None
         stack.callback(ljm.close, handle)
         settings: dict[str, float] = {}
-        for name, limit in zip(names, channels.ranges, strict=True):
+        for name, limit in zip(names, given.of_channels("range"), strict=True):
             settings[f"{name}_RANGE"] = limit
             # The negative input of a differential channel is the next channel.
             number = int("".join(filter(str.isdigit, name)) or 0)
-            negative = number + 1 if channels.differential else _SINGLE_ENDED
+            negative = number + 1 if given.differential else _SINGLE_ENDED
             settings[f"{name}_NEGATIVE_CH"] = negative
         ljm.eWriteNames(handle, len(settings), list(settings), list(settings.values()))
         ljm.writeLibraryConfigS(
@@ -143,8 +134,8 @@ def _labjack(ljm: Any, channels: AnalogChannels) -> Portions[Readings]:
         if unknown in addresses:
             name = names[addresses.index(unknown)]
             raise OSError(f"it has no channel {name}: the channels are AIN0, AIN1 and so on")
-        scans = max(round(channels.rate / 50.0), 1)
-        rate = float(ljm.eStreamStart(handle, scans, len(names), addresses, channels.rate))
+        scans = max(round(given.rate / 50.0), 1)
+        rate = float(ljm.eStreamStart(handle, scans, len(names), addresses, given.rate))
         stack.callback(ljm.eStreamStop, handle)
         yield None
         while True:
@@ -159,10 +150,10 @@ def _labjack(ljm: Any, channels: AnalogChannels) -> Portions[Readings]:
             yield Readings(np.where(found == _MISSED, np.nan, found), rate)
 
 
-def _measurement_computing(uldaq: Any, channels: AnalogChannels) -> Portions[Readings]:
+def _measurement_computing(uldaq: Any, given: DaqOptions) -> Portions[Readings]:
     """An endless scan over the channels from the lowest to the highest, through uldaq."""
     found = uldaq.get_daq_device_inventory(uldaq.InterfaceType.ANY)
-    named = [each for each in found if channels.device in ("", each.unique_id, str(each))]
+    named = [each for each in found if given.device in ("", each.unique_id, str(each))]
     if not named:
         known = ", ".join(f"{each} ({each.unique_id})" for each in found) or "none at all"
         raise OSError(f"there is no such device; found: {known}")
@@ -175,22 +166,22 @@ def _measurement_computing(uldaq: Any, channels: AnalogChannels) -> Portions[Rea
         if inputs is None or not inputs.get_info().has_pacer():
             raise OSError("it has no analogue inputs that its own clock can sample")
         modes = uldaq.AiInputMode
-        mode = modes.DIFFERENTIAL if channels.differential else modes.SINGLE_ENDED
-        numbers = [int(name) for name in channels.names]
+        mode = modes.DIFFERENTIAL if given.differential else modes.SINGLE_ENDED
+        numbers = [int(name) for name in given.of_channels("channel")]
         low, high = min(numbers), max(numbers)
         count = inputs.get_info().get_num_chans_by_mode(mode)
         if high >= count:
-            wiring = "wired differentially" if channels.differential else "wired to ground"
+            wiring = "wired differentially" if given.differential else "wired to ground"
             raise OSError(f"it has no channel {high}: {count} channels can be {wiring}")
-        span = _mcc_range(inputs.get_info().get_ranges(mode), max(channels.ranges))
-        held = max(round(BUFFERED * channels.rate), 1)
+        span = _mcc_range(inputs.get_info().get_ranges(mode), max(given.of_channels("range")))
+        held = max(round(BUFFERED * given.rate), 1)
         buffer = uldaq.create_float_buffer(high - low + 1, held)
         values = np.frombuffer(buffer).reshape(held, high - low + 1)
         wanted = [number - low for number in numbers]
         option, flags = uldaq.ScanOption.CONTINUOUS, uldaq.AInScanFlag.DEFAULT
         stack.callback(inputs.scan_stop)
         rate = float(
-            inputs.a_in_scan(low, high, mode, span, held, channels.rate, option, flags, buffer)
+            inputs.a_in_scan(low, high, mode, span, held, given.rate, option, flags, buffer)
         )
         taken = 0
         yield None
@@ -224,14 +215,14 @@ def _mcc_range(ranges: Any, wanted: float) -> Any:
     return fitting[min(able)]
 
 
-def _lab_stream(pylsl: Any, channels: AnalogChannels) -> Portions[Readings]:
+def _lab_stream(pylsl: Any, given: DaqOptions) -> Portions[Readings]:
     """A stream of the lab streaming layer, through pylsl.
 
     Its stamps come from the sender, converted to the clock of this computer.
     """
-    found = pylsl.resolve_byprop("name", channels.device, 1, SILENCE)
+    found = pylsl.resolve_byprop("name", given.device, 1, SILENCE)
     if not found:
-        raise OSError(f"there is no stream '{channels.device}' on the network")
+        raise OSError(f"there is no stream '{given.device}' on the network")
     if found[0].channel_format() == pylsl.cf_string:
         raise OSError("it contains text, not numbers")
     inlet = pylsl.StreamInlet(
@@ -246,7 +237,7 @@ def _lab_stream(pylsl: Any, channels: AnalogChannels) -> Portions[Readings]:
         inlet.open_stream(SILENCE)
         stack.callback(inlet.close_stream)
         count = found[0].channel_count()
-        places = [_place(name, labels, count) for name in channels.names]
+        places = [_place(name, labels, count) for name in given.of_channels("channel")]
         yield None
         while True:
             samples, stamps = inlet.pull_chunk(POLL, MOST_READ, min_samples=1)
@@ -267,19 +258,19 @@ def _place(name: str, labels: list[str | None], count: int) -> int:
     raise OSError(f"it has no channel '{name}', but {count} others ({known})")
 
 
-def _simulated(_: Any, channels: AnalogChannels) -> Portions[Readings]:
+def _simulated(_: Any, given: DaqOptions) -> Portions[Readings]:
     """Displacement of 5 V and force of 7 V at 1 Hz, current of 1.5 V, each clipped at its range."""
-    limits = np.array(channels.ranges)[:, np.newaxis]
+    limits = np.array(given.of_channels("range"))[:, np.newaxis]
     began, taken = time.monotonic(), 0
     while True:
         yield None
-        until = math.floor((time.monotonic() - began) * channels.rate)
-        phase = 2.0 * math.pi * np.arange(taken, until) / channels.rate
+        until = math.floor((time.monotonic() - began) * given.rate)
+        phase = 2.0 * math.pi * np.arange(taken, until) / given.rate
         taken = until
         force = 7.0 * np.tanh(3.0 * np.cos(phase))
         volts: Array = np.stack([5.0 * np.sin(phase), force, np.full(phase.size, 1.5)])
         volts = volts[: limits.size]
-        yield Readings(np.clip(volts, -limits, limits), channels.rate) if phase.size else None
+        yield Readings(np.clip(volts, -limits, limits), given.rate) if phase.size else None
 
 
 DRIVERS = {
@@ -384,6 +375,16 @@ class DaqOptions(ParameterTable):
                 return f"MCC has no channel '{channel}': they are called 0, 1 and so on"
         return ""
 
+    @property
+    def quantities(self) -> list[str]:
+        """The quantities with a channel."""
+        simulated = self.driver == "simulated"
+        return [name for name in _QUANTITIES if simulated or getattr(self, f"{name}_channel")]
+
+    def of_channels(self, what: str) -> list[Any]:
+        """The option ``what`` of each channel, such as its range, in the order of quantities."""
+        return [getattr(self, f"{name}_{what}") for name in self.quantities]
+
 
 class DaqSource(DeviceSource[Readings]):
     """Samples of analogue channels; the source reconnects to a lost device."""
@@ -391,31 +392,16 @@ class DaqSource(DeviceSource[Readings]):
     options = DaqOptions
     prefix = "daq."
 
-    @property
-    def _wanted(self) -> list[str]:
-        given = self.settings
-        return [
-            name for name in _QUANTITIES
-            if given.driver == "simulated" or getattr(given, f"{name}_channel")
-        ]  # fmt: skip
-
     def open(self) -> list[str]:
         """Load the library; the connection is made when the streaming starts."""
         given: DaqOptions = self.settings
-        wanted = self._wanted
-        channels = AnalogChannels(
-            given.device,
-            tuple(getattr(given, f"{name}_channel") for name in wanted),
-            tuple(getattr(given, f"{name}_range") for name in wanted),
-            given.rate,
-            given.differential,
-        )
+        wanted = given.quantities
         driver = DRIVERS[given.driver]
-        self._connect = driver.connector(channels)
+        self._connect = driver.connector(given)
         self._name = given.device or driver.what
         self.silence = f"no samples arrive from {given.driver} {given.device}"
         self.counted = (*(f"{name} {SATURATED}" for name in wanted), _MISSING)
-        places = zip(wanted, channels.names, strict=True)
+        places = zip(wanted, given.of_channels("channel"), strict=True)
         return [
             f"{given.driver} {given.device}: "
             + ", ".join(f"{name} from {channel or 'a sine'}" for name, channel in places)
@@ -441,7 +427,7 @@ class DaqSource(DeviceSource[Readings]):
     def _in_units(self, volts: Array) -> Array:
         """The channels in units, shape (3, n); NaN if a value is missing or saturated."""
         channels = np.full((len(_QUANTITIES), volts.shape[1]), math.nan)
-        for name, values in zip(self._wanted, volts, strict=True):
+        for name, values in zip(self.settings.quantities, volts, strict=True):
             scale, offset, limit = (
                 getattr(self.settings, f"{name}_{what}") for what in ("scale", "offset", "range")
             )
@@ -454,7 +440,7 @@ class DaqSource(DeviceSource[Readings]):
         return channels
 
     def _fault_of(self, new: Counter[str]) -> str:
-        for name in self._wanted:
+        for name in self.settings.quantities:
             count = new[f"{name} {SATURATED}"]
             if count:
                 end = f"{SATURATED} of {getattr(self.settings, f'{name}_range'):g} V"
