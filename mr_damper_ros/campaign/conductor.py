@@ -14,9 +14,9 @@ from mr_damper_ros.campaign.course import (
     CampaignCourse,
     find_step,
     judge_run,
-    report_campaign,
 )
 from mr_damper_ros.campaign.folder import MadeRun
+from mr_damper_ros.campaign.report import write_campaign_report
 from mr_damper_ros.campaign.runs import REST, DriveSettings, DriveStage, MachineCommand, RunDriver
 from mr_damper_ros.estimation.experiment_design import PlanState
 from mr_damper_ros.processes.files import reason_of
@@ -233,7 +233,7 @@ class CampaignConductor:
                 self._worker.submit(find_step, *course.work)
         elif course.steps and not self._reporting:
             self._reporting = True
-            self._worker.submit(report_campaign, course.folder, course.reason)
+            self._worker.submit(write_campaign_report, course.folder, course.reason)
         else:
             course.close()
             self._course = None

@@ -329,10 +329,3 @@ def run_campaign(
     if course.outcome is CampaignOutcome.FAILED:
         raise ValueError(course.reason)
     return ForceCampaign(tuple(course.steps), course.outcome is CampaignOutcome.MET, course.reason)
-
-
-def report_campaign(folder: Path, reason: str, control: Control) -> Path:
-    """Write the report of a campaign; returns the path of the page."""
-    from mr_damper_ros.campaign.report import write_campaign_report
-
-    return write_campaign_report(folder, reason)

@@ -21,6 +21,7 @@ from mr_damper_ros.estimation.experiment_design import PlanState
 from mr_damper_ros.kinematics.periodic_motion import MotionKind
 from mr_damper_ros.models.parameter_set import ParameterSet
 from mr_damper_ros.processes.blas_threads import one_thread
+from mr_damper_ros.processes.worker import Control
 from mr_damper_ros.report.document import (
     DASHES,
     GREY,
@@ -39,10 +40,11 @@ from mr_damper_ros.signals.error_sums import ErrorSums, pooled
 
 
 @one_thread()
-def write_campaign_report(folder: Path, reason: str = "") -> Path:
+def write_campaign_report(folder: Path, reason: str = "", control: Control | None = None) -> Path:
     """Write ``campaign.html`` with its figures and tables to the folder; returns the page.
 
-    ``reason`` says in words why the campaign ended. Raises ValueError if the folder holds no
+    ``reason`` says in words why the campaign ended. This function can run in a worker, like
+    :func:`find_step`. Raises ValueError if the folder holds no
     campaign or no result yet.
     """
     task = read_task(folder)

@@ -13,7 +13,6 @@ from typing import Any
 from mr_damper_msgs.action import RunCampaign
 from mr_damper_msgs.msg import CurrentCommand, DamperParameters, ExcitationCommand
 from rclpy.action.server import ServerGoalHandle
-from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
 from sensor_msgs.msg import Temperature
 from std_srvs.srv import Trigger
@@ -32,7 +31,7 @@ from mr_damper_ros.models import MODELS
 from mr_damper_ros.models.parameter_set import DEFAULT_MODEL
 from mr_damper_ros.nodes import quality
 from mr_damper_ros.nodes.command_topic import COMMAND_TOPIC, EXCITATION_TOPIC, command_message
-from mr_damper_ros.nodes.diagnostics import ERROR, OK, WARN, Diagnostics, Finding
+from mr_damper_ros.nodes.diagnostics import ERROR, OK, WARN, Diagnostics, Finding, steady_timer
 from mr_damper_ros.nodes.goal_server import GoalServer
 from mr_damper_ros.nodes.inputs import Inputs
 from mr_damper_ros.nodes.messages import header, parameters_message, to_nanoseconds
@@ -156,8 +155,7 @@ class CampaignNode(Node):
             self.get_logger().info(
                 f"waiting for a goal on {self.get_fully_qualified_name()}/run_campaign"
             )
-        steady = Clock(clock_type=ClockType.STEADY_TIME)
-        self.create_timer(_POLL_PERIOD, self._poll, clock=steady)
+        steady_timer(self, _POLL_PERIOD, self._poll)
 
     def destroy_node(self) -> None:
         """Stop the machine; completed runs are on disk."""

@@ -9,7 +9,6 @@ from functools import partial
 
 import numpy as np
 from mr_damper_msgs.msg import CurrentCommand, DesiredForce
-from rclpy.clock import Clock, ClockType
 from rclpy.duration import Duration
 from std_msgs.msg import Header
 
@@ -22,7 +21,7 @@ from mr_damper_ros.control.force_controller import (
 from mr_damper_ros.nodes import quality
 from mr_damper_ros.nodes.block_node import BlockNode, SetOptions
 from mr_damper_ros.nodes.command_topic import COMMAND_TOPIC, DEMAND_TOPIC
-from mr_damper_ros.nodes.diagnostics import ERROR, OK, STALE, WARN, Finding
+from mr_damper_ros.nodes.diagnostics import ERROR, OK, STALE, WARN, Finding, steady_timer
 from mr_damper_ros.nodes.inputs import CURRENT_TOPIC, SAMPLES_TOPIC
 from mr_damper_ros.nodes.messages import set_stamp, to_nanoseconds
 from mr_damper_ros.nodes.spinning import run
@@ -101,11 +100,7 @@ class ControllerNode(BlockNode[ControllerParameters, Command]):
             self, DesiredForce, DEMAND_TOPIC, self._take_desired_force, quality.newest()
         )
         self._listen(self._controller.predictor)
-        self._watchdog = self.create_timer(
-            0.5 * options.samples_timeout,
-            self._watch,
-            clock=Clock(clock_type=ClockType.STEADY_TIME),
-        )
+        steady_timer(self, 0.5 * options.samples_timeout, self._watch)
         self._diagnose({"command": self._command_finding, "tracking": self._tracking_finding})
         self.get_logger().info(
             f"waiting for {self.resolve_topic_name(DEMAND_TOPIC)}, "

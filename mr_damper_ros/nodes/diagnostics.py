@@ -24,20 +24,22 @@ class Finding:
     values: Mapping[str, object] = field(default_factory=dict)
 
 
+def steady_timer(node: Node, period: float, callback: Callable[[], None]) -> None:
+    """Call a function every ``period`` [s] by the steady clock, whatever the clock of the node."""
+    node.create_timer(period, callback, clock=Clock(clock_type=ClockType.STEADY_TIME))
+
+
 class Diagnostics:
     """Publishes the findings of all ``concerns`` (one function per name) every second.
 
-    The timer runs on the steady clock, because with ``use_sim_time`` the node's clock may stop, and
-    then the diagnostics are needed most.
+    With ``use_sim_time`` the node's clock may stop, and then the diagnostics are needed most.
     """
 
     def __init__(self, node: Node, concerns: Mapping[str, Callable[[], Finding]]) -> None:
         self._node = node
         self._concerns = dict(concerns)
         self._publisher = node.create_publisher(DiagnosticArray, "/diagnostics", 10)
-        self._timer = node.create_timer(
-            1.0, self.publish, clock=Clock(clock_type=ClockType.STEADY_TIME)
-        )
+        steady_timer(node, 1.0, self.publish)
 
     def publish(self) -> None:
         """Publish the present findings."""

@@ -53,7 +53,7 @@ class Inline(InlineWorker):
 
     def submit(self, function: Callable[..., Any], *arguments: Any, **limits: float) -> int:
         self.done.append(function.__name__)
-        if self.done[-1] == "report_campaign" or (self.fail and self.done[-1] == "find_step"):
+        if self.done[-1] == "write_campaign_report" or (self.fail and self.done[-1] == "find_step"):
             function = self._ended
         return super().submit(function, *arguments, **limits)
 
@@ -154,7 +154,7 @@ def test_a_campaign_is_made_on_a_machine(planned: list[PlannedRun], tmp_path: Pa
     end = ended(machine)
     assert end.outcome is CampaignOutcome.MET
     assert [run for run, _ in read_campaign_runs(tmp_path)] == RUNS
-    assert worker.done == ["judge_run", "find_step"] * 2 + ["report_campaign"]
+    assert worker.done == ["judge_run", "find_step"] * 2 + ["write_campaign_report"]
     assert conductor.command is None
 
 
@@ -287,7 +287,7 @@ def test_it_is_stopped_and_goes_on_later(planned: list[PlannedRun], tmp_path: Pa
     again, worker = begun(tmp_path)
     assert "continuing after run 1" in again.take_notices()[0]
     assert ended(EmulatedMachine(again)).outcome is CampaignOutcome.MET
-    assert worker.done == ["judge_run", "find_step", "report_campaign"]
+    assert worker.done == ["judge_run", "find_step", "write_campaign_report"]
 
 
 def test_an_identification_that_fails_is_told_and_its_run_kept(
