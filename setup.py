@@ -142,7 +142,7 @@ setup(
         f"{NAME}.models": ["*.csv"],
         f"{NAME}.control.export": ["*.in"],
         f"{NAME}.live": ["page/*", "page/vendor/*/*"],
-        f"{NAME}.report": ["*.css"],
+        f"{NAME}.report": ["*.css", "*.mplstyle"],
         f"{NAME}.rig.supplies": ["profiles/*.yaml"],
     },
     data_files=[

@@ -331,10 +331,10 @@ class Command:
     current: float
     doubt: Doubt
     wanted: float
-    expected: float
-    attainable: bool
     prediction: Prediction
-    falls_back: bool
+    expected: float = math.nan
+    attainable: bool = False
+    falls_back: bool = False
     unknown: bool = False
 
 
@@ -469,16 +469,8 @@ class ForceController:
         command = self._limits.limited(command, self._commanded, duration)
         self._commanded = self._fallback.within_reach(command)
         self._last_was_unknown = aim.unknown
-        return Command(
-            self._commanded,
-            NO_DOUBT,
-            wanted,
-            aim.force,
-            attainable,
-            prediction,
-            falls_back=False,
-            unknown=aim.unknown,
-        )
+        made = self._commanded, NO_DOUBT, wanted, prediction
+        return Command(*made, aim.force, attainable, unknown=aim.unknown)
 
     def _fall_back(
         self, prediction: Prediction, doubt: Doubt, wanted: float, duration: float
@@ -499,15 +491,8 @@ class ForceController:
             f"the force is valid again: control returns after another {self._fallback.left:.2f} "
             "s of valid force",
         )
-        return Command(
-            self._commanded,
-            doubt,
-            wanted,
-            math.nan,
-            attainable=False,
-            prediction=prediction,
-            falls_back=self._fallback.lasts,
-        )
+        falls_back = self._fallback.lasts
+        return Command(self._commanded, doubt, wanted, prediction, falls_back=falls_back)
 
     def give_up(self) -> float:
         """Reset to the safe current [A] and return it."""

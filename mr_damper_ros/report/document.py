@@ -26,25 +26,7 @@ GREY = "0.62"
 WIDTH = 6.8
 """Width of a figure on a page [inch]."""
 
-_SETTINGS = {
-    "font.size": 8.5,
-    "axes.titlesize": 8.5,
-    "axes.labelsize": 8.5,
-    "legend.fontsize": 7.5,
-    "xtick.labelsize": 7.5,
-    "ytick.labelsize": 7.5,
-    "axes.linewidth": 0.6,
-    "axes.spines.top": False,
-    "axes.spines.right": False,
-    "lines.linewidth": 1.1,
-    "lines.markersize": 3.5,
-    "xtick.major.width": 0.6,
-    "ytick.major.width": 0.6,
-    "legend.frameon": False,
-    "svg.hashsalt": "mr_damper_ros",
-    "axes.unicode_minus": True,
-    "savefig.facecolor": "white",
-}
+_STYLE = Path(__file__).parent / "report.mplstyle"
 
 
 @contextmanager
@@ -54,7 +36,9 @@ def styled() -> Iterator[None]:
 
     with matplotlib.rc_context():
         matplotlib.rcdefaults()
-        matplotlib.rcParams.update(_SETTINGS)
+        matplotlib.rcParams.update(
+            matplotlib.rc_params_from_file(_STYLE, use_default_template=False)
+        )
         yield
 
 
