@@ -29,7 +29,6 @@ from mr_damper_ros.report.document import (
     WIDTH,
     Block,
     Chapter,
-    Picture,
     Table,
     chart,
     legend_above,
@@ -44,69 +43,27 @@ def write_campaign_report(folder: Path, reason: str = "", control: Control | Non
     """Write ``campaign.html`` with its figures and tables to the folder; returns the page.
 
     ``reason`` says in words why the campaign ended. This function can run in a worker, like
-    :func:`find_step`. Raises ValueError if the folder holds no
-    campaign or no result yet.
+    :func:`find_step`. Raises ValueError if the folder holds no campaign or no result yet.
     """
     task = read_task(folder)
     steps = read_steps(folder)
     if not steps:
         raise ValueError(f"{folder} holds no identified run yet")
-    refused = sorted(path.name for path in (folder / "runs").glob("refused_*"))
     runs = read_campaign_runs(folder)[: len(steps)]
-    found, plan, goal = steps[-1].parameter_set, steps[-1].plan, task.goal
-    speed, current = plan.now.worst_point
+    refused = sorted(path.name for path in (folder / "runs").glob("refused_*"))
     with styled():
-        loops, total = _loops(found, runs)
         chapters = [
+            Chapter("plan", "The runs that were made", *_plan(steps, refused, reason)),
+            Chapter("error", "The error, run by run", *_error(steps, task.goal.error)),
             Chapter(
-                "plan",
-                "The runs that were made",
-                f"{len(runs)} runs{f', {len(refused)} rejected' if refused else ''}, "
-                f"{sum(run.duration for run, _ in runs):.3g} s of steady motion; "
-                f"{reason or plan.reason}",
-                _plan(steps, refused),
+                "map", "Accuracy of the force by operating point", *_map(task, steps[-1], runs)
             ),
-            Chapter(
-                "error",
-                "The error, run by run",
-                f"{plan.now.sentence}; the goal is {goal.error:.2%}",
-                [_error(steps, goal.error)],
-            ),
-            Chapter(
-                "map",
-                "Accuracy of the force by operating point",
-                f"least accurate at {speed:.3g} m/s and {current:.3g} A",
-                [_map(task, steps[-1], runs)],
-            ),
-            Chapter(
-                "loops",
-                "Measured and predicted loops",
-                f"NRMSE of the set over all runs: {total.nrmse:.2%}",
-                loops,
-            ),
-            Chapter(
-                "set",
-                "The set",
-                f"{int(np.sum(found.observable))} of {found.values.size} parameters were "
-                "determined",
-                _set(found),
-            ),
-            Chapter(
-                "unknown",
-                "What is not determined",
-                "nothing that matters for the goal"
-                if plan.state is PlanState.MET
-                else f"the error of the force is {plan.now.worst:.2%} instead of {goal.error:.2%}",
-                _unknown(steps[-1]),
-            ),
+            Chapter("loops", "Measured and predicted loops", *_loops(steps[-1], runs)),
+            Chapter("set", "The set", *_set(steps[-1].parameter_set)),
+            Chapter("unknown", "What is not determined", *_unknown(steps[-1], task.goal.error)),
         ]
-        return write_report(
-            folder,
-            "Campaign of identification runs",
-            _notice(task),
-            chapters,
-            page="campaign.html",
-        )
+        title = "Campaign of identification runs"
+        return write_report(folder, title, _notice(task), chapters, page="campaign.html")
 
 
 def _notice(task: CampaignTask) -> str:
@@ -126,7 +83,16 @@ def _percent(value: float) -> str:
     return f"{100.0 * value:.2f} %" if math.isfinite(value) else "–"
 
 
-def _plan(steps: Sequence[CampaignStep], refused: Sequence[str]) -> list[Block]:
+_Part = tuple[str, list[Block]]
+"""Headline and content of a chapter."""
+
+
+def _plan(steps: Sequence[CampaignStep], refused: Sequence[str], reason: str) -> _Part:
+    headline = (
+        f"{len(steps)} runs{f', {len(refused)} rejected' if refused else ''}, "
+        f"{sum(step.run.duration for step in steps):.3g} s of steady motion; "
+        f"{reason or steps[-1].plan.reason}"
+    )
     expected = [math.nan, *(step.plan.expected for step in steps)]
     rows = [
         (
@@ -153,11 +119,11 @@ def _plan(steps: Sequence[CampaignStep], refused: Sequence[str]) -> list[Block]:
         rows,
     )
     if not refused:
-        return [table]
-    return [table, f"Rejected runs, stored as bags and repeated: {', '.join(refused)}."]
+        return headline, [table]
+    return headline, [table, f"Rejected runs, stored as bags and repeated: {', '.join(refused)}."]
 
 
-def _error(steps: Sequence[CampaignStep], goal: float) -> Picture:
+def _error(steps: Sequence[CampaignStep], goal: float) -> _Part:
     picture, ((axis,),) = chart(
         "error",
         "The median of the worst error after each run, and the value that the plan had predicted. "
@@ -182,10 +148,10 @@ def _error(steps: Sequence[CampaignStep], goal: float) -> Picture:
     axis.yaxis.set_major_formatter("{x:g}")
     axis.set_xticks(numbers)
     legend_above(axis, 3)
-    return picture
+    return f"{steps[-1].plan.now.sentence}; the goal is {goal:.2%}", [picture]
 
 
-def _map(task: CampaignTask, last: CampaignStep, runs: Sequence[MadeRun]) -> Picture:
+def _map(task: CampaignTask, last: CampaignStep, runs: Sequence[MadeRun]) -> _Part:
     speeds, currents = (np.unique(values) for values in zip(*task.goal.points, strict=True))
     percent = 100.0 * last.plan.now.errors.reshape(speeds.size, currents.size)
     picture, ((axis,),) = chart(
@@ -213,11 +179,12 @@ def _map(task: CampaignTask, last: CampaignStep, runs: Sequence[MadeRun]) -> Pic
     axis.set_xticks(range(speeds.size), [f"{speed:.3g}" for speed in speeds])
     axis.set_yticks(range(currents.size), [f"{current:.3g}" for current in currents])
     picture.figure.colorbar(image, label="standard error [%]")
-    return picture
+    speed, current = last.plan.now.worst_point
+    return f"least accurate at {speed:.3g} m/s and {current:.3g} A", [picture]
 
 
-def _loops(found: ParameterSet, runs: Sequence[MadeRun]) -> tuple[list[Block], ErrorSums]:
-    """Figure and table of the fits to the runs, and the error over all runs."""
+def _loops(last: CampaignStep, runs: Sequence[MadeRun]) -> _Part:
+    """Figure and table of the fits of the last set to the runs."""
     columns = min(3, len(runs))
     rows = -(-len(runs) // columns)
     picture, axes = chart(
@@ -231,7 +198,7 @@ def _loops(found: ParameterSet, runs: Sequence[MadeRun]) -> tuple[list[Block], E
     errors = []
     for (run, recording), axis in zip(runs, axes.flat, strict=False):
         windows = run.windows(recording)
-        forces = [found.window_force(window, gradual=None) for window in windows]
+        forces = [last.parameter_set.window_force(window, gradual=None) for window in windows]
         measured = np.concatenate([window.force for window in windows])
         errors.append(ErrorSums.of(np.concatenate(forces), measured))
         for place, (window, predicted) in enumerate(zip(windows, forces, strict=True)):
@@ -258,10 +225,13 @@ def _loops(found: ParameterSet, runs: Sequence[MadeRun]) -> tuple[list[Block], E
             for number, error in enumerate(errors, start=1)
         ],
     )
-    return [picture, table], pooled(errors)
+    headline = f"NRMSE of the set over all runs: {pooled(errors).nrmse:.2%}"
+    return headline, [picture, table]
 
 
-def _set(found: ParameterSet) -> list[Block]:
+def _set(found: ParameterSet) -> _Part:
+    known = int(np.sum(found.observable))
+    headline = f"{known} of {found.values.size} parameters were determined"
     columns, rows = estimates_table("parameter", parameter_estimates(found))
     table = Table(
         "set",
@@ -270,10 +240,13 @@ def _set(found: ParameterSet) -> list[Block]:
         columns,
         rows,
     )
-    return ["The set is stored as set.yaml, for the nodes and all programs.", table]
+    return headline, ["The set is stored as set.yaml, for the nodes and all programs.", table]
 
 
-def _unknown(last: CampaignStep) -> list[Block]:
+def _unknown(last: CampaignStep, goal: float) -> _Part:
+    headline = f"the error of the force is {last.plan.now.worst:.2%} instead of {goal:.2%}"
+    if last.plan.state is PlanState.MET:
+        headline = "nothing that matters for the goal"
     points, errors = last.plan.now.points, last.plan.now.errors
     blocks: list[Block] = [
         Table(
@@ -293,4 +266,4 @@ def _unknown(last: CampaignStep) -> list[Block]:
         "Not covered: motions and temperatures other than those of the runs, and operating points "
         "outside the range of the goal."
     )
-    return blocks
+    return headline, blocks
