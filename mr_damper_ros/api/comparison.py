@@ -325,9 +325,7 @@ def validate(
     """
     parameters = given_set(parameters)
     measured = measured_runs(
-        runs,
-        (displacement, force, current, period),
-        accept_doubtful=accept_doubtful,
+        runs, (displacement, force, current, period), accept_doubtful=accept_doubtful
     )
     measured = without_inertia(measured, mass)
     return Validation(

@@ -10,11 +10,7 @@ import math
 from dataclasses import dataclass
 from enum import IntEnum
 
-from mr_damper_ros.campaign.course import (
-    CampaignCourse,
-    find_step,
-    judge_run,
-)
+from mr_damper_ros.campaign.course import CampaignCourse, find_step, judge_run
 from mr_damper_ros.campaign.folder import MadeRun
 from mr_damper_ros.campaign.report import write_campaign_report
 from mr_damper_ros.campaign.runs import REST, DriveSettings, DriveStage, MachineCommand, RunDriver

@@ -39,10 +39,7 @@ from mr_damper_ros.signals.recording import Recording
 
 @one_thread()
 def advise_run(
-    runs: Iterable[RunSource],
-    goal: ForceGoal,
-    limits: MachineLimits,
-    model: str = DEFAULT_MODEL,
+    runs: Iterable[RunSource], goal: ForceGoal, limits: MachineLimits, model: str = DEFAULT_MODEL
 ) -> Plan:
     """Accuracy of the force from the runs so far, and the next run.
 
@@ -53,9 +50,7 @@ def advise_run(
 
 
 def planned(
-    planner: RunPlanner,
-    windows: list[Window],
-    before: Array | None = None,
+    planner: RunPlanner, windows: list[Window], before: Array | None = None
 ) -> tuple[ParameterSet, Plan]:
     """Maximum-a-posteriori set of the windows, from the start ``before`` (p,), and the plan."""
     start = planner.model.initial_values()[0] if before is None else before
@@ -87,10 +82,7 @@ class CampaignOutcome(IntEnum):
     FAILED = 3
 
 
-_ENDS = {
-    PlanState.MET: CampaignOutcome.MET,
-    PlanState.OUT_OF_REACH: CampaignOutcome.OUT_OF_REACH,
-}
+_ENDS = {PlanState.MET: CampaignOutcome.MET, PlanState.OUT_OF_REACH: CampaignOutcome.OUT_OF_REACH}
 
 
 @lru_cache(maxsize=1)
@@ -137,11 +129,7 @@ class CampaignCourse:
     """
 
     def __init__(
-        self,
-        task: CampaignTask,
-        *,
-        folder: Path | None = None,
-        most_runs: int = 20,
+        self, task: CampaignTask, *, folder: Path | None = None, most_runs: int = 20
     ) -> None:
         self.task = task
         self.runs: list[MadeRun] = []

@@ -59,9 +59,7 @@ class FeedbackSettings(CheckedSettings):
         within=(0.0, 100.0),
     )
     feedback_limit: float = option(
-        0.2,
-        "Largest relative change of the desired force by the feedback.",
-        within=(0.0, 0.9),
+        0.2, "Largest relative change of the desired force by the feedback.", within=(0.0, 0.9)
     )
 
 

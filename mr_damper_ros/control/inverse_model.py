@@ -240,11 +240,7 @@ def coil_time_constant(parameters: ParameterSet) -> float:
 
 
 def _search(
-    force_at: Force,
-    nodes: list[float],
-    forces: list[float],
-    wanted: float,
-    last: float | None,
+    force_at: Force, nodes: list[float], forces: list[float], wanted: float, last: float | None
 ) -> Inversion:
     """The inversion of one sample with these node forces [N]."""
     least, most = min(forces), max(forces)

@@ -160,9 +160,7 @@ class SuspensionSettings(CheckedSettings):
         "mr_damper_ros.control.semi_active.SuspensionState and returns the desired force [N].",
     )
     damping: float = option(
-        2500.0,
-        "Damping [N s/m] of passive, skyhook, groundhook and hybrid.",
-        within=(0.0, 1e6),
+        2500.0, "Damping [N s/m] of passive, skyhook, groundhook and hybrid.", within=(0.0, 1e6)
     )
     share: float = option(
         0.6, "Share of the skyhook in hybrid; the rest is groundhook.", within=(0.0, 1.0)

@@ -87,12 +87,7 @@ class BagStream:
     if the files cannot be written.
     """
 
-    def __init__(
-        self,
-        path: Path,
-        topics: Mapping[str, str],
-        details: Mapping[str, str],
-    ) -> None:
+    def __init__(self, path: Path, topics: Mapping[str, str], details: Mapping[str, str]) -> None:
         _check_free(path, overwrite=False)
         self._path, self.fresh = path, path.with_name(f".{path.name}.part") / path.name
         self.fresh.parent.mkdir(parents=True)
@@ -121,11 +116,7 @@ class BagStream:
 
 
 def write_bag(
-    path: str | Path,
-    recording: Recording,
-    *,
-    block_size: int = 100,
-    overwrite: bool = False,
+    path: str | Path, recording: Recording, *, block_size: int = 100, overwrite: bool = False
 ) -> None:
     """Write a recording as a bag folder (MCAP, rosbag2 version 9).
 

@@ -158,10 +158,7 @@ class BridgeNode(ManagedNode):
         super().__init__("bridge")
         self._source: Source | None = None
         self.parameters = NodeParameters(
-            self,
-            BridgeParameters,
-            changed=self._apply,
-            configured=lambda: self._source is not None,
+            self, BridgeParameters, changed=self._apply, configured=lambda: self._source is not None
         )
         self._sender: PacedSender | None = None
         self._sent = 0

@@ -17,11 +17,7 @@ from rclpy.node import Node
 from sensor_msgs.msg import Temperature
 from std_srvs.srv import Trigger
 
-from mr_damper_ros.campaign.conductor import (
-    CampaignConductor,
-    CampaignStatus,
-    ConductSettings,
-)
+from mr_damper_ros.campaign.conductor import CampaignConductor, CampaignStatus, ConductSettings
 from mr_damper_ros.campaign.course import CampaignCourse, CampaignOutcome
 from mr_damper_ros.campaign.folder import CampaignTask
 from mr_damper_ros.campaign.goal_options import GoalOptions, MachineOptions

@@ -198,11 +198,7 @@ class _BagRecording:
         return self.failure and f"{self.failure}; what was written is in {written}"
 
 
-_COMMANDS = {
-    "save_parameters": SaveParameters,
-    "reset": Trigger,
-    "acknowledge": Trigger,
-}
+_COMMANDS = {"save_parameters": SaveParameters, "reset": Trigger, "acknowledge": Trigger}
 """Services of the identifier that the page may call; their requests are empty."""
 
 _RECORD, _STOP = "record", "stop_recording"

@@ -9,11 +9,7 @@ from typing import Any
 
 import rclpy
 from diagnostic_msgs.msg import DiagnosticArray
-from mr_damper_msgs.msg import (
-    CurrentCommand,
-    MtsSamples,
-    SupplyCurrent,
-)
+from mr_damper_msgs.msg import CurrentCommand, MtsSamples, SupplyCurrent
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.qos import QoSProfile
@@ -35,10 +31,7 @@ class Observer(AbstractContextManager):
     """
 
     def __init__(
-        self,
-        name: str = "observer",
-        domain: RosDomain | None = None,
-        namespace: str = "",
+        self, name: str = "observer", domain: RosDomain | None = None, namespace: str = ""
     ) -> None:
         self._context = rclpy.Context()
         with domain.entered() if domain else nullcontext():

@@ -157,10 +157,7 @@ def _node(factory: Callable[..., N]) -> N:
 
 
 def _spin(
-    nodes: Sequence[N],
-    ended: Callable[[N], int | None],
-    between: Callable[[N], float],
-    stop: _Stop,
+    nodes: Sequence[N], ended: Callable[[N], int | None], between: Callable[[N], float], stop: _Stop
 ) -> int:
     executor = make_executor()
     for node in nodes:

@@ -63,11 +63,7 @@ class SupplyParameters(ManagedOptions):
         read_only=False,
     )
     commands: CommandSettings = group(CommandSettings, flat=True)
-    largest_voltage: float = option(
-        12.0,
-        "Largest voltage [V] at the coil.",
-        within=(0.0, 1000.0),
-    )
+    largest_voltage: float = option(12.0, "Largest voltage [V] at the coil.", within=(0.0, 1000.0))
     rate: float = option(
         20.0, "Readings of the measured current per second [Hz].", within=(0.1, 1000.0)
     )
@@ -119,10 +115,7 @@ class SupplyNode(ManagedNode):
         super().__init__("supply")
         self._supply: ScpiSupply | None = None
         self.parameters = NodeParameters(
-            self,
-            SupplyParameters,
-            changed=self._apply,
-            configured=lambda: self._supply is not None,
+            self, SupplyParameters, changed=self._apply, configured=lambda: self._supply is not None
         )
         self._drive: SupplyDrive | None = None
         self._commander = CurrentCommander(CommandSettings())

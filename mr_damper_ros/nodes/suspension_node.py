@@ -15,12 +15,7 @@ from mr_damper_ros.nodes import quality
 from mr_damper_ros.nodes.command_topic import DEMAND_TOPIC
 from mr_damper_ros.nodes.diagnostics import OK, STALE, WARN, Diagnostics, Finding
 from mr_damper_ros.nodes.inputs import Stream
-from mr_damper_ros.nodes.messages import (
-    BODY,
-    SUSPENSION_TOPIC,
-    suspension_state,
-    to_nanoseconds,
-)
+from mr_damper_ros.nodes.messages import BODY, SUSPENSION_TOPIC, suspension_state, to_nanoseconds
 from mr_damper_ros.nodes.node_parameters import ConfigurationError, NodeParameters
 from mr_damper_ros.nodes.spinning import run
 from mr_damper_ros.processes.files import reason_of

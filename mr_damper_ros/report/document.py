@@ -205,11 +205,7 @@ class Chapter:
 
 
 def write_report(
-    folder: Path,
-    title: str,
-    notice: str,
-    chapters: Sequence[Chapter],
-    page: str = "report.html",
+    folder: Path, title: str, notice: str, chapters: Sequence[Chapter], page: str = "report.html"
 ) -> Path:
     """Write the page, the figures and the tables to ``folder``; returns the path of the page."""
     parts = [f"<h1>{html.escape(title)}</h1>", f'<p class="notice">{html.escape(notice)}</p>']

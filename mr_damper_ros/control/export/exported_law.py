@@ -7,11 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from mr_damper_ros.control.inverse_model import NODES
-from mr_damper_ros.kinematics.observer import (
-    closed_loop,
-    possible_bandwidths,
-    settling_samples,
-)
+from mr_damper_ros.kinematics.observer import closed_loop, possible_bandwidths, settling_samples
 from mr_damper_ros.models.parameter_set import ParameterSet
 from mr_damper_ros.settings.option_table import CheckedSettings, option
 from mr_damper_ros.signals.arrays import Array
@@ -26,9 +22,7 @@ class ExportSettings(CheckedSettings):
 
     period: float = option(1e-3, "Time between two samples [s].", within=(1e-6, 1.0))
     bandwidth: float = option(
-        40.0,
-        "Bandwidth [Hz] of the observer of velocity and acceleration.",
-        within=(0.001, 1e5),
+        40.0, "Bandwidth [Hz] of the observer of velocity and acceleration.", within=(0.001, 1e5)
     )
     lowest_current: float = option(0.0, "Lowest current [A] of the inverse.", within=(-10.0, 10.0))
     highest_current: float = option(

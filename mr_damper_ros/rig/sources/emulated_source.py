@@ -13,12 +13,7 @@ from mr_damper_ros.emulation.emulator import HOT_FORCE, PlantRig, Surroundings, 
 from mr_damper_ros.emulation.faults import FaultError, Instruments, faults_of
 from mr_damper_ros.kinematics.periodic_motion import MotionKind, PeriodicMotion
 from mr_damper_ros.models.parameter_set import ParameterSet
-from mr_damper_ros.models.published import (
-    THESIS_28_CELSIUS,
-    THESIS_71_CELSIUS,
-    find,
-    parameters,
-)
+from mr_damper_ros.models.published import THESIS_28_CELSIUS, THESIS_71_CELSIUS, find, parameters
 from mr_damper_ros.rig.commander import CommandSettings, CurrentCommander, MotionCommander, Origin
 from mr_damper_ros.rig.sources.source import Source
 from mr_damper_ros.settings.option_table import ParameterTable, group, option, with_default

@@ -194,9 +194,7 @@ class EmulatedInstrument:
     """
 
     def __init__(
-        self,
-        time_constant: float = 0.02,
-        clock: Callable[[], float] = time.monotonic,
+        self, time_constant: float = 0.02, clock: Callable[[], float] = time.monotonic
     ) -> None:
         self._time_constant = time_constant
         self._clock = clock
