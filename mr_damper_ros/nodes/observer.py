@@ -9,7 +9,14 @@ from typing import Any
 
 import rclpy
 from diagnostic_msgs.msg import DiagnosticArray
-from mr_damper_msgs.msg import CurrentCommand, MtsSamples, SupplyCurrent
+from mr_damper_msgs.msg import (
+    CurrentCommand,
+    DamperParameters,
+    FitReport,
+    MtsSamples,
+    PredictedForce,
+    SupplyCurrent,
+)
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.qos import QoSProfile
@@ -96,6 +103,18 @@ class Observer(AbstractContextManager):
         self.until(
             lambda: self.node.count_subscribers(topic) >= count, f"{count} subscribers of {topic}"
         )
+
+
+def listen_to_identification(
+    observer: Observer, take_report: Callable[[Any], None]
+) -> tuple[list[Any], list[Any], list[Any]]:
+    """Listen to identifier and model; returns the samples, forces and sets as they arrive."""
+    observer.listen(FitReport, "damper/fit_report", take=take_report)
+    return (
+        observer.listen(MtsSamples, "mts/samples"),
+        observer.listen(PredictedForce, "damper/predicted_force"),
+        observer.listen(DamperParameters, "damper/parameters", quality.latched()),
+    )
 
 
 def record_rig(node: Node, record: RigRecord) -> None:

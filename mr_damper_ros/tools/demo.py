@@ -153,17 +153,12 @@ class _Messages:
     """Messages of the nodes: samples, forces, sets, and reports, which are also printed."""
 
     def __init__(self, observer: Observer) -> None:
-        from mr_damper_msgs.msg import DamperParameters, FitReport, MtsSamples, PredictedForce
-
-        from mr_damper_ros.nodes import quality
+        from mr_damper_ros.nodes.observer import listen_to_identification
 
         self.observer = observer
         self._last = time.monotonic()
         self.reports: list[Any] = []
-        observer.listen(FitReport, "damper/fit_report", take=self._print)
-        self.samples = observer.listen(MtsSamples, "mts/samples")
-        self.forces = observer.listen(PredictedForce, "damper/predicted_force")
-        self.sets = observer.listen(DamperParameters, "damper/parameters", quality.latched())
+        self.samples, self.forces, self.sets = listen_to_identification(observer, self._print)
 
     def _print(self, report: Any) -> None:
         self.reports.append(report)
