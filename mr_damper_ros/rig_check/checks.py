@@ -12,6 +12,7 @@ import numpy as np
 from mr_damper_ros.kinematics.motion import SavitzkyGolay
 from mr_damper_ros.signals.arrays import NORMAL_MEDIAN, Array, white_noise
 from mr_damper_ros.signals.blocks import NANOSECONDS
+from mr_damper_ros.tracking.screening import clipped_at
 
 _BRIDGED = 0.1
 """Longest gap [s] that is interpolated for the check."""
@@ -299,9 +300,6 @@ def _line(lags: Array, cycles: Array) -> ChannelLag:
     return ChannelLag(float(weights[0]), error, unknown.lag)
 
 
-_CLIPPED_PART, _CLIPPED_IN_A_ROW = 0.01, 5
-"""Smallest fraction of samples, and number in a row, at the extreme value of a clipped channel."""
-
 _COARSE = 0.02
 """Smallest step, in standard deviations of the channel, that counts as coarse quantisation."""
 
@@ -335,8 +333,7 @@ def channel_findings(
     if step:
         yield Trouble.COARSE.found(name, step=step, unit=unit)
     else:
-        limits = values.min(), values.max()
-        clipped = [f"{limit:.4g}" for limit in limits if _clips(values, limit)]
+        clipped = [f"{limit:.4g}" for limit in clipped_at(values)]
         if clipped:
             yield Trouble.CLIPPED.found(name, how=f" at {' and '.join(clipped)}")
         part, least = _NOISY[name]
@@ -360,13 +357,6 @@ def coarse_step(values: Array) -> float:
     steps = steps[steps > 1e-9 * float(np.ptp(values))]
     step = float(steps.min()) if steps.size else 0.0
     return step if step > _COARSE * float(np.std(values)) else 0.0
-
-
-def _clips(values: Array, limit: float) -> bool:
-    """Whether many values, and several in a row, are exactly at this limit."""
-    there = values == limit
-    in_a_row = np.convolve(there, np.ones(_CLIPPED_IN_A_ROW), "valid").max() >= _CLIPPED_IN_A_ROW
-    return bool(in_a_row and there.mean() >= _CLIPPED_PART)
 
 
 def _line_at(mains: float, reach: float, values: Array, period: float) -> tuple[float, float]:

@@ -77,7 +77,7 @@ def fault_of_samples(displacement: Array, force: Array, current: Array, limits: 
     if np.ptp(force) == 0.0:
         return "the force does not change: is the load cell connected?"
     for name, array in (("force", force), ("displacement", displacement)):
-        if _is_clipped(array):
+        if clipped_at(array):
             return f"the {name} is clipped at the end of its range: is the sensor overloaded?"
     if _is_stuck(displacement, force):
         return "the force is constant although the motion reverses: is the load cell connected?"
@@ -178,22 +178,23 @@ def _is_stuck(displacement: Array, force: Array) -> bool:
     return way_back > _STUCK_PART * float(np.ptp(displacement))
 
 
-def _is_clipped(array: Array) -> bool:
-    """Whether a signal stays at one of its extremes and arrives there without slowing down.
+def clipped_at(array: Array) -> list[float]:
+    """The extremes of a signal (n,) at which it stays, and where it arrives without slowing down.
 
     A machine that rests at a dead centre, or a sine with a coarse resolution, approaches its
     extreme slowly and is not clipped.
     """
     steps = np.abs(np.diff(array))
     finest = float(np.min(steps[steps > 0.0], initial=np.inf))
-    for extreme in (array.max(), array.min()):
+    found = []
+    for extreme in (float(array.min()), float(array.max())):
         at_extreme = array == extreme
         if at_extreme.mean() < _CLIPPED:
             continue
         stays = [run for run in _runs(at_extreme) if run.stop - run.start >= _APPROACH]
         if stays and _arrives_at_speed(np.abs(array - extreme), stays, finest):
-            return True
-    return False
+            found.append(extreme)
+    return found
 
 
 def _arrives_at_speed(below: Array, stays: list[slice], finest: float) -> bool:
