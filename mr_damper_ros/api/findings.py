@@ -216,6 +216,11 @@ class Findings:
         return Findings(self.lines + other.lines, self.document | other.document)
 
 
+def _entry(of: object, *names: str) -> dict[str, Any]:
+    """These attributes, by name."""
+    return {name: getattr(of, name) for name in names}
+
+
 def determination_of(fit: GlobalFit, windows: Sequence[Window]) -> Determination:
     """The combinations of parameters that the windows of a fit determine."""
     found = fit.parameter_set
@@ -245,23 +250,14 @@ def determined(
             "allows more"
         )
     entry = {
-        "rank": result.rank,
-        "condition": result.condition,
-        "singular_values": result.singular_values,
+        **_entry(result, "rank", "condition", "singular_values"),
         "open": [
-            {
-                "words": combination.words,
-                "weights": dict(combination.weights),
-                "standard_error": combination.standard_error,
-            }
-            for combination in result.open
+            {**_entry(each, "words", "standard_error"), "weights": dict(each.weights)}
+            for each in result.open
         ],
     }
-    advice = [asdict(run) | {"sentence": run.sentence} for run in runs]
+    advice = [asdict(run) | _entry(run, "sentence") for run in runs]
     return Findings(lines, {"determination": entry, "advice": advice})
-
-
-_OF_A_PROFILE = ("values", "ratio", "best", "interval")
 
 
 def profiles(fit: GlobalFit, found: Sequence[Profile]) -> Findings:
@@ -276,7 +272,7 @@ def profiles(fit: GlobalFit, found: Sequence[Profile]) -> Findings:
         if not p.contains(values[p.name]):
             line += f", WHICH EXCLUDES THE IDENTIFIED VALUE, {values[p.name]:.6g}"
         lines.append(line)
-        document[p.name] = {name: getattr(p, name) for name in _OF_A_PROFILE}
+        document[p.name] = _entry(p, "values", "ratio", "best", "interval")
     return Findings(lines, {"profiles": document})
 
 
@@ -303,14 +299,11 @@ def searches(found: MultiStart) -> Findings:
     entries = [
         {
             "seed": seed,
-            "cost": fit.cost,
+            **_entry(fit, "cost", "evaluations", "message"),
             "parameters": fit.parameter_set.as_dict(),
-            "evaluations": fit.evaluations,
-            "message": fit.message,
             "candidates": [
                 {
-                    "origin": c.origin,
-                    "cost": c.cost,
+                    **_entry(c, "origin", "cost"),
                     "parameters": dict(zip(names, c.parameters, strict=True)),
                 }
                 for c in fit.candidates
@@ -337,11 +330,9 @@ def temperatures(maps: Sequence[TemperatureMap]) -> Findings:
         scales = [found.scale(value) for value in celsius.tolist()]
         entries.append(
             {
+                **_entry(found, "windows", "coefficients", "covariance"),
                 "operating_point": {"peak_velocity": speed, "current": current},
                 "range": [found.low, found.high],
-                "windows": found.windows,
-                "coefficients": found.coefficients,
-                "covariance": found.covariance,
                 "temperature": celsius,
                 "force_scale": [scale.value for scale in scales],
                 "force_scale_standard_error": [scale.standard_error for scale in scales],
