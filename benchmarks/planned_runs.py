@@ -26,7 +26,6 @@ from mr_damper_ros.estimation.experiment_design import (
     RunPlanner,
 )
 from mr_damper_ros.estimation.planned_run import (
-    PHASES,
     ForceGoal,
     MachineLimits,
     PlannedRun,
@@ -37,6 +36,7 @@ from mr_damper_ros.kinematics.window import Window
 from mr_damper_ros.models import MODELS
 from mr_damper_ros.models.parameter_set import ParameterError, ParameterSet
 from mr_damper_ros.models.plausibility import check_plausible
+from mr_damper_ros.models.quantities import PHASES
 from mr_damper_ros.signals.arrays import Array
 from mr_damper_ros.signals.recording import Recording
 from studies.recordings import rms

@@ -25,7 +25,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from mr_damper_ros.kinematics.window import Window
-from mr_damper_ros.models.quantities import SAME_CURRENT
+from mr_damper_ros.models.quantities import ROWS_AT_ONCE, SAME_CURRENT
 from mr_damper_ros.signals.arrays import Array
 
 DETERMINED = 1e-10
@@ -41,9 +41,6 @@ _WHITE = 3.0
 """A residual counts as white if its lag-1 autocorrelation is within this many standard errors of 0.
 """
 
-_CHUNK = 4096
-"""Number of matrix rows factorised at once, so that they fit into the cache."""
-
 
 def triangular_factor(matrix: Array) -> Array:
     """Factor R (min(n, p), p) of the QR decomposition of a matrix (n, p), up to signs of rows.
@@ -53,8 +50,8 @@ def triangular_factor(matrix: Array) -> Array:
     four times as fast (Demmel, Grigori, Hoemmen and Langou, SIAM Journal on Scientific Computing
     34, 2012).
     """
-    if matrix.shape[0] > _CHUNK:
-        chunks = np.array_split(matrix, math.ceil(matrix.shape[0] / _CHUNK))
+    if matrix.shape[0] > ROWS_AT_ONCE:
+        chunks = np.array_split(matrix, math.ceil(matrix.shape[0] / ROWS_AT_ONCE))
         matrix = np.concatenate([np.linalg.qr(chunk, mode="r") for chunk in chunks])
     return np.asarray(np.linalg.qr(matrix, mode="r"))
 

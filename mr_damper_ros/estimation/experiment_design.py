@@ -32,7 +32,6 @@ from mr_damper_ros.estimation.observability import (
     parameter_spans,
 )
 from mr_damper_ros.estimation.planned_run import (
-    PHASES,
     SETTLING,
     STAIRS,
     ForceGoal,
@@ -49,7 +48,7 @@ from mr_damper_ros.kinematics.periodic_motion import MotionKind, PeriodicMotion
 from mr_damper_ros.kinematics.window import Window
 from mr_damper_ros.models.force_model import Model
 from mr_damper_ros.models.misfit import ChosenParameters, Misfit
-from mr_damper_ros.models.quantities import SAME_CURRENT, LoopReading
+from mr_damper_ros.models.quantities import PHASES, SAME_CURRENT, LoopReading
 from mr_damper_ros.signals.arrays import Array
 
 _DRAWS = 200

@@ -19,7 +19,7 @@ from mr_damper_ros.estimation.differential_evolution import (
     Report,
 )
 from mr_damper_ros.estimation.global_search import Candidate, Excerpts, GlobalSearch
-from mr_damper_ros.estimation.local_search import Ending, StopRequestedError
+from mr_damper_ros.estimation.local_search import MOST_STEPS, Ending, StopRequestedError
 from mr_damper_ros.estimation.record_levels import (
     Level,
     LevelledProblem,
@@ -263,9 +263,6 @@ def _spread(search: GlobalSearch, places: Sequence[int]) -> tuple[Array, float]:
     return spread, math.exp(float(np.mean(logarithms)))
 
 
-_SCORINGS = 50
-
-
 def _excess(squares: Array, variances: Array, apart: Array) -> Array:
     """Variance of deviations beyond their ``variances`` (k,), and its growth with ``apart`` (k,).
 
@@ -277,9 +274,12 @@ def _excess(squares: Array, variances: Array, apart: Array) -> Array:
 
     columns = np.stack((np.ones_like(apart), apart), axis=1)
     found = np.full(2, np.median(squares))
-    for _ in range(_SCORINGS):
+    for _ in range(MOST_STEPS):
         weights = 1.0 / (variances + columns @ found + _TINY)
+        before = found
         found = nnls(columns * weights[:, np.newaxis], (squares - variances) * weights)[0]
+        if np.allclose(found, before, rtol=1e-6, atol=0.0):
+            break
     return found if np.ptp(apart) > 0.0 else found[[0, 0]]
 
 

@@ -18,11 +18,6 @@ from mr_damper_ros.estimation.covariance import triangular_factor
 from mr_damper_ros.models.formulas import LIMIT
 from mr_damper_ros.signals.arrays import NORMAL_MEDIAN, Array
 
-_FAR = 30.0
-"""Nelder-Mead restarts with new axes if it has moved by more standard errors than this."""
-
-_MOST_RESTARTS = 5
-
 HUBER = 1.345
 """Huber's constant, which gives 95 % efficiency for normal noise."""
 
@@ -99,40 +94,32 @@ class LocalSearch(Generic[P]):
         return cost
 
     def nelder_mead(self) -> None:
-        """Nelder-Mead from the best unknowns, restarted with new axes while it moves far."""
+        """Nelder-Mead from the best unknowns."""
         from scipy import optimize  # imported late: see entry_points
 
         if math.isinf(self.best_cost):
             self.try_out(self.best)
-        for _ in range(_MOST_RESTARTS):
-            centre = self.best
-            residual = self.problem.residual(centre)
-            jacobian = self.problem.jacobian(centre)
-            noise_power = self.best_cost / residual.size
-            axes = _standard_error_axes(jacobian, math.sqrt(noise_power))
-            # The simplex extends to the minimum of the linearised problem.
-            reach = -(axes.T @ (jacobian.T @ residual)) / noise_power
-            reach = np.where(np.abs(reach) < 1.0, np.copysign(1.0, reach), reach)
-            simplex = np.vstack((np.zeros(centre.size), np.diag(reach)))
-
-            def cost(steps: Array, centre: Array = centre, axes: Array = axes) -> float:
-                return self.try_out(centre + axes @ steps)
-
-            # The simplex stops at the size of a standard error, near the minimum; least squares
-            # locates it exactly.
-            result = optimize.minimize(
-                cost,
-                simplex[0],
-                method="Nelder-Mead",
-                options={
-                    "initial_simplex": simplex,
-                    "xatol": 1.0,
-                    "fatol": noise_power,
-                    "maxfev": 300 * centre.size,
-                },
-            )
-            if np.max(np.abs(result.x)) < _FAR:
-                return
+        centre = self.best
+        residual, jacobian = self.problem.residual(centre), self.problem.jacobian(centre)
+        noise_power = self.best_cost / residual.size
+        axes = _standard_error_axes(jacobian, math.sqrt(noise_power))
+        # The simplex extends to the minimum of the linearised problem.
+        reach = -(axes.T @ (jacobian.T @ residual)) / noise_power
+        reach = np.where(np.abs(reach) < 1.0, np.copysign(1.0, reach), reach)
+        simplex = np.vstack((np.zeros(centre.size), np.diag(reach)))
+        # The simplex stops at the size of a standard error, near the minimum; least squares
+        # locates it exactly.
+        optimize.minimize(
+            lambda steps: self.try_out(centre + axes @ steps),
+            simplex[0],
+            method="Nelder-Mead",
+            options={
+                "initial_simplex": simplex,
+                "xatol": 1.0,
+                "fatol": noise_power,
+                "maxfev": MOST_STEPS * centre.size,
+            },
+        )
 
     def least_squares(
         self,

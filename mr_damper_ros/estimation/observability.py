@@ -24,14 +24,11 @@ import numpy as np
 from mr_damper_ros.estimation.covariance import DETERMINED, group_numbers, triangular_factor
 from mr_damper_ros.kinematics.window import Window
 from mr_damper_ros.models.force_model import Model
-from mr_damper_ros.models.quantities import NOTICED
+from mr_damper_ros.models.quantities import CURRENT_READING, NOTICED
 from mr_damper_ros.signals.arrays import Array
 
 _DIFFERENT_VELOCITY = 1.2
 """Smallest ratio of two different peak velocities."""
-
-_DIFFERENT_CURRENT = 0.02
-"""Smallest distance of two different currents [A]."""
 
 SURE = 0.25
 """Prior standard deviation of a shape parameter relative to its plausible range. The ends of the
@@ -43,7 +40,7 @@ def varied_parameters(
 ) -> frozenset[str]:
     """Names of the parameters that these peak velocities [m/s] and currents [A] could determine."""
     many_speeds = 2 if min(speeds) * _DIFFERENT_VELOCITY < max(speeds) else 1
-    many_currents = group_numbers(np.sort(currents)[:, np.newaxis] / _DIFFERENT_CURRENT).max() + 1
+    many_currents = group_numbers(np.sort(currents)[:, np.newaxis] / CURRENT_READING).max() + 1
     return frozenset(
         parameter.name
         for parameter in model.parameters
@@ -60,7 +57,7 @@ def parameter_ranges(model: Model, windows: Sequence[Window]) -> dict[str, tuple
 
 def current_varies(window: Window) -> bool:
     """Whether the current varies within the window."""
-    return float(np.ptp(window.current)) > _DIFFERENT_CURRENT
+    return float(np.ptp(window.current)) > CURRENT_READING
 
 
 def operating_points_within(windows: Sequence[Window]) -> tuple[list[float], list[float]]:
@@ -84,12 +81,6 @@ def _quantiles(values: Array, weights: Array, shares: Sequence[float]) -> list[f
     places = np.searchsorted(total, np.array(shares) * total[-1])
     return values[order[np.minimum(places, order.size - 1)]].tolist()
 
-
-_NEGLIGIBLE = 0.05
-"""A message omits a parameter if its move is below this part of the largest move and its change of
-the force below this part of the largest change."""
-
-_MOST_WORDS = 5
 
 _PREFER_SHAPE = 1e2
 """Factor by which a shape parameter is preferred to a scale as the leading parameter of a
@@ -219,8 +210,9 @@ def _combinations(
         move = move / np.max(np.abs(move))
         order = [lead, *(place for place in np.argsort(-np.abs(move)) if place != lead)]
         change = np.abs(move) * lengths
-        told = (np.abs(move) >= _NEGLIGIBLE) | (
-            change > max(_NEGLIGIBLE * change.max(), DETERMINED * largest)
+        # A message omits moves, and changes of the force, that are small beside the largest.
+        told = (np.abs(move) >= NOTICED) | (
+            change > max(NOTICED * change.max(), DETERMINED * largest)
         )
         told[lead] = True
         weights = {names[k]: float(move[k]) for k in order if told[k]}
@@ -253,12 +245,11 @@ def _words(moves: Mapping[str, tuple[float, float]], units: Mapping[str, str]) -
     step = math.copysign(min(step, 1.0), move)
     changes = [
         _change(name, step * moves[name][1], moves[name][0], units[name])
-        for name in (lead, *others[:_MOST_WORDS])
+        for name in (lead, *others)
     ]
-    more = " and others move" if len(others) > _MOST_WORDS else ""
     listed = ", ".join(others[:-1]) + f" and {others[-1]}" if len(others) > 1 else others[0]
     together = f"{lead} and {listed}" if len(others) == 1 else f"{lead}, {listed}"
-    return f"{together} only together: as {changes[0]}, {', '.join(changes[1:])}{more}"
+    return f"{together} only together: as {changes[0]}, {', '.join(changes[1:])}"
 
 
 def _change(name: str, move: float, value: float, unit: str) -> str:

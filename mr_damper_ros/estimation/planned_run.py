@@ -16,7 +16,7 @@ import numpy as np
 from mr_damper_ros.kinematics.peak_velocity import peak_velocity_of_period
 from mr_damper_ros.kinematics.periodic_motion import MotionKind, PeriodicMotion
 from mr_damper_ros.kinematics.window import Window
-from mr_damper_ros.models.quantities import SAME_CURRENT
+from mr_damper_ros.models.quantities import PHASES, SAME_CURRENT
 from mr_damper_ros.signals.arrays import Array
 from mr_damper_ros.signals.recording import Recording
 
@@ -25,9 +25,6 @@ _MOST_HARMONICS = 100.0
 
 SETTLING = 0.1
 """Time [s] after a current step that is excluded, because current and force still change."""
-
-PHASES = 64
-"""Number of samples of the cycle that represents an operating point."""
 
 
 @dataclass(frozen=True)

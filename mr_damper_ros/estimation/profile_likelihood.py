@@ -33,8 +33,7 @@ from mr_damper_ros.estimation.differential_evolution import (
 from mr_damper_ros.estimation.global_fit import GlobalFit, identify_global
 from mr_damper_ros.estimation.global_search import with_linear_refitted
 from mr_damper_ros.estimation.local_search import LocalSearch, StopRequestedError
-from mr_damper_ros.estimation.observability import parameter_ranges, parameter_spans
-from mr_damper_ros.estimation.posterior import Posterior, Prior
+from mr_damper_ros.estimation.observability import SURE, parameter_ranges, parameter_spans
 from mr_damper_ros.kinematics.window import Window
 from mr_damper_ros.models.misfit import ChosenParameters, Misfit
 from mr_damper_ros.processes.process_pool import Notify, ProcessPool
@@ -47,12 +46,6 @@ _STEP_RISE = 0.5
 """Intended increase of the root of the likelihood ratio in one step."""
 
 _MOST_STEPS = 30
-
-_FIRST_STEP = 0.01
-"""First step, in spans, if there is no standard error."""
-
-_WEAK_PRIOR = 1e-4
-"""Relative weight of the prior that keeps undetermined directions at their start."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -99,7 +92,8 @@ class ProfileLikelihood:
         jacobian, residual = misfit.jacobian(self._start), misfit.residual(self._start)
         self._spans = parameter_spans(self._model, jacobian, self._start, ranges)
         # Standard errors (p,), and the ratio of the variances for white noise to the actual ones.
-        self._errors = np.full(self._start.size, math.nan)
+        # A parameter that is not determined has a larger error.
+        self._errors = SURE * self._spans
         shrinkage = np.full(self._start.size, independent_samples(residual) / residual.size)
         if np.any(observable):
             seen = jacobian[:, observable]
@@ -123,8 +117,6 @@ class ProfileLikelihood:
         parameter, value = self._model.parameters[place], float(self._start[place])
         scale, span = float(self._scales[place]), float(self._spans[place])
         step = _STEP_RISE * float(self._errors[place])
-        if math.isnan(step):
-            step = _FIRST_STEP * span
         # The value itself may lie outside the range that is plausible for these data.
         low, high = self._ranges.get(name, (-math.inf, math.inf))
         low = max(min(low, value - span), parameter.low)
@@ -155,11 +147,9 @@ class ProfileLikelihood:
     ) -> tuple[Array, float]:
         """Best set with the other parameters refitted, and its cost; below ``enough`` suffices."""
         best, least = starts[0], math.inf
-        weak = _WEAK_PRIOR * math.sqrt(self._misfit.sample_count)
         others = [other for other in range(self._start.size) if other != place]
         for values in sorted(starts, key=self._cost):
-            free = ChosenParameters(self._misfit, values, others)
-            problem = Posterior(free, Prior(values, self._spans).at(others), weak)
+            problem = ChosenParameters(self._misfit, values, others)
             search = LocalSearch(problem, problem.start, self._should_stop)
             search.try_out(problem.start)
             search.least_squares(tolerance=self._model.effort.tolerance)

@@ -24,7 +24,7 @@ import numpy as np
 from mr_damper_ros.kinematics.motion import Motion
 from mr_damper_ros.models.current_dependence import IntegratedModel, Recursion
 from mr_damper_ros.models.machine_code import run_loop
-from mr_damper_ros.models.quantities import Coefficient, LoopReading
+from mr_damper_ros.models.quantities import SETTLING, Coefficient, LoopReading
 from mr_damper_ros.signals.arrays import Array
 
 HYSTERESIS = (
@@ -35,10 +35,6 @@ HYSTERESIS = (
 )
 """Coefficients of the hysteresis; force and yield length depend on the current."""
 
-_SETTLING_TRAVEL = 10.0
-"""Travel in yield lengths after which a hysteresis no longer depends on its initial state."""
-
-_STEEPEST = 60.0
 _SMALL_RATE = 1e-4
 
 
@@ -61,9 +57,7 @@ def hysteresis_step(
     gain = (1.0 - size**power * towards) / length
     bend = power * size ** (power - 1.0) * sign * towards / length
     x = -period * (bend * w + gain * back)
-    if x < -_STEEPEST:
-        x = -_STEEPEST
-    elif x > 1.0:
+    if x > 1.0:
         x = 1.0
     moved = z + period * gain * w * (math.expm1(x) / x if x != 0.0 else 1.0)
     # The exact solution stays in this range; a step much longer than the yield length could leave
@@ -169,8 +163,8 @@ def step_derivatives(
     gain = (1.0 - raised * towards) / length
     slope = power * less * sign / length
     x = -period * (slope * towards * w + gain * back)
-    inside = (x > -_STEEPEST) & (x < 1.0)
-    x = np.clip(x, -_STEEPEST, 1.0)
+    inside = x < 1.0
+    x = np.minimum(x, 1.0)
     eased, bends = _eased(x)
     bends *= inside
 
@@ -211,7 +205,7 @@ class _Hysteretic(IntegratedModel):
     def memory_length(self, parameters: Array, current: float) -> float:
         """A multiple of the yield length: a hysteresis forgets its past with travel, not time."""
         place = self.coefficient_names.index("yield_length")
-        return _SETTLING_TRAVEL * float(self.coefficients_at(parameters, 0.0, current)[place, 0])
+        return SETTLING * float(self.coefficients_at(parameters, 0.0, current)[place, 0])
 
 
 class BoucWen(_Hysteretic):

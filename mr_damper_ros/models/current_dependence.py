@@ -34,6 +34,7 @@ from mr_damper_ros.models.force_model import CurrentResponse, Model, WindowForce
 from mr_damper_ros.models.machine_code import as_machine_code
 from mr_damper_ros.models.quantities import (
     DIFFERENCE,
+    ROWS_AT_ONCE,
     CoefficientTable,
     LawSearch,
     LoopReading,
@@ -43,7 +44,7 @@ from mr_damper_ros.models.quantities import (
 from mr_damper_ros.signals.arrays import Array
 
 LARGEST_GROWTH = 100.0
-"""Largest plausible ratio of a coefficient's values over the current range."""
+"""Largest plausible ratio of a coefficient's values, or of the forces, over the current range."""
 
 
 class CurrentDependentModel(Model):
@@ -349,8 +350,8 @@ class IntegratedModel(CurrentDependentModel):
         # Columns are contiguous in memory. All steps at once would leave the processor's cache.
         result = np.empty((len(columns), current.size)).T
         states = [np.zeros((len(recursion.by), len(columns))) for recursion in recursions]
-        for begin in range(0, current.size, _CHUNK):
-            part = slice(begin, begin + _CHUNK)
+        for begin in range(0, current.size, ROWS_AT_ONCE):
+            part = slice(begin, begin + ROWS_AT_ONCE)
             rows = result[part]
             rows[...] = _excitation([direct], chain, columns, part)
             for recursion, state in zip(recursions, states, strict=True):
@@ -366,10 +367,6 @@ class IntegratedModel(CurrentDependentModel):
     def window_forces(self, windows: Sequence[Window]) -> WindowForces:
         """Forces with exact derivatives."""
         return WindowForces(self, windows, self.window_derivatives)
-
-
-_CHUNK = 8192
-"""Number of steps whose derivatives are computed at once."""
 
 
 def _excitation(

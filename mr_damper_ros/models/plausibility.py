@@ -12,6 +12,7 @@ import numpy as np
 
 from mr_damper_ros.kinematics.motion import Motion
 from mr_damper_ros.models.parameter_set import ParameterError, ParameterSet
+from mr_damper_ros.models.quantities import MODEL_ERROR, PHASES
 from mr_damper_ros.signals.arrays import Array
 from mr_damper_ros.signals.recording import LARGEST_FORCE
 
@@ -22,10 +23,6 @@ _FORCE_RATIO = 3.0
 """Largest ratio of the law's force to the largest force measured during identification. It exceeds
 1, because the fastest motion and the largest current may not have been measured together."""
 
-_LARGEST_RETURN = 0.02
-"""Permitted negative work relative to the work of a constant force, because a cycle has few
-samples. A law with the wrong sign returns most of the work."""
-
 _USUAL_SPEEDS = (0.01, 0.03, 0.1, 0.3)
 """Peak velocities [m/s] for a law whose range is unbounded or empty."""
 
@@ -35,9 +32,6 @@ _USUAL_CURRENTS = (0.0, 0.5, 1.0, 2.0)
 _FREQUENCIES = (2.0, 0.5, 8.0)
 """Frequencies [Hz] to try, because the range states none; the law must be plausible at one of them.
 """
-
-_SAMPLES = 32
-"""Number of samples of a cycle."""
 
 
 def check_plausible(parameters: ParameterSet) -> ParameterSet:
@@ -97,7 +91,8 @@ def _implausible_at(parameters: ParameterSet, frequency: float) -> str:
         if all_speeds:
             # A law for random motion may be inaccurate at low speed, so the work is summed.
             works, most = (np.sum(each, axis=0, keepdims=True) for each in (works, most))
-        damping = works >= -_LARGEST_RETURN * most
+        # A law with the wrong sign returns most of the work, not only its model error.
+        damping = works >= -MODEL_ERROR * most
     if everywhere(sizes & damping):
         return ""
     if not everywhere(sizes):
@@ -120,7 +115,7 @@ def _cycles(
     Each has shape (speeds, currents). The works are in N m/s, summed over the samples.
     """
     rate = 2.0 * math.pi * frequency
-    angle = np.arange(2 * _SAMPLES) * (2.0 * math.pi / _SAMPLES)
+    angle = np.arange(2 * PHASES) * (2.0 * math.pi / PHASES)
     shape = (speeds.size, currents.size, angle.size)
     speed, current, phase = (
         np.broadcast_to(values, shape).reshape(-1)
@@ -135,11 +130,9 @@ def _cycles(
         sine=None,
     )
     with np.errstate(all="ignore"):
-        force = parameters.law.force(
-            parameters.values, motion, current, 1.0 / (frequency * _SAMPLES)
-        )
+        force = parameters.law.force(parameters.values, motion, current, 1.0 / (frequency * PHASES))
         # The first of the two cycles contains the transient.
-        force, velocity = (x.reshape(shape)[..., _SAMPLES:] for x in (force, velocity))
+        force, velocity = (x.reshape(shape)[..., PHASES:] for x in (force, velocity))
         peaks = np.max(np.abs(force), axis=-1)
         works = np.sum(force * velocity, axis=-1)
         return peaks, works, peaks * np.sum(np.abs(velocity), axis=-1)

@@ -34,8 +34,17 @@ SETTLING = 7.0
 SAME_CURRENT = 0.05
 """Largest difference [A] of currents that count as one current."""
 
+CURRENT_READING = 0.02
+"""Variation [A] of a supply's reading while its current is constant."""
+
 DIFFERENCE = 1e-6
 """Step of a finite difference, relative to the size of a parameter, or in seconds."""
+
+PHASES = 64
+"""Number of samples that represent a cycle."""
+
+ROWS_AT_ONCE = 4096
+"""Number of rows of a matrix that are processed at once, so that they fit into the cache."""
 
 _QUANTILE = 0.98
 """Quantile of speed and displacement that is used as the maximum."""

@@ -20,6 +20,7 @@ from mr_damper_ros.estimation.covariance import SAME_MOTION
 from mr_damper_ros.estimation.window_fit import WindowFit
 from mr_damper_ros.kinematics.peak_velocity import MEMORY
 from mr_damper_ros.kinematics.window import Window
+from mr_damper_ros.models.current_dependence import LARGEST_GROWTH
 from mr_damper_ros.models.quantities import MODEL_ERROR, SAME_CURRENT
 from mr_damper_ros.signals.arrays import Array, Positive
 from mr_damper_ros.signals.blocks import NANOSECONDS
@@ -46,10 +47,6 @@ _MOST_POINTS = 2 * MOST_WINDOWS
 
 RECENT = MEMORY
 """Seconds for which an operating point counts as recent. A set must hold at all recent points."""
-
-_CURRENT_FACTOR = 30.0
-"""Largest factor between the forces of an MR damper at two currents. Between two speeds, the force
-changes by at most the ratio of the speeds."""
 
 
 def nearest_same(points: Sequence[OperatingPoint], wanted: OperatingPoint) -> int | None:
@@ -263,9 +260,10 @@ class KnownPoints:
         if not math.isnan(expected) and not 1.0 / limit <= expected <= limit:
             return f"the force is {expected:.3g} times the first accepted force"
         for known in self._forces:
+            # Between two speeds, the force changes by at most the ratio of the speeds.
             ratio = found.peak_velocity / known.peak_velocity
             _, current = _apart(found.operating_point, known.operating_point)
-            besides = limit * (_CURRENT_FACTOR if current > _COMPARABLE[1] else 1.0)
+            besides = limit * (LARGEST_GROWTH if current > _COMPARABLE[1] else 1.0)
             low, high = min(1.0, ratio) / besides, max(1.0, ratio) * besides
             if found.size > high * known.size or found.largest > high * known.largest:
                 return f"the force reaches {found.largest:.3g} N instead of {known.largest:.3g} N"

@@ -40,7 +40,7 @@ from mr_damper_ros.models.parameter_set import (
     start_set,
 )
 from mr_damper_ros.models.plausibility import implausible
-from mr_damper_ros.models.quantities import GOOD_NRMSE
+from mr_damper_ros.models.quantities import GOOD_NRMSE, PHASES
 from mr_damper_ros.processes.blas_threads import one_thread
 from mr_damper_ros.processes.worker import Control
 from mr_damper_ros.settings.option_table import CheckedSettings, group, option
@@ -94,11 +94,7 @@ from mr_damper_ros.tracking.screening import (
     lack_of_cycle,
     lack_of_motion,
 )
-from mr_damper_ros.tracking.window_assembler import ENOUGH_POINTS, RawWindow
-
-_DIVERGED = 2.0
-"""The filter has diverged if the RMSE of the validation samples exceeds this multiple of the noise
-that the filter expects."""
+from mr_damper_ros.tracking.window_assembler import RawWindow
 
 _MOST_INTERVALS = 6
 """Largest number of intervals into which a continuous range of currents is divided."""
@@ -195,7 +191,7 @@ def _followed(job: Job, window: Window) -> Fitted | None:
     validation = validation_mask(new.sample_count, job.fresh)
     follower.take_in(~validation)
     evidence = _evidence(job, new, follower.as_fit(problem).parameters, validation)
-    if evidence.rmse_after > _DIVERGED * follower.noise_level:
+    if evidence.rmse_after > WORSE_RATIO * follower.noise_level:
         return None
     follower.take_in(validation)
     fit = follower.as_fit(WindowProblem(job.running.law, window, job.running.values))
@@ -688,7 +684,7 @@ def parts_by_current(model: Model, window: Window, tolerance: float) -> list[Win
     parts = []
     for number in range(edges.size + 1):
         chosen = place == number
-        if np.count_nonzero(chosen[lead_in:]) < ENOUGH_POINTS:
+        if np.count_nonzero(chosen[lead_in:]) < PHASES:
             continue
         moving = float(np.sqrt(np.mean(speed[chosen] ** 2))) >= least
         if moving and np.ptp(window.force[chosen]) > 0.0:

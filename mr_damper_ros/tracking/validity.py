@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mr_damper_ros.models.parameter_set import ParameterSet
-from mr_damper_ros.models.quantities import GOOD_NRMSE
+from mr_damper_ros.models.quantities import CURRENT_READING, GOOD_NRMSE
 from mr_damper_ros.settings.option_table import CheckedSettings, option
 from mr_damper_ros.signals.arrays import Array, Mask, span_of
 from mr_damper_ros.signals.blocks import NANOSECONDS, ZeroOrderHold
@@ -25,9 +25,6 @@ from mr_damper_ros.tracking.acceptance import Verdict
 
 Codes = NDArray[np.uint8]
 """A :class:`DoubtKind` for each sample."""
-
-CURRENT_READING = 0.02
-"""Variation [A] of a supply's reading while its current is constant."""
 
 
 class DoubtKind(IntEnum):

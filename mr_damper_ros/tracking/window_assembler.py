@@ -12,6 +12,7 @@ import numpy as np
 
 from mr_damper_ros.kinematics.peak_velocity import MEMORY, StreamPeakVelocity
 from mr_damper_ros.kinematics.window import averages, holds_cycle
+from mr_damper_ros.models.quantities import PHASES
 from mr_damper_ros.settings.option_table import CheckedSettings, option
 from mr_damper_ros.signals.arrays import Array, RollingRows
 from mr_damper_ros.signals.blocks import KEEP_CURRENT, NANOSECONDS, SampleBlock, ZeroOrderHold
@@ -23,10 +24,6 @@ _HOLD_BACK = 0.05
 
 _GROWTH = 1.25
 """Factor by which a window without a full cycle is extended at each trial."""
-
-ENOUGH_POINTS = 64
-"""Number of points needed to detect a cycle. The search for a cycle in a longer window averages the
-displacement to as many points per usual window length."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -255,7 +252,7 @@ class WindowAssembler:
         if holds_cycle(self._samples(end - length, end)[0]):
             return length
         most = min(end - (self._end - self._rows.count), longest)
-        size = max(length // ENOUGH_POINTS, 1)
+        size = max(length // PHASES, 1)
         points = averages(self._samples(end - most // size * size, end)[0], most // size)
         speed = np.diff(points)
         reach = float(length)

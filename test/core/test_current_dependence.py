@@ -118,7 +118,7 @@ def test_derivatives_do_not_depend_on_their_division(
     window = moved(name, truth(name), np.repeat([0.2, 1.0, 0.5], 250))
     misfit = Misfit(MODELS[name], [window], [1.0])
     at_once = misfit.jacobian(values)
-    monkeypatch.setattr(current_dependence, "_CHUNK", 77)
+    monkeypatch.setattr(current_dependence, "ROWS_AT_ONCE", 77)
     np.testing.assert_allclose(misfit.jacobian(values), at_once, rtol=1e-9)
 
 
