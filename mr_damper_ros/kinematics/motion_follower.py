@@ -203,7 +203,7 @@ class MotionCentre:
         return self._still * self._period > max(_SHORTEST, longest)
 
     def follow(self, displacement: Array) -> float:
-        """Centre [m] after these samples of shape (n,), n >= 1."""
+        """Centre [m] after these samples of shape (n,), n >= 0."""
         for value in displacement.tolist():
             self._count += 1
             self._bottom, self._top = min(self._bottom, value), max(self._top, value)
@@ -347,8 +347,10 @@ class MotionFollower:
 
     def _observe(self, displacement: Array) -> Motion:
         u, v, a = self._differentiator.follow(displacement)
-        v_m = self.peak.follow(v, a, self._differentiator.settled_count)
-        centred = u - self.centre.follow(displacement)
+        settled = min(self._differentiator.settled_count, v.size)
+        v_m = self.peak.follow(v, a, settled)
+        # The samples before may be a spike of the sensor.
+        centred = u - self.centre.follow(displacement[v.size - settled :])
         return Motion(
             displacement=centred, velocity=v, acceleration=a, peak_velocity=v_m, sine=None
         )

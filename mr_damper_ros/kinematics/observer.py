@@ -232,6 +232,8 @@ class AdaptiveObserver:
         self._snap, self._visible = 0.0, False
         # The last sample, the last change and the largest recent change [m]; NaN while unknown.
         self._last = self._last_change = self._largest_change = math.nan
+        # The last change [m] if it was a jump that the sensor may return from, otherwise 0.
+        self._jump = 0.0
         self._begin_stretch()
 
     def _begin_stretch(self) -> None:
@@ -276,22 +278,25 @@ class AdaptiveObserver:
             self._choose(stretch)
 
     def _up_to_jump(self, displacement: Array) -> Array:
-        """Samples (n,) up to a jump of the sensor; after one at the start, restart the observer."""
-        changes = np.empty(displacement.size)
-        changes[0] = displacement[0] - self._last
-        np.subtract(displacement[1:], displacement[:-1], out=changes[1:])
-        np.abs(changes, out=changes)
+        """Samples (n,) up to a jump of the sensor; after one at the start, restart the observer.
+
+        The return from a spike also counts as a jump, although the previous change was as large.
+        """
+        change = float(displacement[0]) - self._last
+        changes = np.abs(np.concatenate(((change,), displacement[1:] - displacement[:-1])))
         largest = changes.max()
+        jump, self._jump = self._jump, 0.0
         if largest > _JUMP * self._largest_change:
-            before = np.concatenate(([self._last_change], changes[:-1]))
-            sudden = (changes > _JUMP * self._largest_change) & (changes > _STEP * before)
-            if sudden[0]:
+            large = changes > _JUMP * self._largest_change
+            sudden = large & (changes > _STEP * np.append(self._last_change, changes[:-1]))
+            end = 1 + int(sudden[1:].argmax()) if sudden[1:].any() else changes.size
+            if sudden[0] or (large[0] and jump * change < 0.0):
                 self._observer.reset()
                 self._trial.reset()
                 self._begin_stretch()
                 # A motion that starts abruptly looks like a jump, so the bandwidth must be high.
                 self._use(min(self._place, self._start))
-            end = 1 + int(sudden[1:].argmax()) if sudden[1:].any() else changes.size
+                self._jump, end = change if sudden[0] else jump, 1
             displacement, changes = displacement[:end], changes[:end]
         self._moved = self._moved or largest > 0.0
         self._last, self._last_change = float(displacement[-1]), float(changes[-1])

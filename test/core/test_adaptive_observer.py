@@ -66,10 +66,11 @@ def test_the_gain_of_noise_is_that_of_noise() -> None:
     assert np.std((noise - u)[left]) == pytest.approx(to_residual, rel=0.03)
 
 
-def test_a_jump_of_the_sensor_leaves_no_trace() -> None:
+@pytest.mark.parametrize("end", [None, 4322, 4325])
+def test_a_jump_or_a_spike_of_the_sensor_leaves_no_trace(end: int | None) -> None:
     u, a = measured(1.0, 1e-3, 8000)
     jumped, other = u.copy(), AdaptiveObserver(1e-3)
-    jumped[4321:] += AMPLITUDE
+    jumped[4321:end] += AMPLITUDE
     found = other.follow(jumped)[2]
     assert other.bandwidth == pytest.approx(bandwidth_after(u))
     # A start transient lasts less than 500 samples at these bandwidths.

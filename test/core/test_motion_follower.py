@@ -99,6 +99,16 @@ def test_a_rest_is_one_for_as_long_as_it_lasts() -> None:
     assert not any(resting[360:])
 
 
+def test_a_spike_of_the_sensor_does_not_move_the_centre() -> None:
+    follower, spiked = MotionFollower(PERIOD, 0.0, 10.0), MotionFollower(PERIOD, 0.0, 10.0)
+    for first in range(0, UNSTEADY.size, 10):
+        spike = 0.05 * (np.arange(first, first + 10) == 1234)
+        motion = follower.follow(UNSTEADY[first : first + 10])
+        found = spiked.follow(UNSTEADY[first : first + 10] + spike)
+    np.testing.assert_allclose(found.displacement, motion.displacement, atol=1e-5)
+    np.testing.assert_allclose(found.peak_velocity, motion.peak_velocity, rtol=0.01)
+
+
 def test_a_sine_of_many_seconds_does_not_rest_at_its_dead_centres() -> None:
     # It stays within a hundredth of its amplitude for 2.3 to 2.7 s there.
     centre, time = MotionCentre(10.0, 0.05), np.arange(0.0, 200.0, 0.05)
