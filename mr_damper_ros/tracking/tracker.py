@@ -753,7 +753,10 @@ def _look(job: Job, window: Window) -> Outcome:
     validation = validation_mask(count)
     trained = measured_scale(own[~validation], measured[~validation]).value
     scale = measured_scale(own, measured)
-    if not (trained > 0.0 and scale.value > 0.0) or np.ptp(changed.force) == 0.0:
+    fault = fault_of_samples(
+        changed.motion.displacement, changed.force, changed.current, job.settings.screening
+    )
+    if not (trained > 0.0 and scale.value > 0.0) or fault or np.ptp(changed.force) == 0.0:
         return unchanged  # only a failed sensor gives such a force
     spread = float(np.std(window.force))
     before, after = (

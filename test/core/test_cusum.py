@@ -14,7 +14,7 @@ from mr_damper_ros.tracking.cusum import SLACK, ChangeWatch
 from mr_damper_ros.tracking.force_scale import measured_scale
 from mr_damper_ros.tracking.recursive_tracker import METHOD
 from mr_damper_ros.tracking.reports import Report
-from mr_damper_ros.tracking.tracker import TrackerSettings, WindowTracker
+from mr_damper_ros.tracking.tracker import WindowTracker
 
 POINT = (0.03, 1.0)
 
@@ -101,10 +101,7 @@ def stream(
     force = np.where(time >= STEP, factor, 1.0) * whole.clean + whole.force - whole.clean
     if callable(spoil):
         force = spoil(time, force)
-    tracked = WindowTracker(
-        TrackerSettings(tracker=tracker, method="least_squares", global_period=0),
-        ParameterSet(known.weaker(0.8), set_id="start"),
-    )
+    tracked = known.tracker(tracker=tracker)
     return tracked, known.followed(tracked, whole.displacement, force, 1.0)
 
 
@@ -145,17 +142,11 @@ def test_after_a_step_no_window_mixes_before_and_after(tracker: str) -> None:
     np.testing.assert_allclose(found, 0.9 * known.PLAUSIBLE[0], rtol=SCALE_ERROR)
 
 
-def noise_burst(time: Array, force: Array) -> Array:
-    burst = (time > 5.2) & (time < 5.6)
-    return np.where(burst, force + noise(7, time.size, 300.0), force)
-
-
-def clipped(time: Array, force: Array) -> Array:
-    return np.where(time > 5.2, np.clip(force, -500.0, 500.0), force)
-
-
-def broken(time: Array, force: Array) -> Array:
-    return np.where(time > 5.2, 0.0, force)
+FAULTS = (
+    lambda time, force: np.where(abs(time - 5.4) < 0.2, force + noise(7, time.size, 300.0), force),
+    lambda time, force: np.where(time > 5.2, np.clip(force, -500.0, 500.0), force),
+    lambda time, force: np.where(time > 5.2, 0.0, force),
+)
 
 
 @pytest.mark.parametrize(
@@ -166,11 +157,19 @@ def broken(time: Array, force: Array) -> Array:
             for tracker in ("window", METHOD)
             for current in (0.0, 1.0)
         ),
-        *({"spoil": spoil} for spoil in (noise_burst, clipped, broken)),
+        *({"spoil": spoil} for spoil in FAULTS),
     ],
 )
 def test_a_steady_damper_or_a_fault_of_the_sensor_is_not_fitted_early(of_stream: Any) -> None:
     assert early(stream(1.0, **of_stream)[1]) == []
+
+
+def test_a_force_that_clips_within_the_window_is_not_fitted_early() -> None:
+    time = 1e-3 * np.arange(9000)
+    moved = 5e-3 * (np.sin(2.0 * np.pi * time) + 0.5 * np.sin(4.6 * np.pi * time))
+    force = ParameterSet(known.PLAUSIBLE).force(time, moved, 1.0) + noise(0, time.size, 5.5)
+    force[6200:] = force[6200:].clip(-800.0, 800.0)
+    assert early(known.followed(known.tracker(), moved, force, 1.0)) == []
 
 
 def test_when_time_is_set_back_the_past_change_is_forgotten() -> None:

@@ -86,10 +86,7 @@ class Drifted:
 @pytest.fixture(scope="module")
 def drifted() -> Drifted:
     """A damper that heats from 28 to 71 °C in forty windows."""
-    tracked = WindowTracker(
-        TrackerSettings(tracker=METHOD, method="least_squares", global_period=0),
-        ParameterSet(LITERATURE),
-    )
+    tracked = known.tracker(ParameterSet(LITERATURE), tracker=METHOD)
     windows, truth = [], []
     for number in range(40):
         run = known.run(THESIS_28_CELSIUS, current=1.5, samples=SAMPLES, start=number, seed=None)

@@ -65,9 +65,7 @@ def drifting(number: int, noise: float = known.NOISE) -> tuple[RawWindow, float]
 @pytest.fixture(scope="module", params=["nelder_mead", "least_squares"])
 def drift(request: pytest.FixtureRequest) -> tuple[WindowTracker, list[Report], list[float]]:
     """A tracker that has followed the drift, its reports, and the true force scales."""
-    tracked = WindowTracker(
-        TrackerSettings(method=request.param, global_period=0), ParameterSet(LITERATURE)
-    )
+    tracked = known.tracker(ParameterSet(LITERATURE), method=request.param)
     pairs = [drifting(number) for number in range(WINDOWS)]
     return tracked, known.fed(tracked, *(w for w, _ in pairs)), [scale for _, scale in pairs]
 
