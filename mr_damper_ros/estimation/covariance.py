@@ -25,7 +25,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from mr_damper_ros.kinematics.window import Window
-from mr_damper_ros.models.quantities import ROWS_AT_ONCE, SAME_CURRENT
+from mr_damper_ros.models.quantities import NEGLIGIBLE, ROWS_AT_ONCE, SAME_CURRENT
 from mr_damper_ros.signals.arrays import Array
 
 DETERMINED = 1e-10
@@ -180,9 +180,6 @@ def without_negative_variance(covariance: Array) -> Array:
 
 _HIGHEST_ORDER = 24
 
-_PATIENCE = 8
-"""The search for the best order ends after this many orders without improvement."""
-
 _SAMPLES_PER_ORDER = 10
 """The order for n samples is at most n divided by this number."""
 
@@ -225,8 +222,6 @@ class NoiseModel:
             criterion = count * math.log(innovation) + order * math.log(max(count, 2))
             if criterion < chosen:
                 chosen, best, least = criterion, coefficients, innovation
-            elif order > best.size + _PATIENCE:
-                break
         return cls(best, least, variance)
 
     @property
@@ -263,8 +258,6 @@ class NoiseModel:
 
 _SECOND_CYCLE = 0.25
 """Smallest fraction of the second cycle that a window needs to separate model error from noise."""
-
-_ORDERS_PER_CYCLE = 4
 
 _MOST_ABSORBED = 0.5
 
@@ -305,7 +298,7 @@ def error_covariances(
     freedom = count / max(count - unknowns, 1)
     if 8 <= length < count / (1.0 + _SECOND_CYCLE):
         apart = (residual[length:] - residual[:-length]) / math.sqrt(2.0)
-        noise = NoiseModel.of(apart, min(_HIGHEST_ORDER, length // _ORDERS_PER_CYCLE))
+        noise = NoiseModel.of(apart, min(_HIGHEST_ORDER, length // _CYCLE_PARTS))
         power = float(residual @ residual) / count * freedom
         chance = math.sqrt(2.0 * max(noise.integrated_time, 1.0) / apart.size)
         if power > noise.variance * (1.0 + SIGNIFICANT * chance):
@@ -348,8 +341,8 @@ def _model_error_scores(jacobian: Array, residual: Array, cycle: float) -> tuple
 SAME_MOTION = 0.1
 """Motions count as the same if their speeds, or RMS values, differ by at most this fraction."""
 
-FEWEST_MOTIONS = 3
-"""Smallest number of motions from which the scatter between motions is estimated."""
+ENOUGH_TO_COMPARE = 3
+"""Smallest number of motions, or of windows of one motion, from which their scatter is known."""
 
 _LEAST_NOISE = 0.1
 """Lower limit of the noise variance, relative to white noise; a lower estimate is due to chance."""
@@ -357,10 +350,6 @@ _LEAST_NOISE = 0.1
 _ONE_MOTION = 1e-6
 """One motion alone determines a direction if all others give less than this part of the
 information."""
-
-_UNKNOWN_PART = 0.01
-"""If a direction determined by one motion alone contributes more than this part of a parameter's
-standard error, the discrepancy of the parameter is unknown."""
 
 
 def motion_numbers(windows: Sequence[Window]) -> np.ndarray:
@@ -378,7 +367,7 @@ def motion_numbers(windows: Sequence[Window]) -> np.ndarray:
         for window in windows
     ]
     motions = group_numbers(np.array(sizes)[:, :2])
-    return motions if motions.max() + 1 >= FEWEST_MOTIONS else group_numbers(np.array(sizes))
+    return motions if motions.max() + 1 >= ENOUGH_TO_COMPARE else group_numbers(np.array(sizes))
 
 
 def group_numbers(sizes: Array) -> np.ndarray:
@@ -405,7 +394,7 @@ def discrepancy_between(
     numbers = np.unique(motions[motions >= 0])
     lengths = np.linalg.norm(jacobian, axis=0)
     known = (np.diag(covariance) > 0.0) & (lengths > 0.0)
-    if numbers.size < FEWEST_MOTIONS or not np.any(known):
+    if numbers.size < ENOUGH_TO_COMPARE or not np.any(known):
         return unknown
     block, lengths = np.ix_(known, known), lengths[known]
     triangular = triangular_factor(jacobian[:, known] / lengths)
@@ -421,7 +410,7 @@ def discrepancy_between(
         shares, axes = np.linalg.eigh(own.T @ own)
         only = shares > 1.0 - _ONE_MOTION
         alone |= np.any(
-            np.abs(to_parameters @ axes[:, only]) > _UNKNOWN_PART * errors[:, None], axis=1
+            np.abs(to_parameters @ axes[:, only]) > NEGLIGIBLE * errors[:, None], axis=1
         )
         taken = np.where(only, 0.0, 1.0 / np.sqrt(np.maximum(1.0 - shares, _ONE_MOTION)))
         scores = taken * (axes.T @ (own.T @ residual[rows]))
@@ -439,6 +428,8 @@ def discrepancy_between(
         times, axes = np.linalg.eigh(0.5 * (whitened + whitened.T))
         factor = to_parameters @ root @ axes * np.sqrt(np.maximum(times - 1.0, 0.0))
         excess = factor @ factor.T
+    # The discrepancy of a parameter is unknown if its error has more than a negligible contribution
+    # from a direction that one motion alone determines.
     excess[alone, :] = math.nan
     excess[:, alone] = math.nan
     unknown[block] = excess

@@ -17,7 +17,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from mr_damper_ros.estimation.covariance import FEWEST_MOTIONS, SAME_MOTION
+from mr_damper_ros.estimation.covariance import ENOUGH_TO_COMPARE, SAME_MOTION
 from mr_damper_ros.estimation.differential_evolution import (
     EvolutionSettings,
     GlobalProgress,
@@ -186,7 +186,7 @@ def folds(runs: Sequence[Sequence[Window]]) -> tuple[str, list[Fold]]:
     """
     windows = [window for run in runs for window in run]
     motions = _motions(runs)
-    if len(motions) >= FEWEST_MOTIONS:
+    if len(motions) >= ENOUGH_TO_COMPARE:
         return "motions", _folds_of_groups(windows, motions)
     if len(runs) >= MOST_FOLDS:
         return "runs", _folds_of_groups(windows, [[run] for run in runs])
@@ -224,11 +224,11 @@ def _folds_of_segments(windows: Sequence[Window]) -> list[Fold]:
     """Folds that each leave out one segment of every window."""
     shortest = min(window.sample_count for window in windows)
     count = min(MOST_FOLDS, shortest // _SHORTEST_SEGMENT)
-    if count < FEWEST_MOTIONS:
+    if count < ENOUGH_TO_COMPARE:
+        least = ENOUGH_TO_COMPARE * _SHORTEST_SEGMENT
         raise ValueError(
-            f"a comparison of laws needs {MOST_FOLDS} runs, or at least "
-            f"{FEWEST_MOTIONS * _SHORTEST_SEGMENT} samples without a gap in every run, but one has "
-            f"{shortest}: give more or longer runs, or name the law"
+            f"a comparison of laws needs {MOST_FOLDS} runs, or at least {least} samples without a "
+            f"gap in every run, but one has {shortest}: give more or longer runs, or name the law"
         )
     result = []
     for place in range(count):

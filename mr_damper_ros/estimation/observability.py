@@ -21,14 +21,16 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from mr_damper_ros.estimation.covariance import DETERMINED, group_numbers, triangular_factor
+from mr_damper_ros.estimation.covariance import (
+    DETERMINED,
+    SAME_MOTION,
+    group_numbers,
+    triangular_factor,
+)
 from mr_damper_ros.kinematics.window import Window
 from mr_damper_ros.models.force_model import Model
 from mr_damper_ros.models.quantities import CURRENT_READING, NOTICED
 from mr_damper_ros.signals.arrays import Array
-
-_DIFFERENT_VELOCITY = 1.2
-"""Smallest ratio of two different peak velocities."""
 
 SURE = 0.25
 """Prior standard deviation of a shape parameter relative to its plausible range. The ends of the
@@ -39,7 +41,7 @@ def varied_parameters(
     model: Model, speeds: Sequence[float], currents: Sequence[float]
 ) -> frozenset[str]:
     """Names of the parameters that these peak velocities [m/s] and currents [A] could determine."""
-    many_speeds = 2 if min(speeds) * _DIFFERENT_VELOCITY < max(speeds) else 1
+    many_speeds = 2 if min(speeds) * (1.0 + SAME_MOTION) < max(speeds) else 1
     many_currents = group_numbers(np.sort(currents)[:, np.newaxis] / CURRENT_READING).max() + 1
     return frozenset(
         parameter.name

@@ -36,9 +36,6 @@ from mr_damper_ros.signals.arrays import Array
 _ZERO_SPREAD = 0.3
 """Standard deviation of the offset, relative to the standard deviation of the weakest record."""
 
-_FREE = 1.0 - 1e-9
-"""Standard deviation of the gain with which gain and offset are practically free."""
-
 USUAL_SPREAD = 0.1
 """Default standard deviation [1] of the gain between records."""
 
@@ -187,9 +184,10 @@ class LevelledProblem(Misfit):
 def counted_samples(pooled: Misfit, prior: LevelPrior, parameters: Array) -> float:
     """``counted_samples`` of a prior, for an approximate set with parameters (p,).
 
-    The number follows from the residual after a fit of gain and offset without a prior.
+    The number follows from the residual after a fit of gain and offset in which all samples count,
+    so that their prior has practically no weight.
     """
-    without = LevelledProblem(pooled, replace(prior, spread=_FREE, counted_samples=math.inf))
+    without = LevelledProblem(pooled, replace(prior, counted_samples=math.inf))
     noise = noise_level(without.residual(parameters))
     return max(pooled.sample_count / max(noise * noise, 1.0), float(np.finfo(float).eps))
 

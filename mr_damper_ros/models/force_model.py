@@ -29,7 +29,7 @@ from mr_damper_ros.models.formulas import WrittenLaw
 from mr_damper_ros.models.machine_code import as_machine_code
 from mr_damper_ros.models.quantities import (
     DIFFERENCE,
-    FORGOTTEN,
+    NEGLIGIBLE,
     NOTICED,
     Coefficient,
     CoefficientTable,
@@ -261,7 +261,7 @@ class Model(ABC):
         along = parameters, history.motion, history.current, history.period
         first, state = self.follow(*along, None)
         second, _ = self.follow(*along, state)
-        differs = np.abs(first - second) > FORGOTTEN * float(np.ptp(first))
+        differs = np.abs(first - second) > NEGLIGIBLE * float(np.ptp(first))
         # The true past may differ from these two starts.
         count = 2 * int(np.max(np.flatnonzero(differs), initial=-1) + 1)
         return history.unsettled(count * history.period)

@@ -24,9 +24,9 @@ MODEL_ERROR = 0.05
 every law has model error; for the records of a commercial damper the median of the force is 0.08.
 """
 
-FORGOTTEN = 0.01
-"""The past counts as forgotten once it changes the force by less than this part of the force span.
-"""
+NEGLIGIBLE = 0.01
+"""A contribution below this part of the whole is negligible. The past counts as forgotten once it
+changes the force by less than this part of the span of the force."""
 
 SETTLING = 7.0
 """Number of time constants, or of yield lengths, after which a transient has decayed to 0.1 %."""

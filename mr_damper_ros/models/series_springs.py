@@ -30,7 +30,7 @@ from mr_damper_ros.kinematics.motion import Motion
 from mr_damper_ros.kinematics.window import Window
 from mr_damper_ros.models.current_dependence import IntegratedModel, Recursion
 from mr_damper_ros.models.machine_code import run_loop, runs_machine_code
-from mr_damper_ros.models.quantities import FORGOTTEN, SETTLING, Coefficient, LoopReading, State
+from mr_damper_ros.models.quantities import NEGLIGIBLE, SETTLING, Coefficient, LoopReading, State
 from mr_damper_ros.signals.arrays import Array
 
 _GAMMA = 1.0 - math.sqrt(0.5)
@@ -297,7 +297,7 @@ class SeriesSprings(IntegratedModel):
             state = tuple(np.array(part) for part in parts)
             force, _ = self.follow(parameters, motion, history.current, history.period, state)
             forces.append(force)
-        apart = np.abs(forces[0] - forces[1]) > FORGOTTEN * float(np.ptp(forces[0]))
+        apart = np.abs(forces[0] - forces[1]) > NEGLIGIBLE * float(np.ptp(forces[0]))
         count = int(np.max(np.flatnonzero(apart), initial=-1) + 1)
         return history.unsettled(count * history.period)
 

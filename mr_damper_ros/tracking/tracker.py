@@ -17,7 +17,7 @@ from typing import Any
 
 import numpy as np
 
-from mr_damper_ros.estimation.covariance import NoiseModel
+from mr_damper_ros.estimation.covariance import ENOUGH_TO_COMPARE, NoiseModel
 from mr_damper_ros.estimation.differential_evolution import EvolutionSettings
 from mr_damper_ros.estimation.global_fit import error_of_set, identify_global
 from mr_damper_ros.estimation.window_fit import (
@@ -48,6 +48,7 @@ from mr_damper_ros.signals.arrays import Array
 from mr_damper_ros.signals.blocks import NANOSECONDS
 from mr_damper_ros.tracking.acceptance import (
     CHUNKS,
+    LARGEST_EXCESS,
     AcceptanceSettings,
     Evidence,
     Experience,
@@ -99,24 +100,12 @@ from mr_damper_ros.tracking.window_assembler import RawWindow
 _MOST_INTERVALS = 6
 """Largest number of intervals into which a continuous range of currents is divided."""
 
-_LEAST_SPEED = 0.2
-"""A part of a window counts as an operating point if it has ``ENOUGH_POINTS`` samples and an RMS
-speed of at least this fraction of the window's RMS speed."""
-
-_EXPLAINED_PART = 0.01
-"""One set explains the parts if its error is at most ``WORSE_RATIO`` times the error of separate
-fits, or if the additional error is at most this part of the force."""
-
 OF_THE_SET = "auto"
 """Option value: use the law of the initial set."""
 
 _POINT_GROWTH = 1.5
 """A global identification is due early if the number of operating points has grown by this factor.
 """
-
-_KNOWN_AFTER = 3
-"""Number of windows of one motion after which the shape of its force is known. Initially, a search
-also starts after this many windows that the law's dependence on the current does not explain."""
 
 _SENSOR_VERDICTS = (Verdict.FAULT_OF_DATA, Verdict.DISTURBED, Verdict.BEYOND_LIMITS)
 """Verdicts that a sensor fault may cause. A window with such a verdict does not select a set."""
@@ -157,7 +146,7 @@ class TrackerMemory(Experience):
     other_damper: bool = False
     motion: SteadyMotion = field(default_factory=SteadyMotion)
     unexplained_windows: int = 0
-    unexplained_patience: int = _KNOWN_AFTER
+    unexplained_patience: int = ENOUGH_TO_COMPARE
     rival: ParameterSet | None = None
     seen_ns: int = 0
 
@@ -549,7 +538,7 @@ def _fit(job: Job, window: Window, should_stop: Callable[[], bool] | None) -> Ou
         evidence,
         known_force(fit, window),
         holds=not memory.other_damper and holds_at(running, fit.operating_point),
-        same_motion=memory.motion.windows_before(motion) >= _KNOWN_AFTER,
+        same_motion=memory.motion.windows_before(motion) >= ENOUGH_TO_COMPARE,
         one_point=one_point,
         objection=partial(implausible, found),
     )
@@ -679,15 +668,12 @@ def parts_by_current(model: Model, window: Window, tolerance: float) -> list[Win
     lead_in = round(MOST_UNUSED * window.sample_count) if model.needs_past(window) else 0
     edges = _edges(window.current, tolerance)
     place = np.searchsorted(edges, window.current, side="right")
-    speed = window.motion.velocity
-    least = _LEAST_SPEED * float(np.sqrt(np.mean(speed**2)))
     parts = []
     for number in range(edges.size + 1):
         chosen = place == number
         if np.count_nonzero(chosen[lead_in:]) < PHASES:
             continue
-        moving = float(np.sqrt(np.mean(speed[chosen] ** 2))) >= least
-        if moving and np.ptp(window.force[chosen]) > 0.0:
+        if np.ptp(window.force[chosen]) > 0.0:
             parts.append(window.part(chosen))
     return parts
 
@@ -710,7 +696,7 @@ def judge_parts(window: Window, parts: Sequence[Window], found: ParameterSet) ->
     own = [fit_window(found.law, part, found.values, method="least_squares") for part in few]
     alone = _pooled([fit.rmse for fit in own], parts)
     together = _pooled([error_of_set(found, [part]).rmse for part in few], parts)
-    besides = _EXPLAINED_PART * float(np.std(window.force))
+    besides = LARGEST_EXCESS * float(np.std(window.force))
     return alone, together <= max(WORSE_RATIO * alone, math.hypot(alone, besides))
 
 
@@ -830,9 +816,9 @@ def _search(job: Job, control: Control | None) -> Outcome:
     )
     used = start
     if judgement.verdict is Verdict.UNCONFIRMED:
-        memory.unexplained_patience, memory.rival = _KNOWN_AFTER, found
+        memory.unexplained_patience, memory.rival = ENOUGH_TO_COMPARE, found
     elif judgement.verdict.accepted:
-        memory.unexplained_patience, memory.rival, used = _KNOWN_AFTER, None, found
+        memory.unexplained_patience, memory.rival, used = ENOUGH_TO_COMPARE, None, found
         memory.forget_changes()
     else:
         # If the law cannot follow the current, the searches become rarer.
