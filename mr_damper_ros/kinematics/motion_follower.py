@@ -203,7 +203,7 @@ class MotionCentre:
         return self._still * self._period > max(_SHORTEST, longest)
 
     def follow(self, displacement: Array) -> float:
-        """Centre [m] after these samples of shape (n,), n >= 0."""
+        """Centre [m] after these samples of shape (n,); NaN before the first sample."""
         for value in displacement.tolist():
             self._count += 1
             self._bottom, self._top = min(self._bottom, value), max(self._top, value)
@@ -350,7 +350,8 @@ class MotionFollower:
         settled = min(self._differentiator.settled_count, v.size)
         v_m = self.peak.follow(v, a, settled)
         # The samples before may be a spike of the sensor.
-        centred = u - self.centre.follow(displacement[v.size - settled :])
+        centre = self.centre.follow(displacement[v.size - settled :])
+        centred = u - (u[-1] if math.isnan(centre) else centre)
         return Motion(
             displacement=centred, velocity=v, acceleration=a, peak_velocity=v_m, sine=None
         )

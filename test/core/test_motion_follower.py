@@ -105,6 +105,7 @@ def test_a_spike_of_the_sensor_does_not_move_the_centre() -> None:
         spike = 0.05 * (np.arange(first, first + 10) == 1234)
         motion = follower.follow(UNSTEADY[first : first + 10])
         found = spiked.follow(UNSTEADY[first : first + 10] + spike)
+        assert np.all(np.isfinite(found.displacement))
     np.testing.assert_allclose(found.displacement, motion.displacement, atol=1e-5)
     np.testing.assert_allclose(found.peak_velocity, motion.peak_velocity, rtol=0.01)
 
