@@ -11,7 +11,12 @@ from typing import NamedTuple
 import numpy as np
 
 from mr_damper_ros.estimation.planned_run import MachineLimits, PlannedRun
-from mr_damper_ros.kinematics.periodic_motion import MotionKind, PeriodicMotion, RepeatedMatch
+from mr_damper_ros.kinematics.periodic_motion import (
+    MotionKind,
+    PeriodicMotion,
+    RepeatedMatch,
+    ramp,
+)
 from mr_damper_ros.kinematics.window import Window
 from mr_damper_ros.processes.files import write_text
 from mr_damper_ros.report.document import csv_text
@@ -259,8 +264,7 @@ def signal(run: PlannedRun, sample_rate: float) -> tuple[Array, Array, Array]:
     grow = motion.growth
     count = round((run.duration + 2.0 * grow) * sample_rate) + 1
     time = np.arange(count) / sample_rate
-    within = np.clip(np.minimum(time, run.duration + 2.0 * grow - time) / grow, 0.0, 1.0)
-    envelope = within**3 * (10.0 - 15.0 * within + 6.0 * within**2)
+    envelope = ramp(np.minimum(time, run.duration + 2.0 * grow - time), 0.0, grow)[0]
     displacement, _, _ = motion.at(time - grow)
     return time, envelope * displacement, run.current_at(time - grow)
 

@@ -10,7 +10,7 @@ from typing import Protocol
 import numpy as np
 
 from mr_damper_ros.kinematics.motion import Sine
-from mr_damper_ros.kinematics.periodic_motion import Kinematics, MotionKind, PeriodicMotion
+from mr_damper_ros.kinematics.periodic_motion import Kinematics, MotionKind, PeriodicMotion, ramp
 from mr_damper_ros.signals.arrays import Array
 
 
@@ -60,23 +60,8 @@ class SampledMotion:
         )
 
 
-def _ramp(time: Array, begin: float, duration: float) -> Array:
-    """A step from 0 to 1 within ``duration`` [s] after ``begin`` [s], twice differentiable.
-
-    Rows (3, n): the step, its derivative and its second derivative.
-    """
-    x = np.clip((time - begin) / duration, 0.0, 1.0)
-    return np.stack(
-        (
-            x**3 * (10.0 - 15.0 * x + 6.0 * x**2),
-            30.0 * x**2 * (1.0 - x) ** 2 / duration,
-            60.0 * x * (1.0 - x) * (1.0 - 2.0 * x) / duration**2,
-        )
-    )
-
-
 def _ramp_integral(time: Array, begin: float, duration: float) -> Array:
-    """Integral of :func:`_ramp` over time [s]."""
+    """Integral of :func:`ramp` over time [s]."""
     x = np.clip((time - begin) / duration, 0.0, 1.0)
     within = duration * x**4 * (2.5 - 3.0 * x + x**2)
     return np.asarray(within + np.maximum(time - begin - duration, 0.0))
@@ -111,7 +96,7 @@ class ChangedMotion:
 
     def at(self, time: Array) -> Kinematics:
         """Kinematics at the times [s], shape (n,)."""
-        up, down = (_ramp(time, start, self.duration) for start in (self.begin, self.end))
+        up, down = (ramp(time, start, self.duration) for start in (self.begin, self.end))
         if self.tempo == 1.0:
             moved = self.motion.at(time)
         else:

@@ -27,9 +27,9 @@ A third harmonic of 0.2 % of the displacement is 0.6 % of the velocity. In all p
 its effect is below the noise of the force. A larger distortion would bias the fit of the force.
 """
 
-_NOISE_FACTOR = 1.2
+_NOISE_FACTOR = 1.5
 """A motion also counts as a sine if the residual is below this multiple of the noise of the
-displacement. A larger factor would allow a distortion that is visible in the force."""
+displacement, which is estimated from few samples."""
 
 NO_SINE, _TRIED = 0.25, 3
 """A motion is not a sine if the residual exceeds this fraction of the amplitude after this many
@@ -61,11 +61,9 @@ class Sine:
         return Kinematics(scale * sine, scale * rate * cosine, -scale * rate**2 * sine)
 
 
-def allowed_residual(
-    amplitude: float, displacement: Array, noise_factor: float = _NOISE_FACTOR
-) -> float:
+def allowed_residual(amplitude: float, displacement: Array) -> float:
     """Largest residual [m, root mean square] of a sine fitted to a displacement (n,) [m]."""
-    noise = noise_factor * white_noise(displacement)
+    noise = _NOISE_FACTOR * white_noise(displacement)
     return max(SINE_TOLERANCE * amplitude / math.sqrt(2.0), noise)
 
 

@@ -39,10 +39,6 @@ _PATIENCE = 0.2
 """Cycles until the next fit if the motion is far from a sine, because a fit takes as long as many
 predictions."""
 
-_NOISE_FACTOR = 1.5
-"""Allowed residual in standard deviations of the noise. It exceeds the factor for a window, because
-few samples give a less accurate estimate of the noise."""
-
 _END_OF_SINE = 5.0
 """A sample that deviates by more than this multiple of the allowed residual ends the sine."""
 
@@ -69,11 +65,9 @@ class SineFollower:
         self._wait = 0
 
     @property
-    def peak_velocity(self) -> float:
-        """Peak velocity of the sine [m/s]; NaN without a sine."""
-        if self._weights is None:
-            return math.nan
-        return self._omega * math.hypot(*self._weights[:2].tolist())
+    def amplitude(self) -> float:
+        """Amplitude of the sine [m]; NaN without a sine."""
+        return math.nan if self._weights is None else math.hypot(*self._weights[:2].tolist())
 
     def motion_of(self, displacement: Array, unlearned: int) -> Motion | None:
         """Motion of samples (n,) that match the sine within their noise; None if they do not.
@@ -93,7 +87,7 @@ class SineFollower:
             displacement=centred,
             velocity=self._omega * (by_sine * cosine - by_cosine * sine),
             acceleration=-(self._omega**2) * centred,
-            peak_velocity=np.full(angle.size, self.peak_velocity),
+            peak_velocity=np.full(angle.size, self._omega * self.amplitude),
             sine=None,
         )
 
@@ -132,7 +126,7 @@ class SineFollower:
         self._omega, weights, left = refined_sine(
             time, recent[::stride], self._omega, steps=None if is_new else 1
         )
-        self._allowed = allowed_residual(math.hypot(*weights[:2]), recent[-_POINTS:], _NOISE_FACTOR)
+        self._allowed = allowed_residual(math.hypot(*weights[:2]), recent[-_POINTS:])
         if left <= self._allowed:
             self._weights = weights
         else:
@@ -146,11 +140,9 @@ _HALF_CYCLES = HALF_CYCLES // 2
 """Number of half-cycles that are always stored, and that give a usable angular frequency and peak
 velocity. The longest of them represents the motion, because random motion reverses irregularly."""
 
-_LONGEST = 10
-"""The centre is estimated anew after a stroke that lasts this many times the memory."""
-
 _SMALLEST_RETURN = 1e-4
-"""A reversal counts once the motion has returned by this [m] and by a quarter of its span."""
+"""A reversal counts once the motion has returned by this [m] and by a quarter of its span. A sine
+with a smaller amplitude is a fit of noise, and the damper does not move."""
 
 _STILL = 0.01
 """The displacement is still if it changes by less than this fraction of the amplitude."""
@@ -162,10 +154,6 @@ drops to a tenth, it stays within a hundredth of the previous one for a third of
 
 _SHORTEST = 0.1
 """Shortest rest [s]; noise and the delay of an observer may look like shorter ones."""
-
-_SLOW, _SLOW_DWELL = 2.0, 0.16
-"""In slow motion, a rest is detected after this time [s], or after this fraction of a half-cycle if
-that is longer. A slow sine stays at its dead centre for at most this fraction."""
 
 
 class MotionCentre:
@@ -198,9 +186,7 @@ class MotionCentre:
     @property
     def resting(self) -> bool:
         """Whether the displacement has hardly changed for longer than a reversal takes."""
-        half_cycle = self.usual_half_cycle
-        longest = min(_REST_PART * half_cycle, max(_SLOW, _SLOW_DWELL * half_cycle))
-        return self._still * self._period > max(_SHORTEST, longest)
+        return self._still * self._period > max(_SHORTEST, _REST_PART * self.usual_half_cycle)
 
     def follow(self, displacement: Array) -> float:
         """Centre [m] after these samples of shape (n,); NaN before the first sample."""
@@ -213,7 +199,8 @@ class MotionCentre:
                 self._turn(-1, self._top, value)
             elif self._direction <= 0 and value - self._bottom > threshold:
                 self._turn(1, self._bottom, value)
-            elif self._count - self._began > _LONGEST * self._memory:
+            elif self._count - self._began > HALF_CYCLES * self._memory:
+                # The peak velocity has forgotten the motion before this stroke, too.
                 self._turns.clear()
                 self._turn(0, value, value)
             if abs(value - self._anchor) <= 0.5 * _STILL * (high - low):
@@ -247,9 +234,6 @@ because the first may belong to a transition into the steady motion."""
 _LONGEST_GAP = 0.5
 """Longest gap that is interpolated, as a fraction of a half-cycle. The error of the cubic is then
 1.5 % of the amplitude."""
-
-_NOISE_SPEED = 1e-4
-"""A sine with a peak velocity [m/s] below this is a fit of noise, and the damper does not move."""
 
 _BATCH_TIME = 0.02
 """Time [s] of a steady sine that the observer and the fit process at once; a hundred samples take
@@ -294,7 +278,7 @@ class MotionFollower:
 
         A motion that follows a fitted sine has not, unless the sine is a fit of noise.
         """
-        if self.steady and self._sine.peak_velocity > _NOISE_SPEED:
+        if self.steady and self._sine.amplitude > _SMALLEST_RETURN:
             return False
         return self.centre.resting
 

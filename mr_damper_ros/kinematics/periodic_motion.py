@@ -18,21 +18,16 @@ from mr_damper_ros.signals.arrays import Array
 _GROWTH_CYCLES = 2.0
 """Number of cycles over which a sine grows; its speed then never exceeds the full sine's."""
 
-_STEEPEST = 1.875
-"""Largest slope [1] of the smooth step with which a motion grows."""
-
 _FEWEST = 4
 """Smallest number of harmonics of a random motion."""
 
-_MOST_CYCLES = 10_000.0
-"""Largest number of cycles of the highest frequency in a period. More cycles indicate a mistake in
-the options, and the motion would take long to compute."""
+MOST_CYCLES = 10_000
+"""Largest number of cycles of the highest frequency in a period, and number of seeds. More cycles
+indicate a mistake in the options, and the motion would take long to compute. The third power of a
+cycle plus a seed, in the phase, is still exact."""
 
 _MOST_HARMONICS = 1000
 """Largest number of harmonics of a random motion."""
-
-_MOST_SEED = 9999
-"""Largest seed of a random motion, for which the third power in the phase is still exact."""
 
 _GRID = 64
 """Samples per shortest cycle in the search for the largest values of a random motion."""
@@ -50,6 +45,21 @@ class Kinematics(NamedTuple):
     displacement: Array
     velocity: Array
     acceleration: Array
+
+
+def ramp(time: Array, begin: float, duration: float) -> Array:
+    """A step from 0 to 1 within ``duration`` [s] after ``begin`` [s], twice differentiable.
+
+    Rows (3, n): the step, its derivative (largest in the middle) and its second derivative.
+    """
+    x = np.clip((time - begin) / duration, 0.0, 1.0)
+    return np.stack(
+        (
+            x**3 * (10.0 - 15.0 * x + 6.0 * x**2),
+            30.0 * x**2 * (1.0 - x) ** 2 / duration,
+            60.0 * x * (1.0 - x) * (1.0 - 2.0 * x) / duration**2,
+        )
+    )
 
 
 class MotionKind(str, Enum):
@@ -108,15 +118,15 @@ class PeriodicMotion:
             )
         is_random = self.kind is MotionKind.RANDOM
         harmonics = (self.highest_frequency - self.frequency) * self.period
-        if self.highest_frequency * self.period > _MOST_CYCLES or (
+        if self.highest_frequency * self.period > MOST_CYCLES or (
             is_random and harmonics > _MOST_HARMONICS
         ):
             raise ValueError(
                 f"a motion of up to {self.highest_frequency:g} Hz that repeats after "
                 f"{self.period:g} s has too many cycles: give a shorter period"
             )
-        if not 0 <= self.seed <= _MOST_SEED:
-            raise ValueError(f"the seed is {self.seed}: give 0 to {_MOST_SEED}")
+        if not 0 <= self.seed < MOST_CYCLES:
+            raise ValueError(f"the seed is {self.seed}: give 0 to {MOST_CYCLES - 1}")
         if self._harmonics.size < _FEWEST if is_random else self._mean_frequency <= self.frequency:
             raise ValueError(
                 f"{self.period:g} s are too short for a motion from {self.frequency:g} to "
@@ -158,7 +168,8 @@ class PeriodicMotion:
         """Upper bound of the speed [m/s], including growth and fading."""
         if self.kind is MotionKind.SINE:
             return self.peak_velocity
-        return self.peak_velocity + _STEEPEST * self.amplitude / self.growth
+        steepest = float(ramp(np.array(0.5), 0.0, 1.0)[1])
+        return self.peak_velocity + steepest * self.amplitude / self.growth
 
     @property
     def span(self) -> float:

@@ -11,6 +11,7 @@ import numpy as np
 from mr_damper_ros.kinematics.motion import DataError, Motion, Sine, window_motion
 from mr_damper_ros.kinematics.peak_velocity import REVERSAL
 from mr_damper_ros.signals.arrays import NOISE_SPAN, Array, Positive, usable, white_noise
+from mr_damper_ros.signals.blocks import MOST_SAMPLES
 
 _SAMPLES_PER_CYCLE = 1000
 """Samples per cycle that resolve the steepest sigmoid, which rises within 1/180 of a cycle."""
@@ -145,19 +146,12 @@ _TURN = 0.05
 """A reversal is a return by this fraction of the span that also exceeds the span of the noise."""
 
 _COVERED_PART = 0.75
-"""Fraction of the span that the strokes of each direction must cover in total."""
-
-_WHOLE_STROKE = 0.5
-"""Smallest fraction of the span that a whole stroke at the edge of the samples covers."""
+"""Fraction of the span that the strokes of each direction must cover in total, and also a stroke at
+the edge of the samples, to be whole."""
 
 _SLOW_START = 0.8
 """A stroke that begins at a reversal is slow at first: the distance of its first third is below
 this fraction of the distance of its middle third."""
-
-_MOST_SAMPLES = 4096
-"""Longer records are averaged to this many values."""
-
-_FEWEST_SAMPLES = 8
 
 
 def averages(array: Array, most: int) -> Array:
@@ -172,10 +166,8 @@ def holds_cycle(displacement: Array) -> bool:
 
     Only such a motion contains both signs of the velocity with both signs of the acceleration.
     """
-    u = averages(displacement, _MOST_SAMPLES)
-    if u.size < _FEWEST_SAMPLES:
-        return False
-    span = float(np.ptp(u))
+    u = averages(displacement, MOST_SAMPLES)
+    span = float(np.ptp(u)) if u.size else 0.0
     # A larger return always counts: motion near the sample rate cannot be distinguished from noise.
     turn = min(max(_TURN * span, NOISE_SPAN * white_noise(u)), REVERSAL * span)
     if not turn > 0.0:
@@ -193,7 +185,7 @@ def holds_cycle(displacement: Array) -> bool:
 def _is_whole(stroke: Array, span: float) -> bool:
     """Whether a stroke (n,) is whole: it covers enough of the span and begins slowly."""
     thirds = np.abs(np.diff(stroke[[0, stroke.size // 3, 2 * stroke.size // 3]]))
-    return bool(np.ptp(stroke) >= _WHOLE_STROKE * span and thirds[0] < _SLOW_START * thirds[1])
+    return bool(np.ptp(stroke) >= _COVERED_PART * span and thirds[0] < _SLOW_START * thirds[1])
 
 
 def turning_points(u: list[float], turn: float) -> np.ndarray:

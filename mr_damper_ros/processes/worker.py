@@ -39,20 +39,16 @@ from mr_damper_ros.processes.files import reason_of
 from mr_damper_ros.processes.programs import PATIENCE
 
 _GRACE = 1.0
-"""Time [s] that a task has to stop after it was asked to."""
-
-_BEAT = 0.25
-"""Seconds between two signs of life of a worker, also during a task."""
+"""Time [s] that a task has to stop after it was asked to, that a killed process has to end, and
+between two starts of a process that does not become ready."""
 
 _SILENCE_LIMIT = 1.5
 """Seconds without a sign of life after which a worker counts as hanging."""
 
 LONGEST_PAUSE = 0.1
-"""Largest time [s] between two polls that counts towards the silence of a worker. If the node
-itself was delayed, perhaps with the whole computer, it could not read the signs of life."""
-
-_RESTART_PAUSE = 1.0
-"""Time [s] between two starts if the process does not become ready."""
+"""Seconds between two signs of life of a worker, also during a task, and largest time between two
+polls that counts towards its silence. If the node itself was delayed, perhaps with the whole
+computer, it could not read the signs of life."""
 
 _PR_SET_PDEATHSIG = 1
 
@@ -329,7 +325,7 @@ class WorkerPool:
         """Kill a process; its task is tried once more unless it was asked to stop."""
         process.kill()
         self._processes.remove(process)
-        self._start_at = process.started + _RESTART_PAUSE
+        self._start_at = process.started + _GRACE
         self.replaced += 1
         task = process.task
         if task is None:
@@ -455,7 +451,7 @@ def serve(descriptor: str, modules: str) -> None:
     def beat() -> None:
         with contextlib.suppress(OSError):
             while True:
-                time.sleep(_BEAT)
+                time.sleep(LONGEST_PAUSE)
                 send(_ALIVE)
 
     send(_READY)

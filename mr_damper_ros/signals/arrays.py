@@ -59,6 +59,10 @@ NORMAL_MEDIAN = NormalDist().inv_cdf(0.75)
 """Median absolute value of a normal variable over its standard deviation."""
 
 
+SIGMAS = 3.0
+"""Deviation, in standard errors, that chance rarely causes."""
+
+
 def noise_power(values: Array, order: int = 4) -> float:
     """Power of the white part of a signal (n,), n > order, from its differences of this order.
 

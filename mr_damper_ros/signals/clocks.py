@@ -8,9 +8,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from mr_damper_ros.signals.arrays import SIGMAS
 from mr_damper_ros.signals.blocks import NANOSECONDS
 
-_JITTER = 0.3
+_JITTER = math.sqrt(1.0 / 12.0)
 """Standard deviation of a stamp [sample periods], for a uniform error within ± half a period."""
 
 _RATE = 0.02
@@ -19,9 +20,6 @@ samples differs from the stated rate by more than this fraction, they are not us
 
 _MEMORY = 2.0
 """Approximate duration [s] of the newest stamps that determine the present offset."""
-
-_OUTLIER = 4.0
-"""Errors of a stamp are clipped to this many standard deviations."""
 
 
 class StampClock:
@@ -52,7 +50,7 @@ class StampClock:
         offset = self._offset + self._rate * samples
         error = (stamp_ns - self._stamp_ns) / self._period_ns - samples - offset
         spread = p00 + _JITTER**2
-        limit = _OUTLIER * math.sqrt(spread)
+        limit = SIGMAS * math.sqrt(spread)
         error = min(max(error, -limit), limit)
         by_offset, by_rate = p00 / spread, p01 / spread
         self._rate += by_rate * error
@@ -121,16 +119,16 @@ class ArrivalClock:
         self._line = (float(slope), float(offset), base)
 
 
-_PAUSE_NS = 250_000_000
+PAUSE_NS = 250_000_000
 """If the delay of the samples exceeds this time for a second, the source has paused. If samples are
 early by more than this, they were queued, or their rate is higher than stated."""
 
 _SILENCE_NS = 2 * NANOSECONDS
 """After this time without a sample, a delay counts as a pause at once."""
 
-_LATE, _MOST_LATE = 64, 16
-"""A count that goes back by at most the first number belongs to a delayed sample. After the second
-number of such samples in a row, the count has been restarted."""
+_LATE = 64
+"""A count that goes back by at most this number belongs to a delayed sample. After this number of
+such samples in a row, the count has been restarted."""
 
 
 @dataclass
@@ -210,7 +208,7 @@ class CountedTimes:
         self._index += step
         nominal_ns = round(self._index * self._period_ns)
         late_ns = arrival_ns - nominal_ns - self._clock.ahead_ns(nominal_ns)
-        if self._arrival_ns is None or late_ns < -_PAUSE_NS:
+        if self._arrival_ns is None or late_ns < -PAUSE_NS:
             # After the first sample, or with a wrong clock, the check of the rate restarts.
             self._begin_clock(arrival_ns)
             self._checked_from = self._index
@@ -223,7 +221,7 @@ class CountedTimes:
             self.counts.pauses += 1
             nominal_ns, late_ns = round(self._index * self._period_ns), 0
         self._arrival_ns = arrival_ns
-        if late_ns <= _PAUSE_NS:
+        if late_ns <= PAUSE_NS:
             # A larger delay may be a pause, which must not affect the clock.
             self._clock.add(nominal_ns, arrival_ns)
         self._is_interrupted = False
@@ -242,7 +240,7 @@ class CountedTimes:
         count %= self._counts
         forward = (count - self._count) % self._counts
         back = -forward % self._counts
-        if back <= min(_LATE, self._counts // 4) and self._late_in_a_row < _MOST_LATE:
+        if back <= min(_LATE, self._counts // 4) and self._late_in_a_row < _LATE:
             self._late_in_a_row += 1
             return None
         self._late_in_a_row = 0
@@ -268,13 +266,13 @@ class CountedTimes:
     def _paused(self, arrival_ns: int, late_ns: int) -> bool:
         """Whether the source has paused: the delay has grown for longer than a burst lasts."""
         assert self._arrival_ns is not None
-        if arrival_ns - self._arrival_ns > _SILENCE_NS and late_ns > _PAUSE_NS:
+        if arrival_ns - self._arrival_ns > _SILENCE_NS and late_ns > PAUSE_NS:
             self._second_ns, self._least_ns = arrival_ns, 0
             return True
         if arrival_ns - self._second_ns < NANOSECONDS:
             self._least_ns = min(self._least_ns, late_ns)
             return False
-        paused = self._least_ns > _PAUSE_NS
+        paused = self._least_ns > PAUSE_NS
         self._second_ns, self._least_ns = arrival_ns, 0 if paused else late_ns
         if paused:
             # Without a silence the rate may have changed, so its check restarts.

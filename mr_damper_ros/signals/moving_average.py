@@ -22,7 +22,7 @@ _SLOPE = 0.1
 """Lower limit of the power at half gain of an average over the power between its zeros."""
 
 _FEWEST_ROWS = 20
-"""Shortest record that begins in motion, as a multiple of the length of the average."""
+"""Shortest record in which the zeros are resolved, as a multiple of the length of the average."""
 
 _LINE_WIDTH = 2.0
 _LINE_HEIGHT = 5.0
@@ -33,8 +33,7 @@ _LEAST_PATTERN = 0.03
 """Smallest relative amplitude of a pattern that distorts a signal."""
 
 _FEWEST_HOLES = 5
-_PERIODS = 40
-"""Shortest record in which the zeros are resolved, as a multiple of the length of the average."""
+"""Smallest number of zeros up to half the sample rate by which an average is recognised."""
 
 
 def undo_average(values: Array, count: int) -> Array:
@@ -96,7 +95,7 @@ def find_average(values: Array) -> int:
     """
     middle = max(values.size - _ENOUGH, 0) // 2
     steps = np.diff(values[middle : middle + _ENOUGH])
-    longest = steps.size // _PERIODS
+    longest = steps.size // _FEWEST_ROWS
     power = np.abs(np.fft.rfft(steps * np.hanning(steps.size))) ** 2
     for count in range(longest, 2 * _FEWEST_HOLES - 1, -1):
         spacing = steps.size / count

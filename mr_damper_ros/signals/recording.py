@@ -19,7 +19,7 @@ Many ROS programs interpret a stamp near zero as "time unknown".
 """
 
 _SMALLEST_MOTION = 1e-6
-LARGEST_MOTION = 0.5
+LARGEST_MOTION = 0.5  # between two samples, too
 _LARGEST_SPEED = 5.0
 LARGEST_FORCE = 1e6
 LARGEST_CURRENT = 50.0

@@ -13,7 +13,7 @@ import numpy as np
 
 from mr_damper_ros.signals.arrays import Array
 from mr_damper_ros.signals.blocks import LATE_NS, NANOSECONDS
-from mr_damper_ros.signals.clocks import ArrivalClock, StampClock
+from mr_damper_ros.signals.clocks import PAUSE_NS, ArrivalClock, StampClock
 
 V = TypeVar("V")
 """Type of a stamped value: a number, or all values measured at one time."""
@@ -24,9 +24,9 @@ _MARGIN = 0.12
 _WAITING = 3
 """Number of samples that wait until later ones confirm their index; if all are late, more wait."""
 
-_ENOUGH, _FEWEST = 256, 12
+_ENOUGH = 256
 """Number of stamps from which a clock is estimated, and with which it is checked; for slow samples
-the second number suffices."""
+``_STRETCH`` suffice."""
 
 _LARGEST_UNTIMELY_PART = 0.2
 """Fraction of the checked stamps that may be too early or late before the clock is estimated again.
@@ -44,9 +44,6 @@ streams are numbered correctly from the first second; with a single period and d
 _CLOCK_GAINS = (0.05, 0.001)
 """Gains by which a tried clock corrects its offset and its rate for the error of a stamp. With
 twice the first and five times the second gain, only 30 of the 40 streams are numbered correctly."""
-
-_PATIENCE = 0.3
-"""Longest time [s] that a sample of the leader waits for the follower."""
 
 
 @dataclass(frozen=True)
@@ -146,7 +143,7 @@ class StampedChannel(Generic[V]):
             self._clock, self._waiting = None, []
         self._begun.append((stamp_ns, value))
         since_ns = stamp_ns - self._begun[0][0]
-        if len(self._begun) >= _ENOUGH or (len(self._begun) >= _FEWEST and since_ns >= LATE_NS):
+        if len(self._begun) >= _ENOUGH or (len(self._begun) >= _STRETCH and since_ns >= LATE_NS):
             certain += self._begin()
         return certain
 
@@ -311,7 +308,7 @@ class ChannelJoin:
             times += self.follower.clock.ahead_ns(base) - self.leader.clock.ahead_ns(base)
         # The cubic needs two samples of the follower after the sample of the leader.
         ready = int(np.searchsorted(wanted, times[-2], side="right"))
-        overdue = int(np.searchsorted(wanted, wanted[-1] - _PATIENCE * NANOSECONDS))
+        overdue = int(np.searchsorted(wanted, wanted[-1] - PAUSE_NS))
         count = max(ready, overdue)
         if self._at_stamps:
             count = min(count, max(len(samples) - 2, 0))

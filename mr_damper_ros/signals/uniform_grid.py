@@ -22,9 +22,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from mr_damper_ros.settings.option_table import CheckedSettings, option
-from mr_damper_ros.signals.arrays import Array, RollingRows
+from mr_damper_ros.signals.arrays import SIGMAS, Array, RollingRows
 from mr_damper_ros.signals.blocks import LATE_NS, NANOSECONDS, SampleBlock
 from mr_damper_ros.signals.clocks import StampClock
+from mr_damper_ros.signals.recording import LARGEST_MOTION
 
 _NEIGHBOURS = 12
 """Largest number of samples that determine the slope at a gap. It is also the number of stored past
@@ -84,14 +85,6 @@ def _end_slope(values: Array) -> float:
     return float(np.polynomial.polynomial.polyfit(np.arange(1 - values.size, 1), values, 2)[1])
 
 
-_DECIDING_ERRORS, _DECIDING_SAMPLES = 3.0, 30
-"""Number of standard errors by which the share must differ from one half for a decision, and the
-smallest number of samples for it."""
-
-_FORGETTING = 0.9997
-"""Forgetting factor per sample."""
-
-
 class NonUniformSampling:
     """Decides whether the jitter of stamps comes from non-uniform sampling.
 
@@ -101,13 +94,13 @@ class NonUniformSampling:
     non-uniform sampling and 0 for inaccurate stamps.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, found: bool = False) -> None:
         # Delay and displacement of the last two samples, the neighbours of the next ones.
         self._tail = np.empty((2, 0))
         self._next = 0
         # Sums of the products and squares of both differences, and the number of samples.
         self._sums = np.zeros(4)
-        self.found = False
+        self.found = found
 
     def learn(self, index: int, late: float, displacement: Array) -> None:
         """Add a block whose stamp is ``late`` [sample periods], negative for early.
@@ -125,28 +118,25 @@ class NonUniformSampling:
         count = float(np.count_nonzero(expected))
         off = off[expected != 0.0]
         expected = expected[expected != 0.0]
-        self._sums *= _FORGETTING**count
         self._sums += [off @ expected, expected @ expected, off @ off, count]
         product, square, rest, count = self._sums.tolist()
-        if count < _DECIDING_SAMPLES or square == 0.0:
+        if square == 0.0:
             return
         share = product / square
-        noise = max(rest / square - share**2, 0.0) / count
-        if abs(share - 0.5) > _DECIDING_ERRORS * noise**0.5:
+        # The noise counts as at least as large as the expected difference, so that a few samples do
+        # not decide.
+        noise = max(rest / square - share**2, 1.0) / count
+        if abs(share - 0.5) > SIGMAS * noise**0.5:
             self.found = share > 0.5
 
 
-_JITTER_NS, _JITTER = 5_000_000, 1.5
-"""Largest error of a stamp while the sample count continues, the larger of a time [ns] and a number
-of sample periods. Computers assign stamps with a variable delay."""
+_JITTER_NS = 5_000_000
+"""Largest error of a stamp [ns], in addition to a sample period, while the sample count continues.
+Computers assign stamps with a variable delay."""
 
 _PERIOD_ERROR = 2e-3
 """A block whose period deviates by at most this fraction has the period of the blocks before: some
 sources compute the period of each block from inaccurate stamps."""
-
-_JUMP, _JUMP_SPEED = 0.5, 50.0
-"""No damper moves by this distance [m] at this speed [m/s] from one sample to the next. The motion
-restarts, because such a sample would distort its statistics for a minute."""
 
 _EVEN = 0.02
 """A stamp with an error of at most this fraction of a period is used unchanged. Stamps with larger
@@ -287,10 +277,10 @@ class UniformGrid:
         missing = block.sequence - _end(last)
         # Difference between the stamp and the time that follows from the count.
         off_ns = abs(late_ns - missing * block.period * NANOSECONDS)
-        allowed_ns = max(_JITTER_NS, _JITTER * block.period * NANOSECONDS)
+        allowed_ns = _JITTER_NS + block.period * NANOSECONDS
         if off_ns <= allowed_ns:
-            most = max(_JUMP, _JUMP_SPEED * block.period)
-            if missing == 0 and (step := _largest_step(last, block)) > most:
+            # The motion restarts, because such a sample would distort its statistics for a minute.
+            if missing == 0 and (step := _largest_step(last, block)) > LARGEST_MOTION:
                 jump = f"the displacement jumps by {step:.3g} m between two samples"
                 return "displaced", 0, f"{jump} (a loose cable, or millimetres?)"
             if -block.sample_count < missing <= 0:
@@ -324,6 +314,7 @@ class UniformGrid:
         self.lost_samples += lost
         if restarts or self._clock is None:
             self._clock = StampClock(block.sequence, block.start_ns, block.period)
+            self._sampling = NonUniformSampling(self._sampling.found)
             self._past.keep(0)
             self.last = block
             self._remember(block, 0.0)

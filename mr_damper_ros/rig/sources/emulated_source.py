@@ -11,7 +11,7 @@ from mr_damper_ros.control.linear_plant import ROUGHNESS, Bump, IsoRoad, Quarter
 from mr_damper_ros.emulation import emulator, motions
 from mr_damper_ros.emulation.emulator import HOT_FORCE, PlantRig, Surroundings, invented_damper
 from mr_damper_ros.emulation.faults import FaultError, Instruments, faults_of
-from mr_damper_ros.kinematics.periodic_motion import MotionKind, PeriodicMotion
+from mr_damper_ros.kinematics.periodic_motion import MOST_CYCLES, MotionKind, PeriodicMotion
 from mr_damper_ros.models.parameter_set import ParameterSet
 from mr_damper_ros.models.published import THESIS_28_CELSIUS, THESIS_71_CELSIUS, find, parameters
 from mr_damper_ros.rig.commander import CommandSettings, CurrentCommander, MotionCommander, Origin
@@ -220,7 +220,7 @@ def _excitation(rig: EmulatedOptions) -> motions.Excitation:
     if rig.excitation == "steps":
         return motions.stepped(rig.amplitude, low, high, rig.sweep_time)
     if rig.excitation == "random":
-        seed = rig.seed % 10_000  # the number of different random motions
+        seed = rig.seed % MOST_CYCLES  # the number of different random motions
         return PeriodicMotion(MotionKind.RANDOM, rig.amplitude, low, high, rig.sweep_time, seed)
     if rig.excitation == "recorded":
         from mr_damper_ros.io.records import read_record
