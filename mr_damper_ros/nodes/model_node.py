@@ -191,7 +191,10 @@ class ModelNode(BlockNode[ModelParameters, Prediction]):
 
     def _prediction_finding(self) -> Finding:
         nrmse = self._error.nrmse
-        values = {"NRMSE": f"{nrmse:.4f}"}
+        values = {
+            "NRMSE": f"{nrmse:.4f}",
+            "zero of the load cell [N]": f"{self._predictor.zero:.1f}",
+        }
         if self._last is None or self._inputs.silent:
             return Finding(STALE, "nothing to predict: no samples arrive", values)
         doubt = self._last.newest_doubt

@@ -238,6 +238,11 @@ class ModelBank:
         """The set in use; None before the first."""
         return self._sets[0] if self._sets else None
 
+    @property
+    def uses_given(self) -> bool:
+        """Whether the set in use is the one loaded by a user."""
+        return self._is_given(self.present)
+
     # Arriving sets
 
     def confirm(self, set_id: str, stamp_ns: int, currents: Span | None) -> bool:
@@ -270,7 +275,7 @@ class ModelBank:
         """
         given = self._given
         if given is not None and not parameters.has_evidence:
-            if not self._is_given(self.present):
+            if not self.uses_given:
                 self._forget(given)
             return
         if stamp_ns is None:
@@ -294,7 +299,7 @@ class ModelBank:
         found = KnownSet(parameters, stamp_ns, half_cycle, currents, whole)
         if stamp_ns is None:
             self._given = found if parameters.has_evidence else None
-        elif self._is_given(self.present) and not found.covers(self._sets[0]):
+        elif self.uses_given and not found.covers(self._sets[0]):
             others = [each for each in self._sets[1:] if not found.replaces(each)]
             self._sets = [self._sets[0], found, *others][:_MOST_SETS]
             return
@@ -314,7 +319,7 @@ class ModelBank:
 
     def is_in_use(self, parameters: ParameterSet) -> bool:
         """Whether a set is the loaded set and already in use."""
-        if self._given is None or not self._is_given(self.present):
+        if self._given is None or not self.uses_given:
             return False
         known = self._given.parameters
         same_name = (known.set_id, known.model) == (parameters.set_id, parameters.model)

@@ -30,7 +30,7 @@ from mr_damper_ros.signals.uniform_grid import GridSettings, Placed, UniformGrid
 from mr_damper_ros.tracking.bumpless_transfer import ForceInUse
 from mr_damper_ros.tracking.model_bank import ModelBank
 from mr_damper_ros.tracking.reports import Report
-from mr_damper_ros.tracking.residual_monitor import ResidualMonitor
+from mr_damper_ros.tracking.residual_monitor import LoadCellZero, ResidualMonitor
 from mr_damper_ros.tracking.validity import (
     NO_DOUBT,
     Codes,
@@ -183,6 +183,7 @@ class ForcePredictor:
         self._motion: MotionFollower | None = None
         self._force = ForceInUse(math.inf)
         self._monitor = ResidualMonitor(math.inf, settings.maximum_error)
+        self._zero = LoadCellZero()
         # Number of reversals of the motion when the state of the law was initialised.
         self._begun_at = 0
         # The work on the newest samples that is left for later.
@@ -196,6 +197,11 @@ class ForcePredictor:
         """The set in use; None before the first."""
         present = self._bank.present
         return None if present is None else present.parameters
+
+    @property
+    def zero(self) -> float:
+        """Zero of the load cell [N] that is added to the force of a set from another run."""
+        return self._zero.present
 
     @property
     def gradual(self) -> bool:
@@ -224,6 +230,8 @@ class ForcePredictor:
         before = self._bank.present
         half_cycle = math.nan if self._motion is None else self._motion.centre.usual_half_cycle
         self._bank.add(parameters, confirmed_ns, half_cycle)
+        if confirmed_ns is None:
+            self._zero = LoadCellZero()
         if self._bank.present is not before:
             self._use_present(fade=confirmed_ns is not None)
 
@@ -297,7 +305,10 @@ class ForcePredictor:
             steady=follower.steady,
             largest=partial(self._largest_force, half_cycle, motion, float(current[-1])),
         )
-        if (choice := self._bank.choice(self._newest_kind, self._monitor.allowed)) is not None:
+        allowed, sensible = self._monitor.allowed, self._newest_kind is not DoubtKind.SENSOR
+        if self._bank.uses_given and sensible and allowed < math.inf:
+            self._zero.learn(block.force[part] - force[part], follower.centre.reversals, allowed)
+        if (choice := self._bank.choice(self._newest_kind, allowed)) is not None:
             chosen, error = choice
             self._bank.use(chosen)
             gradual = self._bank.gradual
@@ -354,6 +365,7 @@ class ForcePredictor:
         self._motion = MotionFollower(period, settings.bandwidth, settings.centre_memory)
         self._force = ForceInUse(period)
         self._monitor = ResidualMonitor(period, settings.maximum_error)
+        self._zero.restart()
         self._unlearned = None
         self._bank.forget_samples()
 
@@ -378,6 +390,8 @@ class ForcePredictor:
             self._force.forget()
             overflow = Doubt(DoubtKind.NOT_FINITE, f"the force of {parameters.set_id} overflows")
             return self._without_force(block, overflow, motion.velocity)
+        given = self._bank.uses_given
+        of_set = of_set + self._zero.follow(block.sample_count, block.period, counts=given)
         rules = self._rules_of_set(block, bridged, motion, current, of_set)
         self._newest_kind = rules[0].kind if rules else DoubtKind.NONE
         force = self._force.blended(of_set)
@@ -414,9 +428,9 @@ class ForcePredictor:
             measured = monitor.judge(force[bridged:], block.force[bridged:])
         if not past and self._force.remembers and follower.centre.reversals == self._begun_at:
             past = "the state of the model is unknown until the motion has reversed"
-        # If the predicted force has agreed with the measured force for a cycle, it is valid even
-        # if the past is unknown, outside the identified range and after rejected windows.
-        unproven = not monitor.holds
+        # If the predicted force agrees with the measured force, it is valid even if the past is
+        # unknown, outside the identified range and after rejected windows.
+        unproven = not (monitor.holds and follower.centre.reversals)
         settling = applying(
             [
                 Rule(DoubtKind.SETTLING, bool(unsettled), lambda: unsettled),
@@ -424,13 +438,15 @@ class ForcePredictor:
                 Rule(DoubtKind.SETTLING, unproven and bool(past), lambda: past),
             ]
         )
-        if not resting:
+        if resting:
+            self._zero.restart()
+        else:
             self._unlearned = partial(
                 self._learn, block, bridged, motion, current, force, known=not settling
             )
         if settling:
             # While the motion does not determine the force, a wrong force does not refute the set.
-            if measured is None or measured:
+            if measured is None or monitor.is_wrong:
                 monitor.forget_moment()
             self._bank.forget_samples()
             self._force.forget_known()

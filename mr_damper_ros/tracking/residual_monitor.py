@@ -17,6 +17,7 @@ import numpy as np
 from mr_damper_ros.kinematics.peak_velocity import HALF_CYCLES
 from mr_damper_ros.models.quantities import SAME_CURRENT
 from mr_damper_ros.signals.arrays import Array, Mask, RollingRows, span_of, white_noise
+from mr_damper_ros.tracking.bumpless_transfer import FADE_TIME
 from mr_damper_ros.tracking.operating_point import RECENT
 from mr_damper_ros.tracking.screening import NEGATIVE_POWER
 from mr_damper_ros.tracking.validity import DoubtKind, Rule, applying, middle
@@ -42,9 +43,10 @@ _STRETCHES = 32
 _LONGEST_STRETCH = 0.25
 """The memory is divided into this many stretches, each no longer than this time [s]."""
 
-_STEADY_CURRENT = 1.0
-"""Time [s] after which a constant current is steady: the largest time for which a wrong force may
-be valid (benchmark figure ``foreign_wrong_valid_s``)."""
+_ENOUGH = _STEADY_CURRENT = 1.0
+"""Time [s] after which a constant current is steady, and after which agreement in slow motion
+suffices: the largest time for which a wrong force may be valid (benchmark figure
+``foreign_wrong_valid_s``)."""
 
 _PRELOAD = 0.5
 """The offset of the force, which gas pressure causes, counts towards the peak up to this fraction
@@ -238,6 +240,54 @@ _DRIVING = (
 )
 
 
+class LoadCellZero:
+    """Estimates the force that the load cell shows without a load.
+
+    A set that was identified in another run does not contain the zero of this run. The zero is the
+    mean difference of the measured force and the force of the set over the whole cycles since the
+    motion began, in which friction, lag and an error of the gain cancel. It is reduced by its
+    standard error (James-Stein), with each half-cycle as one independent sample.
+    """
+
+    def __init__(self) -> None:
+        self._zeros, self._target = np.zeros(1), 0.0
+        self.restart()
+
+    @property
+    def present(self) -> float:
+        """The zero [N] at the last sample."""
+        return float(self._zeros[-1])
+
+    def restart(self) -> None:
+        """Begin a new estimate after an interruption of the motion; keep the present zero."""
+        # Number, sum and sum of squares of the differences; half-cycles before them and in them.
+        self._sums, self._before, self._half_cycles = np.zeros(3), -1, 0
+
+    def follow(self, count: int, period: float, *, counts: bool) -> Array:
+        """The zero [N] at the next ``count`` samples; it fades to 0 if it does not count."""
+        target = self._target if counts else 0.0
+        decays = np.exp(-period / FADE_TIME * np.arange(1, count + 1))
+        self._zeros = target + (self._zeros[-1] - target) * decays
+        return self._zeros
+
+    def learn(self, residual: Array, reversals: int, largest: float) -> None:
+        """Learn from the measured minus the predicted force (n,) [N] of the last samples.
+
+        ``reversals`` is the number of reversals of the motion. The zero is at most ``largest`` [N].
+        """
+        if self._before < 0:
+            self._before = reversals
+        most = _LARGEST_ENTRY * largest
+        left = (residual + self._zeros[self._zeros.size - residual.size :]).clip(-most, most)
+        self._sums += (left.size, left.sum(), left @ left)
+        if reversals - self._before >= self._half_cycles + 2:
+            self._half_cycles = reversals - self._before
+            mean, square = (self._sums[1:] / self._sums[0]).tolist()
+            variance = max(square - mean**2, 0.0) / self._half_cycles
+            shrunk = mean * (1.0 - variance / mean**2) if mean**2 > variance else 0.0
+            self._target = min(max(shrunk, -largest), largest)
+
+
 class ResidualMonitor:
     """Monitors the forces of samples ``period`` [s] apart.
 
@@ -251,25 +301,23 @@ class ResidualMonitor:
         self._time = _SHORTEST
         # Mean square [1] of the error over the peak.
         self._square = 0.0
-        self._wrong = False
+        self.is_wrong = False
         # The error [N] of the last sample, and the number of outliers in a row.
         self._error, self._wild_for = 0.0, 0
         self._longest_wild = max(round(_CALM_TIME / period), 1)
         # Samples with a small error until the force is valid again, and the largest such number.
         self._wait, self._calm = 0.0, _CALM_TIME / period
-        # Seconds for which the forces have been compared without interruption.
-        self._compared = 0.0
-        self._cycle_known = False
+        # Seconds for which the forces have been compared without interruption, and that suffice.
+        self._compared, self._enough = 0.0, _ENOUGH
 
     @property
     def holds(self) -> bool:
-        """Whether the predicted force has agreed with the measured force over the last cycle.
+        """Whether the predicted force has agreed with the measured force over the last half-cycle.
 
-        In slow motion four seconds suffice. A short error counts while it lasts, and
-        afterwards only through the root mean square.
+        One second suffices in slow motion, and is needed while the half-cycle is unknown. A short
+        error counts while it lasts, and afterwards only through the root mean square.
         """
-        enough = 2.0 * min(self._time, _SHORTEST_MEMORY)
-        return self._cycle_known and self._compared >= enough and not (self._wrong or self._wait)
+        return self._compared >= self._enough and not (self.is_wrong or self._wait)
 
     @property
     def allowed(self) -> float:
@@ -288,15 +336,15 @@ class ResidualMonitor:
         """
         if known < math.inf and self._recent.peak > 0.0:
             self._square = (known / self._recent.peak) ** 2
-            self._wrong, self._wait = False, 0.0
-        elif self._wrong:
+            self.is_wrong, self._wait = False, 0.0
+        elif self.is_wrong:
             self._square = (self._limit) ** 2
         self._recent.forget_predicted()
 
     def forget_moment(self) -> None:
         """Restart the comparison after samples whose force was unknown or not compared."""
         self._square = self._compared = self._error = 0.0
-        self._wrong, self._wait, self._wild_for = False, 0.0, 0
+        self.is_wrong, self._wait, self._wild_for = False, 0.0, 0
 
     def judge(self, predicted: Array, measured: Array) -> list[Rule] | None:
         """Process the forces (n,) [N] of the next samples; returns the rules that apply to them.
@@ -322,7 +370,7 @@ class ResidualMonitor:
             return [Rule(DoubtKind.WRONG, True, lambda: sentence)]
         wrong, wild = self._wrong_samples(errors, sizes, measured, peak)
         self._follow(sizes if isinstance(wild, bool) else sizes[~wild], peak)
-        if self._wrong:
+        if self.is_wrong:
             wrong = True
         rules += [
             Rule(
@@ -342,7 +390,7 @@ class ResidualMonitor:
                     f"the RMS error of the predicted force was {math.sqrt(self._square):.0%} "
                     "of the peak over the last half-cycle: valid again below "
                     f"{_RECOVERED * self._limit:.0%}"
-                    if self._wrong
+                    if self.is_wrong
                     else f"the error of the predicted force is {sizes[wrong].max():.3g} N at a "
                     f"measured peak of {peak:.3g} N: maximum_error is {self._limit:.0%}"
                 ),
@@ -362,10 +410,10 @@ class ResidualMonitor:
     ) -> None:
         """Update the statistics for later samples; the arguments are as in ForceStatistics.add."""
         self._recent.add(forces, velocity, current, half_cycle, steady=steady, largest=largest)
-        self._cycle_known = not math.isnan(half_cycle)
-        if self._cycle_known:
+        if not math.isnan(half_cycle):
             self._calm = min(_CALM_TIME, _CALM_PART * half_cycle) / self._period
             self._time = max(half_cycle, _SHORTEST)
+            self._enough = min(self._time, _ENOUGH)
 
     def _wrong_samples(
         self, errors: Array, sizes: Array, measured: Array, peak: float
@@ -413,8 +461,8 @@ class ResidualMonitor:
         square = (float(sizes @ sizes) / count - self._noise(peak) ** 2) / peak**2
         part = min(count * self._period / self._time, 1.0)
         self._square += part * (square - self._square)
-        lasting = self._limit * (_RECOVERED if self._wrong else 1.0)
-        self._wrong = self._square > lasting**2
+        lasting = self._limit * (_RECOVERED if self.is_wrong else 1.0)
+        self.is_wrong = self._square > lasting**2
 
     @staticmethod
     def _allowed(limit: Array | float, noise: float) -> Array:

@@ -70,6 +70,16 @@ def test_the_force_of_a_sine_is_predicted() -> None:
     assert predictions[-1].set_id == "known"
 
 
+def test_the_zero_of_the_load_cell_is_learnt_in_a_cycle_and_does_not_delay_validity() -> None:
+    measured = RUN.clean + 0.15 * np.ptp(RUN.clean) / 2.0
+    made = predictor(maximum_error=0.2)
+    predictions = predicted(made, known.blocks(RUN.displacement, measured, (10,)))
+    late = slice(SAMPLES // 2, None)
+    assert nrmse(forces(predictions)[late], measured[late]) < PREDICTED
+    # The motion has a frequency of 1 Hz.
+    assert all(prediction.valid for prediction in predictions[80:])
+
+
 def test_the_force_does_not_depend_on_later_blocks() -> None:
     other = RUN.displacement.copy()
     other[4000:] += 0.005
