@@ -189,7 +189,7 @@ class MotionCentre:
         return self._still * self._period > max(_SHORTEST, _REST_PART * self.usual_half_cycle)
 
     def follow(self, displacement: Array) -> float:
-        """Centre [m] after these samples of shape (n,); NaN before the first sample."""
+        """Centre [m] after these samples of shape (n,), n >= 0."""
         for value in displacement.tolist():
             self._count += 1
             self._bottom, self._top = min(self._bottom, value), max(self._top, value)
@@ -266,6 +266,8 @@ class MotionFollower:
         self._together = round(_BATCH_TIME / period)
         self._unlearned: list[Array] = []
         self._unlearned_count = 0
+        # Whether the initial transient of the observer has died away.
+        self._started = False
         self.steady = False
 
     def lost_sight(self, gap: float) -> bool:
@@ -333,9 +335,9 @@ class MotionFollower:
         u, v, a = self._differentiator.follow(displacement)
         settled = min(self._differentiator.settled_count, v.size)
         v_m = self.peak.follow(v, a, settled)
-        # The samples before may be a spike of the sensor.
-        centre = self.centre.follow(displacement[v.size - settled :])
-        centred = u - (u[-1] if math.isnan(centre) else centre)
+        # Unsettled samples after those of the start may be a spike of the sensor.
+        centre = self.centre.follow(displacement[v.size - settled if self._started else 0 :])
+        self._started = self._started or settled > 0
         return Motion(
-            displacement=centred, velocity=v, acceleration=a, peak_velocity=v_m, sine=None
+            displacement=u - centre, velocity=v, acceleration=a, peak_velocity=v_m, sine=None
         )
