@@ -67,17 +67,7 @@ def with_linear_refitted(
     speeds, currents = np.array([window.operating_point for window in windows]).T
     coefficients = model.coefficients_at(reference, speeds, currents).T
     table = CoefficientTable(speeds, currents, coefficients, np.zeros_like(coefficients))
-    return model.fit_laws(table, changed, linear, no_search)
-
-
-def no_search(
-    cost: Callable[[Array], Array],
-    bounds: Sequence[tuple[float, float]],
-    start: Array,
-    stage: str,
-) -> Array:
-    """Keep the nonlinear parameters at the start; see :data:`LawSearch`."""
-    return start
+    return model.fit_laws(table, changed, linear, lambda cost, bounds, start, stage: start)
 
 
 # -- separate fit of each window -----------------------------------------------------------------
@@ -246,6 +236,7 @@ class GlobalSearch:
         self._tolerance = 0.0
         self.best = start
         self.exhausted = False
+        self._tried: set[tuple[bytes, frozenset[str]]] = set()
         self.shortcoming = ""
         self.candidates: list[Candidate] = []
 
@@ -411,13 +402,12 @@ class GlobalSearch:
             by_laws = self.pooled.mean_square(self.best)
             starts = {"all free parameters": self._evolve_samples()}
         found: list[Candidate] = []
-        for origin, start in sorted(
-            starts.items(), key=lambda item: self.pooled.mean_square(item[1])
-        ):
+        costs = {origin: self.pooled.mean_square(start) for origin, start in starts.items()}
+        for origin in sorted(costs, key=costs.__getitem__):
             least = min((each.cost for each in found), default=math.inf)
-            if not self.pooled.mean_square(start) < _SKIPPED_COST * least:
+            if not costs[origin] < _SKIPPED_COST * least:
                 continue
-            ended = self._rough(start, self.free)
+            ended = self._rough(starts[origin], self.free)
             found.append(Candidate(origin, ended, self.pooled.mean_square(ended)))
         least = min(candidate.cost for candidate in found)
         cycles = any(holds_cycle(window.motion.displacement) for window in self.windows)
@@ -483,6 +473,9 @@ class GlobalSearch:
                 if not np.array_equal(self.best[places], target[places]):
                     trial, others = self.best.copy(), self.free - held - asked
                     trial[places] = target[places]
+                    if (key := (trial.tobytes(), others)) in self._tried:
+                        continue
+                    self._tried.add(key)
                     linear = others.intersection(self.model.linear)
                     trial = with_linear_refitted(self.model, self.windows, self.best, trial, linear)
                     # A few rough steps show whether the misfit increases.

@@ -65,8 +65,11 @@ class Posterior(Generic[P]):
     def jacobian(self, unknowns: Array) -> Array:
         """Derivatives of the residual with respect to the unknowns."""
         derivatives = self.problem.jacobian(unknowns * self.unit)
-        prior = np.diag(self.noise / self._width)
-        return np.concatenate((derivatives * self.unit, prior))
+        # Each column is contiguous in memory.
+        rows = np.empty((unknowns.size, len(derivatives) + unknowns.size))
+        np.multiply(derivatives, self.unit, out=rows.T[: len(derivatives)])
+        rows[:, len(derivatives) :] = np.diag(self.noise / self._width)
+        return rows.T
 
     def cost(self, parameters: Array) -> float:
         """Sum of squares of the residual for parameters (p,)."""

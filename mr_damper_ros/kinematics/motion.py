@@ -110,9 +110,10 @@ def fit_sine(displacement: Array, period: float) -> Sine | None:
     if n < 8 or np.ptp(u) == 0.0:
         return None
     # Zero padding refines the initial frequency to a fraction of a spectral line.
-    spectrum = np.abs(np.fft.rfft((u - u.mean()) * np.hanning(n), 8 * n))
-    lowest = 4  # half a cycle
-    start = float(np.argmax(spectrum[lowest:]) + lowest) / (8 * n)
+    size = 1 << (8 * n - 1).bit_length()
+    spectrum = np.abs(np.fft.rfft((u - u.mean()) * np.hanning(n), size))
+    lowest = size // (2 * n)  # half a cycle
+    start = float(np.argmax(spectrum[lowest:]) + lowest) / size
     # Time is counted from the middle, where frequency and phase are nearly uncorrelated.
     index: Array = np.arange(0.5 - 0.5 * n, 0.5 * n)
     omega, (sine, cosine, offset), left = refined_sine(index, u, 2.0 * np.pi * start)

@@ -314,12 +314,12 @@ class Window:
         both ends. The current is held. The window itself is returned if it is a sine or has half of
         ``per_cycle`` samples in a cycle.
         """
-        from scipy.interpolate import CubicHermiteSpline  # late: see mr_damper_ros.entry_points
-
         motion, grid = self.motion, np.arange(self.sample_count, dtype=float)
         stride = int(per_cycle / max(_mean_cycle(motion, self.period), 2.0))
         if stride < 2 or self.steady:
             return self
+        from scipy.interpolate import CubicHermiteSpline  # late: see mr_damper_ros.entry_points
+
         places: Array = np.arange((grid.size - 1) * stride + 1) / stride
         u, v, a, v_m = motion.arrays
         fine = Motion(
