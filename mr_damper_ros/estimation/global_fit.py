@@ -119,9 +119,10 @@ class GlobalFit:
 
     def record_levels(self, windows: Sequence[Window]) -> list[Level]:
         """Gain and offset of each record, in order of its number; empty without record levels."""
-        misfit = self.misfit(windows)
-        if not isinstance(misfit, LevelledProblem):
+        if self.levels is None:
             return []
+        misfit = self.misfit(windows)
+        assert isinstance(misfit, LevelledProblem)
         return misfit.levels(self.parameter_set.values, self.covariance)
 
 
