@@ -19,10 +19,8 @@ from mr_damper_ros.processes.files import reason_of
 from mr_damper_ros.processes.worker import Done, Failed, Outcome, TaskRunner
 from mr_damper_ros.settings.option_table import CheckedSettings, group, option
 from mr_damper_ros.signals.blocks import NANOSECONDS, SampleBlock
+from mr_damper_ros.signals.recording import TEMPERATURES
 from mr_damper_ros.signals.uniform_grid import GridSettings, UniformGrid
-
-_COLDEST, _HOTTEST = -60.0, 250.0
-"""Plausible temperatures [°C]; other readings come from a disconnected thermometer."""
 
 
 class CampaignStage(IntEnum):
@@ -129,8 +127,8 @@ class CampaignConductor:
             self._driver.current.add(stamp_ns, current)
 
     def add_temperature(self, stamp_ns: int, celsius: float) -> None:
-        """Add a temperature of the damper [°C]; implausible ones are ignored."""
-        if _COLDEST <= celsius <= _HOTTEST:
+        """Add a temperature [°C]; that of a disconnected thermometer is implausible and ignored."""
+        if TEMPERATURES[0] <= celsius <= TEMPERATURES[1]:
             self._celsius = (stamp_ns, celsius)
             if self._driver is not None:
                 self._driver.celsius.add(stamp_ns, celsius)

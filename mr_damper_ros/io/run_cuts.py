@@ -11,6 +11,7 @@ import numpy as np
 from mr_damper_ros.io.columns import MAXIMUM_SAMPLES, RecordError, parse_columns
 from mr_damper_ros.io.records import GAP, SampledRecord, check_current, integrated, read_samples
 from mr_damper_ros.kinematics.window import turning_points
+from mr_damper_ros.models.quantities import SAME_CURRENT
 from mr_damper_ros.signals.arrays import NOISE_SPAN, Array, white_noise
 from mr_damper_ros.signals.recording import Recording
 
@@ -25,9 +26,6 @@ _REST_OF_STROKE = 0.3
 
 _STILL = 0.002
 """Largest change of the displacement at rest, relative to its span, unless the noise is larger."""
-
-_CURRENT_STEP = 0.05
-"""Smallest change of a measured current [A] that starts a new run."""
 
 _SMALLEST_RUN = 0.02
 """Smallest span of a run, relative to the largest span in the file."""
@@ -180,7 +178,7 @@ def _levels(record: SampledRecord, rows: slice, length: int) -> Iterator[slice]:
         level = float(np.median(current[rows][:length]))
         for first in range(rows.start, rows.stop, length):
             block = float(np.median(current[first : min(first + length, rows.stop)]))
-            if abs(block - level) > _CURRENT_STEP:
+            if abs(block - level) > SAME_CURRENT:
                 cuts.append(first)
                 level = block
     yield from _between(cuts, rows)

@@ -19,9 +19,10 @@ from typing import Any
 import numpy as np
 
 from mr_damper_ros.models.parameter_set import ParameterSet
+from mr_damper_ros.models.quantities import SAME_CURRENT
 from mr_damper_ros.processes.files import json_ready
 from mr_damper_ros.signals.arrays import Array
-from mr_damper_ros.signals.blocks import NANOSECONDS
+from mr_damper_ros.signals.blocks import LATE_NS, NANOSECONDS, SILENCE
 from mr_damper_ros.tracking.reports import Report
 
 _PART = 4
@@ -142,9 +143,6 @@ _SLOPE = 4e-3
 _HISTORY_STEP = 0.1
 MARKS_KEPT = 500
 
-_LEVEL_STEP = 0.05
-"""Smallest difference [A] between two levels of the current."""
-
 _LEVEL_TIME = 0.5
 """Shortest duration [s] of a level, so that a controller's continuous changes are not counted."""
 
@@ -157,14 +155,8 @@ CONCERNS_KEPT = 200
 ENDED = "ended"
 """Value in the last diagnostic of a node that has done its work; its silence is no fault."""
 
-SILENT_AFTER = 2.0
-"""Age [s] above which the last values are no longer shown as the present state."""
-
 _ERROR = 2
 """Diagnostic level of an error."""
-
-_JUMP = 1.0
-"""Stamps that go back by more than this time [s] start a new recording."""
 
 
 _OF_A_REPORT = (
@@ -295,7 +287,7 @@ class LiveRecord:
         times = start_s + period * np.arange(displacement.size)
         rows = np.column_stack([times, displacement, measured, predicted, valid])
         with self._lock:
-            if start_s < self._last_time - _JUMP:  # the stamps have gone back
+            if start_s < self._last_time - LATE_NS / NANOSECONDS:  # the stamps have gone back
                 self._begin()
                 if self.parameters is not None:
                     self._trace_set(self.parameters, math.nan)
@@ -340,12 +332,12 @@ class LiveRecord:
 
     def _follow_current(self, time_s: float, current: float) -> None:
         """Add a mark for each step of the current from one level to the next."""
-        if not abs(current - self._next_level) <= _LEVEL_STEP:
+        if not abs(current - self._next_level) <= SAME_CURRENT:
             if self._next_level == self._level:
                 self._level_left = time_s
             self._next_level, self._level_since = current, time_s
         elif self._next_level != self._level and time_s - self._level_since >= _LEVEL_TIME:
-            if abs(self._next_level - self._level) > _LEVEL_STEP:
+            if abs(self._next_level - self._level) > SAME_CURRENT:
                 step = f"{self._level:.3g} to {self._next_level:.3g} A"
                 self._mark("current", step, self._level_left)
             self._level = self._next_level
@@ -357,7 +349,7 @@ class LiveRecord:
 
     def _set_point(self, name: str) -> float:
         value, heard = self._set_points.get(name, (math.nan, -math.inf))
-        return value if self._clock() - heard <= SILENT_AFTER else math.nan
+        return value if self._clock() - heard <= SILENCE else math.nan
 
     def set_recording(self, recording: Mapping[str, str] | None) -> None:
         """Set the name and the path of the recording in progress, or None."""
@@ -446,7 +438,7 @@ class LiveRecord:
             when = math.inf if ENDED in concern.values else when
             heard[node] = max(when, heard.get(node, -math.inf))
         for node, when in heard.items():
-            self._judge(node, "no messages any more", wrong=now - when > SILENT_AFTER)
+            self._judge(node, "no messages any more", wrong=now - when > SILENCE)
 
     def _judge(self, name: str, message: str, *, wrong: bool) -> None:
         """Update the fault of this name.
@@ -531,7 +523,7 @@ class LiveRecord:
                 "recording": self._recording,
                 "recorded": self._recorded,
                 "silence": self.silence,
-                "silent_after": SILENT_AFTER,
+                "silent_after": SILENCE,
                 "origin": self._origin,
                 "windows": [w for w in self._sentences if w["number"] > windows_after],
             }

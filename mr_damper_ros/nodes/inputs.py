@@ -14,7 +14,7 @@ from mr_damper_ros.nodes import quality
 from mr_damper_ros.nodes.diagnostics import OK, WARN, Finding
 from mr_damper_ros.nodes.messages import sample_block, to_nanoseconds
 from mr_damper_ros.nodes.rclpy_internals import waiting_messages
-from mr_damper_ros.signals.blocks import BlockError, CurrentError, SampleBlock, joined
+from mr_damper_ros.signals.blocks import SILENCE, BlockError, CurrentError, SampleBlock, joined
 from mr_damper_ros.signals.uniform_grid import UniformGrid
 
 SAMPLES_TOPIC = "mts/samples"
@@ -22,9 +22,6 @@ CURRENT_TOPIC = "supply/current"
 
 _PACE_TOLERANCE = 0.2
 """Relative tolerance of the sample rate, which is uncertain by up to a block of 0.1 s."""
-
-_SILENCE = 2.0
-"""Seconds without a message after which a stream counts as silent."""
 
 
 class Stream:
@@ -69,7 +66,7 @@ class Stream:
     @property
     def silent(self) -> bool:
         """Whether no message has arrived recently, or ever."""
-        return self._last is None or time.monotonic() - self._last >= _SILENCE
+        return self._last is None or time.monotonic() - self._last >= SILENCE
 
     def take_rate(self) -> float:
         """Samples per second since the last call."""

@@ -22,6 +22,7 @@ from std_msgs.msg import Header
 from mr_damper_ros.models.parameter_set import ParameterError, ParameterSet, check_name, known_model
 from mr_damper_ros.signals.arrays import Array
 from mr_damper_ros.signals.blocks import (
+    NANOSECONDS,
     BlockError,
     RigBlock,
     SampleBlock,
@@ -41,8 +42,6 @@ SUSPENSION_TOPIC = "suspension/motion"
 SHOWN = 100
 """Shown characters of a name: a message may hold a megabyte of them."""
 
-_SECOND = 1_000_000_000
-
 
 def to_stamp(nanoseconds: int) -> Time:
     """A stamp from nanoseconds since the epoch; raises ValueError if a stamp cannot hold it."""
@@ -55,17 +54,17 @@ def set_stamp(stamp: Time, nanoseconds: int) -> None:
     """Set a stamp to nanoseconds since the epoch; raises ValueError like :func:`to_stamp`."""
     if not fits_a_stamp(nanoseconds):
         raise ValueError(f"{nanoseconds} ns is not a time that a stamp can hold")
-    stamp.sec, stamp.nanosec = divmod(nanoseconds, _SECOND)
+    stamp.sec, stamp.nanosec = divmod(nanoseconds, NANOSECONDS)
 
 
 def to_nanoseconds(stamp: Time) -> int:
     """Nanoseconds since the epoch from a stamp."""
-    return int(stamp.sec) * _SECOND + int(stamp.nanosec)
+    return int(stamp.sec) * NANOSECONDS + int(stamp.nanosec)
 
 
 def to_seconds(stamp: Time) -> float:
     """Seconds since the epoch from a stamp."""
-    return to_nanoseconds(stamp) / _SECOND
+    return to_nanoseconds(stamp) / NANOSECONDS
 
 
 def header(nanoseconds: int, frame_id: str) -> Header:

@@ -20,6 +20,9 @@ LATE_NS = NANOSECONDS
 """A stamp that is earlier than the last one by up to this time is delayed or repeated. If it is
 earlier by more, the clock was set back."""
 
+SILENCE = 2.0
+"""Time [s] without data after which a stream, a device or a node counts as silent."""
+
 MOST_SAMPLES = 5000
 """Largest number of samples in a block that a node accepts, which bounds the work on a block."""
 

@@ -9,7 +9,8 @@ import sys
 import textwrap
 import time
 
-from mr_damper_ros.live.live_record import SILENT_AFTER, LiveRecord
+from mr_damper_ros.live.live_record import LiveRecord
+from mr_damper_ros.signals.blocks import SILENCE
 from mr_damper_ros.signals.error_sums import ErrorSums
 from mr_damper_ros.tools.console import add_namespace_option, program
 
@@ -122,7 +123,7 @@ def _silence_of(record: LiveRecord, *nodes: str) -> float:
 
 def _since(silence: float) -> str:
     """The time of the last message, in words; empty if it is recent."""
-    if silence < SILENT_AFTER:
+    if silence < SILENCE:
         return ""
     clock = time.strftime("%H:%M:%S", time.localtime(time.time() - silence))
     return f"no message since {clock} ({silence:.0f} s)"

@@ -20,11 +20,12 @@ from support import PATIENCE, Listener, TriedProgram, assert_one_sentence
 
 from mr_damper_ros.io.bag_reader import read_bag
 from mr_damper_ros.io.bag_writer import BagStream
-from mr_damper_ros.live.live_record import SIGNALS, SILENT_AFTER
+from mr_damper_ros.live.live_record import SIGNALS
 from mr_damper_ros.nodes import quality
 from mr_damper_ros.nodes.live_node import LiveNode
 from mr_damper_ros.nodes.messages import from_field, to_nanoseconds
 from mr_damper_ros.processes.programs import node_arguments
+from mr_damper_ros.signals.blocks import SILENCE
 from mr_damper_ros.tools.live_bag import empty_record, replay_into
 
 BAG = Path(__file__).parents[2] / "bags" / "5.0mm_1Hz_1.5A"
@@ -230,8 +231,8 @@ def test_a_killed_node_is_told_from_one_without_samples(start: Any, listener: Li
 
     listener.until(lambda: silences("model:") and silences("identifier:"), "all diagnostics")
     model.kill()
-    listener.until(lambda: min(silences("model:")) > SILENT_AFTER, "the model's silence")
-    listener.until(lambda: max(silences("identifier:")) < SILENT_AFTER, "the identifier's news")
+    listener.until(lambda: min(silences("model:")) > SILENCE, "the model's silence")
+    listener.until(lambda: max(silences("identifier:")) < SILENCE, "the identifier's news")
 
 
 def test_other_hosts_are_allowed_by_a_parameter(start: Any) -> None:
@@ -251,7 +252,7 @@ def test_a_run_is_recorded_and_opened_again(start: Any, listener: Listener, tmp_
     listener.until(lambda: not replay.running, "the end of the bag")
     listener.until(lambda: live.status()["tables"]["signals"]["next"] > 500, "the signals")
     assert live.status()["tables"]["samples"]["next"] > 4000, "the full rate"
-    listener.until(lambda: live.status()["silence"] > SILENT_AFTER, "the silence")
+    listener.until(lambda: live.status()["silence"] > SILENCE, "the silence")
     assert "the recording has ended" in [each["message"] for each in live.status()["concerns"]]
     assert live.status()["faults"] == []
     live.command("stop_recording")

@@ -18,7 +18,6 @@ import numpy as np
 from mr_damper_ros.rig.blocks import Measured
 from mr_damper_ros.rig.sources.device_source import (
     POLL,
-    SILENCE,
     CountedRows,
     DeviceSource,
     Portion,
@@ -30,7 +29,7 @@ from mr_damper_ros.rig.sources.device_source import (
 )
 from mr_damper_ros.settings.option_table import ParameterTable, option
 from mr_damper_ros.signals.arrays import Array
-from mr_damper_ros.signals.blocks import NANOSECONDS
+from mr_damper_ros.signals.blocks import NANOSECONDS, SILENCE
 
 MOST_READ = 10_000
 """Largest number of readings per channel in one read."""

@@ -14,7 +14,7 @@ from typing import Any, ClassVar, Generic, NamedTuple, TypeVar
 
 from mr_damper_ros.rig.blocks import BlockMaker, Measured
 from mr_damper_ros.rig.sources.source import Source, SourceState, StreamSettings
-from mr_damper_ros.signals.blocks import NANOSECONDS, RigBlock
+from mr_damper_ros.signals.blocks import NANOSECONDS, SILENCE, RigBlock
 from mr_damper_ros.signals.clocks import ArrivalClock, CountedTimes
 from mr_damper_ros.signals.stamped_channel import StampedChannel
 
@@ -164,9 +164,6 @@ _MOST_WAITING = 256
 
 POLL = 0.1
 """Longest wait [s] for a device before the reader checks whether it must end."""
-
-SILENCE = 2.0
-"""Time [s] without an answer after which a device, a sender or a driver counts as silent."""
 
 _IDLE = 0.005
 """Pause [s] before the next read of a device without new data."""

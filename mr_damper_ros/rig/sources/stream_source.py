@@ -19,7 +19,6 @@ from mr_damper_ros.io.columns import REST, SKIPPED, Column, ColumnError, parse_c
 from mr_damper_ros.rig.blocks import Measured
 from mr_damper_ros.rig.sources.device_source import (
     POLL,
-    SILENCE,
     CountedRows,
     DeviceSource,
     Portion,
@@ -31,6 +30,7 @@ from mr_damper_ros.rig.sources.device_source import (
     library,
 )
 from mr_damper_ros.settings.option_table import ParameterTable, option
+from mr_damper_ros.signals.blocks import SILENCE
 
 _COUNT = re.compile(r"count(?::(?P<bits>\d+))?")
 _BITS = (8, 16, 32, 64)
