@@ -26,7 +26,7 @@ from mr_damper_ros.nodes.messages import (
     parameter_set,
     report_of,
 )
-from mr_damper_ros.nodes.node_parameters import ConfigurationError, NodeParameters
+from mr_damper_ros.nodes.node_parameters import NodeParameters
 from mr_damper_ros.settings.option_table import ParameterTable, option
 from mr_damper_ros.signals.blocks import SampleBlock
 from mr_damper_ros.tracking.predictor import ForcePredictor
@@ -96,7 +96,7 @@ class BlockNode(Node, Generic[Options, Answer]):
     def _listen(self, predictor: ForcePredictor) -> None:
         """Subscribe to samples, currents, sets and reports, and pass them to the predictor.
 
-        Raises ConfigurationError if the parameter file is invalid.
+        Raises ValueError if the parameter file is invalid.
         """
         self._predictor = predictor
         self._unattributed: DamperParameters | None = None
@@ -106,7 +106,7 @@ class BlockNode(Node, Generic[Options, Answer]):
             try:
                 given = check_plausible(read_parameter_file(file))
             except (StateError, ParameterError) as problem:
-                raise ConfigurationError(f"parameter_file: {problem}") from problem
+                raise ValueError(f"parameter_file: {problem}") from problem
             self._given = given.set_id
             predictor.set_parameters(given, None)
         self.create_subscription(

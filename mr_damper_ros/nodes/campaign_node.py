@@ -31,7 +31,7 @@ from mr_damper_ros.nodes.diagnostics import ERROR, OK, WARN, Diagnostics, Findin
 from mr_damper_ros.nodes.goal_server import GoalServer
 from mr_damper_ros.nodes.inputs import Inputs
 from mr_damper_ros.nodes.messages import header, parameters_message, to_nanoseconds
-from mr_damper_ros.nodes.node_parameters import ConfigurationError, NodeParameters
+from mr_damper_ros.nodes.node_parameters import NodeParameters
 from mr_damper_ros.nodes.spinning import run
 from mr_damper_ros.processes.files import reason_of
 from mr_damper_ros.processes.worker import Worker, WorkerPool
@@ -143,10 +143,7 @@ class CampaignNode(Node):
             },
         )
         if self._options.autostart:
-            try:
-                self._begin(self._options.goal)
-            except (ValueError, OSError) as error:
-                raise ConfigurationError(reason_of(error)) from error
+            self._begin(self._options.goal)
         else:
             self.get_logger().info(
                 f"waiting for a goal on {self.get_fully_qualified_name()}/run_campaign"

@@ -32,7 +32,7 @@ from mr_damper_ros.nodes.messages import (
     parameters_message,
     report_message,
 )
-from mr_damper_ros.nodes.node_parameters import ConfigurationError, NodeParameters
+from mr_damper_ros.nodes.node_parameters import NodeParameters
 from mr_damper_ros.nodes.spinning import run
 from mr_damper_ros.processes.worker import Worker, WorkerPool
 from mr_damper_ros.settings.option_table import ParameterTable, group, option
@@ -196,7 +196,7 @@ class IdentifierNode(Node):
         try:
             known = state.resume(self._identifier.tracker)
         except StateError as error:
-            raise ConfigurationError(f"state_dir: {error}") from error
+            raise ValueError(f"state_dir: {error}") from error
         if known:
             self.get_logger().info(f"continuing with {known}")
         if state.set_aside:
@@ -441,17 +441,13 @@ def _identifier(options: IdentifierParameters, own_name: str, worker: Worker) ->
             else check_plausible(read_parameter_file(initial)),
         )
     except ValueError as error:
-        raise ConfigurationError(f"initial_parameters: {error}") from error
-    try:
-        directory = StateDirectory(options.state_dir)
-    except StateError as error:
-        raise ConfigurationError(str(error)) from error
+        raise ValueError(f"initial_parameters: {error}") from error
     return Identifier(
         WindowAssembler(options.windows, options.grid),
         tracker,
         worker,
         options.work,
-        TrackerState(directory, own_name),
+        TrackerState(StateDirectory(options.state_dir), own_name),
     )
 
 

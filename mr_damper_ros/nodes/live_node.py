@@ -40,7 +40,7 @@ from mr_damper_ros.models.parameter_set import ParameterError
 from mr_damper_ros.nodes import messages, quality
 from mr_damper_ros.nodes.command_topic import COMMAND_TOPIC, DEMAND_TOPIC, EXCITATION_TOPIC
 from mr_damper_ros.nodes.inputs import CURRENT_TOPIC, SAMPLES_TOPIC
-from mr_damper_ros.nodes.node_parameters import ConfigurationError, NodeParameters
+from mr_damper_ros.nodes.node_parameters import NodeParameters
 from mr_damper_ros.nodes.spinning import run
 from mr_damper_ros.processes.files import reason_of
 from mr_damper_ros.settings.option_table import ParameterTable, option
@@ -278,11 +278,11 @@ class LiveNode(Node):
                 options.allowed_hosts.split(),
             )
         except ValueError as error:
-            raise ConfigurationError(
+            raise ValueError(
                 f"allowed_hosts: {error}: give names and addresses, separated by blanks"
             ) from error
         except OSError as error:
-            raise ConfigurationError(
+            raise ValueError(
                 f"the page cannot be served at {options.host}, port {options.port}: "
                 f"{error.strerror or error}; choose another with -p port:=NUMBER"
             ) from error

@@ -7,7 +7,6 @@ from dataclasses import dataclass
 from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
 
 from mr_damper_ros.nodes import rclpy_internals
-from mr_damper_ros.nodes.node_parameters import ConfigurationError
 from mr_damper_ros.processes.files import reason_of
 from mr_damper_ros.settings.option_table import ParameterTable, option
 
@@ -39,11 +38,11 @@ class ManagedNode(LifecycleNode):
         rclpy_internals.refuse_wrong_transitions(self)
 
     def _start_by_itself(self) -> None:
-        """Configure and activate; raises ConfigurationError with the problem."""
+        """Configure and activate; raises ValueError with the problem."""
         self._starting = True
         for transition in (self.trigger_configure, self.trigger_activate):
             if transition() != TransitionCallbackReturn.SUCCESS:
-                raise ConfigurationError(self._problem)
+                raise ValueError(self._problem)
         self._starting = False
 
     def _fail(self, what: str, error: Exception) -> TransitionCallbackReturn:

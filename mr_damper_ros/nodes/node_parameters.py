@@ -30,15 +30,11 @@ _RCLPY_PARAMETERS = ("use_sim_time", "start_type_description_service")
 T = TypeVar("T", bound=ParameterTable)
 
 
-class ConfigurationError(ValueError):
-    """The configuration of the node is invalid; the message is a sentence with the reason."""
-
-
 class NodeParameters(Generic[T]):
     """The parameters of a running node, declared, validated and kept up to date.
 
-    Raises ConfigurationError if a parameter given at the start is unknown, or its value has the
-    wrong type or is not allowed. Later changes are accepted, or rejected with a reason. ``changed``
+    Raises ValueError if a parameter given at the start is unknown, or its value has the wrong type
+    or is not allowed. Later changes are accepted, or rejected with a reason. ``changed``
     is called after each accepted change, with the values and the names that were set, even if a
     value stays the same. A managed node passes ``configured``; while it returns false, read-only
     options may also be set. ``values`` are the present values.
@@ -56,10 +52,7 @@ class NodeParameters(Generic[T]):
         self._changed = changed
         self._configured = configured
         values = {name: item.default for name, item in self._options.items()} | self._given(node)
-        try:
-            self.values = build(table, values)
-        except ValueError as error:
-            raise ConfigurationError(str(error)) from error
+        self.values = build(table, values)
         _refuse(self.values.objection())
         for name, item in self._options.items():
             descriptor = _descriptor(item)
@@ -83,7 +76,7 @@ class NodeParameters(Generic[T]):
             if name not in self._options:
                 close = difflib.get_close_matches(name, self._options, n=1)
                 hint = f"did you mean {close[0]}?" if close else "--help lists all parameters"
-                raise ConfigurationError(f"there is no parameter {name}: {hint}")
+                raise ValueError(f"there is no parameter {name}: {hint}")
             given[name] = self._options[name].normalised(value)
             _refuse(self._options[name].objection(given[name]))
         return given
@@ -122,7 +115,7 @@ class NodeParameters(Generic[T]):
 
 def _refuse(objection: str) -> None:
     if objection:
-        raise ConfigurationError(objection)
+        raise ValueError(objection)
 
 
 def _descriptor(item: Option) -> ParameterDescriptor:

@@ -15,12 +15,12 @@ from rosbags.interfaces import Connection, QosDurability
 from rosgraph_msgs.msg import Clock
 from std_srvs.srv import Trigger
 
-from mr_damper_ros.io.bag_reader import BagError, OpenBag, opened_bag
+from mr_damper_ros.io.bag_reader import OpenBag, opened_bag
 from mr_damper_ros.live.live_record import ENDED
 from mr_damper_ros.nodes import quality
 from mr_damper_ros.nodes.diagnostics import ERROR, OK, WARN, Diagnostics, Finding
 from mr_damper_ros.nodes.messages import to_stamp
-from mr_damper_ros.nodes.node_parameters import ConfigurationError, NodeParameters
+from mr_damper_ros.nodes.node_parameters import NodeParameters
 from mr_damper_ros.nodes.pacing import PacedSender, PacingSettings
 from mr_damper_ros.nodes.spinning import FAILURE, SUCCESS, run
 from mr_damper_ros.settings.option_table import ParameterTable, group, option, with_default
@@ -140,14 +140,11 @@ class ReplayNode(Node):  # type: ignore[misc]
     def _open(self, path: str, topics: str) -> OpenBag:
         """Open a bag, and choose its topics that can be published here.
 
-        Raises ConfigurationError if the bag cannot be read or lacks a requested topic.
+        Raises ValueError if the bag cannot be read or lacks a requested topic.
         """
         if not path:
-            raise ConfigurationError("no bag is given: set the parameter bag to the path of a bag")
-        try:
-            bag = self._opened.enter_context(opened_bag(path, maximum_samples=None))
-        except BagError as error:
-            raise ConfigurationError(str(error)) from error
+            raise ValueError("no bag is given: set the parameter bag to the path of a bag")
+        bag = self._opened.enter_context(opened_bag(path, maximum_samples=None))
         recorded = {connection.topic for connection in bag.reader.connections}
         wanted = recorded - {"/clock"}  # there must be only one clock
         if topics == INPUTS:
@@ -156,7 +153,7 @@ class ReplayNode(Node):  # type: ignore[misc]
             wanted = set(topics.split())
         missing = wanted - recorded
         if missing:
-            raise ConfigurationError(f"the bag {path} has no topic {', '.join(sorted(missing))}")
+            raise ValueError(f"the bag {path} has no topic {', '.join(sorted(missing))}")
         for connection in bag.reader.connections:
             if connection.topic in wanted:
                 problem = _definition_problem(connection)
@@ -166,7 +163,7 @@ class ReplayNode(Node):  # type: ignore[misc]
                     self._connections.append(connection)
         if not self._connections:
             reasons = "; ".join(self._omitted) or "it is empty"
-            raise ConfigurationError(f"the bag {path} has nothing to play: {reasons}")
+            raise ValueError(f"the bag {path} has nothing to play: {reasons}")
         return bag
 
     def destroy_node(self) -> None:

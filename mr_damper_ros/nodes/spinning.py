@@ -26,10 +26,10 @@ from rclpy.qos_overriding_options import InvalidQosOverridesError
 from rclpy.signals import SignalHandlerOptions
 from rclpy.utilities import remove_ros_args
 
-from mr_damper_ros.nodes.node_parameters import ConfigurationError
 from mr_damper_ros.nodes.quality import OVERRIDES
 from mr_damper_ros.nodes.rclpy_internals import RCLError, given_parameters
 from mr_damper_ros.processes.blas_threads import keep_one_thread
+from mr_damper_ros.processes.files import reason_of
 from mr_damper_ros.processes.programs import Place, hosting, hosting_parser
 from mr_damper_ros.settings.option_table import ParameterTable, describe
 
@@ -46,6 +46,10 @@ _DESTROY_LIMIT = 10.0
 """Time limit [s] for the middleware to destroy a node."""
 
 N = TypeVar("N", bound=Node)
+
+
+class ConfigurationError(ValueError):
+    """The configuration of the node is invalid; the message is a sentence with the reason."""
 
 
 def run(
@@ -150,6 +154,8 @@ def _node(factory: Callable[..., N]) -> N:
     except RCLError:
         with _refusals("the node cannot be started"):
             raise
+    except (ValueError, OSError) as error:
+        raise ConfigurationError(reason_of(error)) from error
     for name in given_parameters(node):
         if name.startswith(OVERRIDES) and not node.has_parameter(name):
             node.get_logger().warning(f"{name} is not used: the node has no such topic so far")

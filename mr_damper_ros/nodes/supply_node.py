@@ -19,7 +19,7 @@ from mr_damper_ros.nodes.command_topic import CommandTopic
 from mr_damper_ros.nodes.diagnostics import ERROR, OK, WARN, Diagnostics, Finding
 from mr_damper_ros.nodes.managed_node import ManagedNode, ManagedOptions
 from mr_damper_ros.nodes.messages import current_message
-from mr_damper_ros.nodes.node_parameters import ConfigurationError, NodeParameters
+from mr_damper_ros.nodes.node_parameters import NodeParameters
 from mr_damper_ros.nodes.spinning import run
 from mr_damper_ros.rig.commander import CommandSettings, CurrentCommander
 from mr_damper_ros.rig.supplies import scpi_link
@@ -128,7 +128,7 @@ class SupplyNode(ManagedNode):
         if self.parameters.values.autostart:
             try:
                 self._start_by_itself()
-            except ConfigurationError:
+            except ValueError:
                 self._close()
                 raise
 

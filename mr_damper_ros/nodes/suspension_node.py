@@ -16,7 +16,7 @@ from mr_damper_ros.nodes.command_topic import DEMAND_TOPIC
 from mr_damper_ros.nodes.diagnostics import OK, STALE, WARN, Diagnostics, Finding
 from mr_damper_ros.nodes.inputs import Stream
 from mr_damper_ros.nodes.messages import BODY, SUSPENSION_TOPIC, suspension_state, to_nanoseconds
-from mr_damper_ros.nodes.node_parameters import ConfigurationError, NodeParameters
+from mr_damper_ros.nodes.node_parameters import NodeParameters
 from mr_damper_ros.nodes.spinning import run
 from mr_damper_ros.processes.files import reason_of
 from mr_damper_ros.settings.option_table import ParameterTable, group, option
@@ -47,10 +47,7 @@ class SuspensionNode(Node):
     def __init__(self) -> None:
         super().__init__("suspension")
         self._options = NodeParameters(self, SuspensionParameters).values
-        try:
-            self._controller = controller_of(self._options.control)
-        except ValueError as error:
-            raise ConfigurationError(str(error)) from error
+        self._controller = controller_of(self._options.control)
         self._last = math.nan
         # Velocity of the body [m/s] and its stamp.
         self._body = math.nan, 0
