@@ -82,9 +82,6 @@ class CampaignOutcome(IntEnum):
     FAILED = 3
 
 
-_ENDS = {PlanState.MET: CampaignOutcome.MET, PlanState.OUT_OF_REACH: CampaignOutcome.OUT_OF_REACH}
-
-
 @lru_cache(maxsize=1)
 @one_thread()
 def planner_of(task: CampaignTask) -> RunPlanner:
@@ -164,8 +161,8 @@ class CampaignCourse:
         """The outcome; None while the campaign is running."""
         if self._ended is None and self.steps and len(self.steps) == len(self.runs):
             plan = self.steps[-1].plan
-            if plan.state in _ENDS:
-                self._end(_ENDS[plan.state], plan.reason)
+            if plan.state is not PlanState.RUN:
+                self._end(CampaignOutcome[plan.state.name], plan.reason)
             elif len(self.steps) >= self._most_runs:
                 made = f"{self._most_runs} runs were made, the largest number allowed"
                 self.end(f"{made}; {plan.reason}" if plan.reason else made)

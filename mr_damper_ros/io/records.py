@@ -71,7 +71,7 @@ class SampledRecord:
         """The record without its moving average over ``count`` samples.
 
         The record must begin at rest, unless ``in_motion``; then the result is approximate, see
-        :func:`undo_average_in_motion`. Raises RecordError if the record does not begin at rest, is
+        :func:`undo_average_in_motion`. Raises ValueError if the record does not begin at rest, is
         too short for the average, or was averaged over another number of samples.
         """
         if not 2 <= count < self.time.size:
@@ -89,11 +89,8 @@ class SampledRecord:
                     "average cannot be undone exactly: give the record from its very beginning, or "
                     "say that it begins in motion (--begins-in-motion)"
                 )
-            try:
-                undo = undo_average_in_motion if in_motion else undo_average
-                values[quantity] = undo(smooth, count)
-            except ValueError as error:
-                raise RecordError(str(error)) from error
+            undo = undo_average_in_motion if in_motion else undo_average
+            values[quantity] = undo(smooth, count)
             if pattern := pattern_left(values[quantity], count):
                 raise RecordError(
                     f"without the moving average, a pattern of {count} samples makes up "
