@@ -282,7 +282,7 @@ class Validation(ComparedRuns):
         if any(run.remark for run in self.runs):
             columns += ("remark",)
             rows = [(*run.row, run.remark) for run in self.runs]
-        return [Grid(columns, rows), *(f"WARNING: {remark}" for remark in self.remarks)]
+        return [(columns, rows), *(f"WARNING: {remark}" for remark in self.remarks)]
 
 
 @one_thread()

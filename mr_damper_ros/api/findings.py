@@ -123,7 +123,7 @@ def estimates_table(heading: str, estimates: Estimates) -> Grid:
         (name, f"{entry.value:.6g}", _error(entry), _discrepancy(entry), entry.unit, entry.meaning)
         for name, entry in estimates.items()
     ]
-    return Grid((heading, "value", "standard error", "discrepancy", "unit", ""), rows)
+    return (heading, "value", "standard error", "discrepancy", "unit", ""), rows
 
 
 def _error(entry: Estimate) -> str:

@@ -313,7 +313,7 @@ class Identification(ComparedRuns):
         if any(run.level for run in self.runs):
             columns += ("NRMSE with level", "force gain", "force offset [N]")
             rows = [run.row + run.level_row for run in self.runs]
-        blocks += [estimates_table("parameter", self.parameters), "", Grid(columns, rows)]
+        blocks += [estimates_table("parameter", self.parameters), "", (columns, rows)]
         if self.mass is not None:
             blocks.append(f"inertia subtracted: {self.mass} between load cell and damper")
         blocks.append(

@@ -158,7 +158,7 @@ class Replay(Shown):
             )
             for report in self.reports
         ]
-        return [Grid(columns, rows), *self._summary()]
+        return [(columns, rows), *self._summary()]
 
     def _summary(self) -> list[str]:
         accepted = sum(report.verdict is Verdict.ACCEPTED for report in self.reports)

@@ -12,7 +12,7 @@ from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 from mr_damper_ros.processes.files import write_bytes, write_text
 
@@ -286,11 +286,8 @@ def text_table(columns: Sequence[str], rows: Sequence[Sequence[Cell]]) -> str:
     )
 
 
-class Grid(NamedTuple):
-    """A table of a :class:`Shown` result: its columns and rows."""
-
-    columns: Sequence[str]
-    rows: Sequence[Sequence[Cell]]
+Grid = tuple[Sequence[str], Sequence[Sequence[Cell]]]
+"""A table of a :class:`Shown` result: its columns and rows."""
 
 
 class Shown:
