@@ -69,9 +69,10 @@ def run_tool(
     and its subclasses in this package, OSError, a lack of memory, and a missing ROS. Any other
     exception is a fault of the program and keeps its traceback.
     """
-    given = sys.argv[1:] if arguments is None else arguments
+    # Not only a negative number is a value, but also the columns "-,force:N".
+    parser._negative_number_matcher = re.compile(r"-[^-a-zA-Z]")
     try:
-        code = run(parser.parse_args(_joined(parser, given)))
+        code = run(parser.parse_args(arguments))
         sys.stdout.flush()
         return code
     except KeyboardInterrupt:
@@ -92,25 +93,6 @@ def run_tool(
             f"it needs ROS 2, but Python does not find {missing}: source the setup file of the "
             "workspace in which this package was built, or env.bash of its folder",
         )
-
-
-def _joined(parser: argparse.ArgumentParser, arguments: Sequence[str]) -> list[str]:
-    """Join each value that begins with a minus sign to the option before it.
-
-    ``argparse`` would take ``--columns -,force:N`` for two options.
-    """
-    takes_one = {
-        name for action in parser._actions for name in action.option_strings if action.nargs is None
-    }
-    known = {name for action in parser._actions for name in action.option_strings}
-    joined: list[str] = []
-    for argument in arguments:
-        is_value = argument.startswith("-") and argument.partition("=")[0] not in known
-        if joined and joined[-1] in takes_one and is_value:
-            joined[-1] += f"={argument}"
-        else:
-            joined.append(argument)
-    return joined
 
 
 def _fail(parser: argparse.ArgumentParser, sentence: str) -> int:
