@@ -142,9 +142,9 @@ _EVEN = 0.02
 """A stamp with an error of at most this fraction of a period is used unchanged. Stamps with larger
 errors show whether the sampling is non-uniform."""
 
-_DELAY, _DELAY_STEP = 0.5, 0.01
+_DELAY = 0.5
 """Delay of the grid with non-uniform sampling, in sample periods, so that its points lie between
-samples that have arrived; and the change of this delay per sample, which avoids a step."""
+samples that have arrived."""
 
 
 @dataclass(frozen=True)
@@ -222,7 +222,6 @@ class UniformGrid:
         self._sampling = NonUniformSampling()
         # Time [sample periods], displacement and force of the latest samples.
         self._past = RollingRows(3)
-        self._delay = 0.0
         self.lost_samples = 0
         self.bridged_samples = 0
         self.repeated_samples = 0
@@ -329,14 +328,17 @@ class UniformGrid:
         if self._settings.stamps == "auto" and (abs(late) > _EVEN or self._sampling.found):
             self._sampling.learn(block.sequence, late, block.displacement)
         stamp_ns, measured, placed = block.start_ns, None, block
-        moves = self.non_uniform or self._delay > 0.0
+        moves = self.non_uniform
         if not moves:
             if abs(late) > _EVEN:
                 placed = replace(block, start_ns=self._clock.at(block.sequence))
             late = 0.0
         if moves or lost:
-            placed, after = self._resampled(block, late, lost)
-            measured = _measured(block.force, after, lost)
+            delay = _DELAY if moves else 0.0
+            placed = self._resampled(block, late, lost, delay)
+            # A lost sample has the force of the next measured one.
+            after = delay + late + np.maximum(lost - np.arange(placed.sample_count), 0.0)
+            measured = np.concatenate([np.full(lost, block.force[0]), block.force]), after
         if moves:
             stamp_ns = placed.start_ns + round(lost * block.period * NANOSECONDS)
         self._remember(block, late)
@@ -344,19 +346,16 @@ class UniformGrid:
         self.last = placed
         return Placed(kind, sentence, placed, block, stamp_ns, lost, measured)
 
-    def _resampled(self, block: SampleBlock, late: float, lost: int) -> tuple[SampleBlock, Array]:
+    def _resampled(self, block: SampleBlock, late: float, lost: int, delay: float) -> SampleBlock:
         """The block, preceded by the ``lost`` samples, moved from the sample times to the grid.
 
-        With non-uniform sampling, the grid lies between the samples. The second value is the time
-        from each grid point to the sample with the same index, in sample periods.
+        The grid has a ``delay`` [sample periods], as its points lie between the samples with
+        non-uniform sampling.
         """
         assert self._clock is not None
         first = block.sequence - lost
         count = lost + block.sample_count
-        step = _DELAY_STEP if self.non_uniform else -_DELAY_STEP
-        delays = np.clip(self._delay + step * np.arange(1.0, count + 1.0), 0.0, _DELAY)
-        self._delay = float(delays[-1])
-        wanted = np.arange(count) - delays
+        wanted = np.arange(count) - delay
         places, displacement, force = self._past.newest
         places = np.concatenate([places - first, np.arange(lost, count) + late])
         displacement = np.concatenate([displacement, block.displacement])
@@ -369,9 +368,9 @@ class UniformGrid:
             displacement = np.concatenate([bridge, even[known:]])
         else:
             displacement = at_uniform_times(wanted, places, displacement)
-        placed = replace(
+        return replace(
             block,
-            start_ns=self._clock.at(first) - round(float(delays[0]) * block.period * NANOSECONDS),
+            start_ns=self._clock.at(first) - round(delay * block.period * NANOSECONDS),
             sequence=first,
             displacement=displacement,
             # Samples keep their order even if their stamps do not. The force has sharp reversals,
@@ -380,7 +379,6 @@ class UniformGrid:
                 wanted, np.maximum.accumulate(places), np.concatenate([force, block.force])
             ),
         )
-        return placed, delays + late
 
     def _remember(self, block: SampleBlock, late: float) -> None:
         few = slice(-_NEIGHBOURS, None)
@@ -388,16 +386,6 @@ class UniformGrid:
         rows = [places[few], block.displacement[few], block.force[few]]
         self._past.add(rows, rows[0].size)
         self._past.keep(_NEIGHBOURS)
-
-
-def _measured(force: Array, after: Array, lost: int) -> tuple[Array, Array]:
-    """Measured forces as in :class:`Placed`; lost samples get the force of the next measured one.
-
-    ``after`` (n,) is the time from the place of each sample to its measurement [sample periods].
-    """
-    after = after.copy()
-    after[:lost] = after[lost] + np.arange(lost, 0.0, -1.0)
-    return np.concatenate([np.full(lost, force[0]), force]), after
 
 
 def _largest_step(last: SampleBlock, block: SampleBlock) -> float:
