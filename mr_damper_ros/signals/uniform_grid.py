@@ -355,7 +355,7 @@ class UniformGrid:
         assert self._clock is not None
         first = block.sequence - lost
         count = lost + block.sample_count
-        wanted = np.arange(count) - delay
+        wanted: Array = np.arange(count, dtype=float) - delay
         places, displacement, force = self._past.newest
         places = np.concatenate([places - first, np.arange(lost, count) + late])
         displacement = np.concatenate([displacement, block.displacement])
