@@ -339,9 +339,10 @@ def _errors(
     which does not change from window to window and has the covariance of the prior.
     """
     samples = posterior.jacobian(unknowns)[: -unknowns.size] * posterior.widths / posterior.noise
-    information = samples.T @ samples
-    held = np.linalg.inv(np.eye(unknowns.size) + information)
-    gain = held @ information
+    # The inverse of 1 + information has these axes; it exists however large the information is.
+    information, axes = np.linalg.eigh(samples.T @ samples)
+    share = 1.0 / (1.0 + information.clip(0.0))
+    held, gain = ((axes * part) @ axes.T for part in (share, information.clip(0.0) * share))
     units = np.outer(posterior.widths, posterior.widths)
     # Directions that the window does not determine have no gain, so NaN counts as zero.
     repeatability, discrepancy = (
