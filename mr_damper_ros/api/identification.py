@@ -75,7 +75,6 @@ from mr_damper_ros.tracking.state_directory import SetSource, given_set
 LARGEST_RUN_NRMSE = 0.3
 """Largest acceptable NRMSE of a run; above it, the set explains too little of the force."""
 
-
 _MOST_MASSES = 3
 """Largest number of repetitions of the identification, each with a more accurate mass."""
 
