@@ -217,6 +217,9 @@ def replay(
     engine = Engine(settings, start, identify=identify)
     if isinstance(source, Recording):
         return _replayed(source.name, stream_of(source, block_size), engine)
+    if not isinstance(source, (str, os.PathLike)):
+        wrong = f"a recording cannot be of type {type(source).__name__}"
+        raise ValueError(f"{wrong}: give a Recording or the path of a bag")
     return _replayed(os.fspath(source), bag_stream(Path(source)), engine)
 
 

@@ -495,8 +495,8 @@ def check_set(given: object) -> None:
     """Raise ParameterError for anything but a parameter set, such as the path of its file."""
     if not isinstance(given, ParameterSet):
         raise ParameterError(
-            f"a parameter set cannot be of type {type(given).__name__}: give a ParameterSet, which "
-            "ParameterSet.load reads from a file"
+            f"a parameter set cannot be of type {type(given).__name__}: give a ParameterSet, such "
+            "as the parameter_set of an Identification, or ParameterSet.load(file)"
         )
 
 

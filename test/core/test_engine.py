@@ -84,6 +84,8 @@ def test_a_result_prints_and_draws(capsys: pytest.CaptureFixture[str]) -> None:
     assert len(said.plot().axes) == 3
     assert replay_recording.main(["nowhere", "--plot", "replay.xyz"]) == 2
     assert "replay.xyz must end in .png, .svg, .pdf" in capsys.readouterr().err
+    with pytest.raises(ValueError, match="a recording cannot be of type dict"):
+        mr.replay({})  # type: ignore[arg-type]
 
 
 def test_a_recording_is_read_in_order() -> None:

@@ -167,7 +167,7 @@ def test_terminal_file_and_document_tell_one_nrmse(
     result.parameter_set.save(file)
     assert mr.ParameterSet.load(file).to_yaml() == result.parameter_set.to_yaml()
     for takes in (mr.ForcePredictor().set_parameters, partial(mr.WindowTracker, None)):
-        with pytest.raises(ValueError, match=r"ParameterSet.load reads from a file"):
+        with pytest.raises(ValueError, match=r"parameter_set of an Identification"):
             takes(str(file))
 
 
