@@ -34,6 +34,7 @@ from mr_damper_ros.estimation.global_fit import GlobalFit, identify_global
 from mr_damper_ros.estimation.global_search import with_linear_refitted
 from mr_damper_ros.estimation.local_search import LocalSearch, StopRequestedError
 from mr_damper_ros.estimation.observability import SURE, parameter_ranges, parameter_spans
+from mr_damper_ros.estimation.posterior import Posterior, Prior
 from mr_damper_ros.kinematics.window import Window
 from mr_damper_ros.models.misfit import ChosenParameters, Misfit
 from mr_damper_ros.processes.process_pool import Notify, ProcessPool
@@ -46,6 +47,10 @@ _STEP_RISE = 0.5
 """Intended increase of the root of the likelihood ratio in one step."""
 
 _MOST_STEPS = 30
+
+_WEAK_PRIOR = 1e-4
+"""Relative weight of the prior that keeps undetermined directions at their start. Without it, the
+last digits of the data decide where they end."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -147,9 +152,11 @@ class ProfileLikelihood:
     ) -> tuple[Array, float]:
         """Best set with the other parameters refitted, and its cost; below ``enough`` suffices."""
         best, least = starts[0], math.inf
+        weak = _WEAK_PRIOR * math.sqrt(self._misfit.sample_count)
         others = [other for other in range(self._start.size) if other != place]
         for values in sorted(starts, key=self._cost):
-            problem = ChosenParameters(self._misfit, values, others)
+            free = ChosenParameters(self._misfit, values, others)
+            problem = Posterior(free, Prior(values, self._spans).at(others), weak)
             search = LocalSearch(problem, problem.start, self._should_stop)
             search.try_out(problem.start)
             search.least_squares(tolerance=self._model.effort.tolerance)
