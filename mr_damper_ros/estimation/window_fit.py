@@ -75,8 +75,8 @@ class WindowFit:
     error, None if unknown (see :mod:`covariance`). ``parameters`` (p,) are all parameters.
     ``coefficients`` (c,) and their covariances ``coefficient_covariance`` and
     ``coefficient_discrepancy`` (c, c) hold at ``operating_point`` (peak velocity [m/s], current
-    [A]); they are empty for a model without coefficients. ``rmse`` [N] covers the ``sample_count``
-    samples with a known past; ``nrmse`` = RMSE/std of the force.
+    [A]). ``rmse`` [N] covers the ``sample_count`` samples with a known past; ``nrmse`` = RMSE/std
+    of the force.
     """
 
     scales: Array

@@ -11,6 +11,7 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
 from functools import cached_property
+from itertools import compress
 from typing import ClassVar
 
 import numpy as np
@@ -49,13 +50,13 @@ class Model(ABC):
     """A force law.
 
     ``parameters`` are in the order of every parameter array (p,). ``free_in_one_run`` names the
-    parameters that one run at one current determines (all if empty); the others keep the values of
-    a start. ``remembers``: whether the force depends on earlier samples. ``memory``: number of
-    arrays in the state of the law itself, of which the first ``turning`` only matter near a
-    reversal of the motion; the state of the coil follows them. A law whose last parameter is the
-    time constant of the coil depends on the coil current. ``strength`` names the gain
-    parameters, which scale with the strength of the damper; by default these are all parameters
-    with a force in their unit. ``effort``: search effort for a window. ``at_one_current``:
+    parameters that one run at one current determines; the others keep the values of a start.
+    ``common_names`` are those of them that all runs share, such as a compliance. ``remembers``:
+    whether the force depends on earlier samples. ``memory``: number of arrays in the state of the
+    law itself, of which the first ``turning`` only matter near a reversal of the motion; the state
+    of the coil follows them. A law whose last parameter is the time constant of the coil depends on
+    the coil current. ``strength`` names the gain parameters, which scale with the strength of the
+    damper. ``effort``: search effort for a window. ``at_one_current``:
     the coefficients of the force at one operating point. ``linear`` names the parameters that enter
     the laws over operating points linearly; ``shape_groups`` lists the shape parameters of each
     law.
@@ -66,15 +67,16 @@ class Model(ABC):
     source: ClassVar[str]
     equation: ClassVar[str]
     parameters: ClassVar[tuple[Parameter, ...]]
-    free_in_one_run: ClassVar[tuple[str, ...]] = ()
+    free_in_one_run: ClassVar[tuple[str, ...]]
+    common_names: ClassVar[tuple[str, ...]] = ()
     remembers: ClassVar[bool] = False
     memory: int = 0
     turning: int = 0
-    strength: ClassVar[tuple[str, ...]] = ()
+    strength: ClassVar[tuple[str, ...]]
     effort: ClassVar[SearchEffort] = SearchEffort()
     at_one_current: ClassVar[tuple[Coefficient, ...]] = ()
-    linear: ClassVar[tuple[str, ...]] = ()
-    shape_groups: ClassVar[tuple[tuple[str, ...], ...]] = ()
+    linear: ClassVar[tuple[str, ...]]
+    shape_groups: ClassVar[tuple[tuple[str, ...], ...]]
 
     # Abstract interface of a law
 
@@ -113,7 +115,7 @@ class Model(ABC):
 
     @property
     def coefficient_names(self) -> tuple[str, ...]:
-        """Names of the coefficients at one operating point; empty if the model has none."""
+        """Names of the coefficients at one operating point."""
         return tuple(each.name for each in self.at_one_current)
 
     def places(self, names: Sequence[str]) -> np.ndarray:
@@ -128,42 +130,27 @@ class Model(ABC):
         return values if len(known) < len(left_out) else np.append(values, known)
 
     @property
-    def free_indices(self) -> np.ndarray:
-        """Indices (f,) of the parameters that one run determines."""
-        return self.places(self.free_in_one_run or self.parameter_names)
-
-    @property
     def scale_names(self) -> tuple[str, ...]:
         """The scale parameters: each multiplies a coefficient and has no plausible range."""
-        return self.free_in_one_run or self.parameter_names
-
-    @property
-    def common_names(self) -> tuple[str, ...]:
-        """Parameters that one run determines and all runs share; scales are excluded."""
-        return tuple(name for name in self.free_in_one_run if name not in self.scale_names)
+        return tuple(name for name in self.free_in_one_run if name not in self.common_names)
 
     @property
     def shape_names(self) -> tuple[str, ...]:
         """The parameters that only several operating points can determine."""
-        free = self.free_in_one_run or self.parameter_names
-        return tuple(name for name in self.parameter_names if name not in free)
+        return tuple(name for name in self.parameter_names if name not in self.free_in_one_run)
 
     def knows_speeds(self, observable: np.ndarray) -> bool:
         """Whether the flags (p,) mark a parameter that needs several peak velocities."""
-        pairs = zip(self.parameters, observable, strict=True)
-        return any(parameter.peak_velocities > 1 and seen for parameter, seen in pairs)
+        return any(p.peak_velocities > 1 for p in compress(self.parameters, observable))
 
     def knows_currents(self, observable: np.ndarray) -> bool:
         """Whether the flags (p,) mark a parameter that needs several currents."""
-        pairs = zip(self.parameters, observable, strict=True)
-        return any(parameter.currents > 1 and seen for parameter, seen in pairs)
+        return any(p.currents > 1 for p in compress(self.parameters, observable))
 
     @property
     def strength_indices(self) -> np.ndarray:
         """Indices of the gain parameters."""
-        names = self.strength or self.parameter_names
-        forces = [p.name in names and p.unit.startswith("N") for p in self.parameters]
-        return np.flatnonzero(forces)
+        return np.sort(self.places(self.strength))
 
     def initial_values(self) -> tuple[Array, str, float]:
         """Default values (p,) for an unknown damper, their name and their peak velocity [m/s].
@@ -346,8 +333,7 @@ class Model(ABC):
     ) -> Array:
         """Operating-point coefficients (c, n) of parameters (p,) at n peak velocities and currents.
 
-        Peak velocities are in m/s, currents in A. The rows follow ``coefficient_names``; a model
-        without coefficients returns no rows.
+        Peak velocities are in m/s, currents in A. The rows follow ``coefficient_names``.
         """
 
     @abstractmethod

@@ -189,7 +189,7 @@ class WindowProblem(ChosenParameters):
         return self.model.by_unknowns(unknowns, derivatives)
 
     def coefficients(self, unknowns: Array) -> tuple[Array, Array]:
-        """Operating-point coefficients (c,) and their derivatives (c, f); empty without any."""
+        """Operating-point coefficients (c,) and their derivatives (c, f)."""
         model, parameters = self.model, self.parameters(unknowns)
         values = model.coefficients_at(parameters, *self.window.operating_point)[:, 0]
         gradient = model.coefficient_gradient(parameters, *self.window.operating_point)

@@ -14,7 +14,9 @@ from mr_damper_ros.models.formulas import LIMIT
 from mr_damper_ros.signals.arrays import Array
 
 NOTICED = 0.1
-"""Relative change of the force that counts as noticeable; it sets the size of parameters near 0."""
+"""Relative change of a force or an error that counts as noticeable. Only a noticeably smaller error
+replaces the running set (benchmark figure ``foreign_worse_sets``); a noticeable change of the force
+sets the size of parameters near 0."""
 
 GOOD_NRMSE = 0.3
 """Up to this NRMSE a set predicts well, and replacing it in a stream is a risk."""

@@ -50,11 +50,6 @@ _LARGEST_LOSS = 0.5
 its decrease in the window. A window set is fitted to that window alone (benchmark figure
 ``foreign_worse_sets``)."""
 
-WORTHWHILE_RATIO = 0.9
-"""A good set is replaced only by a set with an NRMSE below this multiple of its NRMSE. A set that
-is equally good at the tested operating points may be worse at others (benchmark figure
-``foreign_worse_sets``)."""
-
 
 @dataclass(frozen=True)
 class Evidence:
@@ -238,7 +233,7 @@ def rival_wins(
     if highs[0] - lows[0] > highs[1] - lows[1]:
         allowed = found.nrmse_before + LARGEST_EXCESS
     else:
-        allowed = WORTHWHILE_RATIO * found.nrmse_before
+        allowed = (1.0 - NOTICED) * found.nrmse_before
     return found.nrmse_after <= min(allowed, maximum_nrmse) and not found.loses_elsewhere
 
 
@@ -440,7 +435,8 @@ class Gatekeeper:
                 "one set for all operating points leaves an NRMSE of "
                 f"{evidence.nrmse_after:.0%}, more than maximum_nrmse ({maximum:.0%})",
             )
-        worth_while = evidence.nrmse_after < WORTHWHILE_RATIO * evidence.nrmse_before
+        # A set that is equally good at the tested operating points may be worse at others.
+        worth_while = evidence.nrmse_after < (1.0 - NOTICED) * evidence.nrmse_before
         if not (worth_while and evidence.lead > SIGNIFICANT_LEAD):
             return Judgement(Verdict.NO_BETTER, "the running set predicts the reservoir as well")
         before, after = evidence.recent
@@ -528,7 +524,7 @@ class Gatekeeper:
         # The force at this operating point is known, so a sensor has changed rather than the
         # damper, unless the new set predicts much better.
         doubtful = (
-            holds and abs(evidence.force_change) > NOTICED and WORTHWHILE_RATIO * before < after
+            holds and abs(evidence.force_change) > NOTICED and (1.0 - NOTICED) * before < after
         )
         patience = self._PATIENCE_WHERE_KNOWN if holds else self._PATIENCE
         if known.refused_for_residual > patience and not doubtful:

@@ -115,7 +115,7 @@ def models_part(campaign: Campaign) -> Iterator[document.Chapter]:
         )
         rows.append(
             (
-                *(model.title, len(model.free_indices)),
+                *(model.title, len(model.free_in_one_run)),
                 *(100.0 * float(of(_of(runs, law))) for of in (np.median, np.max)),
                 100.0 * float(np.median(_of(records, law))) if records else None,
                 *(facts.MODEL_ERRORS.get(law), 1e3 * seconds, evaluations, 1e6 * per_sample),
@@ -180,7 +180,7 @@ def _values(law: str, values: np.ndarray) -> str:
     told = (
         f"{p.name} = {values[k]:.4g} {p.unit if p.unit != '1' else ''}".strip()
         for k, p in enumerate(MODELS[law].parameters)
-        if k in MODELS[law].free_indices
+        if p.name in MODELS[law].free_in_one_run
     )
     return ", ".join(told).replace("-", "−")
 

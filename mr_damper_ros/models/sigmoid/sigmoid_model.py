@@ -468,12 +468,8 @@ class ExtendedSigmoidModel(SigmoidModel):
         coil_parameter(),
     )
     free_in_one_run = (*SCALE_PARAMETER_NAMES, *EXTENSION_NAMES)
+    common_names = EXTENSION_NAMES
     remembers = True
-
-    @property
-    def scale_names(self) -> tuple[str, ...]:
-        """The scales of the sigmoid law; the extension is common to all runs."""
-        return SCALE_PARAMETER_NAMES
 
     def starts(self, reading: LoopReading) -> Array:
         """The starts of the sigmoid law with a small compliance."""
