@@ -31,12 +31,11 @@ from mr_damper_ros.estimation.planned_run import (
     PlannedRun,
     first_run,
 )
-from mr_damper_ros.kinematics.periodic_motion import MotionKind
+from mr_damper_ros.kinematics.periodic_motion import PHASES, MotionKind
 from mr_damper_ros.kinematics.window import Window
 from mr_damper_ros.models import MODELS
 from mr_damper_ros.models.parameter_set import ParameterError, ParameterSet
 from mr_damper_ros.models.plausibility import check_plausible
-from mr_damper_ros.models.quantities import PHASES
 from mr_damper_ros.signals.arrays import Array
 from mr_damper_ros.signals.recording import Recording
 from studies.recordings import rms

@@ -25,8 +25,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from mr_damper_ros.kinematics.window import Window
-from mr_damper_ros.models.quantities import NEGLIGIBLE, ROWS_AT_ONCE, SAME_CURRENT
-from mr_damper_ros.signals.arrays import Array
+from mr_damper_ros.models.quantities import ROWS_AT_ONCE, SAME_CURRENT
+from mr_damper_ros.signals.arrays import NEGLIGIBLE, SIGMAS, Array
 
 DETERMINED = 1e-10
 """Relative singular value below which the data do not determine a direction."""
@@ -36,10 +36,6 @@ _FEWEST_BLOCKS = 20
 
 SIGNIFICANT = 4.0
 """A power is significant if it exceeds the noise power by this many standard errors."""
-
-_WHITE = 3.0
-"""A residual counts as white if its lag-1 autocorrelation is within this many standard errors of 0.
-"""
 
 
 def triangular_factor(matrix: Array) -> Array:
@@ -144,7 +140,7 @@ def correlation_length(residual: Array) -> int:
     power = float(centred @ centred)
     if power == 0.0 or n < 32:
         return 1
-    if abs(float(centred[1:] @ centred[:-1]) / power) <= _WHITE / math.sqrt(n):
+    if abs(float(centred[1:] @ centred[:-1]) / power) <= SIGMAS / math.sqrt(n):
         return 1
     size = 1 << (2 * n - 1).bit_length()
     spectrum = np.fft.rfft(centred, size)

@@ -23,7 +23,12 @@ from enum import Enum
 
 import numpy as np
 
-from mr_damper_ros.estimation.covariance import SIGNIFICANT, noise_level, samples_per_cycle
+from mr_damper_ros.estimation.covariance import (
+    SAME_MOTION,
+    SIGNIFICANT,
+    noise_level,
+    samples_per_cycle,
+)
 from mr_damper_ros.estimation.global_search import with_linear_refitted
 from mr_damper_ros.estimation.local_search import LocalSearch
 from mr_damper_ros.estimation.observability import (
@@ -44,11 +49,11 @@ from mr_damper_ros.estimation.planned_run import (
 )
 from mr_damper_ros.estimation.posterior import Posterior, Prior
 from mr_damper_ros.kinematics.motion import Motion
-from mr_damper_ros.kinematics.periodic_motion import MotionKind, PeriodicMotion
+from mr_damper_ros.kinematics.periodic_motion import PHASES, MotionKind, PeriodicMotion
 from mr_damper_ros.kinematics.window import Window
 from mr_damper_ros.models.force_model import Model
 from mr_damper_ros.models.misfit import ChosenParameters, Misfit
-from mr_damper_ros.models.quantities import PHASES, SAME_CURRENT, LoopReading
+from mr_damper_ros.models.quantities import NOTICED, SAME_CURRENT, LoopReading
 from mr_damper_ros.signals.arrays import Array
 
 _DRAWS = 200
@@ -56,9 +61,6 @@ _DRAWS = 200
 
 _FEWEST_IN_PART = 8
 """Smallest number of samples in a part of a cycle, needed to estimate the noise."""
-
-_NEAR = 0.1
-"""Windows closer to a point than this, relative to the range, count as equally near."""
 
 _GROWTH = 2.0
 """Relative growth of the model error per width of the range, away from the nearest window. With 0,
@@ -87,9 +89,6 @@ _SPEED_STEP = 5.0
 
 _CURRENT_STEP = 0.5
 """Largest increase of the current beyond the largest current so far, as a part of the range."""
-
-_MARGIN = 1.1
-"""Safety factor on the force limit while the force of a run is uncertain."""
 
 _LOOK_AHEAD = 12
 """Number of runs planned ahead to predict whether the goal can be met."""
@@ -425,7 +424,8 @@ class RunPlanner:
 
         apart = places(goal.points)[:, None] - places([w.operating_point for w in windows])
         distances = np.linalg.norm(apart, axis=-1)
-        weights = 1.0 / (_NEAR + distances) ** 4
+        # Windows of nearly the same motion are equally near.
+        weights = 1.0 / (SAME_MOTION + distances) ** 4
         near = np.sqrt(weights @ squares / weights.sum(axis=1))
         return np.asarray(near * (1.0 + growth * distances.min(axis=1)))
 
@@ -542,7 +542,9 @@ class RunPlanner:
             for run in self.candidates
         ]
         force, heat = self._candidates.demands(sets)
-        within = (_MARGIN * force <= self.limits.force) & (_MARGIN * heat <= self.limits.heat)
+        # The force may be larger than predicted, noticeably.
+        force, heat = (1.0 + NOTICED) * force, (1.0 + NOTICED) * heat
+        within = (force <= self.limits.force) & (heat <= self.limits.heat)
         return np.asarray(gentle & within)
 
     def _look_ahead(

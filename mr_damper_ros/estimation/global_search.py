@@ -48,8 +48,8 @@ from mr_damper_ros.kinematics.motion import DataError
 from mr_damper_ros.kinematics.window import Window, holds_cycle
 from mr_damper_ros.models.force_model import Model
 from mr_damper_ros.models.misfit import ChosenParameters, Misfit
-from mr_damper_ros.models.quantities import CoefficientTable, LoopReading
-from mr_damper_ros.signals.arrays import Array
+from mr_damper_ros.models.quantities import MODEL_ERROR, CoefficientTable, LoopReading
+from mr_damper_ros.signals.arrays import NEGLIGIBLE, Array
 
 
 def with_linear_refitted(
@@ -151,19 +151,9 @@ def levelled(pooled: Misfit, levels: LevelPrior | None) -> Misfit:
 AS_GOOD = 1.02
 """Two sets are equally good if their mean squares differ by at most this factor."""
 
-_NEGLIGIBLE_STEP = 0.01
-"""A search ends when a step reduces the sum of squares by less than this multiple of the noise
-variance, which corresponds to a step of a tenth of a standard error."""
-
-_SMALLEST_WIDTH = 0.05
-"""Lower limit of the prior standard deviation of a scale, relative to its typical size."""
-
 _SCALE_WIDTH = 3.0
 """Prior standard deviation of a scale about zero, relative to its median size in the separate fits.
 """
-
-_BOUND_STEPS = 2
-"""Least-squares steps after a parameter was moved to its bound, from nearly optimal others."""
 
 _MORE_THAN_PRIOR = math.sqrt(0.5)
 """Standard error relative to the prior at which the windows contain as much information as it."""
@@ -379,7 +369,7 @@ class GlobalSearch:
     def _prior(self) -> Prior:
         """The prior of the parameters, centred on the start where it is plausible."""
         model = self.model
-        sizes = _SMALLEST_WIDTH * model.typical_sizes(self.windows)
+        sizes = MODEL_ERROR * model.typical_sizes(self.windows)
         if self.fits:
             of_fits = np.abs([fit.parameters for fit in self.fits])
             sizes = np.maximum(sizes, np.median(of_fits, axis=0))
@@ -450,10 +440,10 @@ class GlobalSearch:
             held = {self.model.parameter_names[place] for place in np.flatnonzero(changed)}
             others, noise = self.free - held, noise_level(whole.residual(moved))
             exhausted = self.exhausted  # of the search, which this only corrects
-            moved = self._least_squares(whole, moved, others, noise=noise, most_steps=_BOUND_STEPS)
+            moved = self._least_squares(whole, moved, others, noise=noise)
             self.exhausted = exhausted
             posterior = self.posterior(whole, np.flatnonzero(free).tolist())
-            allowed = _NEGLIGIBLE_STEP * posterior.noise**2
+            allowed = NEGLIGIBLE * posterior.noise**2
             if posterior.cost(moved) <= posterior.cost(self.best) + allowed:
                 self.best = moved
 
@@ -551,10 +541,11 @@ class GlobalSearch:
             if simplex:
                 search.nelder_mead()
             else:
+                # The default ends with steps of a tenth of a standard error.
                 search.least_squares(
                     tolerance=tolerance
                     or self._tolerance
-                    or _NEGLIGIBLE_STEP / independent_samples(residual),
+                    or NEGLIGIBLE / independent_samples(residual),
                     most_steps=most_steps,
                 )
         except StopRequestedError:

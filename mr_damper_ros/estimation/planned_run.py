@@ -14,9 +14,9 @@ from typing import Any
 import numpy as np
 
 from mr_damper_ros.kinematics.peak_velocity import peak_velocity_of_period
-from mr_damper_ros.kinematics.periodic_motion import MotionKind, PeriodicMotion
+from mr_damper_ros.kinematics.periodic_motion import PHASES, MotionKind, PeriodicMotion
 from mr_damper_ros.kinematics.window import Window
-from mr_damper_ros.models.quantities import PHASES, SAME_CURRENT
+from mr_damper_ros.models.quantities import SAME_CURRENT
 from mr_damper_ros.signals.arrays import Array
 from mr_damper_ros.signals.recording import Recording
 

@@ -18,7 +18,14 @@ from numpy.polynomial import polynomial
 
 from mr_damper_ros.kinematics.peak_velocity import peak_velocity_of_window
 from mr_damper_ros.kinematics.periodic_motion import Kinematics
-from mr_damper_ros.signals.arrays import Array, noise_power, span_of, usable, white_noise
+from mr_damper_ros.signals.arrays import (
+    MOST_ITERATIONS,
+    Array,
+    noise_power,
+    span_of,
+    usable,
+    white_noise,
+)
 
 SINE_TOLERANCE = 2e-3
 """A motion counts as a sine if the residual of the fit is below this fraction of the amplitude [1].
@@ -35,8 +42,8 @@ NO_SINE, _TRIED = 0.25, 3
 """A motion is not a sine if the residual exceeds this fraction of the amplitude after this many
 corrections of the frequency."""
 
-_LARGEST_STEP, _MOST_STEPS = 0.1, 50
-"""Largest relative correction of the frequency in one step, and largest number of steps."""
+_LARGEST_STEP = 0.1
+"""Largest relative correction of the frequency in one step."""
 
 
 @dataclass(frozen=True)
@@ -77,7 +84,7 @@ def refined_sine(
     the angular frequency, the weights (3,) of sine, cosine and offset [m], and the residual [m,
     root mean square], which is infinite if the samples span less than half a cycle.
     """
-    for step in range(1, (steps or _MOST_STEPS) + 1):
+    for step in range(1, (steps or MOST_ITERATIONS) + 1):
         angle = omega * time
         sine, cosine = np.sin(angle), np.cos(angle)
         columns = np.column_stack((sine, cosine, np.ones(time.size)))

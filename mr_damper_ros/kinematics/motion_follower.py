@@ -21,7 +21,7 @@ from mr_damper_ros.kinematics.observer import (
     possible_bandwidths,
 )
 from mr_damper_ros.kinematics.peak_velocity import HALF_CYCLES, REVERSAL, PeakVelocity
-from mr_damper_ros.signals.arrays import Array, RollingRows
+from mr_damper_ros.signals.arrays import NEGLIGIBLE, Array, RollingRows
 
 _CYCLES = 1.5
 """Longest fit in cycles; the first fit covers one cycle. A longer fit averages more; a shorter one
@@ -144,9 +144,6 @@ _SMALLEST_RETURN = 1e-4
 """A reversal counts once the motion has returned by this [m] and by a quarter of its span. A sine
 with a smaller amplitude is a fit of noise, and the damper does not move."""
 
-_STILL = 0.01
-"""The displacement is still if it changes by less than this fraction of the amplitude."""
-
 _REST_PART = 0.4
 """If the displacement is still for longer than this fraction of a half-cycle, the damper is at
 rest. A sine stays within a hundredth of its amplitude for a tenth of a half-cycle. If its amplitude
@@ -203,7 +200,7 @@ class MotionCentre:
                 # The peak velocity has forgotten the motion before this stroke, too.
                 self._turns.clear()
                 self._turn(0, value, value)
-            if abs(value - self._anchor) <= 0.5 * _STILL * (high - low):
+            if abs(value - self._anchor) <= 0.5 * NEGLIGIBLE * (high - low):
                 self._still += 1
             else:
                 self._anchor, self._still = value, 0

@@ -29,10 +29,10 @@ cycle plus a seed, in the phase, is still exact."""
 _MOST_HARMONICS = 1000
 """Largest number of harmonics of a random motion."""
 
-_GRID = 64
-"""Samples per shortest cycle in the search for the largest values of a random motion."""
+PHASES = 64
+"""Number of samples that represent a cycle."""
 
-_BETWEEN = 1.0 / (1.0 - (math.pi / _GRID) ** 2 / 2.0)
+_BETWEEN = 1.0 / (1.0 - (math.pi / PHASES) ** 2 / 2.0)
 """Upper bound of the ratio of the true maximum to the largest sample (Bernstein)."""
 
 _GOLDEN = (math.sqrt(5.0) - 1.0) / 2.0
@@ -208,7 +208,7 @@ class PeriodicMotion:
     @cached_property
     def _random(self) -> tuple[Array, float, float]:
         """Amplitudes [m] of the harmonics, bound of the speed [m/s], and half the span [m]."""
-        count = _GRID * int(self._harmonics[-1])
+        count = PHASES * int(self._harmonics[-1])
         time = np.arange(count, dtype=np.float64) * (self.period / count)
         displacement, velocity, _ = self._sum(time, 1.0 / self._harmonics)
         scale = self.amplitude / (_BETWEEN * float(np.abs(displacement).max()))

@@ -142,7 +142,7 @@ def following_stride(motion: Motion, period: float, per_cycle: int = _SAMPLES_PE
     return max(int(samples / per_cycle), 1) if math.isfinite(samples) else 1
 
 
-_TURN = 0.05
+TURN = 0.05
 """A reversal is a return by this fraction of the span that also exceeds the span of the noise."""
 
 _COVERED_PART = 0.75
@@ -169,7 +169,7 @@ def holds_cycle(displacement: Array) -> bool:
     u = averages(displacement, MOST_SAMPLES)
     span = float(np.ptp(u)) if u.size else 0.0
     # A larger return always counts: motion near the sample rate cannot be distinguished from noise.
-    turn = min(max(_TURN * span, NOISE_SPAN * white_noise(u)), REVERSAL * span)
+    turn = min(max(TURN * span, NOISE_SPAN * white_noise(u)), REVERSAL * span)
     if not turn > 0.0:
         return False
     places = turning_points(u.tolist(), turn)

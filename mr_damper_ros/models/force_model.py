@@ -30,7 +30,6 @@ from mr_damper_ros.models.formulas import WrittenLaw
 from mr_damper_ros.models.machine_code import as_machine_code
 from mr_damper_ros.models.quantities import (
     DIFFERENCE,
-    NEGLIGIBLE,
     NOTICED,
     Coefficient,
     CoefficientTable,
@@ -40,7 +39,7 @@ from mr_damper_ros.models.quantities import (
     SearchEffort,
     State,
 )
-from mr_damper_ros.signals.arrays import Array
+from mr_damper_ros.signals.arrays import NEGLIGIBLE, Array
 
 _USUAL_RUN = LoopReading(1000.0, 0.0, 2.0 * np.pi * 1.0 * 5e-3, 5e-3)
 """A typical run: 1 kN, 5 mm, 1 Hz."""

@@ -19,7 +19,7 @@ from mr_damper_ros.kinematics.window import Window
 from mr_damper_ros.models import MODELS, Model
 from mr_damper_ros.models.quantities import SAME_CURRENT, State
 from mr_damper_ros.processes.files import write_text
-from mr_damper_ros.signals.arrays import Array, samples_of
+from mr_damper_ros.signals.arrays import NEGLIGIBLE, Array, samples_of
 from mr_damper_ros.signals.blocks import fits_a_stamp
 
 DEFAULT_MODEL = "sigmoid"
@@ -58,9 +58,6 @@ class ParameterError(UserError):
 
 Moved = TypeVar("Moved", Motion, MotionSample, Window)
 
-_TIME_TOLERANCE = 0.01
-"""Largest deviation of a sample time, relative to the period, as by rounding in a file."""
-
 _UNKNOWN = np.empty(0)
 """Placeholder for NaN or False at all parameters, until the number of parameters is known."""
 
@@ -86,7 +83,7 @@ def motion_window(time: ArrayLike, displacement: ArrayLike, current: ArrayLike) 
         )
     steps = np.diff(times)
     period = float(np.mean(steps))
-    if not (period > 0.0 and np.max(np.abs(steps - period)) <= _TIME_TOLERANCE * period):
+    if not (period > 0.0 and np.max(np.abs(steps - period)) <= NEGLIGIBLE * period):
         raise ValueError(
             f"the times are from {np.min(steps):g} to {np.max(steps):g} s apart: give uniform "
             "samples"

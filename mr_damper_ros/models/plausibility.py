@@ -11,8 +11,9 @@ import math
 import numpy as np
 
 from mr_damper_ros.kinematics.motion import Motion
+from mr_damper_ros.kinematics.periodic_motion import PHASES
 from mr_damper_ros.models.parameter_set import ParameterError, ParameterSet
-from mr_damper_ros.models.quantities import MODEL_ERROR, PHASES
+from mr_damper_ros.models.quantities import MODEL_ERROR
 from mr_damper_ros.signals.arrays import Array
 from mr_damper_ros.signals.recording import LARGEST_FORCE
 

@@ -26,10 +26,6 @@ MODEL_ERROR = 0.05
 every law has model error; for the records of a commercial damper the median of the force is 0.08.
 """
 
-NEGLIGIBLE = 0.01
-"""A contribution below this part of the whole is negligible. The past counts as forgotten once it
-changes the force by less than this part of the span of the force."""
-
 SETTLING = 7.0
 """Number of time constants, or of yield lengths, after which a transient has decayed to 0.1 %."""
 
@@ -41,9 +37,6 @@ CURRENT_READING = 0.02
 
 DIFFERENCE = 1e-6
 """Step of a finite difference, relative to the size of a parameter, or in seconds."""
-
-PHASES = 64
-"""Number of samples that represent a cycle."""
 
 ROWS_AT_ONCE = 4096
 """Number of rows of a matrix that are processed at once, so that they fit into the cache."""

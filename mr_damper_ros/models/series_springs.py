@@ -30,8 +30,8 @@ from mr_damper_ros.kinematics.motion import Motion
 from mr_damper_ros.kinematics.window import Window
 from mr_damper_ros.models.current_dependence import IntegratedModel, Recursion
 from mr_damper_ros.models.machine_code import run_loop, runs_machine_code
-from mr_damper_ros.models.quantities import NEGLIGIBLE, SETTLING, Coefficient, LoopReading, State
-from mr_damper_ros.signals.arrays import Array
+from mr_damper_ros.models.quantities import SETTLING, Coefficient, LoopReading, State
+from mr_damper_ros.signals.arrays import MOST_ITERATIONS, NEGLIGIBLE, Array
 
 _GAMMA = 1.0 - math.sqrt(0.5)
 _REST = 1.0 - _GAMMA
@@ -42,8 +42,6 @@ Because convergence is cubic, the next step would be smaller than about the cube
 
 _LARGEST_CORRECTION = 0.5
 """Limit of Halley's correction; with more curvature within a step, it is not reliable."""
-
-_MOST_STEPS = 60
 
 
 Path = tuple[Array, Array, Array, Array]
@@ -148,7 +146,7 @@ def flow_of(strength: float, width: float, held: float, load: float, guess: floa
     if beyond > least:
         least = beyond
     flow = guess if guess > least else least
-    for _ in range(_MOST_STEPS):
+    for _ in range(MOST_ITERATIONS):
         tanh = math.tanh(flow / width)
         steep = steepest * (1.0 - tanh * tanh)
         step = (load - strength * tanh - held * flow) / (steep + held)

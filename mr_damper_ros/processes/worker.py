@@ -38,9 +38,9 @@ from mr_damper_ros.processes.blas_threads import keep_one_thread, one_thread
 from mr_damper_ros.processes.files import reason_of
 from mr_damper_ros.processes.programs import PATIENCE
 
-_GRACE = 1.0
-"""Time [s] that a task has to stop after it was asked to, that a killed process has to end, and
-between two starts of a process that does not become ready."""
+GRACE = 1.0
+"""Time [s] that a task has to stop after it was asked to, that a killed process has to end, that a
+disk has to write a state, and between two starts of a process that does not become ready."""
 
 _SILENCE_LIMIT = 1.5
 """Seconds without a sign of life after which a worker counts as hanging."""
@@ -248,7 +248,7 @@ class _Process:
         """End the process."""
         self._child.kill()
         with contextlib.suppress(subprocess.TimeoutExpired):
-            self._child.wait(timeout=_GRACE)
+            self._child.wait(timeout=GRACE)
 
 
 class WorkerPool:
@@ -267,7 +267,7 @@ class WorkerPool:
         modules: str,
         count: int = 1,
         *,
-        grace: float = _GRACE,
+        grace: float = GRACE,
         silence_limit: float = _SILENCE_LIMIT,
     ) -> None:
         self._modules, self._count = modules, count
@@ -325,7 +325,7 @@ class WorkerPool:
         """Kill a process; its task is tried once more unless it was asked to stop."""
         process.kill()
         self._processes.remove(process)
-        self._start_at = process.started + _GRACE
+        self._start_at = process.started + GRACE
         self.replaced += 1
         task = process.task
         if task is None:

@@ -62,6 +62,13 @@ NORMAL_MEDIAN = NormalDist().inv_cdf(0.75)
 SIGMAS = 3.0
 """Deviation, in standard errors, that chance rarely causes."""
 
+NEGLIGIBLE = 0.01
+"""A contribution below this part of the whole is negligible. The past counts as forgotten once it
+changes the force by less than this part of the span of the force."""
+
+MOST_ITERATIONS = 60
+"""Limit of iterations that converge in far fewer steps."""
+
 
 def noise_power(values: Array, order: int = 4) -> float:
     """Power of the white part of a signal (n,), n > order, from its differences of this order.

@@ -10,13 +10,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from mr_damper_ros.signals.arrays import Array
+from mr_damper_ros.signals.arrays import NEGLIGIBLE, Array
 
 _ENOUGH = 32_768
 """Number of samples that are analysed, taken from the middle of a longer record."""
-
-_DEPTH = 1e-2
-"""Upper limit of the power at the zeros of an averaged signal over the power between them."""
 
 _SLOPE = 0.1
 """Lower limit of the power at half gain of an average over the power between its zeros."""
@@ -108,7 +105,7 @@ def find_average(values: Array) -> int:
         # An averaged signal also has the zeros of each divisor of its count, so the longest count
         # is chosen. Beside the zeros there must be power; if not, the zeros are only the gaps
         # between the lines of a periodic signal.
-        deep = float(np.quantile(in_holes / between, 0.7)) < _DEPTH
+        deep = float(np.quantile(in_holes / between, 0.7)) < NEGLIGIBLE
         if deep and float(np.median(near / between)) > _SLOPE:
             return count
     return 1

@@ -14,13 +14,13 @@ from dataclasses import dataclass
 from mr_damper_ros.estimation.differential_evolution import EvolutionSettings, GlobalProgress
 from mr_damper_ros.models.parameter_set import ParameterSet
 from mr_damper_ros.processes.files import Outbox
-from mr_damper_ros.processes.worker import Failed, Progress, TaskRunner
+from mr_damper_ros.processes.worker import GRACE, Failed, Progress, TaskRunner
 from mr_damper_ros.settings.option_table import CheckedSettings, option
 from mr_damper_ros.signals.blocks import SampleBlock
 from mr_damper_ros.tracking.acceptance import Judgement, Verdict
 from mr_damper_ros.tracking.reports import Report
 from mr_damper_ros.tracking.tracker import Job, Outcome, WindowTracker, refused, run
-from mr_damper_ros.tracking.tracker_state import DISK_PATIENCE, TrackerState
+from mr_damper_ros.tracking.tracker_state import TrackerState
 from mr_damper_ros.tracking.window_assembler import RawWindow, WindowAssembler
 
 
@@ -112,7 +112,7 @@ class Identifier:
         self._given_up: list[Event] = []
         # Whether the set from which the job started is no longer in use.
         self._superseded = False
-        self._outbox: Outbox[Publication] = Outbox(DISK_PATIENCE)
+        self._outbox: Outbox[Publication] = Outbox(GRACE)
         self._late = 0
 
     @property
@@ -220,7 +220,7 @@ class Identifier:
         notices = self.worker.take_notices()
         if self._outbox.late > self._late:
             notices.append(
-                f"saving to state_dir takes more than {DISK_PATIENCE:g} s: "
+                f"saving to state_dir takes more than {GRACE:g} s: "
                 "sets are published before they are saved"
             )
         self._late = self._outbox.late

@@ -29,12 +29,8 @@ from mr_damper_ros.models.quantities import SAME_CURRENT
 from mr_damper_ros.signals.arrays import Array, RollingRows
 from mr_damper_ros.signals.blocks import NANOSECONDS
 from mr_damper_ros.tracking.bumpless_transfer import FADE_TIME
-from mr_damper_ros.tracking.operating_point import SAME_SPEED
+from mr_damper_ros.tracking.operating_point import COMPARABLE_SPEED, SAME_SPEED
 from mr_damper_ros.tracking.validity import DoubtKind
-
-_SAME_TIME = 1.5
-"""A set replaces another with the same range of peak velocities if the half-cycles of their motions
-are within this factor."""
 
 _MOST_SETS = 8
 """Largest number of sets in the bank; a search tries all of them. The schedule has at most twice as
@@ -83,7 +79,7 @@ class KnownSet:
 
     def replaces(self, other: KnownSet) -> bool:
         """Whether the set is for the same motions and currents as the ``other`` set."""
-        if max(self.half_cycle, other.half_cycle) > _SAME_TIME * min(
+        if max(self.half_cycle, other.half_cycle) > COMPARABLE_SPEED * min(
             self.half_cycle, other.half_cycle
         ):
             return False

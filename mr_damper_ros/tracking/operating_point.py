@@ -37,6 +37,9 @@ _COMPARABLE = (4.0, 2.0)
 and 0.1 A. In random motion the peak velocity varies by as much from window to window; with tighter
 tolerances every window would be a new point."""
 
+COMPARABLE_SPEED = SAME_SPEED ** _COMPARABLE[0]
+"""Motions with peak velocities, or half-cycles, within this factor are comparable."""
+
 MOST_SAMPLES = 500
 MOST_WINDOWS = 100
 """Largest numbers of samples of a kept window, and of kept windows, one per operating point."""

@@ -15,8 +15,8 @@ from collections.abc import Callable
 import numpy as np
 
 from mr_damper_ros.kinematics.peak_velocity import HALF_CYCLES
-from mr_damper_ros.models.quantities import SAME_CURRENT
-from mr_damper_ros.signals.arrays import Array, Mask, RollingRows, span_of, white_noise
+from mr_damper_ros.models.quantities import NOTICED, SAME_CURRENT
+from mr_damper_ros.signals.arrays import SIGMAS, Array, Mask, RollingRows, span_of, white_noise
 from mr_damper_ros.tracking.bumpless_transfer import FADE_TIME
 from mr_damper_ros.tracking.operating_point import RECENT
 from mr_damper_ros.tracking.screening import NEGATIVE_POWER
@@ -198,10 +198,6 @@ class ForceStatistics:
 _USED_PART = 0.98
 """Fraction of the limit that is used for the error of a sample, because the peak is uncertain."""
 
-_HIDDEN_SIGMAS = 3.0
-"""The limit for the error of a sample is reduced by this many standard deviations of the noise,
-because noise may hide that much of an error."""
-
 _NOISY_PART, _NOISY_SIGMAS = 0.68, 2.0
 """With much noise the limit is this fraction of the nominal limit plus this many standard
 deviations, so that noise alone rarely makes a force invalid, and only at single samples."""
@@ -219,9 +215,6 @@ first value [s], the second value times the half-cycle, and the third value time
 which the force was wrong. If the error jumps by more than the peak between two samples, the
 measured samples count as outliers until the error is small again, for at most the first value [s].
 """
-
-_MOST_NOISE = 0.1
-"""Limit of the noise estimate, relative to the peak."""
 
 
 _STUCK = (
@@ -469,8 +462,8 @@ class ResidualMonitor:
         """Limit [N] of the error of a sample at this noise [N]."""
         # Noise may hide part of an error; much noise may itself look like an error.
         return np.maximum(
-            _USED_PART * limit - _HIDDEN_SIGMAS * noise, _NOISY_PART * limit + _NOISY_SIGMAS * noise
+            _USED_PART * limit - SIGMAS * noise, _NOISY_PART * limit + _NOISY_SIGMAS * noise
         )
 
     def _noise(self, peak: float) -> float:
-        return min(self._recent.noise, _MOST_NOISE * peak)
+        return min(self._recent.noise, NOTICED * peak)

@@ -6,17 +6,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from mr_damper_ros.kinematics.window import MOST_UNUSED, holds_cycle
+from mr_damper_ros.kinematics.window import MOST_UNUSED, TURN, holds_cycle
 from mr_damper_ros.settings.option_table import CheckedSettings, option
 from mr_damper_ros.signals.arrays import NOISE_SPAN, Array, Mask, white_noise
 from mr_damper_ros.signals.recording import wrong_unit
 
 _CLIPPED = 0.02
 """Smallest fraction of samples at its extreme for which a signal counts as clipped."""
-
-_STUCK_PART = 0.05
-"""A force is stuck if it is exactly constant over this fraction of a window, while the motion
-reverses and returns by this fraction of its span."""
 
 _STUCK = (
     "the force changes as in a motion, but the displacement does not: is the displacement sensor "
@@ -168,14 +164,14 @@ def _is_stuck(displacement: Array, force: Array) -> bool:
     """Whether the force is exactly constant for a long time while the motion reverses."""
     same = _longest(_runs(np.diff(force) == 0.0))
     start, stop = same.start, same.stop + 1
-    if stop - start < _STUCK_PART * force.size:
+    if stop - start < TURN * force.size:
         return False
     stretch = displacement[start:stop]
     way_back = max(
         float(np.min(np.abs(stretch[[0, -1]] - extreme)))
         for extreme in (stretch.max(), stretch.min())
     )
-    return way_back > _STUCK_PART * float(np.ptp(displacement))
+    return way_back > TURN * float(np.ptp(displacement))
 
 
 def clipped_at(array: Array) -> list[float]:

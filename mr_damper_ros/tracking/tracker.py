@@ -28,6 +28,7 @@ from mr_damper_ros.estimation.window_fit import (
     fit_window,
 )
 from mr_damper_ros.kinematics.motion import DataError
+from mr_damper_ros.kinematics.periodic_motion import PHASES
 from mr_damper_ros.kinematics.window import MOST_UNUSED, Window
 from mr_damper_ros.models import MODELS
 from mr_damper_ros.models.force_model import Model
@@ -40,7 +41,7 @@ from mr_damper_ros.models.parameter_set import (
     start_set,
 )
 from mr_damper_ros.models.plausibility import implausible
-from mr_damper_ros.models.quantities import GOOD_NRMSE, PHASES
+from mr_damper_ros.models.quantities import GOOD_NRMSE
 from mr_damper_ros.processes.blas_threads import one_thread
 from mr_damper_ros.processes.worker import Control
 from mr_damper_ros.settings.option_table import CheckedSettings, group, option

@@ -26,6 +26,7 @@ from mr_damper_ros.models.force_model import Model
 from mr_damper_ros.models.parameter_set import ParameterError, ParameterSet
 from mr_damper_ros.models.plausibility import implausible
 from mr_damper_ros.processes.files import BackgroundWriter, FolderLock
+from mr_damper_ros.processes.worker import GRACE
 from mr_damper_ros.signals.arrays import Array
 from mr_damper_ros.tracking.force_scale import is_plausible
 from mr_damper_ros.tracking.operating_point import KnownPoints, nearest_same
@@ -256,10 +257,6 @@ def _check_window(window: Window) -> None:
         _require(whole is not None or window.steady, "the whole of a part of a window is missing")
 
 
-DISK_PATIENCE = 1.0
-"""Seconds to wait for the disk to write a state before continuing without it."""
-
-
 class TrackerState:
     """The file of a tracker's state, under its own name in the folder with the sets of the user.
 
@@ -354,8 +351,8 @@ class TrackerState:
     def keep_now(self, tracker: WindowTracker) -> str:
         """Write the state and wait for the disk; returns why this failed, or an empty text."""
         self.keep(tracker)
-        if not self.writer.wait(DISK_PATIENCE):
-            return f"writing to state_dir takes more than {DISK_PATIENCE:g} s"
+        if not self.writer.wait(GRACE):
+            return f"writing to state_dir takes more than {GRACE:g} s"
         return self.writer.fault
 
     def save(self, name: str, tracker: WindowTracker) -> Path:
@@ -385,6 +382,6 @@ class TrackerState:
 
     def close(self) -> None:
         """Write the states that wait for the disk, release the lock and end."""
-        self.writer.close(DISK_PATIENCE)
+        self.writer.close(GRACE)
         if self._lock is not None:
             self._lock.release()

@@ -11,8 +11,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from mr_damper_ros.kinematics.peak_velocity import MEMORY, StreamPeakVelocity
+from mr_damper_ros.kinematics.periodic_motion import PHASES
 from mr_damper_ros.kinematics.window import averages, holds_cycle
-from mr_damper_ros.models.quantities import PHASES
 from mr_damper_ros.settings.option_table import CheckedSettings, option
 from mr_damper_ros.signals.arrays import Array, RollingRows
 from mr_damper_ros.signals.blocks import KEEP_CURRENT, NANOSECONDS, SampleBlock, ZeroOrderHold
