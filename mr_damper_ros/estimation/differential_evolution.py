@@ -10,6 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from mr_damper_ros.processes.worker import LONGEST_PAUSE
 from mr_damper_ros.settings.option_table import CheckedSettings, option
 from mr_damper_ros.signals.arrays import Array
 
@@ -18,7 +19,6 @@ STRATEGIES = ("rand1bin", "best1bin", "currenttobest1bin", "rand2bin")
 best/1; x + F (x_best - x + x_1 - x_2), there called rand-to-best/2; rand/2."""
 
 _WORST = 0.1 * math.sqrt(np.finfo(float).max)  # SciPy squares the value
-_REPORT_PERIOD = 0.2
 
 
 @dataclass(frozen=True)
@@ -118,7 +118,7 @@ class ProgressClock:
         """Report between generations, a few times a second; returns whether to stop."""
         self._begins(stage)
         now = time.monotonic()
-        if now - self._last_report >= _REPORT_PERIOD:
+        if now - self._last_report >= LONGEST_PAUSE:
             self._tell(stage, best_cost)
         return self.stopped
 

@@ -155,6 +155,10 @@ _SCALE_WIDTH = 3.0
 """Prior standard deviation of a scale about zero, relative to its median size in the separate fits.
 """
 
+_BOUND_STEPS = 2
+"""Least-squares steps after a parameter was moved to its bound, from nearly optimal others. With a
+whole search, an identification takes a fifth longer."""
+
 _MORE_THAN_PRIOR = math.sqrt(0.5)
 """Standard error relative to the prior at which the windows contain as much information as it."""
 
@@ -440,7 +444,7 @@ class GlobalSearch:
             held = {self.model.parameter_names[place] for place in np.flatnonzero(changed)}
             others, noise = self.free - held, noise_level(whole.residual(moved))
             exhausted = self.exhausted  # of the search, which this only corrects
-            moved = self._least_squares(whole, moved, others, noise=noise)
+            moved = self._least_squares(whole, moved, others, noise=noise, most_steps=_BOUND_STEPS)
             self.exhausted = exhausted
             posterior = self.posterior(whole, np.flatnonzero(free).tolist())
             allowed = NEGLIGIBLE * posterior.noise**2

@@ -277,7 +277,7 @@ def test_a_stop_returns_something_better_than_a_poor_start(after: int) -> None:
 
 
 def test_an_early_stop_overflows_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(f"{EvolutionSettings.__module__}._REPORT_PERIOD", 0.0)
+    monkeypatch.setattr(f"{EvolutionSettings.__module__}.LONGEST_PAUSE", 0.0)
     law, polls = MODELS["hyperbolic_tangent"], iter([True, True, False])
     with np.errstate(over="raise", invalid="raise"):
         fit = identify_global(law, SMALL, law.initial_values()[0], FEW, lambda _: next(polls))
