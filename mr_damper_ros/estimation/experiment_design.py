@@ -519,7 +519,7 @@ class RunPlanner:
                 f"the model error of the law {self.model.name} is {model_errors.max():.2%} of the "
                 f"force, more than the goal of {self.goal.error:.2%}, and no run can reduce it: "
                 "choose another model (choose_law, or identify --model auto, compares them on the "
-                "recorded runs), or a larger error"
+                "recorded runs) or a larger error; if the damper warms up, let it cool between runs"
             )
         state = PlanState.RUN
         # While shape parameters are undetermined, the number of runs cannot be predicted.
