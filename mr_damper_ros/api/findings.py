@@ -17,6 +17,7 @@ from mr_damper_ros.estimation.global_fit import GlobalFit
 from mr_damper_ros.estimation.multi_start import MultiStart
 from mr_damper_ros.estimation.observability import (
     Determination,
+    current_varies,
     determination,
     parameter_ranges,
     parameter_spans,
@@ -152,9 +153,6 @@ _DURATION = 4.0
 _SAMPLES = 500
 """Approximate number of samples of a piece, and largest number of pieces per window."""
 
-_STEADY_CURRENT = 0.02
-"""Largest change [A] of the current within a piece."""
-
 
 def temperature_maps(runs: Sequence[MeasuredRun], found: ParameterSet) -> list[TemperatureMap]:
     """The temperature maps of all operating points for which the runs contain enough data.
@@ -187,8 +185,9 @@ def _pieces(window: Window, celsius: Array) -> Iterator[tuple[Window, float]]:
     edges = np.linspace(0, window.sample_count, min(max(count, 1), _SAMPLES) + 1).astype(int)
     for first, last in pairwise(edges):
         place = slice(int(first), int(last))
-        if float(np.ptp(window.current[place])) <= _STEADY_CURRENT:
-            yield window.part(place).thinned(_SAMPLES), float(np.mean(celsius[place]))
+        piece = window.part(place)
+        if not current_varies(piece):
+            yield piece.thinned(_SAMPLES), float(np.mean(celsius[place]))
 
 
 _MEASURE = "RMS residual relative to separate fits of the runs"

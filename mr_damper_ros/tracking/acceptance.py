@@ -50,6 +50,10 @@ _LARGEST_LOSS = 0.5
 its decrease in the window. A window set is fitted to that window alone (benchmark figure
 ``foreign_worse_sets``)."""
 
+_WORTHWHILE = 1.0 - NOTICED
+"""A good set is replaced only by a set with an NRMSE below this multiple of its NRMSE. A set that
+is equally good at the tested operating points may be worse at others."""
+
 
 @dataclass(frozen=True)
 class Evidence:
@@ -233,7 +237,7 @@ def rival_wins(
     if highs[0] - lows[0] > highs[1] - lows[1]:
         allowed = found.nrmse_before + LARGEST_EXCESS
     else:
-        allowed = (1.0 - NOTICED) * found.nrmse_before
+        allowed = _WORTHWHILE * found.nrmse_before
     return found.nrmse_after <= min(allowed, maximum_nrmse) and not found.loses_elsewhere
 
 
@@ -435,8 +439,7 @@ class Gatekeeper:
                 "one set for all operating points leaves an NRMSE of "
                 f"{evidence.nrmse_after:.0%}, more than maximum_nrmse ({maximum:.0%})",
             )
-        # A set that is equally good at the tested operating points may be worse at others.
-        worth_while = evidence.nrmse_after < (1.0 - NOTICED) * evidence.nrmse_before
+        worth_while = evidence.nrmse_after < _WORTHWHILE * evidence.nrmse_before
         if not (worth_while and evidence.lead > SIGNIFICANT_LEAD):
             return Judgement(Verdict.NO_BETTER, "the running set predicts the reservoir as well")
         before, after = evidence.recent
@@ -523,9 +526,7 @@ class Gatekeeper:
         known.refused_for_residual += 1
         # The force at this operating point is known, so a sensor has changed rather than the
         # damper, unless the new set predicts much better.
-        doubtful = (
-            holds and abs(evidence.force_change) > NOTICED and (1.0 - NOTICED) * before < after
-        )
+        doubtful = holds and abs(evidence.force_change) > NOTICED and _WORTHWHILE * before < after
         patience = self._PATIENCE_WHERE_KNOWN if holds else self._PATIENCE
         if known.refused_for_residual > patience and not doubtful:
             # The residual has stayed large: the rig itself has become noisier.
