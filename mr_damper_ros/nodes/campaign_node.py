@@ -320,4 +320,4 @@ class CampaignNode(Node):
 
 def main(workers: WorkerPool) -> int:
     """Run the node, with workers that the caller closes."""
-    return run(partial(CampaignNode, workers.worker()), CampaignParameters)
+    return run(partial(CampaignNode, Worker(workers)), CampaignParameters)

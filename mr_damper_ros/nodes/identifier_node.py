@@ -455,7 +455,7 @@ def main(pool: WorkerPool) -> int:
     """Run the node, or one in each of several namespaces, with workers that the caller closes."""
 
     def node(cli_args: list[str] | None = None) -> IdentifierNode:
-        return IdentifierNode(pool.worker(), cli_args)
+        return IdentifierNode(Worker(pool), cli_args)
 
     return run(
         node,

@@ -132,7 +132,7 @@ class ProcessPool(AbstractContextManager):
                 queue, most = (waiting, self.count) if waiting else (again, 1)
                 while queue and len(running) < most:
                     index = queue.popleft()
-                    running[index] = self._pool.worker()
+                    running[index] = Worker(self._pool)
                     running[index].submit(_call, function, tasks[index])
                 self._pool.supervise(LONGEST_PAUSE)
                 for index, worker in list(running.items()):
@@ -171,7 +171,7 @@ def run_apart(module: str, function: Callable[..., Any], *args: Any, budget: flo
     Raises the exceptions of the function, TimeoutError after ``budget`` [s], and ProcessLostError.
     """
     with closing(WorkerPool(module, grace=0.0, silence_limit=math.inf)) as pool:
-        worker = pool.worker()
+        worker = Worker(pool)
         worker.submit(_without_control, function, *args, budget=budget)
         outcomes: list[Outcome] = []
         while not outcomes:

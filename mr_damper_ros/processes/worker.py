@@ -142,28 +142,15 @@ class Control:
         return not self.should_stop()
 
 
-@dataclass(eq=False)
-class _Task:
-    """A task: its number in the pool, and its pickled call."""
-
-    number: int
-    call: bytes
-    budget: float
-    outcomes: list[Outcome] = field(default_factory=list)
-    notices: list[str] = field(default_factory=list)
-    retried: bool = False
-    stop_asked: float | None = None
-
-
 class _Process:
-    """A worker process and its task; threads talk to the process, so no method blocks.
+    """A process and the worker that it serves; threads talk to it, so no method blocks.
 
     ``ready`` says whether the process has loaded its ``modules``. ``news`` is set when a message
     of the process has arrived.
     """
 
     def __init__(self, modules: str, news: threading.Event) -> None:
-        self.task: _Task | None = None
+        self.user: Worker | None = None
         self.ready = False
         self.started = self._followed = time.monotonic()
         # The silence of the process [s], and the time at which its task began.
@@ -205,13 +192,13 @@ class _Process:
 
         threading.Thread(target=work, daemon=True).start()
 
-    def run(self, task: _Task) -> None:
+    def run(self, user: Worker) -> None:
         """Run a task; the time until the process is ready does not count towards the budget."""
-        self.task = task
+        self.user = user
         self._began = time.monotonic() if self.ready else math.inf
-        self.send(task.number, task.call)
-        if task.stop_asked is not None:
-            self.send(task.number, None)
+        self.send(user.number, user.call)
+        if user.stop_asked is not None:
+            self.send(user.number, None)
 
     def follow(self, grace: float, silence_limit: float) -> Exception | None:
         """Take messages and enforce the budget; returns why the process must be replaced."""
@@ -225,23 +212,22 @@ class _Process:
                 return ChildProcessError("the worker process died")
             if message == _READY:
                 self.ready, self._began = True, now
-            elif self.task is not None and message != _ALIVE:
-                self.task.outcomes.append(message)
-                self.task = self.task if isinstance(message, Progress) else None
+            elif self.user is not None and message != _ALIVE:
+                self.user.outcomes.append(message)
+                self.user = self.user if isinstance(message, Progress) else None
         if not self.ready and now - self.started > PATIENCE:
             return ChildProcessError(f"the worker did not start within {PATIENCE:g} s")
         if self.ready and self._silence > silence_limit:
             return ChildProcessError("the worker process hangs")
-        task = self.task
-        if task is None:
+        user = self.user
+        if user is None:
             return None
-        over_budget = now - self._began > task.budget
-        if over_budget and task.stop_asked is None:
-            task.stop_asked = now
-            self.send(task.number, None)
-        if task.stop_asked is None or now <= max(task.stop_asked, self._began) + grace:
+        over_budget = now - self._began > user.budget
+        if over_budget:
+            user.cancel()
+        if user.stop_asked is None or now <= max(user.stop_asked, self._began) + grace:
             return None
-        why = f"the task exceeded its {task.budget:g} s" if over_budget else "it was cancelled"
+        why = f"the task exceeded its {user.budget:g} s" if over_budget else "it was cancelled"
         return TimeoutError(f"{why} and did not stop when asked to")
 
     def kill(self) -> None:
@@ -255,7 +241,7 @@ class WorkerPool:
     """``count`` supervised processes, which load modules before their first task.
 
     ``modules`` are names, separated by blanks. Loading them may take seconds, which do not count
-    towards the time budget of a task. A user of the pool creates a :meth:`worker` and polls it
+    towards the time budget of a task. A user of the pool creates a :class:`Worker` and polls it
     regularly, which also supervises all processes.
 
     A process is killed if its task does not stop within ``grace`` [s] after it was asked to, or if
@@ -275,8 +261,10 @@ class WorkerPool:
         self._news = threading.Event()
         self._processes: list[_Process] = []
         self._start_at = -math.inf
-        self._waiting: deque[_Task] = deque()
-        self._numbers = itertools.count(1)
+        self.waiting: deque[Worker] = deque()
+        """Workers whose tasks wait for a process."""
+        self.numbers = itertools.count(1)
+        """Numbers of the tasks to come."""
         self.replaced = 0
         """Number of processes replaced so far."""
         self.notices: list[str] = []
@@ -288,22 +276,11 @@ class WorkerPool:
         """Whether at least one process is ready."""
         return any(process.ready for process in self._processes)
 
-    def worker(self) -> Worker:
-        """A worker that runs one task at a time in a process of this pool."""
-        return Worker(self)
-
     def close(self) -> None:
         """End the processes; no data can be lost."""
         self._count = 0
         while self._processes:
             self._processes.pop().kill()
-
-    def submit(self, call: bytes, budget: float) -> _Task:
-        """Run a pickled call in a process when its turn comes."""
-        task = _Task(next(self._numbers), call, budget)
-        self._waiting.append(task)
-        self.supervise()
-        return task
 
     def supervise(self, patience: float = 0.0) -> None:
         """Supervise all processes, and assign free ones to waiting tasks, ready ones first.
@@ -318,8 +295,8 @@ class WorkerPool:
                 self._replace(process, lost)
         while len(self._processes) < self._count and time.monotonic() >= self._start_at:
             self._processes.append(_Process(self._modules, self._news))
-        while self._waiting and (free := self.process_of(None)) is not None:
-            free.run(self._waiting.popleft())
+        while self.waiting and (free := self.process_of(None)) is not None:
+            free.run(self.waiting.popleft())
 
     def _replace(self, process: _Process, lost: Exception) -> None:
         """Kill a process; its task is tried once more unless it was asked to stop."""
@@ -327,23 +304,23 @@ class WorkerPool:
         self._processes.remove(process)
         self._start_at = process.started + GRACE
         self.replaced += 1
-        task = process.task
-        if task is None:
+        user = process.user
+        if user is None:
             self.notices.append(f"{lost}: the worker is replaced")
             return
-        again = not task.retried and task.stop_asked is None
+        again = not user.retried and user.stop_asked is None
         end = "starts again" if again else "is given up"
-        task.notices.append(f"{lost}: the worker is replaced and its task {end}")
+        user.notices.append(f"{lost}: the worker is replaced and its task {end}")
         if again:
-            task.retried = True
-            self._waiting.appendleft(task)
+            user.retried = True
+            self.waiting.appendleft(user)
         else:
             error = lost if isinstance(lost, TimeoutError) else None
-            task.outcomes.append(Failed(task.number, str(lost), error))
+            user.outcomes.append(Failed(user.number, str(lost), error))
 
-    def process_of(self, task: _Task | None) -> _Process | None:
-        """The process of a task, or the next free one; None if there is none."""
-        those = [process for process in self._processes if process.task is task]
+    def process_of(self, user: Worker | None) -> _Process | None:
+        """The process of a worker, or the next free one; None if there is none."""
+        those = [process for process in self._processes if process.user is user]
         return min(those, key=lambda process: not process.ready, default=None)
 
 
@@ -355,23 +332,26 @@ class Worker:
 
     def __init__(self, pool: WorkerPool) -> None:
         self.pool = pool
-        self._task: _Task | None = None
-        self._notices: list[str] = []
-
-    @property
-    def busy(self) -> bool:
+        self.busy = False
         """Whether there is a task whose outcome :meth:`poll` has not returned yet."""
-        return self._task is not None
+        # The task: its number in the pool, its pickled call, its time limit, and whether its
+        # process was lost before.
+        self.number, self.call, self.budget, self.retried = 0, b"", math.inf, False
+        self.stop_asked: float | None = None
+        """Time [s] at which the task was asked to stop."""
+        # What has not been returned yet.
+        self.outcomes: list[Outcome] = []
+        self.notices: list[str] = []
 
     @property
     def waits(self) -> bool:
         """Whether a task waits for a process."""
-        return self._task is not None and self.pool.process_of(self._task) is None
+        return self in self.pool.waiting
 
     @property
     def pid(self) -> int | None:
         """Id of the process for the task, or of the next free one; None if there is none."""
-        process = self.pool.process_of(self._task) or self.pool.process_of(None)
+        process = self.pool.process_of(self) or self.pool.process_of(None)
         return None if process is None else process.pid
 
     def submit(self, function: Callable[..., Any], *args: Any, budget: float = math.inf) -> int:
@@ -383,17 +363,20 @@ class Worker:
         """
         if self.busy:
             raise RuntimeError("the worker is busy: wait for its task to end")
-        self._task = self.pool.submit(pickle.dumps((function, args), -1), budget)
-        return self._task.number
+        self.call, self.budget = pickle.dumps((function, args), -1), budget
+        self.number = next(self.pool.numbers)
+        self.busy, self.retried, self.stop_asked = True, False, None
+        self.pool.waiting.append(self)
+        self.pool.supervise()
+        return self.number
 
     def cancel(self) -> None:
         """Ask the task to stop with its present result; :meth:`poll` still returns it."""
-        task = self._task
-        if task is not None and task.stop_asked is None:
-            task.stop_asked = time.monotonic()
-            process = self.pool.process_of(task)
+        if self.busy and self.stop_asked is None:
+            self.stop_asked = time.monotonic()
+            process = self.pool.process_of(self)
             if process is not None:
-                process.send(task.number, None)
+                process.send(self.number, None)
 
     def poll(self, patience: float = 0.0) -> list[Outcome]:
         """Return the outcomes since the last call, and end overdue tasks.
@@ -405,20 +388,14 @@ class Worker:
 
     def collect(self) -> list[Outcome]:
         """As :meth:`poll`, for a caller that supervises the pool itself."""
-        task = self._task
-        if task is None:
-            return []
-        outcomes, task.outcomes = task.outcomes, []
-        self._notices += task.notices
-        task.notices = []
-        if outcomes and not isinstance(outcomes[-1], Progress):
-            self._task = None
+        outcomes, self.outcomes = self.outcomes, []
+        self.busy = self.busy and all(isinstance(each, Progress) for each in outcomes)
         return outcomes
 
     def take_notices(self) -> list[str]:
         """Messages about the processes (deaths, replacements) since the last call."""
-        notices = self._notices + self.pool.notices
-        self._notices, self.pool.notices = [], []
+        notices = self.notices + self.pool.notices
+        self.notices, self.pool.notices = [], []
         return notices
 
 
@@ -479,10 +456,8 @@ def _answer(call: bytes, control: Control) -> bytes:
 class InlineWorker:
     """Runs a task when it is submitted, and returns its outcome after a latency in data time.
 
-    The user sets ``now`` [s], the time of the data. If it jumps back because a clock was set, a
-    pending outcome is not delayed by the jump. ``latency`` computes the time [s] until the outcome
-    of a task from the first argument of the task. ``processor_time`` [s] is the processor time of
-    all tasks so far.
+    ``latency`` computes the time [s] until the outcome of a task from the first argument of the
+    task. ``processor_time`` [s] is the processor time of all tasks so far.
     """
 
     def __init__(self, latency: Callable[[Any], float]) -> None:
@@ -493,16 +468,11 @@ class InlineWorker:
         self._outcome: Outcome | None = None
         self._due = -math.inf
 
-    @property
-    def now(self) -> float:
-        """Time of the data [s]."""
-        return self._now
-
-    @now.setter
-    def now(self, time: float) -> None:
-        if time < self._now:
-            self._due -= self._now - time
-        self._now = time
+    def set_time(self, now: float) -> None:
+        """Set the time of the data [s]; a jump back does not delay a pending outcome."""
+        if now < self._now:
+            self._due -= self._now - now
+        self._now = now
 
     @property
     def busy(self) -> bool:
@@ -527,16 +497,16 @@ class InlineWorker:
         except Exception as error:
             self._outcome = Failed(self._number, reason_of(error), error)
         self.processor_time += time.process_time() - began
-        self._due = self.now + self._latency(args[0])
+        self._due = self._now + self._latency(args[0])
         return self._number
 
     def cancel(self) -> None:
         """Return the outcome at the next :meth:`poll`."""
-        self._due = self.now
+        self._due = self._now
 
     def poll(self) -> list[Outcome]:
         """The outcome, if it is due."""
-        if self._outcome is None or self.now < self._due:
+        if self._outcome is None or self._now < self._due:
             return []
         outcome, self._outcome = self._outcome, None
         return [outcome]

@@ -105,7 +105,7 @@ class Engine:
         All outcomes due by the end of the block take effect first. ``now_ns`` is the time at which
         the block arrives, by the clock of the stamps, see :meth:`ForcePredictor.predict`.
         """
-        self.worker.now = block.end_ns / NANOSECONDS
+        self.worker.set_time(block.end_ns / NANOSECONDS)
         self._take_outcomes()
         prediction = self.predictor.predict(block, now_ns)
         self.predictor.catch_up()
@@ -134,7 +134,7 @@ class Engine:
     def finish(self) -> None:
         """Complete the waiting jobs, as the nodes do when no more samples arrive."""
         while self.worker.busy:
-            self.worker.now = math.inf
+            self.worker.set_time(math.inf)
             self._take_outcomes()
 
     def take_publications(self) -> list[Publication]:

@@ -106,10 +106,10 @@ def test_a_recording_is_read_in_order() -> None:
 
 def test_a_task_ends_after_its_latency_and_a_failure_is_an_outcome() -> None:
     worker = InlineWorker(lambda task: float(task))
-    worker.now = 1.0
+    worker.set_time(1.0)
     number = worker.submit(lambda task, control: task / 2, 4)
     assert worker.poll() == []
-    worker.now = 5.0
+    worker.set_time(5.0)
     assert worker.poll() == [Done(number, 2.0)]
     number = worker.submit(lambda task, control: math.sqrt(task), -1)
     with pytest.raises(RuntimeError, match="busy"):

@@ -27,7 +27,7 @@ def pool() -> Iterator[WorkerPool]:
 
 @pytest.fixture
 def worker(pool: WorkerPool) -> Worker:
-    return pool.worker()
+    return Worker(pool)
 
 
 def ending(worker: Worker, seen: list[Outcome] | None = None) -> Outcome:
@@ -186,8 +186,8 @@ def test_the_worker_dies_with_a_killed_parent(task: str) -> None:
     # A long sum holds the interpreter lock, so that no thread of the worker can react.
     script = (
         "import time, worker_tasks\n"
-        "from mr_damper_ros.processes.worker import WorkerPool\n"
-        "worker = WorkerPool('worker_tasks').worker()\n"
+        "from mr_damper_ros.processes.worker import Worker, WorkerPool\n"
+        "worker = Worker(WorkerPool('worker_tasks'))\n"
         f"worker.submit(worker_tasks.call, {task})\n"
         "deadline = time.monotonic() + 1.0\n"
         "while time.monotonic() < deadline: worker.poll(); time.sleep(0.01)\n"
@@ -208,7 +208,7 @@ def test_the_worker_dies_with_a_killed_parent(task: str) -> None:
 
 
 def test_first_come_first_served(pool: WorkerPool) -> None:
-    first, second, third = (pool.worker() for _ in range(3))
+    first, second, third = (Worker(pool) for _ in range(3))
     first.submit(tasks.wait)
     second.submit(tasks.wait)
     third.submit(tasks.call, operator.add, 1, 1)
@@ -219,7 +219,7 @@ def test_first_come_first_served(pool: WorkerPool) -> None:
 
 
 def test_waiting_does_not_count_as_time_of_the_task(pool: WorkerPool) -> None:
-    first, second = pool.worker(), pool.worker()
+    first, second = Worker(pool), Worker(pool)
     first.submit(tasks.wait, budget=0.5)
     number = second.submit(tasks.call, operator.add, 1, 1, budget=0.4)
     ending(first)
@@ -227,7 +227,7 @@ def test_waiting_does_not_count_as_time_of_the_task(pool: WorkerPool) -> None:
 
 
 def test_a_task_cancelled_while_it_waits_ends_in_its_turn(pool: WorkerPool) -> None:
-    first, second = pool.worker(), pool.worker()
+    first, second = Worker(pool), Worker(pool)
     numbers = [first.submit(tasks.wait), second.submit(tasks.wait)]
     second.cancel()
     first.cancel()
