@@ -162,7 +162,7 @@ def _lost(rig: ThreeNodes, last: DamperParameters, kept: tuple[Any, Any, str], c
 def _read(rig: ThreeNodes) -> tuple[Any, Any, str]:
     """The stored set, its memory, and their faults."""
     try:
-        kept, text = rig.state.load_with_memory("identifier")
+        kept, text = rig.state.load("identifier")
         if not text:
             return kept, None, "" if kept.set_id == "literature" else "the memory is lost"
         return kept, from_text(text, kept.law), ""

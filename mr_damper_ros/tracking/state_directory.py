@@ -31,7 +31,6 @@ _MEMORY_LINE = "\n# memory "
 _FILE_LIMIT = 1 << 26
 """Largest size in bytes of a file; real files are far smaller, even with the tracker's memory."""
 
-
 _ASIDE, _READ = "aside", "aside-read"
 """Suffixes of files that could not be used, before and after a user has acknowledged them."""
 
@@ -93,18 +92,11 @@ class StateDirectory:
             raise _unwritable(path, error) from error
         return path
 
-    def load(self, name: str) -> ParameterSet:
-        """The set stored under a name.
-
-        Raises StateError if there is none, or if its file is damaged or cannot be used.
-        """
-        return self.load_with_memory(name)[0]
-
-    def load_with_memory(self, name: str) -> tuple[ParameterSet, str]:
+    def load(self, name: str) -> tuple[ParameterSet, str]:
         """The set stored under a name, and its memory.
 
         The memory is empty if none was stored, or if the set was edited and the memory no longer
-        matches. Raises StateError as :meth:`load` does.
+        matches. Raises StateError if there is no set, or if its file is damaged or cannot be used.
         """
         path = self.file(name)
         if path.is_symlink() and os.path.dirname(os.path.realpath(path)) != os.path.realpath(
@@ -121,66 +113,66 @@ class StateDirectory:
         except ParameterError as error:
             raise StateError(f"{path}: {error}") from error
 
-    def lock(self, name: str) -> FolderLock:
-        """Reserve the name for this process until the lock is released.
-
-        Raises StateError if another process holds it, or if the folder cannot be written.
-        """
-        path = self.file(name)
-        try:
-            return FolderLock(_lock_of(path))
-        except LockHeldError as error:
-            raise StateError(
-                f"{path} is in use by another node"
-                + (f" (process {error.holder})" if error.holder else "")
-                + ": give this node another name, namespace or state_dir"
-            ) from error
-        except OSError as error:
-            raise _unwritable(path, error) from error
-
-    def is_of_a_node(self, name: str) -> bool:
-        """Whether a node stores, or has stored, its own state under a name."""
-        path = self.file(name)
-        if os.path.lexists(_lock_of(path)):
-            return True
-        try:
-            return _read(path)[1] != ""
-        except StateError:
-            return False
-
     def names(self) -> list[str]:
         """Names of the stored sets, sorted."""
-        if self._path is None or not self._path.is_dir():
-            return []
-        return sorted(path.stem for path in self._path.glob("*.yaml"))
+        return sorted(path.stem for path in self._path.glob("*.yaml")) if self._path else []
 
-    def set_aside(self, name: str) -> Path:
-        """Rename an unusable file, so that it is neither read again nor overwritten."""
-        path = self.file(name)
-        return _renamed(path, path.with_suffix(""), _ASIDE)
 
-    def unread_asides(self, name: str) -> list[Path]:
-        """Files of this name that were set aside and have not been acknowledged."""
-        path = self.file(name)
-        pattern = re.compile(rf"{re.escape(path.stem)}\.{_ASIDE}\d*")
-        if not path.parent.is_dir():
-            return []
-        return sorted(path.parent / n for n in os.listdir(path.parent) if pattern.fullmatch(n))
+# The own file of a tracker
 
-    def mark_asides_read(self, name: str) -> list[Path]:
-        """Rename the files set aside, so that they are no longer reported; returns the new names.
 
-        Raises StateError if the folder cannot be written.
-        """
-        without_ending = self.file(name).with_suffix("")
-        return [_renamed(aside, without_ending, _READ) for aside in self.unread_asides(name)]
+def lock_file(path: Path) -> FolderLock:
+    """Reserve a file for this process until the lock is released.
 
-    def remove_unfinished(self, name: str) -> None:
-        """Remove temporary files of a process that was killed while it saved this set."""
-        path = self.file(name)
-        for unfinished in path.parent.glob(f".{path.name}.*"):
-            with contextlib.suppress(OSError):
-                unfinished.unlink()
+    Raises StateError if another process holds it, or if the folder cannot be written.
+    """
+    try:
+        return FolderLock(_lock_of(path))
+    except LockHeldError as error:
+        raise StateError(
+            f"{path} is in use by another node"
+            + (f" (process {error.holder})" if error.holder else "")
+            + ": give this node another name, namespace or state_dir"
+        ) from error
+    except OSError as error:
+        raise _unwritable(path, error) from error
+
+
+def is_of_a_node(path: Path) -> bool:
+    """Whether a node stores, or has stored, its own state in a file."""
+    if os.path.lexists(_lock_of(path)):
+        return True
+    try:
+        return _read(path)[1] != ""
+    except StateError:
+        return False
+
+
+def set_aside(path: Path) -> Path:
+    """Rename an unusable file, so that it is neither read again nor overwritten."""
+    return _renamed(path, path.with_suffix(f".{_ASIDE}"))
+
+
+def unread_asides(path: Path) -> list[Path]:
+    """Files of this name that were set aside and have not been acknowledged."""
+    pattern = re.compile(rf"{re.escape(path.stem)}\.{_ASIDE}\d*")
+    return sorted(each for each in path.parent.glob("*") if pattern.fullmatch(each.name))
+
+
+def mark_asides_read(path: Path) -> None:
+    """Rename the files set aside, so that they are no longer reported.
+
+    Raises StateError if the folder cannot be written.
+    """
+    for aside in unread_asides(path):
+        _renamed(aside, path.with_suffix(f".{_READ}"))
+
+
+def remove_unfinished(path: Path) -> None:
+    """Remove temporary files of a process that was killed while it saved a set."""
+    for unfinished in path.parent.glob(f".{path.name}.*"):
+        with contextlib.suppress(OSError):
+            unfinished.unlink()
 
 
 SetSource = ParameterSet | str | os.PathLike[str]
@@ -221,20 +213,19 @@ def _text(path: Path) -> str:
     """The text of a file, with line ends converted to newlines."""
     try:
         path = path.expanduser()
-        status = path.stat()
-        if not stat.S_ISREG(status.st_mode):
-            raise StateError(f"cannot read {path}: it is not a file")
-        if status.st_size > _FILE_LIMIT:
-            raise StateError(f"{path} is too large for a parameter file: give another file")
-        return path.read_text(encoding="utf-8")
+        regular, size = stat.S_ISREG(path.stat().st_mode), path.stat().st_size
+        text = path.read_text(encoding="utf-8") if regular and size <= _FILE_LIMIT else ""
     except UnicodeDecodeError as error:
         raise StateError(f"{path} is damaged: it is not text") from error
     except OSError as error:
         raise StateError(f"cannot read {path}: {error.strerror}") from error
-    except StateError:
-        raise
     except (RuntimeError, ValueError) as error:  # a link to itself, an unknown user, a null byte
         raise StateError(f"cannot read {str(path)!r}: it is not a valid path") from error
+    if not regular:
+        raise StateError(f"cannot read {path}: it is not a file")
+    if size > _FILE_LIMIT:
+        raise StateError(f"{path} is too large for a parameter file: give another file")
+    return text
 
 
 def _unwritable(path: Path, error: OSError) -> StateError:
@@ -272,15 +263,13 @@ def _lock_of(path: Path) -> Path:
     return path.with_name(f".{path.stem}.lock")
 
 
-def _renamed(path: Path, without_ending: Path, ending: str) -> Path:
-    """Rename a file to this ending, with a number if the name is already in use."""
-    number = 0
-    while os.path.lexists(
-        free := without_ending.with_name(f"{without_ending.name}.{ending}{number or ''}")
-    ):
+def _renamed(path: Path, wanted: Path) -> Path:
+    """Rename a file, with a number at the end of the new name if that is already in use."""
+    free, number = wanted, 0
+    while os.path.lexists(free):
         number += 1
+        free = wanted.with_name(f"{wanted.name}{number}")
     try:
-        path.rename(free)
+        return path.rename(free)
     except OSError as error:
         raise StateError(f"cannot rename {path}: {error.strerror}") from error
-    return free

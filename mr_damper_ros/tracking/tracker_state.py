@@ -11,13 +11,13 @@ from __future__ import annotations
 import base64
 import contextlib
 import dataclasses
-import functools
 import json
 import math
 import types
 import typing
+from functools import cache, partial
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any
 
 import numpy as np
 
@@ -30,10 +30,17 @@ from mr_damper_ros.processes.worker import GRACE
 from mr_damper_ros.signals.arrays import Array
 from mr_damper_ros.tracking.force_scale import is_plausible
 from mr_damper_ros.tracking.operating_point import KnownPoints, nearest_same
-from mr_damper_ros.tracking.state_directory import StateDirectory, StateError
+from mr_damper_ros.tracking.state_directory import (
+    StateDirectory,
+    StateError,
+    is_of_a_node,
+    lock_file,
+    mark_asides_read,
+    remove_unfinished,
+    set_aside,
+    unread_asides,
+)
 from mr_damper_ros.tracking.tracker import TrackerMemory, WindowTracker
-
-T = TypeVar("T")
 
 _DATA = "float64"
 """Key of an array's doubles (little endian, base64); the shape has a separate key."""
@@ -66,9 +73,7 @@ def from_text(text: str, model: Model) -> TrackerMemory:
         memory.points = KnownPoints(tuple(read))
         _check(memory, model)
         return memory
-    except RecursionError as error:
-        raise StateError("the memory of the tracker is nested too deeply") from error
-    except (ValueError, OverflowError, TypeError, LookupError) as error:
+    except (RecursionError, ValueError, OverflowError, TypeError, LookupError) as error:
         raise StateError(f"the memory of the tracker cannot be used: {error}") from error
 
 
@@ -92,8 +97,7 @@ def _with_records(data: dict[str, Any]) -> dict[str, Any]:
         place = nearest_same([each["point"] for each in records], point)
         if place is None:
             place = len(records)
-            nothing = np.empty((0, 3))
-            records.append({"point": point, "temperatures": _plain(nothing)})
+            records.append({"point": point})
         records[place] |= entries
     gone = {*_EARLIER_TABLES, "history", "kept_ns"}
     kept = {name: value for name, value in data.items() if name not in gone}
@@ -110,99 +114,67 @@ def _plain(value: Any) -> Any:
         data = np.ascontiguousarray(value, dtype="<f8").tobytes()
         return {"shape": list(value.shape), _DATA: base64.b64encode(data).decode("ascii")}
     if dataclasses.is_dataclass(value):
-        return {
-            field.name: _plain(getattr(value, field.name)) for field in dataclasses.fields(value)
-        }
+        return {each.name: _plain(getattr(value, each.name)) for each in dataclasses.fields(value)}
     if isinstance(value, tuple):
         return [_plain(item) for item in value]
     return value.item() if isinstance(value, np.generic) else value
 
 
-def _read(kind: type[T], data: Any, where: str) -> T:
+def _read(kind: Any, data: Any, where: str) -> Any:
     """Convert parsed JSON to a type; ``where`` names the value in errors (ValueError).
 
     A float is finite, an integer is a count or a stamp, and a vector has finite entries.
     """
-    value: Any
     origin, arguments = typing.get_origin(kind), typing.get_args(kind)
     if origin is typing.Annotated:
         value = _read(arguments[0], data, where)
         _require(value > 0, f"{where} is not positive")
-    elif origin in (types.UnionType, typing.Union):  # all unions here are optional types
-        value = None if data is None else _read(arguments[0], data, where)
-    elif kind is ParameterSet:
-        value = ParameterSet.from_yaml(_read(str, data, where))
-    elif origin is np.ndarray:
-        value = _array(data, where)
-    elif origin is tuple:
-        value = _tuple(arguments, data, where)
-    elif dataclasses.is_dataclass(kind):
-        value = _dataclass(kind, data, where)
-    else:
-        value = float(data) if kind is float and type(data) is int else data
-        _require(type(value) is kind, f"{where} has the wrong type")
+        return value
+    if origin in (types.UnionType, typing.Union):  # all unions here are optional types
+        return None if data is None else _read(arguments[0], data, where)
+    if origin is np.ndarray:
+        values = np.frombuffer(base64.b64decode(data[_DATA], validate=True), "<f8")
+        values = values.astype(float).reshape(data["shape"])
+        _require(values.ndim > 1 or bool(np.isfinite(values).all()), f"{where} is not finite")
+        return values
+    if origin is tuple:
+        _require(isinstance(data, list), f"{where} is not a list")
+        kinds = arguments[:1] * len(data) if arguments[1:] == (Ellipsis,) else arguments
+        return tuple(_read(each, item, where) for each, item in zip(kinds, data, strict=True))
+    if kind is ParameterSet:
+        return ParameterSet.from_yaml(_read(str, data, where))
+    if dataclasses.is_dataclass(kind):
+        return _dataclass(kind, data, where)
+    value = float(data) if kind is float and type(data) is int else data
+    _require(type(value) is kind, f"{where} has the wrong type")
     if kind is int:
         least = -_LARGEST if where.endswith("_ns") else 0
         _require(least <= value <= _LARGEST, f"{where} is out of range")
     _require(kind is not float or math.isfinite(value), f"{where} is not finite")
-    return typing.cast("T", value)
+    return value
 
 
 _LARGEST = int(np.iinfo(np.int64).max)
+
+_hints = cache(partial(typing.get_type_hints, include_extras=True))
+
+
+def _dataclass(kind: Any, data: Any, where: str) -> Any:
+    # Fields added by a later version have a default, so they may be missing.
+    fields = {field.name: field for field in dataclasses.fields(kind)}
+    sound = isinstance(data, dict) and data.keys() <= fields.keys()
+    _require(sound, f"{where} does not have the entries {', '.join(sorted(fields))}")
+    found = {}
+    for name, item in data.items():
+        # A number that is NaN by default may be unknown.
+        unknown = item != item and fields[name].default != fields[name].default
+        found[name] = math.nan if unknown else _read(_hints(kind)[name], item, f"{where}.{name}")
+    return kind(**found)
 
 
 def _require(sound: bool, fault: str) -> None:
     if not sound:
         raise ValueError(fault)
-
-
-def _array(data: Any, where: str) -> np.ndarray:
-    _require(isinstance(data, dict) and data.keys() == {"shape", _DATA}, f"{where} is not an array")
-    shape = _read(tuple[int, ...], data["shape"], f"{where}.shape")
-    values = np.frombuffer(base64.b64decode(_read(str, data[_DATA], where), validate=True), "<f8")
-    _require(math.prod(shape) == values.size, f"the data of {where} do not match its shape")
-    _require(len(shape) > 1 or bool(np.isfinite(values).all()), f"{where} is not finite")
-    return values.astype(float).reshape(shape)
-
-
-def _tuple(arguments: tuple[Any, ...], data: Any, where: str) -> tuple[Any, ...]:
-    _require(isinstance(data, list), f"{where} is not a list")
-    if arguments[1:] == (Ellipsis,):
-        arguments = arguments[:1] * len(data)
-    _require(
-        len(arguments) == len(data),
-        f"{where} has {len(data)} entries instead of {len(arguments)}",
-    )
-    return tuple(
-        _read(kind, item, f"{where}[{index}]")
-        for index, (kind, item) in enumerate(zip(arguments, data, strict=True))
-    )
-
-
-def _dataclass(kind: Any, data: Any, where: str) -> Any:
-    hints = _hints(kind)
-    fields = {field.name: field for field in dataclasses.fields(kind)}
-    # Fields added by a later version have a default.
-    needed = {
-        name
-        for name, field in fields.items()
-        if field.default is dataclasses.MISSING and field.default_factory is dataclasses.MISSING
-    }
-    _require(
-        isinstance(data, dict) and needed <= data.keys() <= fields.keys(),
-        f"{where} does not have the entries {', '.join(sorted(fields))}",
-    )
-    found = {}
-    for name, item in data.items():
-        # A number that is NaN by default may be unknown.
-        unknown = item != item and fields[name].default != fields[name].default
-        found[name] = math.nan if unknown else _read(hints[name], item, f"{where}.{name}")
-    return kind(**found)
-
-
-@functools.cache
-def _hints(kind: Any) -> dict[str, Any]:
-    return typing.get_type_hints(kind, include_extras=True)
 
 
 def _check(memory: TrackerMemory, model: Model) -> None:
@@ -235,9 +207,10 @@ def _check(memory: TrackerMemory, model: Model) -> None:
                 (fit.coefficients, fit.coefficient_discrepancy),
             ]
     for vector, matrix in covariances:
-        right = matrix is None or (vector.ndim == 1 and matrix.shape == vector.shape * 2)
-        sound = right and (matrix is None or not np.any(np.diagonal(matrix) < 0.0))
-        _require(sound, "a matrix is not a covariance")
+        if matrix is not None:
+            sound = vector.ndim == 1 and matrix.shape == vector.shape * 2
+            sound = sound and not np.any(np.diagonal(matrix) < 0.0)
+            _require(sound, "a matrix is not a covariance")
 
 
 def _check_window(window: Window) -> None:
@@ -284,28 +257,28 @@ class TrackerState:
         :attr:`set_aside`. Raises StateError if the folder cannot be used, or if another process
         stores its state there under this name.
         """
-        if not self._directory.keeps:
+        if (path := self.path) is None:
             return ""
-        self._lock = self._directory.lock(self._name)
-        if unread := self._directory.unread_asides(self._name):
+        self._lock = lock_file(path)
+        if unread := unread_asides(path):
             self.set_aside = "at an earlier start, unusable files were set aside as " + (
                 ", ".join(map(str, unread))
             )
-        self._directory.remove_unfinished(self._name)
-        if not self._directory.file(self._name).exists():
+        remove_unfinished(path)
+        if not path.exists():
             self._directory.save(self._name, tracker.parameters)
             return ""
         try:
-            parameters, memory = self._directory.load_with_memory(self._name)
+            parameters, memory = self._directory.load(self._name)
             parameters.of_model(tracker.parameters.model)
         except (StateError, ParameterError) as error:
-            self._set_aside(str(error))
+            self._set_aside(path, str(error))
             return ""
         try:
             learnt = from_text(memory, parameters.law) if memory else None
         except StateError as error:
             tracker.replace(parameters)
-            self._set_aside(f"{error}; continuing with {parameters.set_id} alone")
+            self._set_aside(path, f"{error}; continuing with {parameters.set_id} alone")
             with contextlib.suppress(StateError):
                 self._directory.save(self._name, parameters)
             return ""
@@ -325,9 +298,9 @@ class TrackerState:
         from_text(text, parameters.law)
         self._directory.save(self._name, parameters, text)
 
-    def _set_aside(self, why: str) -> None:
+    def _set_aside(self, path: Path, why: str) -> None:
         try:
-            why += f"; set aside as {self._directory.set_aside(self._name)}"
+            why += f"; set aside as {set_aside(path)}"
         except StateError as error:
             why += f"; {error}"
         self.set_aside = "; ".join(filter(None, (why, self.set_aside)))
@@ -338,8 +311,8 @@ class TrackerState:
         Returns the message about them. The files are renamed, not deleted. Raises StateError if
         they cannot be renamed.
         """
-        if self._directory.keeps:
-            self._directory.mark_asides_read(self._name)
+        if self.path is not None:
+            mark_asides_read(self.path)
         taken, self.set_aside = self.set_aside, ""
         return taken
 
@@ -362,8 +335,8 @@ class TrackerState:
         name.
         """
         path = self._directory.file(name or self._name)
-        if path != self._directory.file(self._name):
-            if self._directory.is_of_a_node(name):
+        if path != self.path:
+            if is_of_a_node(path):
                 raise StateError(
                     f"{path} is the state of another node, which would load this set: give "
                     "another name"
@@ -378,7 +351,7 @@ class TrackerState:
 
         Raises StateError if there is no usable set.
         """
-        return self._directory.load(name or self._name)
+        return self._directory.load(name or self._name)[0]
 
     def close(self) -> None:
         """Write the states that wait for the disk, release the lock and end."""

@@ -9,7 +9,13 @@ import pytest
 
 from mr_damper_ros.models.parameter_set import ParameterSet
 from mr_damper_ros.models.published import LITERATURE, THESIS_28_CELSIUS
-from mr_damper_ros.tracking.state_directory import StateDirectory, StateError, read_parameter_file
+from mr_damper_ros.tracking.state_directory import (
+    StateDirectory,
+    StateError,
+    read_parameter_file,
+    remove_unfinished,
+    set_aside,
+)
 
 SET = ParameterSet(
     values=THESIS_28_CELSIUS,
@@ -37,8 +43,8 @@ def test_a_saved_set_comes_back_to_the_last_digit(tmp_path: Path) -> None:
     state = StateDirectory(tmp_path / "new" / "folder")
     path = state.save("cold", SET)
     assert path == tmp_path / "new" / "folder" / "cold.yaml"
-    assert same(state.load("cold"), SET)
-    assert same(state.load("cold.yaml"), SET)
+    assert same(state.load("cold")[0], SET)
+    assert same(state.load("cold.yaml")[0], SET)
     assert state.names() == ["cold"]
 
 
@@ -61,7 +67,7 @@ def test_what_a_killed_process_left_behind_is_removed(tmp_path: Path) -> None:
     path = state.save("running", SET)
     for name in (".running.yaml.x1y2", ".running.yaml.z", ".other.yaml.x1y2"):
         (tmp_path / name).write_text("half a fi")
-    state.remove_unfinished("running")
+    remove_unfinished(path)
     assert sorted(os.listdir(tmp_path)) == [".other.yaml.x1y2", "running.yaml"]
     assert same(read_parameter_file(path), SET)
 
@@ -128,7 +134,7 @@ def test_a_damaged_file_is_set_aside(tmp_path: Path) -> None:
     for expected in ("cold.aside", "cold.aside1"):
         path = state.save("cold", SET)
         path.write_text("half a fi")
-        assert state.set_aside("cold") == tmp_path / expected
+        assert set_aside(path) == tmp_path / expected
         assert not path.exists()
     assert state.names() == []
 
