@@ -473,10 +473,6 @@ class Gatekeeper:
             and (not self.known.points.knows_forces or 1.0 / limit <= level <= limit)
         )
 
-    def follow_change(self, evidence: Evidence) -> None:
-        """Update the force level after an early fit has changed the running set."""
-        self.known.level *= 1.0 + evidence.force_change
-
     def is_usual(self, rmse: float, nrmse: float) -> bool:
         """Whether a residual, RMSE [N] and NRMSE, agrees with the residual baseline."""
         if not nrmse <= self._settings.maximum_nrmse:

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from mr_damper_ros.kinematics.motion import DataError
 from mr_damper_ros.kinematics.window import MOST_UNUSED, TURN, holds_cycle
 from mr_damper_ros.settings.option_table import CheckedSettings, option
 from mr_damper_ros.signals.arrays import NOISE_SPAN, Array, Mask, white_noise
@@ -42,6 +43,10 @@ NEGATIVE_POWER = 0.1
 """If the correlation of force and velocity is below minus this value, one of the signs is wrong."""
 
 
+class TooLittleMotionError(Exception):
+    """A window that contains too little motion; the message says why."""
+
+
 @dataclass(frozen=True)
 class Screening(CheckedSettings):
     """Limits that a window must meet to be fitted."""
@@ -64,7 +69,7 @@ def fault_of_samples(displacement: Array, force: Array, current: Array, limits: 
     """Why samples of shape (n,) [m, N, A] cannot be used, in one sentence; empty if they can.
 
     The samples are finite, because recordings, blocks and windows check this on entry. Too little
-    motion is not a fault here; :func:`fault_at_rest` compares it with the force.
+    motion is not a fault here.
     """
     if wrong := wrong_unit(displacement, force, current):
         return wrong
@@ -80,19 +85,6 @@ def fault_of_samples(displacement: Array, force: Array, current: Array, limits: 
     return ""
 
 
-def fault_at_rest(displacement: Array, force: Array, largest_force: float) -> str:
-    """Why the force contradicts a rest of the machine, in one sentence; empty if it does not.
-
-    Arrays have shape (n,), in m and N. ``largest_force`` [N] is the largest known force of the
-    damper, NaN if unknown.
-    """
-    still = float(np.ptp(displacement)) <= NOISE_SPAN * white_noise(displacement)
-    low, high = np.quantile(force, (0.01, 0.99))
-    if still and high - low > _MOVING * largest_force and holds_cycle(force):
-        return _STUCK
-    return ""
-
-
 def lack_of_motion(displacement: Array, limits: Screening) -> str:
     """Why the amplitude of a displacement (n,) [m] is too small, in one sentence, or empty."""
     span = float(np.ptp(displacement))
@@ -104,19 +96,42 @@ def lack_of_motion(displacement: Array, limits: Screening) -> str:
     )
 
 
-def lack_of_cycle(displacement: Array, velocity: Array) -> str:
-    """Why a motion (n,) [m, m/s] does not suffice for a fit, in one sentence; empty if it does.
+def check_samples(
+    displacement: Array, force: Array, current: Array, limits: Screening, largest_force: float
+) -> None:
+    """Check the samples (n,) [m, N, A] of a window before their motion is computed.
 
-    It does not suffice if the machine rests too long or the window contains less than a cycle.
+    ``largest_force`` [N] is the largest known force of the damper, NaN if unknown. Raises DataError
+    for a fault, and TooLittleMotionError for too small an amplitude.
+    """
+    if fault := fault_of_samples(displacement, force, current, limits):
+        raise DataError(fault)
+    if lack := lack_of_motion(displacement, limits):
+        still = float(np.ptp(displacement)) <= NOISE_SPAN * white_noise(displacement)
+        low, high = np.quantile(force, (0.01, 0.99))
+        if still and high - low > _MOVING * largest_force and holds_cycle(force):
+            raise DataError(_STUCK)
+        raise TooLittleMotionError(lack)
+
+
+def check_motion(displacement: Array, velocity: Array, force: Array) -> None:
+    """Check the motion (n,) [m, m/s] of a window and its force (n,) [N].
+
+    Raises DataError if they contradict each other, and TooLittleMotionError if the machine rests
+    too long or the window contains less than a cycle.
     """
     if (rest := long_rest(velocity)) is not None:
-        return f"the machine rests for {(rest.stop - rest.start) / velocity.size:.0%} of the window"
+        if float(np.std(force[rest])) > _MOVING * float(np.std(force)):
+            raise DataError(_STUCK)
+        share = (rest.stop - rest.start) / velocity.size
+        raise TooLittleMotionError(f"the machine rests for {share:.0%} of the window")
     if not holds_cycle(displacement):
-        return (
+        raise TooLittleMotionError(
             "the window contains less than a cycle of the motion: it is extended, up to "
             "longest_window"
         )
-    return ""
+    if fault := fault_of_sign(velocity, force):
+        raise DataError(fault)
 
 
 def long_rest(velocity: Array) -> slice | None:
@@ -124,14 +139,6 @@ def long_rest(velocity: Array) -> slice | None:
     speed = np.abs(velocity)
     rest = _longest(_runs(speed < _RESTING * speed.max()))
     return rest if rest.stop - rest.start > MOST_UNUSED * velocity.size else None
-
-
-def fault_of_rest(velocity: Array, force: Array) -> str:
-    """Why the force contradicts a long rest within a window (n,) [m/s, N]; empty if it does not."""
-    rest = long_rest(velocity)
-    if rest is not None and float(np.std(force[rest])) > _MOVING * float(np.std(force)):
-        return _STUCK
-    return ""
 
 
 def _runs(mask: Mask) -> list[slice]:

@@ -89,12 +89,10 @@ from mr_damper_ros.tracking.running_set import (
 )
 from mr_damper_ros.tracking.screening import (
     Screening,
-    fault_at_rest,
-    fault_of_rest,
+    TooLittleMotionError,
+    check_motion,
+    check_samples,
     fault_of_samples,
-    fault_of_sign,
-    lack_of_cycle,
-    lack_of_motion,
 )
 from mr_damper_ros.tracking.window_assembler import RawWindow
 
@@ -320,10 +318,6 @@ class Outcome:
     duration: float = math.nan
 
 
-class _TooLittleMotionError(Exception):
-    """A window that contains too little motion; the message says why."""
-
-
 # A search also tries parameters whose force overflows, and rejects them.
 @np.errstate(over="ignore", divide="ignore", invalid="ignore")
 def run(job: Job, control: Control | None = None) -> Outcome:
@@ -341,7 +335,7 @@ def run(job: Job, control: Control | None = None) -> Outcome:
             outcome = _fit(job, _screened(job), control.should_stop if control else None)
     except DataError as error:
         outcome = refused(job, Judgement(Verdict.FAULT_OF_DATA, str(error)))
-    except _TooLittleMotionError as error:
+    except TooLittleMotionError as error:
         outcome = refused(job, Judgement(Verdict.TOO_LITTLE_MOTION, str(error)))
     except (ValueError, ArithmeticError) as error:
         sentence = f"the identification failed ({type(error).__name__}: {error}): the running set"
@@ -354,15 +348,16 @@ def run(job: Job, control: Control | None = None) -> Outcome:
 def refused(job: Job, judgement: Judgement) -> Outcome:
     """The outcome of a job that gave no set."""
     memory = _begun(job)
-    if job.raw is not None and judgement.verdict is Verdict.FAILED:
+    if job.raw is None:
+        memory.unexplained_patience *= 2
+        return Outcome(memory, _report(job, job.running, judgement))
+    if judgement.verdict is Verdict.FAILED:
         # What the job started from may be the cause, and would make every later window fail.
         memory.forget_changes()
         memory.rival = None
-    if job.raw is None:
-        memory.unexplained_patience *= 2
-    elif job.raw.look:
+    if job.raw.look:
         return Outcome(memory)
-    due = job.raw is not None and _search_is_due(job, job.running, memory, unexplained=False)
+    due = _search_is_due(job, job.running, memory, unexplained=False)
     return Outcome(memory, _report(job, job.running, judgement, global_due=due))
 
 
@@ -382,17 +377,18 @@ def _report(
     used: ParameterSet,
     judgement: Judgement,
     evidence: Evidence | None = None,
+    window: Window | None = None,
+    fit: WindowFit | None = None,
     **figures: Any,
 ) -> Report:
-    """The report on a job after which the set ``used`` is in use."""
+    """The report on a job after which the set ``used`` is in use, with the fit of its window."""
     raw, model, verdict = job.raw, job.running.law, judgement.verdict
-    known: dict[str, Any]
     if raw is None:
         points = job.memory.points
         stamp_ns = max(points.newest_ns, job.running.stamp_ns)
         # Linear laws are solved by least squares; the others need a search.
         searched = model.searched_laws(frozenset(model.parameter_names)) > 0
-        known = {
+        figures |= {
             "window_start_ns": stamp_ns,
             "stamp_ns": stamp_ns,
             "sample_count": sum(window.sample_count for window in points.windows),
@@ -400,7 +396,7 @@ def _report(
         }
     else:
         unknown = np.full(len(model.coefficient_names), math.nan)
-        known = {
+        figures = {
             "window_start_ns": raw.start_ns,
             "stamp_ns": raw.end_ns,
             "sample_count": raw.force.size,
@@ -411,9 +407,18 @@ def _report(
             "coefficients": unknown,
             "coefficient_errors": unknown,
             "coefficient_discrepancies": unknown,
-        }
+        } | figures
     if evidence is not None:
-        known |= {"nrmse_before": evidence.nrmse_before, "nrmse_after": evidence.nrmse_after}
+        figures |= {"nrmse_before": evidence.nrmse_before, "nrmse_after": evidence.nrmse_after}
+    if window is not None and fit is not None:
+        figures |= {
+            "method": fit.method,
+            "evaluations": fit.evaluations,
+            "peak_velocity": fit.operating_point[0],
+            "amplitude": window.motion.amplitude,
+            "frequency": window.motion.frequency,
+            "coefficients": fit.coefficients,
+        }
     return Report(
         verdict=verdict,
         reason=judgement.sentence,
@@ -421,20 +426,8 @@ def _report(
         # The windows of a search are old, so a fit to them does not confirm the set for new
         # samples.
         confirms=verdict.accepted if raw is None else verdict.confirms,
-        **known | figures,
+        **figures,
     )
-
-
-def _of_fit(window: Window, fit: WindowFit) -> dict[str, Any]:
-    """The figures of a fitted window for its report."""
-    return {
-        "method": fit.method,
-        "evaluations": fit.evaluations,
-        "peak_velocity": fit.operating_point[0],
-        "amplitude": window.motion.amplitude,
-        "frequency": window.motion.frequency,
-        "coefficients": fit.coefficients,
-    }
 
 
 def _errors(covariance: Array) -> Array:
@@ -467,26 +460,13 @@ def _search_is_due(
 
 
 def _screened(job: Job) -> Window:
-    """The window of a job; raises DataError or _TooLittleMotionError if it cannot be fitted."""
-    raw, limits = job.samples, job.settings.screening
-    _require(fault_of_samples(raw.displacement, raw.force, raw.current, limits))
-    if lack := lack_of_motion(raw.displacement, limits):
-        fault = fault_at_rest(raw.displacement, raw.force, job.running.largest_force)
-        _require(fault, lack)
-    window = Window.from_samples(
-        raw.displacement, raw.force, raw.current, raw.period, raw.peak_velocity
-    )
-    velocity, force = window.motion.velocity, window.force
-    fault, lack = fault_of_rest(velocity, force), lack_of_cycle(raw.displacement, velocity)
-    _require(fault or ("" if lack else fault_of_sign(velocity, force)), lack)
+    """The window of a job; raises DataError or TooLittleMotionError if it cannot be fitted."""
+    raw = job.samples
+    samples = raw.displacement, raw.force, raw.current
+    check_samples(*samples, job.settings.screening, job.running.largest_force)
+    window = Window.from_samples(*samples, raw.period, raw.peak_velocity)
+    check_motion(raw.displacement, window.motion.velocity, window.force)
     return window if raw.force_after is None else window.measured_after(raw.force_after)
-
-
-def _require(fault: str, lack: str = "") -> None:
-    if fault:
-        raise DataError(fault)
-    if lack:
-        raise _TooLittleMotionError(lack)
 
 
 def _fit(job: Job, window: Window, should_stop: Callable[[], bool] | None) -> Outcome:
@@ -500,7 +480,7 @@ def _fit(job: Job, window: Window, should_stop: Callable[[], bool] | None) -> Ou
     model, running = before.law, before
     before_change = math.ceil((memory.changed_ns - raw.start_ns) / (raw.period * NANOSECONDS))
     if before_change > 0.5 * window.sample_count:
-        raise _TooLittleMotionError("most of the window lies before the change of the force")
+        raise TooLittleMotionError("most of the window lies before the change of the force")
     window = window.part(slice(max(before_change, 0), None))
     if rival is not None:
         maximum = options.acceptance.maximum_nrmse
@@ -597,7 +577,8 @@ def _fit(job: Job, window: Window, should_stop: Callable[[], bool] | None) -> Ou
         used,
         judgement,
         evidence,
-        **_of_fit(window, fit),
+        window,
+        fit,
         scale=scale,
         coefficient_errors=_errors(fit.coefficient_covariance),
         coefficient_discrepancies=unknown if besides is None else _errors(besides),
@@ -609,30 +590,17 @@ def _fit(job: Job, window: Window, should_stop: Callable[[], bool] | None) -> Ou
 
 def _fitted(job: Job, window: Window, should_stop: Callable[[], bool] | None) -> Fitted:
     """Fit a window, first without its validation samples and then to all samples."""
-    model, options = job.running.law, job.settings
+    running, options = job.running, job.settings
     validation = validation_mask(window.sample_count, job.fresh)
-    start = job.running.values
     # Only a set that was identified on this damper is evidence.
-    prior = job.running if job.running.observable.any() else None
-    trained = fit_window(
-        model,
-        window.part(~validation),
-        start,
-        method=options.method,
-        robust=options.robust,
-        prior=prior,
-        should_stop=should_stop,
+    prior = running if running.observable.any() else None
+    fitted = partial(fit_window, running.law, robust=options.robust, prior=prior)
+    trained = fitted(
+        window.part(~validation), running.values, method=options.method, should_stop=should_stop
     )
     evidence = _evidence(job, window, trained.parameters, validation)
     # The published set uses all samples; the validation samples only serve the acceptance test.
-    final = fit_window(
-        model,
-        window,
-        trained.parameters,
-        method="least_squares",
-        robust=options.robust,
-        prior=prior,
-    )
+    final = fitted(window, trained.parameters, method="least_squares")
     final = replace(
         final,
         method=options.method,
@@ -641,8 +609,7 @@ def _fitted(job: Job, window: Window, should_stop: Callable[[], bool] | None) ->
         message=trained.message,
     )
     remembers = TRACKERS[options.tracker] is not None
-    state = FilterState.of(final, job.samples.end_ns) if remembers else None
-    return final, evidence, state
+    return final, evidence, FilterState.of(final, job.samples.end_ns) if remembers else None
 
 
 def _evidence(job: Job, window: Window, values: Array, validation: np.ndarray) -> Evidence:
@@ -666,45 +633,35 @@ def parts_by_current(model: Model, window: Window, tolerance: float) -> list[Win
     """
     if float(np.ptp(window.current)) <= tolerance:
         return [window]
-    lead_in = round(MOST_UNUSED * window.sample_count) if model.needs_past(window) else 0
-    edges = _edges(window.current, tolerance)
-    place = np.searchsorted(edges, window.current, side="right")
-    parts = []
-    for number in range(edges.size + 1):
-        chosen = place == number
-        if np.count_nonzero(chosen[lead_in:]) < PHASES:
-            continue
-        if np.ptp(window.force[chosen]) > 0.0:
-            parts.append(window.part(chosen))
-    return parts
-
-
-def _edges(current: Array, tolerance: float) -> Array:
-    """Currents [A] between the parts, in ascending order."""
-    levels = np.unique(current)
+    levels = np.unique(window.current)
     widest = max(float(np.ptp(levels)) / _MOST_INTERVALS, tolerance)
     gaps = np.flatnonzero(np.diff(levels) > tolerance)
     edges = (0.5 * (levels[gaps] + levels[gaps + 1])).tolist()
     for stretch in np.split(levels, gaps + 1):
         count = math.ceil(float(np.ptp(stretch)) / widest)
         edges += np.linspace(stretch[0], stretch[-1], count + 1)[1:-1].tolist()
-    return np.sort(edges)
+    place = np.searchsorted(np.sort(edges), window.current, side="right")
+    lead_in = round(MOST_UNUSED * window.sample_count) if model.needs_past(window) else 0
+    chosen = [place == number for number in range(len(edges) + 1)]
+    return [
+        window.part(each)
+        for each in chosen
+        if np.count_nonzero(each[lead_in:]) >= PHASES and np.ptp(window.force[each]) > 0.0
+    ]
 
 
 def judge_parts(window: Window, parts: Sequence[Window], found: ParameterSet) -> tuple[float, bool]:
     """RMSE [N] of separate fits to the parts of a window, and whether one set explains them all."""
     few = [found.held(part.thinned(MOST_SAMPLES // 2)) for part in parts]
-    own = [fit_window(found.law, part, found.values, method="least_squares") for part in few]
-    alone = _pooled([fit.rmse for fit in own], parts)
-    together = _pooled([error_of_set(found, [part]).rmse for part in few], parts)
+    counts = [part.sample_count for part in parts]
+    own = [fit_window(found.law, part, found.values, method="least_squares").rmse for part in few]
+    by_found = [error_of_set(found, [part]).rmse for part in few]
+    alone, together = (
+        math.sqrt(float(np.average(np.square(errors), weights=counts)))
+        for errors in (own, by_found)
+    )
     besides = LARGEST_EXCESS * float(np.std(window.force))
     return alone, together <= max(WORSE_RATIO * alone, math.hypot(alone, besides))
-
-
-def _pooled(errors: Sequence[float], parts: Sequence[Window]) -> float:
-    """RMSE [N] over all parts, from the RMSE of each part."""
-    counts = [part.sample_count for part in parts]
-    return math.sqrt(float(np.average(np.square(errors), weights=counts)))
 
 
 # -- a change check --------------------------------------------------------------------------
@@ -770,7 +727,7 @@ def _look(job: Job, window: Window) -> Outcome:
     gains = np.where(problem.strength, problem.start, 0.0) * (scale.standard_error / scale.value)
     fit = fit_of(problem, problem.start, np.outer(gains, gains), method=EARLY_SOURCE, evaluations=2)
     of_window = force_scale(model, changed, fit, memory.points.baselines)
-    gatekeeper.follow_change(evidence)
+    memory.level *= 1.0 + evidence.force_change
     memory.windows += 1
     if (state := memory.state) is not None:
         factors = np.where(problem.strength, scale.value, 1.0)
@@ -789,8 +746,7 @@ def _look(job: Job, window: Window) -> Outcome:
         f"the force changed by {evidence.force_change:+.0%} at "
         f"t = {memory.changed_ns / NANOSECONDS:.2f} s: fitted early",
     )
-    figures = _of_fit(changed, fit)
-    report = _report(job, found, judgement, evidence, **figures, scale=of_window)
+    report = _report(job, found, judgement, evidence, changed, fit, scale=of_window)
     return Outcome(memory, report, found, found)
 
 

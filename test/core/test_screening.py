@@ -4,10 +4,12 @@ import known
 import numpy as np
 import pytest
 
+from mr_damper_ros.kinematics.motion import DataError
 from mr_damper_ros.signals.arrays import Array
 from mr_damper_ros.tracking.screening import (
     Screening,
-    fault_at_rest,
+    TooLittleMotionError,
+    check_samples,
     fault_of_samples,
     fault_of_sign,
     lack_of_motion,
@@ -85,21 +87,22 @@ def test_a_crank_that_rests_at_dead_centre_is_not_taken_for_clipped(dwell: float
 
 
 @pytest.mark.parametrize(
-    ("moving", "size", "known", "stuck"),
+    ("moving", "size", "known", "error"),
     [
-        (0.0, 1.0, 1.0, True),
-        (0.0, 0.05, 1.0, False),  # hum of the load cell
-        (0.0, 1.0, np.nan, False),
-        (1.0, 1.0, 1.0, False),
+        (0.0, 1.0, 1.0, DataError),
+        (0.0, 0.05, 1.0, TooLittleMotionError),  # hum of the load cell
+        (0.0, 1.0, np.nan, TooLittleMotionError),
+        (0.05, 1.0, 1.0, TooLittleMotionError),
     ],
 )
 def test_a_displacement_that_rests_while_the_force_goes_through_a_cycle_is_at_fault(
-    moving: float, size: float, known: float, stuck: bool
+    moving: float, size: float, known: float, error: type[Exception]
 ) -> None:
     data, noise = samples(), np.random.default_rng(0).normal(0.0, 1e-6, 1000)
+    displacement, force = moving * data["displacement"] + noise, size * data["force"]
     largest = known * float(np.abs(data["force"]).max())
-    found = fault_at_rest(moving * data["displacement"] + noise, size * data["force"], largest)
-    assert bool(found) is stuck
+    with pytest.raises(error):
+        check_samples(displacement, force, data["current"], Screening(), largest)
 
 
 @pytest.mark.parametrize("offset", [0.0, 10_000.0])
