@@ -14,7 +14,7 @@ import time
 from collections import deque
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -44,17 +44,22 @@ class RollingTable:
     half instead, so that the past stays in the table with decreasing resolution.
     """
 
-    def __init__(self, columns: Sequence[str], capacity: int, join: Join | None = None) -> None:
+    def __init__(
+        self,
+        columns: Sequence[str],
+        capacity: int,
+        join: Join | None = None,
+        generation: int = 0,
+    ) -> None:
         self.columns = ("index", *columns)
+        self.generation = generation
+        """Distinguishes the table from tables of earlier runs or with other columns."""
         self._join = join
         # Filling the array allocates all of its memory at once.
         self._rows = np.full((capacity, len(self.columns)), np.nan)
         self._size = 0
         self.next_index = 0
         """Index of the next row."""
-
-    def __len__(self) -> int:
-        return self._size
 
     def extend(self, rows: Sequence[Sequence[float]] | Array) -> None:
         """Add rows (k, columns)."""
@@ -99,12 +104,16 @@ SAMPLES = ("time", "displacement", "measured_force", "predicted_force", "valid")
 
 _RANGED = SIGNALS[1:7]
 
-HISTORY = ("time", *(f"{name}_{end}" for name in _RANGED for end in ("low", "high")), "valid")
+HISTORY = ("time", *(f"{name}_{end}" for end in ("low", "high") for name in _RANGED), "valid")
 """Columns of the table ``history``, one row per tenth of a second.
 
 Each row holds the smallest and largest values, and the fraction of valid force. The error is
-    computed from valid force only.
+computed from valid force only.
 """
+
+_LOWS, _HIGHS = slice(0, 2 + len(_RANGED)), slice(2 + len(_RANGED), -1)
+"""Columns of the history, after the index, of which a joined row holds the smaller value of two
+rows (the index and the time included), and the larger one."""
 
 WINDOWS = (
     *("time", "nrmse_before", "nrmse_after", "force_scale", "force_scale_error"),
@@ -192,12 +201,8 @@ class Fault:
     seen: bool = False
 
 
-@dataclass(frozen=True, eq=False)
-class Rows:
-    """Rows of a table with the names of its columns.
-
-    ``generation`` distinguishes the table from tables of earlier runs or with other columns.
-    """
+class Rows(NamedTuple):
+    """Rows of a table with its generation and the names of its columns."""
 
     generation: int
     columns: tuple[str, ...]
@@ -242,11 +247,11 @@ class LiveRecord:
         self._begin()
 
     def _begin(self) -> None:
-        self._tables: dict[str, tuple[int, RollingTable]] = {}
-        self._add_table("signals", RollingTable(SIGNALS, self._signals_kept))
-        self._add_table("samples", RollingTable(SAMPLES, SAMPLES_KEPT))
-        self._add_table("history", RollingTable(HISTORY, HISTORY_KEPT, _joined_ranges))
-        self._add_table("windows", RollingTable(WINDOWS, WINDOWS_KEPT, first_of_two))
+        self._tables: dict[str, RollingTable] = {}
+        self._add_table("signals", SIGNALS, self._signals_kept)
+        self._add_table("samples", SAMPLES, SAMPLES_KEPT)
+        self._add_table("history", HISTORY, HISTORY_KEPT, _joined_ranges)
+        self._add_table("windows", WINDOWS, WINDOWS_KEPT, first_of_two)
         self._tenth: list[tuple[float, ...]] = []
         self._marks.clear()
         # The level of the current, and the candidate for the next level; the start time of the
@@ -258,9 +263,11 @@ class LiveRecord:
         self._recent: Array = np.empty((0, len(SAMPLES)))
         self._tick = -math.inf
 
-    def _add_table(self, name: str, table: RollingTable) -> None:
+    def _add_table(
+        self, name: str, columns: Sequence[str], capacity: int, join: Join | None = None
+    ) -> None:
         self._generations += 1
-        self._tables[name] = (self._generations, table)
+        self._tables[name] = RollingTable(columns, capacity, join, self._generations)
 
     def add_current(self, time_s: float, current: float) -> None:
         """Add a reading of the supply current [A], stamped ``time_s`` [s]."""
@@ -291,7 +298,7 @@ class LiveRecord:
                 self._begin()
                 if self.parameters is not None:
                     self._trace_set(self.parameters, math.nan)
-            self._tables["samples"][1].extend(rows)
+            self._tables["samples"].extend(rows)
             if velocity is None:
                 rows, velocity = self._with_slope(rows, period)
             ticks = np.floor(rows[:, 0] * _RATE + _TIME_TOLERANCE)
@@ -323,10 +330,11 @@ class LiveRecord:
             self._origin = self._last_time
         error = row[5] - row[4]
         wanted = (self._set_point(name) for name in ("current_command", "desired_force"))
-        self._tables["signals"][1].extend([(*row, error, *wanted, float(valid))])
+        self._tables["signals"].extend([(*row, error, *wanted, float(valid))])
         if self._tenth and self._last_time >= self._tenth[0][0] + _HISTORY_STEP:
-            self._tables["history"][1].extend(_range_of(np.array(self._tenth))[np.newaxis])
-            self._tenth = []
+            rows, self._tenth = np.array(self._tenth), []
+            low, high = (np.fmin.reduce(rows), np.fmax.reduce(rows))
+            self._tables["history"].extend([(*low[:7], *high[1:7], rows[:, 7].mean())])
         self._tenth.append((*row, error if valid else math.nan, float(valid)))
         self._follow_current(self._last_time, row[3])
 
@@ -374,7 +382,7 @@ class LiveRecord:
             "fit_duration": duration,
         }
         with self._lock:
-            self._tables["windows"][1].extend([[figures[name] for name in WINDOWS]])
+            self._tables["windows"].extend([[figures[name] for name in WINDOWS]])
             self._windows_seen += 1
             self.last_report = report
             self._sentences.append(
@@ -387,10 +395,8 @@ class LiveRecord:
                     "parameter_set": report.set_id,
                 }
             )
-            if report.known_coefficients:
-                self._trace(
-                    "coefficients", figures["time"], report.known_coefficients, WINDOWS_KEPT
-                )
+            if known := report.known_coefficients:
+                self._trace("coefficients", figures["time"], known, WINDOWS_KEPT)
 
     def set_parameters(self, seen: ParameterSet) -> None:
         """Set the parameter set in use."""
@@ -413,12 +419,10 @@ class LiveRecord:
     ) -> None:
         """Add values and errors to a table; a change of the names starts a new table."""
         columns = ("time", *pairs, *(f"{key}_error" for key in pairs))
-        _, table = self._tables.get(name, (0, None))
-        if table is None or table.columns[1:] != columns:
-            table = RollingTable(columns, capacity, first_of_two)
-            self._add_table(name, table)
+        if name not in self._tables or self._tables[name].columns[1:] != columns:
+            self._add_table(name, columns, capacity, first_of_two)
         values, errors = zip(*pairs.values(), strict=True)
-        table.extend([(time_s, *values, *errors)])
+        self._tables[name].extend([(time_s, *values, *errors)])
 
     def add_concern(self, concern: Concern) -> None:
         """Add a diagnostic."""
@@ -480,10 +484,11 @@ class LiveRecord:
         does not exist yet.
         """
         with self._lock:
-            if name not in self._tables:
+            table = self._tables.get(name)
+            if table is None:
                 return None
-            present, table = self._tables[name]
-            return Rows(present, table.columns, table.after(after if generation == present else -1))
+            start = after if generation == table.generation else -1
+            return Rows(table.generation, table.columns, table.after(start))
 
     @property
     def concerns(self) -> list[tuple[Concern, float]]:
@@ -511,11 +516,10 @@ class LiveRecord:
             now = self._clock()
             status = {
                 "tables": {
-                    name: {"generation": generation, "next": table.next_index}
-                    for name, (generation, table) in self._tables.items()
+                    name: {"generation": table.generation, "next": table.next_index}
+                    for name, table in self._tables.items()
                 },
-                "units": _units(self.parameters),
-                "set": None if self.parameters is None else _set_summary(self.parameters),
+                **_of_the_set(self.parameters),
                 "concerns": [{**vars(each), "silence": silence} for each, silence in concerns],
                 "faults": [{**vars(f), "since": now - f.since} for f in self._faults.values()],
                 "events": list(self._events),
@@ -527,36 +531,21 @@ class LiveRecord:
                 "origin": self._origin,
                 "windows": [w for w in self._sentences if w["number"] > windows_after],
             }
-        found: dict[str, Any] = json_ready(status)
-        return found
-
-
-def _range_of(rows: Array) -> Array:
-    """A row of the history from signals (n, 8): time, six signals, validity of the force."""
-    low, high = np.fmin.reduce(rows[:, 1:7]), np.fmax.reduce(rows[:, 1:7])
-    ranges = np.stack([low, high], axis=1).ravel()
-    return np.concatenate([rows[:1, 0], ranges, [rows[:, 7].mean()]])
+        return dict(json_ready(status))
 
 
 def _joined_ranges(pairs: Array) -> Array:
     """Join pairs of rows of the history; the first column is the index."""
-    joined = pairs[:, 0].copy()
-    joined[:, 2:-1:2] = np.fmin(pairs[:, 0, 2:-1:2], pairs[:, 1, 2:-1:2])
-    joined[:, 3:-1:2] = np.fmax(pairs[:, 0, 3:-1:2], pairs[:, 1, 3:-1:2])
-    joined[:, -1] = pairs[:, :, -1].mean(axis=1)
-    return joined
+    low, high = np.fmin.reduce(pairs, axis=1), np.fmax.reduce(pairs, axis=1)
+    return np.column_stack([low[:, _LOWS], high[:, _HIGHS], pairs[:, :, -1].mean(axis=1)])
 
 
-def _units(seen: ParameterSet | None) -> dict[str, str]:
-    """Units of all columns by name, including the parameters and coefficients of a set."""
+def _of_the_set(seen: ParameterSet | None) -> dict[str, object]:
+    """The set in use, and the units of all columns, its parameters and coefficients included."""
     if seen is None:
-        return UNITS
+        return {"units": UNITS, "set": None}
     coefficients = {quantity.name: quantity.unit for quantity in seen.law.at_one_current}
-    return {**UNITS, **coefficients, **seen.law.units}
-
-
-def _set_summary(seen: ParameterSet) -> dict[str, object]:
-    return {
+    summary = {
         "set_id": seen.set_id,
         "model": seen.model,
         "source": str(seen.source),
@@ -564,3 +553,4 @@ def _set_summary(seen: ParameterSet) -> dict[str, object]:
         "names": list(seen.law.parameter_names),
         "observable": seen.observable.tolist(),
     }
+    return {"units": {**UNITS, **coefficients, **seen.law.units}, "set": summary}

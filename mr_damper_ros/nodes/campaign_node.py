@@ -17,7 +17,7 @@ from rclpy.node import Node
 from sensor_msgs.msg import Temperature
 from std_srvs.srv import Trigger
 
-from mr_damper_ros.campaign.conductor import CampaignConductor, CampaignStatus, ConductSettings
+from mr_damper_ros.campaign.conductor import CampaignConductor, ConductSettings
 from mr_damper_ros.campaign.course import CampaignCourse, CampaignOutcome
 from mr_damper_ros.campaign.folder import CampaignTask
 from mr_damper_ros.campaign.goal_options import GoalOptions, MachineOptions
@@ -126,7 +126,6 @@ class CampaignNode(Node):
             begin=self._begin_goal,
             refusal=self._refusal,
             cancel=lambda goal: conductor.stop() if goal == self._goal else None,
-            succeeded=lambda result: result.outcome == RunCampaign.Result.MET,
         )
         for name, act, said in (
             ("pause", conductor.pause, "paused: the machine rests until ~/resume is called"),
@@ -186,12 +185,11 @@ class CampaignNode(Node):
         try:
             self._begin(self._wanted(goal.request))
         except (ValueError, OSError) as error:
-            self.get_logger().error(f"the campaign cannot begin: {reason_of(error)}")
+            reason = reason_of(error)
+            self.get_logger().error(f"the campaign cannot begin: {reason}")
             failed = RunCampaign.Result.FAILED
-            result = RunCampaign.Result(
-                outcome=failed, message=reason_of(error), worst_error=math.nan
-            )
-            self._goals.finish(goal, result)
+            result = RunCampaign.Result(outcome=failed, message=reason, worst_error=math.nan)
+            self._goals.finish(goal, result, succeeded=False)
         else:
             self._goal = goal
 
@@ -248,11 +246,8 @@ class CampaignNode(Node):
             self._end(end)
         self._polls += 1
         status = self._conductor.status()
-        if status is not None and self._polls % _FEEDBACK == 0:
-            self._publish_feedback(status)
-            self._log_next_run(status)
-
-    def _publish_feedback(self, status: CampaignStatus) -> None:
+        if status is None or self._polls % _FEEDBACK:
+            return
         if self._goal is not None:
             self._goal.publish_feedback(
                 RunCampaign.Feedback(
@@ -263,10 +258,8 @@ class CampaignNode(Node):
                     runs_left=-1 if status.runs_left is None else status.runs_left,
                 )
             )
-
-    def _log_next_run(self, status: CampaignStatus) -> None:
-        """Log the settings of the next run once, for the operator of a manual press."""
         if self._options.conduct.manual and status.sentence and status.sentence != self._last:
+            # For the operator of a manual press, once.
             self._last = status.sentence
             self.get_logger().info(f"set run {status.run}: {status.sentence}")
 
@@ -296,6 +289,7 @@ class CampaignNode(Node):
                 parameters=found,
                 worst_error=worst,
             ),
+            succeeded=end.outcome is CampaignOutcome.MET,
         )
 
     # --- state ----------------------------------------------------------------------------------
@@ -311,11 +305,9 @@ class CampaignNode(Node):
             "worst error": f"{status.worst_error:.4g}",
             "runs left": "unknown" if status.runs_left is None else status.runs_left,
         }
-        waits = self._inputs.silent
-        said = f"run {status.run}: {status.sentence or status.state}"
-        if status.sentence:
-            said += f"; {status.state}"
-        return Finding(WARN if waits else OK, said, figures)
+        sentences = filter(None, (status.sentence, status.state))
+        level = WARN if self._inputs.silent else OK
+        return Finding(level, f"run {status.run}: {'; '.join(sentences)}", figures)
 
 
 def main(workers: WorkerPool) -> int:

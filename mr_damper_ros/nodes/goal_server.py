@@ -16,8 +16,7 @@ class GoalServer:
     """Serves an action of a node.
 
     ``begin`` receives each accepted goal. ``refusal`` returns the reason to reject a request now,
-    or an empty string. ``cancel`` receives a goal that its client cancels. ``succeeded`` says
-    whether a result is a success.
+    or an empty string. ``cancel`` receives a goal that its client cancels.
 
     A goal stays "accepted" until :meth:`finish`, and is "executing" only while its result is
     delivered. If it waited in a coroutine, the executor would resume the coroutine again and again,
@@ -33,49 +32,46 @@ class GoalServer:
         begin: Callable[[ServerGoalHandle], None],
         refusal: Callable[[Any], str],
         cancel: Callable[[ServerGoalHandle], None],
-        succeeded: Callable[[Any], bool],
     ) -> None:
-        self._logger = node.get_logger()
-        self._refusal = refusal
-        self._cancelled = cancel
-        self._succeeded = succeeded
-        self._results: dict[bytes, Any] = {}
+        self._results: dict[bytes, tuple[Any, bool]] = {}
+
+        def judge(request: Any) -> GoalResponse:
+            reason = refusal(request)
+            if reason:
+                node.get_logger().warning(
+                    f"a goal is rejected: {reason}", throttle_duration_sec=1.0
+                )
+            return GoalResponse.REJECT if reason else GoalResponse.ACCEPT
+
+        def accept_cancel(goal: ServerGoalHandle) -> CancelResponse:
+            cancel(goal)
+            return CancelResponse.ACCEPT
+
         self._server = ActionServer(
             node,
             kind,
             name,
             self._hand_over,
             handle_accepted_callback=begin,
-            goal_callback=self._judge,
-            cancel_callback=self._cancel,
+            goal_callback=judge,
+            cancel_callback=accept_cancel,
             goal_service_qos_profile=quality.lossless(),
             result_service_qos_profile=quality.lossless(),
             cancel_service_qos_profile=quality.lossless(),
         )
 
-    def finish(self, goal: ServerGoalHandle, result: Any) -> None:
-        """Deliver the result of a goal to its client."""
-        self._results[bytes(goal.goal_id.uuid)] = result
+    def finish(self, goal: ServerGoalHandle, result: Any, *, succeeded: bool) -> None:
+        """Deliver the result of a goal to its client, as a success or not."""
+        self._results[bytes(goal.goal_id.uuid)] = result, succeeded
         goal.execute()
-
-    def _judge(self, request: Any) -> GoalResponse:
-        refusal = self._refusal(request)
-        if not refusal:
-            return GoalResponse.ACCEPT
-        self._logger.warning(f"a goal is rejected: {refusal}", throttle_duration_sec=1.0)
-        return GoalResponse.REJECT
 
     def _hand_over(self, goal: ServerGoalHandle) -> Any:
         """End a goal; the action server calls this once the result is available."""
-        result = self._results.pop(bytes(goal.goal_id.uuid))
+        result, succeeded = self._results.pop(bytes(goal.goal_id.uuid))
         if goal.is_cancel_requested:
             goal.canceled()
-        elif self._succeeded(result):
+        elif succeeded:
             goal.succeed()
         else:
             goal.abort()
         return result
-
-    def _cancel(self, goal: ServerGoalHandle) -> CancelResponse:
-        self._cancelled(goal)
-        return CancelResponse.ACCEPT

@@ -89,8 +89,6 @@ class IdentifierParameters(ParameterTable):
     frame_id: str = option("damper", "Frame of the published messages, x along the damper's rod.")
 
 
-_NOTHING_WRONG = "there was nothing to acknowledge"
-
 _POLL_PERIOD = 0.02
 """Time [s] between two polls of the worker.
 
@@ -137,12 +135,11 @@ class IdentifierNode(Node):
             "temperature",
             lambda message: self._identifier.add_temperature(message.temperature),
         )
-        state = self._identifier.state
         for kind, name, act in (
             (SaveParameters, "save_parameters", self._save),
             (LoadParameters, "load_parameters", self._load),
             (Trigger, "reset", lambda _: self._switch(self._identifier.reset)),
-            (Trigger, "acknowledge", lambda _: state.acknowledge() or _NOTHING_WRONG),
+            (Trigger, "acknowledge", self._acknowledge),
         ):
             self.create_service(kind, f"~/{name}", partial(_answer, act))
         self._evolution = options.tracking.evolution
@@ -154,7 +151,6 @@ class IdentifierNode(Node):
             begin=self._begin_goal,
             refusal=self._refusal,
             cancel=self._cancel_goal,
-            succeeded=lambda result: bool(result.success),
         )
         self._worker = worker
         # A rejected fit causes a warning only if the NRMSE of the set in use exceeds this limit.
@@ -211,20 +207,22 @@ class IdentifierNode(Node):
         left = self._next_poll - time.monotonic()
         if left > 0.0:
             return left
-        self._poll_worker()
-        self._next_poll = time.monotonic() + _POLL_PERIOD
-        return _POLL_PERIOD
-
-    def _poll_worker(self) -> None:
         for event in self._identifier.poll():
             if isinstance(event, Publication):
                 self._publish([event])
+            elif event.search not in self._goals:
+                continue
             elif isinstance(event, SearchProgress):
-                self._publish_progress(event)
+                feedback = IdentifyGlobal.Feedback(**vars(event.progress))
+                self._goals[event.search].publish_feedback(feedback)
             else:
-                self._finish_goal(event)
+                result = self._goal_result(event)
+                goal = self._goals.pop(event.search)
+                self._server.finish(goal, result, succeeded=result.success)
         for notice in self._identifier.take_notices():
             self.get_logger().warning(notice)
+        self._next_poll = time.monotonic() + _POLL_PERIOD
+        return _POLL_PERIOD
 
     def _publish(self, publications: Iterable[Publication]) -> None:
         for publication in publications:
@@ -262,6 +260,9 @@ class IdentifierNode(Node):
         parameters = self._identifier.state.load(request.name)
         return self._switch(lambda: self._identifier.replace(parameters))
 
+    def _acknowledge(self, _: Any) -> str:
+        return self._identifier.state.acknowledge() or "there was nothing to acknowledge"
+
     def _switch(self, to_another_set: Callable[[], str]) -> str:
         """Publish pending results of the set in use, then put the other set in use."""
         self._publish(self._identifier.flush())
@@ -271,15 +272,6 @@ class IdentifierNode(Node):
         return f"running with {parameters.set_id}" + (f"; {fault}" if fault else "")
 
     # --- goals: each is a search of the identification -------------------------------------------
-
-    def _publish_progress(self, event: SearchProgress) -> None:
-        if event.search in self._goals:
-            feedback = IdentifyGlobal.Feedback(**vars(event.progress))
-            self._goals[event.search].publish_feedback(feedback)
-
-    def _finish_goal(self, event: SearchEnded) -> None:
-        if event.search in self._goals:
-            self._server.finish(self._goals.pop(event.search), self._goal_result(event))
 
     def _refusal(self, _: IdentifyGlobal.Goal) -> str:
         if len(self._goals) < _MOST_GOALS:
@@ -295,7 +287,8 @@ class IdentifierNode(Node):
                 strategy=goal.request.strategy or self._evolution.strategy,
             )
         except ValueError as error:
-            self._server.finish(goal, IdentifyGlobal.Result(message=str(error), nrmse=math.nan))
+            result = IdentifyGlobal.Result(message=str(error), nrmse=math.nan)
+            self._server.finish(goal, result, succeeded=False)
             return
         search = Search(settings)
         self._goals[search] = goal

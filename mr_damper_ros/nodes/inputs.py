@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable
+from typing import Any, Generic, TypeVar
 
 from mr_damper_msgs.msg import MtsSamples, SupplyCurrent
 from rclpy.node import Node
@@ -24,49 +25,67 @@ _PACE_TOLERANCE = 0.2
 """Relative tolerance of the sample rate, which is uncertain by up to a block of 0.1 s."""
 
 
-class Stream:
-    """Statistics of the messages on a topic: count, rate and rejected messages.
+T = TypeVar("T")
 
-    ``advice`` is added to the message if nothing publishes the topic.
+
+class MessageError(ValueError):
+    """A message cannot be used; the message of the error is a sentence with the reason."""
+
+
+class Stream(Generic[T]):
+    """A subscription that counts its samples and its rejected messages.
+
+    ``read`` converts a message, or rejects it by a BlockError, CurrentError or MessageError;
+    ``use`` receives what it returns. ``advice`` is added to the fault if nothing publishes the
+    topic. ``topic`` is its name in sentences.
     """
 
     def __init__(
         self,
         node: Node,
+        kind: type,
         topic: str,
+        read: Callable[[Any], T],
+        use: Callable[[T], object],
         profile: QoSProfile,
         advice: str = "is the bridge running in this namespace?",
     ) -> None:
+        self._node, self._read, self._use = node, read, use
         self._advice = advice
-        self._node = node
-        self._topic = topic
+        self.topic = topic
+        # Overrides by the user change the profile in place.
         self._profile = profile
-        self._count = 0
+        self._count = self._rejected_since = self.rejected = 0
         self._since = time.monotonic()
-        self._last: float | None = None
-        self._rejected_since = 0
+        self._heard = -math.inf
         self._rejection = ""
-        self.rejected = 0
+        self.subscription = quality.subscription(node, kind, topic, self.take, profile)
 
-    def accept(self, count: int) -> None:
-        """Count accepted samples."""
-        self._count += count
-        self._last = time.monotonic()
+    def take(self, message: Any) -> None:
+        """Pass on what a message holds, or count it as rejected."""
+        if (found := self.read(message)) is not None:
+            self._use(found)
 
-    def reject(self, reason: str) -> None:
-        """Count a rejected message."""
-        self.rejected += 1
-        self._rejected_since += 1
-        self._rejection = reason
-        self._last = time.monotonic()
-        self._node.get_logger().warning(
-            f"a message on {self._topic} is ignored: {reason}", throttle_duration_sec=10.0
-        )
+    def read(self, message: Any) -> T | None:
+        """Return what a message holds, and count it; None if it is rejected."""
+        self._heard = time.monotonic()
+        try:
+            found = self._read(message)
+        except (BlockError, CurrentError, MessageError) as error:
+            self.rejected += 1
+            self._rejected_since += 1
+            self._rejection = str(error)
+            self._node.get_logger().warning(
+                f"a message on {self.topic} is ignored: {error}", throttle_duration_sec=10.0
+            )
+            return None
+        self._count += found.sample_count if isinstance(found, SampleBlock) else 1
+        return found
 
     @property
     def silent(self) -> bool:
         """Whether no message has arrived recently, or ever."""
-        return self._last is None or time.monotonic() - self._last >= SILENCE
+        return time.monotonic() - self._heard >= SILENCE
 
     def take_rate(self) -> float:
         """Samples per second since the last call."""
@@ -79,21 +98,21 @@ class Stream:
         """The fault of the stream since the last call, as a sentence; empty without a fault."""
         rejected, self._rejected_since = self._rejected_since, 0
         if rejected:
-            return f"{rejected} messages on {self._topic} could not be used: {self._rejection}"
+            return f"{rejected} messages on {self.topic} could not be used: {self._rejection}"
         if not self.silent:
             return ""
-        if self._node.count_publishers(self._topic) == 0:
-            return f"nothing publishes {self._topic}: {self._advice}"
+        if self._node.count_publishers(self.topic) == 0:
+            return f"nothing publishes {self.topic}: {self._advice}"
         # A reliable subscription receives nothing from publishers that are all best effort.
         if self._profile.reliability == ReliabilityPolicy.RELIABLE and all(
             publisher.qos_profile.reliability == ReliabilityPolicy.BEST_EFFORT
-            for publisher in self._node.get_publishers_info_by_topic(self._topic)
+            for publisher in self._node.get_publishers_info_by_topic(self.topic)
         ):
             return (
-                f"{self._topic} is published best effort, which a reliable subscription cannot "
+                f"{self.topic} is published best effort, which a reliable subscription cannot "
                 "receive: set qos_overrides.<topic>.subscription.reliability to best_effort"
             )
-        return f"nothing arrives on {self._topic}: has its publisher stopped?"
+        return f"nothing arrives on {self.topic}: has its publisher stopped?"
 
 
 class Inputs:
@@ -107,19 +126,17 @@ class Inputs:
         on_current: Callable[[int, float], None],
     ) -> None:
         self._node = node
-        # Overrides by the user change these profiles in place.
-        samples_profile, current_profile = profile(), profile()
-        self._samples = Stream(node, SAMPLES_TOPIC, samples_profile)
-        self._current = Stream(node, CURRENT_TOPIC, current_profile)
-        self._on_block = on_block
-        self._on_current = on_current
         self._value = math.nan
         self._interruptions = 0
-        self._samples_in = quality.subscription(
-            node, MtsSamples, SAMPLES_TOPIC, self._take_samples, samples_profile
-        )
-        self._current_in = quality.subscription(
-            node, SupplyCurrent, CURRENT_TOPIC, self._take_current, current_profile
+
+        def read_current(message: SupplyCurrent) -> float:
+            on_current(to_nanoseconds(message.header.stamp), message.current)
+            self._value = message.current
+            return self._value
+
+        self._samples = Stream(node, MtsSamples, SAMPLES_TOPIC, sample_block, on_block, profile())
+        self._current = Stream(
+            node, SupplyCurrent, CURRENT_TOPIC, read_current, lambda _: None, profile()
         )
 
     def skip_to_newest(
@@ -130,37 +147,13 @@ class Inputs:
         ``follow`` is called with the skipped samples, joined into as few blocks as possible. Queued
         currents are passed on as usual.
         """
-        for message in waiting_messages(self._current_in):
-            self._take_current(message)
-        waiting = (self._block(message) for message in waiting_messages(self._samples_in))
+        for message in waiting_messages(self._current.subscription):
+            self._current.take(message)
+        waiting = map(self._samples.read, waiting_messages(self._samples.subscription))
         *skipped, newest = (block, *(each for each in waiting if each is not None))
         for part in joined(skipped):
             follow(part)
         return newest, len(skipped)
-
-    def _take_samples(self, message: MtsSamples) -> None:
-        block = self._block(message)
-        if block is not None:
-            self._on_block(block)
-
-    def _block(self, message: MtsSamples) -> SampleBlock | None:
-        """Return the block in a message and count it; None if the message is rejected."""
-        try:
-            block = sample_block(message)
-        except BlockError as error:
-            self._samples.reject(str(error))
-            return None
-        self._samples.accept(block.sample_count)
-        return block
-
-    def _take_current(self, message: SupplyCurrent) -> None:
-        try:
-            self._on_current(to_nanoseconds(message.header.stamp), message.current)
-        except CurrentError as error:
-            self._current.reject(str(error))
-            return
-        self._value = message.current
-        self._current.accept(1)
 
     @property
     def silent(self) -> bool:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import queue
 import re
 import time
 from collections import deque
@@ -67,7 +66,7 @@ class RecordInput:
         looking = quality.stream(_WAITING)
         looking.reliability = ReliabilityPolicy.BEST_EFFORT
         for kind, topic, take, profile in (
-            (MtsSamples, messages.JOINED_SAMPLES_TOPIC, self._take_samples, looking),
+            (MtsSamples, messages.JOINED_SAMPLES_TOPIC, self._samples.append, looking),
             (PredictedForce, messages.JOINED_FORCES_TOPIC, self._take_forces, looking),
             (SupplyCurrent, CURRENT_TOPIC, self._take_current, looking),
             (CurrentCommand, COMMAND_TOPIC, self._take_command, looking),
@@ -78,9 +77,6 @@ class RecordInput:
             (DiagnosticArray, "/diagnostics", self._take_diagnostics, waiting),
         ):
             node.create_subscription(kind, topic, take, profile)
-
-    def _take_samples(self, message: MtsSamples) -> None:
-        self._samples.append(message)
 
     def _take_forces(self, message: PredictedForce) -> None:
         """Join predicted forces with their samples, which arrive before them."""
@@ -261,7 +257,7 @@ class LiveNode(Node):
         self._options = options = NodeParameters(self, LiveParameters).values
         self._record = LiveRecord()
         self._recording: _BagRecording | None = None
-        self._waiting: queue.Queue[tuple[str, Mapping[str, str]]] = queue.Queue(_WAITING_COMMANDS)
+        self._waiting: deque[tuple[str, Mapping[str, str]]] = deque()
         commands = _COMMANDS if options.allow_commands else {}
         self._identifier_clients = {
             name: self.create_client(kind, f"{options.identifier}/{name}")
@@ -302,8 +298,8 @@ class LiveNode(Node):
 
     def do_commands(self) -> float:
         """Carry out the commands from the page; returns the seconds until the next check."""
-        while not self._waiting.empty():
-            name, arguments = self._waiting.get_nowait()
+        while self._waiting:
+            name, arguments = self._waiting.popleft()
             if name == _RECORD:
                 self._begin_recording(arguments)
             elif name == _STOP:
@@ -316,10 +312,9 @@ class LiveNode(Node):
 
     def _take_command(self, name: str, arguments: Mapping[str, str]) -> bool:
         """Queue a command from a thread of the server; returns False if the queue is full."""
-        try:
-            self._waiting.put_nowait((name, arguments))
-        except queue.Full:
+        if len(self._waiting) >= _WAITING_COMMANDS:
             return False
+        self._waiting.append((name, arguments))
         return True
 
     def _begin_recording(self, arguments: Mapping[str, str]) -> None:
@@ -362,14 +357,13 @@ class LiveNode(Node):
             self._record.add_event(f"{name}: no node offers the service {client.srv_name}")
             return
         self.get_logger().info(f"{name} was requested on the page")
-        client.call_async(client.srv_type.Request()).add_done_callback(
-            lambda future: self._report_answer(name, future)
-        )
 
-    def _report_answer(self, name: str, future: Future) -> None:
-        answer: Any = future.result()
-        outcome = "done" if answer.success else "refused"
-        self._record.add_event(f"{name}: {outcome}: {answer.message}")
+        def report(future: Future) -> None:
+            answer: Any = future.result()
+            outcome = "done" if answer.success else "refused"
+            self._record.add_event(f"{name}: {outcome}: {answer.message}")
+
+        client.call_async(client.srv_type.Request()).add_done_callback(report)
 
 
 main = partial(run, LiveNode, LiveParameters, between=LiveNode.do_commands)

@@ -9,12 +9,13 @@ from functools import partial
 from mr_damper_msgs.msg import DesiredForce
 from rclpy.node import Node
 from sensor_msgs.msg import JointState
+from std_msgs.msg import Header
 
 from mr_damper_ros.control.semi_active import SuspensionSettings, controller_of
 from mr_damper_ros.nodes import quality
 from mr_damper_ros.nodes.command_topic import DEMAND_TOPIC
 from mr_damper_ros.nodes.diagnostics import OK, STALE, WARN, Diagnostics, Finding
-from mr_damper_ros.nodes.inputs import Stream
+from mr_damper_ros.nodes.inputs import MessageError, Stream
 from mr_damper_ros.nodes.messages import BODY, SUSPENSION_TOPIC, suspension_state, to_nanoseconds
 from mr_damper_ros.nodes.node_parameters import NodeParameters
 from mr_damper_ros.nodes.spinning import run
@@ -52,9 +53,15 @@ class SuspensionNode(Node):
         # Velocity of the body [m/s] and its stamp.
         self._body = math.nan, 0
         self._demand = quality.publisher(self, DesiredForce, DEMAND_TOPIC)
-        profile = quality.newest()
-        quality.subscription(self, JointState, SUSPENSION_TOPIC, self._take, profile)
-        self._stream = Stream(self, SUSPENSION_TOPIC, profile, "does the vehicle send its motion?")
+        self._stream = Stream(
+            self,
+            JointState,
+            SUSPENSION_TOPIC,
+            self._demand_for,
+            self._demand.publish,
+            quality.newest(),
+            "does the vehicle send its motion?",
+        )
         self._diagnostics = Diagnostics(self, {"force": self._finding})
         name = self._options.control.function or self._options.control.controller
         self.get_logger().info(
@@ -62,29 +69,24 @@ class SuspensionNode(Node):
             "desired force is published"
         )
 
-    def _take(self, message: JointState) -> None:
+    def _demand_for(self, message: JointState) -> DesiredForce:
+        """The desired force at a motion; raises MessageError if there is none."""
         try:
             now = suspension_state(message, self._acceleration(message))
         except ValueError as error:
-            self._stream.reject(str(error))
-            return
+            raise MessageError(str(error)) from error
         try:
             force = float(self._controller(now))
         except Exception as error:  # a user's function: its errors must not end the node
-            self._stream.reject(f"the controller failed: {reason_of(error)}")
-            return
+            raise MessageError(f"the controller failed: {reason_of(error)}") from error
         if not math.isfinite(force):
-            self._stream.reject(
+            raise MessageError(
                 f"the controller returned {force} N: does it need a signal that is not measured?"
             )
-            return
         limit = self._options.largest_force
         self._last = min(max(force, -limit), limit)
-        self._stream.accept(1)
-        demand = DesiredForce(force=self._last)
-        demand.header.stamp = message.header.stamp
-        demand.header.frame_id = self._options.frame_id
-        self._demand.publish(demand)
+        stamped = Header(stamp=message.header.stamp, frame_id=self._options.frame_id)
+        return DesiredForce(header=stamped, force=self._last)
 
     def _acceleration(self, message: JointState) -> float:
         """Mean acceleration [m/s²] of the body since the last message; 0 after a long pause."""

@@ -18,7 +18,7 @@ from typing import Any
 from rclpy.node import Node
 
 from mr_damper_ros.nodes import quality
-from mr_damper_ros.nodes.inputs import Stream
+from mr_damper_ros.nodes.inputs import MessageError, Stream
 from mr_damper_ros.nodes.messages import to_nanoseconds
 from mr_damper_ros.rig.blocks import BlockMaker, Measured
 from mr_damper_ros.rig.sources.source import Source, SourceState, StreamSettings
@@ -189,38 +189,40 @@ class _Input:
         self.name, self.field = name, field
         self._node = node
         self._scale = scale
-        self._read = _reader(field, name)
+        self._value = _reader(field, name)
         self.arrived: deque[tuple[int, int, float]] = deque()
-        # A busy computer may fall behind by more than a queue of fixed length.
-        profile = quality.lossless()
-        self._subscription = quality.subscription(
-            node, _message_type(kind, name), topic, self._take, profile
+        self._stream = Stream(
+            node,
+            _message_type(kind, name),
+            topic,
+            self._read,
+            self.arrived.append,
+            # A busy computer may fall behind by more than a queue of fixed length.
+            quality.lossless(),
+            f"it must contain the {name}",
         )
-        self.topic = self._subscription.topic_name
-        self._stream = Stream(node, self.topic, profile, f"it must contain the {name}")
+        self.topic = self._stream.topic = self._stream.subscription.topic_name
         self.fault = self._stream.take_fault
 
     def close(self) -> None:
         """End the subscription."""
-        self._node.destroy_subscription(self._subscription)
+        self._node.destroy_subscription(self._stream.subscription)
 
     def hand_on(self, take: Callable[[int, int, float], None]) -> None:
         """Pass on the received values."""
         while self.arrived:
             take(*self.arrived.popleft())
 
-    def _take(self, message: Any) -> None:
+    def _read(self, message: Any) -> tuple[int, int, float]:
         stamp_ns = to_nanoseconds(message.header.stamp)
         try:
-            value = self._scale * self._read(message)
-        except (AttributeError, IndexError, ValueError, TypeError):
-            self._stream.reject(f"they have no field {self.field} for the {self.name}")
-            return
+            value = self._scale * self._value(message)
+        except (AttributeError, IndexError, ValueError, TypeError) as error:
+            reason = f"they have no field {self.field} for the {self.name}"
+            raise MessageError(reason) from error
         if not fits_a_stamp(stamp_ns) or stamp_ns == 0:
-            self._stream.reject("they have no stamp")
-            return
-        self._stream.accept(1)
-        self.arrived.append((stamp_ns, self._node.get_clock().now().nanoseconds, value))
+            raise MessageError("they have no stamp")
+        return stamp_ns, self._node.get_clock().now().nanoseconds, value
 
 
 def _reader(field: str, name: str) -> Callable[[Any], float]:
