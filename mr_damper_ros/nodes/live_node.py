@@ -66,7 +66,7 @@ class RecordInput:
         looking = quality.stream(_WAITING)
         looking.reliability = ReliabilityPolicy.BEST_EFFORT
         for kind, topic, take, profile in (
-            (MtsSamples, messages.JOINED_SAMPLES_TOPIC, self._samples.append, looking),
+            (MtsSamples, messages.JOINED_SAMPLES_TOPIC, self._take_samples, looking),
             (PredictedForce, messages.JOINED_FORCES_TOPIC, self._take_forces, looking),
             (SupplyCurrent, CURRENT_TOPIC, self._take_current, looking),
             (CurrentCommand, COMMAND_TOPIC, self._take_command, looking),
@@ -77,6 +77,9 @@ class RecordInput:
             (DiagnosticArray, "/diagnostics", self._take_diagnostics, waiting),
         ):
             node.create_subscription(kind, topic, take, profile)
+
+    def _take_samples(self, message: MtsSamples) -> None:
+        self._samples.append(message)
 
     def _take_forces(self, message: PredictedForce) -> None:
         """Join predicted forces with their samples, which arrive before them."""
