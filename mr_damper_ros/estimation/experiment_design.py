@@ -372,7 +372,8 @@ class RunPlanner:
         """The prior for any damper before the first run, centred on ``parameters`` (p,).
 
         A shape parameter has the scatter of plausible values. The standard deviation of a scale
-        parameter is the larger of its own size and the change that alters the force by a tenth.
+        parameter, or without scatter, is the larger of its own size and the change that alters the
+        force by a tenth.
         """
         rng = np.random.default_rng(0)
         draws = [self.model.draw_shape(rng, *self._top) for _ in range(_DRAWS)]
@@ -382,7 +383,8 @@ class RunPlanner:
             if name in draws[0]:
                 values = np.array([draw[name] for draw in draws])
                 # The centre may lie outside the draws; its distance from them adds to the scatter.
-                widths[place] = np.hypot(np.std(values), np.mean(values) - parameters[place])
+                scatter = np.hypot(np.std(values), np.mean(values) - parameters[place])
+                widths[place] = scatter or widths[place]
         return Prior(parameters, widths)
 
     def _noise(self, windows: Sequence[Window], parameters: Array) -> list[float]:
