@@ -25,7 +25,7 @@ import numpy as np
 
 from mr_damper_ros.io.columns import Columns, RawTable, RecordError, too_long
 from mr_damper_ros.io.text_table import TextFile
-from mr_damper_ros.processes.process_pool import ProcessLostError, run_apart
+from mr_damper_ros.processes.process_pool import run_apart
 from mr_damper_ros.signals.arrays import Array
 
 _BYTES_PER_SAMPLE = 150
@@ -170,7 +170,7 @@ def _confined(
         ) from None
     except MemoryError:
         raise too_long(path.name, maximum_samples) from None
-    except ProcessLostError:
+    except ChildProcessError:
         raise RecordError(_unreadable(form, path)) from None
 
 
@@ -178,7 +178,7 @@ def _unreadable(form: Format, path: Path) -> str:
     return f"{path.name} cannot be read as {form.what}: save it again, or export it as CSV"
 
 
-def _read(path: Path, variable: str | None, most_samples: int) -> list[Group] | str:
+def _read(path: Path, variable: str | None, most_samples: int, _: object) -> list[Group] | str:
     """Read a file; runs in the child process.
 
     Raises RecordError, and MemoryError if the file needs more memory than ``most_samples`` allows.

@@ -17,9 +17,10 @@ import threading
 import time
 from collections.abc import Callable, Collection, Mapping
 from http import HTTPStatus
-from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+from http.server import BaseHTTPRequestHandler
 from ipaddress import ip_address
 from pathlib import Path
+from socketserver import ThreadingTCPServer
 from typing import Any
 from urllib.parse import parse_qs
 
@@ -150,7 +151,8 @@ class PageServer:
         self._thread.join()
 
 
-class _Server(ThreadingHTTPServer):
+class _Server(ThreadingTCPServer):  # an HTTPServer looks up its name, slow without a network
+    allow_reuse_address = True
     daemon_threads = True
     block_on_close = False
     request_queue_size = 32
@@ -161,14 +163,6 @@ class _Server(ThreadingHTTPServer):
         # Address of each client, and the deadline [s] of its present action.
         self._open: dict[socket.socket, tuple[str, float]] = {}
         super().__init__(address, _Handler)
-
-    def server_bind(self) -> None:
-        # The method of the base class looks up the host name, which is slow without a network.
-        socket_address = self.server_address
-        self.socket.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-        self.socket.bind(socket_address)
-        self.server_address = self.socket.getsockname()
-        self.server_name, self.server_port = str(self.server_address[0]), self.server_address[1]
 
     def process_request(self, request: Any, client_address: Any) -> None:
         address = _spelling(client_address[0])

@@ -173,7 +173,6 @@ class BackgroundWriter(Generic[T]):
         """Number of items given so far, which is also the number of the newest item."""
         self.done = 0
         """Number of the newest item that was written or failed; older items count as done."""
-        self._closed = False
         self.fault = ""
         self._thread = threading.Thread(target=self._work, name="state", daemon=True)
 
@@ -195,22 +194,12 @@ class BackgroundWriter(Generic[T]):
         with self._changed:
             return self._changed.wait_for(lambda: self.done == self.given, timeout)
 
-    def close(self, timeout: float) -> None:
-        """Write the pending item, for at most ``timeout`` [s], and end."""
-        with self._changed:
-            self._closed = True
-            self._changed.notify_all()
-        if self.given:
-            self._thread.join(timeout)
-
     def _work(self) -> None:
         while True:
             with self._changed:
-                self._changed.wait_for(lambda: self._newest or self._closed)
-                if self._newest is None:
-                    return
-                number, item = self._newest
-                self._newest = None
+                while self._newest is None:
+                    self._changed.wait()
+                (number, item), self._newest = self._newest, None
             fault = ""
             try:
                 self._write(item)

@@ -30,7 +30,6 @@ from mr_damper_ros.processes.worker import (
     Control,
     Done,
     Failed,
-    Outcome,
     Progress,
     Worker,
     WorkerPool,
@@ -128,9 +127,9 @@ class ProcessPool(AbstractContextManager):
         waiting, again, running = deque(range(len(tasks))), deque[int](), dict[int, Worker]()
         last_try = set[int]()
         try:
-            while waiting or again or running:
+            while running or ((waiting or again) and not stopped):
                 queue, most = (waiting, self.count) if waiting else (again, 1)
-                while queue and len(running) < most:
+                while queue and len(running) < most and not stopped:
                     index = queue.popleft()
                     running[index] = Worker(self._pool)
                     running[index].submit(_call, function, tasks[index])
@@ -139,15 +138,13 @@ class ProcessPool(AbstractContextManager):
                     for outcome in worker.collect():
                         if isinstance(outcome, Progress):
                             if not notify(index, outcome.value):
-                                waiting.clear()
-                                again.clear()
                                 for each in running.values():
                                     each.cancel()
                         elif isinstance(outcome, Failed) and outcome.error is not None:
                             raise outcome.error
                         elif isinstance(outcome, Done) or index in last_try:
                             yield replace(outcome, task=index)
-                        elif not stopped:
+                        else:
                             last_try.add(index)
                             again.append(index)
                     if not worker.busy:
@@ -161,30 +158,22 @@ def _call(function: Callable[[Any, Notify], Any], task: Any, control: Control) -
     return function(task, control.report)
 
 
-class ProcessLostError(Exception):
-    """The process of a task died repeatedly."""
-
-
 def run_apart(module: str, function: Callable[..., Any], *args: Any, budget: float) -> Any:
-    """Run ``function(*args)`` in a separate process, which first loads ``module``.
+    """Run ``function(*args, control)`` in a separate process, which first loads ``module``.
 
-    Raises the exceptions of the function, TimeoutError after ``budget`` [s], and ProcessLostError.
+    Raises the exceptions of the function, TimeoutError after ``budget`` [s], and ChildProcessError
+    if the process dies repeatedly.
     """
     with closing(WorkerPool(module, grace=0.0, silence_limit=math.inf)) as pool:
         worker = Worker(pool)
-        worker.submit(_without_control, function, *args, budget=budget)
-        outcomes: list[Outcome] = []
-        while not outcomes:
+        worker.submit(function, *args, budget=budget)
+        while worker.busy:
             outcomes = worker.poll(min(LONGEST_PAUSE, budget))
     outcome = outcomes[-1]
     if isinstance(outcome, Failed):
-        raise outcome.error or ProcessLostError(outcome.reason)
+        raise outcome.error or ChildProcessError(outcome.reason)
     assert isinstance(outcome, Done)
     return outcome.result
-
-
-def _without_control(function: Callable[..., Any], *args: Any) -> Any:
-    return function(*args[:-1])
 
 
 @dataclass(frozen=True)

@@ -355,6 +355,6 @@ class TrackerState:
 
     def close(self) -> None:
         """Write the states that wait for the disk, release the lock and end."""
-        self.writer.close(GRACE)
+        self.writer.wait(GRACE)
         if self._lock is not None:
             self._lock.release()

@@ -81,7 +81,6 @@ def test_items_that_come_meanwhile_replace_one_another() -> None:
     assert keeper.wait(PATIENCE)
     assert disk.written == ["first", "third"]
     assert (keeper.done, keeper.fault) == (3, "")
-    keeper.close(PATIENCE)
 
 
 def test_a_fault_is_told_until_it_is_over() -> None:
@@ -94,7 +93,6 @@ def test_a_fault_is_told_until_it_is_over() -> None:
     keeper.keep("small")
     assert keeper.wait(PATIENCE)
     assert keeper.fault == ""
-    keeper.close(PATIENCE)
 
 
 def test_what_waits_is_written_before_the_end() -> None:
@@ -104,5 +102,5 @@ def test_what_waits_is_written_before_the_end() -> None:
     assert disk.busy.wait(PATIENCE)
     keeper.keep("last")
     disk.free.set()
-    keeper.close(PATIENCE)
+    assert keeper.wait(PATIENCE)
     assert disk.written == ["first", "last"]
