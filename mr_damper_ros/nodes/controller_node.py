@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import time
+from collections import Counter
 from dataclasses import dataclass
 from functools import partial
 
@@ -90,7 +91,7 @@ class ControllerNode(BlockNode[ControllerParameters, Command]):
         self._controller = ForceController(options.control, options.grid)
         self._tracking = RunningError(options.error_memory)
         self._last: Command | None = None
-        self._commands = self._met = self._unknown = 0
+        self._counts: Counter[str] = Counter()
         self._last_block = -math.inf
         # One message for all commands: publishing copies it.
         self._message = CurrentCommand(header=Header(frame_id=options.frame_id))
@@ -140,9 +141,7 @@ class ControllerNode(BlockNode[ControllerParameters, Command]):
         # The force of this block follows from the command after the previous block.
         before, self._last = self._last, command
         if before is not None and not before.doubt:
-            self._commands += 1
-            self._met += before.attainable
-            self._unknown += before.unknown
+            self._counts.update(commands=1, met=before.attainable, unknown=before.unknown)
             if before.attainable:
                 wanted = np.full(block.force.size, before.wanted)
                 self._tracking.add(wanted, block.force, block.period)
@@ -157,9 +156,7 @@ class ControllerNode(BlockNode[ControllerParameters, Command]):
         super().destroy_node()
 
     def _command_finding(self) -> Finding:
-        commands, self._commands = self._commands, 0
-        met, self._met = self._met, 0
-        unknown, self._unknown = self._unknown, 0
+        counts, self._counts = self._counts, Counter()
         safe = f"the safe current, {self._options.control.fallback.safe_current:g} A, is commanded"
         if self._last is None or self._inputs.silent:
             return Finding(STALE, f"no samples arrive: {safe}")
@@ -177,12 +174,13 @@ class ControllerNode(BlockNode[ControllerParameters, Command]):
             level = ERROR if last.doubt.kind.grave else WARN
             doing = safe if last.falls_back else f"the current stays at most {last.current:.3f} A"
             return Finding(level, f"{last.doubt.sentence}: {doing}", values)
-        share = met / commands if commands else math.nan
+        share = counts["met"] / counts["commands"] if counts else math.nan
         values["attainable"] = f"{share:.3f}"
-        if unknown:
+        if counts["unknown"]:
+            unknown = counts["unknown"] / counts["commands"]
             return Finding(
                 WARN,
-                f"{unknown / commands:.0%} of the desired forces of the last second need a higher "
+                f"{unknown:.0%} of the desired forces of the last second need a higher "
                 f"current than was identified ({self._controller.highest_known:.2f} A): identify "
                 f"the damper at higher currents, {REMEDY}",
                 values,

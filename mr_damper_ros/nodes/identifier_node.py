@@ -114,31 +114,25 @@ class IdentifierNode(Node):
         self._frame_id = options.frame_id
         # Two dampers in two namespaces may share a folder.
         own_name = self.get_fully_qualified_name().strip("/").replace("/", ".")
-        self._identifier = _identifier(options, own_name, worker)
+        self._identifier = identifier = _identifier(options, own_name, worker)
         self._resume()
-        self._parameters_publisher = self.create_publisher(
-            DamperParameters, "damper/parameters", quality.latched()
-        )
-        self._report_publisher = quality.publisher(self, FitReport, "damper/fit_report")
-        self._temperature_publisher = quality.publisher(
-            self, Temperature, "damper/fluid_temperature"
-        )
-        self._numbers_publisher = quality.publisher(self, DiagnosticArray, "damper/identified")
-        self._publish_parameters(self._identifier.tracker.parameters)
+        self._sets = self.create_publisher(DamperParameters, "damper/parameters", quality.latched())
+        self._reports = quality.publisher(self, FitReport, "damper/fit_report")
+        self._temperatures = quality.publisher(self, Temperature, "damper/fluid_temperature")
+        self._numbers = quality.publisher(self, DiagnosticArray, "damper/identified")
+        self._publish_parameters(identifier.tracker.parameters)
         self._next_poll = 0.0
-        self._inputs = Inputs(
-            self, quality.lossless, self._take_block, self._identifier.add_current
-        )
+        self._inputs = Inputs(self, quality.lossless, self._take_block, identifier.add_current)
         quality.subscription(
             self,
             Temperature,
             "temperature",
-            lambda message: self._identifier.add_temperature(message.temperature),
+            lambda message: identifier.add_temperature(message.temperature),
         )
         for kind, name, act in (
             (SaveParameters, "save_parameters", self._save),
             (LoadParameters, "load_parameters", self._load),
-            (Trigger, "reset", lambda _: self._switch(self._identifier.reset)),
+            (Trigger, "reset", lambda _: self._switch(identifier.reset)),
             (Trigger, "acknowledge", self._acknowledge),
         ):
             self.create_service(kind, f"~/{name}", partial(_answer, act))
@@ -155,11 +149,10 @@ class IdentifierNode(Node):
         self._worker = worker
         # A rejected fit causes a warning only if the NRMSE of the set in use exceeds this limit.
         self._maximum_nrmse = options.tracking.acceptance.maximum_nrmse
-        sequence = self._identifier.assembler.sequence
         self._diagnostics = Diagnostics(
             self,
             {
-                "input": lambda: self._inputs.samples_finding(sequence),
+                "input": lambda: self._inputs.samples_finding(identifier.assembler.sequence),
                 "current": self._inputs.current_finding,
                 "window": self._find_window,
                 "fit": self._find_fit,
@@ -174,7 +167,7 @@ class IdentifierNode(Node):
             f"{self.resolve_topic_name(CURRENT_TOPIC)}; "
             + (f"state is stored in {kept}" if kept else "no state is stored: state_dir is not set")
         )
-        law = self._identifier.tracker.parameters.model
+        law = identifier.tracker.parameters.model
         if MODELS[law].remembers and not machine_code.is_available():
             self.get_logger().info(
                 f"Numba is not installed; with it, the law '{law}' is identified several times as "
@@ -229,24 +222,20 @@ class IdentifierNode(Node):
             report = publication.report
             if report.verdict is Verdict.ACCEPTED_EARLY:
                 self.get_logger().warning(report.reason)
+            frame, node = self._frame_id, self.get_fully_qualified_name()
             if not math.isnan(report.fluid.celsius):
-                self._temperature_publisher.publish(
-                    fluid_temperature_message(report, self._frame_id)
-                )
-            node = self.get_fully_qualified_name()
-            self._report_publisher.publish(
-                report_message(report, publication.duration, self._frame_id, node)
-            )
+                self._temperatures.publish(fluid_temperature_message(report, frame))
+            self._reports.publish(report_message(report, publication.duration, frame, node))
             if np.isfinite(report.coefficients).any():
-                self._numbers_publisher.publish(numbers_message(report, self._frame_id))
+                self._numbers.publish(numbers_message(report, frame))
             if report.verdict is Verdict.ACCEPTED:
                 self.get_logger().info(report.line)
             if publication.parameters is not None:
                 self._publish_parameters(publication.parameters)
 
     def _publish_parameters(self, parameters: ParameterSet) -> None:
-        self._parameters_publisher.publish(self._set_message(parameters))
-        self._numbers_publisher.publish(numbers_message(parameters, self._frame_id))
+        self._sets.publish(self._set_message(parameters))
+        self._numbers.publish(numbers_message(parameters, self._frame_id))
 
     def _set_message(self, parameters: ParameterSet) -> DamperParameters:
         return parameters_message(parameters, self._frame_id, self.get_fully_qualified_name())

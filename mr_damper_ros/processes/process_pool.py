@@ -16,7 +16,7 @@ import math
 import re
 from collections import deque
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from concurrent.futures import FIRST_COMPLETED, CancelledError, Executor, Future, wait
+from concurrent.futures import CancelledError, Executor, Future, as_completed
 from contextlib import AbstractContextManager, closing
 from dataclasses import dataclass, replace
 from functools import partial
@@ -180,12 +180,11 @@ def run_apart(module: str, function: Callable[..., Any], *args: Any, budget: flo
 class Workforce:
     """An executor, and the properties of its workers.
 
-    ``at_once`` is the number of tasks submitted at a time. A future raises one of the
-    exceptions ``loses_with`` if its task has ended several workers. ``end`` releases the executor.
+    A future raises one of the exceptions ``loses_with`` if its task has ended several workers.
+    ``end`` releases the executor.
     """
 
     executor: Executor
-    at_once: int = 64
     loses_with: tuple[type[Exception], ...] = ()
     end: Callable[[], object] = lambda: None
 
@@ -206,12 +205,10 @@ def dask_cluster(address: str) -> Workforce:
         client: Any = Client(address, set_as_default=False)
     except OSError as error:
         raise OSError(f"no Dask scheduler answers at {address}: is it running?") from error
-    threads = sum(client.nthreads().values())
-    if threads == 0:
+    if not any(client.nthreads().values()):
         client.close()
         raise OSError(f"the Dask scheduler at {address} has no workers: start some")
-    # Two tasks for each thread, so that no worker waits for its next task.
-    return Workforce(client.get_executor(pure=False), 2 * threads, (KilledWorker,), client.close)
+    return Workforce(client.get_executor(pure=False), (KilledWorker,), client.close)
 
 
 Document = dict[str, Any]
@@ -269,23 +266,19 @@ def finish(
             for outcome in pool.outcomes(partial(_document, function), tasks):
                 yield tasks[outcome.task], outcome.result if isinstance(outcome, Done) else None
         return
-    waiting = deque(tasks)
     under_way: dict[Future[Document], Task] = {}
     try:
-        while waiting or under_way:
-            while waiting and len(under_way) < workers.at_once:
-                future = workers.executor.submit(_document, function, waiting[0])
-                under_way[future] = waiting.popleft()
-            for future in wait(under_way, return_when=FIRST_COMPLETED).done:
-                task = under_way.pop(future)
-                try:
-                    document = future.result()
-                except workers.loses_with:
-                    document = None
-                except (Exception, CancelledError) as error:
-                    why = reason_of(error)
-                    raise WorkersError(f"the workers cannot run the tasks: {why}") from error
-                yield task, document
+        for task in tasks:
+            under_way[workers.executor.submit(_document, function, task)] = task
+        for future in as_completed(under_way):
+            try:
+                document = future.result()
+            except workers.loses_with:
+                document = None
+            except (Exception, CancelledError) as error:
+                why = reason_of(error)
+                raise WorkersError(f"the workers cannot run the tasks: {why}") from error
+            yield under_way.pop(future), document
     finally:
         for future in under_way:
             future.cancel()
