@@ -297,7 +297,8 @@ class LiveRecord:
             if start_s < self._last_time - LATE_NS / NANOSECONDS:  # the stamps have gone back
                 self._begin()
                 if self.parameters is not None:
-                    self._trace_set(self.parameters, math.nan)
+                    known = self.parameters.known_parameters
+                    self._trace("parameters", math.nan, known, SETS_KEPT)
             self._tables["samples"].extend(rows)
             if velocity is None:
                 rows, velocity = self._with_slope(rows, period)
@@ -404,20 +405,17 @@ class LiveRecord:
             self.parameters = seen
             # A set without a stamp was not identified from samples, and is in use from now on.
             since = seen.stamp_ns / NANOSECONDS if seen.stamp_ns else self._last_time
-            self._trace_set(seen, since if math.isfinite(since) else math.nan)
+            since_known = since if math.isfinite(since) else math.nan
+            self._trace("parameters", since_known, seen.known_parameters, SETS_KEPT)
             self._mark("set", f"{seen.set_id} ({seen.source.replace('_', ' ')})", since)
-
-    def _trace_set(self, seen: ParameterSet, since: float) -> None:
-        """Add a set to the table; ``since`` [s] is NaN if it is in use from the beginning."""
-        errors = np.where(seen.observable, seen.standard_errors, math.nan)
-        pairs = zip(seen.values.tolist(), errors.tolist(), strict=True)
-        named = dict(zip(seen.law.parameter_names, pairs, strict=True))
-        self._trace("parameters", since, named, SETS_KEPT)
 
     def _trace(
         self, name: str, time_s: float, pairs: Mapping[str, tuple[float, float]], capacity: int
     ) -> None:
-        """Add values and errors to a table; a change of the names starts a new table."""
+        """Add values and errors to a table; a change of the names starts a new table.
+
+        The time [s] of a set is NaN if it is in use from the beginning.
+        """
         columns = ("time", *pairs, *(f"{key}_error" for key in pairs))
         if name not in self._tables or self._tables[name].columns[1:] != columns:
             self._add_table(name, columns, capacity, first_of_two)

@@ -187,6 +187,16 @@ class ParameterSet:
         """The model that the parameters belong to."""
         return MODELS[self.model]
 
+    @property
+    def known_parameters(self) -> dict[str, tuple[float, float]]:
+        """Value and standard error of each parameter by name; NaN for the error if it is unknown.
+
+        The error of a parameter that is not observable counts as unknown.
+        """
+        errors = np.where(self.observable, self.standard_errors, math.nan)
+        pairs = zip(self.values.tolist(), errors.tolist(), strict=True)
+        return dict(zip(self.law.parameter_names, pairs, strict=True))
+
     def held(self, motion: Moved) -> Moved:
         """The motion for prediction, with the peak velocity limited to the range of the set."""
         return motion.held_within(*self.peak_velocity_range)

@@ -269,19 +269,14 @@ def numbers_message(found: Report | ParameterSet, frame_id: str) -> DiagnosticAr
     are omitted.
     """
     if isinstance(found, Report):
-        kind, names, values = "coefficients", found.coefficient_names, found.coefficients
-        errors = found.coefficient_errors
+        kind, named = "coefficients", found.known_coefficients
     else:
-        kind, names, values = "parameters", found.law.parameter_names, found.values
-        errors = np.where(found.observable, found.standard_errors, np.nan)
-    numbers = zip(names, values, errors, strict=True)
-    pairs = [pair for key, x, error in numbers for pair in ((key, x), (f"{key}_error", error))]
-    status = DiagnosticStatus(
-        level=DiagnosticStatus.OK,
-        name=kind,
-        message=found.set_id,
-        values=[KeyValue(key=key, value=f"{x:.9g}") for key, x in pairs if np.isfinite(x)],
-    )
+        kind, named = "parameters", found.known_parameters
+    status = DiagnosticStatus(level=DiagnosticStatus.OK, name=kind, message=found.set_id)
+    for name, (value, error) in named.items():
+        for key, number in ((name, value), (f"{name}_error", error)):
+            if math.isfinite(number):
+                status.values.append(KeyValue(key=key, value=f"{number:.9g}"))
     return DiagnosticArray(header=header(found.stamp_ns, frame_id), status=[status])
 
 

@@ -158,21 +158,16 @@ class Program:
             # If this process fails, the program and its children must not continue.
             atexit.register(self._process.kill)
         except BaseException:
-            self._kill_unreturned()
+            # If Ctrl-C interrupted Popen after the fork, the process id is lost, but the output
+            # identifies the process.
+            output = os.fstat(self._stdout)
+            for pid in _children_of(os.getpid()):
+                with suppress(OSError):
+                    if os.path.samestat(os.stat(f"/proc/{pid}/fd/1"), output):
+                        os.kill(pid, signal.SIGKILL)
+                        os.waitpid(pid, 0)
             self._forget_output()
             raise
-
-    def _kill_unreturned(self) -> None:
-        """Kill the program if Ctrl-C interrupted Popen after the fork, and the process id is lost.
-
-        The output identifies the process.
-        """
-        output = os.fstat(self._stdout)
-        for pid in _children_of(os.getpid()):
-            with suppress(OSError):
-                if os.path.samestat(os.stat(f"/proc/{pid}/fd/1"), output):
-                    os.kill(pid, signal.SIGKILL)
-                    os.waitpid(pid, 0)
 
     @property
     def pid(self) -> int:
