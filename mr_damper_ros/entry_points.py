@@ -80,10 +80,9 @@ def _run(name: str) -> int:
         request_signal_at_death(signal.SIGTERM)
     if name not in _WORK:
         return _run_node(name)
-    from mr_damper_ros.processes.programs import worker_count
     from mr_damper_ros.processes.worker import WorkerPool
 
-    with closing(WorkerPool(_WORK[name], worker_count(sys.argv[1:]))) as workers:
+    with closing(WorkerPool(_WORK[name])) as workers:
         return _run_node(name, workers)
 
 

@@ -433,16 +433,11 @@ def _identifier(options: IdentifierParameters, own_name: str, worker: Worker) ->
     )
 
 
-def main(pool: WorkerPool) -> int:
+def main(workers: WorkerPool) -> int:
     """Run the node, or one in each of several namespaces, with workers that the caller closes."""
 
     def node(cli_args: list[str] | None = None) -> IdentifierNode:
-        return IdentifierNode(Worker(pool), cli_args)
+        return IdentifierNode(Worker(workers), cli_args)
 
-    return run(
-        node,
-        IdentifierParameters,
-        between=IdentifierNode.poll_in_time,
-        hosted=True,
-        shared_workers=True,
-    )
+    poll = IdentifierNode.poll_in_time
+    return run(node, IdentifierParameters, between=poll, hosted=True, shared_workers=workers)

@@ -31,6 +31,7 @@ from mr_damper_ros.nodes.rclpy_internals import RCLError, given_parameters
 from mr_damper_ros.processes.blas_threads import keep_one_thread
 from mr_damper_ros.processes.files import reason_of
 from mr_damper_ros.processes.programs import Place, hosting, hosting_parser
+from mr_damper_ros.processes.worker import WorkerPool
 from mr_damper_ros.settings.option_table import ParameterTable, describe
 
 SUCCESS = 0
@@ -59,16 +60,15 @@ def run(
     ended: Callable[[N], int | None] = lambda _: None,
     between: Callable[[N], float] = lambda _: _WAKE_UP,
     hosted: bool = False,
-    shared_workers: bool = False,
+    shared_workers: WorkerPool | None = None,
 ) -> int:
     """Run a node until SIGINT, SIGTERM or the end of its work; returns the exit code.
 
     With ``hosted``, the command line may request a node in each of several namespaces. The factory
-    is then called for each of them with the ``cli_args`` of rclpy's Node. With ``shared_workers``
-    the nodes share worker processes, and the command line may give their number. ``ended`` returns
-    the exit code once the node has finished its work, None before. ``between`` does work
-    after each callback, and at the latest after the time [s] that it returned. An invalid
-    configuration gives one sentence on stderr and exit code 2.
+    is then called for each of them with the ``cli_args`` of rclpy's Node. The command line may give
+    the number of ``shared_workers``. ``ended`` returns the exit code once the node has finished its
+    work, None before. ``between`` does work after each callback, and at the latest after the time
+    [s] that it returned. An invalid configuration gives one sentence on stderr and exit code 2.
     """
     keep_one_thread(with_scipy=False)  # only workers use SciPy
     arguments = list(sys.argv if arguments is None else arguments)
@@ -80,15 +80,18 @@ def run(
             print(describe(parameters))
             if hosted:
                 print("One process can run a node in each of several namespaces:\n")
-                print(hosting_parser(shared_workers=shared_workers).format_help(), end="")
+                parser = hosting_parser(shared_workers=shared_workers is not None)
+                print(parser.format_help(), end="")
             return SUCCESS
         places: tuple[Place, ...] = ()
         if hosted:
             try:
-                found = hosting(others, shared_workers=shared_workers)
+                found = hosting(others, shared_workers=shared_workers is not None)
             except ValueError as error:
                 raise ConfigurationError(str(error)) from error
             places, others = found.places, list(found.rest)
+            if shared_workers is not None:
+                shared_workers.count = found.workers
         if others:
             raise ConfigurationError(
                 f"unknown argument {others[0]}: parameters are set by --ros-args -p NAME:=VALUE"

@@ -103,17 +103,6 @@ def hosting(arguments: Sequence[str], *, shared_workers: bool = True) -> Hosting
     return Hosting(tuple(options.namespace), workers, tuple(rest))
 
 
-def worker_count(arguments: Sequence[str]) -> int:
-    """Number of worker processes in a command line, which may contain ROS arguments."""
-    own = list(arguments)
-    if "--ros-args" in own:
-        own = own[: own.index("--ros-args")]
-    try:
-        return hosting(own).workers
-    except ValueError:  # the start of the nodes reports the error and ends the program
-        return 1
-
-
 def _processors() -> int:
     """Number of processors that this process may use."""
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1

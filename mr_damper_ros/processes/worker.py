@@ -256,7 +256,9 @@ class WorkerPool:
         grace: float = GRACE,
         silence_limit: float = _SILENCE_LIMIT,
     ) -> None:
-        self._modules, self._count = modules, count
+        self._modules = modules
+        self.count = count
+        """Number of processes; missing ones are started by :meth:`supervise`."""
         self._limits = grace, silence_limit
         self._news = threading.Event()
         self._processes: list[_Process] = []
@@ -278,7 +280,7 @@ class WorkerPool:
 
     def close(self) -> None:
         """End the processes; no data can be lost."""
-        self._count = 0
+        self.count = 0
         while self._processes:
             self._processes.pop().kill()
 
@@ -293,7 +295,7 @@ class WorkerPool:
             lost = process.follow(*self._limits)
             if lost is not None:
                 self._replace(process, lost)
-        while len(self._processes) < self._count and time.monotonic() >= self._start_at:
+        while len(self._processes) < self.count and time.monotonic() >= self._start_at:
             self._processes.append(_Process(self._modules, self._news))
         while self.waiting and (free := self.process_of(None)) is not None:
             free.run(self.waiting.popleft())
