@@ -28,7 +28,7 @@ from benchmarks.figure import Measured
 from benchmarks.motions import scheduled, stairs, stops
 from mr_damper_ros.emulation.emulator import EmulatedDamper, EmulatedRig, RigSettings
 from mr_damper_ros.emulation.faults import Instruments, faults_of
-from mr_damper_ros.emulation.motions import Excitation, SineMotion, stepped
+from mr_damper_ros.emulation.motions import Excitation, SineMotion, SteppedSine
 from mr_damper_ros.io.bag_reader import BagError, read_bag
 from mr_damper_ros.io.bag_writer import write_bag
 from mr_damper_ros.io.columns import ColumnError, RecordError
@@ -308,7 +308,7 @@ _MOTIONS: Mapping[str, Excitation] = {
     "tiny": SineMotion(2e-5, 1.0),
     "random": PeriodicMotion(MotionKind.RANDOM, 1e-2, 0.3, 6.0, 30.0, 1),
     "chirp": PeriodicMotion(MotionKind.SWEEP, 4e-3, 0.5, 4.0, 10.0),
-    "stepped": stepped(4e-3, 0.5, 4.0, 10.0),
+    "stepped": SteppedSine(4e-3, 0.5, 4.0, 10.0),
     "resting": stops(SineMotion(6e-3, 1.5), 0.3, 3.0, 6),
     "burst": stairs(2e-2, 3.0, (1.0, 0.2, 0.01), 0.5),
 }

@@ -31,7 +31,7 @@ from mr_damper_ros.emulation.emulator import (
     RigSettings,
     ThermalModel,
 )
-from mr_damper_ros.emulation.faults import Delivery, Fault, Instruments
+from mr_damper_ros.emulation.faults import Fault, Instruments
 from mr_damper_ros.emulation.motions import Excitation
 from mr_damper_ros.estimation.global_fit import error_of_set
 from mr_damper_ros.kinematics.window import Window
@@ -318,11 +318,10 @@ class StreamTrial:
             force=made.force + self._settings.force_noise * noise[1],
         )
         self.now = (first + size) * made.period
-        for delivery in self._instruments.read(block):
-            self._send(delivery)
+        for sent, number in self._instruments.read(block):
+            self._send(sent, number)
 
-    def _send(self, delivery: Delivery) -> None:
-        block = delivery.block
+    def _send(self, block: RigBlock, first: int) -> None:
         for reading in self._supply.read(block, block.current, block.supply_ahead_ns):
             self._engine.add_current(*reading)
         try:
@@ -336,7 +335,7 @@ class StreamTrial:
             self._reports.append(publication.report)
             if publication.parameters is not None:
                 self._sets.append(SetInUse(self.now, publication.parameters))
-        rows = self._parts[delivery.first // self._settings.block_size]
+        rows = self._parts[first // self._settings.block_size]
         # Of a block that comes twice, the first one counts.
         if not np.isfinite(rows[4]).any():
             rows[4:] = block.force, prediction.force, prediction.doubts

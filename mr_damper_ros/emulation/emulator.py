@@ -143,7 +143,6 @@ class ThermalModel(CheckedSettings):
         )
 
 
-@dataclass(frozen=True)
 class CurrentSchedule:
     """Current [A] in steps: each value holds from its time [s] until the next time.
 
@@ -153,10 +152,8 @@ class CurrentSchedule:
     finite.
     """
 
-    times: Sequence[float]
-    currents: Sequence[float]
-
-    def __post_init__(self) -> None:
+    def __init__(self, times: Sequence[float], currents: Sequence[float]) -> None:
+        self.times, self.currents = list(times), list(currents)
         if len(self.times) == 0 or len(self.times) != len(self.currents):
             raise ValueError(
                 f"the current's schedule has {len(self.times)} times and {len(self.currents)} "
@@ -180,16 +177,7 @@ class CurrentSchedule:
 
 
 class SupplySetpoint(CurrentSchedule):
-    """The setpoint of a supply: a current schedule that grows while the rig runs.
-
-    Because it changes, it is equal to itself only.
-    """
-
-    times: list[float]
-    currents: list[float]
-
-    __eq__ = object.__eq__
-    __hash__ = object.__hash__
+    """The setpoint of a supply: a current schedule that grows while the rig runs."""
 
     def __init__(self, current: float = 0.0) -> None:
         super().__init__([0.0], [current])
@@ -374,7 +362,12 @@ class EmulatedRig(MeasuredRig):
         if is_sine(excitation):
             self._peak = None
         elif self._peak is None:
-            self._peak = self._peak_so_far(before)
+            # The peak velocity is that of a motion that has been running for a long time.
+            period = self.settings.period
+            past = np.arange(-round(MEMORY / period), 0, dtype=np.float64) + self._made
+            _, velocity, acceleration = before.at(past * period)
+            self._peak = PeakVelocity(period)
+            self._peak.follow(velocity, acceleration)
         self._excitation = excitation
 
     def supply(self, current: CurrentSchedule) -> None:
@@ -424,15 +417,6 @@ class EmulatedRig(MeasuredRig):
         force = self._damper.force(motion, coil, self._celsius, period)
         true_force = changed(self._faults, "force", Samples(time, force, period, kinematics))
         return displacement, true_force, true_force * velocity
-
-    def _peak_so_far(self, excitation: Excitation) -> PeakVelocity:
-        """The peak velocity, as if the motion had been running for a long time."""
-        period = self.settings.period
-        before: Array = np.arange(-round(MEMORY / period), 0, dtype=np.float64) + self._made
-        peak = PeakVelocity(period)
-        _, velocity, acceleration = excitation.at(before * period)
-        peak.follow(velocity, acceleration)
-        return peak
 
 
 _ACCELERATION_MEMORY = 0.008

@@ -30,9 +30,6 @@ _CHANGE = 0.1
 """Time [s] in which the machine changes its motion."""
 
 
-_NO_MOTION = Kinematics(*np.empty((3, 0)))
-
-
 class FaultError(ValueError):
     """An invalid fault; the message says what to change."""
 
@@ -59,7 +56,7 @@ class Samples(NamedTuple):
     time: Array
     values: Array
     period: float
-    motion: Kinematics = _NO_MOTION
+    motion: Kinematics = Kinematics(*np.empty((3, 0)))
 
 
 @dataclass(frozen=True)
@@ -158,13 +155,6 @@ def changed(faults: Sequence[Fault], stage: Stage, samples: Samples) -> Array:
     return samples.values
 
 
-class Delivery(NamedTuple):
-    """A block as it is sent, and the number that the rig gave to its first sample."""
-
-    block: RigBlock
-    first: int
-
-
 class Instruments:
     """Instruments of a rig and transmission of their samples, with faults.
 
@@ -174,8 +164,11 @@ class Instruments:
     def __init__(self, faults: Sequence[Fault] = ()) -> None:
         self._faults = deepcopy(list(faults))
 
-    def read(self, block: RigBlock) -> list[Delivery]:
-        """The blocks that are sent after the rig has produced a block; there may be none."""
+    def read(self, block: RigBlock) -> list[tuple[RigBlock, int]]:
+        """The blocks that are sent after the rig has produced a block; there may be none.
+
+        Each comes with the number that the rig gave to its first sample.
+        """
         time = (block.sequence + np.arange(block.sample_count, dtype=np.float64)) * block.period
         for fault in self._faults:
             kind = fault.kind
@@ -189,7 +182,7 @@ class Instruments:
         for fault in self._faults:
             if fault.kind.stage == "delivery":
                 blocks = [sent for made in blocks for sent in fault.kind.act(fault, made)]
-        return [Delivery(self._labelled(made), made.sequence) for made in blocks]
+        return [(self._labelled(made), made.sequence) for made in blocks]
 
     def _labelled(self, made: RigBlock) -> RigBlock:
         sent = made
@@ -197,13 +190,6 @@ class Instruments:
             if fault.kind.stage == "label" and fault.active_in(made):
                 sent = fault.kind.act(fault, sent)
         return sent
-
-
-def _wear(fault: Fault, samples: Samples) -> Array:
-    if math.isinf(fault.end):
-        return samples.values
-    times = fault.begin, fault.end
-    return np.interp(samples.time, times, (1.0, fault.amount)) * samples.values
 
 
 def _end_stop(fault: Fault, samples: Samples) -> Array:
@@ -316,10 +302,6 @@ def _ahead(block: RigBlock, seconds: float) -> RigBlock:
     return replace(block, start_ns=block.start_ns + shift, ahead_ns=block.ahead_ns + shift)
 
 
-def _jitter(fault: Fault, block: RigBlock) -> RigBlock:
-    return _ahead(block, fault.amount * (2.0 * fault.rng.random() - 1.0) * block.period)
-
-
 _motion, _coil, _force, _channel, _block, _delivery, _label = (
     partial(Kind, stage) for stage in get_args(Stage)
 )
@@ -327,7 +309,12 @@ _motion, _coil, _force, _channel, _block, _delivery, _label = (
 # In the functions of the table, f is the fault, s the samples, b the block.
 KINDS: tuple[Kind, ...] = (
     _force("force_loss", lambda f, s: f.amount * s.values, "1", 0.5),
-    _force("wear", _wear, "1", 0.7, masked=False),
+    _force(
+        "wear",
+        lambda f, s: np.interp(s.time, (f.begin, f.end), (1.0, f.amount)) * s.values,
+        *("1", 0.7),
+        masked=False,
+    ),
     # The sign of the velocity, smoothed within 1 mm/s.
     _force("friction", lambda f, s: s.values + f.amount * np.tanh(s.motion[1] / 1e-3), "N", 200.0),
     _force("spring", lambda f, s: s.values + f.amount * s.motion[0], "N/m", 1e5),
@@ -369,7 +356,11 @@ KINDS: tuple[Kind, ...] = (
     _delivery("doubled_blocks", lambda f, b: [b] * (1 + _chosen(f, b)), "1", 0.1, 0.0),
     _delivery("reordered_blocks", _reordered, "1", 0.1, 0.0),
     _delivery("late_blocks", _late, "s", 0.3, 0.0),
-    _label("stamp_jitter", _jitter, "1", 0.3, 0.0),
+    _label(
+        "stamp_jitter",
+        lambda f, b: _ahead(b, f.amount * f.rng.uniform(-1.0, 1.0) * b.period),
+        *("1", 0.3, 0.0),
+    ),
     _label("clock_jump", lambda f, b: _ahead(b, f.amount), "s", 60.0),
     _label("clock_drift", lambda f, b: _ahead(b, f.amount * _since(f, b)), "s/s", 1e-4),
     _label("wrong_period", lambda f, b: replace(b, period=b.period * f.amount), "1", 2.0, 1e-6),

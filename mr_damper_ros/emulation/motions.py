@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Protocol
 
@@ -121,50 +120,30 @@ _TURN = 0.1
 """Fraction of a step in which the frequency changes to the next one."""
 
 
-class SweptSine:
-    """A sin(2 pi phi(t)) with a frequency that is piecewise linear between ``times`` [s].
-
-    ``frequencies`` [Hz] has one value per time. The sweep repeats after the last time.
-    """
+class SteppedSine:
+    """A repeated sine at four frequencies from ``low`` to ``high`` [Hz] within ``duration`` [s]."""
 
     centre = 0.0
 
-    def __init__(
-        self, amplitude: float, times: Sequence[float], frequencies: Sequence[float]
-    ) -> None:
-        self._amplitude = amplitude
-        self._times = np.asarray(times, dtype=np.float64)
-        self._frequencies = np.asarray(frequencies, dtype=np.float64)
-        lengths = np.diff(self._times)
-        self._slopes = np.diff(self._frequencies) / lengths
-        means = 0.5 * (self._frequencies[1:] + self._frequencies[:-1])
-        self._cycles = np.concatenate([[0.0], np.cumsum(means * lengths)])
+    def __init__(self, amplitude: float, low: float, high: float, duration: float) -> None:
+        from scipy.interpolate import make_interp_spline  # imported late: see entry_points
+
+        begins = np.arange(4.0) * (duration / 4.0)
+        times = np.stack([begins, begins + (1.0 - _TURN) * duration / 4.0], axis=1).ravel()
+        frequencies = np.repeat(np.geomspace(low, high, 4), 2)
+        self._amplitude, self._duration = amplitude, duration
+        self._frequency = make_interp_spline([*times, duration], [*frequencies, low], k=1)
+        self._slope, self._cycles = self._frequency.derivative(), self._frequency.antiderivative()
 
     def at(self, time: Array) -> Kinematics:
         """Kinematics at the times [s], shape (n,)."""
-        turns, within = np.divmod(time, self._times[-1])
-        place = np.searchsorted(self._times, within, side="right") - 1
-        place = np.clip(place, 0, self._slopes.size - 1)
-        since = within - self._times[place]
-        slope = self._slopes[place]
-        frequency = self._frequencies[place] + slope * since
-        cycles = self._cycles[place] + (self._frequencies[place] + 0.5 * slope * since) * since
+        turns, within = np.divmod(time, self._duration)
         # Whole cycles are removed to keep the phase small and thus accurate.
-        angle = 2.0 * np.pi * (cycles + np.mod(turns * self._cycles[-1], 1.0))
-        rate, bend = 2.0 * np.pi * frequency, 2.0 * np.pi * slope
-        sine, cosine = np.sin(angle), np.cos(angle)
-        a = self._amplitude
-        return Kinematics(a * sine, a * rate * cosine, a * (bend * cosine - rate**2 * sine))
-
-
-def stepped(amplitude: float, low: float, high: float, duration: float) -> SweptSine:
-    """A sine at four frequencies from ``low`` to ``high`` [Hz], within ``duration`` [s]."""
-    length = duration / 4.0
-    times, frequencies = [], []
-    for step, frequency in enumerate(np.geomspace(low, high, 4).tolist()):
-        times += [step * length, (step + 1.0 - _TURN) * length]
-        frequencies += [frequency, frequency]
-    return SweptSine(amplitude, [*times, duration], [*frequencies, low])
+        before = np.mod(turns * self._cycles(self._duration), 1.0)
+        angle = 2.0 * np.pi * (self._cycles(within) + before)
+        rate, bend = (2.0 * np.pi * part(within) for part in (self._frequency, self._slope))
+        sine, cosine = self._amplitude * np.sin(angle), self._amplitude * np.cos(angle)
+        return Kinematics(sine, rate * cosine, bend * cosine - rate**2 * sine)
 
 
 _FADE_TIME = 2.0

@@ -114,17 +114,15 @@ class OpenBag:
         """
         types = {connection.topic: connection.msgtype for connection in self.reader.connections}
         found = [wanted] if wanted in types else sorted(t for t in types if t.endswith(wanted))
+        if len(found) == 1 and types[found[0]] == message_type:
+            return found[0]
+        if not required:
+            return ""
         if len(found) > 1:
-            if not required:
-                return ""
             raise BagError(
                 f"the bag '{self.name}' has several topics that end in {wanted} "
                 f"({', '.join(found)}): make a bag with the topics of one rig by ros2 bag convert"
             )
-        if found and types[found[0]] == message_type:
-            return found[0]
-        if not required:
-            return ""
         if found:
             raise BagError(
                 f"the topic {found[0]} in the bag '{self.name}' has the type {types[found[0]]}, "
@@ -211,15 +209,13 @@ def read_bag(path: str | Path, *, maximum_samples: int = MAXIMUM_SAMPLES) -> lis
     """
     with opened_bag(path, maximum_samples) as bag:
         # The stamps jump back at each repetition of a looped replay. A segment has the number of
-        # earlier jumps and consecutive blocks; a round has the first stamp [ns] of the current
-        # after a jump, and the current held until the next jump.
+        # earlier jumps and consecutive blocks; a round has the current held until the next jump.
         segments: list[tuple[int, list[SampleBlock]]] = []
-        rounds: list[tuple[int, ZeroOrderHold]] = []
+        rounds: list[ZeroOrderHold] = []
         celsius: list[TemperatureReading] = []
-        grid, blocks = UniformGrid(hold_back=_HOLD_BACK), 0
+        grid = UniformGrid(hold_back=_HOLD_BACK)
         for item in _items(bag, maximum_samples):
             if isinstance(item, SampleBlock):
-                blocks += 1
                 _place(segments, grid.follow(item))
             elif isinstance(item, TemperatureReading):
                 celsius.append(item)
@@ -227,7 +223,7 @@ def read_bag(path: str | Path, *, maximum_samples: int = MAXIMUM_SAMPLES) -> lis
                 _hold(bag.name, rounds, item)
         _place(segments, grid.flush())
         name, details = bag.details.pop("name", bag.name), dict(bag.details)
-    if not blocks:
+    if not segments:
         raise BagError(f"the bag '{bag.name}' holds no samples: the topic {_SAMPLES} is empty")
     if not rounds:
         raise BagError(
@@ -306,13 +302,13 @@ def _place(segments: list[tuple[int, list[SampleBlock]]], placed: Iterable[Place
             segments.append((before + (one.kind == "jump_back"), [one.block]))
 
 
-def _hold(bag: str, rounds: list[tuple[int, ZeroOrderHold]], reading: CurrentReading) -> None:
+def _hold(bag: str, rounds: list[ZeroOrderHold], reading: CurrentReading) -> None:
     stamp_ns, value = reading
-    last = rounds[-1][1].last_stamp_ns if rounds else None
-    if last is None or stamp_ns < last - LATE_NS:
-        rounds.append((stamp_ns, ZeroOrderHold(keep=math.inf)))
+    last_ns = rounds[-1].last_stamp_ns if rounds else None
+    if last_ns is None or stamp_ns < last_ns - LATE_NS:
+        rounds.append(ZeroOrderHold(keep=math.inf))
     try:
-        rounds[-1][1].add(stamp_ns, value)
+        rounds[-1].add(stamp_ns, value)
     except CurrentError as error:
         raise BagError(
             f"the bag '{bag}' cannot be used: the current on {_CURRENT} stamped "
@@ -323,29 +319,28 @@ def _hold(bag: str, rounds: list[tuple[int, ZeroOrderHold]], reading: CurrentRea
 def _assemble(
     name: str,
     blocks: list[SampleBlock],
-    current: tuple[int, ZeroOrderHold],
+    current: ZeroOrderHold,
     celsius: list[TemperatureReading],
     details: dict[str, str],
 ) -> Recording | None:
     """Recording of consecutive blocks; None if their current is unknown throughout."""
-    known_ns, held = current
     displacement = np.concatenate([block.displacement for block in blocks])
     force = np.concatenate([block.force for block in blocks])
     start_ns, period = blocks[0].start_ns, blocks[0].period
+    known_ns, _ = current.around(start_ns)
     # Because of the tolerance, no sample is lost by rounding of the stamps to nanoseconds.
-    unknown = math.ceil((known_ns - start_ns) / (period * NANOSECONDS) - 1e-3)
-    first = max(unknown, 0)
-    if first >= force.size:
+    first = max(math.ceil((known_ns - start_ns) / (period * NANOSECONDS) - 1e-3), 0)
+    count = force.size - first
+    if count <= 0:
         return None
     start_ns += round(first * period * NANOSECONDS)
-    count = force.size - first
     return Recording(
         name=name,
         start_ns=start_ns,
         period=period,
         displacement=displacement[first:],
         force=force[first:],
-        current=held.at(start_ns, period, count),
+        current=current.at(start_ns, period, count),
         temperature=_interpolated(celsius, start_ns, period, count),
         details=details,
     )

@@ -58,13 +58,12 @@ class SampledRecord:
     def part(self, rows: slice) -> SampledRecord:
         """A part of the record."""
         first, place = rows.start, self.place
-        return SampledRecord(
-            self.path,
-            self.time[rows],
-            {quantity: array[rows] for quantity, array in self.values.items()},
-            self.period,
-            lambda row: place(first + row),
-            {**self.details, "part": f"rows {first + 1} to {rows.stop}"},
+        return replace(
+            self,
+            time=self.time[rows],
+            values={quantity: array[rows] for quantity, array in self.values.items()},
+            place=lambda row: place(first + row),
+            details={**self.details, "part": f"rows {first + 1} to {rows.stop}"},
         )
 
     def without_average(self, count: int, in_motion: bool = False) -> SampledRecord:
@@ -142,18 +141,13 @@ class SampledRecord:
         velocity = self.values.get("velocity")
         if velocity is not None:
             self.check_finite("velocity", velocity)
-        details, notes = dict(self.details), []
-        period = self.period
-        if period is None:
-            period, note = self._even_pace()
-            notes += [note] if note else []
+        period, note = self._even_pace() if self.period is None else (self.period, "")
+        notes = [note] if note else []
         displacement = self.values.get("displacement")
         if displacement is None:
             assert velocity is not None
             displacement = integrated(velocity, period)
             notes.append(INTEGRATED)
-        if notes:
-            details["note"] = "; ".join(notes)
         first = float(self.time[0])
         try:
             recording = Recording(
@@ -164,7 +158,7 @@ class SampledRecord:
                 force=self.values["force"],
                 current=self.values.get("current", np.full(self.time.size, current)),
                 temperature=self.values.get("temperature"),
-                details=details,
+                details=self.details | ({"note": "; ".join(notes)} if notes else {}),
             )
         except NotFiniteError as error:
             value = self.values[error.quantity][error.sample]
@@ -231,22 +225,19 @@ def integrated(velocity: Array, period: float) -> Array:
 
     The offset of the velocity sensor causes the drift.
     """
-    steps = 0.5 * (velocity[1:] + velocity[:-1]) * period
-    return _without_trend(np.concatenate(([0.0], np.cumsum(steps))))
+    from scipy.integrate import cumulative_trapezoid  # imported late: see entry_points
+    from scipy.signal import detrend
 
-
-def _without_trend(values: Array) -> Array:
-    """Values (n,) without their regression line."""
-    ramp = np.linspace(-1.0, 1.0, values.size)
-    slope = float(ramp @ values) / float(ramp @ ramp)
-    return np.asarray(values - values.mean() - slope * ramp)
+    return np.asarray(detrend(cumulative_trapezoid(velocity, dx=period, initial=0.0)))
 
 
 def _check_velocity(recording: Recording, velocity: Array) -> None:
+    from scipy.signal import detrend  # imported late: see entry_points
+
     # The comparison uses displacements, because integration reduces noise, and differentiation
     # amplifies it.
-    travelled = _without_trend(np.cumsum(velocity) * recording.period)
-    moved = _without_trend(recording.displacement)
+    travelled = detrend(np.cumsum(velocity) * recording.period)
+    moved = detrend(recording.displacement)
     ratio = float(travelled @ moved / (moved @ moved))
     if 1.0 / _VELOCITY_TOLERANCE <= ratio <= _VELOCITY_TOLERANCE:
         return

@@ -95,15 +95,15 @@ class RunsOfFile:
 
     def recordings(self, currents: float | Iterable[float | None] | None) -> list[Recording]:
         """A recording of each run with a current, or of all runs if a column holds the current."""
+        count = len(self._rows)
         if currents is not None:
-            given = currents if isinstance(currents, Iterable) else [currents] * len(self._rows)
-            currents = list(given)
-        if not self.asks and currents is not None:
-            raise RecordError("the current is given twice: by a column and for each run")
-        if self.asks and len(currents or ()) != len(self._rows):
+            currents = list(currents) if isinstance(currents, Iterable) else [currents] * count
+            if not self.asks:
+                raise RecordError("the current is given twice: by a column and for each run")
+        if self.asks and len(currents or ()) != count:
             listed = "; ".join(f"{k}: {text}" for k, text in enumerate(self.summaries, start=1))
             raise RecordError(
-                f"{self._name} holds {len(self._rows)} runs, but {len(currents or ())} currents "
+                f"{self._name} holds {count} runs, but {len(currents or ())} currents "
                 f"are given: give one [A] for each run (currents, --currents), or None (-) to omit "
                 f"the run ({listed})"
             )
@@ -222,14 +222,7 @@ def _phases(record: SampledRecord, rows: slice) -> list[slice]:
     position, force = _position(record, rows), record.values["force"][rows]
     strokes = list(pairwise(_turns(position)))
     heights = np.array(
-        [
-            (
-                abs(float(position[last] - position[first])),
-                float(last - first),
-                float(np.ptp(force[first:last])),
-            )
-            for first, last in strokes
-        ]
+        [(abs(position[j] - position[i]), j - i, np.ptp(force[i:j])) for i, j in strokes]
     )
     if len(strokes) < 2 * _STROKES or np.any(heights <= 0.0):
         return [rows]

@@ -11,7 +11,6 @@ from array import array
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from datetime import datetime, timezone
-from functools import lru_cache
 from itertools import islice
 from pathlib import Path
 from typing import TextIO
@@ -39,22 +38,6 @@ def seconds_since_1970(text: str) -> float | None:
     if found is None:
         return None
     date, hour, minute, second, half, zone = found.groups()
-    midnight = _midnight(date)
-    hours, seconds = int(hour), float((second or "0").replace(",", "."))
-    if midnight is None or hours > 23 or int(minute) > 59 or seconds >= 61.0:
-        return None
-    # Some loggers write AM or PM even if the hour is above 12.
-    if half and hours <= 12:
-        hours = hours % 12 + (12 if half in "Pp" else 0)
-    offset = 0
-    if zone and zone != "Z":
-        offset = int(f"{zone[0]}1") * (3600 * int(zone[1:3]) + 60 * int(zone[-2:]))
-    return midnight + (3600 * hours + 60 * int(minute) - offset) + seconds
-
-
-@lru_cache(maxsize=64)
-def _midnight(date: str) -> int | None:
-    """Seconds from 1970 to the start of a day; None for an invalid date."""
     a, b, c = (int(part) for part in re.split(r"[-/.]", date))
     if a > 31:
         year, month, day = a, b, c
@@ -62,11 +45,19 @@ def _midnight(date: str) -> int | None:
         year, month, day = c, a, b
     else:
         year, month, day = c, b, a
+    hours, seconds = int(hour), float((second or "0").replace(",", "."))
+    # Some loggers write AM or PM even if the hour is above 12.
+    if half and hours <= 12:
+        hours = hours % 12 + (12 if half in "Pp" else 0)
+    offset = 0
+    if zone and zone != "Z":
+        offset = int(f"{zone[0]}1") * (3600 * int(zone[1:3]) + 60 * int(zone[-2:]))
+    year += 2000 if year < 100 else 0
     try:
-        begins = datetime(year + 2000 if year < 100 else year, month, day, tzinfo=timezone.utc)
+        begins = datetime(year, month, day, hours, int(minute), tzinfo=timezone.utc)
     except ValueError:
         return None
-    return int(begins.timestamp())
+    return begins.timestamp() - offset + seconds if seconds < 61.0 else None
 
 
 _LONGEST_LINE = 100_000
@@ -77,8 +68,6 @@ Lines of tables are far shorter, and the library limits the length of a field.
 
 _LAST_LINES = 50
 """Number of lines at the end of a file from which the separator is detected."""
-
-_CHUNK = 1 << 20
 
 _DECIMAL_COMMA = re.compile(r"[+-]?\d*,\d+([eE][+-]?\d+)?$|[+-]?\d+$")
 
@@ -98,8 +87,26 @@ def read_text_table(
     """
     if variable is not None:
         raise RecordError(f"{path.name} is a text file and has no variables: choose no variable")
-    encoding = _encoding(path)
-    lines = TextFile(lambda: path.open(encoding=encoding, errors="replace"), path.name)
+    with path.open("rb") as file:
+        start = file.read(4096)
+    if start.startswith(b"PK"):
+        raise RecordError(
+            f"{path.name} is an archive, or a spreadsheet with another ending: first save it as "
+            "XLSX or CSV"
+        )
+
+    def text(encoding: str, errors: str = "strict") -> TextFile:
+        return TextFile(lambda: path.open(encoding=encoding, errors=errors), path.name)
+
+    if start.startswith((b"\xff\xfe", b"\xfe\xff")):
+        lines = text("utf-16", "replace")
+    elif b"\0" in start:
+        raise RecordError(f"{path.name} is not a text file: export it as text, CSV or MAT")
+    else:
+        try:
+            lines = text("utf-8-sig")
+        except UnicodeDecodeError:
+            lines = text("latin-1")
     return lines.table(columns, maximum_samples)
 
 
@@ -115,14 +122,16 @@ class TextFile:
     ) -> None:
         self._open = opened
         self._name = name
-        last: deque[str] = deque(maxlen=_LAST_LINES)
+        last: deque[tuple[int, str]] = deque(maxlen=_LAST_LINES)
         self._row_count = 0
-        for _, line in self._filled_lines():
+        for row in self._filled_lines():
             self._row_count += 1
-            last.append(line)
+            last.append(row)
         # The last lines hold numbers and no header.
         self._last = list(last)[-(self._row_count - self._row_count // 2) :]
-        self._separator = _separator(self._last) if separator is None else separator
+        if separator is None:
+            separator = _separator([line for _, line in self._last])
+        self._separator = separator
 
     def table(self, columns: Columns, maximum_samples: int) -> RawTable:
         """The numbers in the columns; raises RecordError."""
@@ -140,12 +149,12 @@ class TextFile:
             listed = ", ".join(str(position + 1) for position in positions)
             raise RecordError(
                 f"{self._name} holds no row with numbers in columns {listed}: "
-                f"{self._middle_row(skipped)}"
+                f"{self._example(skipped)}"
             )
         # The table ends at the last column that has a number in each of the last rows.
         numeric = [
             {place for place, field in enumerate(fields) if self._number(field) is not None}
-            for _, fields in self._split(enumerate(self._last))
+            for _, fields in self._split(self._last)
         ]
         columns.check_width(self._name, max(set.intersection(*numeric), default=-1) + 1)
         if self._row_count - first > maximum_samples:
@@ -206,14 +215,14 @@ class TextFile:
             f"'{'; '.join(best)}' lacks {missing}"
         )
 
-    def _middle_row(self, skipped: int) -> str:
-        """Description of a row in the middle of the file, as an example for a message."""
-        middle = skipped + (self._row_count - skipped) // 2
-        for line, fields in islice(self._rows(), middle, middle + 1):
-            dates = any(seconds_since_1970(field) is not None for field in fields)
-            hint = " (the unit of a date is time:datetime)" if dates else ""
-            return f"its line {line} has {len(fields)} columns, '{'; '.join(fields)}'{hint}"
-        return "its header is its last line" if skipped else "it is empty"
+    def _example(self, skipped: int) -> str:
+        """Description of one of the last rows, as an example for a message."""
+        if skipped == self._row_count:
+            return "its header is its last line" if skipped else "it is empty"
+        line, fields = next(self._split(self._last[:1]))
+        dates = any(seconds_since_1970(field) is not None for field in fields)
+        hint = " (the unit of a date is time:datetime)" if dates else ""
+        return f"its line {line} has {len(fields)} columns, '{'; '.join(fields)}'{hint}"
 
     def _filled_lines(self) -> Iterator[tuple[int, str]]:
         """Line numbers (from 1) and text of the lines that are not empty."""
@@ -245,27 +254,6 @@ class TextFile:
                     f"line {number} of {self._name} cannot be split into fields: {error}"
                 ) from error
             yield number, [field.strip() for field in fields]
-
-
-def _encoding(path: Path) -> str:
-    with path.open("rb") as file:
-        start = file.read(4096)
-        if start.startswith((b"\xff\xfe", b"\xfe\xff")):
-            return "utf-16"
-        if start.startswith(b"PK"):
-            raise RecordError(
-                f"{path.name} is an archive, or a spreadsheet with another ending: first save it "
-                "as XLSX or CSV"
-            )
-        if b"\0" in start:
-            raise RecordError(f"{path.name} is not a text file: export it as text, CSV or MAT")
-    try:
-        with path.open(encoding="utf-8") as text:
-            while text.read(_CHUNK):
-                pass
-    except UnicodeDecodeError:
-        return "latin-1"
-    return "utf-8-sig"
 
 
 def _separator(sample: Sequence[str]) -> str:

@@ -49,10 +49,8 @@ class RigRecord:
 
     @property
     def period(self) -> float:
-        """The most frequent stated sample period [s]; NaN without blocks."""
-        if not self.blocks:
-            return math.nan
-        return float(np.median([block.period for block in self.blocks]))
+        """The median of the stated sample periods [s]; NaN without blocks."""
+        return float(np.median([block.period for block in self.blocks] or math.nan))
 
     @property
     def sample_count(self) -> int:
@@ -81,13 +79,6 @@ class RigRecord:
         joined = [np.concatenate(part, axis=1) for part in parts]
         longest = max(joined, key=lambda part: part.shape[1], default=np.empty((2, 0)))
         return longest[0], longest[1]
-
-    def stamps(self) -> tuple[Array, Array]:
-        """Index of the first sample of each block, and its stamp [s] since the first block."""
-        first = self.blocks[0].start_ns
-        numbers = np.array([block.sequence for block in self.blocks], dtype=np.float64)
-        times = np.array([(b.start_ns - first) / NANOSECONDS for b in self.blocks])
-        return numbers, times
 
 
 @dataclass(frozen=True)
@@ -241,8 +232,7 @@ def channel_lag(displacement: Array, force: Array, period: float) -> ChannelLag:
     turns, direction = _reversals(velocity, _SMALL * float(np.quantile(np.abs(velocity), 0.9)))
     if turns.size < 2 * _FEWEST:
         return ChannelLag()
-    middle = 0.5 * (np.quantile(force, 0.99) + np.quantile(force, 0.01))
-    zeros, rising = _reversals(smooth.derivative(force - middle), 0.0)
+    zeros, rising = _reversals(smooth.derivative(force - _extent(force)[0]), 0.0)
     cycles = turns[2:] - turns[:-2]
     lags = np.full(cycles.size, math.nan)
     for k, (turn, cycle) in enumerate(zip(turns[1:-1], cycles, strict=True)):
@@ -285,19 +275,16 @@ def _line(lags: Array, cycles: Array) -> ChannelLag:
     unknown = ChannelLag(lag=float(np.median(lags)))
     if np.quantile(cycles, 0.9) < _CYCLE_RATIO * np.quantile(cycles, 0.1):
         return unknown
-    columns = np.stack([1.0 / cycles, np.ones(cycles.size)], axis=1)
-    parts = lags / cycles
+    rates, parts = 1.0 / cycles, lags / cycles
     kept = np.ones(parts.size, dtype=bool)
     for _ in range(3):
-        weights = np.linalg.lstsq(columns[kept], parts[kept], rcond=None)[0]
-        rest = parts - columns @ weights
-        kept = np.abs(rest) <= _FAR * max(float(np.median(np.abs(rest))) / NORMAL_MEDIAN, 1e-6)
+        line, covariance = np.polyfit(rates[kept], parts[kept], 1, cov=True)
+        rest = np.abs(parts - np.polyval(line, rates))
+        kept = rest <= _FAR * max(float(np.median(rest)) / NORMAL_MEDIAN, 1e-6)
         if np.count_nonzero(kept) < _FEWEST:
             return unknown
-    variance = float(np.sum(rest[kept] ** 2)) / (np.count_nonzero(kept) - 2)
-    covariance = variance * np.linalg.inv(columns[kept].T @ columns[kept])
     error = math.sqrt(float(covariance[0, 0]) + _LAW_ERROR**2)
-    return ChannelLag(float(weights[0]), error, unknown.lag)
+    return ChannelLag(float(line[0]), error, unknown.lag)
 
 
 _COARSE = 0.02
@@ -340,7 +327,7 @@ def channel_findings(
         if noise > max(part * spread, least):
             yield Trouble.NOISE.found(name, noise=noise, unit=unit, share=noise / spread)
     middle = np.median(np.stack([values[:-2], values[1:-1], values[2:]]), axis=0)
-    wild = np.abs(values[1:-1] - middle) > max(_OUTLIER * noise, 2.0 * _JUMP * _half_range(values))
+    wild = np.abs(values[1:-1] - middle) > max(_OUTLIER * noise, 2.0 * _JUMP * _extent(values)[1])
     if wild.any():
         yield Trouble.SPIKES.found(name, count=np.count_nonzero(wild))
         return
@@ -392,7 +379,9 @@ _CURRENT_AHEAD = 0.5
 def stream_findings(record: RigRecord) -> Iterator[RigFinding]:
     """Findings on the blocks of a non-empty record."""
     yield from _count_findings(record)
-    numbers, times = record.stamps()
+    first_ns = record.blocks[0].start_ns
+    numbers = np.array([block.sequence for block in record.blocks], dtype=np.float64)
+    times = np.array([(block.start_ns - first_ns) / NANOSECONDS for block in record.blocks])
     later = np.diff(numbers) > 0
     steps, counts = np.diff(times)[later], np.diff(numbers)[later]
     if counts.size >= 8 and numbers[-1] > numbers[0]:
@@ -542,10 +531,10 @@ def _channels(
     still = [Trouble.STUCK.found(name) for name, _, values in channels if np.ptp(values) == 0.0]
     if still:
         return still, None
-    at_rest = _half_range(displacement) < _DISPLACEMENT[0]
+    at_rest = _extent(displacement)[1] < _DISPLACEMENT[0]
     if not at_rest and _exchanged(displacement, force):
         return [Trouble.SWAPPED.found()], None
-    found = list(_unit_findings(displacement, force))
+    found = list(_unit_findings(displacement, force, at_rest=at_rest))
     if at_rest:
         return found, None
     frequency = motion_frequency(displacement, period)
@@ -565,45 +554,41 @@ def _channels(
     return found, lag
 
 
-def _unit_findings(displacement: Array, force: Array) -> Iterator[RigFinding]:
+def _unit_findings(displacement: Array, force: Array, *, at_rest: bool) -> Iterator[RigFinding]:
     for name, unit, other, values, (low, high) in (
         ("displacement", "m", "millimetres", displacement, _DISPLACEMENT),
         ("force", "N", "kilonewtons", force, _FORCE),
     ):
-        half = _half_range(values)
+        middle, half = _extent(values)
         if half < low and name == "displacement":
             yield Trouble.AT_REST.found(name, half=half, unit=unit)
         elif not low <= half <= high:
             only = " only" if half < low else ""
             yield Trouble.UNIT.found(name, half=half, unit=unit, only=only, other=other)
-    half = _half_range(force)
-    if _half_range(displacement) < _DISPLACEMENT[0]:
-        return
     # The centre between the extremes, because a mean over incomplete cycles would be biased.
-    middle = 0.5 * float(np.quantile(force, 0.99) + np.quantile(force, 0.01))
-    if abs(middle) > _OFFSET * half:
+    if not at_rest and abs(middle) > _OFFSET * half:
         yield Trouble.OFFSET.found("force", middle=middle)
 
 
-def _half_range(values: Array) -> float:
-    """Half the range of the values without rare outliers."""
+def _extent(values: Array) -> tuple[float, float]:
+    """Centre and half the range of the values without rare outliers."""
     low, high = np.quantile(values, (0.01, 0.99))
-    return 0.5 * float(high - low)
+    return 0.5 * float(high + low), 0.5 * float(high - low)
 
 
 def _exchanged(displacement: Array, force: Array) -> bool:
     """Whether the channels are exchanged: the displacement is rough and noisy for its size."""
     if coarse_step(displacement):
         return False  # coarse quantisation is also rough
-    noises = [white_noise(values) / float(np.std(values)) for values in (displacement, force)]
-    rougher = _roughness(displacement) * _EXCHANGED_RATIO > _roughness(force)
-    return rougher and noises[0] > noises[1]
+    (rough, noisy), (force_rough, force_noisy) = map(_roughness, (displacement, force))
+    return rough * _EXCHANGED_RATIO > force_rough and noisy > force_noisy
 
 
-def _roughness(values: Array) -> float:
-    """Steps between samples without noise, relative to the standard deviation."""
-    steps = float(np.mean(np.diff(values) ** 2)) - 2.0 * white_noise(values) ** 2
-    return float(np.sqrt(max(steps, 0.0)) / np.std(values))
+def _roughness(values: Array) -> tuple[float, float]:
+    """Steps between samples without noise, and noise, relative to the standard deviation."""
+    noise, spread = white_noise(values), float(np.std(values))
+    steps = float(np.mean(np.diff(values) ** 2)) - 2.0 * noise**2
+    return math.sqrt(max(steps, 0.0)) / spread, noise / spread
 
 
 def _advice(displacement: Array, force: Array, period: float) -> str:

@@ -51,7 +51,7 @@ def sent_each_time(text: str = "", size: int = SIZE) -> list[list[RigBlock]]:
     )
     instruments = Instruments(faults)
     made = [rig.next_block(size) for _ in range(round(DURATION * 1000) // size)]
-    return [[delivery.block for delivery in instruments.read(block)] for block in made]
+    return [[block for block, _ in instruments.read(each)] for each in made]
 
 
 def sent(text: str = "", size: int = SIZE) -> list[RigBlock]:

@@ -8,7 +8,7 @@ import pytest
 
 from mr_damper_ros.emulation.emulator import EmulatedDamper, EmulatedRig, RigSettings
 from mr_damper_ros.emulation.faults import Instruments, faults_of
-from mr_damper_ros.emulation.motions import Excitation, SineMotion, stepped
+from mr_damper_ros.emulation.motions import Excitation, SineMotion, SteppedSine
 from mr_damper_ros.kinematics.periodic_motion import MotionKind, PeriodicMotion
 from mr_damper_ros.models.published import THESIS_28_CELSIUS
 from mr_damper_ros.rig_check.checks import ReceivedBlock, RigRecord, Trouble, channel_lag, check_rig
@@ -17,7 +17,7 @@ SECONDS = 30.0
 RATE = 1000.0
 BLOCK = 20
 MOTIONS: dict[str, Excitation] = {
-    "steps": stepped(0.005, 0.5, 3.0, SECONDS),
+    "steps": SteppedSine(0.005, 0.5, 3.0, SECONDS),
     "sine": SineMotion(0.005, 1.0),
     "fast": SineMotion(0.002, 4.0),
     "chirp": PeriodicMotion(MotionKind.SWEEP, 0.005, 0.5, 3.0, SECONDS),

@@ -23,8 +23,8 @@ from mr_damper_ros.rig.sources.device_source import (
     Portion,
     Portions,
     Row,
+    RowTimes,
     StampedRows,
-    TimedSample,
     library,
 )
 from mr_damper_ros.settings.option_table import ParameterTable, option
@@ -406,22 +406,21 @@ class DaqSource(DeviceSource[Readings]):
             + ", ".join(f"{name} from {channel or 'a sine'}" for name, channel in places)
         ]
 
-    def _samples(self, portion: Portion[Readings], *, begins: bool) -> Iterator[TimedSample | None]:
+    def _new_times(self, data: Readings) -> RowTimes:
+        if data.stamps is None:
+            return CountedRows(data.rate, checks_rate=False)
+        return StampedRows(1.0)
+
+    def _rows(self, portion: Portion[Readings], *, begins: bool) -> Iterator[tuple[Row, int]]:
         """Convert readings to units and times; the last one was taken at the arrival."""
         values, rate, stamps = portion.data
-        if self._times is None:
-            self._times = (
-                CountedRows(rate, checks_rate=False) if stamps is None else StampedRows(1.0)
-            )
         count = values.shape[1]
-        channels = self._in_units(values)
         ago = (count - 1 - np.arange(count)) / rate if rate > 0.0 else np.zeros(count)
         taken = portion.arrival_ns - np.round(ago * NANOSECONDS).astype(np.int64)
         stamped = [None] * count if stamps is None else stamps.tolist()
-        for stamp, taken_ns, row in zip(stamped, taken.tolist(), channels.T.tolist(), strict=True):
-            for sample in self._times.timed(Row(Measured(*row), None, stamp), taken_ns):
-                # Unusable samples are also numbered, so that they count as missing.
-                yield sample if sample.measured.possible else None
+        rows = self._in_units(values).T.tolist()
+        for stamp, taken_ns, row in zip(stamped, taken.tolist(), rows, strict=True):
+            yield Row(Measured(*row), None, stamp), taken_ns
 
     def _in_units(self, volts: Array) -> Array:
         """The channels in units, shape (3, n); NaN if a value is missing or saturated."""

@@ -13,7 +13,7 @@ from importlib import import_module
 from typing import Any, ClassVar, Generic, NamedTuple, TypeVar
 
 from mr_damper_ros.rig.blocks import BlockMaker, Measured
-from mr_damper_ros.rig.sources.source import Source, SourceState, StreamSettings
+from mr_damper_ros.rig.sources.source import Source, SourceState
 from mr_damper_ros.signals.blocks import NANOSECONDS, SILENCE, RigBlock
 from mr_damper_ros.signals.clocks import ArrivalClock, CountedTimes
 from mr_damper_ros.signals.stamped_channel import StampedChannel
@@ -36,13 +36,8 @@ class Row(NamedTuple):
     time: float | None
 
 
-class TimedSample(NamedTuple):
-    """A sample with its number, its time [ns, steady clock], and the sample period [s]."""
-
-    number: int
-    time_ns: int
-    period: float
-    measured: Measured
+TimedSample = tuple[int, int, Measured]
+"""Number, time [ns, steady clock] and values of a sample."""
 
 
 class CountedRows(CountedTimes):
@@ -51,9 +46,7 @@ class CountedRows(CountedTimes):
     def timed(self, row: Row, arrival_ns: int) -> list[TimedSample]:
         """Add a row; returns the samples whose number and time are now certain."""
         index = self.add(row.number, arrival_ns)
-        if index is None:
-            return []
-        return [TimedSample(index, self.time_ns(index), self.period, row.measured)]
+        return [] if index is None else [(index, self.time_ns(index), row.measured)]
 
     def fault(self) -> str:
         """The fault of the times, as a sentence; empty without a fault."""
@@ -72,16 +65,15 @@ class CountedRows(CountedTimes):
         return vars(self.counts)
 
 
-class StampedRows:
+class StampedRows(StampedChannel[Measured]):
     """Numbers and times of rows by the sender's time in units of ``unit`` [s]."""
 
     def __init__(self, unit: float) -> None:
-        self._channel: StampedChannel[Measured] = StampedChannel(0.0)
+        super().__init__(0.0)
         # A counter of 32 bits, such as micros() of a microcontroller, wraps around to 0.
         self._around, self._turns = 2.0**32 * unit, 0.0
         self._last: tuple[float, int] | None = None
-        self._odd_in_a_row = 0
-        self._odd = 0
+        self._odd_in_a_row = self._odd = 0
 
     def timed(self, row: Row, arrival_ns: int) -> list[TimedSample]:
         """Add a row; returns the samples whose number and time are now certain."""
@@ -89,20 +81,10 @@ class StampedRows:
         time = self._followed(row.time, arrival_ns)
         if time is None:
             return []
-        channel = self._channel
-        stamp_ns = round(time * NANOSECONDS)
-        samples = channel.add(stamp_ns, arrival_ns, row.measured)
+        samples = self.add(round(time * NANOSECONDS), arrival_ns, row.measured)
         if self._rate_is_wrong:
             return []
-        return [
-            TimedSample(
-                sample.index,
-                sample.time_ns + channel.clock.ahead_ns(sample.time_ns),
-                channel.period,
-                sample.value,
-            )
-            for sample in samples
-        ]
+        return [(s.index, s.time_ns + self.clock.ahead_ns(s.time_ns), s.value) for s in samples]
 
     def skip(self) -> None:
         """Do nothing, because the stamps show missing samples."""
@@ -112,7 +94,7 @@ class StampedRows:
     def fault(self) -> str:
         """The fault of the times, as a sentence; empty without a fault."""
         if self._rate_is_wrong:
-            times = 1.0 / max(1.0 + self._channel.clock.rate, 1e-9)
+            times = 1.0 / max(1.0 + self.clock.rate, 1e-9)
             return (
                 f"the sender's clock runs {times:.3g} times as fast as this computer's: is the "
                 "unit of the time right?"
@@ -121,11 +103,11 @@ class StampedRows:
 
     def values(self) -> Mapping[str, object]:
         """The counts of received, lost and unusable rows."""
-        return {**self._channel.figures(), "wrong stamps": self._odd}
+        return {**self.figures(), "wrong stamps": self._odd}
 
     @property
     def _rate_is_wrong(self) -> bool:
-        return abs(self._channel.clock.rate) > _WRONG_RATE
+        return abs(self.clock.rate) > _WRONG_RATE
 
     def _followed(self, time: float, arrival_ns: int) -> float | None:
         """The time with the wraps of a counter of 32 bits added; None if it is implausible.
@@ -148,7 +130,7 @@ class StampedRows:
                 self._odd += 1
                 return None
             turns = 0.0
-            self._channel.clock = ArrivalClock()
+            self.clock = ArrivalClock()
         self._odd_in_a_row, self._turns = 0, turns
         self._last = (time + turns, arrival_ns)
         return time + turns
@@ -302,17 +284,18 @@ class DeviceSource(Source, Generic[T]):
     silence: str
     """The fault of a device that sends nothing, as a sentence."""
 
-    def __init__(self, settings: Any, stream: StreamSettings) -> None:
-        super().__init__(settings, stream)
-        self._reader: DeviceReader[T] | None = None
-        self._times: RowTimes | None = None
-        self._heard = 0.0
+    _reader: DeviceReader[T] | None = None
+    _times: RowTimes | None = None
 
     @abstractmethod
-    def _samples(self, portion: Portion[T], *, begins: bool) -> Iterable[TimedSample | None]:
-        """The samples of a portion, None for a missing one; ``begins`` marks a new connection.
+    def _new_times(self, data: T) -> RowTimes:
+        """The times of rows, chosen by the first data."""
 
-        A missing sample ends the current block at once.
+    @abstractmethod
+    def _rows(self, portion: Portion[T], *, begins: bool) -> Iterable[tuple[Row | None, int]]:
+        """The rows of a portion and their times [ns, steady clock], None for an unreadable row.
+
+        ``begins`` marks the first portion of a connection.
         """
 
     @abstractmethod
@@ -336,11 +319,11 @@ class DeviceSource(Source, Generic[T]):
         fault = self._reader.fault
         if not fault and time.monotonic() - self._heard > SILENCE:
             fault = self.silence
-        values = {"connections": self._reader.connections, **self._counts}
-        if self._times is None:
-            return SourceState(fault, values)
-        fault = fault or self._fault_of(new) or self._times.fault()
-        return SourceState(fault, {**values, **self._times.values()})
+        values: dict[str, object] = {"connections": self._reader.connections, **self._counts}
+        if self._times is not None:
+            fault = fault or self._fault_of(new) or self._times.fault()
+            values |= self._times.values()
+        return SourceState(fault, values)
 
     def close(self) -> None:
         """Release the device."""
@@ -354,16 +337,22 @@ class DeviceSource(Source, Generic[T]):
             while True:
                 for portion in reader.take():
                     self._heard = time.monotonic()
-                    begins = portion.connection != connection
-                    if begins and connection and self._times is not None:
+                    begins, connection = portion.connection != connection, portion.connection
+                    if self._times is None:
+                        self._times = self._new_times(portion.data)
+                    elif begins:
                         self._times.interrupted()
-                    connection = portion.connection
-                    for sample in self._samples(portion, begins=begins):
-                        if sample is None:
-                            maker.cut()
+                    for row, arrival_ns in self._rows(portion, begins=begins):
+                        if row is None:
+                            self._times.skip()
                             continue
-                        stamp_ns = sample.time_ns + clock.ahead_ns
-                        maker.add(sample.number, stamp_ns, sample.period, sample.measured)
+                        for number, time_ns, measured in self._times.timed(row, arrival_ns):
+                            # Unusable samples are also numbered, so that they count as missing.
+                            if measured.possible:
+                                stamp_ns = time_ns + clock.ahead_ns
+                                maker.add(number, stamp_ns, self._times.period, measured)
+                            else:
+                                maker.cut()
                     # Yield within the loop, so that a long queue does not delay the end of the
                     # bridge.
                     yield from maker.take()

@@ -206,7 +206,7 @@ class EmulatedSource(_EmulatedSupply):
                 motion.command(mover.motion(now), begin)
             made = rig.next_block(self.stream.block_size)
             deliveries = instruments.read(made)
-            yield from (delivery.block for delivery in deliveries)
+            yield from (block for block, _ in deliveries)
             if not deliveries:
                 yield made.without_samples()
             taken += self.stream.block_size
@@ -218,7 +218,7 @@ def _excitation(rig: EmulatedOptions) -> motions.Excitation:
     if rig.excitation == "chirp":
         return PeriodicMotion(MotionKind.SWEEP, rig.amplitude, low, high, rig.sweep_time)
     if rig.excitation == "steps":
-        return motions.stepped(rig.amplitude, low, high, rig.sweep_time)
+        return motions.SteppedSine(rig.amplitude, low, high, rig.sweep_time)
     if rig.excitation == "random":
         seed = rig.seed % MOST_CYCLES  # the number of different random motions
         return PeriodicMotion(MotionKind.RANDOM, rig.amplitude, low, high, rig.sweep_time, seed)

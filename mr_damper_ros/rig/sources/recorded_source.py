@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import itertools
 import math
-from abc import abstractmethod
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
@@ -34,19 +33,21 @@ class BagOptions(ParameterTable):
             return "source is bag, but no bag is given: set the parameter bag to the path of a bag"
         return ""
 
+    def read(self) -> list[Recording]:
+        """The recordings of the bag; raises ValueError or OSError."""
+        from mr_damper_ros.io.bag_reader import read_bag
+
+        return read_bag(self.bag)
+
 
 class RecordedSource(Source):
     """Recordings, one after the other."""
 
     _recordings: Sequence[Recording] = ()
 
-    @abstractmethod
-    def _read(self) -> list[Recording]:
-        """Read the recordings of the file; raises ValueError or OSError."""
-
     def open(self) -> list[str]:
         """Read the file; raises RecordingError if a recording is not plausible."""
-        self._recordings = self._read()
+        self._recordings = self.settings.read()
         found = []
         for recording in self._recordings:
             recording.check_plausible()
@@ -88,11 +89,6 @@ class BagSource(RecordedSource):
     options = BagOptions
     prefix = ""
 
-    def _read(self) -> list[Recording]:
-        from mr_damper_ros.io.bag_reader import read_bag
-
-        return read_bag(self.settings.bag)
-
 
 @dataclass(frozen=True)
 class RecordOptions(ParameterTable):
@@ -127,23 +123,19 @@ class RecordOptions(ParameterTable):
             )
         return ""
 
+    def read(self) -> list[Recording]:
+        """The recording of the file; raises ValueError or OSError."""
+        from mr_damper_ros.io.records import read_record
+
+        current, period = (None if math.isnan(v) else v for v in (self.current, self.period))
+        variable = self.variable or None
+        return [
+            read_record(self.file, self.columns, current=current, period=period, variable=variable)
+        ]
+
 
 class RecordSource(RecordedSource):
     """The samples of a text, CSV or MAT file."""
 
     options = RecordOptions
     prefix = "record."
-
-    def _read(self) -> list[Recording]:
-        from mr_damper_ros.io.records import read_record
-
-        given = self.settings
-        return [
-            read_record(
-                given.file,
-                given.columns,
-                current=None if math.isnan(given.current) else given.current,
-                period=None if math.isnan(given.period) else given.period,
-                variable=given.variable or None,
-            )
-        ]

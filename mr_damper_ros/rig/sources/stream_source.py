@@ -13,7 +13,7 @@ from collections.abc import Callable, Generator, Iterator, Sequence
 from dataclasses import dataclass
 from functools import partial, reduce
 from operator import xor
-from typing import Any
+from typing import Any, NamedTuple
 
 from mr_damper_ros.io.columns import REST, SKIPPED, Column, ColumnError, parse_columns
 from mr_damper_ros.rig.blocks import Measured
@@ -26,14 +26,12 @@ from mr_damper_ros.rig.sources.device_source import (
     Row,
     RowTimes,
     StampedRows,
-    TimedSample,
     library,
 )
 from mr_damper_ros.settings.option_table import ParameterTable, option
 from mr_damper_ros.signals.blocks import SILENCE
 
 _COUNT = re.compile(r"count(?::(?P<bits>\d+))?")
-_BITS = (8, 16, 32, 64)
 
 
 @dataclass(frozen=True)
@@ -87,17 +85,15 @@ def parse_row_format(text: str) -> RowFormat:
     (default: 32). Raises ColumnError, with a sentence that says what to change.
     """
     entries = [entry.strip() for entry in text.split(",")]
-    counting = [place for place, entry in enumerate(entries) if _COUNT.fullmatch(entry)]
-    if len(counting) > 1:
+    counts = {k: match for k, entry in enumerate(entries) if (match := _COUNT.fullmatch(entry))}
+    if len(counts) > 1:
         raise ColumnError("the columns contain count twice: use it once")
-    bits = 32
-    if counting:
-        match = _COUNT.fullmatch(entries[counting[0]])
-        assert match
+    count, bits = None, 32
+    for count, match in counts.items():
         bits = int(match["bits"] or bits)
-        if bits not in _BITS:
+        if bits not in (8, 16, 32, 64):
             raise ColumnError(f"a count of {bits} bits is not supported: use 8, 16, 32 or 64")
-        entries[counting[0]] = SKIPPED
+        entries[count] = SKIPPED
     columns = parse_columns(",".join(entries))
     for column in columns.wanted:
         if column.header:
@@ -111,14 +107,14 @@ def parse_row_format(text: str) -> RowFormat:
         raise ColumnError(
             "no column holds the displacement: a velocity does not suffice for a stream"
         )
-    if counting and "time" in columns.quantities:
+    if counts and "time" in columns.quantities:
         raise ColumnError(
             f"the columns hold a count and a time, but only one is needed: write {SKIPPED} for the "
             "other one"
         )
     wanted = tuple(column for column in columns.wanted if column.quantity != "velocity")
     assert columns.width is not None or entries[-1] == REST
-    return RowFormat(wanted, columns.width, counting[0] if counting else None, bits, text)
+    return RowFormat(wanted, columns.width, count, bits, text)
 
 
 def _whole(cell: float | bytes) -> int:
@@ -155,29 +151,25 @@ class LineDecoder:
     def feed(self, data: bytes) -> list[Row | None]:
         """Add data; returns the rows of the complete lines, None for each unreadable one."""
         *lines, rest = (self._rest + data).split(b"\n")
-        rows = [row for line in lines for row in self._rows_of(line)]
+        if self._skips and lines:
+            self._skips = False
+            del lines[0]
+        filled = (line for line in map(bytes.strip, lines) if line and not line.startswith(b"#"))
+        rows = [self._row(line) for line in filled]
         if len(rest) > _LONGEST_LINE:
             # The end of an overlong line is also discarded.
             if not self._skips:
-                self.example = _shown(rest)
-                rows.append(None)
+                rows.append(self._row(rest))
             rest, self._skips = b"", True
         self._rest = rest
         return rows
 
-    def _rows_of(self, line: bytes) -> list[Row | None]:
-        """The row of a line; none for an empty line, a comment or the rest of a line."""
-        if self._skips:
-            self._skips = False
-            return []
-        line = line.strip()
-        if not line or line.startswith(b"#"):
-            return []
+    def _row(self, line: bytes) -> Row | None:
         separator = next((mark for mark in (b";", b",", b"\t") if mark in line), None)
         row = self._form.row(line.split(separator)) if len(line) <= _LONGEST_LINE else None
         if row is None:
             self.example = _shown(line)
-        return [row]
+        return row
 
 
 def _shown(data: bytes) -> str:
@@ -198,7 +190,8 @@ class RecordDecoder:
         self.example = ""
         self._struct = struct.Struct(layout)
         self._mark = mark
-        self._size, self._check = CHECKS[check]
+        self._check = CHECKS[check]
+        self._size = len(self._check(b""))
         self._whole = len(mark) + self._struct.size + self._size
         self._rest = b""
         self._in_step = True
@@ -236,21 +229,20 @@ class RecordDecoder:
         return rows
 
     def _fits(self, data: bytes, at: int) -> bool:
-        if not data.startswith(self._mark, at):
-            return False
-        end = at + self._whole - self._size
-        return self._size == 0 or self._check(data[at:end]) == data[end : end + self._size]
+        end = at + self._whole
+        checked, check = data[at : end - self._size], data[end - self._size : end]
+        return data.startswith(self._mark, at) and self._check(checked) == check
 
 
 RowDecoder = LineDecoder | RecordDecoder
 
-CHECKS: dict[str, tuple[int, Callable[[bytes], bytes]]] = {
-    "none": (0, bytes),
-    "sum8": (1, lambda data: bytes([sum(data) & 0xFF])),
-    "xor8": (1, lambda data: bytes([reduce(xor, data, 0)])),
-    "crc16": (2, lambda data: binascii.crc_hqx(data, 0).to_bytes(2, "big")),
+CHECKS: dict[str, Callable[[bytes], bytes]] = {
+    "none": lambda _: b"",
+    "sum8": lambda data: bytes([sum(data) & 0xFF]),
+    "xor8": lambda data: bytes([reduce(xor, data, 0)]),
+    "crc16": lambda data: binascii.crc_hqx(data, 0).to_bytes(2, "big"),
 }
-"""Length in bytes of each check, and its function of mark and record. The CRC is CRC-16/XMODEM."""
+"""Each check as a function of mark and record. The CRC is CRC-16/XMODEM."""
 
 
 def check_layout(layout: str, form: RowFormat) -> None:
@@ -268,13 +260,18 @@ def check_layout(layout: str, form: RowFormat) -> None:
             f"'{form.text}' is {form.width or 'open'}: describe each number by one column"
         )
     if form.count is not None:
-        letter = re.sub(r"[<>]|\d*x", "", layout)[form.count]
+        letter = _letters(layout)[form.count]
         bits = 8 * struct.calcsize("<" + letter)
         if letter in "efd" or bits != form.bits:
             raise ValueError(
                 f"the count has {form.bits} bits, but {letter} in the layout '{layout}' "
                 + ("is no integer" if letter in "efd" else f"has {bits}: write count:{bits}")
             )
+
+
+def _letters(layout: str) -> str:
+    """The letter of each number in a layout."""
+    return re.sub(r"[<>]|\d*x", "", layout)
 
 
 class SimulatedSender:
@@ -297,19 +294,6 @@ class SimulatedSender:
 
     def row(self, k: int) -> bytes:
         """Line or record number ``k``."""
-        cells = self._cells(k)
-        if not self._layout:
-            return ",".join(f"{cell:.10g}" for cell in cells).encode() + b"\n"
-        letters = re.sub(r"[<>]|\d*x", "", self._layout)
-        values = [
-            cell if letter in "efd" else round(cell)
-            for cell, letter in zip(cells, letters, strict=True)
-        ]
-        data = self._mark + struct.pack(self._layout, *values)
-        size, check = self._check
-        return data + check(data)[:size]
-
-    def _cells(self, k: int) -> list[float]:
         form, time = self._form, k / self._rate
         measured = {
             "time": time,
@@ -320,11 +304,17 @@ class SimulatedSender:
         }
         cells = [0.0] * (form.width or form.least)
         for column in form.columns:
-            value = (measured[column.quantity] - column.offset) / column.factor
-            cells[column.position] = value
+            cells[column.position] = (measured[column.quantity] - column.offset) / column.factor
         if form.count is not None:
             cells[form.count] = k % 2**form.bits
-        return cells
+        if not self._layout:
+            return ",".join(f"{cell:.10g}" for cell in cells).encode() + b"\n"
+        values = [
+            cell if letter in "efd" else round(cell)
+            for cell, letter in zip(cells, _letters(self._layout), strict=True)
+        ]
+        data = self._mark + struct.pack(self._layout, *values)
+        return data + self._check(data)
 
 
 _LARGEST = 65535
@@ -339,22 +329,18 @@ _FORM = re.compile(
 )
 
 
-@dataclass(frozen=True)
-class LinkAddress:
+class LinkAddress(NamedTuple):
     """``kind`` is serial, tcp, udp or simulated; ``host`` is also the name of a serial port."""
 
     kind: str
-    host: str
+    host: str = ""
     number: int = 0
-
-    def __str__(self) -> str:
-        return f"{self.host}:{self.number}" if self.number else self.host
 
 
 def parse_address(text: str) -> LinkAddress:
     """The address in a text; raises ValueError with a sentence."""
     if text.strip() == "simulated":
-        return LinkAddress("simulated", "")
+        return LinkAddress("simulated")
     match = _FORM.fullmatch(text.strip())
     if match is None or int(match["number"] or 1) not in range(1, 65536):
         raise ValueError(
@@ -370,7 +356,7 @@ def parse_address(text: str) -> LinkAddress:
 def connector(address: LinkAddress, baud: int) -> Callable[[], Portions[bytes]]:
     """A function that connects to an address; raises ValueError if a library is missing."""
     if address.kind == "serial":
-        serial = library("serial", f"the serial line {address}", "pyserial==3.5")
+        serial = library("serial", f"the serial line {address.host}", "pyserial==3.5")
         return partial(_serial_line, serial, address.host, baud)
     return partial(_tcp_connection if address.kind == "tcp" else _datagrams, address)
 
@@ -515,42 +501,35 @@ class StreamSource(DeviceSource[bytes]):
         given: StreamOptions = self.settings
         self._address = parse_address(given.address)
         self._form = given.row_format()
+        mark = bytes.fromhex(given.mark)
         if self._address.kind == "simulated":
-            mark = bytes.fromhex(given.mark)
             sender = SimulatedSender(self._form, given.rate, given.layout, mark, given.check)
             self._connect: Callable[[], Portions[bytes]] = sender.portions
         else:
             self._connect = connector(self._address, given.baud)
-        self._decoder: RowDecoder = (
-            RecordDecoder(self._form, given.layout, bytes.fromhex(given.mark), given.check)
-            if given.layout
-            else LineDecoder(self._form)
-        )
-        self._name = str(self._address)
+        self._decoder: RowDecoder = LineDecoder(self._form)
+        if given.layout:
+            self._decoder = RecordDecoder(self._form, given.layout, mark, given.check)
+        self._name = given.address.partition(":")[2]
         self.silence = f"nothing arrives from {given.address}: is its sender running?"
         kind = f"records {given.layout}" if given.layout else "lines"
         return [f"{kind} from {given.address}: {given.columns}"]
 
-    def _new_times(self) -> RowTimes:
+    def _new_times(self, data: bytes) -> RowTimes:
         form = self._form
         if form.time_unit is not None:
             return StampedRows(form.time_unit)
-        counts = None if form.count is None else 2**form.bits
-        return CountedRows(self.settings.rate, counts)
+        return CountedRows(self.settings.rate, None if form.count is None else 2**form.bits)
 
-    def _samples(self, portion: Portion[bytes], *, begins: bool) -> Iterator[TimedSample]:
+    def _rows(self, portion: Portion[bytes], *, begins: bool) -> Iterator[tuple[Row | None, int]]:
         datagrams = self._address.kind == "udp"
-        self._times = times = self._times or self._new_times()
         if begins or datagrams:
             # Reading from a serial line starts in the middle of a row.
             self._decoder.begin(whole=self._address.kind != "serial")
         end = b"\n" if datagrams and not self.settings.layout else b""
         for row in self._decoder.feed(portion.data + end):
             self._counts["readable" if row else "unreadable"] += 1
-            if row is None:
-                times.skip()
-            else:
-                yield from times.timed(row, portion.arrival_ns)
+            yield row, portion.arrival_ns
 
     def _fault_of(self, new: Counter[str]) -> str:
         unread, total = new["unreadable"], new.total()

@@ -241,8 +241,16 @@ class EmulatedInstrument:
             self._advance(now)
             self._received_at = now
             command, _, argument = line.strip().upper().partition(" ")
-            if command.endswith("?"):
-                return self._answer(command)
+            answers = {
+                "*IDN?": "mr_damper_ros,emulated instrument,0,0",
+                "CURR?": f"{self._values['CURR']:.4f}",
+                "OUTP?": f"{self._values['OUTP']:.0f}",
+                "MEAS:CURR?": f"{self._coil:.4E}",
+            }
+            if command in answers:
+                return answers[command]
+            if command == "SYST:ERR?":
+                return self._errors.popleft() if self._errors else '+0,"No error"'
             if command == "OUTP:PROT:CLE":
                 self._tripped = False
             elif command == "*CLS":
@@ -252,19 +260,6 @@ class EmulatedInstrument:
             elif (command, argument) != ("FUNC", "CURR"):
                 self._complain('-113,"Undefined header"')
             return None
-
-    def _answer(self, command: str) -> str | None:
-        if command == "SYST:ERR?":
-            return self._errors.popleft() if self._errors else '+0,"No error"'
-        answers = {
-            "*IDN?": "mr_damper_ros,emulated instrument,0,0",
-            "CURR?": f"{self._values['CURR']:.4f}",
-            "OUTP?": f"{self._values['OUTP']:.0f}",
-            "MEAS:CURR?": f"{self._coil:.4E}",
-        }
-        if command not in answers:
-            self._complain('-113,"Undefined header"')
-        return answers.get(command)
 
     def _set(self, command: str, argument: str) -> None:
         low, high = self._ranges.get(command, (-math.inf, math.inf))

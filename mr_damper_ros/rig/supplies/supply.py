@@ -221,15 +221,14 @@ class ScpiSupply:
     def errors(self) -> list[str]:
         """Read all errors in the instrument's queue."""
         found: list[str] = []
-        while len(found) < _MOST_ERRORS:
-            error = self.next_error()
-            if not error:
-                return found
+        while error := self.next_error():
             found.append(error)
-        raise SupplyError(
-            f"the supply's error queue does not end: it always answers {found[-1][:80]} to "
-            f"{self._profile.read_error}; is the profile right for this instrument?"
-        )
+            if len(found) == _MOST_ERRORS:
+                raise SupplyError(
+                    f"the supply's error queue does not end: it always answers {error[:80]} to "
+                    f"{self._profile.read_error}; is the profile right for this instrument?"
+                )
+        return found
 
     def rescue(self) -> None:
         """Switch the output off over a new link, regardless of the time limit of the old link."""
