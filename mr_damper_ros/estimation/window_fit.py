@@ -33,7 +33,7 @@ from mr_damper_ros.estimation.local_search import Ending, LocalSearch, StopReque
 from mr_damper_ros.estimation.posterior import Posterior, Prior
 from mr_damper_ros.kinematics.motion import DataError
 from mr_damper_ros.kinematics.window import Window
-from mr_damper_ros.models.force_model import Model, WindowForces
+from mr_damper_ros.models.force_model import Model
 from mr_damper_ros.models.misfit import WindowProblem
 from mr_damper_ros.models.parameter_set import ParameterSet
 from mr_damper_ros.models.quantities import LoopReading
@@ -69,8 +69,8 @@ window contradicts the running set, larger changes are allowed.
 class WindowFit:
     """Result of the fit of one window.
 
-    ``scales`` (f,) are the unknowns of the model's window problem: the seven scales of the sigmoid
-    law, or for another law the parameters that one run determines. Their ``covariance`` (f, f)
+    ``scales`` (f,) are the unknowns of the model's window problem: the seven scale parameters of the
+    sigmoid law, or for another law the parameters that one run determines. Their ``covariance`` (f, f)
     describes the scatter between windows of the same motion, and ``discrepancy`` (f, f) the model
     error, None if unknown (see :mod:`covariance`). ``parameters`` (p,) are all parameters.
     ``coefficients`` (c,) and their covariances ``coefficient_covariance`` and
@@ -145,7 +145,9 @@ def fit_window(
     problem: WindowProblem | None = None
     ending = Ending.CONVERGED
 
-    def enter(parameters: Array, forces: WindowForces | None = None) -> LocalSearch[WindowProblem]:
+    forces = model.window_forces([window])
+
+    def enter(parameters: Array) -> LocalSearch[WindowProblem]:
         problem = WindowProblem(model, window, parameters, forces=forces)
         searches.append(LocalSearch(problem, problem.start, should_stop))
         searches[-1].try_out(problem.start)
@@ -156,8 +158,7 @@ def fit_window(
         # "not <=" is also true for a NaN cost.
         if not _mean_square(search) <= POOR_START * spread**2:
             # The costs of the starts alone do not show which of them leads to the lowest minimum.
-            forces = search.problem.forces
-            cold = [enter(each, forces) for each in model.cold_starts(window, search.problem.given)]
+            cold = [enter(each) for each in model.cold_starts(window, search.problem.given)]
             cold = sorted(cold, key=_mean_square)[: effort.polished_starts]
             limit = _SKIPPED_COST * _mean_square(cold[0])
             hopeful = [each for each in (search, *cold) if _mean_square(each) < limit]
@@ -195,7 +196,7 @@ def fit_window(
         errors.repeatability,
         discrepancy=errors.discrepancy,
         method=method,
-        evaluations=sum(each.evaluations + each.problem.differences for each in searches),
+        evaluations=forces.differences + sum(each.evaluations for each in searches),
         ending=ending,
     )
 

@@ -278,51 +278,18 @@ class Model(ABC):
         """Force at the samples of windows, and its derivatives with respect to the parameters."""
         return WindowForces(self, windows)
 
-    # Unknowns of one window: by default the parameters that it determines
-
     @cached_property
     def unknown_indices(self) -> np.ndarray:
         """Indices (f,) of the parameters that are fitted to a window."""
         return self.places(self.scale_names)
 
-    @cached_property
-    def _unknown_bounds(self) -> tuple[Array, Array]:
-        low, high = self.bounds
-        return low[self.unknown_indices], high[self.unknown_indices]
-
-    @property
-    def strong_unknowns(self) -> np.ndarray:
-        """Mask (f,) of the unknowns that are gain parameters."""
-        return np.isin(self.unknown_indices, self.strength_indices)
-
-    def unknowns(self, parameters: Array) -> Array:
-        """The unknowns (f,) of parameters (p,), within their bounds."""
-        return np.clip(parameters[self.unknown_indices], *self._unknown_bounds)
-
-    def with_unknowns(self, parameters: Array, unknowns: Array) -> Array:
-        """Parameters (..., p) with these unknowns (..., f), otherwise as ``parameters`` (p,)."""
-        values = np.empty((*unknowns.shape[:-1], parameters.size))
-        values[...] = parameters
-        values[..., self.unknown_indices] = np.clip(unknowns, *self._unknown_bounds)
-        return values
-
-    def by_unknowns(self, unknowns: Array, derivatives: Array) -> Array:
-        """Derivatives (n, f) by the unknowns (f,), from the derivatives by their parameters."""
-        return derivatives
-
-    def fitted_errors(self, unknowns: Array, covariance: Array) -> tuple[np.ndarray, Array]:
-        """Indices of the parameters that are fitted to a window, and their standard errors.
-
-        ``covariance`` (f, f) belongs to the unknowns (f,). The standard error is NaN for a
-        parameter that the window does not determine.
-        """
-        return self.unknown_indices, np.sqrt(np.diag(covariance))
-
     def cold_starts(self, window: Window, parameters: Array) -> list[Array]:
         """Start parameters (p,) with unknowns derived from the loop of a window."""
-        starts = np.clip(self.starts(LoopReading.of(window)), *self.bounds)
         places = self.unknown_indices
-        return [self.with_unknowns(parameters, read[places]) for read in starts]
+        found = np.clip(self.starts(LoopReading.of(window)), *self.bounds)
+        starts = np.tile(parameters, (len(found), 1))
+        starts[:, places] = found[:, places]
+        return list(starts)
 
     # Laws over operating points
 

@@ -107,33 +107,31 @@ class Misfit:
 class ChosenParameters:
     """Residual (n,) of a misfit and its Jacobian (n, f), for the parameters (f,) at ``places``.
 
-    All other parameters keep their ``given`` values (p,).
+    All other parameters keep their ``given`` values (p,). ``bounds`` are the lower and upper bounds
+    (f,) of the unknowns, None if all are infinite.
     """
 
     def __init__(self, misfit: Misfit, values: Array, places: Sequence[int]) -> None:
         self.misfit = misfit
         self.given = np.array(values, dtype=float)
         self.places = list(places)
+        self._bounds = low, high = tuple(bound[self.places] for bound in misfit.model.bounds)
+        self.bounds = None if np.isinf((low, high)).all() else (low, high)
 
     @property
     def start(self) -> Array:
         """Unknowns (f,) of the given parameters."""
         return self.unknowns(self.given)
 
-    @property
-    def bounds(self) -> tuple[Array, Array] | None:
-        """Lower and upper bounds (f,) of the unknowns, None if all are infinite."""
-        low, high = (bound[self.places] for bound in self.misfit.model.bounds)
-        return None if np.all(np.isinf(low)) and np.all(np.isinf(high)) else (low, high)
-
     def unknowns(self, parameters: Array) -> Array:
         """The unknowns (f,) of parameters (p,)."""
         return parameters[self.places]
 
     def parameters(self, unknowns: Array) -> Array:
-        """All parameters (p,) for these unknowns (f,)."""
+        """All parameters (p,) for these unknowns (f,), within their bounds."""
         values = self.given.copy()
-        values[self.places] = unknowns
+        low, high = self._bounds
+        values[self.places] = np.minimum(np.maximum(unknowns, low), high)
         return values
 
     def residual(self, unknowns: Array) -> Array:
@@ -148,9 +146,8 @@ class ChosenParameters:
 class WindowProblem(ChosenParameters):
     """Residual (n,) [N] of a window and its Jacobian (n, f), for the unknowns (f,) of its law.
 
-    ``given`` (p,): the values of all parameters that are no unknowns; ``settled`` (n,): mask of the
-    samples with a residual; ``forces``: the forces of the window, which a new problem may reuse;
-    ``differences``: evaluations of the force for derivatives.
+    ``settled`` (n,): mask of the samples with a residual; ``forces``: the forces of the window, which
+    a new problem may reuse.
     """
 
     def __init__(
@@ -165,32 +162,15 @@ class WindowProblem(ChosenParameters):
         super().__init__(misfit, parameters, model.unknown_indices.tolist())
         self.model = model
         self.window = window
-        self.differences = 0
         self.settled, self.forces = misfit.settled, misfit.forces
 
     @property
     def strength(self) -> np.ndarray:
         """Mask (f,) of the unknowns that are gain parameters."""
-        return self.model.strong_unknowns
-
-    def unknowns(self, parameters: Array) -> Array:
-        """The unknowns (f,) of parameters (p,)."""
-        return self.model.unknowns(parameters)
-
-    def parameters(self, unknowns: Array) -> Array:
-        """All parameters (..., p) for these unknowns (..., f)."""
-        return self.model.with_unknowns(self.given, unknowns)
-
-    def jacobian(self, unknowns: Array) -> Array:
-        """Derivatives of the residual with respect to the unknowns, shape (n, f)."""
-        before = self.forces.differences
-        derivatives = super().jacobian(unknowns)
-        self.differences += self.forces.differences - before
-        return self.model.by_unknowns(unknowns, derivatives)
+        return np.isin(self.places, self.model.strength_indices)
 
     def coefficients(self, unknowns: Array) -> tuple[Array, Array]:
         """Operating-point coefficients (c,) and their derivatives (c, f)."""
-        model, parameters = self.model, self.parameters(unknowns)
-        values = model.coefficients_at(parameters, *self.window.operating_point)[:, 0]
-        gradient = model.coefficient_gradient(parameters, *self.window.operating_point)
-        return values, model.by_unknowns(unknowns, gradient[:, self.places])
+        given = self.parameters(unknowns), *self.window.operating_point
+        gradient = self.model.coefficient_gradient(*given)[:, self.places]
+        return self.model.coefficients_at(*given)[:, 0], gradient

@@ -36,7 +36,7 @@ class FilterState:
     current [A]) belongs to the last update.
     """
 
-    scales: Array
+    mean: Array
     covariance: Array
     stamp_ns: int
     operating_point: tuple[float, float]
@@ -70,7 +70,7 @@ class RecursiveFilter:
         self._problem = problem
         self._stamp_ns = stamp_ns
         self.evaluations = 1
-        jacobian, residual = problem.jacobian(state.scales), problem.residual(state.scales)
+        jacobian, residual = problem.jacobian(state.mean), problem.residual(state.mean)
         power = float(np.mean(np.square(residual + problem.window.force)))
         # A simulated force has no noise, and the deviation must not be zero.
         floor = max(1e-9 * math.sqrt(power), 1e-300)
@@ -81,7 +81,7 @@ class RecursiveFilter:
         effect = np.sqrt(np.mean(jacobian**2, axis=0))
         walk = drift_rate * math.sqrt(power) / np.where(effect > 0.0, effect, np.inf)
         elapsed = max(stamp_ns - state.stamp_ns, 0) / NANOSECONDS
-        self._mean = state.scales
+        self._mean = state.mean
         self._root = _root(state.covariance + np.diag(walk**2 * elapsed))
         whitened = (jacobian / self._deviation[:, np.newaxis])[settled] @ self._root
         innovation = (residual / self._deviation)[settled]

@@ -112,13 +112,13 @@ def new_set(
     """
     model = running.law
     errors, discrepancies = running.standard_errors.copy(), running.discrepancies.copy()
-    places, found = model.fitted_errors(fit.scales, fit.whole_covariance)
-    errors[places] = found
+    places = model.unknown_indices
+    errors[places] = found = np.sqrt(np.diag(fit.whole_covariance))
     observable = running.observable.copy()
     observable[places] = np.isfinite(found)
     discrepancies[places] = math.nan
     if fit.discrepancy is not None:
-        discrepancies[places] = model.fitted_errors(fit.scales, fit.discrepancy)[1]
+        discrepancies[places] = np.sqrt(np.diag(fit.discrepancy))
     # The running set predicted the force here, or its shape, so its range stays valid.
     similar = evidence.shape_change <= LARGE_SHAPE_CHANGE
     agrees = abs(evidence.force_change) <= NOTICED

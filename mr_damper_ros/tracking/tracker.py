@@ -732,7 +732,7 @@ def _look(job: Job, window: Window) -> Outcome:
     if (state := memory.state) is not None:
         factors = np.where(problem.strength, scale.value, 1.0)
         covariance = state.covariance * np.outer(factors, factors) + fit.covariance
-        memory.state = FilterState(state.scales * factors, covariance, raw.end_ns, here)
+        memory.state = FilterState(state.mean * factors, covariance, raw.end_ns, here)
     # The residual of an inexact law oscillates, so the change detection stops until the next
     # window.
     memory.watch = None

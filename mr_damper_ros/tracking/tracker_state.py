@@ -60,6 +60,8 @@ def from_text(text: str, model: Model) -> TrackerMemory:
         data = json.loads(text)
         if isinstance(data, dict) and "points" not in data:
             data = _with_records(data)
+        if isinstance(data, dict) and "scales" in (data.get("state") or ()):
+            data["state"] = None  # of an earlier version, which had other unknowns: starts again
         memory = _read(TrackerMemory, data, "memory")
         # An older version may have had fewer parameters, and numbers of windows from 0 on.
         records = memory.points.records
@@ -188,9 +190,9 @@ def _check(memory: TrackerMemory, model: Model) -> None:
     _require(all(len(each) in (2, 4) for each in memory.residuals), "a residual is incomplete")
     covariances: list[tuple[Array, Array | None]] = []
     if state is not None:
-        fits = state.scales.size == model.unknown_indices.size
+        fits = state.mean.size == model.unknown_indices.size
         _require(fits, "the state of the filter is for another model")
-        covariances.append((state.scales, state.covariance))
+        covariances.append((state.mean, state.covariance))
     for record in memory.points.records:
         seen, fit = record.temperatures, record.baseline
         sound = seen.ndim == 2 and seen.shape[1] == 3 and is_plausible(seen)

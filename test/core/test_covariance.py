@@ -76,16 +76,6 @@ def test_a_residual_that_says_nothing_counts_as_white(residual: Array) -> None:
     assert correlation_length(residual) == 1
 
 
-def test_the_error_of_k5_is_that_of_a_quotient() -> None:
-    scales = np.array([50.0, 1.0, 1.0, 1.0, 1.0, 1.0, 4.0])
-    covariance = np.diag([4.0, 0.1, 0.1, 0.1, 0.1, 0.1, 0.09])
-    covariance[0, 6] = covariance[6, 0] = 0.3
-    draws = np.random.default_rng(0).multivariate_normal(scales, covariance, 200_000)
-    errors = MODELS["sigmoid"].fitted_errors(scales, covariance)[1]
-    assert errors[6] == pytest.approx(np.std(draws[:, 6] / draws[:, 0]), rel=0.02)
-    np.testing.assert_allclose(errors[:6], np.sqrt(np.diag(covariance))[:6])
-
-
 # -- the differences between motions reveal the model error ----------------------------------------
 
 SAMPLES, MOTIONS, TRIALS = 100, 20, 200

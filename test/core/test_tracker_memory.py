@@ -373,12 +373,18 @@ def test_a_state_from_before_a_model_had_more_parameters_is_gone_on_with(tmp_pat
     state.close()
 
 
+def test_a_filter_with_the_unknowns_of_an_earlier_version_starts_again() -> None:
+    data = json.loads(to_text(OF_THREE))
+    data["state"]["scales"] = data["state"].pop("mean")
+    assert from_text(json.dumps(data), MODELS["sigmoid"]).state is None
+
+
 def test_a_filter_that_fails_starts_again() -> None:
     tracked = tracker(tracker="recursive")
     feed(tracked, 0, 3)
     assert tracked.memory.state is not None
     tracked.memory.state = dataclasses.replace(
-        tracked.memory.state, scales=1e300 * tracked.memory.state.scales
+        tracked.memory.state, mean=1e300 * tracked.memory.state.mean
     )
     verdicts = [report.verdict for n in (4, 8) for report in feed(tracked, n, n + 1)]
     assert verdicts == [Verdict.FAILED, Verdict.ACCEPTED]

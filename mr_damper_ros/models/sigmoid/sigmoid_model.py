@@ -294,10 +294,13 @@ class SigmoidModel(Model):
         unit[SCALE_INDICES] = 1.0
         base = np.concatenate(operating_point_coefficients(unit, *window.operating_point))
         base = np.where(base == 0.0, 1.0, base)
-        return [
-            self.with_unknowns(parameters, self.coefficients_at(read, speed, 0.0)[:, 0] / base)
-            for read in SigmoidModel.starts(self, reading)
-        ]
+        found = SigmoidModel.starts(self, reading)
+        starts = np.tile(parameters, (len(found), 1))
+        for start, read in zip(starts, found, strict=True):
+            coefficients = self.coefficients_at(read, speed, 0.0)[:, 0]
+            start[SCALE_INDICES] = coefficients / base
+            start[_K5] = coefficients[_K5_SCALE] / coefficients[0]
+        return list(starts)
 
     def initial_values(self) -> tuple[Array, str, float]:
         """The set from the literature."""
@@ -313,47 +316,6 @@ class SigmoidModel(Model):
             return super().window_force(window, parameters)
         (force,) = self.window_forces([window]).forces(parameters)
         return force
-
-    # The unknowns of a window are the scales, with f0 k5 in place of k5. The force offset is then
-    # linear and may be zero.
-
-    @property
-    def strong_unknowns(self) -> np.ndarray:
-        """Mask (7,) of the unknowns that are gain parameters."""
-        return np.isin(SCALE_PARAMETER_NAMES, ("f0", "k5"))
-
-    def unknowns(self, parameters: Array) -> Array:
-        """The unknowns (7,) of parameters (p,)."""
-        scales = parameters[SCALE_INDICES]
-        scales[_K5_SCALE] *= scales[0]
-        return scales
-
-    def with_unknowns(self, parameters: Array, unknowns: Array) -> Array:
-        """Parameters (..., p) with these unknowns (..., 7), otherwise as ``parameters`` (p,)."""
-        values = np.empty((*unknowns.shape[:-1], parameters.size))
-        values[...] = parameters
-        values[..., SCALE_INDICES] = unknowns
-        values[..., _K5] = _over(unknowns[..., _K5_SCALE], unknowns[..., 0])
-        return values
-
-    def by_unknowns(self, unknowns: Array, derivatives: Array) -> Array:
-        """Derivatives (n, 7) by the unknowns (7,), from the derivatives (n, 7) by the scales."""
-        found = derivatives.copy(order="K")
-        found[:, _K5_SCALE] *= _over(np.ones(()), unknowns[0])
-        found[:, 0] -= found[:, _K5_SCALE] * _over(unknowns[_K5_SCALE], unknowns[0])
-        return found
-
-    def fitted_errors(self, unknowns: Array, covariance: Array) -> tuple[np.ndarray, Array]:
-        """Indices and standard errors (7,) of the scale parameters; k5 is linearised."""
-        errors = np.sqrt(np.diag(covariance))
-        f0, offset = unknowns[0], unknowns[_K5_SCALE]
-        if f0 == 0.0:
-            errors[_K5_SCALE] = np.nan
-        else:
-            gradient = np.array([-offset / f0**2, 1.0 / f0])
-            variance = gradient @ covariance[np.ix_([0, _K5_SCALE], [0, _K5_SCALE])] @ gradient
-            errors[_K5_SCALE] = np.sqrt(np.maximum(variance, 0.0))  # rounding may make it negative
-        return SCALE_INDICES, errors
 
     def coefficients_at(
         self, parameters: Array, peak_velocity: ArrayLike, current: ArrayLike
