@@ -69,10 +69,10 @@ window contradicts the running set, larger changes are allowed.
 class WindowFit:
     """Result of the fit of one window.
 
-    ``scales`` (f,) are the unknowns of the model's window problem: the seven scale parameters of the
-    sigmoid law, or for another law the parameters that one run determines. Their ``covariance`` (f, f)
-    describes the scatter between windows of the same motion, and ``discrepancy`` (f, f) the model
-    error, None if unknown (see :mod:`covariance`). ``parameters`` (p,) are all parameters.
+    ``scales`` (f,) are the unknowns of the window problem, the scale parameters of the model. Their
+    ``covariance`` (f, f) describes the scatter between windows of the same motion, and
+    ``discrepancy`` (f, f) the model error, None if unknown (see :mod:`covariance`). ``parameters``
+    (p,) are all parameters.
     ``coefficients`` (c,) and their covariances ``coefficient_covariance`` and
     ``coefficient_discrepancy`` (c, c) hold at ``operating_point`` (peak velocity [m/s], current
     [A]). ``rmse`` [N] covers the ``sample_count`` samples with a known past; ``nrmse`` = RMSE/std

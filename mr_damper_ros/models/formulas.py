@@ -12,9 +12,10 @@ import ast
 import math
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import cache
-from typing import Any, Protocol
+from itertools import count
+from typing import Any
 
 import numpy as np
 
@@ -24,18 +25,6 @@ Formulas = tuple[tuple[str, str], ...]
 
 LIMIT = 1e100
 """Limit of ``sat``; the product of up to three such quantities does not overflow."""
-
-_SIGNS: dict[type, str] = {
-    ast.Add: "+",
-    ast.Sub: "-",
-    ast.Mult: "*",
-    ast.Div: "/",
-    ast.Lt: "<",
-    ast.GtE: ">=",
-}
-
-_LEVELS: dict[type, int] = {ast.Add: 1, ast.Sub: 1, ast.Mult: 2, ast.Div: 2}
-"""Precedence of an operator."""
 
 
 @dataclass(frozen=True)
@@ -81,13 +70,42 @@ def staged(
     """
     known = {name: stage for stage, names in enumerate(stages) for name in names}
     lines = [(name, _tree(text)) for name, text in _needed(formulas, results, known)]
-    parts = Counter(_text(node) for _, tree in lines for node in ast.walk(tree))
-    writer = _Writer(stages, known, {p for p in parts if parts[p] > 1}, scalars)
+    uses = Counter(_text(node) for _, tree in lines for node in ast.walk(tree))
+    styles = [_SCALARS] * scalars + [_ARRAYS] * (len(stages) - scalars)
+    bodies: list[list[str]] = [[] for _ in stages]
+    stored: dict[str, str] = {}
+    unused = (f"part_{number}" for number in count())
+
+    def stage_of(tree: ast.expr) -> int:
+        return max((known[name] for name in _names(tree)), default=0)
+
+    def write(node: ast.expr, stage: int) -> str:
+        return _written(node, styles[stage], lambda each, _: part(each, stage), next(unused))
+
+    def part(node: ast.expr, stage: int) -> str:
+        """Part of an expression; stored if it belongs to an earlier stage or is repeated."""
+        own, text = stage_of(node), _text(node)
+        if isinstance(node, (ast.Name, ast.Constant)) or (own == stage and uses[text] == 1):
+            return write(node, own)
+        if text not in stored:
+            stored[text] = next(unused)
+            bodies[own].append(f"{stored[text]} = {write(node, own)}")
+        return stored[text]
+
     for name, tree in lines:
-        writer.add(name, tree)
+        stage = stage_of(tree)
+        bodies[stage].append(f"{name} = {write(tree, stage)}")
+        known[name] = stage
+    code = []
+    for stage, inputs in enumerate(stages):
+        code.append("    " * stage + f"def stage_{stage}({', '.join(inputs)}):")
+        code += ["    " * (stage + 1) + line for line in bodies[stage]]
+    last = len(stages)
+    code.append("    " * last + f"return {', '.join(results)}")
+    code += ["    " * stage + f"return stage_{stage}" for stage in range(last - 1, 0, -1)]
     space = {**_SCALAR_FUNCTIONS, **_ARRAY_FUNCTIONS}
     # The package itself writes the formulas.
-    exec(compile(writer.source(results), "<formulas>", "exec"), space)
+    exec(compile("\n".join(code), "<formulas>", "exec"), space)
     made: Callable[..., Any] = space["stage_0"]
     return made
 
@@ -202,78 +220,88 @@ def _product(first: str, second: str) -> str:
 # -- languages
 
 
-class _Style(Protocol):
-    """How a language writes operators and functions."""
+Style = Mapping[type | str, str]
+"""How a language writes each operator, by its class in :mod:`ast`, and each function, by its name.
 
-    def infix(self, operator: type, first: str, second: str) -> str:
-        """Two operands with an operator between them."""
+``{0}``, ``{1}`` and so on are the operands, ``{all}`` a list of them, and ``{new}`` is an unused
+name. The key ``=`` belongs to an assignment of ``{1}`` to ``{0}``.
+"""
 
-    def call(self, function: str, arguments: Sequence[str]) -> str:
-        """A function call."""
+OPERATORS: Style = {
+    ast.USub: "-{0}",
+    ast.Add: "{0} + {1}",
+    ast.Sub: "{0} - {1}",
+    ast.Mult: "{0} * {1}",
+    ast.Div: "{0} / {1}",
+    ast.Lt: "{0} < {1}",
+    ast.GtE: "{0} >= {1}",
+}
+"""Operators as most languages write them."""
+
+_LEVELS: dict[type, int] = {ast.Add: 1, ast.Sub: 1, ast.Mult: 2, ast.Div: 2, ast.USub: 2}
+"""Precedence of an operator."""
 
 
-def _written(node: ast.expr, style: _Style, inner: Callable[[ast.expr, int], str]) -> str:
+def _written(
+    node: ast.expr, style: Style, inner: Callable[[ast.expr, int], str], new: str = ""
+) -> str:
     """Write a part of a formula; ``inner`` writes an operand, in brackets if necessary."""
+    key: type | str = ""
     match node:
         case ast.Constant(value=float(number)):
             return repr(number)
         case ast.Name(id=name):
             return name
-        case ast.UnaryOp(op=ast.USub(), operand=operand):
-            return f"-{inner(operand, _LEVELS[ast.Mult])}"
-        case ast.BinOp(left=left, op=operator, right=right) if type(operator) in _LEVELS:
-            level = _LEVELS[type(operator)]
-            # A right operand needs brackets to be computed first.
-            return style.infix(type(operator), inner(left, level), inner(right, level + 1))
+        case ast.UnaryOp(op=operator, operand=operand):
+            key, operands = type(operator), [operand]
+        case ast.BinOp(left=left, op=operator, right=right):
+            key, operands = type(operator), [left, right]
         case ast.Compare(left=left, ops=[comparison], comparators=[right]):
-            return style.infix(type(comparison), inner(left, 0), inner(right, 0))
-        case ast.Call(func=ast.Name(id=function), args=arguments):
-            return style.call(function, [inner(argument, 0) for argument in arguments])
-    raise ValueError(f"{ast.unparse(node)} is not allowed in a formula")
+            key, operands = type(comparison), [left, right]
+        case ast.Call(func=ast.Name(id=function), args=operands):
+            key = function
+    if key not in style:
+        raise ValueError(f"{ast.unparse(node)} is not allowed in a formula")
+    # A right operand needs brackets to be computed first.
+    level = _LEVELS.get(key, 0) if isinstance(key, type) else 0
+    parts = [inner(each, level and level + place) for place, each in enumerate(operands)]
+    return style[key].format(*parts, all=", ".join(parts), new=new)
 
 
-@dataclass(frozen=True)
-class Language:
-    """A target language for formulas: its operators, where they differ, and its functions.
+def assignments(formulas: Sequence[tuple[str, str]], style: Style) -> list[str]:
+    """The formulas in a language, one a line, without redundant brackets.
 
-    ``assignment`` contains ``{name}`` and ``{value}``.
+    Raises ValueError for an invalid formula.
     """
 
-    functions: Mapping[str, str]
-    assignment: str
-    operators: Mapping[type, str] = field(default_factory=dict)
+    def operand(node: ast.expr, level: int) -> str:
+        weaker = isinstance(node, ast.BinOp) and _LEVELS[type(node.op)] < level
+        return f"({_written(node, style, operand)})" if weaker else _written(node, style, operand)
 
-    def lines(self, formulas: Formulas) -> list[str]:
-        """The formulas as assignments, one a line; raises ValueError for an invalid formula."""
-        return [
-            self.assignment.format(name=name, value=self.expression(text))
-            for name, text in formulas
-        ]
+    return [style["="].format(name, operand(_tree(text), 0)) for name, text in formulas]
 
-    def expression(self, text: str) -> str:
-        """One expression with no redundant brackets."""
 
-        def operand(node: ast.expr, level: int) -> str:
-            written = _written(node, self, operand)
-            weaker = isinstance(node, ast.BinOp) and _LEVELS[type(node.op)] < level
-            return f"({written})" if weaker else written
+_BRACKETED = {key: f"({text})" for key, text in OPERATORS.items()}
 
-        return operand(_tree(text), 0)
+_CLIPPED = "({new} if {1} <= ({new} := {0}) <= {2} else clip({new}, {1}, {2}))"
 
-    def infix(self, operator: type, first: str, second: str) -> str:
-        """Two operands with an operator between them."""
-        return f"{first} {self.operators.get(operator, _SIGNS[operator])} {second}"
-
-    def call(self, function: str, arguments: Sequence[str]) -> str:
-        """The corresponding function of the language."""
-        return f"{self.functions[function]}({', '.join(arguments)})"
-
+# Scalar code without calls where possible: a call takes as long as ten sums. Division by zero gives
+# the same result as with arrays.
+_SCALARS: Style = {
+    **_BRACKETED,
+    ast.Div: "({0} / {new} if ({new} := {1}) else over({0}))",
+    **{name: name + "({0})" for name in ("exp", "expm1", "tanh", "abs")},
+    "clip": _CLIPPED,
+    "sat": _CLIPPED.replace("{1}", repr(-LIMIT)).replace("{2}", repr(LIMIT)),
+    "larger": "({new} if ({new} := {0}) > {1} else {1})",
+    "number": "({new} if ({new} := {0}) == {new} else 0.0)",
+    "where": "({1} if {0} else {2})",
+}
 
 _SCALAR_FUNCTIONS: dict[str, Callable[..., Any]] = {
     "exp": math.exp,
     "expm1": math.expm1,
     "tanh": math.tanh,
-    "abs": abs,
     "clip": lambda x, low, high: high if x > high else low if x < low else x,
     "over": lambda x: math.nan if x != x or x == 0.0 else math.copysign(math.inf, x),
 }
@@ -291,108 +319,9 @@ _ARRAY_FUNCTIONS: dict[str, Callable[..., Any]] = {
     "each_number": lambda x: np.where(x == x, x, 0.0),
 }
 
-
-class _Arrays:
-    """Writes NumPy code."""
-
-    def infix(self, operator: type, first: str, second: str) -> str:
-        """Two operands in brackets, independent of the precedence around them."""
-        return f"({first} {_SIGNS[operator]} {second})"
-
-    def call(self, function: str, arguments: Sequence[str]) -> str:
-        """The function for arrays."""
-        return f"each_{function}({', '.join(arguments)})"
-
-
-class _Scalars(_Arrays):
-    """Writes scalar code without calls where possible: a call takes as long as ten sums."""
-
-    def __init__(self, new: Callable[[], str]) -> None:
-        self._new = new
-
-    def infix(self, operator: type, first: str, second: str) -> str:
-        """Division by zero gives the same result as with arrays."""
-        if operator is not ast.Div:
-            return super().infix(operator, first, second)
-        divisor = self._new()
-        return f"({first} / {divisor} if ({divisor} := {second}) else over({first}))"
-
-    def call(self, function: str, arguments: Sequence[str]) -> str:
-        """Use an expression instead of a call where possible."""
-        first, *others = arguments
-        part = self._new()
-        if function == "where":
-            return f"({others[0]} if {first} else {others[1]})"
-        if function == "sat":
-            others = [repr(-LIMIT), repr(LIMIT)]
-        if function in ("sat", "clip"):
-            low, high = others
-            within = f"{low} <= ({part} := {first}) <= {high}"
-            return f"({part} if {within} else clip({part}, {low}, {high}))"
-        if function == "larger":
-            return f"({part} if ({part} := {first}) > {others[0]} else {others[0]})"
-        if function == "number":
-            return f"({part} if ({part} := {first}) == {part} else 0.0)"
-        return f"{function}({', '.join(arguments)})"
-
-
-class _Writer:
-    """Writes nested functions, one for each stage; each computes as much as its inputs allow."""
-
-    def __init__(
-        self,
-        stages: Sequence[Sequence[str]],
-        known: dict[str, int],
-        repeated: set[str],
-        scalars: int,
-    ) -> None:
-        """``known``: stage of each input by name; ``repeated``: expressions to store."""
-        self._stages = stages
-        self._known = known
-        self._repeated = repeated
-        later = len(stages) - scalars
-        self._styles: list[_Style] = [_Scalars(self._new)] * scalars + [_Arrays()] * later
-        self._lines: list[list[str]] = [[] for _ in stages]
-        self._kept: dict[str, str] = {}
-        self._count = 0
-
-    def add(self, name: str, tree: ast.expr) -> None:
-        """Add a formula."""
-        stage = self._stage(tree)
-        self._lines[stage].append(f"{name} = {self._written(tree, stage)}")
-        self._known[name] = stage
-
-    def source(self, results: Sequence[str]) -> str:
-        """The program text."""
-        lines = []
-        for stage, inputs in enumerate(self._stages):
-            lines.append("    " * stage + f"def stage_{stage}({', '.join(inputs)}):")
-            lines.extend("    " * (stage + 1) + line for line in self._lines[stage])
-        last = len(self._stages)
-        lines.append("    " * last + f"return {', '.join(results)}")
-        lines.extend("    " * stage + f"return stage_{stage}" for stage in range(last - 1, 0, -1))
-        return "\n".join(lines)
-
-    def _stage(self, tree: ast.expr) -> int:
-        return max((self._known[name] for name in _names(tree)), default=0)
-
-    def _part(self, node: ast.expr, stage: int) -> str:
-        """Part of an expression; stored if it belongs to an earlier stage or is repeated."""
-        own, text = self._stage(node), _text(node)
-        simple = isinstance(node, (ast.Name, ast.Constant))
-        if simple or (own == stage and text not in self._repeated):
-            return self._written(node, own)
-        if text not in self._kept:
-            self._kept[text] = self._new()
-            self._lines[own].append(f"{self._kept[text]} = {self._written(node, own)}")
-        return self._kept[text]
-
-    def _written(self, node: ast.expr, stage: int) -> str:
-        return _written(node, self._styles[stage], lambda inner, _: self._part(inner, stage))
-
-    def _new(self) -> str:
-        self._count += 1
-        return f"part_{self._count}"
+_ARRAYS: Style = _BRACKETED | {
+    name.removeprefix("each_"): name + "({all})" for name in _ARRAY_FUNCTIONS
+}
 
 
 def columns(*parts: Array | float) -> Array:

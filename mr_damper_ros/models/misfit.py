@@ -144,10 +144,10 @@ class ChosenParameters:
 
 
 class WindowProblem(ChosenParameters):
-    """Residual (n,) [N] of a window and its Jacobian (n, f), for the unknowns (f,) of its law.
+    """Residual (n,) [N] of a window and its Jacobian (n, f), for the scale parameters (f,).
 
-    ``settled`` (n,): mask of the samples with a residual; ``forces``: the forces of the window, which
-    a new problem may reuse.
+    ``settled`` (n,): mask of the samples with a residual; ``forces``: the forces of the window,
+    which a new problem may reuse.
     """
 
     def __init__(

@@ -25,6 +25,7 @@ from mr_damper_ros.kinematics.motion import Motion
 from mr_damper_ros.kinematics.observer import CausalDifferentiator
 from mr_damper_ros.kinematics.peak_velocity import MEMORY, PeakVelocity
 from mr_damper_ros.models import MODELS
+from mr_damper_ros.models.formulas import assignments
 from mr_damper_ros.models.parameter_set import ParameterSet
 from mr_damper_ros.models.published import CONDITIONS, parameters
 from mr_damper_ros.signals.arrays import Array
@@ -318,8 +319,9 @@ def test_other_laws_say_that_they_cannot_be_exported() -> None:
 
 
 def test_brackets_are_kept_where_they_count() -> None:
-    assert M.expression("a * (b + c) - (d - e) / f") == "a .* (b + c) - (d - e) ./ f"
-    assert C.expression("a - (b - c)") == "a - (b - c)"
-    assert C.expression("-a4 * v_m") == "-a4 * v_m"
+    line = ("x", "a * (b + c) - (d - e) / f")
+    assert assignments([line], M) == ["x = a .* (b + c) - (d - e) ./ f;"]
+    lines = ("x", "a - (b - c)"), ("y", "-a4 * v_m")
+    assert assignments(lines, C) == ["const double x = a - (b - c);", "const double y = -a4 * v_m;"]
     with pytest.raises(ValueError, match="is not allowed in a formula"):
-        C.expression("a if b else c")
+        assignments([("x", "a if b else c")], C)

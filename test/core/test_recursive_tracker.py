@@ -51,7 +51,7 @@ def test_without_drift_two_halves_give_what_the_fit_of_the_whole_gives() -> None
     in_turn = filtered(fitted(first), last)
     errors = np.sqrt(np.diag(at_once.covariance))
     # Standard errors: in a nearly linear problem the order of the samples hardly matters.
-    assert np.max(np.abs(in_turn.mean - at_once.mean) / errors) < 0.05
+    assert np.max(np.abs(in_turn.scales - at_once.scales) / errors) < 0.05
     # Relative: half of the samples determine the noise, and so all errors, to 1.6 %.
     assert np.sqrt(np.diag(in_turn.covariance)) == pytest.approx(errors, rel=0.05)
 
@@ -155,7 +155,7 @@ def test_outliers_hardly_move_a_robust_filter() -> None:
     before = fitted(known.run(seed=1).window)
     clean = filtered(before, run.window, rate=1e-2)
     plain, robust = (
-        known.rms(filtered(before, spoilt.window, rate=1e-2, robust=r).mean / clean.mean - 1.0)
+        known.rms(filtered(before, spoilt.window, rate=1e-2, robust=r).scales / clean.scales - 1.0)
         for r in (False, True)
     )
     # Relative to the plain filter: outliers keep the weight of normal errors.

@@ -8,30 +8,28 @@ from importlib import resources
 
 from mr_damper_ros.control.export.exported_law import ExportedLaw, number
 from mr_damper_ros.kinematics.peak_velocity import MEMORY
-from mr_damper_ros.models.formulas import Language
+from mr_damper_ros.models.formulas import OPERATORS, Style, assignments
 
 _HELPERS = ("sat", "clip", "larger", "where", "number")
 """Functions of the generated code."""
 
-C = Language(
-    functions={
-        "exp": "exp",
-        "tanh": "tanh",
-        "abs": "fabs",
-        **{name: f"@NAME@_{name}" for name in _HELPERS},
-    },
-    assignment="const double {name} = {value};",
-)
+C: Style = {
+    **OPERATORS,
+    **{name: name + "({all})" for name in ("exp", "tanh")},
+    "abs": "fabs({all})",
+    **{name: f"@NAME@_{name}({{all}})" for name in _HELPERS},
+    "=": "const double {0} = {1};",
+}
 """C99."""
 
-M = Language(
-    functions={
-        **{name: name for name in ("exp", "tanh", "abs")},
-        **{name: f"damper_{name}" for name in _HELPERS},
-    },
-    assignment="{name} = {value};",
-    operators={ast.Mult: ".*", ast.Div: "./"},
-)
+M: Style = {
+    **OPERATORS,
+    ast.Mult: "{0} .* {1}",
+    ast.Div: "{0} ./ {1}",
+    **{name: name + "({all})" for name in ("exp", "tanh", "abs")},
+    **{name: f"damper_{name}({{all}})" for name in _HELPERS},
+    "=": "{0} = {1};",
+}
 """MATLAB and Octave, element by element."""
 
 
@@ -62,7 +60,7 @@ def header(law: ExportedLaw, name: str) -> str:
         )
     guard = name.upper()
     constants = (f"#define {guard}_{key} {number(value)}" for key, value in law.constants.items())
-    formulas = C.lines((*law.formulas.coefficients, *law.formulas.force))
+    formulas = assignments((*law.formulas.coefficients, *law.formulas.force), C)
     body = "\n".join(f"  {_with_constants(line, law, guard)}" for line in formulas)
     low, high = law.held
     return filled(
@@ -97,8 +95,8 @@ def functions(law: ExportedLaw) -> dict[str, str]:
     values = {
         "PROVENANCE": law.provenance,
         "CONSTANTS": "\n".join(f"{name} = {number(v)};" for name, v in law.constants.items()),
-        "COEFFICIENTS": "\n".join(M.lines(law.formulas.coefficients)),
-        "FORMULAS": "\n".join(M.lines(formulas)),
+        "COEFFICIENTS": "\n".join(assignments(law.formulas.coefficients, M)),
+        "FORMULAS": "\n".join(assignments(formulas, M)),
         "LOWEST": number(float(law.nodes[0])),
         "HIGHEST": number(float(law.nodes[-1])),
         "NODES": " ".join(map(number, law.nodes)),
