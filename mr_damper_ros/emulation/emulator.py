@@ -153,7 +153,7 @@ class CurrentSchedule:
     """
 
     def __init__(self, times: Sequence[float], currents: Sequence[float]) -> None:
-        self.times, self.currents = list(times), list(currents)
+        self.times, self.currents = times, currents
         if len(self.times) == 0 or len(self.times) != len(self.currents):
             raise ValueError(
                 f"the current's schedule has {len(self.times)} times and {len(self.currents)} "
@@ -178,6 +178,9 @@ class CurrentSchedule:
 
 class SupplySetpoint(CurrentSchedule):
     """The setpoint of a supply: a current schedule that grows while the rig runs."""
+
+    times: list[float]
+    currents: list[float]
 
     def __init__(self, current: float = 0.0) -> None:
         super().__init__([0.0], [current])

@@ -61,7 +61,7 @@ def test_a_plant_moves_the_same_whatever_the_blocks(sizes: tuple[int, ...]) -> N
 
 def test_a_choice_takes_effect_with_the_next_block() -> None:
     supply = SupplySetpoint(0.2)
-    assert {supply: supply.constant(0.2)}[supply].currents == [0.2]
+    assert {supply: supply.constant(0.2)}[supply].currents == (0.2,)
     rig = car_rig(supply)
     currents = [
         block.measured.current
