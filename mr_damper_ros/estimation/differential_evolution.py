@@ -135,10 +135,10 @@ def evolve(
     *,
     stage: str,
     start: Array | None = None,
-) -> tuple[Array, float, int]:
+) -> tuple[Array, int]:
     """Minimise ``cost``, which maps individuals of shape (p, s) to costs (s,).
 
-    Returns the best individual (p,), its cost and the number of evaluations. ``start`` is part of
+    Returns the best individual (p,) and the number of evaluations. ``start`` is part of
     the first population. A NaN cost is worse than any other cost.
     """
     best_cost = math.inf
@@ -163,6 +163,9 @@ def evolve(
     low, high = (np.array(side, dtype=float) for side in zip(*bounds, strict=True))
     # SciPy rejects a start outside the bounds, even if only rounding has put it there.
     margin = 1e-9 * (high - low)
+    # SciPy 1.15 has renamed the argument for the random generator.
+    given = inspect.signature(differential_evolution).parameters
+    keyword = "rng" if "rng" in given else "seed"
     result = differential_evolution(
         safe_cost,
         list(zip(low, high, strict=True)),
@@ -178,14 +181,7 @@ def evolve(
         init="latinhypercube",
         x0=None if start is None else np.clip(start, low + margin, high - margin),
         callback=follow,
-        **{generator_keyword(): np.random.default_rng(settings.seed)},
+        **{keyword: np.random.default_rng(settings.seed)},
     )
     clock.skip(settings.generations - generations)
-    return np.asarray(result.x), float(result.fun), evaluations
-
-
-def generator_keyword() -> str:
-    """SciPy's name of the argument for the random generator, which changed in SciPy 1.15."""
-    from scipy.optimize import differential_evolution  # imported late: see entry_points
-
-    return "rng" if "rng" in inspect.signature(differential_evolution).parameters else "seed"
+    return np.asarray(result.x), evaluations

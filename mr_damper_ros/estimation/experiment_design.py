@@ -29,8 +29,8 @@ from mr_damper_ros.estimation.covariance import (
     noise_level,
     samples_per_cycle,
 )
-from mr_damper_ros.estimation.global_search import with_linear_refitted
-from mr_damper_ros.estimation.local_search import LocalSearch
+from mr_damper_ros.estimation.global_fit import with_linear_refitted
+from mr_damper_ros.estimation.local_search import LocalSearch, Posterior, Prior
 from mr_damper_ros.estimation.observability import (
     SURE,
     operating_points_within,
@@ -47,7 +47,6 @@ from mr_damper_ros.estimation.planned_run import (
     steady_cycle,
     with_motion_before,
 )
-from mr_damper_ros.estimation.posterior import Posterior, Prior
 from mr_damper_ros.kinematics.motion import Motion
 from mr_damper_ros.kinematics.periodic_motion import PHASES, MotionKind, PeriodicMotion
 from mr_damper_ros.kinematics.window import Window
@@ -98,17 +97,17 @@ class Cycles:
     """Force over many cycles at once, and its gradient, for any parameter set of a model."""
 
     def __init__(self, model: Model, cycles: Sequence[Window]) -> None:
-        self.count = len(cycles)
         self._problem = Misfit(model, cycles, [1.0] * len(cycles))
+        self._shape = len(cycles), PHASES
 
     def force(self, parameters: Array) -> Array:
         """Force (k, phases) [N]."""
         # The force of the windows is zero, so the residual is the force of the set.
-        return self._problem.residual(parameters).reshape(self.count, PHASES)
+        return self._problem.residual(parameters).reshape(self._shape)
 
     def gradient(self, parameters: Array) -> Array:
         """Derivatives (k, phases, p) of the force with respect to the parameters."""
-        return self._problem.jacobian(parameters).reshape(self.count, PHASES, parameters.size)
+        return self._problem.jacobian(parameters).reshape(*self._shape, -1)
 
     def relative_gradient(self, parameters: Array) -> Array:
         """:meth:`gradient` relative to the largest force of each cycle."""
@@ -232,39 +231,26 @@ def window_information(
     return total
 
 
-@dataclass(frozen=True)
-class _Piece:
-    """A cycle, or a ``part`` of another motion of this ``duration`` [s], at one current."""
+_Piece = tuple[PeriodicMotion, float, float, int]
+"""A motion, the duration [s] of its run, a current [A], and the part of the motion, 0 for a sine.
+"""
 
-    motion: PeriodicMotion
-    current: float
-    part: int = 0
-    duration: float = 0.0
 
-    @classmethod
-    def of(cls, run: PlannedRun, place: int) -> list[_Piece]:
-        """The pieces that represent a stretch of a run."""
-        if run.kind is MotionKind.SINE:
-            return [cls(run.motion, run.currents[place])]
-        each = _PARTS // len(run.currents)
-        parts = range(place * each, (place + 1) * each)
-        return [cls(run.motion, run.currents[place], part, run.duration) for part in parts]
-
-    def window(self) -> Window:
-        """A window of the piece; its force is zero."""
-        motion = self.motion
-        if motion.kind is MotionKind.SINE:
-            return steady_cycle(motion.amplitude, motion.frequency, self.current)
-        # As for a sine, the peak velocity needs ``PHASES`` samples per shortest cycle.
-        stride = math.ceil(motion.highest_frequency * self.duration / _PARTS)
-        size = stride * PHASES
-        period = self.duration / (size * _PARTS)
-        u, v, a = motion.at(np.arange(size * _PARTS, dtype=np.float64) * period)
-        nothing = np.zeros(u.size)
-        moved = Motion(u, v, a, np.abs(v), sine=None)
-        whole = with_motion_before(Window(moved, nothing, nothing + self.current, period))
-        begin = self.part * size + stride // 2
-        return whole.part(slice(begin, begin + size, stride))
+def _window(piece: _Piece) -> Window:
+    """A window of a piece of a run; its force is zero."""
+    motion, duration, current, part = piece
+    if motion.kind is MotionKind.SINE:
+        return steady_cycle(motion.amplitude, motion.frequency, current)
+    # As for a sine, the peak velocity needs ``PHASES`` samples per shortest cycle.
+    stride = math.ceil(motion.highest_frequency * duration / _PARTS)
+    size = stride * PHASES
+    period = duration / (size * _PARTS)
+    u, v, a = motion.at(np.arange(size * _PARTS, dtype=np.float64) * period)
+    nothing = np.zeros(u.size)
+    moved = Motion(u, v, a, np.abs(v), sine=None)
+    whole = with_motion_before(Window(moved, nothing, nothing + current, period))
+    begin = part * size + stride // 2
+    return whole.part(slice(begin, begin + size, stride))
 
 
 class CandidateRuns:
@@ -278,16 +264,19 @@ class CandidateRuns:
         pieces: dict[_Piece, int] = {}
         rows, columns, seconds, settled = [], [], [], []
         for row, run in enumerate(self.runs):
-            for place in range(len(run.currents)):
-                each = _Piece.of(run, place)
-                rows += [row] * len(each)
-                columns += [pieces.setdefault(piece, len(pieces)) for piece in each]
-                seconds += [run.stretch / len(each)] * len(each)
-                settled += [(run.stretch - SETTLING * (place > 0)) / len(each)] * len(each)
+            steady = run.kind is MotionKind.SINE
+            each = 1 if steady else _PARTS // len(run.currents)
+            for place in range(len(run.currents) * each):
+                stretch, part = place // each, 0 if steady else place
+                piece = run.motion, run.duration, run.currents[stretch], part
+                rows.append(row)
+                columns.append(pieces.setdefault(piece, len(pieces)))
+                seconds.append(run.stretch / each)
+                settled.append((run.stretch - SETTLING * (stretch > 0)) / each)
         self._time, self._samples = np.zeros((2, len(self.runs), len(pieces)))
         np.add.at(self._time, (rows, columns), seconds)
         np.add.at(self._samples, (rows, columns), sample_rate * np.array(settled))
-        windows = [piece.window() for piece in pieces]
+        windows = [_window(piece) for piece in pieces]
         self._cycles = Cycles(model, windows)
         self._velocity = np.array([window.motion.velocity for window in windows])
         self._steady = np.array([run.kind is MotionKind.SINE for run in self.runs])

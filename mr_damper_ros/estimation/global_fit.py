@@ -1,42 +1,183 @@
-"""One parameter set of a model for many windows, with its standard errors."""
+"""The most probable parameter set of a model for many windows, with its standard errors.
+
+1. Least squares estimates the coefficients of each window separately, as constants within the
+   window. The residual of this fit is the noise of the window.
+2. The laws of the coefficients over peak velocity and current are fitted to these values, by linear
+   least squares where they are linear and by differential evolution otherwise.
+3. From the result and a few other starts, least squares on the samples estimates all parameters
+   that the windows can separate. A prior describes the plausible range and size of the parameters
+   as stated by the model. The samples within a correlation length count as one.
+
+The windows determine a parameter if the data contain more information on it than the prior. If the
+windows share a parameter besides the coefficients, such as a compliance, or if the current varies
+within a window, step 1 is repeated with the parameters found so far.
+"""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from itertools import compress
 
 import numpy as np
 
 from mr_damper_ros.estimation.covariance import (
     error_covariances,
+    independent_samples,
+    noise_level,
     samples_per_cycle,
+    triangular_factor,
     without_negative_variance,
 )
 from mr_damper_ros.estimation.differential_evolution import (
     EvolutionSettings,
     ProgressClock,
     Report,
+    evolve,
 )
-from mr_damper_ros.estimation.global_search import Candidate, Excerpts, GlobalSearch
-from mr_damper_ros.estimation.local_search import MOST_STEPS, Ending, StopRequestedError
+from mr_damper_ros.estimation.local_search import (
+    MARGIN,
+    MOST_STEPS,
+    Ending,
+    LocalSearch,
+    Posterior,
+    Prior,
+    StopRequestedError,
+)
+from mr_damper_ros.estimation.observability import (
+    SURE,
+    current_varies,
+    operating_points_within,
+    parameter_ranges,
+    parameter_spans,
+    varied_parameters,
+)
 from mr_damper_ros.estimation.record_levels import (
     Level,
     LevelledProblem,
     LevelPrior,
     counted_samples,
 )
-from mr_damper_ros.kinematics.window import Window
+from mr_damper_ros.estimation.window_fit import WindowFit, fit_window
+from mr_damper_ros.kinematics.motion import DataError
+from mr_damper_ros.kinematics.window import Window, holds_cycle
 from mr_damper_ros.models.force_model import Model
-from mr_damper_ros.models.misfit import Misfit
+from mr_damper_ros.models.misfit import ChosenParameters, Misfit
 from mr_damper_ros.models.parameter_set import GLOBAL_SOURCE, ParameterSet
-from mr_damper_ros.models.quantities import LoopReading
-from mr_damper_ros.signals.arrays import Array
+from mr_damper_ros.models.quantities import MODEL_ERROR, CoefficientTable, LoopReading
+from mr_damper_ros.signals.arrays import NEGLIGIBLE, Array
 from mr_damper_ros.signals.error_sums import ErrorSums, pooled
 
 _TINY = float(np.finfo(float).eps)
 
 GLOBAL_METHODS = (GLOBAL_SOURCE, "nelder_mead", "least_squares", "differential_evolution")
+
+
+def with_linear_refitted(
+    model: Model,
+    windows: Sequence[Window],
+    reference: Array,
+    changed: Array,
+    linear: frozenset[str],
+) -> Array:
+    """The set ``changed`` (p,) with its linear parameters refitted to the force of ``reference``.
+
+    ``linear`` names the linear parameters that may change. Least squares at the operating points of
+    the windows gives their values.
+    """
+    speeds, currents = np.array([window.operating_point for window in windows]).T
+    coefficients = model.coefficients_at(reference, speeds, currents).T
+    table = CoefficientTable(speeds, currents, coefficients, np.zeros_like(coefficients))
+    return model.fit_laws(table, changed, linear, lambda cost, bounds, start, stage: start)
+
+
+# -- separate fit of each window -----------------------------------------------------------------
+
+_SEARCH_SAMPLES = 8000
+FEW_SAMPLES = 250
+"""A search thins the windows to the first number of samples or steps in total, or to the second
+number per window if that is more. The last search uses all samples."""
+
+_PIECE = 600
+"""Length of a piece of a window in steps, for a law with memory. A piece holds about three cycles,
+and the effect of the unknown past ends within the first."""
+
+_SEPARATE = 1e-3
+"""Relative decrease of the sum of squares below which the separate fit of a window ends."""
+
+_ONE_SIDED = 0.1
+"""A window with less than this part of its samples in one direction of motion is one-sided."""
+
+
+class Excerpts:
+    """Reduced windows for a search: thinned, or cut into pieces for a law with memory.
+
+    Piece k is ``few[k]``; it represents ``stretches[k]``, a part of the window with index
+    ``owners[k]``.
+    """
+
+    def __init__(self, model: Model, windows: Sequence[Window]) -> None:
+        most = max(_SEARCH_SAMPLES // len(windows), FEW_SAMPLES)
+        count = max(_SEARCH_SAMPLES // _PIECE // len(windows), 1)
+        self.few: list[Window] = []
+        self.stretches: list[Window] = []
+        owners = []
+        for place, window in enumerate(windows):
+            pairs = _pieces(model, window, count)
+            fewest = max(most // len(pairs), FEW_SAMPLES)
+            for stretch, piece in pairs:
+                self.stretches.append(stretch.thinned(fewest))
+                same = piece is stretch
+                self.few.append(self.stretches[-1] if same else piece.thinned(fewest))
+            owners += [place] * len(pairs)
+        self.owners = np.array(owners)
+        self._model = model
+
+    def misfit(
+        self, noise: Array, levels: LevelPrior | None = None, known: Array | None = None
+    ) -> Misfit:
+        """Misfit of one set to the pieces; ``noise`` (k,) [N] is the noise of each window."""
+        pooled = Misfit(self._model, self.few, noise[self.owners].tolist(), known)
+        return _levelled(pooled, None if levels is None else levels.of_pieces(self.owners))
+
+
+def _pieces(model: Model, window: Window, count: int) -> list[tuple[Window, Window]]:
+    """Equal stretches of a window, each with the piece at its centre."""
+    if window.steady or not model.needs_past(window):
+        return [(window, window)]
+    history = window.history
+    length = round(_PIECE * history.coarse.period / history.period)
+    if history.current.size <= 2 * count * length:
+        return [(window, window)]
+    edges = np.linspace(0, history.current.size, count + 1).astype(int)
+    found = []
+    for begin, end in zip(edges[:-1].tolist(), edges[1:].tolist(), strict=True):
+        stretch = window if count == 1 else window.stretch(begin, end - begin)
+        piece = window.stretch((begin + end - length) // 2, length)
+        if piece.sample_count > 1 and np.ptp(piece.force) > 0.0:
+            found.append((stretch, piece))
+    return found or [(window, window)]
+
+
+def _levelled(pooled: Misfit, levels: LevelPrior | None) -> Misfit:
+    """The misfit with the record levels integrated out; unchanged without levels."""
+    return pooled if levels is None else LevelledProblem(pooled, levels)
+
+
+# -- the result ----------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, eq=False)
+class Candidate:
+    """The start of a local search on the samples (``origin``) and its result.
+
+    ``parameters`` (p,); ``cost``: mean square of the weighted residual over the search's samples.
+    """
+
+    origin: str
+    parameters: Array
+    cost: float
 
 
 @dataclass(frozen=True, eq=False)
@@ -131,100 +272,6 @@ def error_of_set(found: ParameterSet, windows: Iterable[Window]) -> ErrorSums:
     return pooled(ErrorSums.of(found.window_force(window), window.force) for window in windows)
 
 
-def identify_global(
-    model: Model,
-    windows: Sequence[Window],
-    start: Array,
-    settings: EvolutionSettings,
-    report: Report | None = None,
-    *,
-    method: str = GLOBAL_SOURCE,
-    known: Array | None = None,
-    levels: LevelPrior | None = None,
-) -> GlobalFit:
-    """Identify one parameter set from all windows.
-
-    ``start`` (p,) holds the values that undetermined parameters keep. If the windows cannot be
-    fitted with such a value, the parameter gets the value of :meth:`Model.without_dependence`. A
-    parameter that would leave its bounds is held at the bound and counts as undetermined.
-    ``method``: "global" is described in :mod:`global_search`; "nelder_mead" and "least_squares"
-    search on the samples, starting from the laws of the coefficients of that module;
-    "differential_evolution" searches on the samples over all free parameters at once, like the
-    thesis. ``report`` receives the progress and may stop the search, which then returns the best
-    set so far with ``success`` False. ``known`` (p,): the result of an earlier search, used as an
-    additional start. ``levels``: each record has its own gain and offset. A search without levels
-    then comes first, because the weight of their prior follows from the residual of an approximate
-    set.
-
-    Raises DataError if there are no windows or a force is constant, ValueError for an unknown
-    method.
-    """
-    if method not in GLOBAL_METHODS:
-        raise ValueError(f"method '{method}' is unknown: use one of {', '.join(GLOBAL_METHODS)}")
-    # A C library that has freed such an array keeps the memory of all smaller ones for reuse;
-    # returning and mapping it again takes 8 % of the time of a search.
-    np.empty(31 << 20, np.uint8)
-    start = np.asarray(start, dtype=float)
-    clock = ProgressClock(1, report)
-
-    def searched(known: Array | None, levels: LevelPrior | None) -> GlobalFit:
-        search = GlobalSearch(model, windows, start, settings, clock, earlier=known, levels=levels)
-        try:
-            search.run(method)
-            ending = Ending.EXHAUSTED if search.exhausted else Ending.CONVERGED
-        except StopRequestedError:
-            ending = Ending.STOPPED
-        return replace(_result(search, method, ending), levels=levels)
-
-    fit = searched(known, None)
-    if levels is None:
-        return fit
-    # The set without levels gives a rough count of the samples, the set with them a better one.
-    for _ in range(2):
-        found = fit.parameter_set
-        misfit = Misfit(model, windows, fit.noise.tolist(), found.values)
-        levels = replace(levels, counted_samples=counted_samples(misfit, levels, found.values))
-        if fit.stopped:
-            break
-        fit = searched(found.values, levels)
-    return replace(fit, levels=fit.levels or levels)
-
-
-def _result(search: GlobalSearch, method: str, ending: Ending) -> GlobalFit:
-    model, best = search.model, search.best
-    places = [
-        place
-        for place, (parameter, value) in enumerate(zip(model.parameters, best, strict=True))
-        if parameter.name in search.free and value not in (parameter.low, parameter.high)
-    ]
-    covariance = np.zeros((best.size, best.size))
-    discrepancy = np.zeros_like(covariance)
-    errors = np.full(best.size, math.nan)
-    misfit = search.whole_misfit()
-    if places:
-        block = np.ix_(places, places)
-        covariance[block], discrepancy[block] = _errors(search, misfit, places)
-        errors[places] = np.sqrt(np.diag(covariance[block]))
-    parameter_set = set_of(search, errors, np.sqrt(np.diag(discrepancy)), method)
-    spread, frequency = _spread(search, places)
-    errors_of_set = [error_of_set(parameter_set, [window]) for window in search.windows]
-    return GlobalFit(
-        parameter_set=replace(parameter_set, nrmse=pooled(errors_of_set).nrmse),
-        covariance=covariance,
-        discrepancy=discrepancy,
-        nrmse=np.array([error.nrmse for error in errors_of_set]),
-        evaluations=search.evaluations,
-        success=ending is Ending.CONVERGED and not search.shortcoming,
-        message=search.shortcoming or ending.value,
-        noise=search.noise,
-        cost=misfit.mean_square(best),
-        candidates=tuple(search.candidates),
-        stopped=ending is Ending.STOPPED,
-        spread=spread,
-        frequency=frequency,
-    )
-
-
 def coefficient_sizes(model: Model, coefficients: Array, loop: LoopReading) -> Array:
     """Sizes (c,) of coefficients (c,) in a motion, in their units.
 
@@ -234,37 +281,6 @@ def coefficient_sizes(model: Model, coefficients: Array, loop: LoopReading) -> A
     """
     units = [loop.size(each.unit) for each in model.at_one_current]
     return np.hypot(coefficients, units)
-
-
-def _spread(search: GlobalSearch, places: Sequence[int]) -> tuple[Array, float]:
-    """The spread (2, c) of a search whose parameters at ``places`` are free, and its frequency.
-
-    It is zero for a law with as many free parameters as windows, and with record levels, which
-    account for differences between windows.
-    """
-    model, fits = search.model, search.fits
-    spread = np.zeros((2, len(model.coefficient_names)))
-    if search.levels is not None or not fits:
-        return spread, 1.0
-    gradient = np.any(
-        [model.coefficient_gradient(search.best, *fit.operating_point) for fit in fits], axis=0
-    )
-    freedom = len(fits) - np.count_nonzero(gradient[:, list(places)], axis=1)
-    points = np.array([fit.operating_point for fit in fits]).T
-    laws = model.coefficients_at(search.best, *points).T
-    pairs = zip(laws, search.loops, strict=True)
-    sizes = np.array([coefficient_sizes(model, *pair) for pair in pairs])
-    squares = ((np.array([fit.coefficients for fit in fits]) - laws) / sizes) ** 2
-    variances = np.array([np.diag(fit.coefficient_errors) for fit in fits]) / sizes**2
-    finite = np.isfinite(squares + variances)
-    squares = np.where(finite, squares, 0.0).clip(max=1.0 / _TINY)
-    variances = np.where(finite, variances, math.inf).clip(0.0, 1.0 / _TINY)
-    logarithms = np.log([loop.frequency for loop in search.loops])
-    apart = (logarithms - np.mean(logarithms)) ** 2
-    for place in np.flatnonzero(freedom > 0).tolist():
-        larger = squares[:, place] * len(fits) / freedom[place]
-        spread[:, place] = np.sqrt(_excess(larger, variances[:, place], apart))
-    return spread, math.exp(float(np.mean(logarithms)))
 
 
 def _excess(squares: Array, variances: Array, apart: Array) -> Array:
@@ -287,35 +303,571 @@ def _excess(squares: Array, variances: Array, apart: Array) -> Array:
     return found if np.ptp(apart) > 0.0 else found[[0, 0]]
 
 
-def set_of(search: GlobalSearch, errors: Array, discrepancies: Array, name: str) -> ParameterSet:
-    """The best set of a search; ``errors`` and ``discrepancies`` (p,), NaN for held parameters."""
-    windows, observable = search.windows, np.isfinite(errors)
-    speeds = np.concatenate([window.motion.peak_velocity for window in windows])
-    # Unless the data determine the current dependence, the law is arbitrary between the measured
-    # currents.
-    known = windows if search.model.knows_currents(observable) else windows[-1:]
-    currents = np.concatenate([window.current for window in known])
-    return ParameterSet(
-        values=search.best,
-        standard_errors=errors,
-        discrepancies=np.where(observable, discrepancies, math.nan),
-        observable=observable,
-        set_id=name,
-        source=name,
-        peak_velocity_range=(float(np.quantile(speeds, 0.05)), float(np.quantile(speeds, 0.95))),
-        current_range=(float(currents.min()), float(currents.max())),
-        model=search.model.name,
-        largest_force=max(window.largest_force for window in windows),
-    )
+# -- the search ----------------------------------------------------------------------------------
+
+AS_GOOD = 1.02
+"""Two sets are equally good if their mean squares differ by at most this factor."""
+
+_SCALE_WIDTH = 3.0
+"""Prior standard deviation of a scale about zero, relative to its median size in the separate fits.
+"""
+
+_BOUND_STEPS = 2
+"""Least-squares steps after a parameter was moved to its bound, from nearly optimal others. With a
+whole search, an identification takes a fifth longer."""
+
+_MORE_THAN_PRIOR = math.sqrt(0.5)
+"""Standard error relative to the prior at which the windows contain as much information as it."""
+
+_POOR_COST = 4.0
+"""Further starts are tried above this mean square of the weighted residual (twice the noise)."""
+
+_MOST_SEPARATE = 4
+"""Number of separate fits that serve as further starts."""
+
+_SKIPPED_COST = 30.0
+"""A start whose misfit exceeds the best one by this factor is skipped."""
 
 
-def _errors(search: GlobalSearch, misfit: Misfit, places: Sequence[int]) -> tuple[Array, Array]:
-    """Covariance (f, f) of the parameters at these places, and the discrepancy in it."""
-    if len(misfit.windows) == 1 and search.levels is None:
-        jacobian = misfit.jacobian(search.best, places)
-        residual = misfit.residual(search.best)
-        errors = error_covariances(jacobian, residual, samples_per_cycle(misfit.windows[0]))
-        discrepancy = without_negative_variance(errors.discrepancy)
-        both = without_negative_variance(errors.repeatability) + discrepancy
-        return both, np.full_like(both, math.nan)  # one motion shows no scatter between motions
-    return search.posterior(misfit, places).covariances()
+@dataclass(eq=False)
+class GlobalSearch:
+    """The steps of a global identification, and the best parameters (p,) so far.
+
+    ``free`` (p,) marks, before the search, the parameters that the windows may separate, after it,
+    those that they determine. If the windows allow it, the other parameters have their start
+    values, or values that describe no dependence on velocity and current. ``noise`` (k,) [N]: RMSE
+    of the separate fit of each window; ``fits``: separate fits of the windows or their pieces,
+    whose ``loops`` are known; ``pooled``: the misfit that the search minimises; ``evaluations`` of
+    the force, or of cheaper approximations. Raises DataError if there are no windows.
+    """
+
+    model: Model
+    windows: Sequence[Window]
+    start: Array
+    settings: EvolutionSettings
+    clock: ProgressClock
+    earlier: Array | None = None
+    levels: LevelPrior | None = None
+
+    def __post_init__(self) -> None:
+        model, windows, start = self.model, self.windows, self.start
+        if not windows:
+            raise DataError("there are no windows to identify from")
+        top_current = max(float(np.max(np.abs(window.current))) for window in windows)
+        self._neutral = model.without_dependence(start, top_current)
+        self._own_neutral = model.without_dependence(model.initial_values()[0], top_current)
+        self.free = self._marked(varied_parameters(model, *operating_points_within(windows)))
+        self._ranges = parameter_ranges(model, windows)
+        self._excerpts = Excerpts(model, windows)
+        # Parameters that one run determines besides the coefficients (such as a compliance), and
+        # the effect of a current that varies within a run, are known only after a first search.
+        self._again = bool(model.common_names) or any(map(current_varies, windows))
+        self.evaluations = 0
+        self.fits: list[WindowFit] = []
+        self.loops = [LoopReading.of(stretch) for stretch in self._excerpts.stretches]
+        self._tolerance = 0.0
+        self.best = start
+        self.exhausted = False
+        self._tried: set[tuple[bytes, bytes]] = set()
+        self.shortcoming = ""
+        self.candidates: list[Candidate] = []
+
+    def _marked(self, names: Iterable[str]) -> np.ndarray:
+        return np.isin(self.model.parameter_names, list(names))
+
+    def _named(self, marked: np.ndarray) -> frozenset[str]:
+        return frozenset(compress(self.model.parameter_names, marked))
+
+    def whole_misfit(self) -> Misfit:
+        """Misfit over all samples except those that still depend on the unknown past."""
+        misfit = Misfit(self.model, self.windows, self.noise.tolist(), self.best)
+        return _levelled(misfit, self.levels)
+
+    def run(self, method: str) -> None:
+        """Search by one of the methods of :func:`identify_global`.
+
+        Raises StopRequestedError when the report stops the search; ``best`` is then the best set so
+        far.
+        """
+        try:
+            self.search(method)
+            self._finish()
+        except StopRequestedError:
+            known = (self.best, self.start, *(fit.parameters for fit in self.fits))
+            self.best = min(known, key=self.pooled.mean_square)
+            self.free = self._determined(self.pooled)
+            raise
+
+    def refit(self, whole: GlobalSearch, owners: Sequence[int]) -> None:
+        """Fit the windows from the result of a finished search, without searching for starts.
+
+        Window k is the window ``owners[k]`` of ``whole``, or a part of it, and reuses its noise and
+        separate fits. Raises StopRequestedError when the report stops the search.
+        """
+        self._tolerance = _SEPARATE
+        pairs = zip(whole.fits, whole._excerpts.owners, strict=True)
+        self.fits = [fit for fit, owner in pairs if owner in owners]
+        self._weigh(whole.noise[list(owners)])
+        self.best = self._rough(np.where(self.free, whole.best, self._prior().centre), self.free)
+        self._finish()
+
+    def search(self, method: str) -> None:
+        """Find the best set on the thinned windows."""
+        laws = self.model.searched_laws(self._named(self.free))
+        evolutions = (1 + self._again) * (laws + (method == "differential_evolution"))
+        self.clock.expect(evolutions * self.settings.generations)
+        self._fit_windows(self._neutral)
+        self._search_from(self._starts(), method)
+        if self._again:
+            neutral = self._own_neutral.copy()
+            places = self.model.places(self.model.common_names)
+            neutral[places] = self.best[places]
+            self._fit_windows(neutral, self.best)
+            self._search_from({"the windows fitted before": self.best, **self._starts()}, method)
+
+    def _fit_windows(self, start: Array, known: Array | None = None) -> None:
+        """Fit each thinned window separately; the residual is the noise of its window.
+
+        A window with varying current needs the current dependence of ``known`` (p,); it is fitted
+        from there, too, and the better fit is kept. Raises StopRequestedError when the clock stops
+        the fits; earlier results are then kept.
+        """
+        found: list[WindowFit] = []
+        squares: list[tuple[float, float, bool]] = []
+        scales = self.model.unknown_indices
+        for few, whole in zip(self._excerpts.few, self._excerpts.stretches, strict=True):
+            starts = np.tile(start, (1 + len(found), 1))
+            starts[1:, scales] = [other.parameters[scales] for other in found] or 0.0
+            # Start from the best result so far; other starts are not tried.
+            left = [self.model.window_force(few, each) - few.force for each in starts]
+            fit = self._fit_window(few, starts[int(np.argmin(np.linalg.norm(left, axis=-1)))])
+            if known is not None and current_varies(few):
+                fit = min(fit, self._fit_window(few, known), key=lambda each: each.rmse)
+            found.append(fit if whole is few else self._fit_window(whole, fit.parameters))
+            values = found[-1].parameters
+            residual = self.model.window_force(whole, values) - whole.force
+            square = float(np.mean(residual[self.model.settled(whole, values)] ** 2))
+            rising = float(np.mean(whole.motion.velocity > 0.0))
+            one_sided = abs(rising - 0.5) > 0.5 - _ONE_SIDED
+            squares.append((square, float(np.mean(whole.force**2)), one_sided))
+        if not (self.clock.stopped and self.fits):
+            self.fits, owners = found, self._excerpts.owners
+            left, sizes, one_sided = np.array(squares).T
+            # Nearly any law fits a part of a stroke, so its residual is too small.
+            usual = np.sum(left) / np.sum(sizes) * sizes
+            left = np.where(one_sided > 0.0, np.maximum(left, usual), left)
+            self._weigh(np.sqrt(np.bincount(owners, left) / np.bincount(owners)))
+        if self.clock.stopped:
+            raise StopRequestedError
+
+    def _fit_window(self, window: Window, start: Array) -> WindowFit:
+        fit = fit_window(
+            self.model,
+            window,
+            start,
+            method="least_squares",
+            tolerance=_SEPARATE,
+            should_stop=lambda: self.clock.poll("separate fits of the runs", math.nan),
+        )
+        self.evaluations += fit.evaluations
+        return fit
+
+    def _weigh(self, noise: Array) -> None:
+        """Weight the windows in the ``pooled`` misfit by their ``noise`` (k,) [N]."""
+        self.noise = noise
+        self.pooled = self._excerpts.misfit(noise, self.levels)
+
+    def _starts(self) -> dict[str, Array]:
+        """Starts for the search on the samples, by origin."""
+        speeds, currents = np.array([fit.operating_point for fit in self.fits]).T
+        table = CoefficientTable(
+            speeds,
+            currents,
+            np.array([fit.coefficients for fit in self.fits]),
+            # Rounding may make the variance of a weakly determined coefficient negative.
+            np.sqrt([np.diag(fit.coefficient_covariance).clip(min=0.0) for fit in self.fits]),
+        )
+        varied = varied_parameters(self.model, speeds.tolist(), currents.tolist())
+        starts = {
+            "the laws of the coefficients": self.model.fit_laws(
+                table, self._prior().centre, varied & self._named(self.free), self._evolved
+            ),
+            "the coefficients of one window": min(
+                (fit.parameters for fit in self.fits), key=self.pooled.mean_square
+            ),
+            "the start": self.start,
+        }
+        return starts if self.earlier is None else {**starts, "an earlier search": self.earlier}
+
+    def _evolved(
+        self,
+        cost: Callable[[Array], Array],
+        bounds: Sequence[tuple[float, float]],
+        start: Array | None,
+        stage: str,
+    ) -> Array:
+        """The result of differential evolution; after a stop, the start, which is then given."""
+        if start is not None and self.clock.stopped:
+            return start
+        best, count = evolve(cost, bounds, self.settings, self.clock, stage=stage, start=start)
+        self.evaluations += count
+        return best
+
+    def _prior(self) -> Prior:
+        """The prior of the parameters, centred on the start where it is plausible."""
+        model = self.model
+        sizes = MODEL_ERROR * model.typical_sizes(self.windows)
+        if self.fits:
+            of_fits = np.abs([fit.parameters for fit in self.fits])
+            sizes = np.maximum(sizes, np.median(of_fits, axis=0))
+        centre, width = np.zeros(sizes.size), _SCALE_WIDTH * np.maximum(sizes, np.abs(self.start))
+        for place, name in enumerate(model.parameter_names):
+            if name in self._ranges:
+                low, high = self._ranges[name]
+                plausible = low <= self.start[place] <= high
+                centre[place] = (self.start if plausible else self._neutral)[place]
+                width[place] = SURE * (high - low)
+        return Prior(centre, width)
+
+    def _search_from(self, starts: Mapping[str, Array], method: str) -> None:
+        """Coarse least squares from each start, then a full search from the best result."""
+        by_laws = math.inf
+        self.best = min((self.best, *starts.values()), key=self.pooled.mean_square)
+        if self.clock.stopped:
+            raise StopRequestedError
+        if method == "differential_evolution":
+            by_laws = self.pooled.mean_square(self.best)
+            starts = {"all free parameters": self._evolve_samples()}
+        found: list[Candidate] = []
+        costs = {origin: self.pooled.mean_square(start) for origin, start in starts.items()}
+        for origin in sorted(costs, key=costs.__getitem__):
+            least = min((each.cost for each in found), default=math.inf)
+            if not costs[origin] < _SKIPPED_COST * least:
+                continue
+            ended = self._rough(starts[origin], self.free)
+            found.append(Candidate(origin, ended, self.pooled.mean_square(ended)))
+        least = min(candidate.cost for candidate in found)
+        cycles = any(holds_cycle(window.motion.displacement) for window in self.windows)
+        if least > _POOR_COST and not cycles and method != "differential_evolution":
+            # If windows hold only parts of strokes, the separate fit of one of them may be a better
+            # start than the laws.
+            scales = self.free & self._marked(self.model.linear)
+            own = [self._least_squares(self.pooled, fit.parameters, scales) for fit in self.fits]
+            for start in sorted(own, key=self.pooled.mean_square)[:_MOST_SEPARATE]:
+                ended = self._least_squares(self.pooled, start, self.free)
+                found.append(Candidate("one window", ended, self.pooled.mean_square(ended)))
+        self.candidates += found
+        self.best = min(found, key=lambda candidate: candidate.cost).parameters
+        if method == "nelder_mead":
+            self.best = self._least_squares(self.pooled, self.best, self.free, simplex=True)
+        self.best = self._most_probable(self.pooled, self.best, self.free)
+        self.shortcoming = ""
+        if self.pooled.mean_square(self.best) > by_laws:
+            self.shortcoming = (
+                "differential evolution ended in a poorer minimum than a fit of the laws: allow "
+                "more generations, or use method global"
+            )
+
+    def _finish(self) -> None:
+        """Reset undetermined parameters to the start, then search once with all samples."""
+        open_ = ~self._determined(self.pooled)
+        # Holding a parameter may make others undetermined, so repeat. If the misfit does not allow
+        # a parameter to be reset, the windows determine it.
+        while (returned := self._reset(open_)).any():
+            self.free = self.free & ~returned
+            open_ = self.free & ~self._determined(self.pooled)
+        whole = self.whole_misfit()
+        self.best = self._most_probable(whole, self.best, self.free)
+        # A search only approaches an optimum on a bound.
+        near, (low, high) = MARGIN * self._prior().width, self.model.bounds
+        moved = np.where(self.free & (self.best - low < near), low, self.best)
+        moved = np.where(self.free & (high - moved < near), high, moved)
+        others = self.free & (moved == self.best)
+        if np.any(moved != self.best):
+            noise, exhausted = noise_level(whole.residual(moved)), self.exhausted
+            moved = self._least_squares(whole, moved, others, noise=noise, most_steps=_BOUND_STEPS)
+            self.exhausted = exhausted  # of the search, which this only corrects
+            posterior = self._posterior(whole, self.free)
+            allowed = NEGLIGIBLE * posterior.noise**2
+            if posterior.cost(moved) <= posterior.cost(self.best) + allowed:
+                self.best = moved
+
+    def _reset(self, marked: np.ndarray) -> np.ndarray:
+        """The ``marked`` parameters (p,) that were reset to the start or to no dependence.
+
+        They are reset all together, law by law, or one by one, if the misfit hardly increases.
+        """
+        held = np.zeros_like(marked)
+        singles = ({name} for name in sorted(self._named(marked)))
+        groups = [marked & self._marked(law) for law in (*self.model.shape_groups, *singles)]
+        searched = self.free & self._marked(self._ranges)
+        for target in (np.where(searched, self._prior().centre, self.start), self._neutral):
+            for group in (marked, *groups):
+                asked = group & ~held
+                if not np.array_equal(self.best[asked], target[asked]):
+                    trial, others = np.where(asked, target, self.best), self.free & ~held & ~asked
+                    if (key := (trial.tobytes(), others.tobytes())) in self._tried:
+                        continue
+                    self._tried.add(key)
+                    linear = self._named(others).intersection(self.model.linear)
+                    trial = with_linear_refitted(self.model, self.windows, self.best, trial, linear)
+                    # A few rough steps show whether the misfit increases.
+                    trial = self._rough(trial, others)
+                    left = self.pooled.mean_square(trial)
+                    if not left <= AS_GOOD * self.pooled.mean_square(self.best):
+                        continue
+                    self.best = self._most_probable(self.pooled, trial, others)
+                held = held | asked
+        return held
+
+    def _determined(self, misfit: Misfit) -> np.ndarray:
+        """Mask (p,) of free parameters on which the windows hold more information than the prior.
+
+        The standard error must also be below the span of the parameter.
+        """
+        known, places = np.zeros_like(self.free), np.flatnonzero(self.free)
+        if places.size:
+            width = self._prior().width[places]
+            level = noise_level(misfit.residual(self.best))
+            factor = triangular_factor(misfit.jacobian(self.best, places.tolist()) / level)
+            spans = parameter_spans(self.model, factor, self.best, self._ranges, places.tolist())
+            information = (factor * width).T @ (factor * width)
+            errors = np.sqrt(np.diag(np.linalg.inv(information + np.eye(places.size))))
+            known[places] = errors < np.minimum(spans / width, _MORE_THAN_PRIOR)
+        return known
+
+    def _posterior(self, misfit: Misfit, free: np.ndarray) -> Posterior[ChosenParameters]:
+        """Posterior of the ``free`` parameters, linearised about the best set."""
+        places = np.flatnonzero(free).tolist()
+        chosen = ChosenParameters(misfit, self.best, places)
+        return Posterior(chosen, self._prior().at(places), noise_level(misfit.residual(self.best)))
+
+    def _most_probable(self, pooled: Misfit, start: Array, free: np.ndarray) -> Array:
+        """The most probable parameters (p,); only the ``free`` ones are searched."""
+        noise = noise_level(pooled.residual(start))
+        return self._least_squares(pooled, start, free, noise=noise)
+
+    def _rough(self, start: Array, free: np.ndarray) -> Array:
+        """The result (p,) of a few steps of least squares on the thinned windows."""
+        tolerance, most_steps = self.model.effort.rough_tolerance, self.model.effort.rough_steps
+        return self._least_squares(
+            self.pooled, start, free, tolerance=tolerance, most_steps=most_steps
+        )
+
+    def _least_squares(
+        self,
+        pooled: Misfit,
+        start: Array,
+        free: np.ndarray,
+        *,
+        noise: float = 1.0,
+        tolerance: float | None = None,
+        most_steps: int = MOST_STEPS,
+        simplex: bool = False,
+    ) -> Array:
+        """The result (p,) of a local search over the ``free`` parameters."""
+        places = np.flatnonzero(free).tolist()
+        residual = pooled.residual(start)
+        with np.errstate(over="ignore"):
+            overflows = not math.isfinite(float(residual @ residual))
+        if not places or overflows:
+            return start
+        chosen = ChosenParameters(pooled, start, places)
+        problem = Posterior(chosen, self._prior().at(places), noise)
+        stage = "Nelder-Mead" if simplex else "least squares"
+        search = LocalSearch(
+            problem,
+            problem.start,
+            lambda: self.clock.poll(stage, search.best_cost / pooled.sample_count),
+        )
+        try:
+            if simplex:
+                search.nelder_mead()
+            else:
+                # The default ends with steps of a tenth of a standard error.
+                search.least_squares(
+                    tolerance=tolerance
+                    or self._tolerance
+                    or NEGLIGIBLE / independent_samples(residual),
+                    most_steps=most_steps,
+                )
+        except StopRequestedError:
+            ended = problem.parameters(search.best)
+            self.best = min((self.best, ended), key=pooled.mean_square)
+            raise
+        finally:
+            self.exhausted = search.exhausted
+            self.evaluations += search.evaluations
+        return problem.parameters(search.best)
+
+    def _evolve_samples(self) -> Array:
+        places, centre = np.flatnonzero(self.free), self.best
+        names = self.model.parameter_names
+        reach = 3.0 * np.maximum(np.abs(centre), 1e-3)
+        ranges = [self._ranges.get(names[k], (-reach[k], reach[k])) for k in places]
+        lowest, highest = np.array(ranges).T
+        low, high = (bound[places] for bound in self.model.bounds)
+        bounds = np.column_stack((np.maximum(lowest, low), np.minimum(highest, high)))
+        few = [window.thinned(FEW_SAMPLES) for window in self.windows]
+        misfit = _levelled(Misfit(self.model, few, self.noise.tolist()), self.levels)
+
+        def cost(individuals: Array) -> Array:
+            sets = np.repeat(centre[np.newaxis], individuals.shape[1], axis=0)
+            sets[:, places] = individuals.T
+            return misfit.population_cost(sets)
+
+        result, earlier = centre.copy(), None if self.earlier is None else self.earlier[places]
+        result[places] = self._evolved(cost, bounds.tolist(), earlier, "all free parameters")
+        return result
+
+    def result(self, method: str, ending: Ending) -> GlobalFit:
+        """The result of the search, with its standard errors."""
+        best, (low, high) = self.best, self.model.bounds
+        free = self.free & (best != low) & (best != high)
+        covariance, discrepancy = np.zeros((2, best.size, best.size))
+        errors = np.full(best.size, math.nan)
+        misfit = self.whole_misfit()
+        if free.any():
+            block = np.ix_(free, free)
+            covariance[block], discrepancy[block] = self._errors(misfit, free)
+            errors[free] = np.sqrt(np.diag(covariance[block]))
+        parameter_set = self.parameter_set(errors, np.sqrt(np.diag(discrepancy)), method)
+        spread, frequency = self._spread(free)
+        errors_of_set = [error_of_set(parameter_set, [window]) for window in self.windows]
+        return GlobalFit(
+            parameter_set=replace(parameter_set, nrmse=pooled(errors_of_set).nrmse),
+            covariance=covariance,
+            discrepancy=discrepancy,
+            nrmse=np.array([error.nrmse for error in errors_of_set]),
+            evaluations=self.evaluations,
+            success=ending is Ending.CONVERGED and not self.shortcoming,
+            message=self.shortcoming or ending.value,
+            noise=self.noise,
+            cost=misfit.mean_square(best),
+            candidates=tuple(self.candidates),
+            stopped=ending is Ending.STOPPED,
+            levels=self.levels,
+            spread=spread,
+            frequency=frequency,
+        )
+
+    def parameter_set(self, errors: Array, discrepancies: Array, name: str) -> ParameterSet:
+        """The best set; ``errors`` and ``discrepancies`` (p,) are NaN for held parameters."""
+        windows, observable = self.windows, np.isfinite(errors)
+        speeds = np.concatenate([window.motion.peak_velocity for window in windows])
+        slow, fast = np.quantile(speeds, [0.05, 0.95]).tolist()
+        # Unless the data determine the current dependence, the law is arbitrary between currents.
+        known = windows if self.model.knows_currents(observable) else windows[-1:]
+        currents = np.concatenate([window.current for window in known])
+        return ParameterSet(
+            values=self.best,
+            standard_errors=errors,
+            discrepancies=np.where(observable, discrepancies, math.nan),
+            observable=observable,
+            set_id=name,
+            source=name,
+            peak_velocity_range=(slow, fast),
+            current_range=(float(currents.min()), float(currents.max())),
+            model=self.model.name,
+            largest_force=max(window.largest_force for window in windows),
+        )
+
+    def _errors(self, misfit: Misfit, free: np.ndarray) -> tuple[Array, Array]:
+        """Covariance (f, f) of the ``free`` parameters, and the discrepancy in it."""
+        if len(misfit.windows) == 1 and self.levels is None:
+            jacobian = misfit.jacobian(self.best, np.flatnonzero(free).tolist())
+            residual = misfit.residual(self.best)
+            errors = error_covariances(jacobian, residual, samples_per_cycle(misfit.windows[0]))
+            discrepancy = without_negative_variance(errors.discrepancy)
+            both = without_negative_variance(errors.repeatability) + discrepancy
+            return both, np.full_like(both, math.nan)  # one motion shows no scatter between motions
+        return self._posterior(misfit, free).covariances()
+
+    def _spread(self, free: np.ndarray) -> tuple[Array, float]:
+        """The spread (2, c) of a result with these ``free`` parameters, and its frequency.
+
+        It is zero for a law with as many free parameters as windows, and with record levels, which
+        account for differences between windows.
+        """
+        model, fits = self.model, self.fits
+        spread = np.zeros((2, len(model.coefficient_names)))
+        if self.levels is not None or not fits:
+            return spread, 1.0
+        gradient = np.any(
+            [model.coefficient_gradient(self.best, *fit.operating_point) for fit in fits], axis=0
+        )
+        freedom = len(fits) - np.count_nonzero(gradient[:, free], axis=1)
+        points = np.array([fit.operating_point for fit in fits]).T
+        laws = model.coefficients_at(self.best, *points).T
+        pairs = zip(laws, self.loops, strict=True)
+        sizes = np.array([coefficient_sizes(model, *pair) for pair in pairs])
+        squares = ((np.array([fit.coefficients for fit in fits]) - laws) / sizes) ** 2
+        variances = np.array([np.diag(fit.coefficient_errors) for fit in fits]) / sizes**2
+        finite = np.isfinite(squares + variances)
+        squares = np.where(finite, squares, 0.0).clip(max=1.0 / _TINY)
+        variances = np.where(finite, variances, math.inf).clip(0.0, 1.0 / _TINY)
+        logarithms = np.log([loop.frequency for loop in self.loops])
+        apart = (logarithms - np.mean(logarithms)) ** 2
+        for place in np.flatnonzero(freedom > 0).tolist():
+            larger = squares[:, place] * len(fits) / freedom[place]
+            spread[:, place] = np.sqrt(_excess(larger, variances[:, place], apart))
+        return spread, math.exp(float(np.mean(logarithms)))
+
+
+def identify_global(
+    model: Model,
+    windows: Sequence[Window],
+    start: Array,
+    settings: EvolutionSettings,
+    report: Report | None = None,
+    *,
+    method: str = GLOBAL_SOURCE,
+    known: Array | None = None,
+    levels: LevelPrior | None = None,
+) -> GlobalFit:
+    """Identify one parameter set from all windows.
+
+    ``start`` (p,) holds the values that undetermined parameters keep. If the windows cannot be
+    fitted with such a value, the parameter gets the value of :meth:`Model.without_dependence`. A
+    parameter that would leave its bounds is held at the bound and counts as undetermined.
+    ``method``: "global" is described at the top of this module; "nelder_mead" and
+    "least_squares" search on the samples, starting from the laws of its coefficients;
+    "differential_evolution" searches on the samples over all free parameters at once, like the
+    thesis. ``report`` receives the progress and may stop the search, which then returns the best
+    set so far with ``success`` False. ``known`` (p,): the result of an earlier search, used as an
+    additional start. ``levels``: each record has its own gain and offset. A search without levels
+    then comes first, because the weight of their prior follows from the residual of an approximate
+    set.
+
+    Raises DataError if there are no windows or a force is constant, ValueError for an unknown
+    method.
+    """
+    if method not in GLOBAL_METHODS:
+        raise ValueError(f"method '{method}' is unknown: use one of {', '.join(GLOBAL_METHODS)}")
+    # A C library that has freed such an array keeps the memory of all smaller ones for reuse;
+    # returning and mapping it again takes 8 % of the time of a search.
+    np.empty(31 << 20, np.uint8)
+    start = np.asarray(start, dtype=float)
+    clock = ProgressClock(1, report)
+
+    def searched(known: Array | None, levels: LevelPrior | None) -> GlobalFit:
+        search = GlobalSearch(model, windows, start, settings, clock, known, levels)
+        try:
+            search.run(method)
+            ending = Ending.EXHAUSTED if search.exhausted else Ending.CONVERGED
+        except StopRequestedError:
+            ending = Ending.STOPPED
+        return search.result(method, ending)
+
+    fit = searched(known, None)
+    if levels is None:
+        return fit
+    # The set without levels gives a rough count of the samples, the set with them a better one.
+    for _ in range(2):
+        found = fit.parameter_set
+        misfit = Misfit(model, windows, fit.noise.tolist(), found.values)
+        levels = replace(levels, counted_samples=counted_samples(misfit, levels, found.values))
+        if fit.stopped:
+            break
+        fit = searched(found.values, levels)
+    return replace(fit, levels=fit.levels or levels)

@@ -12,7 +12,7 @@ The rule uses differences between laws, because some motions are difficult for e
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -24,8 +24,7 @@ from mr_damper_ros.estimation.differential_evolution import (
     ProgressClock,
     Report,
 )
-from mr_damper_ros.estimation.global_fit import set_of
-from mr_damper_ros.estimation.global_search import AS_GOOD, GlobalSearch
+from mr_damper_ros.estimation.global_fit import AS_GOOD, GlobalSearch
 from mr_damper_ros.estimation.local_search import StopRequestedError
 from mr_damper_ros.kinematics.window import Window
 from mr_damper_ros.models import MODELS
@@ -98,12 +97,10 @@ class LawChoice:
     @property
     def chosen(self) -> LawTrial:
         """The simplest law that is as good as the best one, by the one-standard-error rule."""
-        good = [trial for trial in self.trials if self._is_as_good(trial)]
+        negligible = (math.sqrt(AS_GOOD) - 1.0) * self.best.nrmse
+        compared = [(trial, *trial.behind(self.best)) for trial in self.trials]
+        good = [trial for trial, behind, error in compared if behind <= max(error, negligible)]
         return min(good, key=lambda trial: (trial.parameter_count, trial.nrmse))
-
-    def _is_as_good(self, trial: LawTrial) -> bool:
-        behind, error = trial.behind(self.best)
-        return behind <= max(error, (math.sqrt(AS_GOOD) - 1.0) * self.best.nrmse)
 
     def __str__(self) -> str:
         count = len(self.best.errors)
@@ -120,26 +117,24 @@ class LawChoice:
             behind, error = trial.behind(self.best)
             told = "" if trial is self.best else f"{behind:+.2%} ± {error:.2%}"
             lines.append(f"{name} {trial.nrmse:>8.2%} {told:>20}".rstrip())
-        lines.append(self._verdict())
+        if self.best.nrmse > GOOD_NRMSE:
+            lines.append(
+                f"NO LAW PREDICTS THE DATA LEFT OUT: {self.chosen.model} is used, but the choice "
+                "is uncertain; add runs at more amplitudes, frequencies and currents."
+            )
+        elif self.chosen is self.best:
+            lines.append(f"The data support {self.best.model}.")
+        else:
+            lines.append(
+                f"The data support {self.chosen.model}: the advantage of {self.best.model}, which "
+                "has more parameters, is within one standard error, or negligible."
+            )
         if self.sinusoids:
             lines.append(
                 "All motions are sinusoids, which do not show how well a law predicts other "
                 "motions: if the damper will be used in other motions, add such a run."
             )
         return "\n".join(lines)
-
-    def _verdict(self) -> str:
-        if self.best.nrmse > GOOD_NRMSE:
-            return (
-                f"NO LAW PREDICTS THE DATA LEFT OUT: {self.chosen.model} is used, but the choice "
-                "is uncertain; add runs at more amplitudes, frequencies and currents."
-            )
-        if self.chosen is self.best:
-            return f"The data support {self.best.model}."
-        return (
-            f"The data support {self.chosen.model}: the advantage of {self.best.model}, which has "
-            "more parameters, is within one standard error, or negligible."
-        )
 
 
 def cross_validate(
@@ -161,9 +156,17 @@ def cross_validate(
     left_out, parts = folds(runs)
     windows = tuple(window for run in runs for window in run)
     asked = settings or EvolutionSettings()
-    tasks = [_Trial(known_model(name).name, windows, parts, asked) for name in models]
-    follow = _progress_callback(report, len(tasks)) if report is not None else None
-    found = (processes or ProcessPool()).map(_left_out_errors, tasks, follow)
+    tasks = [(known_model(name).name, windows, parts, asked) for name in models]
+    done: dict[int, float] = {}
+
+    def follow(place: int, part: float) -> bool:
+        assert report is not None
+        done[place] = part
+        stage = f"comparing laws, {models[place]}, {sum(done.values()) / len(tasks):.0%} done"
+        return report(GlobalProgress(stage, 0, 0, math.inf, math.inf))
+
+    pool = processes or ProcessPool()
+    found = pool.map(_left_out_errors, tasks, follow if report else None)
     trials = [
         LawTrial(name, errors)
         for name, errors in zip(models, found, strict=True)
@@ -185,31 +188,17 @@ def folds(runs: Sequence[Sequence[Window]]) -> tuple[str, list[Fold]]:
     Raises ValueError if the runs are too few and too short.
     """
     windows = [window for run in runs for window in run]
-    motions = _motions(runs)
-    if len(motions) >= ENOUGH_TO_COMPARE:
-        return "motions", _folds_of_groups(windows, motions)
-    if len(runs) >= MOST_FOLDS:
-        return "runs", _folds_of_groups(windows, [[run] for run in runs])
-    return "segments", _folds_of_segments(windows)
-
-
-def _motions(runs: Sequence[Sequence[Window]]) -> list[list[Sequence[Window]]]:
-    """Group runs of about the same peak velocity, in order of increasing peak velocity."""
-    motions: list[list[Sequence[Window]]] = []
+    # Runs of about the same peak velocity, in order of increasing peak velocity.
+    groups: list[list[Sequence[Window]]] = []
     for run in sorted(runs, key=_speed):
-        if not motions or _speed(run) > (1.0 + SAME_MOTION) * _speed(motions[-1][0]):
-            motions.append([])
-        motions[-1].append(run)
-    return motions
-
-
-def _speed(run: Sequence[Window]) -> float:
-    return max(window.operating_point[0] for window in run)
-
-
-def _folds_of_groups(
-    windows: Sequence[Window], groups: Sequence[Sequence[Sequence[Window]]]
-) -> list[Fold]:
+        if not groups or _speed(run) > (1.0 + SAME_MOTION) * _speed(groups[-1][0]):
+            groups.append([])
+        groups[-1].append(run)
+    unit = "motions"
+    if len(groups) < ENOUGH_TO_COMPARE:
+        if len(runs) < MOST_FOLDS:
+            return "segments", _folds_of_segments(windows)
+        unit, groups = "runs", [[run] for run in runs]
     count = min(len(groups), MOST_FOLDS)
     result = []
     for place in range(count):
@@ -217,7 +206,11 @@ def _folds_of_groups(
         owners = tuple(k for k, w in enumerate(windows) if all(w is not out for out in left_out))
         judged = tuple((window, slice(None)) for window in left_out)
         result.append(Fold(tuple(windows[owner] for owner in owners), owners, judged))
-    return result
+    return unit, result
+
+
+def _speed(run: Sequence[Window]) -> float:
+    return max(window.operating_point[0] for window in run)
 
 
 def _folds_of_segments(windows: Sequence[Window]) -> list[Fold]:
@@ -246,67 +239,50 @@ def _folds_of_segments(windows: Sequence[Window]) -> list[Fold]:
     return result
 
 
-@dataclass(frozen=True, eq=False)
-class _Trial:
-    model: str
-    windows: tuple[Window, ...]
-    folds: Sequence[Fold]
-    settings: EvolutionSettings
+_Task = tuple[str, Sequence[Window], Sequence[Fold], EvolutionSettings]
+"""Name of a law, all windows, the folds, and the settings of the search."""
 
 
-def _left_out_errors(trial: _Trial, notify: Notify) -> Array:
+def _left_out_errors(task: _Task, notify: Notify) -> Array:
     """Validation NRMSE [1] of each fold; infinite if there is no fit, NaN after a stop.
 
     One search over all windows gives the start of each fold. The global minima of the folds are
     close to it, so a fold only needs the local search. On twenty records of a real damper, the
     errors of eight laws are within 1 % of those of complete searches.
     """
-    law = MODELS[trial.model]
-    start = law.initial_values()[0]
-    done = 0
+    name, windows, parts, settings = task
+    law, done = MODELS[name], 0
 
     def report(progress: GlobalProgress) -> bool:
         part = progress.generation / max(progress.generations, 1)
-        return notify((trial.model, (done + part) / (1 + len(trial.folds))))
+        return notify((done + part) / (1 + len(parts)))
 
     def search_of(windows: Sequence[Window]) -> GlobalSearch:
-        return GlobalSearch(law, windows, start, trial.settings, ProgressClock(1, report))
+        start = law.initial_values()[0]
+        return GlobalSearch(law, windows, start, settings, ProgressClock(1, report))
 
     errors = []
     try:
-        whole = search_of(trial.windows)
+        whole = search_of(windows)
         whole.search(GLOBAL_SOURCE)
-        for fold in trial.folds:
+        for fold in parts:
             done += 1
             search = search_of(fold.training)
             search.refit(whole, fold.owners)
             errors.append(_error_left_out(search, fold))
     except StopRequestedError:
-        return np.full(len(trial.folds), math.nan)
+        return np.full(len(parts), math.nan)
     except ValueError:
-        return np.full(len(trial.folds), math.inf)
+        return np.full(len(parts), math.inf)
     return np.array(errors)
 
 
 def _error_left_out(search: GlobalSearch, fold: Fold) -> float:
-    determined = np.isin(search.model.parameter_names, list(search.free))
-    errors = np.where(determined, 0.0, math.nan)
-    found = set_of(search, errors, errors, GLOBAL_SOURCE)
+    errors = np.where(search.free, 0.0, math.nan)
+    found = search.parameter_set(errors, errors, GLOBAL_SOURCE)
     squares = []
     for window, places in fold.judged:
         residual = (found.window_force(window) - window.force)[places]
         squares.append(float(np.mean(residual**2) / np.var(window.force)))
     error = math.sqrt(float(np.mean(squares)))
     return error if math.isfinite(error) else math.inf
-
-
-def _progress_callback(report: Report, count: int) -> Callable[[int, tuple[str, float]], bool]:
-    done: dict[int, float] = {}
-
-    def follow_fold(place: int, news: tuple[str, float]) -> bool:
-        model, part = news
-        done[place] = part
-        stage = f"comparing laws, {model}, {sum(done.values()) / count:.0%} done"
-        return report(GlobalProgress(stage, 0, 0, math.inf, math.inf))
-
-    return follow_fold

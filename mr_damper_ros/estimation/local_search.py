@@ -1,4 +1,4 @@
-"""Local search of a least-squares problem by SciPy's Nelder-Mead and least-squares methods.
+"""The posterior of parameters, and local search by SciPy's Nelder-Mead and least-squares methods.
 
 Nelder-Mead uses coordinates in which the sum of squares is nearly spherical, derived from the
 Jacobian at the start. In these coordinates a simplex in seven dimensions converges in a few hundred
@@ -8,14 +8,21 @@ evaluations instead of thousands.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from enum import Enum
-from typing import Generic, Protocol, TypeVar
+from typing import Any, Generic, TypeVar
 
 import numpy as np
 
-from mr_damper_ros.estimation.covariance import triangular_factor
+from mr_damper_ros.estimation.covariance import (
+    discrepancy_between,
+    least_squares_covariance,
+    motion_numbers,
+    triangular_factor,
+)
 from mr_damper_ros.models.formulas import LIMIT
+from mr_damper_ros.models.misfit import ChosenParameters
 from mr_damper_ros.signals.arrays import NORMAL_MEDIAN, Array
 
 HUBER = 1.345
@@ -39,27 +46,92 @@ class Ending(Enum):
     EXHAUSTED = "reached its limit of steps before it converged: this is the best result so far"
 
 
-class Problem(Protocol):
-    """A least-squares problem: residual (n,) and its Jacobian (n, p) for unknowns (p,)."""
-
-    @property
-    def bounds(self) -> tuple[Array, Array] | None:
-        """Lower and upper bounds (p,) of the unknowns, None if there are none."""
-
-    def residual(self, unknowns: Array) -> Array:
-        """Model minus measurement, shape (n,)."""
-
-    def jacobian(self, unknowns: Array) -> Array:
-        """Derivatives of the residual with respect to the unknowns, shape (n, p)."""
-
-
 class StopRequestedError(Exception):
     """Raised when the caller stops a search; the search keeps its best unknowns so far."""
 
 
-P = TypeVar("P", bound=Problem)
+@dataclass(frozen=True, eq=False)
+class Prior:
+    """The plausible range of dampers: a mean (``centre``) and a deviation (``width``), (p,)."""
+
+    centre: Array
+    width: Array
+
+    def at(self, places: Sequence[int]) -> Prior:
+        """The prior (f,) of the parameters at these places."""
+        return Prior(self.centre[places], self.width[places])
 
 
+C = TypeVar("C", bound=ChosenParameters)
+
+
+class Posterior(Generic[C]):
+    """Residual of a problem, then of the prior, for unknowns (f,) in a ``unit``.
+
+    The unit is the width of the prior, or 1 for the unknowns of the problem themselves.
+
+    ``noise``, the standard deviation of one independent sample of the problem's residual, sets the
+    weight of the prior.
+    """
+
+    def __init__(
+        self, problem: C, prior: Prior, noise: float, unit: Array | float | None = None
+    ) -> None:
+        self.problem = problem
+        self.widths = prior.width
+        self.noise = noise
+        self.unit = unit = prior.width if unit is None else unit
+        self.start = problem.start / unit
+        self._centre, self._width = prior.centre / unit, prior.width / unit
+        bounds = problem.bounds
+        self.bounds = None if bounds is None else (bounds[0] / unit, bounds[1] / unit)
+
+    def parameters(self, unknowns: Array) -> Array:
+        """All parameters (p,)."""
+        return self.problem.parameters(unknowns * self.unit)
+
+    def residual(self, unknowns: Array) -> Array:
+        """Residual of the problem, then of the prior (f,)."""
+        plain = self.problem.residual(unknowns * self.unit)
+        return np.concatenate((plain, self.noise * ((unknowns - self._centre) / self._width)))
+
+    def jacobian(self, unknowns: Array) -> Array:
+        """Derivatives of the residual with respect to the unknowns."""
+        derivatives = self.problem.jacobian(unknowns * self.unit)
+        # Each column is contiguous in memory.
+        rows = np.empty((unknowns.size, len(derivatives) + unknowns.size))
+        np.multiply(derivatives, self.unit, out=rows.T[: len(derivatives)])
+        rows[:, len(derivatives) :] = np.diag(self.noise / self._width)
+        return rows.T
+
+    def cost(self, parameters: Array) -> float:
+        """Sum of squares of the residual for parameters (p,)."""
+        residual = self.residual(self.problem.unknowns(parameters) / self.unit)
+        return float(residual @ residual)
+
+    def covariances(self) -> tuple[Array, Array]:
+        """Covariance (f, f) of the parameters at the start, and the discrepancy in it.
+
+        The discrepancy is NaN if unknown.
+        """
+        misfit = self.problem.misfit
+        jacobian, residual = self.jacobian(self.start), self.residual(self.start)
+        variances = np.append(misfit.prior_variances, np.full(self.start.size, self.noise**2))
+        covariance = least_squares_covariance(jacobian, residual, variances)
+        by_noise = least_squares_covariance(jacobian, residual, np.zeros_like(variances))
+        # The rows of the prior belong to no motion.
+        motions = np.full(residual.size, -1)
+        windows = misfit.row_windows
+        motions[: windows.size] = motion_numbers(misfit.windows)[windows]
+        discrepancy = discrepancy_between(jacobian, residual, motions, by_noise)
+        units = np.outer(self.unit, self.unit)
+        return (covariance + np.nan_to_num(discrepancy)) * units, discrepancy * units
+
+
+P = TypeVar("P", bound="ChosenParameters | Posterior[Any]")
+
+
+@dataclass(eq=False)
 class LocalSearch(Generic[P]):
     """A problem, its best unknowns so far and the number of evaluations.
 
@@ -67,19 +139,16 @@ class LocalSearch(Generic[P]):
     ``exhausted``: whether the latest least-squares search reached its limit of steps.
     """
 
-    def __init__(
-        self, problem: P, start: Array, should_stop: Callable[[], bool] | None = None
-    ) -> None:
-        self.problem = problem
-        self.best = start
-        self.best_cost = math.inf
-        self.evaluations = 0
-        self.exhausted = False
-        self._should_stop = should_stop
+    problem: P
+    best: Array
+    should_stop: Callable[[], bool] | None = None
+    best_cost: float = math.inf
+    evaluations: int = 0
+    exhausted: bool = False
 
     def residual(self, unknowns: Array) -> Array:
         """Evaluate and count the residual (n,) of the problem."""
-        if self._should_stop is not None and self._should_stop():
+        if self.should_stop is not None and self.should_stop():
             raise StopRequestedError
         self.evaluations += 1
         return self.problem.residual(unknowns)

@@ -1,6 +1,6 @@
 """Global identification from several seeds: the best result, its reproducibility, and a record.
 
-Each seed is a separate search (:mod:`global_search`), so the searches can run in any number of
+Each seed is a separate search (:mod:`global_fit`), so the searches can run in any number of
 processes. A record stores the results. Finished searches are not repeated; a search that was
 stopped continues with its earlier result as a start, so its cost is never higher than before.
 """
@@ -22,11 +22,7 @@ from mr_damper_ros.estimation.differential_evolution import (
     GlobalProgress,
     Report,
 )
-from mr_damper_ros.estimation.global_fit import (
-    GlobalFit,
-    identify_global,
-)
-from mr_damper_ros.estimation.global_search import AS_GOOD, Candidate
+from mr_damper_ros.estimation.global_fit import AS_GOOD, Candidate, GlobalFit, identify_global
 from mr_damper_ros.estimation.record_levels import LevelPrior
 from mr_damper_ros.kinematics.window import Window
 from mr_damper_ros.models.force_model import Model

@@ -30,11 +30,18 @@ from mr_damper_ros.estimation.differential_evolution import (
     ProgressClock,
     Report,
 )
-from mr_damper_ros.estimation.global_fit import GlobalFit, identify_global
-from mr_damper_ros.estimation.global_search import with_linear_refitted
-from mr_damper_ros.estimation.local_search import LocalSearch, StopRequestedError
+from mr_damper_ros.estimation.global_fit import (
+    GlobalFit,
+    identify_global,
+    with_linear_refitted,
+)
+from mr_damper_ros.estimation.local_search import (
+    LocalSearch,
+    Posterior,
+    Prior,
+    StopRequestedError,
+)
 from mr_damper_ros.estimation.observability import SURE, parameter_ranges, parameter_spans
-from mr_damper_ros.estimation.posterior import Posterior, Prior
 from mr_damper_ros.kinematics.window import Window
 from mr_damper_ros.models.misfit import ChosenParameters, Misfit
 from mr_damper_ros.processes.process_pool import Notify, ProcessPool

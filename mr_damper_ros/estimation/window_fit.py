@@ -29,8 +29,13 @@ from mr_damper_ros.estimation.covariance import (
     white_level,
     without_negative_variance,
 )
-from mr_damper_ros.estimation.local_search import Ending, LocalSearch, StopRequestedError
-from mr_damper_ros.estimation.posterior import Posterior, Prior
+from mr_damper_ros.estimation.local_search import (
+    Ending,
+    LocalSearch,
+    Posterior,
+    Prior,
+    StopRequestedError,
+)
 from mr_damper_ros.kinematics.motion import DataError
 from mr_damper_ros.kinematics.window import Window
 from mr_damper_ros.models.force_model import Model
