@@ -15,12 +15,14 @@ import numpy as np
 
 from mr_damper_ros.estimation.covariance import NoiseModel
 from mr_damper_ros.estimation.global_fit import error_of_set
+from mr_damper_ros.estimation.window_fit import WORSE_RATIO, fit_window
 from mr_damper_ros.kinematics.window import Window
 from mr_damper_ros.models.parameter_set import ParameterSet
 from mr_damper_ros.models.quantities import GOOD_NRMSE, NOTICED, SAME_CURRENT
 from mr_damper_ros.settings.option_table import CheckedSettings, option
 from mr_damper_ros.signals.arrays import Array, Positive, span_of
 from mr_damper_ros.tracking.operating_point import (
+    MOST_SAMPLES,
     MOST_WINDOWS,
     KnownForce,
     KnownPoints,
@@ -241,6 +243,20 @@ def rival_wins(
     return found.nrmse_after <= min(allowed, maximum_nrmse) and not found.loses_elsewhere
 
 
+def judge_parts(window: Window, parts: Sequence[Window], found: ParameterSet) -> tuple[float, bool]:
+    """RMSE [N] of separate fits to the parts of a window, and whether one set explains them all."""
+    few = [found.held(part.thinned(MOST_SAMPLES // 2)) for part in parts]
+    counts = [part.sample_count for part in parts]
+    own = [fit_window(found.law, part, found.values, method="least_squares").rmse for part in few]
+    by_found = [error_of_set(found, [part]).rmse for part in few]
+    alone, together = (
+        math.sqrt(float(np.average(np.square(errors), weights=counts)))
+        for errors in (own, by_found)
+    )
+    besides = LARGEST_EXCESS * float(np.std(window.force))
+    return alone, together <= max(WORSE_RATIO * alone, math.hypot(alone, besides))
+
+
 def _mean_square(found: ParameterSet, windows: Sequence[Window]) -> float:
     """Mean square error [N²] of a set over several windows of equal weight.
 
@@ -368,18 +384,18 @@ class Experience:
     level: Positive = 1.0
 
 
+@dataclass(eq=False)
 class Gatekeeper:
     """The acceptance test: accepts or rejects new sets by the records of earlier windows."""
+
+    settings: AcceptanceSettings
+    known: Experience = field(default_factory=Experience)
 
     _PATIENCE = 4
     """After this many rejections in a row for the residual, the residual baseline is reset."""
     _PATIENCE_WHERE_KNOWN = 12
     """Number of these rejections that resets the baseline at an operating point where the running
     set has been identified. A faulty sensor is usually repaired within that time."""
-
-    def __init__(self, settings: AcceptanceSettings, known: Experience | None = None) -> None:
-        self._settings = settings
-        self.known = known or Experience()
 
     def judge(
         self,
@@ -432,7 +448,7 @@ class Gatekeeper:
         ``objection`` is as in :meth:`judge`. If ``tentative`` and the running set is good at the
         recent operating points or in the newest window, the next window must confirm the new set.
         """
-        maximum = self._settings.maximum_nrmse
+        maximum = self.settings.maximum_nrmse
         if not evidence.nrmse_after <= maximum:
             return Judgement(
                 Verdict.POOR_FIT,
@@ -464,27 +480,27 @@ class Gatekeeper:
         Its residual must agree with the residual baseline, it must predict better, and its change
         of force must be within the step limit. The records do not change.
         """
-        limit, level = self._settings.change_limit, self.known.level * (1.0 + evidence.force_change)
+        limit, level = self.settings.change_limit, self.known.level * (1.0 + evidence.force_change)
         return bool(
             self.known.residuals
             and self.is_usual(evidence.rmse_after, evidence.nrmse_after)
             and evidence.better
-            and abs(evidence.force_change) <= self._settings.step_limit
-            and (not self.known.points.knows_forces or 1.0 / limit <= level <= limit)
+            and abs(evidence.force_change) <= self.settings.step_limit
+            and (not self.known.points.forces or 1.0 / limit <= level <= limit)
         )
 
     def is_usual(self, rmse: float, nrmse: float) -> bool:
         """Whether a residual, RMSE [N] and NRMSE, agrees with the residual baseline."""
-        if not nrmse <= self._settings.maximum_nrmse:
+        if not nrmse <= self.settings.maximum_nrmse:
             return False
         excess = excess_residual(self.known.residuals, rmse, nrmse)
-        return excess <= self._settings.residual_factor
+        return excess <= self.settings.residual_factor
 
     def _refusal(
         self, evidence: Evidence, force: KnownForce | None, *, holds: bool, same_motion: bool
     ) -> Judgement | None:
         """Reject a fit with too large an error, and a force that is impossible for this damper."""
-        maximum, limit = self._settings.maximum_nrmse, self._settings.change_limit
+        maximum, limit = self.settings.maximum_nrmse, self.settings.change_limit
         if not math.isfinite(evidence.nrmse_after):
             return Judgement(Verdict.POOR_FIT, "the error of the fit is not finite")
         if evidence.nrmse_after > maximum:
@@ -516,7 +532,7 @@ class Gatekeeper:
         """Reject a window with a residual far above the baseline, unless such residuals persist."""
         known, before, after = self.known, evidence.nrmse_before, evidence.nrmse_after
         excess = excess_residual(known.residuals, evidence.rmse_after, after, point)
-        if excess <= self._settings.residual_factor:
+        if excess <= self.settings.residual_factor:
             known.refused_for_residual = 0
             return None
         known.refused_for_residual += 1
@@ -557,7 +573,7 @@ class Gatekeeper:
             here = self.known.points.known_force(force.operating_point)
             if here is not None:
                 change = min(change, force.size / (here.size * self.known.level) - 1.0, key=abs)
-        if abs(change) > self._settings.step_limit:
+        if abs(change) > self.settings.step_limit:
             surprise = f"the force changed by {change:+.0%} at once"
         elif holds and evidence.shape_change > LARGE_SHAPE_CHANGE:
             surprise = f"the shape of the force changed by {evidence.shape_change:.0%} at once"

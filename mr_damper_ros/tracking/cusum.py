@@ -103,27 +103,24 @@ class ChangeWatch:
         """
         state = self
         blocks = max(predicted.size // self.block, 1)
-        for chosen in np.array_split(np.arange(predicted.size), blocks):
-            state = state._next(predicted[chosen], measured[chosen])
-        return state
-
-    def _next(self, predicted: Array, measured: Array) -> ChangeWatch:
-        # Each block is weighted by its force, as the likelihood requires. The weighted residual
-        # then sums to zero over the fitted window, even if it oscillates.
-        deviation = float(predicted @ (measured - predicted)) / (self.noise * self.block_norm)
         shift = max(self.smallest_change * self.block_norm / self.noise, 2.0 * SLACK)
-        slack = 0.5 * shift * float(predicted @ predicted) / self.block_norm**2
-        rising = max(self.rising + deviation - slack, 0.0)
-        falling = max(self.falling - deviation - slack, 0.0)
-        count = predicted.size
-        return replace(
-            self,
-            rising=rising,
-            falling=falling,
-            rising_samples=self.rising_samples + count if rising > 0.0 else 0,
-            falling_samples=self.falling_samples + count if falling > 0.0 else 0,
-            top=max(self.top, rising, falling),
-        )
+        for chosen in np.array_split(np.arange(predicted.size), blocks):
+            force, residual = predicted[chosen], measured[chosen] - predicted[chosen]
+            # Each block is weighted by its force, as the likelihood requires. The weighted residual
+            # then sums to zero over the fitted window, even if it oscillates.
+            deviation = float(force @ residual) / (self.noise * self.block_norm)
+            slack = 0.5 * shift * float(force @ force) / self.block_norm**2
+            rising = max(state.rising + deviation - slack, 0.0)
+            falling = max(state.falling - deviation - slack, 0.0)
+            state = replace(
+                state,
+                rising=rising,
+                falling=falling,
+                rising_samples=state.rising_samples + chosen.size if rising > 0.0 else 0,
+                falling_samples=state.falling_samples + chosen.size if falling > 0.0 else 0,
+                top=max(state.top, rising, falling),
+            )
+        return state
 
 
 def change_point(predicted: Array, measured: Array, fewest: int) -> int:

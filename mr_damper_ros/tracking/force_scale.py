@@ -83,23 +83,17 @@ def widened(
     if seen and start_ns < seen[-1].start_ns:
         seen = ()  # the clock was set back
     seen = (*seen, WindowScale(start_ns, end_ns, scale.value, scale.standard_error))[-MOST_WINDOWS:]
-    squares = _squares(seen)
-    if len(squares) < _FEWEST_WINDOWS:
-        # Until the scatter is known, the whole misfit counts as error.
-        return replace(scale, standard_error=max(scale.misfit, scale.standard_error)), seen
-    ratio = math.sqrt(float(np.median(squares))) / NORMAL_MEDIAN
-    return replace(scale, standard_error=max(ratio, 1.0) * scale.standard_error), seen
-
-
-def _squares(seen: Sequence[WindowScale]) -> list[float]:
-    """Squared differences of successive scales without common samples, over their variance."""
     squares = []
     for place, later in enumerate(seen):
         before = [each for each in seen[:place] if each.end_ns <= later.start_ns]
         if before:
             variance = before[-1].standard_error ** 2 + later.standard_error**2
             squares.append((later.value - before[-1].value) ** 2 / variance)
-    return squares
+    if len(squares) < _FEWEST_WINDOWS:
+        # Until the scatter is known, the whole misfit counts as error.
+        return replace(scale, standard_error=max(scale.misfit, scale.standard_error)), seen
+    ratio = math.sqrt(float(np.median(squares))) / NORMAL_MEDIAN
+    return replace(scale, standard_error=max(ratio, 1.0) * scale.standard_error), seen
 
 
 def force_scale(
@@ -223,7 +217,7 @@ class TemperatureMap:
         if not self.low <= celsius <= self.high:
             return ForceScale()
         value = math.exp(float(self.curve(celsius)))
-        return ForceScale(value, value * self._error(celsius))
+        return ForceScale(value, value * self.error(celsius))
 
     def slope(self, celsius: float) -> float:
         """Relative change of the force per kelvin [1/K]; also defined just outside the map."""
@@ -246,10 +240,10 @@ class TemperatureMap:
         if len(inside) != 1:
             return FluidTemperature()
         told = max(scale.standard_error / scale.value, self.scatter)
-        error = math.hypot(self._error(inside[0]), told)
+        error = math.hypot(self.error(inside[0]), told)
         return FluidTemperature(inside[0], error / abs(self.slope(inside[0])))
 
-    def _error(self, celsius: float) -> float:
+    def error(self, celsius: float) -> float:
         """Standard error of ln s at a temperature [°C]."""
         basis = _basis(self.curve, celsius)
         return math.sqrt(float(basis @ self.covariance @ basis))
@@ -261,15 +255,13 @@ def _basis(curve: Polynomial, celsius: float | Array) -> Array:
     return polyvander(offset + factor * celsius, curve.degree()).squeeze()
 
 
-def fit_temperature_map(
-    operating_point: OperatingPoint, celsius: Array, scales: Array, errors: Array
-) -> TemperatureMap | None:
-    """Fit a map to the temperatures [°C], force scales and standard ``errors`` of windows.
+def temperature_map(known: PointRecord) -> TemperatureMap | None:
+    """The map of an operating point, fitted to the temperatures and force scales of its windows.
 
-    Arrays have shape (n,), in the order of time. Returns None with fewer than eight windows, if the
-    curve is not monotonic, or if the standard error of a temperature computed from the force
-    exceeds a quarter of the measured range.
+    Returns None with fewer than eight windows, if the curve is not monotonic, or if the standard
+    error of a temperature computed from the force exceeds a quarter of the measured range.
     """
+    celsius, scales, errors = known.temperatures.T
     good = np.isfinite(celsius) & np.isfinite(errors) & (scales > 0.0) & (errors > 0.0)
     celsius, scales, errors = celsius[good], scales[good], errors[good]
     if celsius.size < _FEWEST_WINDOWS or np.ptp(celsius) == 0.0:
@@ -291,10 +283,10 @@ def fit_temperature_map(
     scatter = math.sqrt(float(residual @ residual) / max(celsius.size - curve.coef.size, 1))
     root = np.sqrt(weights)
     covariance = least_squares_covariance(root[:, None] * _basis(curve, celsius), root * residual)
-    found = TemperatureMap(operating_point, curve, covariance, scatter, int(celsius.size))
+    found = TemperatureMap(known.point, curve, covariance, scatter, int(celsius.size))
+    widest = SURE * (ends[1] - ends[0])
     for place in (*ends, 0.5 * sum(ends)):
-        known_to = math.hypot(scatter, found.scale(place).standard_error / found.scale(place).value)
-        if not known_to < SURE * (ends[1] - ends[0]) * abs(found.slope(place)):
+        if not math.hypot(scatter, found.error(place)) < widest * abs(found.slope(place)):
             return None
     return found
 
@@ -324,17 +316,12 @@ def with_temperature(
     return known.noted(point, temperatures=_paired(seen) if len(seen) > 4 * MOST_WINDOWS else seen)
 
 
-def temperature_map(known: PointRecord) -> TemperatureMap | None:
-    """The map of an operating point, or None if its records do not identify one."""
-    return fit_temperature_map(known.point, *known.temperatures.T)
-
-
 def _paired(seen: Array) -> Array:
     """Average rows (n, 3) with neighbouring temperatures in pairs; the first and last row stay."""
     ordered = seen[np.argsort(seen[:, 0], kind="stable")]
     inner = ordered[1:-1]
     count = len(inner) // 2 * 2
-    one, other, odd = inner[0:count:2], inner[1:count:2], inner[count:]
-    pairs = 0.5 * (one + other)
-    pairs[:, 2] = 0.5 * np.hypot(one[:, 2], other[:, 2])
-    return np.concatenate([ordered[:1], pairs, odd, ordered[-1:]])
+    couples = inner[:count].reshape(-1, 2, 3)
+    pairs = couples.mean(axis=1)
+    pairs[:, 2] = 0.5 * np.hypot(*couples[:, :, 2].T)
+    return np.concatenate([ordered[:1], pairs, inner[count:], ordered[-1:]])

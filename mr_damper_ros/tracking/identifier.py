@@ -110,8 +110,6 @@ class Identifier:
         self._number = 0
         self._search: Search | None = None
         self._given_up: list[Event] = []
-        # Whether the set from which the job started is no longer in use.
-        self._superseded = False
         self._outbox: Outbox[Publication] = Outbox(GRACE)
         self._late = 0
 
@@ -184,11 +182,9 @@ class Identifier:
         return [*self._outbox.take(self.state.writer.done), *events]
 
     def _end(self, outcome: Outcome) -> list[Event]:
-        """Take over an outcome, unless its job was superseded by another set."""
+        """Take over the outcome of the job."""
         search = self._search
         self._job = self._search = None
-        if self._superseded:
-            return [] if search is None else [SearchEnded(search)]
         report = self.tracker.complete(outcome)
         if report is not None:
             if report.global_due:
@@ -201,7 +197,8 @@ class Identifier:
         return [] if search is None else [SearchEnded(search, outcome)]
 
     def _next(self) -> None:
-        if self._job is not None:
+        # A job that was given up keeps the worker busy until it has stopped.
+        if self._job is not None or self.worker.busy:
             return
         if self._searches:
             self._search = search = self._searches.popleft()
@@ -212,7 +209,6 @@ class Identifier:
             budget = self._settings.fit_time_budget
         else:
             return
-        self._superseded = False
         self._number = self.worker.submit(run, self._job, budget=budget)
 
     def take_notices(self) -> list[str]:
@@ -249,18 +245,18 @@ class Identifier:
         the set belongs to another law.
         """
         self.tracker.replace(parameters)
-        if self._job is not None and self._job.raw is not None and not self._superseded:
+        if self._job is not None and self._job.raw is not None:
             self._windows.appendleft(self._job.raw)
         self._supersede()
         return self.state.keep_now(self.tracker)
 
     def _supersede(self) -> None:
         """Give up the running job and the waiting searches, whose windows are no longer known."""
-        self._given_up += map(SearchEnded, self._searches)
+        running = [] if self._search is None else [self._search]
+        self._given_up += map(SearchEnded, (*running, *self._searches))
         self._searches.clear()
-        if self._job is not None:
-            self._superseded = True
-            self.worker.cancel()
+        self._job = self._search = None
+        self.worker.cancel()
 
     def close(self) -> None:
         """Write the states that wait for the disk, and end."""

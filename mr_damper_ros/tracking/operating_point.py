@@ -9,7 +9,7 @@ and the newest good window, for the global identification.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from statistics import median
 from typing import Any
@@ -19,8 +19,10 @@ import numpy as np
 from mr_damper_ros.estimation.covariance import SAME_MOTION
 from mr_damper_ros.estimation.window_fit import WindowFit
 from mr_damper_ros.kinematics.peak_velocity import MEMORY
-from mr_damper_ros.kinematics.window import Window
+from mr_damper_ros.kinematics.periodic_motion import PHASES
+from mr_damper_ros.kinematics.window import MOST_UNUSED, Window
 from mr_damper_ros.models.current_dependence import LARGEST_GROWTH
+from mr_damper_ros.models.force_model import Model
 from mr_damper_ros.models.quantities import MODEL_ERROR, SAME_CURRENT
 from mr_damper_ros.signals.arrays import Array, Positive
 from mr_damper_ros.signals.blocks import NANOSECONDS
@@ -44,6 +46,9 @@ MOST_SAMPLES = 500
 MOST_WINDOWS = 100
 """Largest numbers of samples of a kept window, and of kept windows, one per operating point."""
 
+_MOST_INTERVALS = 6
+"""Largest number of intervals into which a continuous range of currents is divided."""
+
 _MOST_POINTS = 2 * MOST_WINDOWS
 """Largest number of records, which bounds the state on disk. The oldest without a window go first.
 """
@@ -52,19 +57,15 @@ RECENT = MEMORY
 """Seconds for which an operating point counts as recent. A set must hold at all recent points."""
 
 
-def nearest_same(points: Sequence[OperatingPoint], wanted: OperatingPoint) -> int | None:
-    """Index of the nearest point that is the same operating point; None without one."""
-    return _nearest(points, wanted, (1.0, 1.0))
-
-
-def nearest_comparable(points: Sequence[OperatingPoint], wanted: OperatingPoint) -> int | None:
-    """Index of the nearest point with a comparable force; None without one."""
-    return _nearest(points, wanted, _COMPARABLE)
-
-
-def _nearest(
-    points: Sequence[OperatingPoint], wanted: OperatingPoint, within: tuple[float, float]
+def nearest_same(
+    points: Sequence[OperatingPoint],
+    wanted: OperatingPoint,
+    within: tuple[float, float] = (1.0, 1.0),
 ) -> int | None:
+    """Index of the nearest point that is the same operating point; None without one.
+
+    ``within`` are multiples of the tolerances of speed and current.
+    """
     best, nearest = 1.0, None
     for index, point in enumerate(points):
         speed, current = _apart(point, wanted)
@@ -74,10 +75,43 @@ def _nearest(
     return nearest
 
 
+def nearest_comparable(points: Sequence[OperatingPoint], wanted: OperatingPoint) -> int | None:
+    """Index of the nearest point with a comparable force; None without one."""
+    return nearest_same(points, wanted, _COMPARABLE)
+
+
 def _apart(one: OperatingPoint, other: OperatingPoint) -> tuple[float, float]:
     """Differences of two points in speed and current, as multiples of the tolerances."""
     ratio = math.log(max(one[0], 1e-9) / max(other[0], 1e-9))
     return abs(ratio) / math.log(SAME_SPEED), abs(one[1] - other[1]) / SAME_CURRENT
+
+
+def parts_by_current(model: Model, window: Window, tolerance: float) -> list[Window]:
+    """Parts of a window within which the current is about constant.
+
+    If the current is constant, the window itself is the only part. Levels of the current more than
+    ``tolerance`` [A] apart become separate parts; a continuous range is divided into equal
+    intervals. Each part is an operating point, whose fit does not depend on the law's dependence on
+    the current. Samples at the start of the window at which the force of the ``model`` depends on
+    the unknown past do not count towards the smallest size of a part.
+    """
+    if float(np.ptp(window.current)) <= tolerance:
+        return [window]
+    levels = np.unique(window.current)
+    widest = max(float(np.ptp(levels)) / _MOST_INTERVALS, tolerance)
+    gaps = np.flatnonzero(np.diff(levels) > tolerance)
+    edges = (0.5 * (levels[gaps] + levels[gaps + 1])).tolist()
+    for stretch in np.split(levels, gaps + 1):
+        count = math.ceil(float(np.ptp(stretch)) / widest)
+        edges += np.linspace(stretch[0], stretch[-1], count + 1)[1:-1].tolist()
+    place = np.searchsorted(np.sort(edges), window.current, side="right")
+    lead_in = round(MOST_UNUSED * window.sample_count) if model.needs_past(window) else 0
+    chosen = [place == number for number in range(len(edges) + 1)]
+    return [
+        window.part(each)
+        for each in chosen
+        if np.count_nonzero(each[lead_in:]) >= PHASES and np.ptp(window.force[each]) > 0.0
+    ]
 
 
 def thinned_to_keep(window: Window, *, with_past: bool, parts: int = 1) -> Window:
@@ -143,8 +177,8 @@ class KnownPoints:
         """Return the records with these entries set at an operating point."""
         before = self.at(point)
         after = replace(before, **entries)
-        if any(each is before for each in self.records):
-            return KnownPoints(tuple(after if r is before else r for r in self.records))
+        if before in self.records:
+            return self._changed(lambda each: after if each is before else each)
         return KnownPoints((*self.records, after))
 
     # Baselines
@@ -171,8 +205,7 @@ class KnownPoints:
     @property
     def newest_ns(self) -> int:
         """Stamp of the newest window; 0 without one."""
-        kept = self.kept
-        return kept[-1].stamp_ns if kept else 0
+        return next((each.stamp_ns for each in reversed(self.kept)), 0)
 
     @property
     def windows(self) -> tuple[Window, ...]:
@@ -182,11 +215,8 @@ class KnownPoints:
     def with_recent_windows(self, end_ns: float) -> KnownPoints:
         """Return the records; of windows before the recent ones up to a stamp, the number alone."""
         since = end_ns - round(RECENT * NANOSECONDS)
-        return KnownPoints(
-            tuple(
-                each if since <= each.stamp_ns <= end_ns else replace(each, window=None)
-                for each in self.records
-            )
+        return self._changed(
+            lambda each: each if since <= each.stamp_ns <= end_ns else replace(each, window=None)
         )
 
     def recent(self, end_ns: int) -> tuple[Window, ...]:
@@ -227,29 +257,22 @@ class KnownPoints:
     def without_temperatures(self) -> KnownPoints:
         """Return the records without their temperatures, because the force has changed since."""
         none = PointRecord((0.0, 0.0)).temperatures
-        return KnownPoints(
-            tuple(
-                replace(each, temperatures=none) if each.temperatures.size else each
-                for each in self.records
-            )
-        )
+        return self._changed(lambda each: replace(each, temperatures=none))
+
+    def _changed(self, change: Callable[[PointRecord], PointRecord]) -> KnownPoints:
+        return KnownPoints(tuple(map(change, self.records)))
 
     # Forces
 
     def known_force(self, wanted: OperatingPoint) -> KnownForce | None:
         """The first accepted force at the nearest comparable operating point, or None."""
-        forces = self._forces
-        place = nearest_comparable([force.operating_point for force in forces], wanted)
-        return None if place is None else forces[place]
+        place = nearest_comparable([force.operating_point for force in self.forces], wanted)
+        return None if place is None else self.forces[place]
 
     @property
-    def _forces(self) -> tuple[KnownForce, ...]:
+    def forces(self) -> tuple[KnownForce, ...]:
+        """The first accepted forces, oldest first."""
         return tuple(each.force for each in self.records if each.force is not None)
-
-    @property
-    def knows_forces(self) -> bool:
-        """Whether any force is known."""
-        return bool(self._forces)
 
     def objection(self, found: KnownForce, limit: float, expected: float = math.nan) -> str:
         """Why this damper cannot give a force, in words; empty if it can.
@@ -262,7 +285,7 @@ class KnownPoints:
             expected = found.size / here.size
         if not math.isnan(expected) and not 1.0 / limit <= expected <= limit:
             return f"the force is {expected:.3g} times the first accepted force"
-        for known in self._forces:
+        for known in self.forces:
             # Between two speeds, the force changes by at most the ratio of the speeds.
             ratio = found.peak_velocity / known.peak_velocity
             _, current = _apart(found.operating_point, known.operating_point)

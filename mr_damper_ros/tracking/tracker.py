@@ -10,16 +10,16 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from functools import partial
 from typing import Any
 
 import numpy as np
 
-from mr_damper_ros.estimation.covariance import ENOUGH_TO_COMPARE, NoiseModel
+from mr_damper_ros.estimation.covariance import ENOUGH_TO_COMPARE, SAME_MOTION, NoiseModel
 from mr_damper_ros.estimation.differential_evolution import EvolutionSettings
-from mr_damper_ros.estimation.global_fit import error_of_set, identify_global
+from mr_damper_ros.estimation.global_fit import identify_global
 from mr_damper_ros.estimation.window_fit import (
     WINDOW_METHODS,
     WORSE_RATIO,
@@ -28,10 +28,8 @@ from mr_damper_ros.estimation.window_fit import (
     fit_window,
 )
 from mr_damper_ros.kinematics.motion import DataError
-from mr_damper_ros.kinematics.periodic_motion import PHASES
-from mr_damper_ros.kinematics.window import MOST_UNUSED, Window
+from mr_damper_ros.kinematics.window import Window
 from mr_damper_ros.models import MODELS
-from mr_damper_ros.models.force_model import Model
 from mr_damper_ros.models.misfit import WindowProblem
 from mr_damper_ros.models.parameter_set import (
     DEFAULT_MODEL,
@@ -41,7 +39,7 @@ from mr_damper_ros.models.parameter_set import (
     start_set,
 )
 from mr_damper_ros.models.plausibility import implausible
-from mr_damper_ros.models.quantities import GOOD_NRMSE
+from mr_damper_ros.models.quantities import GOOD_NRMSE, NOTICED, SAME_CURRENT
 from mr_damper_ros.processes.blas_threads import one_thread
 from mr_damper_ros.processes.worker import Control
 from mr_damper_ros.settings.option_table import CheckedSettings, group, option
@@ -49,7 +47,7 @@ from mr_damper_ros.signals.arrays import Array
 from mr_damper_ros.signals.blocks import NANOSECONDS
 from mr_damper_ros.tracking.acceptance import (
     CHUNKS,
-    LARGEST_EXCESS,
+    LARGE_SHAPE_CHANGE,
     AcceptanceSettings,
     Evidence,
     Experience,
@@ -58,6 +56,7 @@ from mr_damper_ros.tracking.acceptance import (
     Verdict,
     evidence_of,
     evidence_of_search,
+    judge_parts,
     lead_of,
     rival_wins,
     validation_mask,
@@ -73,20 +72,16 @@ from mr_damper_ros.tracking.force_scale import (
     with_temperature,
 )
 from mr_damper_ros.tracking.operating_point import (
-    MOST_SAMPLES,
+    SAME_SPEED,
+    KnownForce,
     KnownPoints,
+    nearest_comparable,
     nearest_same,
+    parts_by_current,
     thinned_to_keep,
 )
 from mr_damper_ros.tracking.recursive_tracker import METHOD, FilterState, RecursiveFilter
 from mr_damper_ros.tracking.reports import Report
-from mr_damper_ros.tracking.running_set import (
-    SteadyMotion,
-    candidate,
-    holds_at,
-    known_force,
-    new_set,
-)
 from mr_damper_ros.tracking.screening import (
     Screening,
     TooLittleMotionError,
@@ -95,9 +90,6 @@ from mr_damper_ros.tracking.screening import (
     fault_of_samples,
 )
 from mr_damper_ros.tracking.window_assembler import RawWindow
-
-_MOST_INTERVALS = 6
-"""Largest number of intervals into which a continuous range of currents is divided."""
 
 OF_THE_SET = "auto"
 """Option value: use the law of the initial set."""
@@ -108,6 +100,40 @@ _POINT_GROWTH = 1.5
 
 _SENSOR_VERDICTS = (Verdict.FAULT_OF_DATA, Verdict.DISTURBED, Verdict.BEYOND_LIMITS)
 """Verdicts that a sensor fault may cause. A window with such a verdict does not select a set."""
+
+
+@dataclass(frozen=True)
+class SteadyMotion:
+    """The sine of the newest good windows, and the number of such windows in a row.
+
+    ``amplitude`` is in m, ``frequency`` in Hz and ``current`` in A.
+    """
+
+    windows: int = 0
+    amplitude: float = math.nan
+    frequency: float = math.nan
+    current: float = math.nan
+
+    @classmethod
+    def of(cls, window: Window) -> SteadyMotion:
+        """The motion of one window; NaN if it is not a sine at one current."""
+        current = window.current
+        constant = float(np.ptp(current)) <= 2.0 * SAME_CURRENT
+        middle = 0.5 * float(current.min() + current.max()) if constant else math.nan
+        return cls(1, window.motion.amplitude, window.motion.frequency, middle)
+
+    def windows_before(self, motion: SteadyMotion) -> int:
+        """Number of good windows in a row with this motion; 0 if it is not a sine."""
+        # A sensor with a delay may also attenuate the motion; the loop keeps its shape.
+        points = ((each.amplitude * each.frequency, each.current) for each in (self, motion))
+        before, now = points
+        same = math.isclose(motion.frequency, self.frequency, rel_tol=SAME_MOTION)
+        same = same and nearest_comparable([before], now) is not None
+        return self.windows if same else 0
+
+    def followed_by(self, motion: SteadyMotion) -> SteadyMotion:
+        """The motion after a good window."""
+        return replace(motion, windows=self.windows_before(motion) + 1)
 
 
 @dataclass(eq=False)
@@ -430,11 +456,6 @@ def _report(
     )
 
 
-def _errors(covariance: Array) -> Array:
-    # Rounding may make a variance near zero slightly negative.
-    return np.sqrt(np.maximum(np.diag(covariance), 0.0))
-
-
 def _search_is_due(
     job: Job, used: ParameterSet, memory: TrackerMemory, *, unexplained: bool
 ) -> bool:
@@ -495,9 +516,9 @@ def _fit(job: Job, window: Window, should_stop: Callable[[], bool] | None) -> Ou
     follow = TRACKERS[options.tracker]
     followed = follow(job, window) if follow else None
     fit, evidence, state = followed or _fitted(job, window, should_stop)
-    name = f"window-{memory.windows}"
-    found = new_set(running, fit, evidence, window, set_id=name, stamp_ns=raw.end_ns)
-    judged = candidate(running, fit.parameters, window)
+    names = {"set_id": f"window-{memory.windows}", "stamp_ns": raw.end_ns}
+    found = _new_set(running, fit, evidence, window, **names)
+    judged = _candidate(running, fit.parameters, window)
     settled = model.settled(window, fit.parameters)
     watch = ChangeWatch.after_fit(
         judged.window_force(window)[settled],
@@ -515,10 +536,14 @@ def _fit(job: Job, window: Window, should_stop: Callable[[], bool] | None) -> Ou
         # parts is compared with the baseline.
         nrmse = rmse / float(np.std(window.force))
         unexplained = not explained and gatekeeper.is_usual(rmse, nrmse)
+    speed, current = fit.operating_point
+    holds = running.observable.any() and not memory.other_damper
+    # The residual of the fit is not a part of the force.
+    size = float(np.std(window.force)) * math.sqrt(max(1.0 - fit.nrmse**2, 0.0))
     judgement = gatekeeper.judge(
         evidence,
-        known_force(fit, window),
-        holds=not memory.other_damper and holds_at(running, fit.operating_point),
+        KnownForce(speed, current, size, window.largest_force),
+        holds=bool(holds and all(_holds(running, (speed, speed), (current, current)))),
         same_motion=memory.motion.windows_before(motion) >= ENOUGH_TO_COMPARE,
         one_point=one_point,
         objection=partial(implausible, found),
@@ -570,8 +595,12 @@ def _fit(job: Job, window: Window, should_stop: Callable[[], bool] | None) -> Ou
         # Without a measurement, the temperature is estimated from the force.
         mapped = temperature_map(memory.points.at(fit.operating_point))
         fluid = mapped.temperature(scale) if mapped else fluid
-    besides = fit.coefficient_discrepancy
-    unknown = np.full(fit.coefficients.size, math.nan)
+    unknown = np.full((fit.coefficients.size,) * 2, math.nan)
+    covariances = fit.coefficient_covariance, fit.coefficient_discrepancy
+    # Rounding may make a variance near zero slightly negative.
+    errors = [
+        np.sqrt(np.maximum(np.diag(unknown if each is None else each), 0.0)) for each in covariances
+    ]
     report = _report(
         job,
         used,
@@ -580,8 +609,8 @@ def _fit(job: Job, window: Window, should_stop: Callable[[], bool] | None) -> Ou
         window,
         fit,
         scale=scale,
-        coefficient_errors=_errors(fit.coefficient_covariance),
-        coefficient_discrepancies=unknown if besides is None else _errors(besides),
+        coefficient_errors=errors[0],
+        coefficient_discrepancies=errors[1],
         global_due=_search_is_due(job, used, memory, unexplained=unexplained),
         fluid=fluid,
     )
@@ -613,55 +642,10 @@ def _fitted(job: Job, window: Window, should_stop: Callable[[], bool] | None) ->
 
 
 def _evidence(job: Job, window: Window, values: Array, validation: np.ndarray) -> Evidence:
-    found = candidate(job.running, values, window)
+    found = _candidate(job.running, values, window)
     return evidence_of(
         job.running, found, window, validation, fresh=job.fresh, elsewhere=job.elsewhere
     )
-
-
-# -- a window of changing current ------------------------------------------------------------
-
-
-def parts_by_current(model: Model, window: Window, tolerance: float) -> list[Window]:
-    """Parts of a window within which the current is about constant.
-
-    If the current is constant, the window itself is the only part. Levels of the current more than
-    ``tolerance`` [A] apart become separate parts; a continuous range is divided into equal
-    intervals. Each part is an operating point, whose fit does not depend on the law's dependence on
-    the current. Samples at the start of the window at which the force of the ``model`` depends on
-    the unknown past do not count towards the smallest size of a part.
-    """
-    if float(np.ptp(window.current)) <= tolerance:
-        return [window]
-    levels = np.unique(window.current)
-    widest = max(float(np.ptp(levels)) / _MOST_INTERVALS, tolerance)
-    gaps = np.flatnonzero(np.diff(levels) > tolerance)
-    edges = (0.5 * (levels[gaps] + levels[gaps + 1])).tolist()
-    for stretch in np.split(levels, gaps + 1):
-        count = math.ceil(float(np.ptp(stretch)) / widest)
-        edges += np.linspace(stretch[0], stretch[-1], count + 1)[1:-1].tolist()
-    place = np.searchsorted(np.sort(edges), window.current, side="right")
-    lead_in = round(MOST_UNUSED * window.sample_count) if model.needs_past(window) else 0
-    chosen = [place == number for number in range(len(edges) + 1)]
-    return [
-        window.part(each)
-        for each in chosen
-        if np.count_nonzero(each[lead_in:]) >= PHASES and np.ptp(window.force[each]) > 0.0
-    ]
-
-
-def judge_parts(window: Window, parts: Sequence[Window], found: ParameterSet) -> tuple[float, bool]:
-    """RMSE [N] of separate fits to the parts of a window, and whether one set explains them all."""
-    few = [found.held(part.thinned(MOST_SAMPLES // 2)) for part in parts]
-    counts = [part.sample_count for part in parts]
-    own = [fit_window(found.law, part, found.values, method="least_squares").rmse for part in few]
-    by_found = [error_of_set(found, [part]).rmse for part in few]
-    alone, together = (
-        math.sqrt(float(np.average(np.square(errors), weights=counts)))
-        for errors in (own, by_found)
-    )
-    besides = LARGEST_EXCESS * float(np.std(window.force))
-    return alone, together <= max(WORSE_RATIO * alone, math.hypot(alone, besides))
 
 
 # -- a change check --------------------------------------------------------------------------
@@ -782,6 +766,95 @@ def _search(job: Job, control: Control | None) -> Outcome:
         memory.unexplained_patience *= 2
     report = _report(job, used, judgement, evidence, evaluations=fit.evaluations)
     return Outcome(memory, report, None if used is start else used, found, fit.message)
+
+
+# -- the set of a window ---------------------------------------------------------------------
+
+
+def _holds(
+    running: ParameterSet, speeds: tuple[float, float], currents: tuple[float, float]
+) -> tuple[bool, bool]:
+    """Whether ranges of speeds [m/s] and of currents [A] lie within those of a set."""
+    (slowest, fastest), (low, high) = running.peak_velocity_range, running.current_range
+    return (
+        slowest / SAME_SPEED <= speeds[0] and speeds[1] <= fastest * SAME_SPEED,
+        low - SAME_CURRENT <= currents[0] and currents[1] <= high + SAME_CURRENT,
+    )
+
+
+def _candidate(running: ParameterSet, values: Array, window: Window) -> ParameterSet:
+    """A set with the values (p,) fitted to a window, and the peak velocity range it would get."""
+    speeds = window.peak_velocity_range
+    if running.law.knows_speeds(running.observable):
+        speeds = _wider_speeds(running, speeds, window.motion.frequency)
+    return replace(running, values=values, peak_velocity_range=speeds)
+
+
+def _wider_speeds(
+    running: ParameterSet, found: tuple[float, float], frequency: float
+) -> tuple[float, float]:
+    """Peak velocity range [m/s] of the running set, extended by the range ``found`` of a window.
+
+    If ``frequency`` is NaN, the motion is not a sine, and the lower end stays.
+    """
+    slowest = running.peak_velocity_range[0]
+    if math.isnan(frequency):
+        # In a motion other than a sine, low values contain no information on the law at low speed.
+        found = max(found[0], slowest), max(found[1], slowest)
+    return _wider(found, running.peak_velocity_range)
+
+
+def _new_set(
+    running: ParameterSet, fit: WindowFit, evidence: Evidence, window: Window, **names: Any
+) -> ParameterSet:
+    """The set of a window fit; ``names`` are its name and the stamp of the last sample.
+
+    Parameters that were not fitted keep their values and errors. The set holds in the range of the
+    window, and in that of the running set if its dependence on the peak velocity, or on the
+    current, is known and agrees with the window. A window that is not a sine does not change the
+    lower end of a known range.
+    """
+    model = running.law
+    errors, discrepancies = running.standard_errors.copy(), running.discrepancies.copy()
+    places = model.unknown_indices
+    errors[places] = found = np.sqrt(np.diag(fit.whole_covariance))
+    observable = running.observable.copy()
+    observable[places] = np.isfinite(found)
+    discrepancies[places] = math.nan
+    if fit.discrepancy is not None:
+        discrepancies[places] = np.sqrt(np.diag(fit.discrepancy))
+    # The running set predicted the force here, or its shape, so its range stays valid.
+    similar = evidence.shape_change <= LARGE_SHAPE_CHANGE
+    agrees = abs(evidence.force_change) <= NOTICED
+    velocity_range, largest_force = window.peak_velocity_range, window.largest_force
+    current_range = float(window.current.min()), float(window.current.max())
+    knows = model.knows_speeds(running.observable), model.knows_currents(running.observable)
+    within = _holds(running, velocity_range, current_range)
+    known = [similar and one and (agrees or two) for one, two in zip(knows, within, strict=True)]
+    if known[0]:
+        velocity_range = _wider_speeds(running, velocity_range, window.motion.frequency)
+    if known[1]:
+        current_range = _wider(current_range, running.current_range)
+    if any(known):
+        # If the largest force is unknown for the running set, it is also unknown for the new set.
+        largest_force = float(np.maximum(largest_force, running.largest_force))
+    return replace(
+        running,
+        values=fit.parameters,
+        source=fit.method,
+        nrmse=evidence.nrmse_after,
+        standard_errors=errors,
+        discrepancies=discrepancies,
+        observable=observable,
+        peak_velocity_range=velocity_range,
+        current_range=current_range,
+        largest_force=largest_force,
+        **names,
+    )
+
+
+def _wider(one: tuple[float, float], other: tuple[float, float]) -> tuple[float, float]:
+    return min(one[0], other[0]), max(one[1], other[1])
 
 
 # -- the tracker -----------------------------------------------------------------------------

@@ -137,10 +137,8 @@ class WindowAssembler:
         self._rows = RollingRows(5)
         self._begin_ns: int | None = None
         self._end = 0
-        # Count of the first sample of the present window.
-        self._start = 0
-        # Count at which the newest window with a cycle ends.
-        self._newest = 0
+        self._start = 0  # count of the first sample of the present window
+        self._newest = 0  # count at which the newest window with a cycle ends
         # Part of the hop: 0 if the next window is to be fitted, otherwise it is a change check.
         self._part = 0
 
@@ -228,15 +226,13 @@ class WindowAssembler:
             look = to_this - step * (self._part - 1) // parts if self._part else 0
             end = self._start + length
             reach = self._reach(end, length, longest)
-            if look:
-                # In less than a cycle, model error cannot be distinguished from a change of force.
-                if reach == length:
-                    self._waiting.append(self._window(end, length, length, period, look))
-            elif reach and (end - self._newest) * length >= step * reach:
+            if not look and not (reach and (end - self._newest) * length >= step * reach):
+                reach = length
+            elif not look:
                 self._newest = end
-                self._waiting.append(self._window(end, reach, length, period))
-            else:
-                self._waiting.append(self._window(end, length, length, period))
+            # In less than a cycle, model error cannot be distinguished from a change of force.
+            if not look or reach == length:
+                self._waiting.append(self._window(end, reach, length, period, look))
             self._start += to_next - to_this
             self._part = (self._part + 1) % parts
             # The next window ends later, so samples beyond its reach are discarded.
@@ -264,7 +260,7 @@ class WindowAssembler:
                 return 0 if long_rest(speed[-count:]) is not None else min(count * size, most)
         return 0
 
-    def _window(self, end: int, reach: int, length: int, period: float, look: int = 0) -> RawWindow:
+    def _window(self, end: int, reach: int, length: int, period: float, look: int) -> RawWindow:
         """The window of ``reach`` samples before ``end``, thinned if it is an extended one."""
         # With an odd stride, each average is centred on a sample.
         stride = max((reach // length - 1) // 2 * 2 + 1, 1)
@@ -275,10 +271,10 @@ class WindowAssembler:
             displacement = samples[0].reshape(count, stride).mean(axis=1)
         assert self._begin_ns is not None
         return RawWindow(
-            start_ns=self._begin_ns + int(stamps[0]),
-            period=stride * period,
-            displacement=displacement,
-            force=force,
+            self._begin_ns + int(stamps[0]),
+            stride * period,
+            displacement,
+            force,
             current=np.full(count, math.nan),
             temperature=self._temperature,
             look=look,

@@ -16,11 +16,12 @@ class StepWorker:
     arguments: tuple[Any, ...] = ()
     number: int = 0
     stopped: bool = False
+    busy: bool = False
     outcomes: list[Outcome] = field(default_factory=list)
 
     def submit(self, function: Callable[..., Any], *arguments: Any, budget: float) -> int:
-        assert self.function is None, "one task at a time"
-        self.function, self.arguments, self.stopped = function, arguments, False
+        assert not self.busy, "one task at a time"
+        self.function, self.arguments, self.stopped, self.busy = function, arguments, False, True
         self.number += 1
         return self.number
 
@@ -44,7 +45,7 @@ class StepWorker:
             self.outcomes.append(Done(self.number, function(*self.arguments, self)))
 
     def poll(self) -> list[Outcome]:
-        outcomes, self.outcomes = self.outcomes, []
+        outcomes, self.outcomes, self.busy = self.outcomes, [], self.function is not None
         return outcomes
 
     def take_notices(self) -> list[str]:

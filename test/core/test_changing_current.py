@@ -18,13 +18,9 @@ from mr_damper_ros.models.force_model import Model
 from mr_damper_ros.models.misfit import Misfit
 from mr_damper_ros.models.parameter_set import ParameterSet, start_set
 from mr_damper_ros.signals.arrays import Array
-from mr_damper_ros.tracking.acceptance import Verdict
-from mr_damper_ros.tracking.tracker import (
-    TrackerSettings,
-    WindowTracker,
-    judge_parts,
-    parts_by_current,
-)
+from mr_damper_ros.tracking.acceptance import Verdict, judge_parts
+from mr_damper_ros.tracking.operating_point import parts_by_current
+from mr_damper_ros.tracking.tracker import TrackerSettings, WindowTracker
 from mr_damper_ros.tracking.window_assembler import RawWindow
 
 SAMPLES = 2000

@@ -25,11 +25,10 @@ from mr_damper_ros.signals.recording import Recording
 from mr_damper_ros.tracking.force_scale import (
     ForceScale,
     TemperatureMap,
-    fit_temperature_map,
     temperature_map,
     with_temperature,
 )
-from mr_damper_ros.tracking.operating_point import KnownPoints
+from mr_damper_ros.tracking.operating_point import KnownPoints, PointRecord
 from mr_damper_ros.tracking.reports import Report
 from mr_damper_ros.tracking.tracker import TrackerSettings, WindowTracker
 from mr_damper_ros.tracking.tracker_state import from_text, to_text
@@ -65,7 +64,7 @@ def observed(
 
 
 def fitted(*data: Array) -> TemperatureMap:
-    return fit_temperature_map(POINT, *data)
+    return temperature_map(PointRecord(POINT, temperatures=np.column_stack(data)))
 
 
 @known.fixed(20)
@@ -121,7 +120,7 @@ def test_outside_of_what_was_seen_nothing_is_known() -> None:
     ids=["few windows", "small span", "no effect", "one temperature", "force falls and rises"],
 )
 def test_what_does_not_identify_a_map_gives_none(data: tuple[Array, Array, Array]) -> None:
-    assert fit_temperature_map(POINT, *data) is None
+    assert fitted(*data) is None
 
 
 def test_unknown_temperatures_and_scales_are_left_out() -> None:
