@@ -454,13 +454,14 @@ class ForceController:
         self._feedback.follow(block.force, duration)
         horizon = max(duration, self.settings.horizon)
         assert prediction.motion is not None
+        assert prediction.current is not None
         aim = self._aim(
             MotionSample.of(prediction.motion, -1), wanted * self._feedback.factor, horizon
         )
         self._wanted = self._fallback.towards(aim.current, duration)
         attainable = aim.attainable and self._wanted == aim.current
         self._feedback.expect(wanted if attainable else math.nan)
-        memory, coil = self.predictor.memory, float(np.asarray(prediction.current).flat[-1])
+        memory, coil = self.predictor.memory, float(prediction.current[-1])
         if self._time_constant > 0.0 and memory is not None:
             coil = float(memory[-1])
         command = coil_command(self._wanted, coil, horizon, self._time_constant)

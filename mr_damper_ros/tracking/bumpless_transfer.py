@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from collections.abc import Iterable
+from collections.abc import Iterator
 from typing import NamedTuple
 
 import numpy as np
@@ -20,32 +20,28 @@ from mr_damper_ros.kinematics.motion import Motion
 from mr_damper_ros.models.parameter_set import ParameterSet
 from mr_damper_ros.models.quantities import State
 from mr_damper_ros.signals.arrays import Array, span_of
-from mr_damper_ros.tracking.validity import DoubtKind, Rule
+from mr_damper_ros.tracking.validity import DoubtKind, Objection
 from mr_damper_ros.tracking.window_assembler import WindowSettings
 
 FADE_TIME = 0.05
 """Seconds in which the difference fades to zero. The force of a damper does not change faster, and
 half-cycles are not shorter than this in practice."""
 
-_KEPT_TIME = 10.0 * FADE_TIME
+_MEMORY = 10.0 * FADE_TIME
 """Seconds of motion over which a state is recomputed: 280 time constants of the lags identified in
 recordings. The memory of a hysteresis fades with the distance travelled, so its law may need more.
 """
 
-_LONGEST_KEPT_TIME = WindowSettings.longest_window
+_LONGEST_MEMORY = WindowSettings.longest_window
 """Largest number of seconds over which a state is recomputed, even if the damper hardly moves."""
-
-_BATCH = 500
-"""Number of samples recomputed at once. One at a time, half a minute of motion would take 10 s."""
 
 
 class _Block(NamedTuple):
-    """Motion and current [A] of a block, the state before it, and the distance travelled [m]."""
+    """Motion and current [A] of a block, and the state before it."""
 
-    before: State | None
     motion: Motion
     current: Array
-    way: float
+    before: State | None
 
 
 class ForceInUse:
@@ -60,12 +56,10 @@ class ForceInUse:
         """The set in use; None before the first."""
         self._gradual = False
         self.state: State | None = None
-        # The recent blocks, their number of samples and distance travelled [m], and the number of
-        # blocks since the force was last unknown.
+        # The recent blocks and their number of samples, and the number of blocks since the force
+        # was last unknown.
         self._past: deque[_Block] = deque()
-        self._count, self._way, self._known = 0, 0.0, 0
-        # The distance [m] to keep, and the range of currents [A] for which it was computed.
-        self._way_kept, self._way_of = 0.0, (math.inf, -math.inf)
+        self._count = self._known = 0
         # The previous set, its branch rule and the state of its law; its force is the starting
         # value of the next samples.
         self._left: tuple[ParameterSet, bool, State] | None = None
@@ -97,13 +91,12 @@ class ForceInUse:
         elif self._left is None and before is not None and self.state is not None:
             self._left = before, self._gradual, self.state
         self.parameters, self._gradual = parameters, gradual
-        self._way_kept, self._way_of = 0.0, (math.inf, -math.inf)
         if restart:
-            self._recompute(None, [*self._past][len(self._past) - self._known :])
+            self._recompute([*self._past][len(self._past) - self._known :], restart=True)
         elif before is None or before.model != parameters.model:
-            self._recompute(None, ())
-        elif self._past and parameters.law.remembers:
-            self._recompute(self._past[0].before, self._past)
+            self._restart()
+        elif parameters.law.remembers:
+            self._recompute([*self._past])
 
     def forget_known(self) -> None:
         """Note that the force of the samples so far was unknown."""
@@ -112,19 +105,34 @@ class ForceInUse:
     def forget(self) -> None:
         """Discard the samples and the state; the law restarts without a past."""
         self._left, self._fading = None, 0
-        self._recompute(None, ())
+        self._restart()
 
-    def _recompute(self, state: State | None, past: Iterable[_Block]) -> None:
-        """Recompute the state with the present set, from the state before these blocks."""
-        blocks = deque(past)
-        self._past, self._count, self._way, self._known = deque(), 0, 0.0, 0
-        self.state = state
-        while blocks:
-            several = [blocks.popleft()]
-            while blocks and sum(block.current.size for block in several) < _BATCH:
-                several.append(blocks.popleft())
-            motion = Motion.joined([block.motion for block in several])
-            self._of_set(motion, np.concatenate([block.current for block in several]))
+    def _restart(self) -> None:
+        self.state = None
+        self._past.clear()
+        self._count = self._known = 0
+
+    def _recompute(self, past: list[_Block], *, restart: bool = False) -> None:
+        """Recompute the state with the present set from as many of these blocks as it needs."""
+        parameters, self.state = self.parameters, None
+        if parameters is None or not past:
+            return
+        law, length = parameters.law, 0.0
+        if law.remembers:
+            currents = span_of(np.concatenate([block.current for block in past]))
+            length = max(law.memory_length(parameters.values, current) for current in currents)
+        first, count, way = len(past), 0, 0.0
+        while first and (count * self._period < _MEMORY or way < length):
+            first -= 1
+            motion, current, before = past[first]
+            count += current.size
+            way += float(np.abs(motion.velocity).sum()) * self._period
+        motion = Motion.joined([block.motion for block in past[first:]])
+        current = np.concatenate([block.current for block in past[first:]])
+        state = None if restart else before
+        _, self.state = parameters.follow(
+            motion, current, self._period, state, gradual=self._gradual
+        )
 
     def follow(self, motion: Motion, current: Array, largest: float) -> Array:
         """The force (n,) [N] of the set alone at the next samples.
@@ -133,7 +141,17 @@ class ForceInUse:
         NaN if unknown; nothing fades from a larger force. :meth:`blended` adds the fading
         difference.
         """
-        force = self._of_set(motion, current)
+        parameters = self.parameters
+        assert parameters is not None
+        self._past.append(_Block(motion, current, self.state))
+        force, self.state = parameters.follow(
+            motion, current, self._period, self.state, gradual=self._gradual
+        )
+        self._count += current.size
+        memory = _LONGEST_MEMORY if parameters.law.remembers else _MEMORY
+        while (self._count - self._past[0].current.size) * self._period >= memory:
+            self._count -= self._past.popleft().current.size
+        self._known = min(self._known + 1, len(self._past))
         left, self._left = self._left, None
         if left is not None:
             before, gradual, state = left
@@ -155,49 +173,15 @@ class ForceInUse:
         self._part = self._difference * left
         return np.asarray(force + self._part)
 
-    def rule(self, allowed: float, force: Array, measured: Array) -> Rule:
+    def objections(self, allowed: float, force: Array, measured: Array) -> Iterator[Objection]:
         """Whether the error of the blended ``force`` (m,) [N] exceeds ``allowed`` [N].
 
         The error of the set and the remaining difference count together.
         """
-        return Rule(
-            DoubtKind.WRONG,
-            self._part.size > 0 and np.abs(force - measured) > allowed,
-            lambda: (
+        if self._part.size and (wrong := np.abs(force - measured) > allowed).any():
+            yield Objection(
+                DoubtKind.WRONG,
                 f"bumpless transfer from other parameters: {abs(self._part[0]):.3g} N of the "
-                "difference remain"
-            ),
-        )
-
-    def _of_set(self, motion: Motion, current: Array) -> Array:
-        """Force of the set at the next samples. Stores the samples and drops those not needed."""
-        parameters, before, way = self.parameters, self.state, 0.0
-        assert parameters is not None
-        force, self.state = parameters.follow(
-            motion, current, self._period, before, gradual=self._gradual
-        )
-        if parameters.law.remembers:
-            way = float(np.abs(motion.velocity).sum()) * self._period
-            # The longest memory at any current so far, because each of these currents may return.
-            low, high = self._way_of
-            lowest, highest = span_of(current)
-            for amperes in {lowest, highest}:
-                if not low <= amperes <= high:
-                    length = parameters.law.memory_length(parameters.values, amperes)
-                    self._way_kept = max(self._way_kept, length)
-            self._way_of = min(low, lowest), max(high, highest)
-        self._past.append(_Block(before, motion, current, way))
-        self._count += current.size
-        self._way += way
-        while self._is_spare(self._past[0]):
-            oldest = self._past.popleft()
-            self._count -= oldest.current.size
-            self._way -= oldest.way
-        self._known = min(self._known + 1, len(self._past))
-        return force
-
-    def _is_spare(self, oldest: _Block) -> bool:
-        """Whether the blocks after the oldest suffice to recompute the state."""
-        duration = (self._count - oldest.current.size) * self._period
-        moved_enough = self._way - oldest.way >= self._way_kept
-        return duration >= _LONGEST_KEPT_TIME or (duration >= _KEPT_TIME and moved_enough)
+                "difference remain",
+                wrong,
+            )

@@ -151,22 +151,6 @@ def force_ratio(present: Array, whole: Array) -> float:
     return 1.0 + (factor - 1.0) * change / (change + misfit)
 
 
-def _times_force(whole: ParameterSet, factor: float, present: ParameterSet) -> ParameterSet:
-    """The set for all operating points, with its force multiplied by ``factor``.
-
-    The result has the peak velocity range of ``present`` if this includes the range of ``whole``.
-    """
-    slow, fast = present.peak_velocity_range
-    known = whole.peak_velocity_range
-    suffix = f" x {factor:.3f}"
-    return whole.times_force(
-        factor,
-        set_id=whole.set_id[: LONGEST_NAME - len(suffix)] + suffix,
-        peak_velocity_range=(slow, fast) if slow <= known[0] and known[1] <= fast else known,
-        largest_force=float(np.fmax(whole.largest_force, present.largest_force)),
-    )
-
-
 class JudgedSamples(NamedTuple):
     """Motion, current [A], predicted and measured force [N], each (n,), ``period`` [s] apart.
 
@@ -395,15 +379,25 @@ class ModelBank:
         whole, present = self._whole, self._sets[0]
         if whole is None or not within(current, whole.parameters.current_range):
             return None
-        parameters = whole.parameters
+        parameters, used = whole.parameters, present.parameters
         if present.whole:
-            parameters = present.parameters  # already scaled when it took over
+            parameters = used  # already scaled when it took over
         elif self._rows.count:
             newest = self._newest()
             low, high = parameters.current_range
             known = (newest.current >= low - SAME_CURRENT) & (newest.current <= high + SAME_CURRENT)
-            forces = (newest.force_of(each, self.gradual)[known] for each in (present, whole))
-            parameters = _times_force(parameters, force_ratio(*forces), present.parameters)
+            factor = force_ratio(
+                *(newest.force_of(each, self.gradual)[known] for each in (present, whole))
+            )
+            suffix, known_speeds = f" x {factor:.3f}", parameters.peak_velocity_range
+            speeds = used.peak_velocity_range
+            includes = speeds[0] <= known_speeds[0] and known_speeds[1] <= speeds[1]
+            parameters = parameters.times_force(
+                factor,
+                set_id=parameters.set_id[: LONGEST_NAME - len(suffix)] + suffix,
+                peak_velocity_range=speeds if includes else known_speeds,
+                largest_force=float(np.fmax(parameters.largest_force, used.largest_force)),
+            )
         return replace(present, parameters=parameters, currents=(current, current), whole=True)
 
     def _takes_over(self, found: KnownSet) -> bool:
@@ -540,7 +534,7 @@ class ModelBank:
     @property
     def _judged(self) -> float:
         """Time [s] over which a set is judged."""
-        return max(_JUDGED_TIME, _JUDGED_TIME * self._half_cycle)
+        return _JUDGED_TIME * max(self._half_cycle, 1.0)
 
 
 def _root_mean_square(values: Array) -> float:

@@ -37,15 +37,15 @@ from mr_damper_ros.tracking.validity import (
     Doubt,
     DoubtKind,
     Freshness,
+    Objection,
     RefusedWindows,
-    Rule,
     ValiditySettings,
-    applying,
     judge_samples,
     lack_of_input,
     middle,
-    rules_of_age,
-    rules_of_range,
+    objections_to_age,
+    objections_to_current,
+    objections_to_motion,
 )
 
 
@@ -55,8 +55,8 @@ class Prediction:
 
     ``doubts`` (n,) holds the reason code (:class:`DoubtKind`) of each sample; ``doubt`` is the
     reason of the newest invalid sample. ``velocity`` [m/s], shape (n,), is the estimated velocity,
-    NaN if unknown. ``motion`` and ``current`` [A] (a float if constant) are the inputs of the
-    newest samples; None without a force.
+    NaN if unknown. ``motion`` and ``current`` (m,) [A] are the inputs of the newest samples; None
+    without a force.
     """
 
     start_ns: int
@@ -69,7 +69,7 @@ class Prediction:
     doubt: Doubt
     continuity: str = ""
     motion: Motion | None = None
-    current: Array | float | None = None
+    current: Array | None = None
 
     @classmethod
     def joined(cls, parts: Sequence[Prediction]) -> Prediction:
@@ -297,7 +297,8 @@ class ForcePredictor:
         if known:
             forces = force, block.force
             self._bank.follow(motion, current, forces, block.period, half_cycle, bridged)
-        self._monitor.learn(
+        self._monitor.adapt(half_cycle)
+        self._monitor.recent.add(
             (force[part], block.force[part]),
             motion.velocity[part],
             current[part],
@@ -392,16 +393,14 @@ class ForcePredictor:
             return self._without_force(block, overflow, motion.velocity)
         given = self._bank.uses_given
         of_set = of_set + self._zero.follow(block.sample_count, block.period, counts=given)
-        rules = self._rules_of_set(block, bridged, motion, current, of_set)
-        self._newest_kind = rules[0].kind if rules else DoubtKind.NONE
+        found = self._objections_to_set(block, bridged, motion, current, of_set)
+        self._newest_kind = found[0].kind if found else DoubtKind.NONE
         force = self._force.blended(of_set)
-        rules += applying(
-            [
-                self._force.rule(self._monitor.allowed, force[bridged:], block.force[bridged:]),
-                Rule(DoubtKind.OUTDATED, bool(stale), lambda: stale),
-            ]
-        )
-        codes, doubt = judge_samples(block.sample_count, rules)
+        arrived = force[bridged:], block.force[bridged:]
+        found += self._force.objections(self._monitor.allowed, *arrived)
+        if stale:
+            found.append(Objection(DoubtKind.OUTDATED, stale))
+        codes, doubt = judge_samples(block.sample_count, found)
         return Prediction(
             start_ns=block.start_ns,
             sequence=block.sequence,
@@ -415,56 +414,54 @@ class ForcePredictor:
             current=current,
         )
 
-    def _rules_of_set(
+    def _objections_to_set(
         self, block: SampleBlock, bridged: int, motion: Motion, current: Array, force: Array
-    ) -> list[Rule]:
-        """The rules by which the force of a set is invalid, beginning with those of the motion."""
+    ) -> list[Objection]:
+        """The objections to the force of a set, beginning with those of the motion."""
         follower, monitor, settings = self._motion, self._monitor, self._settings
         assert follower is not None
         unsettled, past = follower.unsettled, follower.doubt
         resting = not unsettled and not past and follower.resting
-        measured: list[Rule] | None = None
+        compared: list[Objection] | None = None
         if not unsettled and not resting:
-            measured = monitor.judge(force[bridged:], block.force[bridged:])
+            compared = monitor.judge(force[bridged:], block.force[bridged:])
         if not past and self._force.remembers and follower.centre.reversals == self._begun_at:
             past = "the state of the model is unknown until the motion has reversed"
         # If the predicted force agrees with the measured force, it is valid even if the past is
         # unknown, outside the identified range and after rejected windows.
         unproven = not (monitor.holds and follower.centre.reversals)
-        settling = applying(
-            [
-                Rule(DoubtKind.SETTLING, bool(unsettled), lambda: unsettled),
-                Rule(DoubtKind.AT_REST, resting, lambda: _AT_REST),
-                Rule(DoubtKind.SETTLING, unproven and bool(past), lambda: past),
-            ]
-        )
+        found: list[Objection] = []
+        if unsettled:
+            found.append(Objection(DoubtKind.SETTLING, unsettled))
+        if resting:
+            found.append(Objection(DoubtKind.AT_REST, _AT_REST))
+        if unproven and past:
+            found.append(Objection(DoubtKind.SETTLING, past))
         if resting:
             self._zero.restart()
         else:
             self._unlearned = partial(
-                self._learn, block, bridged, motion, current, force, known=not settling
+                self._learn, block, bridged, motion, current, force, known=not found
             )
-        if settling:
+        if found:
             # While the motion does not determine the force, a wrong force does not refute the set.
-            if measured is None or monitor.is_wrong:
+            if compared is None or monitor.is_wrong:
                 monitor.forget_moment()
             self._bank.forget_samples()
             self._force.forget_known()
-            return settling
-        live, present, by_force = self.freshness.live, self._bank.present, measured or []
+            return found
+        live, present = self.freshness.live, self._bank.present
         assert present is not None
-        aged = rules_of_age(self._current, present.confirmed_ns, block.end_ns, settings, live=live)
+        parameters, confirmed_ns = present.parameters, present.confirmed_ns
+        found += objections_to_age(self._current, confirmed_ns, block.end_ns, settings, live=live)
         if not unproven:
-            return applying(aged) + by_force
-        of_current, *of_others = rules_of_range(
-            present.parameters, settings, current, _speed(motion, follower), force, tried=self.tried
-        )
-        refused = self._refused.sentence
-        return [
-            *applying([*aged, of_current]),
-            *by_force,
-            *applying([*of_others, Rule(DoubtKind.REFUSED, bool(refused), lambda: refused)]),
-        ]
+            return found + (compared or [])
+        found += objections_to_current(parameters, settings.current_margin, current, self.tried)
+        found += compared or []
+        found += objections_to_motion(parameters, settings, _speed(motion, follower), force)
+        if refused := self._refused.sentence:
+            found.append(Objection(DoubtKind.REFUSED, refused))
+        return found
 
     def _without_force(
         self, block: SampleBlock, doubt: Doubt, velocity: Array | None = None

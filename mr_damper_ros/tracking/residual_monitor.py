@@ -20,7 +20,7 @@ from mr_damper_ros.signals.arrays import SIGMAS, Array, Mask, RollingRows, span_
 from mr_damper_ros.tracking.bumpless_transfer import FADE_TIME
 from mr_damper_ros.tracking.operating_point import RECENT
 from mr_damper_ros.tracking.screening import NEGATIVE_POWER
-from mr_damper_ros.tracking.validity import DoubtKind, Rule, applying, middle
+from mr_damper_ros.tracking.validity import DoubtKind, Objection, middle
 
 _SHORTEST_MEMORY = 2.0
 _LONGEST_MEMORY = 120.0
@@ -68,8 +68,8 @@ class ForceStatistics:
 
     def __init__(self, period: float) -> None:
         self._period = period
-        self._parts: list[tuple[Array, Array, Array]] = []
-        self._currents: list[tuple[float, float]] = []
+        # Predicted and measured force, velocity and current of the present stretch.
+        self._parts: list[tuple[Array, Array, Array, Array]] = []
         self._count = 0
         self._stretch = max(round(_SHORTEST_MEMORY / _STRETCHES / period), 1)
         # A column for each stretch: number of samples; highest, lowest and noise of the measured
@@ -88,22 +88,19 @@ class ForceStatistics:
         self,
         forces: tuple[Array, Array],
         velocity: Array,
-        current: Array | float,
+        current: Array,
         half_cycle: float,
         *,
         steady: bool,
         largest: Callable[[], float],
     ) -> None:
-        """Add samples of the predicted and the measured force [N] and the velocity [m/s], (n,).
+        """Add samples (n,) of predicted and measured force [N], velocity [m/s] and current [A].
 
-        ``current`` [A] is a float or has shape (n,). ``half_cycle`` [s] of the motion is NaN if
-        unknown. ``steady`` says whether the motion is a continuing sine. ``largest`` returns the
-        largest force [N] that the set gives in a cycle at the present current.
+        ``half_cycle`` [s] of the motion is NaN if unknown. ``steady`` says whether the motion is a
+        continuing sine. ``largest`` returns the largest force [N] that the set gives in a cycle at
+        the present current.
         """
-        self._parts.append((*forces, velocity))
-        self._currents.append(
-            (current, current) if isinstance(current, float) else span_of(current)
-        )
+        self._parts.append((*forces, velocity, current))
         self._count += velocity.size
         if self._count >= self._stretch:
             self._finish(half_cycle, steady, largest)
@@ -111,18 +108,14 @@ class ForceStatistics:
     def forget_predicted(self) -> None:
         """Discard the predicted forces, because they belong to other parameters."""
         self.predicted_drives = False
-        self._parts = [(np.zeros(f.size), f, v) for _, f, v in self._parts]
+        self._parts = [(np.zeros(part[0].size), *part[1:]) for part in self._parts]
         self._past.newest[-3:] = 0.0
 
     def _finish(self, half_cycle: float, steady: bool, largest: Callable[[], float]) -> None:
-        predicted, measured, velocity = (
-            np.concatenate(rows) for rows in zip(*self._parts, strict=True)
-        )
+        predicted, measured, velocity, current = np.concatenate(self._parts, axis=1)
+        low, high = span_of(current)
         count, self._count = self._count, 0
-        lows, highs = zip(*self._currents, strict=True)
-        low, high = min(lows), max(highs)
         self._parts.clear()
-        self._currents.clear()
         if not np.isfinite(predicted).all():
             predicted = np.zeros(count)
         noise, unchanged = white_noise(measured), np.ptp(measured) == 0.0
@@ -217,19 +210,20 @@ measured samples count as outliers until the error is small again, for at most t
 """
 
 
-_STUCK = (
+_STUCK = Objection(
+    DoubtKind.SENSOR,
     "the measured force is constant although the damper moves: is the load cell connected? without "
-    "a load cell set maximum_error to 0"
+    "a load cell set maximum_error to 0",
 )
-
-_MEASURED_DRIVES = (
+_MEASURED_DRIVES = Objection(
+    DoubtKind.SENSOR,
     "the measured force is not dissipative: has the sign of the force or of the displacement "
-    "changed?"
+    "changed?",
 )
-
-_DRIVING = (
+_DRIVING = Objection(
+    DoubtKind.DRIVING,
     "the predicted force is not dissipative: do the parameters belong to this damper, and are the "
-    "signs of force and displacement right?"
+    "signs of force and displacement right?",
 )
 
 
@@ -282,7 +276,7 @@ class LoadCellZero:
 
 
 class ResidualMonitor:
-    """Monitors the forces of samples ``period`` [s] apart.
+    """Monitors the forces of samples ``period`` [s] apart, with the statistics ``recent``.
 
     ``maximum_error`` is relative to the peak of the measured force; 0 ignores the measured force.
     """
@@ -290,7 +284,7 @@ class ResidualMonitor:
     def __init__(self, period: float, maximum_error: float) -> None:
         self._period = period
         self._limit = maximum_error
-        self._recent = ForceStatistics(period)
+        self.recent = ForceStatistics(period)
         self._time = _SHORTEST
         # Mean square [1] of the error over the peak.
         self._square = 0.0
@@ -315,7 +309,7 @@ class ResidualMonitor:
     @property
     def allowed(self) -> float:
         """Largest error [N] of a valid sample; infinite if no force is measured."""
-        peak = self._recent.peak
+        peak = self.recent.peak
         if self._limit == 0.0 or not peak > 0.0:
             return math.inf
         return float(self._allowed(self._limit * peak, self._noise(peak)))
@@ -327,82 +321,65 @@ class ResidualMonitor:
         parameters must first prove correct. If their error ``known`` [N] is given, it restarts at
         that value.
         """
-        if known < math.inf and self._recent.peak > 0.0:
-            self._square = (known / self._recent.peak) ** 2
+        if known < math.inf and self.recent.peak > 0.0:
+            self._square = (known / self.recent.peak) ** 2
             self.is_wrong, self._wait = False, 0.0
         elif self.is_wrong:
             self._square = (self._limit) ** 2
-        self._recent.forget_predicted()
+        self.recent.forget_predicted()
 
     def forget_moment(self) -> None:
         """Restart the comparison after samples whose force was unknown or not compared."""
         self._square = self._compared = self._error = 0.0
         self.is_wrong, self._wait, self._wild_for = False, 0.0, 0
 
-    def judge(self, predicted: Array, measured: Array) -> list[Rule] | None:
-        """Process the forces (n,) [N] of the next samples; returns the rules that apply to them.
+    def judge(self, predicted: Array, measured: Array) -> list[Objection] | None:
+        """Process the forces (n,) [N] of the next samples; returns the objections to them.
 
         Returns None if they could not be compared, because the statistics do not exist yet.
         """
-        recent, peak = self._recent, self._recent.peak
-        driving = recent.predicted_drives
+        recent, peak = self.recent, self.recent.peak
         if self._limit == 0.0:
-            return applying([Rule(DoubtKind.DRIVING, driving, lambda: _DRIVING)])
+            return [_DRIVING] if recent.predicted_drives else []
         if math.isnan(peak):
             return None
-        rules = [
-            Rule(DoubtKind.SENSOR, recent.stuck, lambda: _STUCK),
-            Rule(DoubtKind.SENSOR, recent.measured_drives, lambda: _MEASURED_DRIVES),
-        ]
+        found = [_STUCK] if recent.stuck else []
+        if recent.measured_drives:
+            found.append(_MEASURED_DRIVES)
         if peak == 0.0:
-            return applying(rules)
+            return found
         errors = predicted - measured
         sizes = np.abs(errors)
         if not float(sizes.max()) < math.inf:
-            sentence = "the error of the predicted force is not finite"
-            return [Rule(DoubtKind.WRONG, True, lambda: sentence)]
+            return [Objection(DoubtKind.WRONG, "the error of the predicted force is not finite")]
         wrong, wild = self._wrong_samples(errors, sizes, measured, peak)
-        self._follow(sizes if isinstance(wild, bool) else sizes[~wild], peak)
+        self._follow(sizes[~wild], peak)
+        if wild.any():
+            sentence = (
+                f"the measured force jumps to {measured[wild][-1]:.4g} N at a peak of {peak:.3g} "
+                "N: check the load cell's cable for a loose contact or interference"
+            )
+            found.append(Objection(DoubtKind.SENSOR, sentence, wild))
         if self.is_wrong:
-            wrong = True
-        rules += [
-            Rule(
-                DoubtKind.SENSOR,
-                wild,
-                lambda: (
-                    f"the measured force jumps to {measured[wild][-1]:.4g} N at a peak of "
-                    f"{peak:.3g} N: check the load cell's cable for a loose contact or interference"
-                ),
-            ),
+            sentence = (
+                f"the RMS error of the predicted force was {math.sqrt(self._square):.0%} of the "
+                f"peak over the last half-cycle: valid again below {_RECOVERED * self._limit:.0%}"
+            )
+            wrong[:] = True
+        elif wrong.any():
+            sentence = (
+                f"the error of the predicted force is {sizes[wrong].max():.3g} N at a measured "
+                f"peak of {peak:.3g} N: maximum_error is {self._limit:.0%}"
+            )
+        else:
+            return found
+        if recent.predicted_drives:
             # A force that agrees with the measured force is as dissipative as the measured one.
-            Rule(DoubtKind.DRIVING, driving and wrong, lambda: _DRIVING),
-            Rule(
-                DoubtKind.WRONG,
-                wrong,
-                lambda: (
-                    f"the RMS error of the predicted force was {math.sqrt(self._square):.0%} "
-                    "of the peak over the last half-cycle: valid again below "
-                    f"{_RECOVERED * self._limit:.0%}"
-                    if self.is_wrong
-                    else f"the error of the predicted force is {sizes[wrong].max():.3g} N at a "
-                    f"measured peak of {peak:.3g} N: maximum_error is {self._limit:.0%}"
-                ),
-            ),
-        ]
-        return applying(rules)
+            found.append(_DRIVING._replace(where=wrong))
+        return [*found, Objection(DoubtKind.WRONG, sentence, wrong)]
 
-    def learn(
-        self,
-        forces: tuple[Array, Array],
-        velocity: Array,
-        current: Array | float,
-        half_cycle: float,
-        *,
-        steady: bool,
-        largest: Callable[[], float],
-    ) -> None:
-        """Update the statistics for later samples; the arguments are as in ForceStatistics.add."""
-        self._recent.add(forces, velocity, current, half_cycle, steady=steady, largest=largest)
+    def adapt(self, half_cycle: float) -> None:
+        """Adapt the times to the ``half_cycle`` [s] of the motion, NaN if unknown."""
         if not math.isnan(half_cycle):
             self._calm = min(_CALM_TIME, _CALM_PART * half_cycle) / self._period
             self._time = max(half_cycle, _SHORTEST)
@@ -410,24 +387,24 @@ class ResidualMonitor:
 
     def _wrong_samples(
         self, errors: Array, sizes: Array, measured: Array, peak: float
-    ) -> tuple[Mask | bool, Mask | bool]:
-        """Masks (n,) of the samples with too large an error and of outliers; False without any.
+    ) -> tuple[Mask, Mask]:
+        """Masks (n,) of the samples with too large an error and of outliers.
 
         ``errors`` [N] are predicted minus ``measured`` force; ``sizes`` [N] are their magnitudes.
         """
         before, self._error = self._error, float(errors[-1])
         limit, noise = self._limit * peak, self._noise(peak)
+        wrong, wild = np.zeros((2, sizes.size), dtype=bool)
         if self._wait == 0.0 and float(sizes.max()) <= self._allowed(limit, noise):
             self._wild_for = 0
-            return False, False
+            return wrong, wild
         # If the force grows beyond the recent peak, the limit grows with it.
-        largest = np.maximum(np.abs(measured - self._recent.centre), peak)
+        largest = np.maximum(np.abs(measured - self.recent.centre), peak)
         begins, stays = (
             (sizes > self._allowed(part * self._limit * largest, noise)).tolist()
             for part in (1.0, _RECOVERED)
         )
         jumps = (np.abs(np.diff(errors, prepend=before)) > peak).tolist()
-        wrong, wild = np.zeros((2, sizes.size), dtype=bool)
         for k, (begin, stay) in enumerate(zip(begins, stays, strict=True)):
             if begin and (jumps[k] or 0 < self._wild_for < self._longest_wild):
                 self._wild_for += 1
@@ -440,7 +417,7 @@ class ResidualMonitor:
             elif self._wait:
                 wrong[k] = self._wait >= 1.0
                 self._wait = max(self._wait - 1.0, 0.0)
-        return wrong if wrong.any() else False, wild if wild.any() else False
+        return wrong, wild
 
     def _follow(self, sizes: Array, peak: float) -> None:
         """Update the root mean square error with the error magnitudes (n,) [N]."""
@@ -466,4 +443,4 @@ class ResidualMonitor:
         )
 
     def _noise(self, peak: float) -> float:
-        return min(self._recent.noise, NOTICED * peak)
+        return min(self.recent.noise, NOTICED * peak)

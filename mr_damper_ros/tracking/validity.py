@@ -1,17 +1,17 @@
-"""The validity rules: the reason codes of an invalid force, and the table that gives them.
+"""The validity rules: the reason codes of an invalid force, and the objections that give them.
 
-A :class:`Rule` is one row of the table; the first row that applies to a sample gives its reason.
-The predictor puts the table together. The rows that compare with the measured force come from
+The predictor collects every :class:`Objection` to the force of a block; the first one that applies
+to a sample gives its reason. Those that compare with the measured force come from
 :mod:`mr_damper_ros.tracking.residual_monitor`.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from enum import IntEnum
-from typing import NamedTuple
+from typing import Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -81,47 +81,26 @@ class Doubt:
 NO_DOUBT = Doubt()
 
 
-class Rule(NamedTuple):
-    """One row of the table of validity rules.
-
-    ``where`` says whether the reason applies: to all samples, or as a mask (m,) to each of the last
-    m samples. The ``sentence`` is formed only if it is needed.
-    """
+class Objection(NamedTuple):
+    """A reason why the force of all samples is invalid, or of some: a mask (m,) of the last m."""
 
     kind: DoubtKind
-    where: bool | Mask
-    sentence: Callable[[], str]
+    sentence: str
+    where: Literal[True] | Mask = True
 
 
-def applying(rules: Iterable[Rule]) -> list[Rule]:
-    """The rules that apply to at least one sample, in their order."""
-    return [
-        rule
-        for rule in rules
-        if (rule.where.any() if isinstance(rule.where, np.ndarray) else rule.where)
-    ]
-
-
-def judge_samples(count: int, rules: Sequence[Rule]) -> tuple[Codes, Doubt]:
+def judge_samples(count: int, objections: Sequence[Objection]) -> tuple[Codes, Doubt]:
     """The reason code of each sample (n,), and the doubt of the newest invalid sample.
 
-    If several rules apply to a sample, the first one counts.
+    If several objections apply to a sample, the first one counts.
     """
-    codes = np.zeros(count, dtype=np.uint8)
-    masks = [
-        r.where if isinstance(r.where, np.ndarray) else np.full(count, bool(r.where)) for r in rules
-    ]
-    for (kind, _, _), mask in zip(reversed(rules), reversed(masks), strict=True):
-        codes[count - mask.size :][mask] = kind
-    doubted = np.flatnonzero(codes)
-    if not doubted.size:
-        return codes, NO_DOUBT
-    newest = int(doubted[-1]) - count
-    return codes, next(
-        Doubt(kind, sentence())
-        for (kind, _, sentence), mask in zip(rules, masks, strict=True)
-        if newest >= -mask.size and mask[newest]
-    )
+    doubts = [NO_DOUBT, *(Doubt(kind, sentence) for kind, sentence, _ in objections)]
+    first = np.zeros(count, dtype=np.intp)
+    for number, (_, _, where) in reversed([*enumerate(objections, start=1)]):
+        first[0 if where is True else count - where.size :][where] = number
+    codes = np.array([doubt.kind for doubt in doubts], dtype=np.uint8)[first]
+    doubted = np.flatnonzero(first)
+    return codes, doubts[int(first[doubted[-1]]) if doubted.size else 0]
 
 
 @dataclass(frozen=True)
@@ -203,14 +182,14 @@ def lack_of_input(parameters: ParameterSet | None, current: ZeroOrderHold, start
     )
 
 
-def rules_of_age(
+def objections_to_age(
     current: ZeroOrderHold,
     confirmed_ns: int | None,
     end_ns: int,
     settings: ValiditySettings,
     *,
     live: bool,
-) -> tuple[Rule, ...]:
+) -> Iterator[Objection]:
     """Whether current or parameters are outdated at the end of a block, or stamped after it.
 
     ``confirmed_ns`` is the stamp of the last window that confirmed the parameters; None for
@@ -222,92 +201,75 @@ def rules_of_age(
     held, following = current.around(end_ns)
     age = (end_ns - held) / NANOSECONDS
     ahead = ((current.last_stamp_ns or held) - end_ns) / NANOSECONDS
+    if age > timeout:
+        yield Objection(
+            DoubtKind.OUTDATED,
+            f"the supply current is {age:.1f} s old: is it still published, with stamps on the "
+            "clock of the samples?",
+        )
     jumped = following is not None and following - held > timeout * NANOSECONDS
-    ages = confirmed_ns is not None and limit < math.inf
-    since = (end_ns - (confirmed_ns or 0)) / NANOSECONDS
-    outdated = DoubtKind.OUTDATED
-    return (
-        Rule(
-            outdated,
-            age > timeout,
-            lambda: (
-                f"the supply current is {age:.1f} s old: is it still published, with stamps on "
-                "the clock of the samples?"
-            ),
-        ),
-        Rule(
-            outdated,
-            jumped or (live and ahead > timeout),
-            lambda: (
-                f"the supply current is stamped {ahead:.1f} s after the samples: are both "
-                "stamped by the same clock?"
-            ),
-        ),
-        Rule(
-            outdated,
-            ages and since > limit,
-            lambda: (
-                f"no window has confirmed the parameters for {since:.0f} s: is the identifier "
-                "running, and does the damper move?"
-            ),
-        ),
-        Rule(
-            outdated,
-            ages and live and -since > timeout,
-            lambda: (
-                f"the parameters are stamped {-since:.1f} s after the samples, so their age is "
-                "unknown: was the clock set back?"
-            ),
-        ),
-    )
+    if jumped or (live and ahead > timeout):
+        yield Objection(
+            DoubtKind.OUTDATED,
+            f"the supply current is stamped {ahead:.1f} s after the samples: are both stamped by "
+            "the same clock?",
+        )
+    if confirmed_ns is None or limit == math.inf:
+        return
+    since = (end_ns - confirmed_ns) / NANOSECONDS
+    if since > limit:
+        yield Objection(
+            DoubtKind.OUTDATED,
+            f"no window has confirmed the parameters for {since:.0f} s: is the identifier "
+            "running, and does the damper move?",
+        )
+    if live and -since > timeout:
+        yield Objection(
+            DoubtKind.OUTDATED,
+            f"the parameters are stamped {-since:.1f} s after the samples, so their age is "
+            "unknown: was the clock set back?",
+        )
 
 
-def rules_of_range(
-    parameters: ParameterSet,
-    settings: ValiditySettings,
-    current: Array,
-    speed: float,
-    force: Array,
-    *,
-    tried: float = -math.inf,
-) -> tuple[Rule, Rule, Rule]:
-    """Whether currents [A], force [N] or peak velocity [m/s] are outside the range of a set.
+def objections_to_current(
+    parameters: ParameterSet, margin: float, current: Array, tried: float = -math.inf
+) -> Iterator[Objection]:
+    """Whether currents (n,) [A] are outside the range of a set, widened by ``margin``.
 
-    ``current`` and ``force`` have shape (n,). ``tried`` [A] is the highest current under trial;
-    currents up to it are allowed. The largest force was measured on this damper.
+    ``tried`` [A] is the highest current under trial; currents up to it are allowed.
     """
     low, high = parameters.current_range
-    slow, fast = parameters.peak_velocity_range
-    allowed = current_allowance(parameters.current_range, settings.current_margin)
+    allowed = current_allowance(parameters.current_range, margin)
     lowest, highest = span_of(current)
+    if not (low - allowed <= lowest and highest <= max(high, tried) + allowed):
+        yield Objection(
+            DoubtKind.OUT_OF_RANGE,
+            f"the current of {middle(current):.2f} A is outside the identified range of "
+            f"{low:.2f} to {high:.2f} A",
+        )
+
+
+def objections_to_motion(
+    parameters: ParameterSet, settings: ValiditySettings, speed: float, force: Array
+) -> Iterator[Objection]:
+    """Whether force (n,) [N] or peak velocity [m/s] are larger than the set knows them."""
+    slow, fast = parameters.peak_velocity_range
     margin, largest = settings.velocity_margin, parameters.largest_force
     size = np.abs(force)
-    return (
-        Rule(
-            DoubtKind.OUT_OF_RANGE,
-            not (low - allowed <= lowest and highest <= max(high, tried) + allowed),
-            lambda: (
-                f"the current of {middle(current):.2f} A is outside the identified range of "
-                f"{low:.2f} to {high:.2f} A"
-            ),
-        ),
-        Rule(
+    too_large = size > (1.0 + settings.force_margin) * largest  # False if it is unknown (NaN)
+    if too_large.any():
+        yield Objection(
             DoubtKind.TOO_LARGE,
-            size > (1.0 + settings.force_margin) * largest,  # False if it is unknown (NaN)
-            lambda: (
-                f"the predicted force reaches {size.max():.4g} N, but the largest measured "
-                f"force of this damper is {largest:.4g} N: do the parameters belong to it?"
-            ),
-        ),
-        Rule(
+            f"the predicted force reaches {size.max():.4g} N, but the largest measured force of "
+            f"this damper is {largest:.4g} N: do the parameters belong to it?",
+            too_large,
+        )
+    if not slow * (1.0 - margin) <= speed <= fast * (1.0 + margin):
+        yield Objection(
             DoubtKind.OUT_OF_RANGE,
-            not slow * (1.0 - margin) <= speed <= fast * (1.0 + margin),
-            lambda: (
-                f"the peak velocity of {speed:.3g} m/s is outside the identified range of "
-                f"{slow:.3g} to {fast:.3g} m/s"
-            ),
-        ),
-    )
+            f"the peak velocity of {speed:.3g} m/s is outside the identified range of {slow:.3g} "
+            f"to {fast:.3g} m/s",
+        )
 
 
 def middle(values: Array) -> float:

@@ -19,7 +19,9 @@ def watch_of(noise: float) -> tuple[ResidualMonitor, Array]:
     force = PEAK * np.sin(angle) + noise * np.random.default_rng(0).standard_normal(angle.size)
     for part in np.split(force, 300):
         watch.judge(part, part)
-        watch.learn((part, part), part / PEAK, 1.0, 0.5, steady=True, largest=lambda: PEAK)
+        watch.adapt(0.5)
+        along = (part, part), part / PEAK, np.ones(part.size), 0.5
+        watch.recent.add(*along, steady=True, largest=lambda: PEAK)
     return watch, force[:10]
 
 
@@ -83,9 +85,8 @@ def test_small_half_cycles_are_no_smaller_peak_unless_the_motion_is_steady(
         time = PERIOD * np.arange(seconds * 1000)
         force = size * np.sign(np.cos(np.pi * time / HALF_CYCLE))
         for part in np.split(force, seconds * 10):
-            recent.add(
-                (part, part), part / LARGE, 1.0, HALF_CYCLE, steady=steady, largest=lambda: LARGE
-            )
+            along = (part, part), part / LARGE, np.ones(part.size), HALF_CYCLE
+            recent.add(*along, steady=steady, largest=lambda: LARGE)
     assert recent.peak == pytest.approx(peak)
 
 
@@ -94,9 +95,8 @@ def test_a_large_force_is_forgotten_in_any_motion(half_cycle: float) -> None:
     recent = ForceStatistics(PERIOD)
     for size, seconds in ((LARGE, 2), (SMALL, 11)):
         for part in np.split(size * np.tile((1.0, -1.0), 500 * seconds), seconds * 10):
-            recent.add(
-                (part, part), part / LARGE, 1.0, half_cycle, steady=False, largest=lambda: LARGE
-            )
+            along = (part, part), part / LARGE, np.ones(part.size), half_cycle
+            recent.add(*along, steady=False, largest=lambda: LARGE)
     assert recent.peak == pytest.approx(SMALL)
 
 

@@ -21,7 +21,8 @@ from mr_damper_ros.tracking.validity import (
     DoubtKind,
     RefusedWindows,
     ValiditySettings,
-    rules_of_range,
+    objections_to_current,
+    objections_to_motion,
 )
 
 PERIOD = 1e-3
@@ -218,8 +219,10 @@ def test_current_and_peak_velocity_have_margins_at_both_ends(
     outside: tuple[bool, bool],
 ) -> None:
     parameters = dataclasses.replace(SET, current_range=known)
-    rules = rules_of_range(parameters, ValiditySettings(), np.array(current), speed, np.zeros(2))
-    assert (rules[0].where, rules[2].where) == outside
+    given = ValiditySettings()
+    of_current = objections_to_current(parameters, given.current_margin, np.array(current))
+    of_motion = objections_to_motion(parameters, given, speed, np.zeros(2))
+    assert (any(of_current), any(of_motion)) == outside
 
 
 # -- sets for other motions ------------------------------------------------------------------
