@@ -13,6 +13,7 @@ import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
+from itertools import chain
 from typing import Any, SupportsIndex
 
 import numpy as np
@@ -47,16 +48,13 @@ class MultiStart:
     @property
     def best(self) -> GlobalFit:
         """The fit with the lowest cost."""
-        return self.fits[self._best_seed]
-
-    @property
-    def _best_seed(self) -> int:
         # A NaN cost is no minimum.
-        return min(self.fits, key=lambda seed: np.nan_to_num(self.fits[seed].cost, nan=math.inf))
+        return min(self.fits.values(), key=lambda fit: np.nan_to_num(fit.cost, nan=math.inf))
 
     def replaced(self, better: GlobalFit) -> MultiStart:
         """A copy in which a better fit replaces the best one."""
-        return MultiStart({**self.fits, self._best_seed: better})
+        best = self.best
+        return MultiStart({k: better if fit is best else fit for k, fit in self.fits.items()})
 
     @property
     def as_good(self) -> tuple[int, ...]:
@@ -99,8 +97,8 @@ class SearchRecord:
         with_levels = () if self.levels is None else (self.levels,)
         asked = (self.model.name, replace(self.settings, seed=0), self.method, *with_levels)
         digest = hashlib.sha256(repr(asked).encode())
-        parts = ((w.motion.displacement, w.force, w.current) for w in self.windows)
-        for array in (self.start, *(array for part in parts for array in part)):
+        arrays = [(w.motion.displacement, w.force, w.current) for w in self.windows]
+        for array in chain([self.start], *arrays):
             digest.update(np.ascontiguousarray(array, dtype=float).tobytes())
         return digest.hexdigest()
 
@@ -110,17 +108,10 @@ class SearchRecord:
 
     def search_from(self, seed: int) -> Callable[..., GlobalFit]:
         """The search from a seed, continued from its result so far, as a task for a process."""
-        before = self.fits.get(seed)
-        return partial(
-            identify_global,
-            self.model,
-            self.windows,
-            self.start,
-            replace(self.settings, seed=seed),
-            method=self.method,
-            known=None if before is None else before.parameter_set.values,
-            levels=self.levels,
-        )
+        known = self.fits[seed].parameter_set.values if seed in self.fits else None
+        settings = replace(self.settings, seed=seed)
+        given: dict[str, Any] = {"method": self.method, "known": known, "levels": self.levels}
+        return partial(identify_global, self.model, self.windows, self.start, settings, **given)
 
     def add(self, seed: int, fit: GlobalFit) -> None:
         """Add a result; an earlier one stays if it is better."""
@@ -144,13 +135,10 @@ class SearchRecord:
                     "it belongs to a search with other bags, start, model, method or settings: "
                     "begin a new one, or repeat that search"
                 )
-            fits = {
-                int(seed): _from_document(fit, self.levels)
-                for seed, fit in document["found"].items()
-            }
+            found = document["found"].items()
+            self.fits |= {int(seed): _from_document(fit, self.levels) for seed, fit in found}
         except (KeyError, TypeError, AttributeError, ParameterError) as error:
             raise SearchRecordError("it holds no progress of a search: begin a new one") from error
-        self.fits.update(fits)
 
 
 def _run(search: Callable[..., GlobalFit], notify: Notify) -> GlobalFit:
@@ -203,41 +191,32 @@ def identify_from_seeds(
 
 
 _ARRAYS = ("covariance", "discrepancy", "nrmse", "noise", "spread")
-_PLAIN = ("evaluations", "success", "message", "stopped", "cost", "frequency")
-"""Fields of a fit that a record stores unchanged."""
+_FIELDS = (*_ARRAYS, "evaluations", "success", "message", "stopped", "cost", "frequency")
+"""Fields of a fit that a record stores unchanged, arrays first."""
 
 
-def _to_document(fit: GlobalFit) -> dict[str, Any]:
-    document: dict[str, Any] = json_ready(
+def _to_document(fit: GlobalFit) -> Any:
+    return json_ready(
         {
             "set": fit.parameter_set.to_yaml(),
-            **{name: getattr(fit, name).tolist() for name in _ARRAYS},
-            **{name: getattr(fit, name) for name in _PLAIN},
-            "candidates": [
-                {**vars(each), "parameters": each.parameters.tolist()} for each in fit.candidates
-            ],
+            **{name: getattr(fit, name) for name in _FIELDS},
+            "candidates": [vars(each) for each in fit.candidates],
             "counted_samples": None if fit.levels is None else fit.levels.counted_samples,
         }
     )
-    return document
 
 
 def _from_document(document: dict[str, Any], levels: LevelPrior | None) -> GlobalFit:
+    count, cost = document["counted_samples"], document["cost"]
     if levels is not None:
-        count = document["counted_samples"]
         levels = replace(levels, counted_samples=math.inf if count is None else float(count))
     # Older records have neither discrepancy nor spread.
-    unknown = np.full_like(document["covariance"], math.nan, dtype=float)
-    given = {"discrepancy": unknown} | {n: document[n] for n in _ARRAYS if n in document}
-    fields: dict[str, Any] = {n: np.array(values, dtype=float) for n, values in given.items()}
-    fields |= {name: document[name] for name in _PLAIN if name in document}
-    fields["cost"] = math.nan if document["cost"] is None else float(document["cost"])
-    return GlobalFit(
-        parameter_set=ParameterSet.from_yaml(document["set"]),
-        candidates=tuple(
-            Candidate(**{**each, "parameters": np.array(each["parameters"])})
-            for each in document["candidates"]
-        ),
-        levels=levels,
-        **fields,
+    fields: dict[str, Any] = {"discrepancy": np.full(np.shape(document["covariance"]), math.nan)}
+    fields |= {name: document[name] for name in _FIELDS if name in document}
+    fields |= {name: np.array(fields[name], dtype=float) for name in _ARRAYS if name in fields}
+    fields["cost"] = math.nan if cost is None else float(cost)
+    fields["candidates"] = tuple(
+        Candidate(**each | {"parameters": np.array(each["parameters"])})
+        for each in document["candidates"]
     )
+    return GlobalFit(ParameterSet.from_yaml(document["set"]), levels=levels, **fields)
