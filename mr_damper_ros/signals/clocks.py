@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from dataclasses import dataclass
 
 import numpy as np
 
@@ -131,30 +130,24 @@ _LATE = 64
 such samples in a row, the count has been restarted."""
 
 
-@dataclass
-class ArrivalCounts:
-    """Numbers of received samples, of unusable samples and of interruptions."""
-
-    received: int = 0
-    lost: int = 0
-    late: int = 0
-    pauses: int = 0
-    recounts: int = 0
-    held_back: int = 0
+_COUNTS = ("received", "lost", "late", "pauses", "recounts", "held_back")
 
 
 class CountedTimes:
     """Indices and times [ns] of samples with a stated ``rate`` [Hz].
 
-    ``counts`` is the number of samples after which the sender's sequence number returns to 0; it is
-    None for a sender without sequence numbers. With ``checks_rate``, samples are discarded until
-    the rate has been checked, and as long as it is wrong.
+    ``modulus`` is the number of samples after which the sender's sequence number returns to 0; it
+    is None for a sender without sequence numbers. With ``checks_rate``, samples are discarded until
+    the rate has been checked, and as long as it is wrong. ``counts`` holds the numbers of received
+    samples, of unusable samples and of interruptions.
     """
 
-    def __init__(self, rate: float, counts: int | None = None, *, checks_rate: bool = True) -> None:
+    def __init__(
+        self, rate: float, modulus: int | None = None, *, checks_rate: bool = True
+    ) -> None:
         self.period = 1.0 / rate
         self._period_ns = NANOSECONDS / rate
-        self._counts = counts
+        self._modulus = modulus
         self._checks_rate = checks_rate
         self._clock = ArrivalClock()
         self._index = -1
@@ -165,7 +158,7 @@ class CountedTimes:
         self._late_in_a_row = 0
         self._checked_from = 0
         self._is_interrupted = False
-        self.counts = ArrivalCounts()
+        self.counts = dict.fromkeys(_COUNTS, 0)
 
     @property
     def rate_error(self) -> float:
@@ -190,9 +183,9 @@ class CountedTimes:
 
     def skip(self, number: int = 1) -> None:
         """Count ``number`` unreadable samples as lost; sequence numbers make this unnecessary."""
-        if self._counts is None and self._arrival_ns is not None:
+        if self._modulus is None and self._arrival_ns is not None:
             self._index += number
-            self.counts.lost += number
+            self.counts["lost"] += number
 
     def interrupted(self) -> None:
         """Record a lost connection: the arrival time alone then places the next sample."""
@@ -200,10 +193,10 @@ class CountedTimes:
 
     def add(self, count: int | None, arrival_ns: int) -> int | None:
         """Index of a sample that has arrived; None if it cannot be used."""
-        self.counts.received += 1
+        self.counts["received"] += 1
         step = self._step(count, arrival_ns)
         if step is None:
-            self.counts.late += 1
+            self.counts["late"] += 1
             return None
         self._index += step
         nominal_ns = round(self._index * self._period_ns)
@@ -218,7 +211,7 @@ class CountedTimes:
             late_ns = 0
         elif self._paused(arrival_ns, late_ns):
             self._index += max(round(late_ns / self._period_ns), 0)
-            self.counts.pauses += 1
+            self.counts["pauses"] += 1
             nominal_ns, late_ns = round(self._index * self._period_ns), 0
         self._arrival_ns = arrival_ns
         if late_ns <= PAUSE_NS:
@@ -226,21 +219,21 @@ class CountedTimes:
             self._clock.add(nominal_ns, arrival_ns)
         self._is_interrupted = False
         if self.being_checked or self.rate_is_wrong:
-            self.counts.held_back += 1
+            self.counts["held_back"] += 1
             return None
         return self._index
 
     def _step(self, count: int | None, arrival_ns: int) -> int | None:
         """Increase of the index since the last sample; None for a delayed sample."""
         if self._arrival_ns is None or self._is_interrupted:
-            self._count = None if count is None else count % (self._counts or 1)
+            self._count = None if count is None else count % (self._modulus or 1)
             return self._passed(arrival_ns)
-        if self._counts is None or count is None or self._count is None:
+        if self._modulus is None or count is None or self._count is None:
             return 1
-        count %= self._counts
-        forward = (count - self._count) % self._counts
-        back = -forward % self._counts
-        if back <= min(_LATE, self._counts // 4) and self._late_in_a_row < _LATE:
+        count %= self._modulus
+        forward = (count - self._count) % self._modulus
+        back = -forward % self._modulus
+        if back <= min(_LATE, self._modulus // 4) and self._late_in_a_row < _LATE:
             self._late_in_a_row += 1
             return None
         self._late_in_a_row = 0
@@ -248,9 +241,9 @@ class CountedTimes:
         longest_ns = arrival_ns - self._arrival_ns + NANOSECONDS
         if forward == 0 or (forward > 1 and forward * self._period_ns > longest_ns):
             # The count has advanced by more than the elapsed time allows, so it has been restarted.
-            self.counts.recounts += 1
+            self.counts["recounts"] += 1
             return self._passed(arrival_ns)
-        self.counts.lost += forward - 1
+        self.counts["lost"] += forward - 1
         return forward
 
     def _passed(self, arrival_ns: int) -> int:

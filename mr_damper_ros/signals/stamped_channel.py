@@ -56,15 +56,7 @@ class NumberedSample(Generic[V]):
     value: V
 
 
-@dataclass
-class ChannelCounts:
-    """Numbers of received values, of unusable values and of jumps back in time."""
-
-    received: int = 0
-    repeated: int = 0
-    late: int = 0
-    not_finite: int = 0
-    jumps: int = 0
+_COUNTS = ("received", "repeated", "late", "not_finite", "jumps", "lost", "unclear")
 
 
 class StampedChannel(Generic[V]):
@@ -72,8 +64,9 @@ class StampedChannel(Generic[V]):
 
     A value is released when a stamp arrives that is ``hold_back`` [s] later, so that delayed values
     can be sorted in. The order restarts if the stamps are set back. The ``period`` [s] is estimated
-    from the first few hundred stamps and is NaN before. ``lost`` counts the skipped indices, and
-    ``unclear`` the samples omitted near them because their index is uncertain.
+    from the first few hundred stamps and is NaN before. ``counts`` holds the numbers of received
+    values, of unusable ones and of jumps back in time, by name; "lost" are the skipped indices,
+    "unclear" the samples omitted near them because their index is uncertain.
     """
 
     def __init__(self, hold_back: float) -> None:
@@ -81,7 +74,7 @@ class StampedChannel(Generic[V]):
         self._held: list[tuple[int, V]] = []
         self._released: int | None = None
         self.clock = ArrivalClock()
-        self.counts = ChannelCounts()
+        self.counts = dict.fromkeys(_COUNTS, 0)
         self.period = math.nan
         self._clock: StampClock | None = None
         self._begun: list[tuple[int, V]] = []
@@ -89,35 +82,28 @@ class StampedChannel(Generic[V]):
         self._doubts: deque[bool] = deque(maxlen=_ENOUGH)
         # Samples and the delay of their stamps [sample periods].
         self._waiting: list[tuple[NumberedSample[V], float]] = []
-        self.lost = 0
-        self.unclear = 0
 
     def figures(self) -> dict[str, object]:
-        """The counts of received, lost and unusable values and the sample rate, by name."""
-        return {
-            **vars(self.counts),
-            "lost": self.lost,
-            "unclear": self.unclear,
-            "rate [Hz]": f"{1.0 / self.period:.6g}",
-        }
+        """The counts and the sample rate, by name."""
+        return {**self.counts, "rate [Hz]": f"{1.0 / self.period:.6g}"}
 
     def add(self, stamp_ns: int, arrival_ns: int, value: V) -> list[NumberedSample[V]]:
         """Add a value; returns the samples whose order and index are now certain."""
         counts, held = self.counts, self._held
-        counts.received += 1
+        counts["received"] += 1
         if isinstance(value, float) and not math.isfinite(value):
-            counts.not_finite += 1
+            counts["not_finite"] += 1
             return []
         self.clock.add(stamp_ns, arrival_ns)
         if self._released is not None and self._released - stamp_ns >= LATE_NS:
-            counts.jumps += 1
+            counts["jumps"] += 1
             held.clear()
         elif self._released is not None and stamp_ns < self._released:
-            counts.late += 1
+            counts["late"] += 1
             return []
         place = bisect_left(held, stamp_ns, key=lambda item: item[0])
         if stamp_ns == self._released or (place < len(held) and held[place][0] == stamp_ns):
-            counts.repeated += 1
+            counts["repeated"] += 1
             return []
         held.insert(place, (stamp_ns, value))
         certain: list[NumberedSample[V]] = []
@@ -138,7 +124,7 @@ class StampedChannel(Generic[V]):
             self._doubts.clear()
             certain = [sample for sample, _ in self._waiting]
             skipped = max(round(late_ns / (self.period * NANOSECONDS)), 0)
-            self.lost += skipped
+            self.counts["lost"] += skipped
             self._next += skipped
             self._clock, self._waiting = None, []
         self._begun.append((stamp_ns, value))
@@ -173,16 +159,16 @@ class StampedChannel(Generic[V]):
             # The index of late samples near a loss is uncertain, so they are omitted.
             while waiting and waiting[-1][1] >= 0.5 - _MARGIN:
                 waiting.pop()
-                self.unclear += 1
+                self.counts["unclear"] += 1
             skipped = math.ceil(late - most)
-            self.lost += skipped
+            self.counts["lost"] += skipped
             self._next += skipped
             late -= skipped
         elif late < -most and waiting:
             # The index of the previous sample was too high.
             self._next -= 1
             waiting.pop()
-            self.unclear += 1
+            self.counts["unclear"] += 1
             late += 1.0
         clock.learn(self._next, stamp_ns)
         waiting.append((NumberedSample(self._next, clock.at(self._next), stamp_ns, value), late))
@@ -330,16 +316,13 @@ class ChannelJoin:
         kept = np.flatnonzero(known)
         index = np.array([sample.index for sample in samples])
         parts = np.split(kept, np.flatnonzero(np.diff(index[kept]) != 1) + 1)
-        return [
-            JoinedRun(
-                int(index[part[0]]),
-                self._start_ns(samples[part[0]].time_ns),
-                leading[part],
-                following[part],
-            )
-            for part in parts
-            if part.size
-        ]
+        runs = []
+        for part in filter(len, parts):
+            first = samples[part[0]]
+            ahead_ns = self.leader.clock.ahead_ns(first.time_ns) if self._own_clocks else 0
+            start_ns = first.time_ns + ahead_ns
+            runs.append(JoinedRun(first.index, start_ns, leading[part], following[part]))
+        return runs
 
     def _longest(self, channel: StampedChannel[float]) -> float:
         """Longest time [ns] between two neighbouring samples."""
@@ -351,9 +334,6 @@ class ChannelJoin:
         """Times [ns] after ``base`` and values of the samples, shape (2, n)."""
         rows = [(s.stamp_ns if self._at_stamps else s.time_ns, s.value) for s in samples]
         return np.array([(time - base, value) for time, value in rows], dtype=np.float64).T
-
-    def _start_ns(self, time_ns: int) -> int:
-        return time_ns + (self.leader.clock.ahead_ns(time_ns) if self._own_clocks else 0)
 
 
 def interpolated(

@@ -124,7 +124,7 @@ def test_what_was_lost_is_counted_and_the_count_may_begin_anew() -> None:
     for k, _, arrival in arrivals(2000):
         if k % 100 != 7:
             found[k] = times.add(k % 2**8, arrival)
-    assert times.counts.lost == 20
+    assert times.counts["lost"] == 20
     assert all(index == k for k, index in found.items())
 
 
@@ -133,7 +133,7 @@ def test_samples_that_were_overtaken_are_left_out_and_counted() -> None:
     numbers = [0, 1, 3, 2, 4, 4, 5]
     found = [times.add(k, BEGIN + 1_000_000 * place) for place, k in enumerate(numbers)]
     assert found == [0, 1, 3, None, 4, None, 5]
-    assert (times.counts.late, times.counts.lost) == (2, 1)
+    assert (times.counts["late"], times.counts["lost"]) == (2, 1)
 
 
 def test_a_sender_that_was_started_again_goes_on_after_a_gap_of_the_time_that_has_passed() -> None:
@@ -145,7 +145,7 @@ def test_a_sender_that_was_started_again_goes_on_after_a_gap_of_the_time_that_ha
     assert before == 2999
     assert after[0] - 3000 == pytest.approx(4000, abs=20)
     assert after[-1] == after[0] + 2999
-    assert times.counts.recounts == 1
+    assert times.counts["recounts"] == 1
 
 
 @pytest.mark.parametrize("counts", [None, 2**16])
@@ -156,7 +156,7 @@ def test_a_pause_of_the_sender_is_a_gap(counts: int | None) -> None:
         found.append(times.add(k, arrival + (700_000_000 if k >= 3000 else 0)))
     assert found[2999] == 2999
     assert found[-1] - 5999 == pytest.approx(700, abs=20)
-    assert times.counts.pauses == 1
+    assert times.counts["pauses"] == 1
 
 
 @pytest.mark.parametrize("rate", [100.0, 500.0, 900.0, 960.0, 1040.0, 1100.0, 2000.0, 1e6])
@@ -173,4 +173,4 @@ def test_what_cannot_be_read_has_its_place_where_nobody_counts() -> None:
     first = times.add(None, BEGIN)
     times.skip(3)
     second = times.add(None, BEGIN + 4_000_000)
-    assert (first, second, times.counts.lost) == (0, 4, 3)
+    assert (first, second, times.counts["lost"]) == (0, 4, 3)

@@ -62,7 +62,7 @@ class CountedRows(CountedTimes):
 
     def values(self) -> Mapping[str, object]:
         """The counts of received, lost and unusable rows."""
-        return vars(self.counts)
+        return self.counts
 
 
 class StampedRows(StampedChannel[Measured]):
