@@ -77,40 +77,28 @@ class Kind:
     least: float = -math.inf
     masked: bool = True
 
-    @property
-    def channels(self) -> tuple[str, ...]:
-        """The channels that can have the fault; empty if it does not act on a channel."""
-        return CHANNELS if self.stage == "channel" else ()
-
 
 @dataclass(eq=False)
 class Fault:
     """A fault that is active from ``begin`` to ``end`` [s] after the start of the rig.
 
-    ``channel`` is the affected channel, if the kind acts on a channel. ``value`` is in the unit of
-    the kind; None selects the default. ``memory`` is the state of the fault's function; each rig
-    uses its own copy of the fault.
+    ``channel`` is the affected channel, if the kind acts on a channel. ``amount`` is in the unit of
+    the kind. ``memory`` is the state of the fault's function; each rig uses its own copy of the
+    fault.
 
-    Raises FaultError if the kind does not act on the channel, the value is not finite or too small,
-    the beginning is negative, or the end is not after the beginning.
+    Raises FaultError if the amount is not finite or too small, the beginning is negative, or the
+    end is not after the beginning.
     """
 
     kind: Kind
-    value: float | None = None
+    channel: str
+    amount: float
     begin: float = 0.0
     end: float = math.inf
-    channel: str = ""
     seed: int = 0
 
     def __post_init__(self) -> None:
         kind = self.kind
-        if self.channel not in (kind.channels or ("",)):
-            raise FaultError(
-                f"the fault '{kind.name}' cannot have the channel '{self.channel}': it has "
-                + (" or ".join(kind.channels) or "none")
-            )
-        self.amount: float = kind.usual if self.value is None else self.value
-        self.value = self.amount
         if not (math.isfinite(self.amount) and self.amount >= kind.least):
             raise FaultError(
                 f"the value of the fault '{kind.name}' is {self.amount}: it must be finite"
@@ -377,7 +365,7 @@ KINDS: tuple[Kind, ...] = (
 FAULTS: dict[str, tuple[Kind, str]] = {
     f"{channel}_{kind.name}" if channel else kind.name: (kind, channel)
     for kind in KINDS
-    for channel in kind.channels or ("",)
+    for channel in (CHANNELS if kind.stage == "channel" else ("",))
 }
 """Kind and channel by the name of the fault, such as ``force_gain``."""
 
@@ -409,8 +397,8 @@ def fault_of(text: str, seed: int = 0) -> Fault:
     if match["value"] is not None and not kind.unit:
         raise FaultError(f"the fault '{name}' takes no value: remove ':{match['value']}'")
     times = {key: float(match[key]) for key in ("begin", "end") if match[key] is not None}
-    value = None if match["value"] is None else float(match["value"])
-    return Fault(kind, value, channel=channel, seed=seed, **times)
+    amount = kind.usual if match["value"] is None else float(match["value"])
+    return Fault(kind, channel, amount, seed=seed, **times)
 
 
 def faults_of(texts: Sequence[str], seed: int = 0) -> list[Fault]:

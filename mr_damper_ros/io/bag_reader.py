@@ -248,14 +248,14 @@ def read_bag(path: str | Path, *, maximum_samples: int = MAXIMUM_SAMPLES) -> lis
     ]
 
 
-def bag_stream(path: str | Path, *, maximum_samples: int = MAXIMUM_SAMPLES) -> Iterator[StreamItem]:
+def bag_stream(path: str | Path) -> Iterator[StreamItem]:
     """The messages of the test machine in a bag, in the order in which they were recorded.
 
     Topics may be in any namespace, as in :func:`read_bag`. Raises BagError if the bag is damaged,
-    has more than ``maximum_samples``, or lacks a stream.
+    too large, or lacks a stream.
     """
-    with opened_bag(path, maximum_samples) as bag:
-        yield from _items(bag, maximum_samples)
+    with opened_bag(path) as bag:
+        yield from _items(bag, MAXIMUM_SAMPLES)
 
 
 def _items(bag: OpenBag, maximum_samples: int) -> Iterator[StreamItem]:

@@ -7,7 +7,7 @@ import glob
 import math
 import os
 import re
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -91,7 +91,7 @@ def find_recordings(
 
     Raises ListError if a source has no recording, or the pattern is invalid.
     """
-    named = _namer(pattern)
+    expression = None if pattern is None else _compiled(pattern)
     found: dict[Path, ListedRecording] = {}
     left_out: list[LeftOut] = []
     for source in sources:
@@ -105,7 +105,7 @@ def find_recordings(
         for path, root in paths:
             base = root if root.is_dir() and root != path else path.parent
             try:
-                found.setdefault(path, named(path, base))
+                found.setdefault(path, _named(path, base, expression))
             except ListError as error:
                 left_out.append(LeftOut(path, str(error)))
     return list(found.values()), left_out
@@ -158,11 +158,10 @@ def without_repeats(recordings: Iterable[ListedRecording]) -> list[ListedRecordi
 
 
 def _roots(source: str) -> list[Path]:
-    path = Path(source)
-    if path.exists() or not _PATTERN_SIGNS & set(source):
-        if not path.exists():
-            raise ListError(f"there is no {source}")
-        return [path]
+    if Path(source).exists():
+        return [Path(source)]
+    if not _PATTERN_SIGNS & set(source):
+        raise ListError(f"there is no {source}")
     return [Path(name) for name in sorted(glob.glob(source, recursive=True))]
 
 
@@ -177,11 +176,8 @@ def _recordings(root: Path, with_records: bool) -> Iterator[Path]:
             yield Path(folder)
             continue
         below.sort()
-        yield from (
-            path
-            for path in (Path(folder, name) for name in sorted(files))
-            if _is_recording(path, with_records)
-        )
+        paths = (Path(folder, name) for name in sorted(files))
+        yield from (path for path in paths if _is_recording(path, with_records))
 
 
 def _is_recording(path: Path, with_records: bool) -> bool:
@@ -189,9 +185,7 @@ def _is_recording(path: Path, with_records: bool) -> bool:
     return ending == _BAG_FILE or (with_records and ending in RECORD_ENDINGS)
 
 
-def _namer(pattern: str | None) -> Callable[[Path, Path], ListedRecording]:
-    if pattern is None:
-        return _named_by_folder
+def _compiled(pattern: str) -> re.Pattern[str]:
     try:
         expression = re.compile(pattern)
     except re.error as error:
@@ -201,23 +195,19 @@ def _namer(pattern: str | None) -> Callable[[Path, Path], ListedRecording]:
             f"the pattern {pattern!r} has no group: put the name of the damper in brackets, as in "
             "(D[0-9]+)_"
         )
-    damper: str | int = "damper" if "damper" in expression.groupindex else 1
-    tells_current = "current" in expression.groupindex
-
-    def named(path: Path, base: Path) -> ListedRecording:
-        shown = path.relative_to(base).as_posix()
-        found = expression.search(shown)
-        if found is None or not found[damper]:
-            raise ListError(f"the pattern {pattern!r} does not match its path")
-        current = _current(found["current"]) if tells_current else None
-        return ListedRecording(path, found[damper], current)
-
-    return named
+    return expression
 
 
-def _named_by_folder(path: Path, base: Path) -> ListedRecording:
-    below = path.parent.relative_to(base).as_posix()
-    return ListedRecording(path, base.resolve().name if below == "." else below)
+def _named(path: Path, base: Path, pattern: re.Pattern[str] | None) -> ListedRecording:
+    if pattern is None:
+        below = path.parent.relative_to(base).as_posix()
+        return ListedRecording(path, base.resolve().name if below == "." else below)
+    found = pattern.search(path.relative_to(base).as_posix())
+    damper = found and found["damper" if "damper" in pattern.groupindex else 1]
+    if not found or not damper:
+        raise ListError(f"the pattern {pattern.pattern!r} does not match its path")
+    current = found["current"] if "current" in pattern.groupindex else None
+    return ListedRecording(path, damper, _current(current))
 
 
 def _current(text: str | None) -> float | None:

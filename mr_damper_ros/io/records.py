@@ -9,9 +9,8 @@ from pathlib import Path
 
 import numpy as np
 
-from mr_damper_ros.io.binary_tables import FORMATS, read_binary_table
 from mr_damper_ros.io.columns import MAXIMUM_SAMPLES, Columns, RecordError, parse_columns
-from mr_damper_ros.io.text_table import read_text_table
+from mr_damper_ros.io.tables import FORMATS, read_binary_table, read_text_table
 from mr_damper_ros.processes.files import irregularity
 from mr_damper_ros.signals.arrays import Array
 from mr_damper_ros.signals.blocks import NANOSECONDS

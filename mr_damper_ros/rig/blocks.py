@@ -73,8 +73,8 @@ class BlockMaker:
         return [RigBlock(self.last_ns, 0, 1.0, none, none, none, none)]
 
 
-_NODES = 4
-"""Number of samples in the cubic interpolation."""
+_NODES = np.arange(4)
+"""Samples in the cubic interpolation, newest first."""
 
 
 def aligned(blocks: Iterable[RigBlock], lateness: float) -> Iterator[RigBlock]:
@@ -94,14 +94,19 @@ def aligned(blocks: Iterable[RigBlock], lateness: float) -> Iterator[RigBlock]:
         if block.sample_count == 0:
             yield block
             continue
-        back, weights = _weights(abs(lateness) / block.period)
+        delay = abs(lateness) / block.period
+        back = max(math.floor(delay) - 1, 0)
+        # The weights of four samples that interpolate every cubic exactly.
+        weights = np.linalg.solve(
+            np.vander(_NODES, increasing=True).T, (delay - back) ** _NODES.astype(np.float64)
+        )
         if block.sequence != expected:
             past = np.empty(0)
         expected = block.sequence + block.sample_count
         known = np.concatenate([past, getattr(block, ahead)])
-        past = known[-(back + _NODES) :]
+        past = known[-(back + _NODES.size) :]
         # Value k is interpolated from the samples k - back - 3 to k - back.
-        delayed = np.convolve(known, weights, "valid")[: max(known.size - _NODES + 1 - back, 0)]
+        delayed = np.convolve(known, weights, "valid")[: max(known.size - back - 3, 0)]
         skipped = block.sample_count - min(delayed.size, block.sample_count)
         if skipped == block.sample_count:
             continue
@@ -114,15 +119,6 @@ def aligned(blocks: Iterable[RigBlock], lateness: float) -> Iterator[RigBlock]:
             temperature=block.temperature[skipped:],
             **{ahead: delayed[-other.size :], behind: other},
         )
-
-
-def _weights(delay: float) -> tuple[int, Array]:
-    """Number of whole samples of a delay, and weights of the four samples before, newest first."""
-    back = max(math.floor(delay) - 1, 0)
-    place = delay - back  # counted from the newest of the four
-    others = [[other for other in range(_NODES) if other != own] for own in range(_NODES)]
-    weights = [math.prod((place - n) / (own - n) for n in others[own]) for own in range(_NODES)]
-    return back, np.array(weights)
 
 
 class Decimator:

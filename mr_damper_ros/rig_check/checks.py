@@ -20,14 +20,14 @@ _BRIDGED = 0.1
 
 @dataclass(frozen=True, eq=False)
 class ReceivedBlock:
-    """A block as received; ``arrival_ns`` is a time of a steady clock, -1 if unknown."""
+    """A block as received; ``arrival_ns`` is a time of a steady clock."""
 
     start_ns: int
     sequence: int
     period: float
     displacement: Array
     force: Array
-    arrival_ns: int = -1
+    arrival_ns: int
 
 
 @dataclass(eq=False)
@@ -393,10 +393,9 @@ def stream_findings(record: RigRecord) -> Iterator[RigFinding]:
         jitter = float(np.std(off[np.abs(off) < 1.0])) / math.sqrt(2.0)
         if jitter > _JITTER * period:
             yield Trouble.JITTER.found(jitter=1e3 * jitter, share=jitter / period)
-    arrivals = np.array([block.arrival_ns for block in record.blocks], dtype=np.float64)
-    if (arrivals >= 0.0).all() and arrivals.size > 2:
+    if len(record.blocks) > 2:
         longest = max(block.force.size * block.period for block in record.blocks)
-        pauses = np.diff(arrivals) / NANOSECONDS
+        pauses = np.diff([block.arrival_ns for block in record.blocks]) / NANOSECONDS
         # A gap in the stamps, or the length of a block, is not a pause.
         held_up = pauses[pauses - np.clip(np.diff(times), longest, None) > _PAUSE]
         if held_up.size > 1:

@@ -109,7 +109,7 @@ def test_a_change_of_motion_does_not_jump(name: str) -> None:
 )
 def test_a_text_is_read(text: str, expected: tuple[float, float, float, str]) -> None:
     fault = fault_of(text)
-    assert (fault.value, fault.begin, fault.end, fault.channel) == expected
+    assert (fault.amount, fault.begin, fault.end, fault.channel) == expected
 
 
 @pytest.mark.parametrize(

@@ -92,14 +92,14 @@ def _profile(content: Any, name: str) -> SupplyProfile:
             raise ValueError(
                 f"the profile '{name}' has the unknown entry '{key}': use {', '.join(defaults)}"
             )
-        if isinstance(defaults[key], tuple):
-            values[key] = tuple(map(str, value if isinstance(value, list) else [value]))
-        elif not isinstance(defaults[key], float):
-            values[key] = str(value)
-        elif isinstance(value, bool) or not isinstance(value, (int, float)):
-            raise ValueError(f"'{key}' of the profile '{name}' must be a number [s]")
-        else:
+        if key == "watchdog_step":
+            if type(value) not in (int, float):
+                raise ValueError(f"'{key}' of the profile '{name}' must be a number [s]")
             values[key] = float(value)
+        elif isinstance(defaults[key], tuple):
+            values[key] = tuple(map(str, value if isinstance(value, list) else [value]))
+        else:
+            values[key] = str(value)
     if "tested" not in values:
         raise ValueError(
             f"the profile '{name}' does not say with which instruments it was tested: add 'tested'"
@@ -393,7 +393,10 @@ class SupplyDrive:
             self._obey(now)
             if now >= due:
                 asked_ns = self._clock_ns()
-                self._measure(now)
+                self.measured = self._supply.measured()
+                if abs(self.measured - self.given) <= self._tolerance:
+                    self._agreed = now
+                self.deviates = now - self._agreed > _SETTLING
                 self._publish((asked_ns + self._clock_ns()) // 2, self.measured)
                 # The answer may have taken long.
                 self._obey(time.monotonic())
@@ -407,12 +410,6 @@ class SupplyDrive:
     def _obey(self, now: float) -> None:
         self.given = self._commander.step(now)
         self._supply.give(self.given)
-
-    def _measure(self, now: float) -> None:
-        self.measured = self._supply.measured()
-        if abs(self.measured - self.given) <= self._tolerance:
-            self._agreed = now
-        self.deviates = now - self._agreed > _SETTLING
 
     def _check(self, now: float) -> None:
         """Read the next error of the instrument, regularly, or at once after another error."""

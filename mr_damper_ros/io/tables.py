@@ -1,0 +1,598 @@
+"""Columns from text, MAT, TDMS and XLSX files.
+
+Text files may be of any size: they are read line by line, and only the numbers are kept in memory.
+
+A malformed file of the other formats can crash the reading process (segmentation fault), block it
+for ever, or exhaust the memory when it is unpacked. A child process with limited time and memory
+therefore reads the file and returns arrays or text.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import csv
+import errno
+import io
+import math
+import os
+import re
+import sys
+from array import array
+from collections import deque
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import dataclass, field
+from datetime import date, datetime, time, timedelta, timezone
+from importlib import import_module
+from itertools import islice
+from pathlib import Path
+from typing import Any, BinaryIO, TextIO
+
+import numpy as np
+
+from mr_damper_ros.io.columns import Columns, RawTable, RecordError, too_long
+from mr_damper_ros.processes.process_pool import run_apart
+from mr_damper_ros.signals.arrays import Array
+
+_DATE_AND_TIME = re.compile(
+    r"\s*(\d{1,4}[-/.]\d{1,2}[-/.]\d{1,4})[ T]+(\d{1,2}):(\d{2})(?::(\d{2}(?:[.,]\d+)?))?"
+    r"\s*(?:([AaPp])\.?[Mm]\.?)?\s*(Z|[+-]\d{2}:?\d{2})?\s*"
+)
+"""Date, hour, minute, second, AM or PM, time zone."""
+
+
+def seconds_since_1970(text: str) -> float | None:
+    """Parse a date with the time of day; returns seconds since 1970, or None for other text.
+
+    Without a time zone, the time is UTC. If the first number is above 31, the order of the date is
+    year, month, day. Otherwise, with slashes and a first number of at most 12, it is month, day,
+    year; in all other cases, it is day, month, year.
+    """
+    found = _DATE_AND_TIME.fullmatch(text)
+    if found is None:
+        return None
+    calendar, hour, minute, second, half, zone = found.groups()
+    a, b, c = (int(part) for part in re.split(r"[-/.]", calendar))
+    if a > 31:
+        year, month, day = a, b, c
+    elif "/" in calendar and a <= 12:
+        year, month, day = c, a, b
+    else:
+        year, month, day = c, b, a
+    hours, seconds = int(hour), float((second or "0").replace(",", "."))
+    # Some loggers write AM or PM even if the hour is above 12.
+    if half and hours <= 12:
+        hours = hours % 12 + (12 if half in "Pp" else 0)
+    offset = 0
+    if zone and zone != "Z":
+        offset = int(f"{zone[0]}1") * (3600 * int(zone[1:3]) + 60 * int(zone[-2:]))
+    year += 2000 if year < 100 else 0
+    try:
+        begins = datetime(year, month, day, hours, int(minute), tzinfo=timezone.utc)
+    except ValueError:
+        return None
+    return begins.timestamp() - offset + seconds if seconds < 61.0 else None
+
+
+_LONGEST_LINE = 100_000
+"""Largest number of characters of a line.
+
+Lines of tables are far shorter, and the library limits the length of a field.
+"""
+
+_LAST_LINES = 50
+"""Number of lines at the end of a file from which the separator is detected."""
+
+_DECIMAL_COMMA = re.compile(r"[+-]?\d*,\d+([eE][+-]?\d+)?$|[+-]?\d+$")
+
+Row = tuple[int, list[str]]
+"""Number of a line (from 1) and its fields."""
+
+Cell = tuple[int, Callable[[str], float | None]]
+"""Position of a field in a row, and the function that reads its number."""
+
+
+def read_text_table(
+    path: Path, columns: Columns, variable: str | None, maximum_samples: int
+) -> RawTable:
+    """Read columns by position or header; lines before the first row of numbers are skipped.
+
+    Raises RecordError.
+    """
+    if variable is not None:
+        raise RecordError(f"{path.name} is a text file and has no variables: choose no variable")
+    with path.open("rb") as file:
+        start = file.read(4096)
+    if start.startswith(b"PK"):
+        raise RecordError(
+            f"{path.name} is an archive, or a spreadsheet with another ending: first save it as "
+            "XLSX or CSV"
+        )
+
+    def text(encoding: str, errors: str = "strict") -> TextFile:
+        return TextFile(lambda: path.open(encoding=encoding, errors=errors), path.name)
+
+    if start.startswith((b"\xff\xfe", b"\xfe\xff")):
+        lines = text("utf-16", "replace")
+    elif b"\0" in start:
+        raise RecordError(f"{path.name} is not a text file: export it as text, CSV or MAT")
+    else:
+        try:
+            lines = text("utf-8-sig")
+        except UnicodeDecodeError:
+            lines = text("latin-1")
+    return lines.table(columns, maximum_samples)
+
+
+class TextFile:
+    """A text of lines with fields.
+
+    ``opened`` opens the text and is called repeatedly. ``name`` is its name in messages.
+    ``separator`` separates the fields; by default, it is detected.
+    """
+
+    def __init__(
+        self, opened: Callable[[], TextIO], name: str, separator: str | None = None
+    ) -> None:
+        self._open = opened
+        self._name = name
+        last: deque[tuple[int, str]] = deque(maxlen=_LAST_LINES)
+        self._row_count = 0
+        for row in self._filled_lines():
+            self._row_count += 1
+            last.append(row)
+        # The last lines hold numbers and no header.
+        self._last = list(last)[-(self._row_count - self._row_count // 2) :]
+        if separator is None:
+            separator = _separator([line for _, line in self._last])
+        self._separator = separator
+
+    def table(self, columns: Columns, maximum_samples: int) -> RawTable:
+        """The numbers in the columns; raises RecordError."""
+        rows = self._rows()
+        skipped, positions = 0, [column.position for column in columns.wanted]
+        if columns.by_header:
+            skipped, positions = self._find_header([c.header for c in columns.wanted], rows)
+        cells = [
+            (position, seconds_since_1970 if column.holds_dates else self._number)
+            for position, column in zip(positions, columns.wanted, strict=True)
+        ]
+        numbers = (_numbers_of(fields, cells) for _, fields in rows)
+        first = next((k for k, row in enumerate(numbers, start=skipped) if row), None)
+        if first is None:
+            listed = ", ".join(str(position + 1) for position in positions)
+            raise RecordError(
+                f"{self._name} holds no row with numbers in columns {listed}: "
+                f"{self._example(skipped)}"
+            )
+        # The table ends at the last column that has a number in each of the last rows.
+        numeric = [
+            {place for place, field in enumerate(fields) if self._number(field) is not None}
+            for _, fields in self._split(self._last)
+        ]
+        columns.check_width(self._name, max(set.intersection(*numeric), default=-1) + 1)
+        if self._row_count - first > maximum_samples:
+            raise too_long(self._name, maximum_samples)
+        table = self._table(first, cells)
+        return RawTable(
+            {column.quantity: table[:, k] for k, column in enumerate(columns.wanted)},
+            lambda row: f"line {next(islice(self._filled_lines(), first + row, None))[0]}",
+        )
+
+    def _number(self, field: str) -> float | None:
+        try:
+            return float(field if self._separator == "," else field.replace(",", "."))
+        except ValueError:
+            return None
+
+    def _table(self, first: int, cells: Sequence[Cell]) -> Array:
+        """Numbers (n, columns) of the rows from the index ``first`` on."""
+        try:
+            numbers = np.loadtxt(
+                (line for _, line in islice(self._filled_lines(), first, None)),
+                delimiter=self._separator or None,
+                quotechar='"' if self._separator else None,
+                comments=None,
+                usecols=[position for position, _ in cells],
+                converters={p: read for p, read in cells if read is seconds_since_1970} or None,
+                encoding=None,
+                ndmin=2,
+            )
+        except (ValueError, TypeError) as error:
+            # numpy.loadtxt takes an interrupt within a converter for a wrong value.
+            if isinstance(error.__cause__, KeyboardInterrupt):
+                raise KeyboardInterrupt from None
+            numbers = np.empty((0, len(cells)))
+        if len(numbers) == self._row_count - first:
+            return numbers
+        # numpy.loadtxt cannot read decimal commas, and does not report the line of an error.
+        values = array("d")
+        for line, fields in islice(self._rows(), first, None):
+            row = _numbers_of(fields, cells)
+            if row is None:
+                raise RecordError(_unreadable_line(self._name, line, fields, cells))
+            values.extend(row)
+        return np.frombuffer(values).reshape(-1, len(cells))
+
+    def _find_header(self, names: list[str], rows: Iterator[Row]) -> tuple[int, list[int]]:
+        """Read rows up to the header; returns their number and the positions of the columns."""
+        best: list[str] = []
+        for number, (_, fields) in enumerate(rows, start=1):
+            if all(name in fields for name in names):
+                return number, [fields.index(name) for name in names]
+            # The line with the most matching names is probably the header.
+            if not best or sum(n in fields for n in names) > sum(n in best for n in names):
+                best = fields
+        missing = ", ".join(name for name in names if name not in best)
+        raise RecordError(
+            f"no line of {self._name} names the columns {', '.join(names)}: "
+            f"'{'; '.join(best)}' lacks {missing}"
+        )
+
+    def _example(self, skipped: int) -> str:
+        """Description of one of the last rows, as an example for a message."""
+        if skipped == self._row_count:
+            return "its header is its last line" if skipped else "it is empty"
+        line, fields = next(self._split(self._last[:1]))
+        dates = any(seconds_since_1970(field) is not None for field in fields)
+        hint = " (the unit of a date is time:datetime)" if dates else ""
+        return f"its line {line} has {len(fields)} columns, '{'; '.join(fields)}'{hint}"
+
+    def _filled_lines(self) -> Iterator[tuple[int, str]]:
+        """Line numbers (from 1) and text of the lines that are not empty."""
+        with self._open() as file:
+            number = 0
+            while line := file.readline(_LONGEST_LINE + 1):
+                number += 1
+                if len(line) > _LONGEST_LINE:
+                    raise RecordError(
+                        f"line {number} of {self._name} has more than {_LONGEST_LINE} characters: "
+                        "is it a text table with one row in each line?"
+                    )
+                if line.strip():
+                    yield number, line
+
+    def _rows(self) -> Iterator[Row]:
+        return self._split(self._filled_lines())
+
+    def _split(self, lines: Iterable[tuple[int, str]]) -> Iterator[Row]:
+        for number, line in lines:
+            if not self._separator:
+                yield number, line.split()
+                continue
+            reader = csv.reader([line], delimiter=self._separator, skipinitialspace=True)
+            try:
+                fields = next(reader, [])
+            except csv.Error as error:
+                raise RecordError(
+                    f"line {number} of {self._name} cannot be split into fields: {error}"
+                ) from error
+            yield number, [field.strip() for field in fields]
+
+
+def _separator(sample: Sequence[str]) -> str:
+    """The separator of fields: ";", tab, ",", or "" for white space."""
+    for separator in (";", "\t"):
+        if any(separator in line.strip() for line in sample):
+            return separator
+    if not any("," in line for line in sample):
+        return ""
+    # "0,001 2,5" is two numbers with decimal commas; "1,2" is two fields.
+    decimal = all(
+        len(line.split()) > 1 and all(_DECIMAL_COMMA.match(word) for word in line.split())
+        for line in sample
+    )
+    return "" if decimal else ","
+
+
+def _numbers_of(fields: list[str], cells: Sequence[Cell]) -> list[float] | None:
+    """The numbers in the cells of a row; None if one is missing."""
+    found = [read(fields[p]) if p < len(fields) else None for p, read in cells]
+    numbers = [number for number in found if number is not None]
+    return numbers if len(numbers) == len(cells) else None
+
+
+def _unreadable_line(name: str, line: int, fields: list[str], cells: Sequence[Cell]) -> str:
+    last = max(position for position, _ in cells)
+    if len(fields) <= last:
+        return (
+            f"line {line} of {name} has {len(fields)} columns, but column {last + 1} is needed: "
+            "correct the line, or cut the file before it"
+        )
+    wrong, read = next((p, read) for p, read in cells if read(fields[p]) is None)
+    kind = "date with the time of day" if read is seconds_since_1970 else "number"
+    return (
+        f"column {wrong + 1} in line {line} of {name} is '{fields[wrong]}', not a {kind}: correct "
+        "the line, or cut the file before it"
+    )
+
+
+_BYTES_PER_SAMPLE = 150
+"""Memory limit per sample [B].
+
+It suffices for four columns of eight bytes each, in compressed, unpacked, transposed and
+transferred form.
+"""
+
+_LEAST_MEMORY = 100_000_000
+"""Smallest memory limit [B]."""
+
+_HEAD_ROWS = 1000
+"""Number of rows that a sheet may have in addition to the samples, for headers and empty rows."""
+
+_SEPARATOR = "\t"
+"""Separator of cells in the text of a sheet."""
+
+
+@dataclass(frozen=True)
+class Group:
+    """Columns of numbers by name: a matrix of a MAT file, or a group of channels of a TDMS file.
+
+    ``label`` describes the group in a message. ``periods`` are the sample periods [s] of columns,
+    if the file states them.
+    """
+
+    name: str
+    label: str
+    columns: dict[str, Array]
+    periods: dict[str, float] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class Format:
+    """A file format and its reader.
+
+    ``what`` is the name of the format; ``module`` is the module that reads it; ``library`` says how
+    to install the module; ``time_limit`` [s] limits the reading. ``read`` runs in the child process
+    and receives the open file, the name of the variable, and the largest number of samples. It
+    returns groups of columns, or lines of text. ``words`` are the words for a group, for several
+    groups and for a column.
+    """
+
+    what: str
+    module: str
+    library: str
+    time_limit: float
+    read: Callable[[BinaryIO, str | None, int], list[Group] | str]
+    words: tuple[str, str, str] = ("sheet", "sheets", "column")
+
+
+def read_binary_table(
+    path: Path, columns: Columns, variable: str | None, maximum_samples: int
+) -> RawTable:
+    """Read columns of one group, which ``variable`` selects if several have these columns.
+
+    In a MAT file each column may instead name a variable. The sample period is taken from a TDMS
+    waveform, if the file states it. Raises RecordError.
+    """
+    form = FORMATS[path.suffix.lower()]
+    if form.read is _matrices and any(column.holds_dates for column in columns.wanted):
+        raise RecordError("a MAT file holds no dates: give the unit of its time, such as time:s")
+    content = _confined(form, path, maximum_samples, variable)
+    if isinstance(content, str):
+        lines = TextFile(lambda: io.StringIO(content), path.name, _SEPARATOR)
+        return lines.table(columns, maximum_samples)
+    group, listed = _group(path.name, form, content, columns, variable)
+    kind = form.words[2] if group.name else form.words[0]
+    if not columns.by_header:
+        columns.check_width(path.name, len(group.columns), f" ({kind}s: {listed})")
+    names = list(group.columns)
+    found: dict[str, str] = {}
+    for column in columns.wanted:
+        there = column.position < len(names)
+        wanted = column.header or (names[column.position] if there else f"{column.position + 1}")
+        if wanted not in group.columns:
+            raise RecordError(f"{path.name} has no {kind} '{wanted}': it holds {listed}")
+        found[column.quantity] = wanted
+    lengths = {name: group.columns[name].size for name in found.values()}
+    if len(set(lengths.values())) > 1:
+        sizes = ", ".join(f"{name} has {length}" for name, length in lengths.items())
+        raise RecordError(
+            f"the chosen {kind}s of {path.name} differ in length: {sizes}; "
+            f"choose {kind}s of one sample rate"
+        )
+    if max(lengths.values()) > maximum_samples:
+        raise too_long(path.name, maximum_samples)
+    periods = {group.periods.get(name, math.nan) for name in found.values()}
+    period = periods.pop() if len(periods) == 1 else math.nan
+    return RawTable(
+        {quantity: group.columns[name] for quantity, name in found.items()},
+        lambda row: f"row {row + 1}",
+        period if math.isfinite(period) and period > 0.0 else None,
+    )
+
+
+def _group(
+    name: str, form: Format, groups: list[Group], columns: Columns, variable: str | None
+) -> tuple[Group, str]:
+    """The group with the selected columns, and a list of the contents of the file or the group."""
+    listed = ", ".join(group.label for group in groups) or f"no {form.words[0]} of numbers"
+    if form.read is _matrices and columns.by_header:
+        if variable is not None:
+            raise RecordError(
+                "the columns already name variables of the MAT file: omit the option variable"
+            )
+        vectors = {g.name: next(iter(g.columns.values())) for g in groups if len(g.columns) == 1}
+        return Group("", "", vectors), listed
+    least = max(column.position for column in columns.wanted) + 1
+    headers = [column.header for column in columns.wanted if column.header]
+    if variable is not None:
+        fitting = [group for group in groups if group.name == variable]
+        if not fitting:
+            raise RecordError(f"{name} has no {form.words[0]} '{variable}': it holds {listed}")
+    elif len(groups) == 1:
+        fitting = groups
+    else:
+        fitting = [g for g in groups if len(g.columns) >= least and {*headers} <= set(g.columns)]
+    if len(fitting) != 1:
+        needed = f"the columns {', '.join(headers)}" if headers else f"at least {least} columns"
+        choose = ": choose one by the option variable" if fitting else ""
+        raise RecordError(
+            f"{name} holds {len(fitting)} {form.words[1]} with {needed}{choose}; it holds {listed}"
+        )
+    return fitting[0], ", ".join(fitting[0].columns)
+
+
+def _confined(
+    form: Format, path: Path, maximum_samples: int, variable: str | None
+) -> list[Group] | str:
+    """Read a file in a child process. Raises RecordError; OSError if the file does not exist."""
+    try:
+        content: list[Group] | str = run_apart(
+            __name__, _read, path, variable, maximum_samples, budget=form.time_limit
+        )
+        return content
+    except TimeoutError:
+        raise RecordError(
+            f"{path.name} could not be read within {form.time_limit:g} s: save a part of it, or "
+            "export it as CSV"
+        ) from None
+    except MemoryError:
+        raise too_long(path.name, maximum_samples) from None
+    except ChildProcessError:
+        raise RecordError(_unreadable(form, path)) from None
+
+
+def _unreadable(form: Format, path: Path) -> str:
+    return f"{path.name} cannot be read as {form.what}: save it again, or export it as CSV"
+
+
+def _read(path: Path, variable: str | None, most_samples: int, _: object) -> list[Group] | str:
+    """Read a file; runs in the child process.
+
+    Raises RecordError, and MemoryError if the file needs more memory than ``most_samples`` allows.
+    """
+    form = FORMATS[path.suffix.lower()]
+    with path.open("rb") as file:
+        try:
+            import_module(form.module)
+        except ImportError:
+            raise RecordError(
+                f"{path.name} is {form.what}, which needs {form.library}, or export the file as CSV"
+            ) from None
+        _limit_memory(max(_BYTES_PER_SAMPLE * most_samples, _LEAST_MEMORY))
+        try:
+            return form.read(file, variable, most_samples)
+        except (RecordError, MemoryError):
+            raise
+        except NotImplementedError:
+            raise RecordError(
+                f"{path.name} is a MAT file of version 7.3: first save it in MATLAB with "
+                "save(..., '-v7')"
+            ) from None
+        except Exception as error:
+            # For damaged data, the libraries raise exceptions of many kinds.
+            if isinstance(error, OSError) and error.errno == errno.ENOMEM:
+                raise MemoryError from None
+            raise RecordError(_unreadable(form, path)) from None
+
+
+def _limit_memory(size: int) -> None:
+    """Limit the additional memory of this process to ``size`` [B]; has an effect on Linux only."""
+    if sys.platform != "linux":
+        return
+    import resource
+
+    pages = int(Path("/proc/self/statm").read_text().split()[5])  # data and stack
+    limit = pages * os.sysconf("SC_PAGE_SIZE") + size
+    with contextlib.suppress(ValueError):  # a lower limit is already set
+        resource.setrlimit(resource.RLIMIT_DATA, (limit, limit))
+
+
+def _matrices(file: BinaryIO, variable: str | None, most_samples: int) -> list[Group]:
+    """The real numeric matrices; their samples may be rows or columns."""
+    from scipy.io import loadmat  # imported late: see entry_points
+
+    groups = []
+    for name, value in loadmat(file).items():
+        if isinstance(value, np.ndarray) and value.ndim == 2 and value.dtype.kind in "fiu":
+            rows = value if value.shape[0] < value.shape[1] else value.T
+            columns = {f"{place}": row for place, row in enumerate(rows, start=1)}
+            label = f"{name} ({value.shape[0]} x {value.shape[1]})"
+            groups.append(Group(name, label, columns))
+    return groups
+
+
+def _channels(file: BinaryIO, variable: str | None, most_samples: int) -> list[Group]:
+    """All channels with numbers or times, by group."""
+    from nptdms import TdmsFile
+
+    with TdmsFile.open(file) as tdms:
+        groups = []
+        for each in tdms.groups():
+            channels = [c for c in each.channels() if c.dtype.kind in "fiuM" and len(c) > 0]
+            if any(len(channel) > most_samples for channel in channels):
+                raise MemoryError
+            periods = {c.name: float(c.properties.get("wf_increment", math.nan)) for c in channels}
+            columns = {channel.name: _floats(channel[:]) for channel in channels}
+            groups += [Group(each.name, each.name, columns, periods)] if channels else []
+        return groups
+
+
+def _floats(values: Any) -> Array:
+    """Values as floating-point numbers; times in seconds since 1970."""
+    if values.dtype.kind == "M":
+        return np.asarray(values.astype("datetime64[ns]").astype(np.int64) * 1e-9)
+    return np.asarray(values, dtype=np.float64)
+
+
+def _sheet(file: BinaryIO, variable: str | None, most_samples: int) -> str:
+    """The rows of a sheet as lines of text."""
+    from openpyxl import load_workbook
+
+    book = load_workbook(file, read_only=True, data_only=True)
+    sheets = {page.title: page for page in book.worksheets}
+    chosen = variable or (next(iter(sheets)) if len(sheets) == 1 else "")
+    if chosen not in sheets:
+        asked = f"no sheet '{variable}'" if variable else "several sheets"
+        raise RecordError(
+            f"the file has {asked}: choose one of {', '.join(sheets)} by the option variable"
+        )
+    text = io.StringIO()
+    writer = csv.writer(text, delimiter=_SEPARATOR, lineterminator="\n")
+    for number, row in enumerate(sheets[chosen].iter_rows(values_only=True)):
+        if number == most_samples + _HEAD_ROWS:
+            raise MemoryError
+        cells = [_text(cell) for cell in row]
+        writer.writerow(cells if any(cells) else [])
+    return text.getvalue()
+
+
+def _text(cell: object) -> str:
+    if cell is None:
+        return ""
+    if isinstance(cell, (date, time)):
+        return cell.isoformat()
+    if isinstance(cell, timedelta):
+        return repr(cell.total_seconds())
+    return " ".join(str(cell).split())
+
+
+_XLSX = Format(
+    "a spreadsheet",
+    "openpyxl",
+    "openpyxl: install it (pip install openpyxl==3.1.5, or python3-openpyxl of Ubuntu)",
+    300.0,  # a full sheet has a million rows
+    _sheet,
+)
+
+FORMATS = {
+    ".mat": Format(
+        "a MAT file",
+        "scipy.io",
+        "SciPy: install it",
+        60.0,
+        _matrices,
+        ("variable", "matrices", "column"),
+    ),
+    ".tdms": Format(
+        "a TDMS file",
+        "nptdms",
+        "npTDMS: install it (pip install npTDMS==1.13.0)",
+        60.0,
+        _channels,
+        ("group", "groups of numbers", "channel"),
+    ),
+    ".xlsm": _XLSX,
+    ".xlsx": _XLSX,
+}
+"""The format of files by their ending; all other files are text."""
