@@ -97,7 +97,7 @@ def widened(
 
 
 def force_scale(
-    model: Model, window: Window, fit: WindowFit, baselines: Sequence[WindowFit]
+    model: Model, window: Window, fit: WindowFit, baselines: Sequence[PointRecord]
 ) -> ForceScale:
     """Least-squares factor from the force of the baseline to the force of a window.
 
@@ -105,22 +105,21 @@ def force_scale(
     that their common model error cancels. The error of the baseline is the same in all reports and
     is omitted. In any other motion a fit adapts to the motion of its window, so the measured force
     is compared with the oldest baseline at this current, and :func:`widened` gives the error.
-    ``baselines`` are the first accepted fits of the operating points, oldest first.
+    ``baselines`` are the records with a baseline, oldest first.
     """
     steady = window.motion.sine is not None
     speed, _ = point = fit.operating_point
-    points = [each.operating_point for each in baselines]
+    points = [each.point for each in baselines]
     if steady:
         place = nearest_same(points, point)
     else:
         same = [nearest_same([(speed, current)], point) == 0 for _, current in points]
         place = same.index(True) if any(same) else None
-    if place is None:
+    if place is None or (baseline := baselines[place].baseline) is None:
         return ForceScale()
-    baseline = baselines[place]
     problem = WindowProblem(model, window, fit.parameters)
     settled = problem.settled
-    reference = model.window_force(window, baseline.parameters)[settled]
+    reference = model.window_force(window, baseline)[settled]
     if not steady:
         return measured_scale(reference, window.force[settled])
     present = model.window_force(window, fit.parameters)[settled]

@@ -146,15 +146,15 @@ class KnownForce:
 class PointRecord:
     """Record of one operating point.
 
-    ``baseline`` is the first accepted fit, and ``force`` the first accepted force; later windows do
-    not change them. ``temperatures`` (n, 3) holds the measured temperature [°C], the force scale
-    and its standard error. ``window`` is the newest good window, ``stamp_ns`` the stamp of its last
-    sample, and ``number`` its consecutive number, 0 without one. A record that travels with a job
-    may have the number of its window alone.
+    ``baseline`` (p,) are the parameters of the first accepted fit, and ``force`` is the first
+    accepted force; later windows do not change them. ``temperatures`` (n, 3) holds the measured
+    temperature [°C], the force scale and its standard error. ``window`` is the newest good window,
+    ``stamp_ns`` the stamp of its last sample, and ``number`` its consecutive number, 0 without one.
+    A record that travels with a job may have the number of its window alone.
     """
 
     point: OperatingPoint
-    baseline: WindowFit | None = None
+    baseline: Array | None = None
     force: KnownForce | None = None
     temperatures: Array = field(default_factory=lambda: np.empty((0, 3)))
     window: Window | None = None
@@ -184,15 +184,15 @@ class KnownPoints:
     # Baselines
 
     @property
-    def baselines(self) -> tuple[WindowFit, ...]:
-        """The baselines, oldest first."""
-        return tuple(each.baseline for each in self.records if each.baseline is not None)
+    def baselines(self) -> tuple[PointRecord, ...]:
+        """The records with a baseline, oldest first."""
+        return tuple(each for each in self.records if each.baseline is not None)
 
     def with_baseline(self, fit: WindowFit) -> KnownPoints:
         """Return the records with a fit as the baseline of its operating point, if it has none."""
         if self.at(fit.operating_point).baseline is not None:
             return self
-        return self.noted(fit.operating_point, baseline=fit)
+        return self.noted(fit.operating_point, baseline=fit.parameters)
 
     # Windows
 

@@ -27,7 +27,6 @@ from mr_damper_ros.models.parameter_set import ParameterError, ParameterSet
 from mr_damper_ros.models.plausibility import implausible
 from mr_damper_ros.processes.files import BackgroundWriter, FolderLock
 from mr_damper_ros.processes.worker import GRACE
-from mr_damper_ros.signals.arrays import Array
 from mr_damper_ros.tracking.force_scale import is_plausible
 from mr_damper_ros.tracking.operating_point import KnownPoints, nearest_same
 from mr_damper_ros.tracking.state_directory import (
@@ -58,25 +57,33 @@ def from_text(text: str, model: Model) -> TrackerMemory:
     """
     try:
         data = json.loads(text)
-        if isinstance(data, dict) and "points" not in data:
-            data = _with_records(data)
-        if isinstance(data, dict) and "scales" in (data.get("state") or ()):
-            data["state"] = None  # of an earlier version, which had other unknowns: starts again
-        memory = _read(TrackerMemory, data, "memory")
+        memory = _read(TrackerMemory, _upgraded(data) if isinstance(data, dict) else data, "memory")
         # An older version may have had fewer parameters, and numbers of windows from 0 on.
         records = memory.points.records
         first = min((each.number for each in records if each.window is not None), default=1)
         read = []
         for each in records:
             number = 0 if each.window is None else each.number + (first == 0)
-            if (fit := each.baseline) is not None:
-                fit = dataclasses.replace(fit, parameters=model.completed(fit.parameters))
-            read.append(dataclasses.replace(each, number=number, baseline=fit))
+            baseline = None if each.baseline is None else model.completed(each.baseline)
+            read.append(dataclasses.replace(each, number=number, baseline=baseline))
         memory.points = KnownPoints(tuple(read))
         _check(memory, model)
         return memory
     except (RecursionError, ValueError, OverflowError, TypeError, LookupError) as error:
         raise StateError(f"the memory of the tracker cannot be used: {error}") from error
+
+
+def _upgraded(data: dict[str, Any]) -> dict[str, Any]:
+    """Convert the data of earlier versions."""
+    if "points" not in data:
+        data = _with_records(data)
+    if "scales" in (data.get("state") or ()):
+        data["state"] = None  # had other unknowns: starts again
+    for record in data["points"]["records"]:
+        # A baseline was a whole fit.
+        if "baseline" in record and isinstance(fit := record["baseline"], dict):
+            record["baseline"] = fit.get("parameters", fit)
+    return data
 
 
 _EARLIER_TABLES = ("baselines", "reservoir", "reservoir_points", "reservoir_stamps", "temperatures")
@@ -188,31 +195,19 @@ def _check(memory: TrackerMemory, model: Model) -> None:
         sound = rival.model == model.name and not implausible(rival)
         _require(sound, "the set to be confirmed is not plausible")
     _require(all(len(each) in (2, 4) for each in memory.residuals), "a residual is incomplete")
-    covariances: list[tuple[Array, Array | None]] = []
     if state is not None:
-        fits = state.mean.size == model.unknown_indices.size
-        _require(fits, "the state of the filter is for another model")
-        covariances.append((state.mean, state.covariance))
+        sound = state.mean.shape == model.unknown_indices.shape
+        sound = sound and state.covariance.shape == state.mean.shape * 2
+        _require(sound, "the state of the filter is for another model")
+        _require(bool(np.all(np.diag(state.covariance) >= 0.0)), "a variance is negative")
     for record in memory.points.records:
-        seen, fit = record.temperatures, record.baseline
+        seen, baseline = record.temperatures, record.baseline
         sound = seen.ndim == 2 and seen.shape[1] == 3 and is_plausible(seen)
         _require(sound, "a temperature or force scale is not plausible")
         if record.window is not None:
             _check_window(record.window)
-        if fit is not None:
-            right = fit.parameters.shape == (len(model.parameters),)
-            _require(right, "a fit has the wrong number of parameters")
-            covariances += [
-                (fit.scales, fit.covariance),
-                (fit.scales, fit.discrepancy),
-                (fit.coefficients, fit.coefficient_covariance),
-                (fit.coefficients, fit.coefficient_discrepancy),
-            ]
-    for vector, matrix in covariances:
-        if matrix is not None:
-            sound = vector.ndim == 1 and matrix.shape == vector.shape * 2
-            sound = sound and not np.any(np.diagonal(matrix) < 0.0)
-            _require(sound, "a matrix is not a covariance")
+        right = baseline is None or baseline.shape == (len(model.parameters),)
+        _require(right, "a baseline has the wrong number of parameters")
 
 
 def _check_window(window: Window) -> None:
