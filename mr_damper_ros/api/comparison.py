@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import io
 import re
 import textwrap
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import chain, count
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -23,9 +23,9 @@ from mr_damper_ros.api.measured_runs import (
 )
 from mr_damper_ros.models.parameter_set import ParameterSet
 from mr_damper_ros.processes.blas_threads import one_thread
-from mr_damper_ros.processes.files import write_bytes
-from mr_damper_ros.report.document import Cell, Grid, Shown, figure_of, styled
+from mr_damper_ros.report.document import Cell, Grid, Shown, figure_of, save_figure, styled
 from mr_damper_ros.signals.arrays import Array
+from mr_damper_ros.signals.blocks import NANOSECONDS
 from mr_damper_ros.signals.error_sums import ErrorSums, pooled
 from mr_damper_ros.tracking.predictor import PredictorSettings
 from mr_damper_ros.tracking.state_directory import SetSource, given_set
@@ -68,28 +68,18 @@ def compare(found: ParameterSet, run: MeasuredRun) -> Comparison:
 
     As in a prediction, the peak velocity is limited to the range of the set.
     """
-    time = [
-        start + window.period * np.arange(window.sample_count)
-        for start, window in zip(run.starts, run.windows, strict=True)
-    ]
-    return Comparison(
-        name=run.name,
-        time=np.concatenate(time),
-        displacement=np.concatenate([window.motion.displacement for window in run.windows]),
-        velocity=np.concatenate([window.motion.velocity for window in run.windows]),
-        measured=np.concatenate([window.force for window in run.windows]),
-        predicted=np.concatenate(
-            [found.window_force(window, gradual=None) for window in run.windows]
-        ),
-        provenance=run.provenance,
-    )
+    first, columns = run.recordings[0], []
+    for recording, window in zip(run.recordings, run.windows, strict=True):
+        start = (recording.start_ns - first.start_ns) / NANOSECONDS
+        times, motion = start + window.period * np.arange(window.sample_count), window.motion
+        force = found.window_force(window, gradual=None)
+        columns.append((times, motion.displacement, motion.velocity, window.force, force))
+    time, u, v, measured, predicted = map(np.concatenate, zip(*columns, strict=True))
+    origin = first.details.get("provenance", "")
+    return Comparison(run.name, time, u, v, measured, predicted, origin)
 
 
-def error_over(comparisons: Iterable[Comparison]) -> ErrorSums:
-    """Prediction error over the samples of all runs."""
-    return pooled(comparison.error for comparison in comparisons)
-
-
+@dataclass(frozen=True, eq=False)
 class ComparedRun:
     """Base class of the runs of a result: name and error of the ``comparison``."""
 
@@ -127,7 +117,7 @@ class ComparedRuns(Shown):
     @property
     def error(self) -> ErrorSums:
         """RMSE, NRMSE and R² of the set over the samples of all runs."""
-        return error_over(run.comparison for run in self.runs)
+        return pooled(run.error for run in self.runs)
 
     @property
     def rmse(self) -> float:
@@ -218,31 +208,19 @@ def save_figures(
     comparisons: Iterable[Comparison], folder: Path, formats: Sequence[str], title: str = ""
 ) -> list[Path]:
     """Save a figure of each comparison in all formats; returns the paths. Raises OSError."""
-    written: list[Path] = []
+    stems: list[str] = []
+    written = []
     for comparison in comparisons:
         figure = comparison_figure(comparison, title)
-        stem = _file_name(comparison.name, {path.stem for path in written})
+        # The name of a run may be a path, and two runs may have the same name.
+        name = Path(comparison.name).name.removesuffix(".mcap")
+        stem = re.sub(r"[^\w.+-]+", "_", name).strip("._") or "run"
+        numbered = (f"{stem}_{number}" for number in count(2))
+        stems.append(next(free for free in chain([stem], numbered) if free not in stems))
         for kind in formats:
-            written.append(folder / f"{stem}.{kind}")
+            written.append(folder / f"{stems[-1]}.{kind}")
             save_figure(figure, written[-1])
     return written
-
-
-def save_figure(figure: Figure, path: Path) -> None:
-    """Save a figure in the format of the path's ending; missing folders are created."""
-    content = io.BytesIO()
-    figure.savefig(content, format=path.suffix.removeprefix("."), dpi=150)
-    write_bytes(path, content.getvalue())
-
-
-def _file_name(name: str, taken: set[str]) -> str:
-    """A valid, unused file name from the name of a run, which may be a path."""
-    stem = re.sub(r"[^\w.+-]+", "_", Path(name).name.removesuffix(".mcap")).strip("._") or "run"
-    free, number = stem, 1
-    while free in taken:
-        number += 1
-        free = f"{stem}_{number}"
-    return free
 
 
 _MARGINS = PredictorSettings()
@@ -255,7 +233,6 @@ class ValidatedRun(ComparedRun):
     ``remark``: a sentence if the run lies outside the range of the set, otherwise empty.
     """
 
-    comparison: Comparison
     remark: str
 
 

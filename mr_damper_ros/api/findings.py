@@ -59,7 +59,7 @@ class Estimate:
 
     def __str__(self) -> str:
         if not self.observable or self.only_with:
-            return f"{self.value:.6g} {self.unit}, {_error(self)}"
+            return f"{self.value:.6g} {self.unit}, {_uncertainty(self)[0]}"
         if math.isnan(self.standard_error):
             return f"{self.value:.6g} {self.unit}"
         return f"{self.value:.6g} ± {self.standard_error:.2g} {self.unit}"
@@ -75,20 +75,17 @@ def parameter_estimates(
 
     ``partners`` is the result of :meth:`Determination.partners`.
     """
-    partners = partners or {}
-    errors = found.standard_errors.tolist(), found.observable, found.discrepancies.tolist()
-    rows = zip(found.law.parameters, found.values.tolist(), *errors, strict=True)
-    return {
-        parameter.name: Estimate(
-            value,
-            math.nan if parameter.name in partners else error,
-            parameter.unit,
-            bool(observable),
-            discrepancy=math.nan if parameter.name in partners else discrepancy,
-            only_with=partners.get(parameter.name, ()),
+    estimates = {}
+    columns = found.values, found.standard_errors, found.discrepancies, found.observable
+    rows = zip(found.law.parameters, *(column.tolist() for column in columns), strict=True)
+    for parameter, value, error, discrepancy, observable in rows:
+        others = (partners or {}).get(parameter.name, ())
+        if others:
+            error = discrepancy = math.nan
+        estimates[parameter.name] = Estimate(
+            value, error, parameter.unit, observable, discrepancy=discrepancy, only_with=others
         )
-        for parameter, value, error, observable, discrepancy in rows
-    }
+    return estimates
 
 
 _SIGNIFICANT = 2.0
@@ -121,26 +118,24 @@ def negative_slopes(runs: Mapping[str, Estimates], found: ParameterSet) -> list[
 def estimates_table(heading: str, estimates: Estimates) -> Grid:
     """The table of estimates; ``heading`` is the heading of its first column, the names."""
     rows = [
-        (name, f"{entry.value:.6g}", _error(entry), _discrepancy(entry), entry.unit, entry.meaning)
+        (name, f"{entry.value:.6g}", *_uncertainty(entry), entry.unit, entry.meaning)
         for name, entry in estimates.items()
     ]
     return (heading, "value", "standard error", "discrepancy", "unit", ""), rows
 
 
-def _error(entry: Estimate) -> str:
-    if entry.observable and entry.only_with:
-        others = ", ".join(entry.only_with[:_MOST_PARTNERS])
-        more = len(entry.only_with) > _MOST_PARTNERS
-        return f"only with {others}{', …' if more else ''}"
+def _uncertainty(entry: Estimate) -> tuple[str, str]:
+    """Standard error and discrepancy as text."""
     if not entry.observable:
-        return "not observable"
-    return f"{entry.standard_error:.3g}" if math.isfinite(entry.standard_error) else "unknown"
-
-
-def _discrepancy(entry: Estimate) -> str:
-    if not entry.observable or entry.only_with:
-        return ""
-    return f"{entry.discrepancy:.3g}" if math.isfinite(entry.discrepancy) else "unknown"
+        return "not observable", ""
+    if entry.only_with:
+        more = ", …" if len(entry.only_with) > _MOST_PARTNERS else ""
+        return f"only with {', '.join(entry.only_with[:_MOST_PARTNERS])}{more}", ""
+    error, discrepancy = (
+        f"{value:.3g}" if math.isfinite(value) else "unknown"
+        for value in (entry.standard_error, entry.discrepancy)
+    )
+    return error, discrepancy
 
 
 _MOST_PARTNERS = 2
@@ -162,10 +157,10 @@ def temperature_maps(runs: Sequence[MeasuredRun], found: ParameterSet) -> list[T
     """
     known = KnownPoints()
     for run in runs:
-        for window, celsius in zip(run.windows, run.temperatures, strict=True):
-            if celsius is None:
+        for window, recording in zip(run.windows, run.recordings, strict=True):
+            if recording.temperature is None:
                 continue
-            for piece, mean in _pieces(window, celsius):
+            for piece, mean in _pieces(window, recording.temperature):
                 try:
                     fit = fit_window(found.law, piece, found.values, method="least_squares")
                 except ValueError:
@@ -222,20 +217,18 @@ def _entry(of: object, *names: str) -> dict[str, Any]:
 
 def determination_of(fit: GlobalFit, windows: Sequence[Window]) -> Determination:
     """The combinations of parameters that the windows of a fit determine."""
-    found = fit.parameter_set
-    misfit = fit.misfit(windows)
-    jacobian = misfit.jacobian(found.values) / noise_level(misfit.residual(found.values))
-    spans = parameter_spans(found.law, jacobian, found.values, parameter_ranges(found.law, windows))
-    return determination(found.law, jacobian, spans, found.values)
+    law, values, misfit = fit.parameter_set.law, fit.parameter_set.values, fit.misfit(windows)
+    jacobian = misfit.jacobian(values) / noise_level(misfit.residual(values))
+    spans = parameter_spans(law, jacobian, values, parameter_ranges(law, windows))
+    return determination(law, jacobian, spans, values)
 
 
 def determined(
     fit: GlobalFit, windows: Sequence[Window], rig: MachineLimits, result: Determination
 ) -> Findings:
     """The determined parameters, and runs within the range of the rig that would determine more."""
-    found = fit.parameter_set
+    found, noise = fit.parameter_set, float(np.median(fit.noise))
     misfit = fit.misfit(windows)
-    noise = float(np.median(fit.noise))
     runs = extra_runs(found.law, misfit, noise, found.values, found.observable, rig)
     lines = [
         f"the data determine {result.rank} of {len(result.names)} combinations of the parameters",

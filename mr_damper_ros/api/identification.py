@@ -6,7 +6,7 @@ import json
 import math
 import os
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
 from pathlib import Path
@@ -20,10 +20,8 @@ from mr_damper_ros.api.comparison import (
     RUN_COLUMNS,
     ComparedRun,
     ComparedRuns,
-    Comparison,
     compare,
     error_entry,
-    error_over,
 )
 from mr_damper_ros.api.findings import (
     Estimate,
@@ -70,6 +68,7 @@ from mr_damper_ros.processes.files import json_ready, write_text
 from mr_damper_ros.processes.process_pool import ProcessPool
 from mr_damper_ros.report.document import Cell, Grid
 from mr_damper_ros.signals.arrays import Array
+from mr_damper_ros.signals.error_sums import pooled
 from mr_damper_ros.tracking.state_directory import SetSource, given_set
 
 LARGEST_RUN_NRMSE = 0.3
@@ -95,7 +94,6 @@ class FittedRun(ComparedRun):
     """
 
     measured: MeasuredRun
-    comparison: Comparison
     operating_point: tuple[float, float]
     coefficients: dict[str, Estimate]
     level: Level | None = None
@@ -103,16 +101,11 @@ class FittedRun(ComparedRun):
     @property
     def level_row(self) -> tuple[Cell, ...]:
         """NRMSE with gain and offset; then gain and offset with their standard errors."""
-        if self.level is None:
+        level = self.level
+        if level is None:
             return "", "", ""
-        scale, zero = (
-            f"{value:.{digits}f} ± {error:.{digits}f}"
-            for value, error, digits in (
-                (self.level.scale, self.level.scale_error, 4),
-                (self.level.zero, self.level.zero_error, 1),
-            )
-        )
-        return f"{self.level.nrmse:.2%}", scale, zero
+        scale = f"{level.scale:.4f} ± {level.scale_error:.4f}"
+        return f"{level.nrmse:.2%}", scale, f"{level.zero:.1f} ± {level.zero_error:.1f}"
 
     def document(self) -> dict[str, Any]:
         """The fit as JSON-compatible values."""
@@ -268,10 +261,9 @@ class Identification(ComparedRuns):
     def temperature_maps(self) -> Findings:
         """Change of the force with temperature, from runs with measured temperature."""
         measured = [run.measured for run in self.runs]
-        if all(celsius is None for run in measured for celsius in run.temperatures):
+        if all(part.temperature is None for run in measured for part in run.recordings):
             return Findings([], {})
-        found = temperature_maps(measured, self.parameter_set)
-        return findings.temperatures(found)
+        return findings.temperatures(temperature_maps(measured, self.parameter_set))
 
     def save(self, path: str | os.PathLike[str]) -> None:
         """Write the parameter set as YAML, for ``ParameterSet.load``, ``validate`` and the nodes.
@@ -447,107 +439,98 @@ def identify(
             )
             model = choice.chosen.model
             start_values = start_values_of(start, model)
-        options = Search(
-            model,
-            method,
-            start_values,
-            settings,
-            starts,
-            None if resume is None else Path(resume),
-            (profile,) if isinstance(profile, str) else profile,
-            level_per_record,
-            fit_mass,
+        search = partial(
+            identify_measured,
+            model=model,
+            method=method,
+            start_values=start_values,
+            settings=settings,
+            processes=processes,
+            starts=starts,
+            profile=(profile,) if isinstance(profile, str) else profile,
+            level_per_record=level_per_record,
+            report=report,
         )
-        found = identify_measured(measured, options, processes, report)
+        found = search(measured, resume=None if resume is None else Path(resume))
+        if fit_mass and not found.searches.best.stopped:
+            found = _with_mass(found, measured, search)
     known = Estimate(mass, math.nan, "kg") if mass and not fit_mass else found.mass
     return replace(found, choice=choice, mass=known)
 
 
-@dataclass(frozen=True, eq=False)
-class Search:
-    """Options of an identification, as in :func:`identify`; ``start_values`` has shape (p,)."""
-
-    model: str
-    method: str
-    start_values: Array
-    settings: EvolutionSettings
-    starts: int = 1
-    resume: Path | None = None
-    profile: Sequence[str] = ()
-    level_per_record: float = 0.0
-    fit_mass: bool = False
-
-
 def identify_measured(
     measured: Sequence[MeasuredRun],
-    options: Search,
+    *,
+    model: str,
+    method: str,
+    start_values: Array,
+    settings: EvolutionSettings,
     processes: ProcessPool,
+    starts: int = 1,
+    resume: Path | None = None,
+    profile: Sequence[str] = (),
+    level_per_record: float = 0.0,
     report: Report | None = None,
 ) -> Identification:
-    """:func:`identify` for runs that are already loaded."""
+    """:func:`identify` for runs that are already loaded; ``start_values`` has shape (p,)."""
     windows = all_windows(measured)
-    law, settings, resume = MODELS[options.model], options.settings, options.resume
     levels = None
-    if options.level_per_record:
+    if level_per_record:
         records = tuple(place for place, run in enumerate(measured) for _ in run.windows)
-        levels = LevelPrior(records, options.level_per_record)
-    record = SearchRecord(law, windows, options.start_values, settings, options.method, levels)
-    if resume is not None and resume.exists():
-        _resume(record, resume)
+        levels = LevelPrior(records, level_per_record)
+    record = SearchRecord(MODELS[model], windows, start_values, settings, method, levels)
+    keep = None
+    if resume is not None:
+        keep = partial(_store, resume)
+        if resume.exists():
+            _resume(record, resume)
     began = time.monotonic()
-    searches = identify_from_seeds(
-        record,
-        options.starts,
-        report,
-        processes=processes,
-        keep=None if resume is None else partial(_store, resume),
-    )
+    searches = identify_from_seeds(record, starts, report, processes=processes, keep=keep)
     profiles = Findings([], {})
-    if options.profile and not searches.best.stopped:
-        fit, found = profiled(searches.best, windows, options.profile, settings, processes, report)
+    if profile and not searches.best.stopped:
+        fit, found = profiled(searches.best, windows, profile, settings, processes, report)
         searches, profiles = searches.replaced(fit), findings.profiles(fit, found)
-    mass = None
-    if options.fit_mass and not searches.best.stopped:
-        mass = _fitted_mass(searches.best, windows)
-    if mass is not None and mass.observable:
-        without = replace(options, fit_mass=False, resume=None)
-        for _ in range(_MOST_MASSES):
-            rest = without_inertia(measured, mass.value)
-            again = identify_measured(rest, without, processes, report)
-            before, mass = mass, _fitted_mass(again.searches.best, windows, mass.value)
-            if abs(mass.value - before.value) <= mass.standard_error:
-                break
-        return replace(again, mass=mass, duration=time.monotonic() - began)
     duration = time.monotonic() - began
-    fitted = _fitted(searches, measured)
-    nrmse = error_over(run.comparison for run in fitted).nrmse
+    best, fitted = searches.best.parameter_set, _fitted(searches, measured)
+    slopes = findings.negative_slopes({run.name: run.coefficients for run in fitted}, best)
     return Identification(
-        parameter_set=replace(searches.best.parameter_set, nrmse=nrmse),
+        parameter_set=replace(best, nrmse=pooled(run.error for run in fitted).nrmse),
         runs=fitted,
         searches=searches,
-        method=options.method,
+        method=method,
         duration=duration,
-        remarks=(
-            *remarks_on(measured),
-            *findings.negative_slopes(
-                {run.name: run.coefficients for run in fitted}, searches.best.parameter_set
-            ),
-            *([] if mass is None else [_NO_MASS]),
-        ),
+        remarks=(*remarks_on(measured), *slopes),
         profiles=profiles,
-        mass=None if mass is None else replace(mass, value=0.0, standard_error=math.nan),
     )
 
 
-_NO_MASS = (
-    "the runs do not determine the mass, so no inertia was subtracted: give runs of different "
-    "frequencies"
-)
+def _with_mass(
+    found: Identification,
+    measured: Sequence[MeasuredRun],
+    search: Callable[[Sequence[MeasuredRun]], Identification],
+) -> Identification:
+    """The identification with a fitted mass, repeated without the inertia of this mass."""
+    windows, began = all_windows(measured), time.monotonic()
+    mass = _fitted_mass(found.searches.best, windows)
+    if not mass.observable:
+        remark = (
+            "the runs do not determine the mass, so no inertia was subtracted: give runs of "
+            "different frequencies"
+        )
+        unknown = replace(mass, value=0.0, standard_error=math.nan)
+        return replace(found, remarks=(*found.remarks, remark), mass=unknown)
+    before = found.duration
+    for _ in range(_MOST_MASSES):
+        found = search(without_inertia(measured, mass.value))
+        last, mass = mass, _fitted_mass(found.searches.best, windows, mass.value)
+        if abs(mass.value - last.value) <= mass.standard_error:
+            break
+    return replace(found, mass=mass, duration=before + time.monotonic() - began)
+
 
 _MASS_SAMPLES = 8000
 """Approximate number of samples over all windows; more samples would not help the fit."""
 
-_MASS_STEPS = 40
 _MASS_PRIOR = 3.0
 """Prior standard deviation of the parameters about their fit, relative to their size. Without it,
 ``modified_bouc_wen`` finds 0.82 instead of 0.92 of the true mass (``random_current_mass``)."""
@@ -593,9 +576,7 @@ def _fitted_mass(fit: GlobalFit, windows: Sequence[Window], mass: float = 0.0) -
         for bound, end in zip(found.law.bounds, (0.0, np.inf), strict=True)
     )
     start = np.clip(np.append(law.start, mass), low, high)
-    best = least_squares(
-        residual, start, jacobian, (low, high), x_scale="jac", max_nfev=_MASS_STEPS
-    ).x
+    best = least_squares(residual, start, jacobian, (low, high), x_scale="jac", max_nfev=40).x
     variances = np.full(len(law.places), noise**2)
     covariance = least_squares_covariance(jacobian(best), residual(best), variances)
     variance = float(covariance[-1, -1])
@@ -640,24 +621,20 @@ def _store(path: Path, record: SearchRecord) -> None:
 
 def _fitted(searches: MultiStart, runs: Sequence[MeasuredRun]) -> tuple[FittedRun, ...]:
     fit = searches.best
-    law = fit.parameter_set.law
     levels = dict(enumerate(fit.record_levels(all_windows(runs))))
     fitted = []
     for place, run in enumerate(runs):
         point, frequency = run.longest.operating_point, LoopReading.of(run.longest).frequency
-        found = (row.tolist() for row in fit.coefficients(point, frequency))
-        coefficients = {
-            each.name: Estimate(
-                value,
-                error if error > 0.0 else math.nan,
-                each.unit,
-                meaning=each.meaning,
-                discrepancy=discrepancy,
+        columns = (column.tolist() for column in fit.coefficients(point, frequency))
+        coefficients = {}
+        for law, *found in zip(fit.parameter_set.law.at_one_current, *columns, strict=True):
+            value, error, discrepancy = found
+            error = error if error > 0.0 else math.nan
+            coefficients[law.name] = Estimate(
+                value, error, law.unit, meaning=law.meaning, discrepancy=discrepancy
             )
-            for each, value, error, discrepancy in zip(law.at_one_current, *found, strict=True)
-        }
         comparison = compare(fit.parameter_set, run)
-        fitted.append(FittedRun(run, comparison, point, coefficients, levels.get(place)))
+        fitted.append(FittedRun(comparison, run, point, coefficients, levels.get(place)))
     return tuple(fitted)
 
 

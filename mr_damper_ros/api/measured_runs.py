@@ -7,7 +7,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations
 from pathlib import Path
-from typing import Any, SupportsFloat
+from typing import Any, SupportsFloat, cast
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -17,8 +17,7 @@ from mr_damper_ros.kinematics.motion import DataError
 from mr_damper_ros.kinematics.window import Window, holds_cycle
 from mr_damper_ros.models.quantities import SAME_CURRENT
 from mr_damper_ros.processes.process_pool import Notify, ProcessPool
-from mr_damper_ros.signals.arrays import Array, samples_of
-from mr_damper_ros.signals.blocks import NANOSECONDS
+from mr_damper_ros.signals.arrays import Array
 from mr_damper_ros.signals.moving_average import find_average
 from mr_damper_ros.signals.recording import DEFAULT_START_NS, LARGEST_CURRENT, Recording
 from mr_damper_ros.tracking.screening import (
@@ -44,17 +43,13 @@ _LIMITS = Screening(minimum_amplitude=1e-6, current_tolerance=2.0 * LARGEST_CURR
 class MeasuredRun:
     """One run of a damper, checked and ready for identification.
 
-    ``windows``: one per section without gaps; ``starts``: the start time [s] of each window;
-    ``temperatures``: the temperature (n,) [°C] of the samples of each window, None if it was not
-    measured; ``provenance``: the origin of the data according to the recording; ``remarks``:
+    ``recordings``: one per section without gaps; ``windows``: their motion and force; ``remarks``:
     possible problems of the run.
     """
 
     name: str
+    recordings: tuple[Recording, ...]
     windows: tuple[Window, ...]
-    starts: tuple[float, ...]
-    temperatures: tuple[Array | None, ...]
-    provenance: str = ""
     remarks: tuple[str, ...] = ()
 
     @property
@@ -71,10 +66,11 @@ def measured_run(
     Raises ValueError if the run cannot be used. With ``accept_doubtful``, a problem becomes a
     remark instead, unless the displacement or the force is constant.
     """
+    recordings: tuple[Recording, ...]
     if isinstance(source, Recording):
-        name, recordings = source.name, [source]
+        name, recordings = source.name, (source,)
     elif isinstance(source, (str, os.PathLike)):
-        name, recordings = os.fspath(source), _recordings(Path(source))
+        name, recordings = os.fspath(source), tuple(_recordings(Path(source)))
     else:
         raise ValueError(
             f"a run cannot be of type {type(source).__name__}: give the path of a bag or a "
@@ -107,15 +103,7 @@ def measured_run(
         windows.append(window.resolved())
     if not any(holds_cycle(recording.displacement) for recording in recordings):
         remarks.append(f"{name}: it holds less than a cycle of the motion; record some cycles")
-    first_ns = recordings[0].start_ns
-    return MeasuredRun(
-        name=name,
-        windows=tuple(windows),
-        starts=tuple((recording.start_ns - first_ns) / NANOSECONDS for recording in recordings),
-        temperatures=tuple(recording.temperature for recording in recordings),
-        provenance=recordings[0].details.get("provenance", ""),
-        remarks=tuple(dict.fromkeys(remarks)),
-    )
+    return MeasuredRun(name, recordings, tuple(windows), tuple(dict.fromkeys(remarks)))
 
 
 def measured_runs(
@@ -131,7 +119,7 @@ def measured_runs(
     """
     flat = _flat(sources)
     if any(given is not None for given in arrays):
-        flat.append(_from_arrays(*arrays))
+        flat.append(_from_arrays(arrays))
     if not flat:
         raise ValueError(
             "there are no runs: give paths of bags, recordings, or displacement, force, current "
@@ -193,32 +181,22 @@ def _recordings(path: Path) -> list[Recording]:
     return read_bag(path)
 
 
-def _from_arrays(
-    displacement: ArrayLike | None,
-    force: ArrayLike | None,
-    current: ArrayLike | None,
-    period: float | None,
-) -> Recording:
-    given = {"displacement": displacement, "force": force, "current": current, "period": period}
-    missing = [name for name, value in given.items() if value is None]
-    if missing or displacement is None or current is None or force is None or period is None:
+def _from_arrays(arrays: RunArrays) -> Recording:
+    names = ("displacement", "force", "current", "period")
+    missing = [name for name, given in zip(names, arrays, strict=True) if given is None]
+    if missing:
         raise ValueError(
             f"{' and '.join(missing)} missing: give displacement [m], force [N], current [A] "
             "and period [s] together"
         )
-    count = np.size(displacement)
+    displacement, force, current, period = cast(tuple[Any, Any, Any, Any], arrays)
     try:
         period = float(period)
     except (TypeError, ValueError):
         raise ValueError(f"period is {period!r}: give the sample period as a number [s]") from None
-    return Recording(
-        name="arrays",
-        start_ns=DEFAULT_START_NS,
-        period=period,
-        displacement=samples_of(displacement),
-        force=samples_of(force),
-        current=np.full(count, current) if np.ndim(current) == 0 else samples_of(current),
-    )
+    if np.ndim(current) == 0:
+        current = np.full(np.size(displacement), current)
+    return Recording("arrays", DEFAULT_START_NS, period, displacement, force, current)
 
 
 _FULL_SPEED = 0.85

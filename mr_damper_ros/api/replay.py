@@ -213,26 +213,24 @@ def replay(
     >>> said.reports[0].verdict.name, f"{said.valid[-1000:].mean():.0%}"
     ('ACCEPTED', '100%')
     """
-    start = None if parameters is None else given_set(parameters)
-    engine = Engine(settings, start, identify=identify)
+    initial = None if parameters is None else given_set(parameters)
+    engine = Engine(settings, initial, identify=identify)
+    stream: Iterable[StreamItem]
     if isinstance(source, Recording):
-        return _replayed(source.name, stream_of(source, block_size), engine)
-    if not isinstance(source, (str, os.PathLike)):
+        name, stream = source.name, stream_of(source, block_size)
+    elif isinstance(source, (str, os.PathLike)):
+        name, stream = os.fspath(source), bag_stream(Path(source))
+    else:
         wrong = f"a recording cannot be of type {type(source).__name__}"
         raise ValueError(f"{wrong}: give a Recording or the path of a bag")
-    return _replayed(os.fspath(source), bag_stream(Path(source)), engine)
-
-
-def _replayed(name: str, stream: Iterable[StreamItem], engine: Engine) -> Replay:
     parts: list[tuple[np.ndarray, ...]] = []
     start_ns: int | None = None
     for block, prediction in engine.follow(stream):
         start_ns = block.start_ns if start_ns is None else start_ns
         count = prediction.force.size
         arrived = slice(block.sample_count - count, None)
-        seconds = (prediction.start_ns - start_ns) / NANOSECONDS + (
-            np.arange(count) * prediction.period
-        )
+        start = (prediction.start_ns - start_ns) / NANOSECONDS
+        seconds = start + np.arange(count) * prediction.period
         measured = block.displacement[arrived], block.force[arrived]
         parts.append((seconds, *measured, prediction.force, prediction.doubts))
     if start_ns is None:

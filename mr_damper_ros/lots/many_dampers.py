@@ -13,12 +13,7 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any
 
-from mr_damper_ros.api.identification import (
-    Identification,
-    Search,
-    identify_measured,
-    start_values_of,
-)
+from mr_damper_ros.api.identification import Identification, identify_measured, start_values_of
 from mr_damper_ros.api.measured_runs import measured_run
 from mr_damper_ros.estimation.differential_evolution import EvolutionSettings
 from mr_damper_ros.io.recording_list import (
@@ -53,12 +48,13 @@ _PERMANENT = (FileNotFoundError, PermissionError, ValueError)
 class DamperGroup:
     """All recordings of one damper, and how to identify it.
 
-    ``record_format`` describes record files, None if there are only bags.
+    ``search``: arguments of :func:`identify_measured`. ``record_format`` describes record files,
+    None if there are only bags.
     """
 
     damper: str
     recordings: tuple[ListedRecording, ...]
-    search: Search
+    search: Mapping[str, Any]
     accept_doubtful: bool
     record_format: RecordFormat | None
 
@@ -94,7 +90,8 @@ def identify_group(group: DamperGroup) -> dict[str, Any]:
     document["recordings"] = [run.name for run in runs]
     if runs:
         try:
-            document |= _result(group, identify_measured(runs, group.search, ProcessPool(1)))
+            found = identify_measured(runs, processes=ProcessPool(1), **group.search)
+            document |= _result(group, found)
         except Exception as error:
             document["failure"] = reason_of(error)
     return document | {"duration_s": time.perf_counter() - began}
@@ -261,7 +258,12 @@ def identify_many(
     """
     record_format = None if columns is None else RecordFormat(columns, current, period, variable)
     settings = EvolutionSettings(generations=generations, seed=seed)
-    search = Search(model, method, start_values_of(start, model), settings)
+    search = {
+        "model": model,
+        "method": method,
+        "start_values": start_values_of(start, model),
+        "settings": settings,
+    }
     recordings, unnamed = find_recordings(
         sources, pattern=pattern, with_records=record_format is not None
     )
@@ -281,7 +283,7 @@ def identify_many(
             {
                 "model": model,
                 "method": method,
-                "start": search.start_values,
+                "start": search["start_values"],
                 **asdict(settings),
                 "accept_doubtful": accept_doubtful,
                 "record_format": None if record_format is None else asdict(record_format),

@@ -183,15 +183,20 @@ def csv_text(columns: Sequence[str], rows: Iterable[Sequence[Cell]]) -> str:
     return text.getvalue()
 
 
+def save_figure(figure: Any, path: Path, **options: Any) -> bytes:
+    """Save a figure in the format of the path's ending; returns the content of the file."""
+    content = io.BytesIO()
+    figure.savefig(content, format=path.suffix.removeprefix("."), **{"dpi": 150} | options)
+    write_bytes(path, content.getvalue())
+    return content.getvalue()
+
+
 def write_picture(folder: Path, picture: Picture) -> bytes:
     """Write a figure as PNG and SVG; returns the SVG."""
-    pixels, svg = io.BytesIO(), io.BytesIO()
-    picture.figure.savefig(pixels, format="png", dpi=150)
-    write_bytes(folder / f"{picture.name}.png", pixels.getvalue())
+    save_figure(picture.figure, folder / f"{picture.name}.png")
     # No date and fixed ids: identical data give an identical file.
-    picture.figure.savefig(svg, format="svg", metadata={"Date": None})
-    write_bytes(folder / f"{picture.name}.svg", svg.getvalue())
-    return svg.getvalue()
+    date = {"Date": None}
+    return save_figure(picture.figure, folder / f"{picture.name}.svg", dpi="figure", metadata=date)
 
 
 @dataclass(frozen=True)

@@ -7,10 +7,11 @@ from __future__ import annotations
 
 import argparse
 
-from mr_damper_ros.api.comparison import FORMATS, save_figure
+from mr_damper_ros.api.comparison import FORMATS
 from mr_damper_ros.api.replay import replay
 from mr_damper_ros.models import MODELS
 from mr_damper_ros.models.parameter_set import DEFAULT_MODEL
+from mr_damper_ros.report.document import save_figure
 from mr_damper_ros.tools.console import add_json_option, add_path, program, write_json
 from mr_damper_ros.tracking.engine import EngineSettings
 from mr_damper_ros.tracking.tracker import OF_THE_SET

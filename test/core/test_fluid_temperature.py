@@ -257,5 +257,5 @@ def test_a_bag_with_a_thermometer_gives_the_map(tmp_path: Path) -> None:
 def test_a_bag_without_a_thermometer_gives_none(tmp_path: Path) -> None:
     write_bag(tmp_path / "bag", heated(thermometer=False))
     bag = measured_run(tmp_path / "bag")
-    assert bag.temperatures == (None,)
+    assert [part.temperature for part in bag.recordings] == [None]
     assert temperature_maps([bag], COLD_SET) == []
