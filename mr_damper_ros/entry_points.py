@@ -35,8 +35,6 @@ quickly.
 
 _SIGNALS = (signal.SIGINT, signal.SIGTERM)
 
-_NOT_INSTALLED = 2
-
 _INTERRUPTED, _TERMINATED = 130, 143
 """Exit codes after Ctrl-C and after SIGTERM, by the convention of shells."""
 
@@ -95,7 +93,7 @@ def _run_node(name: str, *arguments: object) -> int:
         if missing not in _MISSING:
             raise
         print(_MISSING[missing], file=sys.stderr)
-        return _NOT_INSTALLED
+        return 2
     try:
         code: int = node.main(*arguments)
         sys.stdout.flush()

@@ -141,13 +141,6 @@ def error_entry(error: ErrorSums) -> dict[str, Any]:
 
 FORMATS = ("png", "svg", "pdf")
 
-_LEGEND = 0.06
-"""Fraction of the height of the figure for the legend."""
-
-_MEASURED = {"color": "0.65", "linestyle": "none", "marker": ".", "markersize": 3.0}
-_PREDICTED = {"color": "#8f1023", "linewidth": 1.2}
-"""Light dots and a dark line can be told apart in black and white."""
-
 
 def comparison_figure(comparison: Comparison, title: str = "") -> Figure:
     """Figure of a comparison: both loops, force and residual over time, residual histogram.
@@ -158,7 +151,7 @@ def comparison_figure(comparison: Comparison, title: str = "") -> Figure:
     with styled():
         figure = figure_of(7.2, 7.6)
         # Space for the legend; the Matplotlib of Ubuntu 24.04 does not support loc="outside …".
-        figure.get_layout_engine().set(rect=(0.0, _LEGEND, 1.0, 1.0 - _LEGEND))
+        figure.get_layout_engine().set(rect=(0.0, 0.06, 1.0, 0.94))
         axes: dict[str, Any] = figure.subplot_mosaic(
             [
                 ["velocity"] * 2 + ["displacement"] * 2,
@@ -171,30 +164,28 @@ def comparison_figure(comparison: Comparison, title: str = "") -> Figure:
         gaps = np.flatnonzero(np.diff(c.time) > 1.5 * float(np.median(np.diff(c.time)))) + 1
         # A NaN at each gap interrupts the line.
         time, residual = (np.insert(each, gaps, np.nan) for each in (c.time, c.residual))
-        for name, x in (
-            ("velocity", c.velocity),
-            ("displacement", 1e3 * c.displacement),
-            ("force", c.time),
+        for name, label, x in (
+            ("velocity", "Velocity [m/s]", c.velocity),
+            ("displacement", "Displacement [mm]", 1e3 * c.displacement),
+            ("force", "Time [s]", c.time),
         ):
-            axes[name].plot(x, c.measured, label="measured", rasterized=True, **_MEASURED)
+            # Light dots and a dark line can be told apart in black and white.
+            axes[name].plot(
+                x, c.measured, ".", color="0.65", ms=3.0, label="measured", rasterized=True
+            )
             broken = (np.insert(each, gaps, np.nan) for each in (x, c.predicted))
-            axes[name].plot(*broken, label="predicted", **_PREDICTED)
+            axes[name].plot(*broken, color="#8f1023", linewidth=1.2, label="predicted")
+            axes[name].set(xlabel=label, ylabel="Force [N]")
         axes["residual"].plot(time, residual, color="0.25", linewidth=0.6)
         axes["residual"].axhline(0.0, color="0.6", linewidth=0.6)
+        axes["residual"].set(xlabel="Time [s]", ylabel="Residual [N]")
         axes["histogram"].hist(c.residual, 40, orientation="horizontal", color="0.55")
         axes["histogram"].sharey(axes["residual"])
         axes["histogram"].tick_params(labelleft=False)
-        for name, below, beside in (
-            ("velocity", "Velocity [m/s]", "Force [N]"),
-            ("displacement", "Displacement [mm]", "Force [N]"),
-            ("force", "Time [s]", "Force [N]"),
-            ("residual", "Time [s]", "Residual [N]"),
-            ("histogram", "Samples", ""),
-        ):
-            axes[name].set_xlabel(below)
-            axes[name].set_ylabel(beside)
-            axes[name].grid(color="0.9", linewidth=0.6)
-            axes[name].set_axisbelow(True)
+        axes["histogram"].set_xlabel("Samples")
+        for axis in axes.values():
+            axis.grid(color="0.9", linewidth=0.6)
+            axis.set_axisbelow(True)
         lines = [Path(c.name).name, *([title] if title else [])]
         lines.append(f"NRMSE {c.error.nrmse:.2%}, RMSE {c.error.rmse:.3g} N")
         lines += textwrap.wrap(c.provenance, 92)  # characters per line

@@ -88,10 +88,6 @@ def parameter_estimates(
     return estimates
 
 
-_SIGNIFICANT = 2.0
-"""A negative coefficient is reported if it lies this many standard errors below zero."""
-
-
 def negative_slopes(runs: Mapping[str, Estimates], found: ParameterSet) -> list[str]:
     """Remarks on negative stiffnesses and viscous slopes in the coefficients of each run."""
     entries: dict[str, list[tuple[str, Estimate]]] = {}
@@ -99,12 +95,13 @@ def negative_slopes(runs: Mapping[str, Estimates], found: ParameterSet) -> list[
         for name, entry in estimates.items():
             if "stiffness" in entry.meaning or "viscous" in entry.meaning:
                 entries.setdefault(name, []).append((f" in {run}", entry))
-    for name, entry in parameter_estimates(found).items():
-        if name == "stiffness" and entry.observable:
-            entries[name] = [("", replace(entry, meaning="stiffness"))]
+    stiffness = parameter_estimates(found).get("stiffness")
+    if stiffness is not None and stiffness.observable:
+        entries["stiffness"] = [("", replace(stiffness, meaning="stiffness"))]
     remarks = []
     for name, each in entries.items():
-        below = [(where, e) for where, e in each if e.value < -_SIGNIFICANT * e.standard_error]
+        # A negative value counts from two standard errors below zero.
+        below = [(where, e) for where, e in each if e.value < -2.0 * e.standard_error]
         if below:
             where, worst = min(below, key=lambda one: one[1].value)
             remarks.append(
@@ -141,10 +138,6 @@ def _uncertainty(entry: Estimate) -> tuple[str, str]:
 _MOST_PARTNERS = 2
 """Largest number of jointly determined parameters that a table names."""
 
-_CYCLES = 2.0
-"""Cycles per piece; in a motion other than a sine, a piece lasts ``_DURATION`` seconds."""
-
-_DURATION = 4.0
 _SAMPLES = 500
 """Approximate number of samples of a piece, and largest number of pieces per window."""
 
@@ -173,9 +166,9 @@ def temperature_maps(runs: Sequence[MeasuredRun], found: ParameterSet) -> list[T
 
 
 def _pieces(window: Window, celsius: Array) -> Iterator[tuple[Window, float]]:
-    """Pieces of a window with their mean temperature [°C]."""
+    """Pieces of two cycles (or 4 s of another motion than a sine) and their mean [°C]."""
     frequency = window.motion.frequency
-    duration = _CYCLES / frequency if np.isfinite(frequency) else _DURATION
+    duration = 2.0 / frequency if np.isfinite(frequency) else 4.0
     count = int(window.sample_count * window.period / duration)
     edges = np.linspace(0, window.sample_count, min(max(count, 1), _SAMPLES) + 1).astype(int)
     for first, last in pairwise(edges):
@@ -183,10 +176,6 @@ def _pieces(window: Window, celsius: Array) -> Iterator[tuple[Window, float]]:
         piece = window.part(place)
         if not current_varies(piece):
             yield piece.thinned(_SAMPLES), float(np.mean(celsius[place]))
-
-
-_MEASURE = "RMS residual relative to separate fits of the runs"
-"""Meaning of the square root of the cost of a search."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -257,10 +246,8 @@ def profiles(fit: GlobalFit, found: Sequence[Profile]) -> Findings:
     values = fit.parameter_set.as_dict()
     lines, document = [], {}
     for p in found:
-        line = (
-            f"profile of {p.name}: minimum at {p.best:.6g}, 95 % interval {p.interval[0]:.6g} to "
-            f"{p.interval[1]:.6g}"
-        )
+        interval = f"{p.interval[0]:.6g} to {p.interval[1]:.6g}"
+        line = f"profile of {p.name}: minimum at {p.best:.6g}, 95 % interval {interval}"
         if not p.contains(values[p.name]):
             line += f", WHICH EXCLUDES THE IDENTIFIED VALUE, {values[p.name]:.6g}"
         lines.append(line)
@@ -273,13 +260,14 @@ def searches(found: MultiStart) -> Findings:
     best, spread = found.best, found.spread
     names = best.parameter_set.law.parameter_names
     lines = []
+    measure = "RMS residual relative to separate fits of the runs"  # the square root of the cost
     if best.candidates:
-        costs_left = "; ".join(f"{math.sqrt(c.cost):.3g} ({c.origin})" for c in best.candidates)
-        lines.append(f"local searches, {_MEASURE}: {costs_left}")
+        residuals = "; ".join(f"{math.sqrt(c.cost):.3g} ({c.origin})" for c in best.candidates)
+        lines.append(f"local searches, {measure}: {residuals}")
     if len(found.fits) > 1:
         costs = [fit.cost for fit in found.fits.values()]
         lines.append(
-            f"{len(costs)} searches, {_MEASURE}: {math.sqrt(min(costs)):.6g} to "
+            f"{len(costs)} searches, {measure}: {math.sqrt(min(costs)):.6g} to "
             f"{math.sqrt(max(costs)):.6g}; {len(found.as_good)} of them are as good as the best"
         )
         if len(found.as_good) > 1:
@@ -288,21 +276,16 @@ def searches(found: MultiStart) -> Findings:
                 f"the parameters of these searches differ by up to {spread[widest]:.2g} standard "
                 f"errors ({names[widest]})"
             )
-    entries = [
-        {
-            "seed": seed,
-            **_entry(fit, "cost", "evaluations", "message"),
-            "parameters": fit.parameter_set.as_dict(),
-            "candidates": [
-                {
-                    **_entry(c, "origin", "cost"),
-                    "parameters": dict(zip(names, c.parameters, strict=True)),
-                }
-                for c in fit.candidates
-            ],
-        }
-        for seed, fit in found.fits.items()
-    ]
+    entries = []
+    for seed, fit in found.fits.items():
+        entry = {"seed": seed, **_entry(fit, "cost", "evaluations", "message")}
+        entry["parameters"] = fit.parameter_set.as_dict()
+        entry["candidates"] = [
+            _entry(each, "origin", "cost")
+            | {"parameters": dict(zip(names, each.parameters, strict=True))}
+            for each in fit.candidates
+        ]
+        entries.append(entry)
     return Findings(lines, {"searches": entries, "spread": dict(zip(names, spread, strict=True))})
 
 

@@ -23,14 +23,7 @@ from mr_damper_ros.api.comparison import (
     compare,
     error_entry,
 )
-from mr_damper_ros.api.findings import (
-    Estimate,
-    Estimates,
-    Findings,
-    estimates_table,
-    parameter_estimates,
-    temperature_maps,
-)
+from mr_damper_ros.api.findings import Estimate, Estimates, Findings
 from mr_damper_ros.api.measured_runs import (
     MeasuredRun,
     RunSource,
@@ -73,12 +66,6 @@ from mr_damper_ros.tracking.state_directory import SetSource, given_set
 
 LARGEST_RUN_NRMSE = 0.3
 """Largest acceptable NRMSE of a run; above it, the set explains too little of the force."""
-
-_MOST_MASSES = 3
-"""Largest number of repetitions of the identification, each with a more accurate mass."""
-
-_LARGEST_START = 1e150
-"""Largest magnitude of a start value."""
 
 AUTO = "auto"
 """Value of ``model`` for which the law is chosen by cross-validation."""
@@ -151,7 +138,7 @@ class Identification(ComparedRuns):
         """Value, standard error, unit and observability of each parameter, by name."""
         found = self.parameter_set
         errors = dict(zip(found.law.parameter_names, found.standard_errors.tolist(), strict=True))
-        return parameter_estimates(found, self._determination.partners(errors))
+        return findings.parameter_estimates(found, self._determination.partners(errors))
 
     @cached_property
     def _determination(self) -> Determination:
@@ -263,7 +250,7 @@ class Identification(ComparedRuns):
         measured = [run.measured for run in self.runs]
         if all(part.temperature is None for run in measured for part in run.recordings):
             return Findings([], {})
-        return findings.temperatures(temperature_maps(measured, self.parameter_set))
+        return findings.temperatures(findings.temperature_maps(measured, self.parameter_set))
 
     def save(self, path: str | os.PathLike[str]) -> None:
         """Write the parameter set as YAML, for ``ParameterSet.load``, ``validate`` and the nodes.
@@ -297,14 +284,14 @@ class Identification(ComparedRuns):
             speed, current = self.runs[0].operating_point
             blocks += [
                 f"coefficients at a peak velocity of {speed:.4g} m/s and {current:.4g} A:",
-                estimates_table("coefficient", self.coefficients),
+                findings.estimates_table("coefficient", self.coefficients),
                 "",
             ]
         columns, rows = RUN_COLUMNS, [run.row for run in self.runs]
         if any(run.level for run in self.runs):
             columns += ("NRMSE with level", "force gain", "force offset [N]")
             rows = [run.row + run.level_row for run in self.runs]
-        blocks += [estimates_table("parameter", self.parameters), "", (columns, rows)]
+        blocks += [findings.estimates_table("parameter", self.parameters), "", (columns, rows)]
         if self.mass is not None:
             blocks.append(f"inertia subtracted: {self.mass} between load cell and damper")
         blocks.append(
@@ -509,7 +496,7 @@ def _with_mass(
     measured: Sequence[MeasuredRun],
     search: Callable[[Sequence[MeasuredRun]], Identification],
 ) -> Identification:
-    """The identification with a fitted mass, repeated without the inertia of this mass."""
+    """The identification with a fitted mass, repeated without its inertia, three times at most."""
     windows, began = all_windows(measured), time.monotonic()
     mass = _fitted_mass(found.searches.best, windows)
     if not mass.observable:
@@ -520,16 +507,13 @@ def _with_mass(
         unknown = replace(mass, value=0.0, standard_error=math.nan)
         return replace(found, remarks=(*found.remarks, remark), mass=unknown)
     before = found.duration
-    for _ in range(_MOST_MASSES):
+    for _ in range(3):
         found = search(without_inertia(measured, mass.value))
         last, mass = mass, _fitted_mass(found.searches.best, windows, mass.value)
         if abs(mass.value - last.value) <= mass.standard_error:
             break
     return replace(found, mass=mass, duration=before + time.monotonic() - began)
 
-
-_MASS_SAMPLES = 8000
-"""Approximate number of samples over all windows; more samples would not help the fit."""
 
 _MASS_PRIOR = 3.0
 """Prior standard deviation of the parameters about their fit, relative to their size. Without it,
@@ -553,7 +537,7 @@ def _fitted_mass(fit: GlobalFit, windows: Sequence[Window], mass: float = 0.0) -
     from scipy.optimize import least_squares  # imported late: see entry_points
 
     found = fit.parameter_set
-    most = _MASS_SAMPLES // len(windows)
+    most = 8000 // len(windows)  # more samples would not help the fit
     within = found.peak_velocity_range
     few = [w.resolved(_MASS_RESOLUTION).held_within(*within).thinned(most) for w in windows]
     misfit = Misfit(found.law, few, fit.noise.tolist(), found.values)
@@ -599,7 +583,7 @@ def start_values_of(source: SetSource | None, model: str) -> Array:
         return law.initial_values()[0]
     values = given_set(source).start_of(model)
     largest = int(np.argmax(np.abs(values)))
-    if abs(values[largest]) > _LARGEST_START:
+    if abs(values[largest]) > 1e150:
         name = law.parameter_names[largest]
         raise ValueError(f"the start of {name} is {values[largest]:g}: the force would overflow")
     return values

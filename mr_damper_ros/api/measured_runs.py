@@ -34,8 +34,6 @@ RunArrays = tuple[ArrayLike | None, ArrayLike | None, ArrayLike | None, float | 
 """Displacement [m], force [N] and current [A] of a run, and the sample period [s]."""
 
 _LARGEST_MASS = 1e6
-_REMEDY = "to use it anyway, give accept_doubtful=True or --accept-doubtful"
-
 _LIMITS = Screening(minimum_amplitude=1e-6, current_tolerance=2.0 * LARGEST_CURRENT)
 
 
@@ -79,12 +77,14 @@ def measured_run(
     windows, remarks = [], []
 
     def reject(fault: str, recording: Recording) -> None:
-        lifeless = not (np.ptp(recording.displacement) > 0.0 and np.ptp(recording.force) > 0.0)
-        if fault and (lifeless or not accept_doubtful):
-            remedy = "" if lifeless else f" ({_REMEDY})"
-            raise ValueError(f"{name}: {fault}{remedy}")
-        if fault:
-            remarks.append(f"{name}: {fault} (used anyway)")
+        if not fault:
+            return
+        if np.ptp(recording.displacement) == 0.0 or np.ptp(recording.force) == 0.0:
+            raise ValueError(f"{name}: {fault}")
+        if not accept_doubtful:
+            remedy = "to use it anyway, give accept_doubtful=True or --accept-doubtful"
+            raise ValueError(f"{name}: {fault} ({remedy})")
+        remarks.append(f"{name}: {fault} (used anyway)")
 
     for recording in recordings:
         fault = (
@@ -199,15 +199,6 @@ def _from_arrays(arrays: RunArrays) -> Recording:
     return Recording("arrays", DEFAULT_START_NS, period, displacement, force, current)
 
 
-_FULL_SPEED = 0.85
-"""Compared cycles reach at least this fraction of the largest peak velocity."""
-
-_SAME_SPEED = 0.2
-"""Largest difference of the peak velocities of compared runs, relative to the larger one."""
-
-_STROKE_BEGINS = 0.1
-"""Fraction of the peak velocity from which a stroke has begun."""
-
 _CONTRADICTING = 1.5
 """Ratio of loop heights from which runs contradict each other.
 
@@ -247,15 +238,12 @@ def _current_remarks(runs: Sequence[MeasuredRun]) -> list[str]:
     The force increases with the current. At equal current and speed, only the temperature changes
     it.
     """
-    tables = [_fast_cycles(run.windows) for run in runs]
-    remarks = [
-        text for run, table in zip(runs, tables, strict=True) for text in _within(run, table)
-    ]
-    middles = [
-        (run.name, *np.median(table, axis=0).tolist())
-        for run, table in zip(runs, tables, strict=True)
-        if len(table)
-    ]
+    remarks, middles = [], []
+    for run in runs:
+        table = _fast_cycles(run.windows)
+        if len(table):
+            remarks += _within(run, table)
+            middles.append((run.name, *np.median(table, axis=0).tolist()))
     pairs = [text for one, two in combinations(middles, 2) for text in _between(*one, *two)]
     if len(pairs) > _MOST:
         pairs = [*pairs[:_MOST], f"{len(pairs) - _MOST} more pairs of runs contradict each other"]
@@ -263,12 +251,15 @@ def _current_remarks(runs: Sequence[MeasuredRun]) -> list[str]:
 
 
 def _fast_cycles(windows: Sequence[Window]) -> Array:
-    """Peak velocity [m/s], current [A] and loop height [N] of the fastest cycles, shape (n, 3)."""
+    """Peak velocity [m/s], current [A] and loop height [N] of the fastest cycles, shape (n, 3).
+
+    These reach 85 % of the largest peak velocity.
+    """
     found = []
     for window in windows:
         velocity = window.motion.velocity
-        # A stroke begins where the velocity exceeds a fraction of its peak in a new direction.
-        moving = np.flatnonzero(np.abs(velocity) > _STROKE_BEGINS * float(np.max(np.abs(velocity))))
+        # A stroke begins where the velocity exceeds a tenth of its peak in a new direction.
+        moving = np.flatnonzero(np.abs(velocity) > 0.1 * float(np.max(np.abs(velocity))))
         turns = moving[1:][np.diff(np.sign(velocity[moving])) != 0.0]
         strokes = [int(moving[0]), *turns.tolist(), int(moving[-1]) + 1]
         for first, last in zip(strokes, strokes[2:], strict=False):
@@ -279,7 +270,7 @@ def _fast_cycles(windows: Sequence[Window]) -> Array:
                 height = 0.5 * float(np.ptp(window.force[cycle]))
                 found.append((speed, float(np.mean(current)), height))
     table = np.array(found).reshape(-1, 3)
-    return table[table[:, 0] >= _FULL_SPEED * table[:, 0].max(initial=0.0)]
+    return table[table[:, 0] >= 0.85 * table[:, 0].max(initial=0.0)]
 
 
 def _within(run: MeasuredRun, table: Array) -> list[str]:
@@ -307,7 +298,8 @@ def _between(
     ratio = f1 / f2 if i1 < i2 else f2 / f1
     if abs(i1 - i2) <= SAME_CURRENT:
         ratio = max(f1, f2) / min(f1, f2)
-    if abs(v1 - v2) > _SAME_SPEED * max(v1, v2) or ratio <= _CONTRADICTING:
+    same_speed = abs(v1 - v2) <= 0.2 * max(v1, v2)
+    if not same_speed or ratio <= _CONTRADICTING:
         return []
     return [
         f"{one} and {two}: the force reaches {f1:.3g} N at {i1:.3g} A and {f2:.3g} N at {i2:.3g} "

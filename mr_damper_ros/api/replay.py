@@ -97,14 +97,12 @@ class Replay(Shown):
                     self.time, low, high, where=~self.valid, color="0.92", linewidth=0, zorder=0
                 )
                 each.set_ylim(low, high)
-            known = [each for each in self.reports if math.isfinite(each.scale.value)]
-            scale.errorbar(
-                [self.time_of(each) for each in known],
-                [each.scale.value for each in known],
-                [each.scale.standard_error for each in known],
-                color=INK[2],
-                marker=".",
-            )
+            points = [
+                (self.time_of(each), each.scale.value, each.scale.standard_error)
+                for each in self.reports
+                if math.isfinite(each.scale.value)
+            ]
+            scale.errorbar(*np.reshape(points, (-1, 3)).T, color=INK[2], marker=".")
             for each in self.reports:
                 if each.accepted:
                     scale.axvline(self.time_of(each), color=GREY, linewidth=0.6)

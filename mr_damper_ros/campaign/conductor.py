@@ -10,10 +10,10 @@ import math
 from dataclasses import dataclass
 from enum import IntEnum
 
-from mr_damper_ros.campaign.course import CampaignCourse, find_step, judge_run
+from mr_damper_ros.campaign.course import CampaignCourse, CampaignOutcome, find_step, judge_run
 from mr_damper_ros.campaign.folder import MadeRun
 from mr_damper_ros.campaign.report import write_campaign_report
-from mr_damper_ros.campaign.runs import REST, DriveSettings, DriveStage, MachineCommand, RunDriver
+from mr_damper_ros.campaign.runs import REST, DriveSettings, MachineCommand, RunDriver
 from mr_damper_ros.estimation.experiment_design import PlanState
 from mr_damper_ros.processes.files import reason_of
 from mr_damper_ros.processes.worker import Done, Failed, Outcome, TaskRunner
@@ -77,8 +77,7 @@ class CampaignConductor:
         self._driver: RunDriver | None = None
         self._made: MadeRun | None = None
         self._celsius: tuple[int, float] | None = None
-        self._paused = False
-        self._reporting = False
+        self._paused = self._reporting = False
         self._rested_ns: int | None = None
         self._newest_ns = 0
         self._notices: list[str] = []
@@ -141,13 +140,14 @@ class CampaignConductor:
             if driver is None or self._course is None:
                 continue
             driver.add_block(placed)
-            if driver.recording is not None:
+            if driver.over:
                 self._driver, self._rested_ns = None, None
+            if driver.recording is not None:
                 # The worker writes the bag, so that commands do not wait for the disk.
                 self._made = driver.run, driver.recording
-            elif driver.stage is DriveStage.BROKEN:
-                self._driver = None
-                self._course.fail(f"run {self._course.number} could not be made: {driver.state}")
+            elif driver.fault:
+                fault = f"run {self._course.number} could not be made: {driver.fault}"
+                self._course.end(fault, CampaignOutcome.FAILED)
 
     def _new_driver(self) -> RunDriver | None:
         course, settings = self._course, self._settings
@@ -199,7 +199,7 @@ class CampaignConductor:
             if self._rested_ns is not None and self._newest_ns < self._rested_ns:
                 return CampaignStage.WAITING, "the damper rests"
             return CampaignStage.WAITING, "waiting for samples"
-        if self._driver.stage is DriveStage.RECORDING:
+        if self._driver.recording_begun:
             return CampaignStage.RECORDING, self._driver.state
         wanted = f"set {self._driver.run.sentence}; " if self._settings.manual else ""
         return CampaignStage.SETTLING, wanted + self._driver.state
@@ -242,7 +242,7 @@ class CampaignConductor:
             # A campaign that was stopped meanwhile also stores the run.
             number = len(course.runs) + 1
             if failed:
-                course.fail(f"run {number} could not be stored: {failed}")
+                course.end(f"run {number} could not be stored: {failed}", CampaignOutcome.FAILED)
             elif result is not None:
                 said = f"is rejected: {result}" if result else f"is stored: {made[0].sentence}"
                 self._notices.append(f"run {number} {said}")
@@ -251,13 +251,15 @@ class CampaignConductor:
             if failed:
                 self._notices.append(f"the report could not be written: {failed}")
         elif course.outcome is None and failed:
-            course.fail(f"run {course.number} could not be identified: {failed}")
+            reason = f"run {course.number} could not be identified: {failed}"
+            course.end(reason, CampaignOutcome.FAILED)
         elif course.outcome is None and result is not None:
             plan = result.plan
             try:
                 course.add_step(result)
             except OSError as error:
-                course.fail(f"the result could not be stored: {reason_of(error)}")
+                reason = f"the result could not be stored: {reason_of(error)}"
+                course.end(reason, CampaignOutcome.FAILED)
                 return
             self._notices.append(f"the force is known to {plan.now.sentence}")
             if plan.state is PlanState.RUN and plan.reason:

@@ -63,15 +63,6 @@ def planned(
 _TRIES = 2
 """Number of attempts per run."""
 
-_CURRENT_SHARE = 0.05
-"""Relative tolerance of the median current of a segment, unless ``current_tolerance`` is larger."""
-
-_AMPLITUDE_SHARE = 0.3
-"""Relative tolerance of the amplitude of a run."""
-
-_MOTION_SHARE = 0.5
-"""Largest RMS deviation of a motion other than a sine, relative to the motion."""
-
 
 class CampaignOutcome(IntEnum):
     """Outcome of a campaign; the numbers are constants of RunCampaign.action."""
@@ -119,7 +110,8 @@ class CampaignCourse:
     """A campaign from its start, or continued from ``folder``, which it locks until it is closed.
 
     ``next_run`` is the run to make now. It is None if ``work`` must be done first, or if the
-    campaign has ended; ``outcome`` and ``reason`` then say why. At most ``most_runs`` are made.
+    campaign has ended; ``outcome`` (None before) and ``reason`` then say why. At most ``most_runs``
+    are made.
 
     Raises ValueError if the machine cannot make the first run, and as :func:`claim_folder`, also if
     the folder is damaged.
@@ -132,11 +124,11 @@ class CampaignCourse:
         self.runs: list[MadeRun] = []
         self.steps: list[CampaignStep] = []
         self.refusals = 0
+        self.outcome: CampaignOutcome | None = None
         self.reason = ""
         self.folder = folder
         self._most_runs = most_runs
         self._first = first_run(task.goal, task.limits)
-        self._ended: CampaignOutcome | None = None
         if folder is not None:
             self._lock = claim_folder(folder, task)
             try:
@@ -145,6 +137,7 @@ class CampaignCourse:
             except BaseException:
                 self.close()
                 raise
+            self._end_if_finished()
 
     def close(self) -> None:
         """Release the folder for other programs."""
@@ -157,18 +150,6 @@ class CampaignCourse:
         return len(self.runs) + (self.next_run is not None)
 
     @property
-    def outcome(self) -> CampaignOutcome | None:
-        """The outcome; None while the campaign is running."""
-        if self._ended is None and self.steps and len(self.steps) == len(self.runs):
-            plan = self.steps[-1].plan
-            if plan.state is not PlanState.RUN:
-                self._end(CampaignOutcome[plan.state.name], plan.reason)
-            elif len(self.steps) >= self._most_runs:
-                made = f"{self._most_runs} runs were made, the largest number allowed"
-                self.end(f"{made}; {plan.reason}" if plan.reason else made)
-        return self._ended
-
-    @property
     def next_run(self) -> PlannedRun | None:
         """The run to make now."""
         if self.outcome is not None or len(self.steps) < len(self.runs):
@@ -178,7 +159,7 @@ class CampaignCourse:
     @property
     def work(self) -> tuple[CampaignTask, Sequence[MadeRun], Array | None] | None:
         """Arguments of :func:`find_step` before the next run."""
-        if self._ended is not None or len(self.steps) == len(self.runs):
+        if self.outcome is not None or len(self.steps) == len(self.runs):
             return None
         before = self.steps[-1].parameter_set.values if self.steps else None
         return self.task, self.runs[: len(self.steps) + 1], before
@@ -203,28 +184,37 @@ class CampaignCourse:
             return
         self.refusals += 1
         if self.refusals >= _TRIES:
-            self.fail(f"run {self.number} was rejected {_TRIES} times: {refusal}")
+            reason = f"run {self.number} was rejected {_TRIES} times: {refusal}"
+            self.end(reason, CampaignOutcome.FAILED)
 
     def add_step(self, step: CampaignStep) -> None:
         """Add the result of the work. Raises OSError."""
         if self.folder is not None:
             keep_step(self.folder, len(self.steps) + 1, step)
         self.steps.append(step)
+        self._end_if_finished()
 
-    def end(self, reason: str) -> None:
-        """End the campaign on request."""
-        self._end(CampaignOutcome.ENDED, reason)
+    def _end_if_finished(self) -> None:
+        if self.outcome is not None or not self.steps or len(self.steps) < len(self.runs):
+            return
+        plan = self.steps[-1].plan
+        if plan.state is not PlanState.RUN:
+            self.end(plan.reason, CampaignOutcome[plan.state.name])
+        elif len(self.steps) >= self._most_runs:
+            made = f"{self._most_runs} runs were made, the largest number allowed"
+            self.end(f"{made}; {plan.reason}" if plan.reason else made)
 
-    def fail(self, reason: str) -> None:
-        """End the campaign after a failure."""
-        self._end(CampaignOutcome.FAILED, reason)
-
-    def _end(self, outcome: CampaignOutcome, reason: str) -> None:
-        self._ended, self.reason = outcome, reason
+    def end(self, reason: str, outcome: CampaignOutcome = CampaignOutcome.ENDED) -> None:
+        """End the campaign, by default on request."""
+        self.outcome, self.reason = outcome, reason
 
 
 def fault_of_run(run: PlannedRun, recording: Recording) -> str:
-    """Reason why a recording does not match this run, or empty."""
+    """Reason why a recording does not match this run, or empty.
+
+    Tolerances: 30 % of the amplitude; 50 % RMS of a motion other than a sine; 5 % of the median
+    current of a segment, and at least the ``current_tolerance`` of :class:`DriveSettings`.
+    """
     try:
         measured_run(recording)
     except ValueError as error:
@@ -236,21 +226,21 @@ def fault_of_run(run: PlannedRun, recording: Recording) -> str:
     # A part of a motion other than a sine may begin at any phase.
     for part in parts if run.kind is MotionKind.SINE else [slice(needed)]:
         amplitude = 0.5 * float(np.ptp(recording.displacement[part]))
-        if abs(amplitude - run.span) > _AMPLITUDE_SHARE * run.span:
+        if abs(amplitude - run.span) > 0.3 * run.span:
             return (
                 f"the amplitude is {1e3 * amplitude:.3g} mm instead of {1e3 * run.span:.3g} mm: "
                 "does the machine follow the command?"
             )
     if run.kind is not MotionKind.SINE:
         left = RepeatedMatch(run.motion, recording.period).left_of(recording.displacement[:needed])
-        if left > _MOTION_SHARE:
+        if left > 0.5:
             return (
                 f"the motion deviates by {left:.0%} from {run.kind.description} as planned: can "
                 "the machine make it?"
             )
     for place, (current, part) in enumerate(zip(run.currents, parts, strict=True)):
         measured = float(np.median(recording.current[part]))
-        if abs(measured - current) > max(DriveSettings.current_tolerance, _CURRENT_SHARE * current):
+        if abs(measured - current) > max(DriveSettings.current_tolerance, 0.05 * current):
             return (
                 f"the current is {measured:.3g} A instead of {current:.3g} A in part {place + 1} "
                 "of the run: is the supply on?"

@@ -28,8 +28,6 @@ _RUN = "planned_run"
 MadeRun = tuple[PlannedRun, Recording]
 """A run and its recording."""
 
-_BAG = re.compile(r"run_(\d{3,})")
-
 
 @dataclass(frozen=True, eq=False)
 class CampaignStep:
@@ -130,7 +128,7 @@ def read_campaign_runs(folder: Path) -> list[MadeRun]:
     numbers = sorted(
         int(found[1])
         for path in (folder / "runs").glob("run_*")
-        if (found := _BAG.fullmatch(path.name))
+        if (found := re.fullmatch(r"run_(\d{3,})", path.name))
     )
     if numbers != list(range(1, len(numbers) + 1)):
         raise ValueError(f"a run is missing in {folder / 'runs'}: it contains the runs {numbers}")

@@ -82,15 +82,11 @@ class MachineOptions(ParameterTable):
 
         Raises ValueError if they are impossible.
         """
+        same = ("amplitude", "peak_velocity", "force", "current", "duration", "sample_rate")
         return MachineLimits(
-            amplitude=self.amplitude,
-            peak_velocity=self.peak_velocity,
-            force=self.force,
-            current=self.current,
-            duration=self.duration,
+            **{name: getattr(self, name) for name in same},
             heat=self.heat or math.inf,
             frequency=(self.lowest_frequency, self.highest_frequency),
-            sample_rate=self.sample_rate,
             steps=not manual,
             motions=motions_of(["sine"] if manual else self.motions.split()),
         )

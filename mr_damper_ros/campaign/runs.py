@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
-from enum import Enum, auto
 from pathlib import Path
 from typing import NamedTuple
 
@@ -26,17 +25,8 @@ from mr_damper_ros.signals.blocks import NANOSECONDS, SampleBlock, ZeroOrderHold
 from mr_damper_ros.signals.recording import Recording
 from mr_damper_ros.signals.uniform_grid import Placed
 
-_STEADY = 0.02
-"""Largest difference of two cycles of a steady motion, relative to the amplitude."""
-
-_SINE = 0.1
-"""Largest RMS residual of the sine fitted to one cycle, relative to the amplitude."""
-
 _CURRENT_DELAY = 1.0
 """Largest delay [s] of current readings behind the samples."""
-
-_AMPLITUDE_LIMIT = 1.05
-"""Limit of the measured amplitude, relative to the limit of the machine; it allows for noise."""
 
 
 @dataclass(frozen=True)
@@ -73,20 +63,12 @@ class MachineCommand(NamedTuple):
 REST = MachineCommand(None, 0.0)
 
 
-class DriveStage(Enum):
-    """Progress of a run."""
-
-    SETTLING = auto()
-    RECORDING = auto()
-    DONE = auto()
-    BROKEN = auto()
-
-
 class RunDriver:
     """Conducts one run: receives all measurements and provides the ``command`` for the machine.
 
-    When the ``stage`` is DONE, there is a ``recording``. ``state`` says in words what the run is
-    waiting for, or why it is BROKEN. ``current`` [A] and ``celsius`` hold the readings.
+    ``state`` says in words what the run is waiting for, ``recording_begun`` whether the motion has
+    settled. At the end there is a ``recording``, or a ``fault`` in words. ``current`` [A] and
+    ``celsius`` hold the readings.
     """
 
     def __init__(
@@ -98,9 +80,10 @@ class RunDriver:
         by_hand: bool = False,
     ) -> None:
         self.run = run
-        self.stage = DriveStage.SETTLING
         self.state = "the motion grows"
+        self.recording_begun = False
         self.recording: Recording | None = None
+        self.fault = ""
         self.current = ZeroOrderHold(60.0 + 2.0 * run.duration)
         self.celsius = ZeroOrderHold(60.0 + 2.0 * run.duration)
         self._limits = limits
@@ -110,48 +93,48 @@ class RunDriver:
         length = 10.0 * self._motion.length
         self._patience = math.inf if by_hand else settings.settle_timeout + length
         self._blocks: list[SampleBlock] = []
-        self._passed = 0.0
+        self._passed = 0.0  # recorded time [s]
         self._since_ns: int | None = None
         self._next_check_ns = 0
 
     @property
+    def over(self) -> bool:
+        """Whether the run has been made, or cannot be made."""
+        return self.recording is not None or bool(self.fault)
+
+    @property
     def command(self) -> MachineCommand:
         """The present command for the machine."""
-        if self.stage in (DriveStage.DONE, DriveStage.BROKEN):
+        if self.over:
             return REST
-        passed = self._passed if self.stage is DriveStage.RECORDING else 0.0
-        return MachineCommand(self._motion, float(self.run.current_at(np.array([passed]))[0]))
+        return MachineCommand(self._motion, float(self.run.current_at(np.array([self._passed]))[0]))
 
     def add_block(self, placed: Placed) -> None:
         """Add samples on the uniform grid."""
         if placed.restarts:
             self._blocks = []
-            if self.stage is DriveStage.RECORDING:
-                self.stage = DriveStage.SETTLING
+            if self.recording_begun and not self.over:
+                self.recording_begun, self._passed = False, 0.0
                 self.state = "samples were lost: the run restarts"
         if placed.kind == "jump_back":
             self.current.follow_jump()
             self.celsius.follow_jump()
-        over = self.stage in (DriveStage.DONE, DriveStage.BROKEN)
-        if over or placed.kind == "repeat":
+        if self.over or placed.kind == "repeat":
             return
         block = placed.block
         force = float(np.max(np.abs(block.force)))
         if force > self._limits.force:
-            self._break(f"the force reached {force:.4g} N, above {self._limits.force:.4g} N")
+            self.fault = f"the force reached {force:.4g} N, above {self._limits.force:.4g} N"
             return
         if self._since_ns is None:
             self._since_ns = self._next_check_ns = block.start_ns
         self._blocks.append(block)
-        if self.stage is DriveStage.RECORDING:
+        if self.recording_begun:
             self._passed += block.sample_count * block.period
             self._finish()
         elif block.end_ns >= self._next_check_ns:
             self._next_check_ns = block.end_ns + round(0.25 * NANOSECONDS / self.run.frequency)
             self._settle(block, (block.end_ns - self._since_ns) / NANOSECONDS)
-
-    def _break(self, reason: str) -> None:
-        self.stage, self.state, self._blocks = DriveStage.BROKEN, reason, []
 
     def _settle(self, block: SampleBlock, waited: float) -> None:
         """Start the recording if the machine follows the command; ``waited`` [s] so far."""
@@ -161,18 +144,17 @@ class RunDriver:
         self._blocks = self._blocks[-needed:]
         displacement = np.concatenate([one.displacement for one in self._blocks])
         span = 0.5 * float(np.ptp(displacement))
-        if span > _AMPLITUDE_LIMIT * self._limits.amplitude:
-            self._break(
-                f"the amplitude reached {1e3 * span:.3g} mm, above "
-                f"{1e3 * self._limits.amplitude:.3g} mm"
-            )
+        # Noise may exceed the limit of the machine by 5 %.
+        if span > 1.05 * self._limits.amplitude:
+            most = 1e3 * self._limits.amplitude
+            self.fault = f"the amplitude reached {1e3 * span:.3g} mm, above {most:.3g} mm"
             return
         unsettled = self._off_motion(displacement, block.period) or self._off_current(block)
         if not unsettled:
-            self._blocks, self._passed = [], 0.0
-            self.stage, self.state = DriveStage.RECORDING, "the run is recorded"
+            self._blocks = []
+            self.recording_begun, self.state = True, "the run is recorded"
         elif waited > self._patience:
-            self._break(f"the machine does not follow the command: {unsettled}")
+            self.fault = f"the machine does not follow the command: {unsettled}"
         else:
             self.state = unsettled
 
@@ -198,7 +180,8 @@ class RunDriver:
         off = slip / (2.0 * math.pi)
         if abs(off) > tolerance:
             return f"the frequency is {(1.0 + off) / cycle:.3g} Hz, not {1.0 / cycle:.3g} Hz"
-        if abs(size - before) > _STEADY * size or rest > _SINE * size:
+        # Two cycles of a steady sine differ by 2 % at most, and deviate from it by 10 % RMS.
+        if abs(size - before) > 0.02 * size or rest > 0.1 * size:
             return "the motion is not steady yet"
         return ""
 
@@ -223,21 +206,15 @@ class RunDriver:
         late = (last.end_ns - needed_ns) / NANOSECONDS
         if (known is None or known < needed_ns) and late < _CURRENT_DELAY:
             return
-        displacement, force = (
+        moved, force = (
             np.concatenate([getattr(block, name) for block in self._blocks])[:count]
             for name in ("displacement", "force")
         )
-        grid = first.start_ns, first.period, count
-        self.recording = Recording(
-            "run",
-            first.start_ns,
-            first.period,
-            displacement,
-            force,
-            self.current.at(*grid),
-            self.celsius.at(*grid) if self.celsius.known_from(last.end_ns) else None,
-        )
-        self.stage, self.state = DriveStage.DONE, "the run is made"
+        start, period = first.start_ns, first.period
+        current = self.current.at(start, period, count)
+        warm = self.celsius.known_from(last.end_ns)
+        celsius = self.celsius.at(start, period, count) if warm else None
+        self.recording = Recording("run", start, period, moved, force, current, celsius)
 
 
 def sine_of_cycle(displacement: Array) -> tuple[float, float, float]:
@@ -275,12 +252,6 @@ def write_signal(run: PlannedRun, path: Path, sample_rate: float = 1000.0) -> No
     write_text(path, csv_text(COLUMNS, ([f"{value:.9g}" for value in row] for row in rows)))
 
 
-_STARTS_PER_CYCLE = 8
-"""Number of possible starting points of the run per shortest cycle."""
-
-_MOST_STARTS = 2000
-"""Largest number of starting points that are tried in a recording."""
-
 _SETTINGS = DriveSettings()
 """Tolerances for a machine that the program drives."""
 
@@ -305,11 +276,10 @@ def cut_run(run: PlannedRun, recording: Recording) -> Recording:
         steps = np.flatnonzero(np.diff(beyond.astype(np.int8)) > 0) + 1
         begins = steps - round(run.stretch / period)
     else:
+        # Eight starting points per shortest cycle, and about 2000 at most.
         highest = max(run.frequency, run.highest_frequency)
-        stride = max(round(1.0 / (_STARTS_PER_CYCLE * highest * period)), 1)
-        begins = np.arange(
-            0, recording.sample_count, max(stride, displacement.size // _MOST_STARTS)
-        )
+        stride = max(round(1.0 / (8 * highest * period)), displacement.size // 2000, 1)
+        begins = np.arange(0, displacement.size, stride)
     best, nearest = None, math.inf
     for begin in begins[(begins >= 0) & (begins + count <= displacement.size)].tolist():
         # The phase of a sine may drift relative to the command, so only its ends are compared.

@@ -5,14 +5,16 @@ from __future__ import annotations
 import json
 import os
 import time
-from collections import defaultdict
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import Executor
 from dataclasses import asdict, dataclass, replace
-from functools import cached_property
+from functools import cached_property, partial
+from itertools import groupby
+from operator import attrgetter
 from pathlib import Path
 from typing import Any
 
+from mr_damper_ros.api.findings import parameter_estimates
 from mr_damper_ros.api.identification import Identification, identify_measured, start_values_of
 from mr_damper_ros.api.measured_runs import measured_run
 from mr_damper_ros.estimation.differential_evolution import EvolutionSettings
@@ -44,30 +46,25 @@ _PERMANENT = (FileNotFoundError, PermissionError, ValueError)
 """Errors of the file itself; other errors may be temporary."""
 
 
-@dataclass(frozen=True, eq=False)
-class DamperGroup:
-    """All recordings of one damper, and how to identify it.
-
-    ``search``: arguments of :func:`identify_measured`. ``record_format`` describes record files,
-    None if there are only bags.
-    """
-
-    damper: str
-    recordings: tuple[ListedRecording, ...]
-    search: Mapping[str, Any]
-    accept_doubtful: bool
-    record_format: RecordFormat | None
-
-
-def identify_group(group: DamperGroup) -> dict[str, Any]:
+def identify_group(
+    group: tuple[str, Sequence[ListedRecording]],
+    *,
+    record_format: RecordFormat | None,
+    accept_doubtful: bool,
+    **search: Any,
+) -> dict[str, Any]:
     """The result for a damper, as JSON-compatible values; never raises.
 
-    ``failure``: a sentence why it was not identified, or empty; ``left_out``: unusable recordings
-    with the reasons; ``passing``: whether the error may be temporary, caused by the machine and not
-    by the files.
+    ``group``: name of the damper and all its recordings; ``record_format`` describes record files,
+    None if there are only bags; ``search``: arguments of :func:`identify_measured`.
+
+    In the result, ``failure``: a sentence why the damper was not identified, or empty;
+    ``left_out``: unusable recordings with the reasons; ``passing``: whether the error may be
+    temporary, caused by the machine and not by the files.
     """
     began = time.perf_counter()
-    document: dict[str, Any] = {"damper": group.damper, "left_out": [], "passing": False}
+    damper, recordings = group
+    document: dict[str, Any] = {"damper": damper, "left_out": [], "passing": False}
     runs = []
 
     def reason_of(error: Exception) -> str:
@@ -76,13 +73,13 @@ def identify_group(group: DamperGroup) -> dict[str, Any]:
             return error.strerror or str(error)
         return str(error) if isinstance(error, ValueError) else f"{type(error).__name__}: {error}"
 
-    for listed in group.recordings:
+    for listed in recordings:
         try:
             source: Path | Recording = listed.path
             record = listed.path.suffix.lower() in RECORD_ENDINGS and listed.path.is_file()
-            if record and group.record_format is not None:
-                source = group.record_format.read(listed.path, listed.current)
-            runs.append(measured_run(source, group.accept_doubtful))
+            if record and record_format is not None:
+                source = record_format.read(listed.path, listed.current)
+            runs.append(measured_run(source, accept_doubtful))
         # An error in one file must not affect the others.
         except Exception as error:
             document["left_out"].append({"path": str(listed.path), "reason": reason_of(error)})
@@ -90,15 +87,15 @@ def identify_group(group: DamperGroup) -> dict[str, Any]:
     document["recordings"] = [run.name for run in runs]
     if runs:
         try:
-            found = identify_measured(runs, processes=ProcessPool(1), **group.search)
-            document |= _result(group, found)
+            found = identify_measured(runs, processes=ProcessPool(1), **search)
+            document |= _result(damper, found)
         except Exception as error:
             document["failure"] = reason_of(error)
     return document | {"duration_s": time.perf_counter() - began}
 
 
-def _result(group: DamperGroup, result: Identification) -> dict[str, Any]:
-    name = "".join(sign for sign in group.damper if sign.isprintable())[:200]
+def _result(damper: str, result: Identification) -> dict[str, Any]:
+    name = "".join(sign for sign in damper if sign.isprintable())[:200]
     return {
         "set": replace(result.parameter_set, set_id=name).to_yaml(),
         "covariance": result.covariance.tolist(),
@@ -142,13 +139,8 @@ class ManyDampers:
     @cached_property
     def population(self) -> Population:
         """The identified dampers as a production lot."""
-        return Population(
-            [
-                KnownDamper.from_document(document)
-                for document in self.documents
-                if not document["failure"]
-            ]
-        )
+        found = (document for document in self.documents if not document["failure"])
+        return Population([KnownDamper.from_document(document) for document in found])
 
     @property
     def failures(self) -> dict[str, str]:
@@ -258,12 +250,16 @@ def identify_many(
     """
     record_format = None if columns is None else RecordFormat(columns, current, period, variable)
     settings = EvolutionSettings(generations=generations, seed=seed)
-    search = {
-        "model": model,
-        "method": method,
-        "start_values": start_values_of(start, model),
-        "settings": settings,
-    }
+    start_values = start_values_of(start, model)
+    identification = partial(
+        identify_group,
+        record_format=record_format,
+        accept_doubtful=accept_doubtful,
+        model=model,
+        method=method,
+        start_values=start_values,
+        settings=settings,
+    )
     recordings, unnamed = find_recordings(
         sources, pattern=pattern, with_records=record_format is not None
     )
@@ -283,46 +279,41 @@ def identify_many(
             {
                 "model": model,
                 "method": method,
-                "start": search["start_values"],
+                "start": start_values,
                 **asdict(settings),
                 "accept_doubtful": accept_doubtful,
                 "record_format": None if record_format is None else asdict(record_format),
             },
         )
-        groups, prints = [], {}
-        for name, own in _groups(recordings).items():
+        results = ResultFolder(place / "dampers")
+        documents: dict[str, dict[str, Any]] = {}
+        prints, remaining = {}, []
+        damper = attrgetter("damper")
+        for name, found in groupby(sorted(recordings, key=damper), key=damper):
+            own = tuple(found)
             files = [(str(r.path.absolute()), r.current, _state(r.path)) for r in own]
             prints[name] = fingerprint({"damper": name, "recordings": files})
-            groups.append(DamperGroup(name, tuple(own), search, accept_doubtful, record_format))
-        results = ResultFolder(place / "dampers")
-        stored = {name: results.kept(name, known) for name, known in prints.items()}
-        documents = {name: document for name, document in stored.items() if document is not None}
+            stored = results.kept(name, prints[name])
+            if stored is None:
+                remaining.append((name, own))
+            else:
+                documents[name] = stored
+                _save_set(place, stored)
         kept = len(documents)
-        for document in documents.values():
-            _save_set(place, document)
-        remaining = [group for group in groups if group.damper not in documents]
         workforce: int | Workforce = workers if executor is None else Workforce(executor)
         if remaining and scheduler is not None:
             workforce = dask_cluster(scheduler)
-        for group, found in finish(identify_group, remaining, workforce):
-            name = group.damper
-            documents[name] = document = found or {"damper": name, **_LOST}
+        for (name, _), result in finish(identification, remaining, workforce):
+            documents[name] = document = result or {"damper": name, **_LOST}
             # A repetition would give the same result, unless the error may be temporary.
             if not document["passing"]:
                 results.keep(name, prints[name], document)
             _save_set(place, document)
             if report is not None:
-                report(len(documents), len(groups), document)
+                report(len(documents), len(prints), document)
     finally:
         lock.release()
     return ManyDampers(tuple(documents[name] for name in prints), tuple(unnamed), kept)
-
-
-def _groups(recordings: Iterable[ListedRecording]) -> dict[str, list[ListedRecording]]:
-    groups: dict[str, list[ListedRecording]] = defaultdict(list)
-    for recording in recordings:
-        groups[recording.damper].append(recording)
-    return dict(sorted(groups.items()))
 
 
 def _state(path: Path) -> list[tuple[str, int, int]] | None:
@@ -361,32 +352,32 @@ def _save_set(folder: Path, document: Mapping[str, Any]) -> None:
 
 
 def _row(document: Mapping[str, Any]) -> dict[str, Any]:
+    failure = document["failure"]
     row: dict[str, Any] = {
         "damper": document["damper"],
-        "identified": not document["failure"],
-        "message": document["failure"] or document["message"],
+        "identified": not failure,
+        "message": failure or document["message"],
         "recordings": len(document["recordings"]),
         "left_out": len(document["left_out"]),
         "duration_s": document["duration_s"],
     }
-    if document["failure"]:
+    if failure:
         return row
     found = ParameterSet.from_yaml(document["set"])
+    speeds, currents = found.peak_velocity_range, found.current_range
     row |= {
         "model": found.model,
         "success": document["success"],
         "samples": document["samples"],
         "rmse_N": document["rmse"],
         "nrmse": document["nrmse"],
-        "lowest_peak_velocity_m_s": found.peak_velocity_range[0],
-        "highest_peak_velocity_m_s": found.peak_velocity_range[1],
-        "lowest_current_A": found.current_range[0],
-        "highest_current_A": found.current_range[1],
+        "lowest_peak_velocity_m_s": speeds[0],
+        "highest_peak_velocity_m_s": speeds[1],
+        "lowest_current_A": currents[0],
+        "highest_current_A": currents[1],
         "largest_force_N": found.largest_force,
     }
-    for parameter, value, error, seen in zip(
-        found.law.parameters, found.values, found.standard_errors, found.observable, strict=True
-    ):
-        row[parameter.name] = float(value)
-        row[f"{parameter.name}_standard_error"] = float(error) if seen else None
+    for name, entry in parameter_estimates(found).items():
+        row[name] = entry.value
+        row[f"{name}_standard_error"] = entry.standard_error if entry.observable else None
     return row

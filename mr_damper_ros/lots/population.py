@@ -10,6 +10,7 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
+from itertools import compress
 from statistics import NormalDist
 from typing import Any
 
@@ -23,24 +24,6 @@ from mr_damper_ros.signals.arrays import NORMAL_MEDIAN, Array
 
 LEAST_DAMPERS = 5
 """In lots of fewer dampers, no outliers are flagged."""
-
-_LIMIT = 3.5
-"""Smallest deviation of an outlier, in robust standard deviations.
-
-Iglewicz and Hoaglin, "How to detect and handle outliers", 1993.
-"""
-
-_BY_CHANCE = 0.5
-"""Expected number of false outliers per lot."""
-
-_POOR = 1.5
-"""A fit is poor if its residual exceeds this multiple of the median of the lot."""
-
-_OWN_ERRORS = 3.0
-"""Smallest deviation of an outlier, in its standard errors."""
-
-_EDGE = 0.02
-"""Relative tolerance at the limits of the identified range."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -63,13 +46,11 @@ class KnownDamper:
         )
 
     def covers(self, peak_velocity: float, current: float) -> bool:
-        """Whether the operating point lies in the identified range."""
+        """Whether the operating point lies in the identified range, to within 2 %."""
+        ranges = self.parameter_set.peak_velocity_range, self.parameter_set.current_range
         return all(
-            low - _EDGE * abs(high) <= value <= high * (1.0 + _EDGE)
-            for value, (low, high) in (
-                (peak_velocity, self.parameter_set.peak_velocity_range),
-                (current, self.parameter_set.current_range),
-            )
+            low - 0.02 * abs(high) <= value <= 1.02 * high
+            for value, (low, high) in zip((peak_velocity, current), ranges, strict=True)
         )
 
     def peak_forces(self, points: Sequence[tuple[float, float]]) -> tuple[Array, Array]:
@@ -176,10 +157,10 @@ class Population:
         shape = len(self.dampers), len(self.points)
         values, errors = np.full(shape, math.nan), np.full(shape, math.nan)
         for row, damper in enumerate(self.dampers):
-            places = [k for k, point in enumerate(self.points) if damper.covers(*point)]
-            if places:
-                chosen = [self.points[k] for k in places]
-                values[row, places], errors[row, places] = damper.peak_forces(chosen)
+            known = [damper.covers(*point) for point in self.points]
+            if any(known):
+                chosen = list(compress(self.points, known))
+                values[row, known], errors[row, known] = damper.peak_forces(chosen)
         return [
             Spread(f"force at {v:g} m/s and {i:g} A", "N", values[:, k], errors[:, k])
             for k, (v, i) in enumerate(self.points)
@@ -189,10 +170,12 @@ class Population:
     def limit(self) -> float:
         """Smallest deviation of an outlier, in robust standard deviations.
 
-        In a lot without outliers, the expected number of false outliers is one half.
+        In a lot without outliers, the expected number of false outliers is one half. The least
+        limit is 3.5 (Iglewicz and Hoaglin, "How to detect and handle outliers", 1993).
         """
         comparisons = max(len(self.dampers) * (len(self.points) + 1), 1)
-        return max(_LIMIT, NormalDist().inv_cdf(1.0 - 0.5 * _BY_CHANCE / comparisons))
+        chance = 0.5 / comparisons  # on both sides together
+        return max(3.5, NormalDist().inv_cdf(1.0 - 0.5 * chance))
 
     @cached_property
     def outliers(self) -> list[Outlier]:
@@ -201,31 +184,26 @@ class Population:
         worst: dict[str, Outlier] = {}
         for outlier in sorted(in_force, key=lambda one: -abs(one.score)):
             worst.setdefault(outlier.damper, outlier)
-        # The residual of a poor fit is far larger than the residuals of the other dampers.
+        # The residual of a poor fit exceeds one and a half times the median of the lot.
         logarithms = np.array([math.log(max(damper.nrmse, 1e-9)) for damper in self.dampers])
         fits = Spread("NRMSE", "", logarithms, np.zeros(logarithms.size))
         poor = [
             replace(one, value=math.exp(one.value), median=math.exp(one.median))
             for one in self._beyond(fits)
-            if one.value - one.median > math.log(_POOR)
+            if one.value - one.median > math.log(1.5)
         ]
         return [*worst.values(), *sorted(poor, key=lambda one: -one.score)]
 
     def _beyond(self, spread: Spread) -> list[Outlier]:
         if spread.known.size < LEAST_DAMPERS:
             return []
-        scores = spread.scores
-        own = np.abs(spread.values - spread.median) > _OWN_ERRORS * spread.errors
+        # An outlier deviates by three of its own standard errors, too.
+        own = np.abs(spread.values - spread.median) > 3.0 * spread.errors
+        beyond = (np.abs(spread.scores) > self.limit) & own
+        rows = zip(self.dampers, spread.values.tolist(), spread.scores.tolist(), strict=True)
         return [
-            Outlier(
-                self.dampers[k].name,
-                spread.label,
-                spread.unit,
-                float(spread.values[k]),
-                spread.median,
-                float(scores[k]),
-            )
-            for k in np.flatnonzero((np.abs(scores) > self.limit) & own)
+            Outlier(damper.name, spread.label, spread.unit, value, spread.median, score)
+            for damper, value, score in compress(rows, beyond)
         ]
 
 

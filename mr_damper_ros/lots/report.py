@@ -11,6 +11,7 @@ import numpy as np
 
 from mr_damper_ros.lots.many_dampers import ManyDampers
 from mr_damper_ros.lots.population import LEAST_DAMPERS, Population, Spread
+from mr_damper_ros.processes.files import write_text
 from mr_damper_ros.report.document import (
     GREY,
     INK,
@@ -20,10 +21,10 @@ from mr_damper_ros.report.document import (
     Picture,
     Table,
     chart,
+    csv_text,
     styled,
     with_error,
     write_report,
-    write_table,
 )
 
 Row = Mapping[str, Any]
@@ -35,7 +36,8 @@ _MOST_SHOWN = 100
 def write_csv(rows: Sequence[Row], folder: Path) -> None:
     """Write ``dampers.csv`` with full precision; unknown values are empty."""
     columns = tuple(rows[0]) if rows else ()
-    write_table(folder, Table("dampers", "", columns, [list(row.values()) for row in rows]))
+    text = csv_text(columns, (list(row.values()) for row in rows))
+    write_text(folder / "dampers.csv", text)
 
 
 def require_parquet() -> None:

@@ -8,8 +8,7 @@ import html
 import io
 import math
 import re
-from collections.abc import Iterable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -26,20 +25,12 @@ GREY = "0.62"
 WIDTH = 6.8
 """Width of a figure on a page [inch]."""
 
-_STYLE = Path(__file__).parent / "report.mplstyle"
 
+def styled() -> Any:
+    """A context of Matplotlib with this style, independent of the user's settings."""
+    from matplotlib import style
 
-@contextmanager
-def styled() -> Iterator[None]:
-    """Matplotlib with this style, independent of the user's settings."""
-    import matplotlib
-
-    with matplotlib.rc_context():
-        matplotlib.rcdefaults()
-        matplotlib.rcParams.update(
-            matplotlib.rc_params_from_file(_STYLE, use_default_template=False)
-        )
-        yield
+    return style.context(Path(__file__).parent / "report.mplstyle", after_reset=True)
 
 
 def figure_of(width: float, height: float) -> Any:
@@ -134,9 +125,7 @@ def shown(value: Cell) -> str:
     """A cell as text: four significant digits, and all digits before the decimal point."""
     if value is None:
         return "–"
-    if isinstance(value, bool) or not isinstance(value, (int, float)):
-        return str(value)
-    if isinstance(value, int):
+    if not isinstance(value, float):
         return str(value)
     if not math.isfinite(value):
         return "–"
@@ -169,13 +158,8 @@ def to_error(value: float, error: float) -> str:
     return f"{value:.{decimals}f}".replace("-", "−")
 
 
-def write_table(folder: Path, table: Table) -> None:
-    """Write a table as CSV with full precision."""
-    write_text(folder / f"{table.name}.csv", csv_text(table.columns, table.rows))
-
-
 def csv_text(columns: Sequence[str], rows: Iterable[Sequence[Cell]]) -> str:
-    """A table as CSV."""
+    """A table as CSV with full precision."""
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
     writer.writerow(columns)
@@ -240,23 +224,20 @@ def _block(folder: Path, block: Block) -> str:
     if isinstance(block, str):
         return f"<p>{html.escape(block)}</p>"
     if isinstance(block, Table):
-        write_table(folder / "tables", block)
-        return _table(block)
+        text = csv_text(block.columns, block.rows)
+        write_text(folder / "tables" / f"{block.name}.csv", text)
+        # In print, wide tables use a smaller font, and long tables may span pages.
+        kind = _classes(table=True, wide=len(block.columns) > 12, long=len(block.rows) > 40)
+        return (
+            f'<div{kind}><p class="caption">{html.escape(block.caption)}</p>'
+            f"{html_table(block.columns, block.rows)}</div>"
+        )
     svg = base64.b64encode(write_picture(folder / "figures", block)).decode("ascii")
     caption = html.escape(block.caption)
     return (
         f'<figure><div class="picture"><img alt="{caption}" '
         f'src="data:image/svg+xml;base64,{svg}"></div>'
         f"<figcaption>{caption}</figcaption></figure>"
-    )
-
-
-def _table(table: Table) -> str:
-    # In print, wide tables use a smaller font, and long tables may span pages.
-    kind = _classes(table=True, wide=len(table.columns) > 12, long=len(table.rows) > 40)
-    return (
-        f'<div{kind}><p class="caption">{html.escape(table.caption)}</p>'
-        f"{html_table(table.columns, table.rows)}</div>"
     )
 
 

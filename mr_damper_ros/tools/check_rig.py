@@ -10,8 +10,6 @@ import argparse
 from mr_damper_ros.rig_check.checks import RigRecord, check_rig
 from mr_damper_ros.tools.console import add_namespace_option, program
 
-_WRONG = 1
-
 
 def _options(parser: argparse.ArgumentParser) -> None:
     add_namespace_option(parser)
@@ -31,7 +29,7 @@ def _check(options: argparse.Namespace) -> int:
         observer.spin_for(options.seconds)
     check = check_rig(record)
     print(f"{record.sample_count} samples in {options.seconds:g} s.\n\n{check}".rstrip())
-    return _WRONG if check.findings else 0
+    return 1 if check.findings else 0
 
 
 main = program(__name__, __doc__, _options, _check)

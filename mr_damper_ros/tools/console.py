@@ -23,8 +23,6 @@ from mr_damper_ros.processes.files import reason_of, write_text
 
 Self = TypeVar("Self", bound="StatusLine")
 
-_ROS = ("rclpy", "ament_index_python")
-
 FAILED = 2
 """Exit code if the input or the options are invalid."""
 
@@ -39,68 +37,50 @@ def program(
     run: Callable[[argparse.Namespace], int],
     epilog: str | None = None,
 ) -> Callable[..., int]:
-    """Return the ``main`` of a program, which takes the arguments of :func:`run_tool`.
+    """Return the ``main`` of a program: it parses its arguments and returns the code of ``run``.
 
     ``name``: the name of the program or of its module; ``description``: the docstring of its
     module; ``options`` adds the options of the program to a parser.
-    """
-
-    def main(arguments: Sequence[str] | None = None) -> int:
-        parser = argparse.ArgumentParser(
-            prog=name.rpartition(".")[2],
-            formatter_class=argparse.RawDescriptionHelpFormatter,
-            description=description,
-            epilog=epilog,
-        )
-        options(parser)
-        return run_tool(parser, run, arguments)
-
-    return main
-
-
-def run_tool(
-    parser: argparse.ArgumentParser,
-    run: Callable[[argparse.Namespace], int],
-    arguments: Sequence[str] | None = None,
-) -> int:
-    """Parse the arguments (None: the command line) and return the exit code of ``run``.
 
     A user error gives one sentence on standard error and exit code 2. User errors are ValueError
     and its subclasses in this package, OSError, a lack of memory, and a missing ROS. Any other
     exception is a fault of the program and keeps its traceback.
     """
-    # Not only a negative number is a value, but also the columns "-,force:N".
-    parser._negative_number_matcher = re.compile(r"-[^-a-zA-Z]")
-    try:
-        code = run(parser.parse_args(arguments))
-        sys.stdout.flush()
-        return code
-    except KeyboardInterrupt:
-        sys.stderr.write(f"\n{parser.prog}: stopped by Ctrl-C\n")
-        return INTERRUPTED
-    except BrokenPipeError:
-        # The reader has closed the pipe; without this, Python would fail again in its final flush.
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        return 0
-    except (MemoryError, OSError, ValueError) as error:
-        return _fail(parser, reason_of(error))
-    except ModuleNotFoundError as error:
-        missing = (error.name or "").partition(".")[0]
-        if missing not in _ROS and not missing.endswith("_msgs"):
-            raise
-        return _fail(
-            parser,
-            f"it needs ROS 2, but Python does not find {missing}: source the setup file of the "
-            "workspace in which this package was built, or env.bash of its folder",
-        )
+    prog = name.rpartition(".")[2]
+
+    def main(arguments: Sequence[str] | None = None) -> int:
+        style = argparse.RawDescriptionHelpFormatter
+        parser = argparse.ArgumentParser(prog, None, description, epilog, formatter_class=style)
+        options(parser)
+        # Not only a negative number is a value, but also the columns "-,force:N".
+        parser._negative_number_matcher = re.compile(r"-[^-a-zA-Z]")
+        try:
+            code = run(parser.parse_args(arguments))
+            sys.stdout.flush()
+            return code
+        except KeyboardInterrupt:
+            sys.stderr.write(f"\n{prog}: stopped by Ctrl-C\n")
+            return INTERRUPTED
+        except BrokenPipeError:
+            # The reader has closed the pipe; without this, Python would fail in its final flush.
+            os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+            return 0
+        except (MemoryError, OSError, ValueError) as error:
+            sentence = reason_of(error)
+        except ModuleNotFoundError as error:
+            missing = (error.name or "").partition(".")[0]
+            if missing not in ("rclpy", "ament_index_python") and not missing.endswith("_msgs"):
+                raise
+            sentence = (
+                f"it needs ROS 2, but Python does not find {missing}: source the setup file of "
+                "the workspace in which this package was built, or env.bash of its folder"
+            )
+        sys.stderr.write(f"{prog}: {sentence}\n")
+        return FAILED
+
+    return main
 
 
-def _fail(parser: argparse.ArgumentParser, sentence: str) -> int:
-    sys.stderr.write(f"{parser.prog}: {sentence}\n")
-    return FAILED
-
-
-_UNIT = re.compile(r"\[([^\]\s]+)")
 _TYPES = {"int": int, "float": float}
 
 
@@ -150,7 +130,7 @@ def add_arguments(
         needed = default is inspect.Parameter.empty
         told = "" if needed or default in (None, ()) else " Default: %(default)s."
         chosen = (choices or {}).get(name)
-        unit = _UNIT.search(text) if kind in _TYPES else None
+        unit = re.search(r"\[([^\]\s]+)", text) if kind in _TYPES else None
         parser.add_argument(
             flag,
             dest=name,
@@ -249,10 +229,6 @@ def write_result(
         print("figures: " + ", ".join(map(str, written)))
 
 
-_LATE = 0.5
-"""If the displayed time is below this fraction of the new estimate, a sentence replaces it."""
-
-
 class StatusLine:
     """A context with one line that is updated in place, if the output is a terminal."""
 
@@ -308,10 +284,10 @@ class ProgressLine(StatusLine):
             parts.append(f"misfit so far {math.sqrt(progress.best_cost):.5g}")
         if math.isfinite(progress.time_left):
             now = time.monotonic()
-            # The displayed time left must not increase, even if the estimate does.
+            # The displayed time left must not increase, even if the estimate doubles.
             self._end = min(self._end, now + progress.time_left)
             left = self._end - now
-            late = left < _LATE * progress.time_left
+            late = left < 0.5 * progress.time_left
             parts.append("longer than expected" if late else f"at most {left:.0f} s left")
         self.show(f"{progress.stage}: {', '.join(parts)}" if parts else progress.stage)
         return not self.stopped

@@ -9,10 +9,10 @@ import argparse
 import re
 import sys
 import time
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import ExitStack, closing, contextmanager, suppress
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -25,17 +25,10 @@ from mr_damper_ros.report.document import text_table
 from mr_damper_ros.signals.recording import Recording
 from mr_damper_ros.tools.console import add_path, add_port_option, program
 
-if TYPE_CHECKING:
-    from mr_damper_ros.nodes.observer import Observer
-
 _NODES = ("identifier", "model")
 _START_LIMIT = 30.0
 _SETTLE = 2.0
 """Time [s] without a new report after which the identifier has finished."""
-
-
-_LOOK = 0.2
-"""Time [s] between two checks that all nodes are still running."""
 
 
 def _options(parser: argparse.ArgumentParser) -> None:
@@ -62,35 +55,47 @@ def _demo(options: argparse.Namespace) -> int:
         running = {name: stack.enter_context(closing(start_node(name))) for name in _NODES}
         running["live"] = stack.enter_context(closing(start_node("live", port=0)))
         print(f"live page during this run: {page_of(running['live'])}")
-        from mr_damper_ros.nodes.observer import Observer
+        from mr_damper_ros.nodes.observer import Observer, listen_to_identification
 
-        heard = _Messages(stack.enter_context(Observer("demo")))
+        observer = stack.enter_context(Observer("demo"))
+        reports: list[Any] = []
+        last = time.monotonic()
+
+        def take(report: Any) -> None:
+            nonlocal last
+            reports.append(report)
+            last = time.monotonic()
+            _print_report(report, reports[0])
+
+        samples, forces, sets = listen_to_identification(observer, take)
         deadline = time.monotonic() + _START_LIMIT
-        while not set(_NODES) <= set(heard.observer.node.get_node_names()):
+        while not set(_NODES) <= set(observer.node.get_node_names()):
             check_running(running)
             if time.monotonic() > deadline:
                 raise ValueError(
                     f"{' and '.join(_NODES)} did not start within {_START_LIMIT:.0f} s"
                 )
-            heard.observer.spin_once()
+            observer.spin_once()
         running["replay"] = stack.enter_context(
             closing(start_node("replay", bag=bag, rate=options.rate, wait_for_subscribers=3))
         )
-        heard.receive(running)
-    if not heard.sets or not heard.reports:
+        print("\nwindow        validation samples: before -> after the fit")
+        while running["replay"].running or time.monotonic() - last < _SETTLE:
+            check_running(running)
+            observer.spin_once()
+    if not sets or not reports:
         raise ValueError("no window was identified: see the messages of the nodes above")
     from mr_damper_ros.nodes.messages import parameter_set
 
-    found = parameter_set(heard.sets[-1])
+    found = parameter_set(sets[-1])
     print(f"\n{text_table(*estimates_table('parameter', parameter_estimates(found)))}\n")
     for known, when in ((start_set(found.model), "before"), (found, "after")):
         nrmse = validate(known, recording).nrmse
         print(f"NRMSE with the set {known.set_id}, {when}: {nrmse:.2%}")
-    comparison = heard.predicted(recording)
+    comparison = _predicted(recording, samples, forces)
     print(f"NRMSE of the force predicted during the run: {comparison.error.nrmse:.2%}")
-    figures = save_figures(
-        [comparison], options.output, ["png"], "predicted while the bag was playing"
-    )
+    title = "predicted while the bag was playing"
+    figures = save_figures([comparison], options.output, ["png"], title)
     print("figures: " + ", ".join(map(str, figures)))
     return 0
 
@@ -112,7 +117,7 @@ def _live(options: argparse.Namespace) -> int:
         with suppress(KeyboardInterrupt):  # Ctrl-C ends the demonstration
             while True:
                 check_running(running)
-                time.sleep(_LOOK)
+                time.sleep(0.2)
     return 0
 
 
@@ -149,57 +154,38 @@ def page_of(live: Program) -> str:
     return found[1]
 
 
-class _Messages:
-    """Messages of the nodes: samples, forces, sets, and reports, which are also printed."""
+def _print_report(report: Any, first: Any) -> None:
+    now, begin = report.header.stamp, first.window_start
+    elapsed = now.sec - begin.sec + 1e-9 * (now.nanosec - begin.nanosec)
+    verdict = "accepted" if report.accepted else f"kept: {report.reason}"
+    print(
+        f"{elapsed:6.1f} s  NRMSE {report.nrmse_before:9.2%} -> {report.nrmse_after:6.2%}  "
+        f"{report.evaluations:4d} evaluations, {1e3 * report.duration:4.0f} ms  "
+        f"force scale {report.force_scale:6.4f}  {report.parameter_set}: {verdict}",
+        flush=True,
+    )
 
-    def __init__(self, observer: Observer) -> None:
-        from mr_damper_ros.nodes.observer import listen_to_identification
 
-        self.observer = observer
-        self._last = time.monotonic()
-        self.reports: list[Any] = []
-        self.samples, self.forces, self.sets = listen_to_identification(observer, self._print)
-
-    def _print(self, report: Any) -> None:
-        self.reports.append(report)
-        self._last = time.monotonic()
-        now, begin = report.header.stamp, self.reports[0].window_start
-        elapsed = now.sec - begin.sec + 1e-9 * (now.nanosec - begin.nanosec)
-        verdict = "accepted" if report.accepted else f"kept: {report.reason}"
-        print(
-            f"{elapsed:6.1f} s  NRMSE {report.nrmse_before:9.2%} -> {report.nrmse_after:6.2%}  "
-            f"{report.evaluations:4d} evaluations, {1e3 * report.duration:4.0f} ms  "
-            f"force scale {report.force_scale:6.4f}  {report.parameter_set}: {verdict}",
-            flush=True,
-        )
-
-    def receive(self, running: Mapping[str, Program]) -> None:
-        """Receive until the bag has ended and the identifier has finished. Raises ValueError."""
-        print("\nwindow        validation samples: before -> after the fit")
-        while running["replay"].running or time.monotonic() - self._last < _SETTLE:
-            check_running(running)
-            self.observer.spin_once()
-
-    def predicted(self, recording: Recording) -> Comparison:
-        """The force that was predicted during the run. Raises ValueError."""
-        samples = {message.seq: message for message in self.samples}
-        forces = {m.seq: m.force for m in self.forces if m.valid and m.seq in samples}
-        if not forces:
-            raise ValueError("the model node predicted no valid force: see /diagnostics")
-        numbers, period = sorted(forces), recording.period
-        moved, measured = (
-            np.concatenate([getattr(samples[seq], name) for seq in numbers])
-            for name in ("displacement", "force")
-        )
-        return Comparison(
-            name=recording.name,
-            time=np.concatenate([(seq + np.arange(len(forces[seq]))) * period for seq in numbers]),
-            displacement=moved,
-            velocity=np.gradient(moved, period),
-            measured=measured,
-            predicted=np.concatenate([forces[seq] for seq in numbers]),
-            provenance=recording.details.get("provenance", ""),
-        )
+def _predicted(recording: Recording, blocks: Sequence[Any], forces: Sequence[Any]) -> Comparison:
+    """Measured and predicted force of the messages of a run. Raises ValueError."""
+    samples = {message.seq: message for message in blocks}
+    pairs = {m.seq: (samples[m.seq], m) for m in forces if m.valid and m.seq in samples}
+    if not pairs:
+        raise ValueError("the model node predicted no valid force: see /diagnostics")
+    columns = [
+        (seq + np.arange(len(made.force)), block.displacement, block.force, made.force)
+        for seq, (block, made) in sorted(pairs.items())
+    ]
+    number, moved, measured, force = map(np.concatenate, zip(*columns, strict=True))
+    return Comparison(
+        name=recording.name,
+        time=number * recording.period,
+        displacement=moved,
+        velocity=np.gradient(moved, recording.period),
+        measured=measured,
+        predicted=force,
+        provenance=recording.details.get("provenance", ""),
+    )
 
 
 main = program(

@@ -14,9 +14,6 @@ from mr_damper_ros.processes.files import write_bytes
 from mr_damper_ros.settings.option_table import options
 from mr_damper_ros.tools.console import add_path, program
 
-_POINTS = 1000
-"""Number of points in the table of test vectors."""
-
 
 def _options(parser: argparse.ArgumentParser) -> None:
     add_path(parser, "parameters", "PARAMETERS.yaml", "file of identify --output")
@@ -48,7 +45,7 @@ def _export(chosen: argparse.Namespace) -> int:
         print(f"WARNING: {law.parameters.doubt_over_current}", file=sys.stderr)
     chosen.output.mkdir(parents=True, exist_ok=True)
     files = _FORMATS[chosen.format](law, chosen.name)
-    files["vectors.csv"] = Vectors.of(law, _POINTS).csv()
+    files["vectors.csv"] = Vectors.of(law, 1000).csv()
     for name, content in files.items():
         write_bytes(chosen.output / name, content.encode() if isinstance(content, str) else content)
     print("written: " + ", ".join(str(chosen.output / name) for name in files))

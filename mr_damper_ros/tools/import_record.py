@@ -41,8 +41,6 @@ _OPTIONS = (
 )
 _FLAGS = {"start": "--from", "stop": "--to", "moving_average": "--undo-moving-average"}
 
-_LEFT_OUT = "-"
-
 
 def _options(parser: argparse.ArgumentParser) -> None:
     add_path(parser, "file", "FILE", "text, CSV, MAT, XLSX or TDMS file")
@@ -105,7 +103,7 @@ def _currents(options: argparse.Namespace, runs: RunsOfFile) -> float | list[flo
 
 
 def _ampere(text: str) -> float | None:
-    if text.strip() == _LEFT_OUT:
+    if text.strip() == "-":
         return None
     try:
         return float(text)

@@ -31,9 +31,6 @@ _SET_POINTS = (
 )
 """Topic, message type, name in the record, and field of the message."""
 
-_MOST_SIGNALS = 1_000_000
-"""Capacity of the table ``signals``, almost three hours."""
-
 
 def empty_record(path: Path) -> LiveRecord:
     """A record with room for the signals of a bag, for :func:`replay_into`; raises BagError.
@@ -43,7 +40,7 @@ def empty_record(path: Path) -> LiveRecord:
     with opened_bag(path) as bag:
         told = [bag.details.get(key, "") for key in ("name", "operator", "note")]
     title = ", ".join(dict.fromkeys([*filter(None, told), path.name]))
-    return LiveRecord(recorded=title, signals_kept=_MOST_SIGNALS)
+    return LiveRecord(recorded=title, signals_kept=1_000_000)  # almost three hours
 
 
 def replay_into(record: LiveRecord, path: Path, start: ParameterSet | None = None) -> None:

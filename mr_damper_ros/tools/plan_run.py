@@ -6,12 +6,11 @@ The goal is a range of peak velocity and current. Without bags, the first run is
 from __future__ import annotations
 
 import argparse
+import math
 from collections.abc import Mapping, Sequence
 from contextlib import closing
 from dataclasses import asdict
 from typing import Any
-
-import numpy as np
 
 from mr_damper_ros.campaign.course import (
     CampaignCourse,
@@ -40,19 +39,15 @@ OUT_OF_REACH = 3
 
 _NEEDED = ("velocity", "current", "amplitude", "force")
 
-_GOAL = {
-    "error": ("error",),
-    "velocity": ("lowest_peak_velocity", "highest_peak_velocity"),
-    "current": ("lowest_current", "highest_current"),
-}
+_GOAL = {"error": "error", "velocity": "lowest_peak_velocity", "current": "lowest_current"}
 _MACHINE = {
-    **{name: (name,) for name in ("amplitude", "force", "duration", "heat")},
-    "top_velocity": ("peak_velocity",),
-    "top_current": ("current",),
-    "frequency": ("lowest_frequency", "highest_frequency"),
-    "rate": ("sample_rate",),
+    **{name: name for name in ("amplitude", "force", "duration", "heat")},
+    "top_velocity": "peak_velocity",
+    "top_current": "current",
+    "frequency": "lowest_frequency",
+    "rate": "sample_rate",
 }
-"""Options of the tables, by argument; an argument with two options is a range."""
+"""Options of the tables, by argument; the lowest of a range stands for the range."""
 
 _EPILOG = f"""\
 With --keep, the folder holds a campaign. The first call needs the goal and the limits of the
@@ -102,53 +97,41 @@ def _options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--model", choices=tuple(MODELS), default=DEFAULT_MODEL, help="force law")
 
 
-def _add_options(
-    group: argparse._ArgumentGroup, table: type, names: Mapping[str, Sequence[str]]
-) -> None:
-    """Add an argument for each option of a table, or for a pair of options."""
+def _add_options(group: argparse._ArgumentGroup, table: type, names: Mapping[str, str]) -> None:
+    """Add an argument for each of these options of a table, or for a range of options."""
     known = {item.name: item for item in table_options(table)}
-    for name, keys in names.items():
-        items = [known[key] for key in keys]
-        text = items[0].description.rstrip(".")
-        default: Any = [item.default for item in items]
-        if len(items) == 1:
-            (default,) = default
-        else:
-            text = text.replace("Lowest", "Lowest and highest")
-        if name in _NEEDED:
-            default = None
-        elif name.startswith("top_"):
-            default, text = None, f"{text} (default: the value of the goal)"
-        else:
+    for name, key in names.items():
+        text = known[key].description.rstrip(".").replace("Lowest", "Lowest and highest")
+        given: dict[str, Any] = {"metavar": name.rpartition("_")[2].upper()}
+        default: Any = known[key].default
+        if key.startswith("lowest_"):
+            default = [default, known[key.replace("lowest", "highest")].default]
+            given = {"metavar": ("LOW", "HIGH"), "nargs": 2}
+        if name.startswith("top_"):
+            text += " (default: the value of the goal)"
+        elif name not in _NEEDED:
             text += " (default %(default)s)"
-        group.add_argument(
-            f"--{name.replace('_', '-')}",
-            nargs=len(items) if len(items) > 1 else None,
-            type=float,
-            default=default,
-            metavar=("LOW", "HIGH") if len(items) > 1 else name.rpartition("_")[2].upper(),
-            help=text,
-        )
+            given["default"] = default
+        group.add_argument(f"--{name.replace('_', '-')}", type=float, help=text, **given)
 
 
-def _given(options: argparse.Namespace, names: Mapping[str, Sequence[str]]) -> dict[str, float]:
-    """The options of a table that are given, by their names in the table."""
-    values = {name: getattr(options, name) for name in names}
-    return {
-        key: value
-        for name, keys in names.items()
-        if values[name] is not None
-        for key, value in zip(keys, np.atleast_1d(values[name]).tolist(), strict=True)
-    }
-
-
-def _goal_and_limits(options: argparse.Namespace) -> tuple[ForceGoal, MachineLimits]:
-    """The goal and the limits of the machine given by the options. Raises ValueError."""
-    goal = GoalOptions(**_given(options, _GOAL)).goal()
-    machine = {"peak_velocity": goal.peak_velocity[1], "current": goal.current[1]}
-    motions = " ".join(options.motions)
-    limits = MachineOptions(**machine | _given(options, _MACHINE), motions=motions)
-    return goal, limits.limits(manual=options.manual)
+def _task(options: argparse.Namespace) -> CampaignTask:
+    """The goal, the limits of the machine and the law given by the options. Raises ValueError."""
+    goal = ForceGoal(options.error, tuple(options.velocity), tuple(options.current))
+    top_velocity, top_current = options.top_velocity, options.top_current
+    limits = MachineLimits(
+        amplitude=options.amplitude,
+        peak_velocity=goal.peak_velocity[1] if top_velocity is None else top_velocity,
+        force=options.force,
+        current=goal.current[1] if top_current is None else top_current,
+        duration=options.duration,
+        heat=options.heat or math.inf,
+        frequency=tuple(options.frequency),
+        sample_rate=options.rate,
+        steps=not options.manual,
+        motions=(MotionKind.SINE,) if options.manual else tuple(options.motions),
+    )
+    return CampaignTask(goal, limits, options.model)
 
 
 def _plan(options: argparse.Namespace) -> int:
@@ -159,8 +142,9 @@ def _plan(options: argparse.Namespace) -> int:
         return _continue_campaign(options, missing)
     if missing:
         raise ValueError(f"a plan needs {', '.join(missing)} too")
-    goal, limits = _goal_and_limits(options)
-    plan = advise_run(options.bags, goal, limits, options.model) if options.bags else None
+    task = _task(options)
+    goal, limits = task.goal, task.limits
+    plan = advise_run(options.bags, goal, limits, task.model) if options.bags else None
     run = first_run(goal, limits) if plan is None else plan.run
     document: dict[str, object] = {"state": "run" if plan is None else plan.state.value}
     if plan is not None:
@@ -194,7 +178,7 @@ def _continue_campaign(options: argparse.Namespace, missing: Sequence[str]) -> i
     elif missing:
         raise ValueError(f"a new campaign needs {', '.join(missing)} too")
     else:
-        task = CampaignTask(*_goal_and_limits(options), options.model)
+        task = _task(options)
     # All recordings of the bags, the oldest first.
     listed = find_recordings(options.bags)[0] if options.bags else []
     waiting = [recording for entry in listed for recording in read_bag(entry.path)]

@@ -14,17 +14,11 @@ from mr_damper_ros.signals.blocks import SILENCE
 from mr_damper_ros.signals.error_sums import ErrorSums
 from mr_damper_ros.tools.console import add_namespace_option, program
 
-_SIGNS = ("+", "!", "x", "?")
-"""Signs for the levels good, warning, error and stale."""
-
 _INDENT = 25
 """Width of the column before the text of a line."""
 
 _ENTRY = 28
 """Width of a parameter on the screen; three more columns separate two parameters."""
-
-_ERROR_OVER = 500
-"""Number of samples over which the present error is computed."""
 
 
 def summary(record: LiveRecord, width: int = 80) -> str:
@@ -40,7 +34,8 @@ def _signals(record: LiveRecord) -> list[str]:
         if any(concern.name.startswith("model:") for concern, _ in record.concerns):
             return ["no signals yet: the node model is running, but no samples arrive"]
         return ["no signals yet: is the node model running, in this namespace?"]
-    named = dict(zip(rows.columns, rows.values[-_ERROR_OVER:].T, strict=True))
+    # The present error is that of the last 500 samples.
+    named = dict(zip(rows.columns, rows.values[-500:].T, strict=True))
     now = {name: float(column[-1]) for name, column in named.items()}
     silence = _since(record.silence)
     measured, error = (
@@ -48,10 +43,9 @@ def _signals(record: LiveRecord) -> list[str]:
     )
     nrmse = ErrorSums.of(measured + error, measured).nrmse
     predicted = _known("{:9.1f} N", now["predicted_force"])
+    state = "valid" if now["valid"] else "invalid"
     if record.parameters is None:
         state = "no parameters yet"
-    else:
-        state = "valid" if now["valid"] else "invalid"
     error_line = _known("NRMSE {:.1%} over the last valid samples", nrmse)
     return [
         *([f"{'no signals':24} {silence}; the last ones:"] if silence else []),
@@ -86,20 +80,15 @@ def _parameters(record: LiveRecord, width: int) -> list[str]:
     seen = record.parameters
     if seen is None:
         return ["no parameters yet: is the node identifier running, in this namespace?"]
+    columns = seen.law.parameter_names, seen.values, seen.standard_errors, seen.observable
     entries = [
         f"{name} {value:.4g}" + (f" ± {error:.2g}" if known else " (not determined)")
-        for name, value, error, known in zip(
-            seen.law.parameter_names,
-            seen.values,
-            seen.standard_errors,
-            seen.observable,
-            strict=True,
-        )
+        for name, value, error, known in zip(*columns, strict=True)
     ]
-    columns = max((width + 3) // (_ENTRY + 3), 1)
+    count = max((width + 3) // (_ENTRY + 3), 1)
     lines = [
-        "   ".join(f"{entry:{_ENTRY}}" for entry in entries[k : k + columns]).rstrip()
-        for k in range(0, len(entries), columns)
+        "   ".join(f"{entry:{_ENTRY}}" for entry in entries[k : k + count]).rstrip()
+        for k in range(0, len(entries), count)
     ]
     silence = _since(_silence_of(record, "identifier", "model"))
     head = "last set" if silence else "set in use"
@@ -110,7 +99,8 @@ def _concerns(record: LiveRecord) -> list[str]:
     lines = []
     for concern, silence in record.concerns:
         since = _since(silence)
-        sign = "?" if since else _SIGNS[min(concern.level, 3)]
+        # Good, warning, error, or stale.
+        sign = "+!x?"[3 if since else min(concern.level, 3)]
         lines.append(f"{sign} {concern.name:22} {since}{'; last: ' * bool(since)}{concern.message}")
     return lines
 
@@ -129,8 +119,6 @@ def _since(silence: float) -> str:
     return f"no message since {clock} ({silence:.0f} s)"
 
 
-_HOME_AND_CLEAR = "\x1b[H\x1b[J"
-_WITHOUT_CURSOR, _WITH_CURSOR = "\x1b[?25l", "\x1b[?25h"
 _AT_LEAST = 3.0
 """Time [s] after which every running node has sent diagnostics, which come once a second."""
 
@@ -154,26 +142,25 @@ def _watch(options: argparse.Namespace) -> int:
     record = LiveRecord()
     with Observer("watch", namespace=options.namespace) as observer:
         RecordInput(observer.node, record)
+
+        def after(seconds: float) -> str:
+            observer.spin_for(seconds)
+            return summary(record, shutil.get_terminal_size().columns)
+
         if options.once:
-            observer.spin_for(_AT_LEAST)
-            print(summary(record, _width()))
+            print(after(_AT_LEAST))
             return 0
         in_place = sys.stdout.isatty()
         try:
             while True:
-                observer.spin_for(options.period)
-                text = summary(record, _width())
-                if in_place:
-                    print(_WITHOUT_CURSOR + _HOME_AND_CLEAR + text, flush=True)
+                text = after(options.period)
+                if in_place:  # on a clear screen without a cursor
+                    print(f"\x1b[?25l\x1b[H\x1b[J{text}", flush=True)
                 else:
                     print(f"{time.strftime('%H:%M:%S')}\n{text}\n", flush=True)
         finally:
             if in_place:
-                print(_WITH_CURSOR, end="", flush=True)
-
-
-def _width() -> int:
-    return shutil.get_terminal_size().columns
+                print("\x1b[?25h", end="", flush=True)
 
 
 main = program(__name__, __doc__, _options, _watch)

@@ -18,7 +18,7 @@ from mr_damper_ros.io.columns import UNITS, ColumnError, parse_columns
 from mr_damper_ros.io.records import read_record
 from mr_damper_ros.io.run_cuts import read_runs
 from mr_damper_ros.tools import check_rig, import_record, watch
-from mr_damper_ros.tools.console import run_tool
+from mr_damper_ros.tools.console import program
 
 COLUMNS = "time:s,displacement:mm,force:N"
 TIME = np.arange(40) * 0.01
@@ -424,7 +424,7 @@ def test_expected_failures_have_exit_codes(
     def run(options: argparse.Namespace) -> int:
         raise raised
 
-    assert run_tool(argparse.ArgumentParser("tool"), run, []) == code
+    assert program("tool", None, lambda parser: None, run)([]) == code
     assert capsys.readouterr().err.strip().startswith("tool: ")
 
 
