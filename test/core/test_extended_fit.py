@@ -22,7 +22,7 @@ from mr_damper_ros.models import MODELS
 from mr_damper_ros.models.first_order_lag import FirstOrderLag
 from mr_damper_ros.models.misfit import Misfit
 from mr_damper_ros.models.published import LITERATURE
-from mr_damper_ros.models.sigmoid.following import EXTENDED_NAMES, extension_of, is_extended
+from mr_damper_ros.models.sigmoid.following import EXTENDED_NAMES
 from mr_damper_ros.models.sigmoid.law import operating_point_coefficients
 
 LAW = MODELS["sigmoid_lag"]
@@ -275,12 +275,3 @@ def test_a_constant_is_not_changed_and_no_value_is_exceeded(tau, level):
     values = signal()
     late = lag(values)
     assert values.min() - ROUNDING <= late.min() <= late.max() <= values.max() + ROUNDING
-
-
-def test_an_array_tells_its_law():
-    extended = np.append(known.PLAUSIBLE, [1e-8, 3.0, 4.0, 0.0])
-    assert not is_extended(known.PLAUSIBLE)
-    assert is_extended(extended)
-    assert extension_of(extended) == (1e-8, 3.0, 4.0)
-    with pytest.raises(ValueError, match="there are 17 parameters: the sigmoid law has 16"):
-        is_extended(np.zeros(17))

@@ -40,7 +40,7 @@ import math
 from collections.abc import Callable, Sequence
 from functools import cache
 from itertools import repeat
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
@@ -59,7 +59,6 @@ from mr_damper_ros.models.sigmoid.law import (
     NARROWEST,
     PARAMETER_NAMES,
     force_and_damping,
-    force_from_coefficients,
     operating_point_coefficients,
 )
 from mr_damper_ros.signals.arrays import Array
@@ -79,39 +78,21 @@ EXTENDED_NAMES = (*PARAMETER_NAMES, *EXTENSION_NAMES, COIL)
 SIGMOID_COUNT = len(PARAMETER_NAMES)
 
 
-class Extension(NamedTuple):
-    """The three parameters of the extension, each a number or an array that broadcasts."""
-
-    compliance: Array | float
-    stiffness: Array | float
-    offset: Array | float
-
-    def time_constant(self, damping: Array) -> Array:
-        """Time constant [s] of the lag at this damping [N s/m] of the sigmoid; at least 0."""
-        return np.maximum(self.compliance * damping, 0.0)
-
-    def gas(self, displacement: Array | float) -> Array | float:
-        """Gas force [N] at a displacement [m]."""
-        return self.stiffness * displacement + self.offset
+_COMPLIANCE, _STIFFNESS, _OFFSET = range(SIGMOID_COUNT, SIGMOID_COUNT + len(EXTENSION_NAMES))
 
 
-def is_extended(parameters: Array) -> bool:
-    """Whether an array (..., 16) or (..., 20) belongs to the extended law.
-
-    Raises ValueError for any other length.
-    """
-    count = parameters.shape[-1]
-    if count not in (SIGMOID_COUNT, len(EXTENDED_NAMES)):
-        raise ValueError(
-            f"there are {count} parameters: the sigmoid law has {SIGMOID_COUNT}, the extended one "
-            f"{len(EXTENDED_NAMES)}"
-        )
-    return bool(count != SIGMOID_COUNT)
+def time_constant(parameters: Array, damping: Array) -> Array:
+    """Time constant [s] of the lag at this damping (..., n) [N s/m] of the sigmoid; at least 0."""
+    return np.maximum(parameters[..., _COMPLIANCE, np.newaxis] * damping, 0.0)
 
 
-def extension_of(parameters: Array) -> Extension:
-    """The extension from parameters (20,)."""
-    return Extension(*parameters[SIGMOID_COUNT:-1].tolist())
+def gas_force(parameters: Array, displacement: Array) -> Array:
+    """Force [N] of stiffness and offset at a displacement (n,) [m]."""
+    stiffness, offset = (
+        parameters[..., _STIFFNESS, np.newaxis],
+        parameters[..., _OFFSET, np.newaxis],
+    )
+    return np.asarray(stiffness * displacement + offset)
 
 
 EXTENDED_LAW: Formulas = (
@@ -130,30 +111,23 @@ LAG_MEMORY = len(_LAG[1:])
 """Number of arrays in the state of the lag: force, lagged force [N] and time constant [s]."""
 
 
-def _lag_before(state: State | None, extended: bool, jumps: bool) -> tuple[float, ...]:
-    """The inputs ``_LAG`` from a state, which may end with the coil's state."""
-    if not extended:
-        return ()
-    first = 0 if jumps else BRANCH_MEMORY
-    return (0.0,) * 4 if state is None else (1.0, *map(float, state[first : first + LAG_MEMORY]))
-
-
 # -- along a motion
 
 BRANCH_MEMORY = 2
 """Number of arrays in the state without the jump: the last velocity [m/s] and the last branch."""
 
-_SAMPLE = ("v", "v_m", "s", "change", "u")
-
-_SAMPLE_LAWS = (
-    staged(LAW, [PARAMETER_NAMES, ("i", "period"), _SAMPLE], ("force", "branch"), scalars=3),
+_SAMPLE_LAWS = [
     staged(
         EXTENDED_LAW,
-        [EXTENDED_NAMES, ("i", "period"), (*_SAMPLE, *_LAG)],
-        ("total", "branch", "force", "late", "tau"),
+        [names, ("i", "period"), ("v", "v_m", "s", "change", "u", *_LAG)],
+        results,
         scalars=3,
-    ),
-)
+    )
+    for names, results in (
+        (PARAMETER_NAMES, ("force", "branch")),
+        (EXTENDED_NAMES, ("total", "branch", "force", "late", "tau")),
+    )
+]
 """Laws of one sample, without and with the extension: force, branch, and state of the lag."""
 
 
@@ -179,14 +153,12 @@ def follow(
         # The branch is already a factor of v_h, so the sign of the acceleration is set to 1.
         coefficients = coefficients._replace(v_h=coefficients.v_h * branch)
         acceleration = np.ones(motion.velocity.size)
-    if not is_extended(parameters):
-        return force_from_coefficients(coefficients, motion.velocity, acceleration), turning
     plain, damping = force_and_damping(coefficients, motion.velocity, acceleration)
-    extension = Extension(*np.moveaxis(parameters[..., SIGMOID_COUNT:-1, np.newaxis], -2, 0))
-    constant = extension.time_constant(damping)
-    before = None if state is None else state[-LAG_MEMORY:]
-    late = lagged(plain, constant, period, state=before)
-    force = np.asarray(late + extension.gas(motion.displacement))
+    if parameters.shape[-1] == SIGMOID_COUNT:
+        return plain, turning
+    constant = time_constant(parameters, damping)
+    late = lagged(plain, constant, period, None if state is None else state[-LAG_MEMORY:])
+    force = late + gas_force(parameters, motion.displacement)
     return force, (*turning, plain[..., -1], late[..., -1], constant[..., -1])
 
 
@@ -199,15 +171,12 @@ def _follow_few(
     jumps: bool,
 ) -> tuple[Array, State]:
     """:func:`follow` for one set, sample by sample."""
-    extended = is_extended(parameters)
-    at_current = _SAMPLE_LAWS[extended](*parameters.tolist())
-    lag = _lag_before(state, extended, jumps)
-    branch, last = branch_before(None if jumps else state, float(motion.acceleration[0]))
-    branches = np.sign(motion.acceleration).tolist() if jumps else repeat(branch)
+    at_current = _SAMPLE_LAWS[parameters.size > SIGMOID_COUNT](*parameters.tolist())
+    branch, last, lag = _before(state, float(motion.acceleration[0]), jumps=jumps)
     columns = (current, motion.velocity, motion.peak_velocity, motion.displacement)
-    rows = zip(branches, *(column.tolist() for column in columns), strict=False)
+    signs = np.sign(motion.acceleration).tolist() if jumps else repeat(branch)
     known, forces, change = math.nan, [], 0.0
-    for sign, amperes, v, v_m, u in rows:
+    for sign, amperes, v, v_m, u in zip(signs, *map(np.ndarray.tolist, columns), strict=False):
         if amperes != known:
             known, sample = amperes, at_current(amperes, period)
         if jumps:
@@ -215,22 +184,25 @@ def _follow_few(
         elif last is not None:
             change = v - last
         force, branch, *late = sample(v, v_m, branch, change, u, *lag)
-        if extended:
+        if late:
             lag = (1.0, *late)
         last = v
         forces.append(force)
-    remembered = (*(() if jumps else (last, branch)), *lag[1:])
-    return np.array(forces), tuple(map(np.array, remembered))
+    return np.array(forces), tuple(map(np.array, (*(() if jumps else (last, branch)), *late)))
 
 
-def branch_before(state: State | None, acceleration: float) -> tuple[float, float | None]:
-    """Branch and velocity [m/s] before a sample, from a state without the jump.
+def _before(
+    state: State | None, acceleration: float, *, jumps: bool
+) -> tuple[float, float | None, tuple[float, ...]]:
+    """Branch, velocity [m/s] and the inputs ``_LAG`` before a sample.
 
-    Without a state the branch is the sign of the acceleration, and the velocity is None.
+    At a start, or with the jump, the branch is the sign of the acceleration and the velocity None.
+    The state may end with the coil's state.
     """
-    if not state:
-        return (acceleration > 0.0) - (acceleration < 0.0), None
-    return float(state[1]), float(state[0])
+    numbers = [float(part) for part in state or ()]
+    turning, lag = ([], numbers) if jumps else (numbers[:BRANCH_MEMORY], numbers[BRANCH_MEMORY:])
+    last, branch = turning or (None, (acceleration > 0.0) - (acceleration < 0.0))
+    return branch, last, (1.0, *lag[:LAG_MEMORY]) if lag else (0.0,) * len(_LAG)
 
 
 def branch_along(
@@ -274,9 +246,8 @@ _of_motion = staged(LAW, [PARAMETER_NAMES, ("v", "v_m")], _MOTION, scalars=2)
 @cache
 def _over_current(extended: bool) -> tuple[Callable[..., Any], Callable[..., Any]]:
     """Compiled law over the current: scalar for one sample, arrays for many samples."""
-    names = EXTENDED_NAMES if extended else PARAMETER_NAMES
-    seen = (*_MOTION, "s", "change", *(("u", "period", *_LAG) if extended else ()))
-    result = "total" if extended else "force"
+    names, result = (EXTENDED_NAMES, "total") if extended else (PARAMETER_NAMES, "force")
+    seen = (*_MOTION, "s", "change", "u", "period", *_LAG)
     return (
         staged(EXTENDED_LAW, [names, seen, ("i",)], (result,), scalars=3),
         staged(EXTENDED_LAW, [names, ("i",), seen], (result,), scalars=1),
@@ -287,10 +258,11 @@ class SigmoidCurrentResponse(CurrentResponse):
     """Response of a set (16,) or (20,); motion terms are computed in scalar code."""
 
     def __init__(self, parameters: Array, *, jumps: bool) -> None:
-        self._jumps, self._extended = jumps, is_extended(parameters)
+        self._jumps = jumps
         numbers = parameters.tolist()
         self._motion = _of_motion(*numbers[:SIGMOID_COUNT])
-        self._scalar, self._arrays = (each(*numbers) for each in _over_current(self._extended))
+        laws = _over_current(len(numbers) > SIGMOID_COUNT)
+        self._scalar, self._arrays = (law(*numbers) for law in laws)
         self._latest: tuple[Array, Callable[..., Any]] | None = None
 
     def at(
@@ -313,10 +285,7 @@ class SigmoidCurrentResponse(CurrentResponse):
         return np.reshape(self._latest[1](*seen), (len(rows), -1))
 
     def _seen(self, sample: MotionSample, period: float, state: State | None) -> tuple[float, ...]:
-        branch, before = branch_before(None if self._jumps else state, sample.acceleration)
-        change = 0.0 if before is None else sample.velocity - before
-        seen = (*self._motion(sample.velocity, sample.peak_velocity), branch, change)
-        if not self._extended:
-            return seen
-        lag = _lag_before(state, True, self._jumps)
-        return (*seen, sample.displacement, period, *lag)
+        branch, last, lag = _before(state, sample.acceleration, jumps=self._jumps)
+        change = 0.0 if last is None else sample.velocity - last
+        of_motion = self._motion(sample.velocity, sample.peak_velocity)
+        return (*of_motion, branch, change, sample.displacement, period, *lag)

@@ -54,8 +54,8 @@ from mr_damper_ros.models.sigmoid.following import (
     LAG_MEMORY,
     SIGMOID_COUNT,
     SigmoidCurrentResponse,
-    extension_of,
     follow,
+    time_constant,
 )
 from mr_damper_ros.models.sigmoid.law import (
     COEFFICIENT_NAMES,
@@ -107,9 +107,6 @@ _EXPONENT_SPAN = 8.0
 """Largest exponent of growth or decay over the velocity range; e^8 is a ratio of 3000."""
 
 
-Values = Mapping[str, Array | float]
-
-
 class _Law(NamedTuple):
     """One group of parameters: the coefficients that they determine, the gain, and the unknowns.
 
@@ -121,15 +118,24 @@ class _Law(NamedTuple):
     gain: str = ""
     unknowns: tuple[str, ...] = ()
 
+    def basis(self, point: Sequence[Array], values: Mapping[str, Array | float]) -> list[Array]:
+        """Constant and step (s, k) at k operating points, for values that are numbers or (s, 1)."""
+        at_unit = dict(values) | dict.fromkeys(SCALE_PARAMETER_NAMES, 1.0) | {self.gain: 0.0}
+        found = _BASES[self](*(at_unit[name] for name in PARAMETER_NAMES), *point)
+        return list(np.broadcast_arrays(*(np.atleast_2d(each) for each in found)))
+
     def solve(
-        self, table: CoefficientTable, values: Values, free: frozenset[str]
+        self,
+        table: CoefficientTable,
+        values: Mapping[str, Array | float],
+        free: frozenset[str],
     ) -> tuple[Array, dict[str, float]]:
         """Weighted misfit (s,) of s trials to the table, with the free linear parameters fitted.
 
         ``values`` are numbers, or have shape (s, 1). Also returns the fitted linear parameters (of
         the last trial).
         """
-        constant, step = self._basis(table, values)
+        constant, step = self.basis((table.peak_velocity, table.current), values)
         parts = [constant, step] if self.gain in free else [constant + values[self.gain] * step]
         misfit = np.zeros(parts[0].shape[0])
         found: dict[str, float] = {}
@@ -140,21 +146,13 @@ class _Law(NamedTuple):
             basis = weights * np.stack(parts, axis=1)
             if scale in free:
                 factors = _least_squares(basis, target)
-                found[scale] = float(factors[-1, 0])
-                if self.gain in free:
-                    found[self.gain] = _over(factors[-1, 1], factors[-1, 0]).item()
+                found[scale], *of_step = factors[-1].tolist()
+                if of_step:
+                    found[self.gain] = of_step[0] / found[scale] if found[scale] else 0.0
             else:
                 factors = values[scale] * np.array([[1.0, values[self.gain]][: len(parts)]])
             misfit += np.sum((np.einsum("sc,sck->sk", factors, basis) - target) ** 2, axis=-1)
         return misfit, found
-
-    def _basis(self, table: CoefficientTable, values: Values) -> tuple[Array, Array]:
-        """Constant and step (s, k) at the operating points of the table."""
-        at_unit = dict(values) | dict.fromkeys(SCALE_PARAMETER_NAMES, 1.0) | {self.gain: 0.0}
-        given = [at_unit[name] for name in PARAMETER_NAMES]
-        found = _BASES[self](*given, table.peak_velocity, table.current)
-        constant, step = np.broadcast_arrays(*(np.atleast_2d(each) for each in found))
-        return constant, step
 
 
 _LAWS = (
@@ -452,7 +450,7 @@ class ExtendedSigmoidModel(SigmoidModel):
             sixteen, motion = parameters[:SIGMOID_COUNT], history.motion
             along = operating_point_coefficients(sixteen, motion.peak_velocity, history.current)
             _, damping = force_and_damping(along, motion.velocity, motion.acceleration)
-            lag = float(np.max(extension_of(parameters).time_constant(damping)))
+            lag = float(np.max(time_constant(parameters, damping)))
         return history.unsettled(SETTLING * lag)
 
     def plausible_ranges(
@@ -474,10 +472,3 @@ class ExtendedSigmoidModel(SigmoidModel):
             "offset": (-min(forces), min(forces)),
             COIL: (0.0, PLAUSIBLE_COIL),
         }
-
-
-def _over(part: Array, whole: Array) -> Array:
-    """The quotient; 0 if the divisor is 0."""
-    if whole.ndim == 0:  # scalar code, because a search calls it at every step
-        return np.asarray(part / whole if whole else 0.0 * part)
-    return np.asarray(part / np.where(whole != 0.0, whole, np.inf))

@@ -3,22 +3,22 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from functools import cache, cached_property
+from functools import cache
 from typing import Any
 
 import numpy as np
 
 from mr_damper_ros.kinematics.motion import Motion
 from mr_damper_ros.kinematics.window import Window
-from mr_damper_ros.models.first_order_lag import FirstOrderLag, in_coil
+from mr_damper_ros.models.first_order_lag import FirstOrderLag, coil_shows, in_coil
 from mr_damper_ros.models.force_model import Model, WindowForces
 from mr_damper_ros.models.formulas import staged
 from mr_damper_ros.models.quantities import DIFFERENCE
 from mr_damper_ros.models.sigmoid.following import (
     EXTENDED_NAMES,
     SIGMOID_COUNT,
-    extension_of,
-    is_extended,
+    gas_force,
+    time_constant,
 )
 from mr_damper_ros.models.sigmoid.law import (
     LAW,
@@ -42,15 +42,14 @@ _COMPLIANCE, _STIFFNESS, _OFFSET, _COIL = range(SIGMOID_COUNT, len(EXTENDED_NAME
 
 
 @cache
-def _compiled(
-    results: tuple[str, ...], columns: tuple[int, ...] | None, scalars: int
-) -> Callable[..., Any]:
-    """The results of the law, or their derivatives by the parameters at these columns."""
-    if columns is None:
-        return staged(LAW, _STAGES, results, scalars)
-    names = [PARAMETER_NAMES[place] for place in columns]
-    wanted = [f"{result}_by_{name}" for result in results for name in names]
-    return staged((*LAW, *gradients(results, names)), _STAGES, wanted, scalars)
+def _compiled(results: tuple[str, ...], scalars: int) -> Callable[..., Any]:
+    """Compiled results of the law; ``force_by_k4`` is the derivative of the force by k4."""
+    by: dict[str, list[str]] = {}
+    for result, _, name in (each.partition("_by_") for each in results):
+        if name:
+            by.setdefault(result, []).append(name)
+    derivatives = [line for result, names in by.items() for line in gradients([result], names)]
+    return staged((*LAW, *derivatives), _STAGES, results, scalars)
 
 
 class _Along:
@@ -65,43 +64,38 @@ class _Along:
         self._moving = motion.velocity, np.sign(motion.acceleration)
         self._kept: dict[Callable[..., Any], tuple[bytes, Callable[..., Any]]] = {}
 
+    @quiet
     def values(self, parameters: Array, *results: str) -> list[Array]:
         """The results, each (..., n), for parameters (..., 16 or more)."""
-        found = self._evaluated(results, None, parameters)
-        return list(found) if len(results) > 1 else [found]
-
-    def derivatives(self, parameters: Array, columns: Sequence[int], *results: str) -> Array:
-        """Derivatives (results, c, n) of the results by the parameters at c places."""
-        block = np.zeros((len(results), len(columns), self._moving[0].size))
-        if columns:
-            found = self._evaluated(results, tuple(columns), parameters)
-            rows = block.reshape(-1, block.shape[-1])
-            for row, derivative in zip(rows, found if len(rows) > 1 else [found], strict=True):
-                row[:] = derivative
-        return block
-
-    @quiet
-    def _evaluated(
-        self, results: tuple[str, ...], columns: tuple[int, ...] | None, parameters: Array
-    ) -> Any:
         single = parameters.ndim == 1
         # A steady motion of one set needs scalar code only, up to the velocity.
         steady = self._steady and single
-        law = _compiled(results, columns, 3 if steady else 1 if single else 0)
+        law = _compiled(results, 3 if steady else 1 if single else 0)
         shape = parameters[..., _SHAPE_INDICES]
         key, at_point = self._kept.get(law, (b"", None))
         if at_point is None or key != shape.tobytes():
             point = [float(each[0]) for each in self._point] if steady else self._point
             at_point = law(*as_columns(shape))(*point)
             self._kept[law] = shape.tobytes(), at_point
-        return at_point(*as_columns(parameters[..., SCALE_INDICES]))(*self._moving)
+        found = at_point(*as_columns(parameters[..., SCALE_INDICES]))(*self._moving)
+        return list(found) if len(results) > 1 else [found]
+
+    def derivatives(self, parameters: Array, columns: Sequence[int], *results: str) -> Array:
+        """Derivatives (results, c, n) of the results by the parameters at c places."""
+        names = [f"{result}_by_{PARAMETER_NAMES[c]}" for result in results for c in columns]
+        block = np.zeros((len(names), self._moving[0].size))
+        if names:
+            for row, derivative in zip(block, self.values(parameters, *names), strict=True):
+                row[:] = derivative
+        return block.reshape(len(results), len(columns), -1)
 
 
 class _LaggedForces:
-    """Lagged force at the samples of a window, for parameters of the extended law."""
+    """Lagged force at the samples of a window with the current of the coil."""
 
-    def __init__(self, window: Window, own: _Along) -> None:
-        self._window, self._own, self._history = window, own, window.history
+    def __init__(self, window: Window) -> None:
+        self._window, self._history = window, window.history
+        self._own = _Along(window.motion, window.current)
         self._along = _Along(self._history.motion, self._history.current)
         self._latest: tuple[bytes, FirstOrderLag, Array, Array, Array] | None = None
 
@@ -109,8 +103,7 @@ class _LaggedForces:
         """Force (n,) [N] for parameters (20,)."""
         _, plain, late, _ = self._lagged(parameters)
         force = self._at_samples(plain, late, lambda: self._own.values(parameters, "force")[0])
-        extension = extension_of(parameters)
-        return np.asarray(force + extension.gas(self._window.motion.displacement))
+        return np.asarray(force + gas_force(parameters, self._window.motion.displacement))
 
     def derivatives(self, parameters: Array, columns: Sequence[int]) -> Array:
         """Derivatives (c, n) for a coil without lag; the row of its time constant is zero."""
@@ -141,8 +134,7 @@ class _LaggedForces:
         # Cached, because a search asks for the derivatives right after the force.
         if self._latest is None or self._latest[0] != parameters.tobytes():
             plain, damping = self._along.values(parameters, "force", "damping")
-            constant = extension_of(parameters).time_constant(damping)
-            history = self._history
+            constant, history = time_constant(parameters, damping), self._history
             lag = FirstOrderLag(constant, history.period, periodic=history.periodic)
             self._latest = parameters.tobytes(), lag, plain, lag(plain), damping
         return self._latest[1:]
@@ -160,8 +152,9 @@ class SigmoidForces(WindowForces):
 
     def __init__(self, model: Model, windows: Sequence[Window]) -> None:
         super().__init__(model, windows)
-        self._own = [_Along(window.motion, window.current) for window in windows]
-        self._in_coil: tuple[float, SigmoidForces] | None = None
+        self._plain = [_Along(window.motion, window.current) for window in windows]
+        # Lagged forces of each window, with the time constant of the coil for which they hold.
+        self._kept: list[tuple[float, _LaggedForces] | None] = [None] * len(windows)
 
     def __reduce__(self) -> tuple[Any, ...]:
         # Kept terms hold compiled functions, which cannot be sent to another process.
@@ -169,41 +162,35 @@ class SigmoidForces(WindowForces):
 
     def forces(self, parameters: Array) -> list[Array]:
         """Force (..., n) [N] of each window, for parameters (..., p)."""
-        if not is_extended(parameters):
-            return [own.values(parameters, "force")[0] for own in self._own]
+        if parameters.shape[-1] == SIGMOID_COUNT:
+            return [plain.values(parameters, "force")[0] for plain in self._plain]
         if parameters.ndim > 1:
             each = [self.forces(values) for values in parameters]
             return [np.stack(forces) for forces in zip(*each, strict=True)]
-        return [late.force(parameters) for late in self._with_coil(parameters)._late]
+        return [late.force(parameters) for late in self._late(parameters)]
 
     def derivatives(self, parameters: Array, columns: Sequence[int]) -> list[Array]:
         """Derivatives (n, c) of the force of each window, for parameters (p,), at c places."""
-        if not is_extended(parameters):
-            return [own.derivatives(parameters, columns, "force")[0].T for own in self._own]
-        lates = self._with_coil(parameters)._late
+        if parameters.size == SIGMOID_COUNT:
+            return [plain.derivatives(parameters, columns, "force")[0].T for plain in self._plain]
+        lates = self._late(parameters)
         found = [late.derivatives(parameters, columns).T for late in lates]
-        if _COIL in columns and self._current_changes:
-            place = list(columns).index(_COIL)
-            changed = parameters + np.eye(parameters.size)[_COIL] * DIFFERENCE
-            pairs = zip(found, self.forces(changed), self.forces(parameters), strict=True)
-            for derivatives, later, force in pairs:
-                derivatives[:, place] = (later - force) / DIFFERENCE
+        later = float(parameters[_COIL]) + DIFFERENCE
+        for window, late, derivatives in zip(self.windows, lates, found, strict=True):
+            if _COIL in columns and coil_shows(window, later):
+                change = _LaggedForces(in_coil(window, later)).force(parameters)
+                change -= late.force(parameters)
+                derivatives[:, list(columns).index(_COIL)] = change / DIFFERENCE
         return found
 
-    @cached_property
-    def _late(self) -> list[_LaggedForces]:
-        return [_LaggedForces(*pair) for pair in zip(self.windows, self._own, strict=True)]
-
-    @cached_property
-    def _current_changes(self) -> bool:
-        return not all(window.has_constant_current for window in self.windows)
-
-    def _with_coil(self, parameters: Array) -> SigmoidForces:
-        """The forces with the coil current in place of the supply current."""
-        coil = float(parameters[_COIL])
-        if not (coil > 0.0 and self._current_changes):
-            return self
-        if self._in_coil is None or self._in_coil[0] != coil:
-            windows = [in_coil(window, coil) for window in self.windows]
-            self._in_coil = coil, SigmoidForces(self.model, windows)
-        return self._in_coil[1]
+    def _late(self, parameters: Array) -> list[_LaggedForces]:
+        """The lagged forces of the windows at the current of the coil."""
+        lates = []
+        for place, window in enumerate(self.windows):
+            coil = float(parameters[_COIL])
+            coil = coil if coil_shows(window, coil) else 0.0
+            kept = self._kept[place]
+            if kept is None or kept[0] != coil:
+                self._kept[place] = kept = coil, _LaggedForces(in_coil(window, coil))
+            lates.append(kept[1])
+        return lates
