@@ -15,12 +15,12 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
-from typing import NamedTuple
 
 import numpy as np
 
-from mr_damper_ros.control.inverse_model import InverseModel, coil_time_constant
+from mr_damper_ros.control.inverse_model import InverseModel
 from mr_damper_ros.kinematics.motion import MotionSample
+from mr_damper_ros.models.first_order_lag import COIL
 from mr_damper_ros.models.parameter_set import ParameterSet
 from mr_damper_ros.settings.option_table import CheckedSettings, group, option
 from mr_damper_ros.signals.arrays import Array
@@ -28,18 +28,6 @@ from mr_damper_ros.signals.blocks import NANOSECONDS, SampleBlock
 from mr_damper_ros.signals.uniform_grid import GridSettings
 from mr_damper_ros.tracking.predictor import ForcePredictor, Prediction, PredictorSettings
 from mr_damper_ros.tracking.validity import NO_DOUBT, Doubt, DoubtKind
-
-
-def coil_command(wanted: float, coil: float, horizon: float, time_constant: float) -> float:
-    """Supply current [A] that moves the coil current from ``coil`` to ``wanted`` [A].
-
-    The coil current reaches ``wanted`` at the end of the ``horizon`` [s]. It lags behind the supply
-    current by the ``time_constant`` [s] (:mod:`mr_damper_ros.models.first_order_lag`); 0: no lag.
-    """
-    if time_constant == 0.0:
-        return wanted
-    return coil + (wanted - coil) / -math.expm1(-horizon / time_constant)
-
 
 _LEAST = 0.05
 """Smallest desired force that is used for feedback, relative to the largest one so far.
@@ -343,19 +331,6 @@ REMEDY = (
 """How to extend the identified range of currents."""
 
 
-class _Aim(NamedTuple):
-    """Coil current [A], the resulting force [N], and whether it is the desired force.
-
-    ``unknown``: whether the desired force needs a current within the limits, but outside the
-    identified range.
-    """
-
-    current: float
-    force: float
-    attainable: bool
-    unknown: bool
-
-
 _AT_ONCE = (DoubtKind.MISSING, DoubtKind.OUTDATED)
 """Reasons for immediate fallback, which have already lasted for some time or will not end soon."""
 
@@ -420,7 +395,7 @@ class ForceController:
         high = min(settings.highest_current, highest + beyond)
         if low < high:
             self._inverse = InverseModel(parameters, low, high, gradual_reversal=gradual)
-            self._time_constant = coil_time_constant(parameters)
+            self._time_constant = parameters.as_dict().get(COIL, 0.0)
             self._limits = replace(settings, lowest_current=low, highest_current=high)
             self._unusable = NO_DOUBT
             return
@@ -455,21 +430,21 @@ class ForceController:
         horizon = max(duration, self.settings.horizon)
         assert prediction.motion is not None
         assert prediction.current is not None
-        aim = self._aim(
-            MotionSample.of(prediction.motion, -1), wanted * self._feedback.factor, horizon
-        )
-        self._wanted = self._fallback.towards(aim.current, duration)
-        attainable = aim.attainable and self._wanted == aim.current
+        sample, sought = MotionSample.of(prediction.motion, -1), wanted * self._feedback.factor
+        current, force, attainable, unknown = self._aim(sample, sought, horizon)
+        self._wanted = command = self._fallback.towards(current, duration)
+        attainable = attainable and self._wanted == current
         self._feedback.expect(wanted if attainable else math.nan)
-        memory, coil = self.predictor.memory, float(prediction.current[-1])
-        if self._time_constant > 0.0 and memory is not None:
-            coil = float(memory[-1])
-        command = coil_command(self._wanted, coil, horizon, self._time_constant)
+        if self._time_constant > 0.0:
+            memory = self.predictor.memory
+            coil = float((prediction.current if memory is None else memory)[-1])
+            # The lagging coil reaches the setpoint at the end of the horizon.
+            command = coil + (command - coil) / -math.expm1(-horizon / self._time_constant)
         command = self._limits.limited(command, self._commanded, duration)
         self._commanded = self._fallback.within_reach(command)
-        self._last_was_unknown = aim.unknown
+        self._last_was_unknown = unknown
         made = self._commanded, NO_DOUBT, wanted, prediction
-        return Command(*made, aim.force, attainable, unknown=aim.unknown)
+        return Command(*made, force, attainable, unknown=unknown)
 
     def _fall_back(
         self, prediction: Prediction, doubt: Doubt, wanted: float, duration: float
@@ -519,21 +494,29 @@ class ForceController:
             )
         return NO_DOUBT
 
-    def _aim(self, sample: MotionSample, wanted: float, horizon: float) -> _Aim:
-        """The coil current for a desired force [N] within the ``horizon`` [s] after a sample."""
-        model, last = self._inverse, self._wanted
+    def _aim(
+        self, sample: MotionSample, wanted: float, horizon: float
+    ) -> tuple[float, float, bool, bool]:
+        """The coil current [A] for a desired force [N] within the ``horizon`` [s] after a sample.
+
+        Also returns its force [N], whether this is the desired force, and whether that needs a
+        current within the limits, but outside the identified range.
+        """
+        model, last, state = self._inverse, self._wanted, self.predictor.memory
         assert model is not None
         ahead = horizon if self._time_constant > 0.0 else 0.5 * horizon
+        times = [part * ahead for part in _JUDGED_TIMES]
+        samples = [sample.moved_on(time) for time in times]
+        found = model.current(samples[_MIDDLE], wanted, last, period=times[_MIDDLE], state=state)
         responses = [
-            model.at(sample.moved_on(later), period=later, state=self.predictor.memory)
-            for later in (part * ahead for part in _JUDGED_TIMES)
+            model.at(later, period=time, state=state)
+            for later, time in zip(samples, times, strict=True)
         ]
-        found = model.current(responses[_MIDDLE], wanted, last)
         lowest = self._limits.lowest_current
         currents = found.current, lowest, lowest if last is None else last
         # Just before a reversal, a suitable current soon becomes wrong, and the coil cannot follow.
         # Therefore each candidate is judged at several times.
-        forces = [[response.force(current) for response in responses] for current in currents]
+        forces = [[force_at(current) for force_at in responses] for current in currents]
         # The desired force is limited to the range of the candidates, because their errors relative
         # to a far larger force would be almost equal.
         every = [each for several in forces for each in several]
@@ -549,9 +532,5 @@ class ForceController:
         # A desired force of the same sign as the attainable force, but larger, needs more current.
         more = wanted * found.force > 0.0 and abs(wanted) > abs(found.force)
         ends_early = self._limits.highest_current < self.settings.highest_current
-        return _Aim(
-            currents[best],
-            forces[best][_MIDDLE],
-            met,
-            unknown=ends_early and more and not found.attainable,
-        )
+        unknown = ends_early and more and not found.attainable
+        return currents[best], forces[best][_MIDDLE], met, unknown

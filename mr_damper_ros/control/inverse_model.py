@@ -14,13 +14,13 @@ from __future__ import annotations
 import math
 import warnings
 from collections.abc import Callable
+from itertools import pairwise
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from mr_damper_ros.kinematics.motion import Motion, MotionSample
-from mr_damper_ros.models.first_order_lag import COIL
 from mr_damper_ros.models.parameter_set import ParameterSet, check_set
 from mr_damper_ros.models.quantities import State
 from mr_damper_ros.signals.arrays import Array
@@ -70,13 +70,6 @@ class Inversion(NamedTuple):
     attainable: Any
     least: Any
     most: Any
-
-
-class SampleResponse(NamedTuple):
-    """The force [N] of one sample: at a current [A], and at the nodes of the inverse."""
-
-    force: Force
-    at_nodes: Callable[[], list[float]]
 
 
 class InverseModel:
@@ -176,22 +169,24 @@ class InverseModel:
 
     def at(
         self, sample: MotionSample, *, period: float = 1e-3, state: State | None = None
-    ) -> SampleResponse:
+    ) -> Force:
         """Force of one sample as a function of the current, ``period`` [s] after the state."""
-        held = sample.held_within(*self._range)
-
-        def at_nodes() -> list[float]:
-            forces = self._response.forces([held], self._nodes, period, state)
-            found: list[float] = forces[0].tolist()
-            return found
-
-        return SampleResponse(self._response.at(held, period, state), at_nodes)
+        return self._response.at(sample.held_within(*self._range), period, state)
 
     def current(
-        self, response: SampleResponse, wanted: float, last: float | None = None
+        self,
+        sample: MotionSample,
+        wanted: float,
+        last: float | None = None,
+        *,
+        period: float = 1e-3,
+        state: State | None = None,
     ) -> Inversion:
-        """The current for a force [N] at one sample, as in :meth:`currents`; see :meth:`at`."""
-        return _search(response.force, self._node_list, response.at_nodes(), wanted, last)
+        """The current for a force [N] at one sample, as in :meth:`currents`."""
+        held = sample.held_within(*self._range)
+        at_nodes = self._response.forces([held], self._nodes, period, state)[0].tolist()
+        force_at = self._response.at(held, period, state)
+        return _search(force_at, self._node_list, at_nodes, wanted, last)
 
     def follow(
         self, motion: Motion, wanted: ArrayLike, period: float, state: State | None = None
@@ -205,11 +200,11 @@ class InverseModel:
         found: list[Inversion] = []
         last: float | None = None
         for place, force in enumerate(forces.tolist()):
-            response = self.at(MotionSample.of(motion, place), period=period, state=state)
-            found.append(self.current(response, force, last))
+            sample = MotionSample.of(motion, place)
+            found.append(self.current(sample, force, last, period=period, state=state))
             last = found[-1].current
-            sample = motion.part(slice(place, place + 1)).held_within(*self._range)
-            _, state = self.law.follow(self.values, sample, np.array([last]), period, state)
+            held = motion.part(slice(place, place + 1)).held_within(*self._range)
+            _, state = self.law.follow(self.values, held, np.array([last]), period, state)
         return _together(found), state
 
 
@@ -228,15 +223,9 @@ def _each(current: ArrayLike, motion: Motion) -> Array:
 def in_coil(parameters: ParameterSet) -> Array:
     """Values (p,) of a set with the coil lag removed, for use with the coil current."""
     values = parameters.values.copy()
-    names = parameters.law.parameter_names
-    if COIL in names:
-        values[names.index(COIL)] = 0.0
+    if parameters.law.has_coil:
+        values[-1] = 0.0
     return values
-
-
-def coil_time_constant(parameters: ParameterSet) -> float:
-    """Coil time constant [s] of a set; 0 if it has none."""
-    return parameters.as_dict().get(COIL, 0.0)
 
 
 def _search(
@@ -263,20 +252,10 @@ def _search(
 
 def _cell(nodes: list[float], above: list[bool], last: float | None) -> int:
     """The first bracketing cell, or the one nearest to the last current."""
-    best, least, place = 0, math.inf, 0
-    while True:
-        try:
-            place = above.index(not above[place], place) - 1
-        except ValueError:
-            return best
-        away = 0.0
-        if last is not None and last == last:
-            away = max(nodes[place] - last, last - nodes[place + 1], 0.0)
-        if away < least:
-            best, least = place, away
-        if least == 0.0:
-            return best
-        place += 1
+    cells = [place for place, pair in enumerate(pairwise(above)) if pair[0] != pair[1]]
+    if last is None or math.isnan(last):
+        return cells[0] if cells else 0
+    return min(cells, key=lambda k: max(nodes[k] - last, last - nodes[k + 1], 0.0), default=0)
 
 
 def _root(

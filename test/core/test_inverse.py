@@ -286,15 +286,15 @@ def test_the_current_gives_the_nearest_force_of_a_scan(name: str, gradual: bool)
         if math.isfinite(asked.wanted):
             nearest = min(max(asked.wanted, least), most)
             assert abs(found.force[0] - nearest) <= TOLERANCE * span + ROUNDING * size
-        response = inverse.at(asked.sample, period=PERIOD, state=state)
-        one = inverse.current(response, asked.wanted, asked.last)
+        force_at = inverse.at(asked.sample, period=PERIOD, state=state)
+        one = inverse.current(asked.sample, asked.wanted, asked.last, period=PERIOD, state=state)
         current, force, attainable = found.current[0], found.force[0], bool(found.attainable[0])
         assert one.attainable == attainable
         # Of the span: scalars and arrays round differently, and each search ends within a tenth of
         # this.
         allowed = (1e-8 if attainable else SAME_EXTREMUM) * span + ROUNDING * size
         assert one.force == pytest.approx(force, abs=allowed)
-        between = [response.force(c) for c in np.linspace(one.current, current, 5).tolist()]
+        between = [force_at(c) for c in np.linspace(one.current, current, 5).tolist()]
         # Of the span: two currents whose forces differ by less are equivalent.
         assert max(between) - min(between) <= 4e-7 * span + ROUNDING * size
 
@@ -308,18 +308,15 @@ def test_the_force_of_a_sample_is_that_of_the_law(name: str) -> None:
     def check(asked: Asked, scales: list[float], current: float) -> None:
         inverse = InverseModel(scaled(name, scales), LOWEST, HIGHEST, gradual_reversal=True)
         state = state_after(inverse, asked)
-        response = inverse.at(asked.sample, period=PERIOD, state=state)
+        force_at = inverse.at(asked.sample, period=PERIOD, state=state)
         force, _ = inverse.law.follow(
             inverse.values, asked.sample.motion, np.array([current]), PERIOD, state
         )
-        assert response.force(current) == pytest.approx(float(force[0]), rel=SAME, abs=ROUNDING)
+        assert force_at(current) == pytest.approx(float(force[0]), rel=SAME, abs=ROUNDING)
         nodes = np.linspace(LOWEST, HIGHEST, NODES)
         arrays = inverse.law.current_response(inverse.values)
-        np.testing.assert_allclose(
-            response.at_nodes(),
-            arrays.forces([asked.sample], nodes, PERIOD, state)[0],
-            rtol=SAME,
-            atol=ROUNDING,
-        )
+        expected = arrays.forces([asked.sample], nodes, PERIOD, state)[0]
+        found = list(map(force_at, nodes.tolist()))
+        np.testing.assert_allclose(found, expected, rtol=SAME, atol=ROUNDING)
 
     check()
