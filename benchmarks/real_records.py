@@ -14,7 +14,7 @@ import numpy as np
 
 from benchmarks.figure import Measured, Value
 from mr_damper_ros.api.replay import replay
-from mr_damper_ros.io.run_cuts import read_runs
+from mr_damper_ros.io.records import read_runs
 from mr_damper_ros.models.sigmoid.following import EXTENDED_MODEL
 from mr_damper_ros.signals.blocks import NANOSECONDS
 from mr_damper_ros.signals.recording import Recording

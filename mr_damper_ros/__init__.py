@@ -36,7 +36,7 @@ if TYPE_CHECKING:  # a type checker reads these imports, the program the table b
     from mr_damper_ros.io.bag_reader import read_bag as read_bag
     from mr_damper_ros.io.bag_writer import write_bag as write_bag
     from mr_damper_ros.io.records import read_record as read_record
-    from mr_damper_ros.io.run_cuts import read_runs as read_runs
+    from mr_damper_ros.io.records import read_runs as read_runs
     from mr_damper_ros.lots.many_dampers import ManyDampers as ManyDampers
     from mr_damper_ros.lots.many_dampers import identify_many as identify_many
     from mr_damper_ros.models import MODELS as MODELS
@@ -60,8 +60,7 @@ _NAMES = {
     "estimation.planned_run": ("ForceGoal", "MachineLimits", "PlannedRun"),
     "io.bag_reader": ("read_bag",),
     "io.bag_writer": ("write_bag",),
-    "io.records": ("read_record",),
-    "io.run_cuts": ("read_runs",),
+    "io.records": ("read_record", "read_runs"),
     "lots.many_dampers": ("ManyDampers", "identify_many"),
     "models": ("MODELS",),
     "models.parameter_set": ("ParameterSet",),

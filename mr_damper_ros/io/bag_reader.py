@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import os
 from collections.abc import Iterable, Iterator
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -183,14 +183,12 @@ def opened_bag(
     with failures_in_words(name):
         reader = AnyReader([path])
         reader.open()
-    try:
+    with closing(reader):
         if reader.message_count == 0:
             raise BagError(f"the bag '{name}' holds no messages")
         with failures_in_words(name):
             bag = OpenBag(name, reader)
         yield bag
-    finally:
-        reader.close()
 
 
 _HOLD_BACK = 1.0

@@ -190,25 +190,7 @@ _PAST_CYCLES, _EQUAL_CYCLES = 4, 0.05
 """Number of past cycles that affect the hysteresis, and their largest relative difference."""
 
 
-@dataclass(frozen=True)
-class ChannelLag:
-    """``skew`` [s], its standard error, and the total ``lag`` [s] at a typical reversal.
-
-    After a reversal, the damper force crosses zero with a delay. One part is the hysteresis, a
-    fraction of the cycle (v_h is proportional to the peak velocity). The other part is the skew of
-    the channels, a constant time. At several frequencies, the delay is a linear function of the
-    cycle length, and the skew is its intercept; one frequency cannot separate them. A constant lag
-    in the damper itself, as from a compliant mount or fluid, counts as skew.
-    """
-
-    skew: float = math.nan
-    standard_error: float = math.inf
-    lag: float = math.nan
-
-    @property
-    def determined(self) -> bool:
-        """Whether the skew is known to half a millisecond."""
-        return self.standard_error <= 5e-4
+_UNKNOWN = (math.nan, math.inf)
 
 
 def motion_frequency(displacement: Array, period: float) -> float:
@@ -221,17 +203,25 @@ def motion_frequency(displacement: Array, period: float) -> float:
     return velocity / (2.0 * math.pi * float(np.std(means)))
 
 
-def channel_lag(displacement: Array, force: Array, period: float) -> ChannelLag:
-    """The lag of the force from samples (n,) at ``period`` [s]; NaN if it cannot be estimated."""
+def channel_skew(displacement: Array, force: Array, period: float) -> tuple[float, float]:
+    """How much later than the displacement (n,) the force (n,) is measured [s], and the error [s].
+
+    After a reversal, the damper force crosses zero with a delay. One part is the hysteresis, a
+    fraction of the cycle (v_h is proportional to the peak velocity). The other part is the skew of
+    the channels, a constant time. At several frequencies, the delay is a linear function of the
+    cycle length, and the skew is its intercept; one frequency cannot separate them. A constant lag
+    in the damper itself, as from a compliant mount or fluid, counts as skew. A skew that cannot be
+    estimated is NaN, with an infinite standard error.
+    """
     frequency = motion_frequency(displacement, period)
     half = max(round(1.0 / (_SMOOTHED * frequency * period)), 3) if frequency else 3
     if displacement.size < 8 * half + 4:
-        return ChannelLag()
+        return _UNKNOWN
     smooth = SavitzkyGolay(2 * half + 1, 3)
     velocity = smooth.derivative(displacement, 1, period)
     turns, direction = _reversals(velocity, _SMALL * float(np.quantile(np.abs(velocity), 0.9)))
     if turns.size < 2 * _FEWEST:
-        return ChannelLag()
+        return _UNKNOWN
     zeros, rising = _reversals(smooth.derivative(force - _extent(force)[0]), 0.0)
     cycles = turns[2:] - turns[:-2]
     lags = np.full(cycles.size, math.nan)
@@ -243,7 +233,7 @@ def channel_lag(displacement: Array, force: Array, period: float) -> ChannelLag:
     # An offset of the force shifts alternate reversals in opposite directions.
     pairs = np.stack([lags, cycles], axis=1)[: lags.size // 2 * 2].reshape(-1, 2, 2).mean(axis=1)
     lags, cycles = period * pairs[np.isfinite(pairs[:, 0]) & _steady(pairs[:, 1])].T
-    return _line(lags, cycles) if lags.size >= _FEWEST else ChannelLag()
+    return _intercept(lags, cycles) if lags.size >= _FEWEST else _UNKNOWN
 
 
 def _reversals(values: Array, least: float) -> tuple[Array, Array]:
@@ -270,11 +260,10 @@ def _steady(cycles: Array) -> np.ndarray:
     return steady
 
 
-def _line(lags: Array, cycles: Array) -> ChannelLag:
-    """Regression of the lags (n,) on the cycle lengths (n,) [s]; errors grow with length."""
-    unknown = ChannelLag(lag=float(np.median(lags)))
+def _intercept(lags: Array, cycles: Array) -> tuple[float, float]:
+    """Lag (n,) at a cycle of length 0 [s], and its standard error; errors grow with length (n,)."""
     if np.quantile(cycles, 0.9) < _CYCLE_RATIO * np.quantile(cycles, 0.1):
-        return unknown
+        return _UNKNOWN
     rates, parts = 1.0 / cycles, lags / cycles
     kept = np.ones(parts.size, dtype=bool)
     for _ in range(3):
@@ -282,9 +271,8 @@ def _line(lags: Array, cycles: Array) -> ChannelLag:
         rest = np.abs(parts - np.polyval(line, rates))
         kept = rest <= _FAR * max(float(np.median(rest)) / NORMAL_MEDIAN, 1e-6)
         if np.count_nonzero(kept) < _FEWEST:
-            return unknown
-    error = math.sqrt(float(covariance[0, 0]) + _LAW_ERROR**2)
-    return ChannelLag(float(line[0]), error, unknown.lag)
+            return _UNKNOWN
+    return float(line[0]), math.sqrt(float(covariance[0, 0]) + _LAW_ERROR**2)
 
 
 _COARSE = 0.02
@@ -484,8 +472,9 @@ _EXCHANGED_RATIO = 0.9
 """A machine moves smoothly and a damper force reverses sharply, so the force has the larger steps.
 """
 
-_SKEW, _SURE = 3e-4, 3.0
-"""Smallest skew [s] that is reported, and its smallest ratio to the standard error."""
+_SKEW, _SURE, _DETERMINED = 3e-4, 3.0, 5e-4
+"""Smallest skew [s] that is reported, its smallest ratio to the standard error, and the largest
+standard error [s] of a known skew."""
 
 _USUAL = 2e-3
 """Usual amplitude [m] of the first motion."""
@@ -493,10 +482,9 @@ _USUAL = 2e-3
 
 @dataclass(frozen=True)
 class RigCheck:
-    """``findings`` (empty: no fault), ``lag`` of the force, and the recommended first motion."""
+    """``findings`` (empty: no fault), and the recommended first motion."""
 
     findings: tuple[RigFinding, ...]
-    lag: ChannelLag | None
     advice: str
 
     def __str__(self) -> str:
@@ -508,49 +496,44 @@ def check_rig(record: RigRecord) -> RigCheck:
     """Check the received signals of a rig, ideally 30 s of motion at several frequencies."""
     found = [Trouble.UNUSABLE.found(count=record.unusable)] if record.unusable else []
     if not record.blocks:
-        silent = Trouble.SILENT.found()
-        return RigCheck((*found, silent, *current_findings(record)), None, "")
+        return RigCheck((*found, Trouble.SILENT.found(), *current_findings(record)), "")
     found += stream_findings(record)
     displacement, force = record.stretch()
     channels = {"displacement": displacement, "force": force}
     missing = {n: int(np.count_nonzero(~np.isfinite(values))) for n, values in channels.items()}
     found += [Trouble.NOT_FINITE.found(n, count=count) for n, count in missing.items() if count]
-    lag = None
     if not any(missing.values()) and displacement.size >= _ENOUGH:
-        of_channels, lag = _channels(displacement, force, record.period)
-        found += of_channels
+        found += _signal_findings(displacement, force, record.period)
     found += current_findings(record)
-    return RigCheck(tuple(found), lag, _advice(displacement, force, record.period))
+    return RigCheck(tuple(found), _advice(displacement, record.period))
 
 
-def _channels(
-    displacement: Array, force: Array, period: float
-) -> tuple[list[RigFinding], ChannelLag | None]:
+def _signal_findings(displacement: Array, force: Array, period: float) -> Iterator[RigFinding]:
     channels = (("displacement", "m", displacement), ("force", "N", force))
     still = [Trouble.STUCK.found(name) for name, _, values in channels if np.ptp(values) == 0.0]
-    if still:
-        return still, None
     at_rest = _extent(displacement)[1] < _DISPLACEMENT[0]
+    if still:
+        yield from still
+        return
     if not at_rest and _exchanged(displacement, force):
-        return [Trouble.SWAPPED.found()], None
-    found = list(_unit_findings(displacement, force, at_rest=at_rest))
+        yield Trouble.SWAPPED.found()
+        return
+    yield from _unit_findings(displacement, force, at_rest=at_rest)
     if at_rest:
-        return found, None
-    frequency = motion_frequency(displacement, period)
+        return
+    frequency, clipped = motion_frequency(displacement, period), False
     for name, unit, values in channels:
-        found += channel_findings(name, unit, values, period, frequency)
-    sound = not any(finding.trouble is Trouble.CLIPPED for finding in found)
+        for finding in channel_findings(name, unit, values, period, frequency):
+            clipped = clipped or finding.trouble is Trouble.CLIPPED
+            yield finding
     work = np.diff(displacement) @ (force[1:] + force[:-1] - 2.0 * force.mean())
     if work < 0.0:
-        found.append(Trouble.INVERTED.found())
-    lag = channel_lag(displacement, math.copysign(1.0, work) * force, period)
-    if sound and lag.determined and abs(lag.skew) > max(_SKEW, _SURE * lag.standard_error):
-        late, early = ("force", "displacement") if lag.skew > 0 else ("displacement", "force")
-        skew, error = 1e3 * abs(lag.skew), 1e3 * lag.standard_error
-        found.append(
-            Trouble.SKEW.found(late=late, early=early, skew=skew, error=error, lateness=lag.skew)
-        )
-    return found, lag
+        yield Trouble.INVERTED.found()
+    skew, error = channel_skew(displacement, math.copysign(1.0, work) * force, period)
+    if not clipped and error <= _DETERMINED and abs(skew) > max(_SKEW, _SURE * error):
+        late, early = ("force", "displacement") if skew > 0.0 else ("displacement", "force")
+        size, doubt = 1e3 * abs(skew), 1e3 * error
+        yield Trouble.SKEW.found(late=late, early=early, skew=size, error=doubt, lateness=skew)
 
 
 def _unit_findings(displacement: Array, force: Array, *, at_rest: bool) -> Iterator[RigFinding]:
@@ -590,7 +573,7 @@ def _roughness(values: Array) -> tuple[float, float]:
     return math.sqrt(max(steps, 0.0)) / spread, noise / spread
 
 
-def _advice(displacement: Array, force: Array, period: float) -> str:
+def _advice(displacement: Array, period: float) -> str:
     """Recommended first amplitude and frequency, from noise and sample rate."""
     if displacement.size < _ENOUGH or not np.isfinite(displacement).all():
         return ""

@@ -10,8 +10,7 @@ import numpy as np
 
 from mr_damper_ros.io.bag_writer import write_bag
 from mr_damper_ros.io.columns import UNITS, RecordError
-from mr_damper_ros.io.records import read_record
-from mr_damper_ros.io.run_cuts import RunsOfFile
+from mr_damper_ros.io.records import RunsOfFile, read_record
 from mr_damper_ros.signals.arrays import Array
 from mr_damper_ros.signals.recording import Recording
 from mr_damper_ros.tools.console import add_arguments, add_path, arguments_of, program

@@ -15,7 +15,7 @@ from mr_damper_ros.api.findings import parameter_estimates
 from mr_damper_ros.api.replay import replay
 from mr_damper_ros.estimation.differential_evolution import EvolutionSettings
 from mr_damper_ros.estimation.global_fit import identify_global
-from mr_damper_ros.io.run_cuts import read_runs
+from mr_damper_ros.io.records import read_runs
 from mr_damper_ros.kinematics.window import Window
 from mr_damper_ros.models import MODELS
 from mr_damper_ros.models.parameter_set import ParameterSet

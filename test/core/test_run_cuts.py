@@ -10,7 +10,7 @@ import pytest
 
 from mr_damper_ros.api.measured_runs import measured_runs, remarks_on
 from mr_damper_ros.io.bag_reader import read_bag
-from mr_damper_ros.io.run_cuts import RunsOfFile, read_runs
+from mr_damper_ros.io.records import RunsOfFile, read_runs
 from mr_damper_ros.signals.arrays import Array
 from mr_damper_ros.signals.recording import Recording
 from mr_damper_ros.tools import import_record

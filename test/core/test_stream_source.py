@@ -397,7 +397,7 @@ def test_a_counter_of_microseconds_may_begin_at_0_again() -> None:
     found = stamped(rows, [((begin + 1000 * k) % 2**32) * 1e-6 for k in range(1000)])
     assert found[-1] - found[0] == len(found) - 1
     assert len(found) > 950
-    assert rows.values()["wrong stamps"] == 0
+    assert rows.counts["wrong stamps"] == 0
 
 
 def test_a_wrong_stamp_costs_one_sample() -> None:
@@ -406,7 +406,7 @@ def test_a_wrong_stamp_costs_one_sample() -> None:
     times[500] = 4e3
     found = stamped(rows, times)
     assert sorted(set(range(found[0], found[-1])) - set(found)) == [500]
-    assert rows.values()["wrong stamps"] == 1
+    assert rows.counts["wrong stamps"] == 1
 
 
 def test_a_wrong_unit_of_the_time_is_told() -> None:

@@ -15,8 +15,7 @@ from scipy.io import savemat
 
 from mr_damper_ros.io.bag_reader import read_bag
 from mr_damper_ros.io.columns import UNITS, ColumnError, parse_columns
-from mr_damper_ros.io.records import read_record
-from mr_damper_ros.io.run_cuts import read_runs
+from mr_damper_ros.io.records import read_record, read_runs
 from mr_damper_ros.tools import check_rig, import_record, watch
 from mr_damper_ros.tools.console import program
 

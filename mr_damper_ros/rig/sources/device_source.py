@@ -60,7 +60,7 @@ class CountedRows(CountedTimes):
             return f"checking whether the samples arrive at the stated {stated:g} Hz"
         return ""
 
-    def values(self) -> Mapping[str, object]:
+    def figures(self) -> Mapping[str, object]:
         """The counts of received, lost and unusable rows."""
         return self.counts
 
@@ -73,7 +73,8 @@ class StampedRows(StampedChannel[Measured]):
         # A counter of 32 bits, such as micros() of a microcontroller, wraps around to 0.
         self._around, self._turns = 2.0**32 * unit, 0.0
         self._last: tuple[float, int] | None = None
-        self._odd_in_a_row = self._odd = 0
+        self._odd_in_a_row = 0
+        self.counts["wrong stamps"] = 0
 
     def timed(self, row: Row, arrival_ns: int) -> list[TimedSample]:
         """Add a row; returns the samples whose number and time are now certain."""
@@ -101,10 +102,6 @@ class StampedRows(StampedChannel[Measured]):
             )
         return ""
 
-    def values(self) -> Mapping[str, object]:
-        """The counts of received, lost and unusable rows."""
-        return {**self.figures(), "wrong stamps": self._odd}
-
     @property
     def _rate_is_wrong(self) -> bool:
         return abs(self.clock.rate) > _WRONG_RATE
@@ -114,10 +111,7 @@ class StampedRows(StampedChannel[Measured]):
 
         Several implausible times in a row mean that the clock was set.
         """
-        if self._last is None:
-            self._last = (time, arrival_ns)
-            return time
-        last, last_ns = self._last
+        last, last_ns = self._last or (time, arrival_ns)
         turns = self._turns
         half = 0.5 * self._around
         if half < last - turns < self._around and time < last - turns - half:
@@ -127,7 +121,7 @@ class StampedRows(StampedChannel[Measured]):
         if not goes_on:
             if self._odd_in_a_row < _IMPLAUSIBLE_IN_A_ROW:
                 self._odd_in_a_row += 1
-                self._odd += 1
+                self.counts["wrong stamps"] += 1
                 return None
             turns = 0.0
             self.clock = ArrivalClock()
@@ -322,7 +316,7 @@ class DeviceSource(Source, Generic[T]):
         values: dict[str, object] = {"connections": self._reader.connections, **self._counts}
         if self._times is not None:
             fault = fault or self._fault_of(new) or self._times.fault()
-            values |= self._times.values()
+            values |= self._times.figures()
         return SourceState(fault, values)
 
     def close(self) -> None:

@@ -15,7 +15,7 @@ from functools import partial, reduce
 from operator import xor
 from typing import Any, NamedTuple
 
-from mr_damper_ros.io.columns import REST, SKIPPED, Column, ColumnError, parse_columns
+from mr_damper_ros.io.columns import REST, SKIPPED, ColumnError, Columns, parse_columns
 from mr_damper_ros.rig.blocks import Measured
 from mr_damper_ros.rig.sources.device_source import (
     POLL,
@@ -35,23 +35,20 @@ _COUNT = re.compile(r"count(?::(?P<bits>\d+))?")
 
 
 @dataclass(frozen=True)
-class RowFormat:
+class RowFormat(Columns):
     """The columns of a sender.
 
-    ``width`` is the number of columns, None if others may follow. ``count`` is the index of the
-    column with the sender's count, None without one; the count has ``bits`` bits.
+    ``count`` is the index of the column with the sender's count, None without one; the count has
+    ``bits`` bits.
     """
 
-    columns: tuple[Column, ...]
-    width: int | None
     count: int | None
     bits: int
-    text: str
 
     @property
     def time_unit(self) -> float | None:
         """The unit [s] of the sender's time; None without a time."""
-        return next((item.factor for item in self.columns if item.quantity == "time"), None)
+        return next((item.factor for item in self.wanted if item.quantity == "time"), None)
 
     def row(self, values: Sequence[float | bytes]) -> Row | None:
         """The row with these cells; None if they do not match the format."""
@@ -59,7 +56,7 @@ class RowFormat:
             return None
         found: dict[str, float] = {}
         try:
-            for column in self.columns:
+            for column in self.wanted:
                 value = float(values[column.position])
                 found[column.quantity] = value * column.factor + column.offset
             number = None if self.count is None else _whole(values[self.count])
@@ -74,7 +71,7 @@ class RowFormat:
     @property
     def least(self) -> int:
         """Smallest number of cells."""
-        return max([column.position for column in self.columns] + [self.count or 0]) + 1
+        return max([column.position for column in self.wanted] + [self.count or 0]) + 1
 
 
 def parse_row_format(text: str) -> RowFormat:
@@ -114,7 +111,7 @@ def parse_row_format(text: str) -> RowFormat:
         )
     wanted = tuple(column for column in columns.wanted if column.quantity != "velocity")
     assert columns.width is not None or entries[-1] == REST
-    return RowFormat(wanted, columns.width, count, bits, text)
+    return RowFormat(wanted, columns.width, text, count, bits)
 
 
 def _whole(cell: float | bytes) -> int:
@@ -303,7 +300,7 @@ class SimulatedSender:
             "temperature": 25.0,
         }
         cells = [0.0] * (form.width or form.least)
-        for column in form.columns:
+        for column in form.wanted:
             cells[column.position] = (measured[column.quantity] - column.offset) / column.factor
         if form.count is not None:
             cells[form.count] = k % 2**form.bits

@@ -10,7 +10,7 @@ import time
 from collections import deque
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
-from typing import Any, Protocol
+from typing import Any
 
 _PORT = 5025
 """Usual port of instruments for SCPI over plain TCP."""
@@ -35,19 +35,6 @@ class Patience:
     def left(self, since: float) -> float:
         """Time [s] left for an answer requested at ``since``; not positive after the time limit."""
         return min(since + self.timeout, self.end) - time.monotonic()
-
-
-class ScpiLink(Protocol):
-    """A connection to an instrument by lines; each method raises LinkLostError."""
-
-    def write(self, line: str) -> None:
-        """Send a line without an answer."""
-
-    def query(self, line: str) -> str:
-        """Send a line and return its answer."""
-
-    def close(self) -> None:
-        """Close the connection; the instrument keeps its state."""
 
 
 class SocketLink:
@@ -291,3 +278,7 @@ class EmulatedInstrument:
         target = 0.0 if self._tripped or not self._values["OUTP"] else self._values["CURR"]
         elapsed, self._at = max(now - self._at, 0.0), max(now, self._at)
         self._coil = target + (self._coil - target) * math.exp(-elapsed / self._time_constant)
+
+
+ScpiLink = SocketLink | VisaLink | EmulatedInstrument
+"""A connection to an instrument by lines; each method raises LinkLostError."""
