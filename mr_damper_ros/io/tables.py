@@ -22,6 +22,7 @@ from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
 from datetime import date, datetime, time, timedelta, timezone
+from functools import lru_cache
 from importlib import import_module
 from itertools import islice
 from pathlib import Path
@@ -50,7 +51,14 @@ def seconds_since_1970(text: str) -> float | None:
     found = _DATE_AND_TIME.fullmatch(text)
     if found is None:
         return None
-    calendar, hour, minute, second, half, zone = found.groups()
+    begins = _minute(*found.group(1, 2, 3, 5, 6))
+    seconds = float((found[4] or "0").replace(",", "."))
+    return None if begins is None or seconds >= 61.0 else begins + seconds
+
+
+@lru_cache(maxsize=64)
+def _minute(calendar: str, hour: str, minute: str, half: str, zone: str) -> float | None:
+    """Seconds from 1970 to the start of a minute; None for an invalid date."""
     a, b, c = (int(part) for part in re.split(r"[-/.]", calendar))
     if a > 31:
         year, month, day = a, b, c
@@ -58,19 +66,18 @@ def seconds_since_1970(text: str) -> float | None:
         year, month, day = c, a, b
     else:
         year, month, day = c, b, a
-    hours, seconds = int(hour), float((second or "0").replace(",", "."))
+    hours, year = int(hour), year + (2000 if year < 100 else 0)
     # Some loggers write AM or PM even if the hour is above 12.
     if half and hours <= 12:
         hours = hours % 12 + (12 if half in "Pp" else 0)
     offset = 0
     if zone and zone != "Z":
         offset = int(f"{zone[0]}1") * (3600 * int(zone[1:3]) + 60 * int(zone[-2:]))
-    year += 2000 if year < 100 else 0
     try:
         begins = datetime(year, month, day, hours, int(minute), tzinfo=timezone.utc)
     except ValueError:
         return None
-    return begins.timestamp() - offset + seconds if seconds < 61.0 else None
+    return begins.timestamp() - offset
 
 
 _LONGEST_LINE = 100_000

@@ -20,17 +20,8 @@ CHUNK = 0x06
 @pytest.fixture
 def bag(tmp_path: Path) -> Path:
     time = np.arange(300) * 1e-3
-    write_bag(
-        tmp_path / "bag",
-        Recording(
-            "bag",
-            1_700_000_000_000_000_000,
-            1e-3,
-            1e-3 * np.sin(20.0 * time),
-            1e3 * time,
-            np.ones(300),
-        ),
-    )
+    rows = 1e-3 * np.sin(20.0 * time), 1e3 * time, np.ones(300)
+    write_bag(tmp_path / "bag", Recording("bag", 1_700_000_000_000_000_000, 1e-3, *rows))
     return tmp_path / "bag"
 
 

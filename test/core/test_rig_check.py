@@ -48,16 +48,11 @@ def record(
     heard = RigRecord()
     for count in range(round(SECONDS * RATE / BLOCK)):
         made = rig.next_block(BLOCK)
+        arrival = made.stamp_ns(BLOCK - 1)
         for block, _ in instruments.read(made):
+            rows = block.displacement, block.force
             heard.blocks.append(
-                ReceivedBlock(
-                    block.start_ns,
-                    block.sequence,
-                    block.period,
-                    block.displacement,
-                    block.force,
-                    made.stamp_ns(BLOCK - 1),
-                )
+                ReceivedBlock(block.start_ns, block.sequence, block.period, *rows, arrival)
             )
             if count % 5 == 0 and np.isfinite(block.current[0]):
                 stamp = block.start_ns + block.supply_ahead_ns
