@@ -12,10 +12,11 @@ The steps from a block to its predicted force are:
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable
+from dataclasses import dataclass
 from functools import partial
 from itertools import pairwise
+from typing import NamedTuple
 
 import numpy as np
 
@@ -71,23 +72,6 @@ class Prediction:
     motion: Motion | None = None
     current: Array | None = None
 
-    @classmethod
-    def joined(cls, parts: Sequence[Prediction]) -> Prediction:
-        """The prediction for a block, joined from its parts in order."""
-        newest = parts[-1]
-        if len(parts) == 1:
-            return newest
-        doubt = next((part.doubt for part in reversed(parts) if part.doubt), NO_DOUBT)
-        return replace(
-            newest,
-            start_ns=parts[0].start_ns,
-            sequence=parts[0].sequence,
-            force=np.concatenate([part.force for part in parts]),
-            velocity=np.concatenate([part.velocity for part in parts]),
-            doubts=np.concatenate([part.doubts for part in parts]),
-            doubt=doubt,
-        )
-
     @property
     def valid(self) -> bool:
         """Whether the force of all samples is valid."""
@@ -112,18 +96,16 @@ class Prediction:
         """The last n of the values (m,) of a block: the values at the predicted samples."""
         return values[-self.force.size :]
 
-    def of_arrived(self, placed: Placed) -> Prediction:
-        """The prediction for the samples that arrived, without the bridged ones."""
-        doubts = self.doubts[placed.bridged :]
-        return replace(
-            self,
-            start_ns=placed.stamp_ns,
-            sequence=placed.arrived.sequence,
-            force=self.force[placed.bridged :],
-            velocity=self.velocity[placed.bridged :],
-            doubts=doubts,
-            doubt=self.doubt if doubts.any() else NO_DOUBT,
-        )
+
+class _Part(NamedTuple):
+    """The fields of a :class:`Prediction` for one part of a block."""
+
+    force: Array
+    velocity: Array
+    doubts: Codes
+    doubt: Doubt
+    motion: Motion | None = None
+    current: Array | None = None
 
 
 @dataclass(frozen=True)
@@ -340,7 +322,7 @@ class ForcePredictor:
         whole, bridged = placed.block, placed.bridged
         if placed.kind == "repeat":
             repeated = Doubt(DoubtKind.REPEATED, placed.sentence)
-            return replace(self._without_force(whole, repeated), continuity=placed.sentence)
+            return self._prediction(placed, [_without_force(whole.sample_count, repeated)])
         if placed.kind == "jump_back":
             self._current.follow_jump()
             self.freshness.restart()
@@ -357,8 +339,25 @@ class ForcePredictor:
             )
             for first, end in pairwise([0, *ends])
         ]
-        prediction = replace(Prediction.joined(parts), continuity=placed.sentence)
-        return prediction if whole is block else prediction.of_arrived(placed)
+        return self._prediction(placed, parts)
+
+    def _prediction(self, placed: Placed, parts: list[_Part]) -> Prediction:
+        """The prediction for the samples that arrived, from the parts of their block in order."""
+        force, velocity, doubts, every, motions, currents = zip(*parts, strict=True)
+        codes = np.concatenate(doubts)[placed.bridged :]
+        return Prediction(
+            start_ns=placed.stamp_ns,
+            sequence=placed.arrived.sequence,
+            period=placed.block.period,
+            force=np.concatenate(force)[placed.bridged :],
+            velocity=np.concatenate(velocity)[placed.bridged :],
+            set_id=self.parameters.set_id if self.parameters else "",
+            doubts=codes,
+            doubt=[NO_DOUBT, *filter(None, every)][-1] if codes.any() else NO_DOUBT,
+            continuity=placed.sentence,
+            motion=motions[-1],
+            current=currents[-1],
+        )
 
     def _begin(self, period: float) -> None:
         """Restart for a motion that is unknown before these samples."""
@@ -370,12 +369,13 @@ class ForcePredictor:
         self._unlearned = None
         self._bank.forget_samples()
 
-    def _predict(self, block: SampleBlock, bridged: int, stale: str) -> Prediction:
+    def _predict(self, block: SampleBlock, bridged: int, stale: str) -> _Part:
         assert self._motion is not None
         self._finish_learning()
         motion = self._motion.follow(block.displacement)
         if missing := lack_of_input(self.parameters, self._current, block.start_ns):
-            return self._without_force(block, Doubt(DoubtKind.MISSING, missing), motion.velocity)
+            doubt = Doubt(DoubtKind.MISSING, missing)
+            return _without_force(block.sample_count, doubt, motion.velocity)
         current = self._current.at(block.start_ns, block.period, block.sample_count)
         self._bank.follow_current(float(current[-1]), block.end_ns)
         parameters = self.parameters
@@ -389,8 +389,8 @@ class ForcePredictor:
         of_set = self._force.follow(motion, current, largest)
         if not np.isfinite(of_set).all():
             self._force.forget()
-            overflow = Doubt(DoubtKind.NOT_FINITE, f"the force of {parameters.set_id} overflows")
-            return self._without_force(block, overflow, motion.velocity)
+            doubt = Doubt(DoubtKind.NOT_FINITE, f"the force of {parameters.set_id} overflows")
+            return _without_force(block.sample_count, doubt, motion.velocity)
         given = self._bank.uses_given
         of_set = of_set + self._zero.follow(block.sample_count, block.period, counts=given)
         found = self._objections_to_set(block, bridged, motion, current, of_set)
@@ -401,18 +401,7 @@ class ForcePredictor:
         if stale:
             found.append(Objection(DoubtKind.OUTDATED, stale))
         codes, doubt = judge_samples(block.sample_count, found)
-        return Prediction(
-            start_ns=block.start_ns,
-            sequence=block.sequence,
-            period=block.period,
-            force=force,
-            velocity=motion.velocity,
-            set_id=parameters.set_id,
-            doubts=codes,
-            doubt=doubt,
-            motion=motion,
-            current=current,
-        )
+        return _Part(force, motion.velocity, codes, doubt, motion, current)
 
     def _objections_to_set(
         self, block: SampleBlock, bridged: int, motion: Motion, current: Array, force: Array
@@ -463,21 +452,12 @@ class ForcePredictor:
             found.append(Objection(DoubtKind.REFUSED, refused))
         return found
 
-    def _without_force(
-        self, block: SampleBlock, doubt: Doubt, velocity: Array | None = None
-    ) -> Prediction:
-        """The prediction for a block without a force: NaN at every sample."""
-        unknown = np.full(block.sample_count, np.nan)
-        return Prediction(
-            start_ns=block.start_ns,
-            sequence=block.sequence,
-            period=block.period,
-            force=unknown,
-            velocity=unknown if velocity is None else velocity,
-            set_id=self.parameters.set_id if self.parameters else "",
-            doubts=np.full(block.sample_count, doubt.kind, dtype=np.uint8),
-            doubt=doubt,
-        )
+
+def _without_force(count: int, doubt: Doubt, velocity: Array | None = None) -> _Part:
+    """``count`` samples without a force: it is NaN."""
+    unknown = np.full(count, np.nan)
+    codes = np.full(count, doubt.kind, dtype=np.uint8)
+    return _Part(unknown, unknown if velocity is None else velocity, codes, doubt)
 
 
 def _speed(motion: Motion, follower: MotionFollower) -> float:
