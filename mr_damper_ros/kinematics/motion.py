@@ -142,15 +142,10 @@ class SavitzkyGolay:
     def __init__(self, length: int, order: int) -> None:
         if length % 2 == 0 or length <= order:
             raise ValueError(f"the length is {length}: it must be odd and above {order}, the order")
-        self._half = length // 2
+        self.length, self._half = length, length // 2
         # In units of half the length, all powers are of similar magnitude.
         self._offsets = np.arange(-self._half, self._half + 1) / self._half
         self._fit = np.linalg.pinv(np.vander(self._offsets, order + 1, increasing=True))
-
-    @property
-    def length(self) -> int:
-        """Number of samples in the filter."""
-        return self._offsets.size
 
     def squared_change(self, shorter: SavitzkyGolay | None = None) -> float:
         """Power of the first derivative, per sample, that this filter gives for unit white noise.
@@ -170,7 +165,7 @@ class SavitzkyGolay:
 
         Raises ValueError if there are fewer values than the length.
         """
-        length, half = self._offsets.size, self._half
+        length, half = self.length, self._half
         if values.size < length:
             raise ValueError(f"there are {values.size} values: at least {length} are needed")
         middle = math.factorial(order) * np.correlate(values, self._fit[order], "valid")
@@ -348,9 +343,3 @@ class MotionSample(NamedTuple):
         u, v, a, v_m = self
         velocity = v + a * time
         return MotionSample(u + (v + 0.5 * a * time) * time, velocity, a, max(v_m, abs(velocity)))
-
-    @property
-    def motion(self) -> Motion:
-        """The motion of this sample alone."""
-        u, v, a, v_m = (np.array([value]) for value in self)
-        return Motion(u, v, a, v_m, sine=None)

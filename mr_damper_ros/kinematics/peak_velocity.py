@@ -102,9 +102,8 @@ class PeakVelocity:
         must not be stored; their peak velocity is their speed.
         """
         first = 0 if settled is None else max(velocity.size - settled, 0)
-        scales = self.time_scales(velocity[first:], acceleration[first:])
-        if first:
-            scales = np.concatenate((np.zeros(first), scales))
+        scales = np.zeros(velocity.size)
+        scales[first:] = self.time_scales(velocity[first:], acceleration[first:])
         return np.hypot(velocity, acceleration * scales)
 
     def time_scales(self, velocity: Array, acceleration: Array) -> Array:

@@ -40,19 +40,6 @@ class MotionHistory:
     branch: Array
     periodic: bool
 
-    @classmethod
-    def of_sine(
-        cls, sine: Sine, peak_velocity: float, current: float, time: Array
-    ) -> MotionHistory:
-        """One cycle of a steady sine; ``time`` [s] are the times of the window's samples."""
-        count = _SAMPLES_PER_CYCLE
-        period = 1.0 / (sine.frequency * count)
-        cycle: Array = np.arange(count, dtype=float) * period
-        motion = Motion.of_sine(sine, cycle, peak_velocity)
-        places = time / period % count
-        branch = np.sign(sine.at(time).acceleration)
-        return cls(motion, np.full(count, current), period, places, branch, periodic=True)
-
     @cached_property
     def _picked(self) -> np.ndarray | slice | None:
         """Places (n,) as indices or a slice; None if one lies between two samples."""
@@ -210,6 +197,12 @@ def turning_points(u: list[float], turn: float) -> np.ndarray:
     return np.array(places)
 
 
+def _cycle(sine: Sine, peak_velocity: float, count: int) -> tuple[Motion, float]:
+    """One cycle of a sine with this many samples, and their period [s]."""
+    period = 1.0 / (sine.frequency * count)
+    return Motion.of_sine(sine, period * np.arange(count, dtype=float), peak_velocity), period
+
+
 _COIL_PERIOD = 1e-3
 """Sample period [s] of a history that resolves how the coil follows a step of the current."""
 
@@ -268,10 +261,8 @@ class Window:
     @classmethod
     def of_sine(cls, peak_velocity: float, frequency: float, current: float) -> Window:
         """One cycle of a sine (velocity [m/s], frequency [Hz]) at a current [A], without force."""
-        sine = Sine(peak_velocity / (2.0 * np.pi * frequency), frequency)
-        count = _FEWER_PER_CYCLE
-        period = 1.0 / (frequency * count)
-        motion = Motion.of_sine(sine, period * np.arange(count, dtype=float), peak_velocity)
+        sine, count = Sine(peak_velocity / (2.0 * np.pi * frequency), frequency), _FEWER_PER_CYCLE
+        motion, period = _cycle(sine, peak_velocity, count)
         return cls(motion, np.zeros(count), np.full(count, current), period)
 
     def part(self, chosen: slice | np.ndarray) -> Window:
@@ -377,18 +368,19 @@ class Window:
     @cached_property
     def history(self) -> MotionHistory:
         """History that underlies the samples; ValueError if the sample period is unknown."""
-        whole = self.whole or self
+        whole, places, sine = self.whole or self, self._places, self.motion.sine
         if not whole.period > 0.0:
             raise ValueError("the sample period of the window is unknown, but a lag depends on it")
-        places = self._places
-        if self.steady and self.motion.sine is not None:
-            peak_velocity, current = float(self.motion.peak_velocity[0]), float(self.current[0])
-            time = places * self.period
-            return MotionHistory.of_sine(self.motion.sine, peak_velocity, current, time)
-        branch = np.sign(self.motion.acceleration)
-        return MotionHistory(
-            whole.motion, whole.current, whole.period, places, branch, periodic=False
-        )
+        if sine is None or not self.steady:
+            branch = np.sign(self.motion.acceleration)
+            along = whole.motion, whole.current, whole.period, places, branch
+            return MotionHistory(*along, periodic=False)
+        motion, period = _cycle(sine, float(self.motion.peak_velocity[0]), _SAMPLES_PER_CYCLE)
+        current = np.full(_SAMPLES_PER_CYCLE, self.current[0])
+        time = places * self.period
+        branch = np.sign(sine.at(time).acceleration)
+        places = time / period % _SAMPLES_PER_CYCLE
+        return MotionHistory(motion, current, period, places, branch, periodic=True)
 
     @property
     def sample_count(self) -> int:

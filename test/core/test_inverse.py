@@ -240,6 +240,10 @@ def questions(draw: st.DrawFn) -> Asked:
     )
 
 
+def motion_of(sample: MotionSample) -> Motion:
+    return Motion(*map(np.atleast_1d, sample), sine=None)
+
+
 def scaled(name: str, scales: list[float]) -> ParameterSet:
     """A damper of the law with other parameters, within their bounds."""
     known = controllable(name)
@@ -249,7 +253,7 @@ def scaled(name: str, scales: list[float]) -> ParameterSet:
 
 def state_after(inverse: InverseModel, asked: Asked) -> State:
     _, state = inverse.law.follow(
-        inverse.values, asked.before.motion, np.array([asked.supplied]), PERIOD, None
+        inverse.values, motion_of(asked.before), np.array([asked.supplied]), PERIOD, None
     )
     return state
 
@@ -269,7 +273,7 @@ def test_the_current_gives_the_nearest_force_of_a_scan(name: str, gradual: bool)
     def check(asked: Asked, scales: list[float]) -> None:
         inverse = InverseModel(scaled(name, scales), LOWEST, HIGHEST, gradual_reversal=gradual)
         state = state_after(inverse, asked)
-        motion = asked.sample.motion
+        motion = motion_of(asked.sample)
         scan = np.linspace(LOWEST, HIGHEST, 2001)
         forces = inverse.law.current_response(inverse.values).forces(
             MotionSample.each(motion), scan, PERIOD, state
@@ -310,7 +314,7 @@ def test_the_force_of_a_sample_is_that_of_the_law(name: str) -> None:
         state = state_after(inverse, asked)
         force_at = inverse.at(asked.sample, period=PERIOD, state=state)
         force, _ = inverse.law.follow(
-            inverse.values, asked.sample.motion, np.array([current]), PERIOD, state
+            inverse.values, motion_of(asked.sample), np.array([current]), PERIOD, state
         )
         assert force_at(current) == pytest.approx(float(force[0]), rel=SAME, abs=ROUNDING)
         nodes = np.linspace(LOWEST, HIGHEST, NODES)
