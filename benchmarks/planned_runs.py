@@ -20,15 +20,13 @@ from mr_damper_ros.emulation.emulator import (
 )
 from mr_damper_ros.estimation.experiment_design import (
     Cycles,
+    ForceGoal,
+    MachineLimits,
     Plan,
+    PlannedRun,
     PlanState,
     PointErrors,
     RunPlanner,
-)
-from mr_damper_ros.estimation.planned_run import (
-    ForceGoal,
-    MachineLimits,
-    PlannedRun,
     first_run,
 )
 from mr_damper_ros.kinematics.periodic_motion import PHASES, MotionKind

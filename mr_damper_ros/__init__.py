@@ -29,10 +29,10 @@ if TYPE_CHECKING:  # a type checker reads these imports, the program the table b
     from mr_damper_ros.campaign.course import ForceCampaign as ForceCampaign
     from mr_damper_ros.campaign.course import run_campaign as run_campaign
     from mr_damper_ros.control.inverse_model import InverseModel as InverseModel
+    from mr_damper_ros.estimation.experiment_design import ForceGoal as ForceGoal
+    from mr_damper_ros.estimation.experiment_design import MachineLimits as MachineLimits
+    from mr_damper_ros.estimation.experiment_design import PlannedRun as PlannedRun
     from mr_damper_ros.estimation.law_choice import LawChoice as LawChoice
-    from mr_damper_ros.estimation.planned_run import ForceGoal as ForceGoal
-    from mr_damper_ros.estimation.planned_run import MachineLimits as MachineLimits
-    from mr_damper_ros.estimation.planned_run import PlannedRun as PlannedRun
     from mr_damper_ros.io.bag_reader import read_bag as read_bag
     from mr_damper_ros.io.bag_writer import write_bag as write_bag
     from mr_damper_ros.io.records import read_record as read_record

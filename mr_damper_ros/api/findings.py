@@ -12,7 +12,7 @@ import numpy as np
 
 from mr_damper_ros.api.measured_runs import MeasuredRun
 from mr_damper_ros.estimation.covariance import noise_level
-from mr_damper_ros.estimation.experiment_design import extra_runs
+from mr_damper_ros.estimation.experiment_design import MachineLimits, extra_runs
 from mr_damper_ros.estimation.global_fit import GlobalFit
 from mr_damper_ros.estimation.multi_start import MultiStart
 from mr_damper_ros.estimation.observability import (
@@ -22,7 +22,6 @@ from mr_damper_ros.estimation.observability import (
     parameter_ranges,
     parameter_spans,
 )
-from mr_damper_ros.estimation.planned_run import MachineLimits
 from mr_damper_ros.estimation.profile_likelihood import Profile
 from mr_damper_ros.estimation.window_fit import fit_window
 from mr_damper_ros.kinematics.window import Window

@@ -34,6 +34,7 @@ from mr_damper_ros.api.measured_runs import (
 )
 from mr_damper_ros.estimation.covariance import least_squares_covariance, noise_level
 from mr_damper_ros.estimation.differential_evolution import EvolutionSettings, Report
+from mr_damper_ros.estimation.experiment_design import MachineLimits
 from mr_damper_ros.estimation.global_fit import GlobalFit
 from mr_damper_ros.estimation.law_choice import LawChoice, cross_validate
 from mr_damper_ros.estimation.multi_start import (
@@ -43,7 +44,6 @@ from mr_damper_ros.estimation.multi_start import (
     identify_from_seeds,
 )
 from mr_damper_ros.estimation.observability import Determination, operating_points_within
-from mr_damper_ros.estimation.planned_run import MachineLimits
 from mr_damper_ros.estimation.profile_likelihood import profiled, profiles_of
 from mr_damper_ros.estimation.record_levels import Level, LevelPrior
 from mr_damper_ros.kinematics.window import Window

@@ -25,9 +25,16 @@ from mr_damper_ros.campaign.folder import (
 )
 from mr_damper_ros.campaign.runs import DriveSettings
 from mr_damper_ros.estimation.differential_evolution import EvolutionSettings
-from mr_damper_ros.estimation.experiment_design import Plan, PlanState, RunPlanner
+from mr_damper_ros.estimation.experiment_design import (
+    ForceGoal,
+    MachineLimits,
+    Plan,
+    PlannedRun,
+    PlanState,
+    RunPlanner,
+    first_run,
+)
 from mr_damper_ros.estimation.global_fit import identify_global
-from mr_damper_ros.estimation.planned_run import ForceGoal, MachineLimits, PlannedRun, first_run
 from mr_damper_ros.kinematics.periodic_motion import MotionKind, RepeatedMatch
 from mr_damper_ros.kinematics.window import Window
 from mr_damper_ros.models.parameter_set import DEFAULT_MODEL, ParameterSet, known_model

@@ -14,8 +14,14 @@ from typing import Any
 
 import numpy as np
 
-from mr_damper_ros.estimation.experiment_design import Plan, PlanState, PointErrors
-from mr_damper_ros.estimation.planned_run import ForceGoal, MachineLimits, PlannedRun, motions_of
+from mr_damper_ros.estimation.experiment_design import (
+    ForceGoal,
+    MachineLimits,
+    Plan,
+    PlannedRun,
+    PlanState,
+    PointErrors,
+)
 from mr_damper_ros.io.bag_reader import read_bag
 from mr_damper_ros.io.bag_writer import write_bag
 from mr_damper_ros.models.parameter_set import ParameterSet
@@ -115,8 +121,6 @@ def read_task(folder: Path) -> CampaignTask:
         for name in ("peak_velocity", "current"):
             goal[name] = tuple(goal[name])
         limits["frequency"] = tuple(limits["frequency"])
-        # Earlier campaigns had sines only.
-        limits["motions"] = motions_of(limits.get("motions", ("sine",)))
         limits["heat"] = math.inf if limits["heat"] is None else limits["heat"]
         return CampaignTask(ForceGoal(**goal), MachineLimits(**limits), found["model"])
     except (ValueError, TypeError, KeyError) as error:

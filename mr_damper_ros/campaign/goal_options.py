@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-from mr_damper_ros.estimation.planned_run import ForceGoal, MachineLimits, motions_of
+from mr_damper_ros.estimation.experiment_design import ForceGoal, MachineLimits, motions_of
 from mr_damper_ros.kinematics.periodic_motion import MotionKind
 from mr_damper_ros.settings.option_table import ParameterTable, option
 

@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from mr_damper_ros.estimation.planned_run import MachineLimits, PlannedRun
+from mr_damper_ros.estimation.experiment_design import MachineLimits, PlannedRun
 from mr_damper_ros.kinematics.periodic_motion import (
     MotionKind,
     PeriodicMotion,

@@ -16,8 +16,7 @@ from typing import Any
 
 import numpy as np
 
-from mr_damper_ros.estimation.experiment_design import Cycles
-from mr_damper_ros.estimation.planned_run import steady_cycle
+from mr_damper_ros.estimation.experiment_design import Cycles, steady_cycle
 from mr_damper_ros.kinematics.window import Window
 from mr_damper_ros.models.parameter_set import ParameterSet
 from mr_damper_ros.signals.arrays import NORMAL_MEDIAN, Array

@@ -22,7 +22,7 @@ from mr_damper_ros.campaign.course import CampaignCourse, CampaignOutcome
 from mr_damper_ros.campaign.folder import CampaignTask
 from mr_damper_ros.campaign.goal_options import GoalOptions, MachineOptions
 from mr_damper_ros.campaign.runs import REST, MachineCommand
-from mr_damper_ros.estimation.planned_run import first_run
+from mr_damper_ros.estimation.experiment_design import first_run
 from mr_damper_ros.models import MODELS
 from mr_damper_ros.models.parameter_set import DEFAULT_MODEL
 from mr_damper_ros.nodes import quality

@@ -8,7 +8,7 @@ from bisect import bisect_left, bisect_right
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -128,15 +128,14 @@ def joined(blocks: Iterable[SampleBlock]) -> list[SampleBlock]:
     runs: list[list[SampleBlock]] = []
     for block in blocks:
         last = runs[-1][-1] if runs else None
-        if (
+        if not (
             last is not None
             and block.period == last.period
             and block.sequence == last.sequence + last.sample_count
             and abs(block.start_ns - last.end_ns) <= 0.5 * block.period * NANOSECONDS
         ):
-            runs[-1].append(block)
-        else:
-            runs.append([block])
+            runs.append([])
+        runs[-1].append(block)
     return [
         replace(
             run[0],
@@ -225,17 +224,9 @@ class RigBlock:
 
     def without_samples(self) -> RigBlock:
         """A block without samples, with the stamp of the last sample, as if none had been sent."""
-        return replace(
-            self,
-            start_ns=self.stamp_ns(self.sample_count - 1),
-            displacement=_NONE,
-            force=_NONE,
-            current=_NONE,
-            temperature=_NONE,
-        )
-
-
-_NONE: Array = np.empty(0)
+        arrays = ("displacement", "force", "current", "temperature")
+        none: dict[str, Any] = dict.fromkeys(arrays, np.empty(0))
+        return replace(self, start_ns=self.stamp_ns(self.sample_count - 1), **none)
 
 
 KEEP_CURRENT = 3600.0
@@ -324,14 +315,10 @@ class ZeroOrderHold:
         following = bisect_right(self._stamps, start_ns) or 1
         result = np.full(count, self._values[following - 1])
         for place in range(following, len(self._stamps)):
-            index = _first_sample(self._stamps[place] - start_ns, period)
+            delay = (self._stamps[place] - start_ns) / (period * NANOSECONDS)
+            # Rounding of the stamp to nanoseconds must not move a step by one sample.
+            index = math.ceil(delay - 1e-3)
             if index >= count:
                 break
             result[max(index, 0) :] = self._values[place]
         return result
-
-
-def _first_sample(delay_ns: int, period: float) -> int:
-    """Index of the first sample that shows a step ``delay_ns`` after sample 0."""
-    # Rounding of the stamp to nanoseconds must not move a step by one sample.
-    return math.ceil(delay_ns / (period * NANOSECONDS) - 1e-3)

@@ -279,7 +279,8 @@ class UniformGrid:
         allowed_ns = _JITTER_NS + block.period * NANOSECONDS
         if off_ns <= allowed_ns:
             # The motion restarts, because such a sample would distort its statistics for a minute.
-            if missing == 0 and (step := _largest_step(last, block)) > LARGEST_MOTION:
+            moved = np.diff(np.concatenate((last.displacement, block.displacement)))
+            if missing == 0 and (step := float(np.abs(moved).max())) > LARGEST_MOTION:
                 jump = f"the displacement jumps by {step:.3g} m between two samples"
                 return "displaced", 0, f"{jump} (a loose cable, or millimetres?)"
             if -block.sample_count < missing <= 0:
@@ -386,11 +387,6 @@ class UniformGrid:
         rows = [places[few], block.displacement[few], block.force[few]]
         self._past.add(rows, rows[0].size)
         self._past.keep(_NEIGHBOURS)
-
-
-def _largest_step(last: SampleBlock, block: SampleBlock) -> float:
-    """Largest change of the displacement [m] between samples of two successive blocks."""
-    return float(np.abs(np.diff(np.concatenate((last.displacement, block.displacement)))).max())
 
 
 def _end(block: SampleBlock) -> int:

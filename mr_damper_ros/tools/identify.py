@@ -11,8 +11,8 @@ from typing import Any
 from mr_damper_ros.api.findings import Findings, searches
 from mr_damper_ros.api.identification import AUTO, LARGEST_RUN_NRMSE, Identification, identify
 from mr_damper_ros.estimation.differential_evolution import STRATEGIES
+from mr_damper_ros.estimation.experiment_design import MachineLimits
 from mr_damper_ros.estimation.global_fit import GLOBAL_METHODS
-from mr_damper_ros.estimation.planned_run import MachineLimits
 from mr_damper_ros.estimation.record_levels import USUAL_SPREAD
 from mr_damper_ros.models import MODELS
 from mr_damper_ros.tools import console

@@ -23,8 +23,14 @@ from mr_damper_ros.campaign.folder import CampaignTask, read_task
 from mr_damper_ros.campaign.goal_options import GoalOptions, MachineOptions
 from mr_damper_ros.campaign.report import write_campaign_report
 from mr_damper_ros.campaign.runs import RunNotFoundError, cut_run, run_as_made, write_signal
-from mr_damper_ros.estimation.experiment_design import Plan, PlanState
-from mr_damper_ros.estimation.planned_run import ForceGoal, MachineLimits, PlannedRun, first_run
+from mr_damper_ros.estimation.experiment_design import (
+    ForceGoal,
+    MachineLimits,
+    Plan,
+    PlannedRun,
+    PlanState,
+    first_run,
+)
 from mr_damper_ros.io.bag_reader import read_bag
 from mr_damper_ros.io.recording_list import find_recordings
 from mr_damper_ros.kinematics.periodic_motion import MotionKind

@@ -14,8 +14,14 @@ from mr_damper_ros.emulation.emulator import (
     RigSettings,
 )
 from mr_damper_ros.emulation.motions import SampledMotion
-from mr_damper_ros.estimation.experiment_design import Plan, PlanState, PointErrors
-from mr_damper_ros.estimation.planned_run import ForceGoal, MachineLimits, PlannedRun
+from mr_damper_ros.estimation.experiment_design import (
+    ForceGoal,
+    MachineLimits,
+    Plan,
+    PlannedRun,
+    PlanState,
+    PointErrors,
+)
 from mr_damper_ros.models.parameter_set import ParameterSet
 from mr_damper_ros.signals.recording import Recording
 

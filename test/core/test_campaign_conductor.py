@@ -24,8 +24,14 @@ from mr_damper_ros.emulation.emulator import (
     RigSettings,
 )
 from mr_damper_ros.emulation.motions import CommandedMotion, SineMotion
-from mr_damper_ros.estimation.experiment_design import Plan, PlanState, PointErrors
-from mr_damper_ros.estimation.planned_run import ForceGoal, MachineLimits, PlannedRun
+from mr_damper_ros.estimation.experiment_design import (
+    ForceGoal,
+    MachineLimits,
+    Plan,
+    PlannedRun,
+    PlanState,
+    PointErrors,
+)
 from mr_damper_ros.kinematics.periodic_motion import MotionKind, RepeatedMatch
 from mr_damper_ros.models.parameter_set import ParameterSet
 from mr_damper_ros.processes.worker import InlineWorker

@@ -14,7 +14,7 @@ from mr_damper_ros.campaign.course import fault_of_run
 from mr_damper_ros.campaign.folder import claim_folder, read_campaign_runs, read_steps, read_task
 from mr_damper_ros.campaign.report import write_campaign_report
 from mr_damper_ros.campaign.runs import RunNotFoundError, cut_run
-from mr_damper_ros.estimation.planned_run import ForceGoal, MachineLimits, PlannedRun
+from mr_damper_ros.estimation.experiment_design import ForceGoal, MachineLimits, PlannedRun
 from mr_damper_ros.models.parameter_set import ParameterSet
 from mr_damper_ros.signals.recording import Recording
 from mr_damper_ros.tools import plan_run

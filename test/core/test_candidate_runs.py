@@ -12,13 +12,14 @@ from hypothesis import strategies as st
 
 from mr_damper_ros.campaign.course import fault_of_run
 from mr_damper_ros.campaign.runs import RunNotFoundError, cut_run, signal
-from mr_damper_ros.estimation.experiment_design import CandidateRuns, window_information
-from mr_damper_ros.estimation.planned_run import (
+from mr_damper_ros.estimation.experiment_design import (
+    CandidateRuns,
     ForceGoal,
     MachineLimits,
     PlannedRun,
     candidate_runs,
     motions_of,
+    window_information,
 )
 from mr_damper_ros.kinematics.periodic_motion import MotionKind
 

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from known import SIGMOID
 
 from mr_damper_ros.estimation.covariance import noise_level
-from mr_damper_ros.estimation.experiment_design import ExtraRun, extra_runs
+from mr_damper_ros.estimation.experiment_design import ExtraRun, MachineLimits, extra_runs
 from mr_damper_ros.estimation.observability import (
     Determination,
     determination,
@@ -20,7 +20,6 @@ from mr_damper_ros.estimation.observability import (
     parameter_spans,
     varied_parameters,
 )
-from mr_damper_ros.estimation.planned_run import MachineLimits
 from mr_damper_ros.kinematics.window import Window
 from mr_damper_ros.models import MODELS
 from mr_damper_ros.models.misfit import Misfit

@@ -13,8 +13,16 @@ from campaign_of_three import perform
 import mr_damper_ros as mr
 from mr_damper_ros.campaign.course import ForceCampaign, run_campaign
 from mr_damper_ros.campaign.folder import CampaignStep
-from mr_damper_ros.estimation.experiment_design import Cycles, PlanState, RunPlanner, model_error
-from mr_damper_ros.estimation.planned_run import ForceGoal, MachineLimits, PlannedRun, first_run
+from mr_damper_ros.estimation.experiment_design import (
+    Cycles,
+    ForceGoal,
+    MachineLimits,
+    PlannedRun,
+    PlanState,
+    RunPlanner,
+    first_run,
+    model_error,
+)
 from mr_damper_ros.kinematics.window import Window
 from mr_damper_ros.models import MODELS
 from mr_damper_ros.signals.recording import Recording
