@@ -57,7 +57,7 @@ _NAMES = {
     "campaign.course": ("ForceCampaign", "run_campaign"),
     "control.inverse_model": ("InverseModel",),
     "estimation.law_choice": ("LawChoice",),
-    "estimation.planned_run": ("ForceGoal", "MachineLimits", "PlannedRun"),
+    "estimation.experiment_design": ("ForceGoal", "MachineLimits", "PlannedRun"),
     "io.bag_reader": ("read_bag",),
     "io.bag_writer": ("write_bag",),
     "io.records": ("read_record", "read_runs"),
