@@ -26,7 +26,7 @@ from mr_damper_ros.models.first_order_lag import (
     coil_unsettled,
     in_coil,
 )
-from mr_damper_ros.models.formulas import WrittenLaw
+from mr_damper_ros.models.formulas import Formulas
 from mr_damper_ros.models.machine_code import as_machine_code
 from mr_damper_ros.models.quantities import (
     DIFFERENCE,
@@ -58,7 +58,10 @@ class Model(ABC):
     damper. ``effort``: search effort for a window. ``at_one_current``:
     the coefficients of the force at one operating point. ``linear`` names the parameters that enter
     the laws over operating points linearly; ``shape_groups`` lists the shape parameters of each
-    law.
+    law. ``formulas``: formulas of the coefficients and of the force for other languages, None if
+    there are none. Their inputs are the peak velocity v_m [m/s] and the coil current i [A], and for
+    the force also the velocity v [m/s], the branch s of the hysteresis at the previous sample and
+    the ``change`` of the velocity since then [m/s].
     """
 
     name: ClassVar[str]
@@ -76,6 +79,7 @@ class Model(ABC):
     at_one_current: ClassVar[tuple[Coefficient, ...]] = ()
     linear: ClassVar[tuple[str, ...]]
     shape_groups: ClassVar[tuple[tuple[str, ...], ...]]
+    formulas: ClassVar[tuple[Formulas, Formulas] | None] = None
 
     # Abstract interface of a law
 
@@ -268,11 +272,6 @@ class Model(ABC):
         weakest = parameters.copy()
         weakest[self.strength_indices] = 0.0
         return self.window_force(window, np.clip(weakest, *self.bounds))
-
-    @property
-    def formulas(self) -> WrittenLaw | None:
-        """The law as formulas for other languages; None if there are none."""
-        return None
 
     def window_forces(self, windows: Sequence[Window]) -> WindowForces:
         """Force at the samples of windows, and its derivatives with respect to the parameters."""

@@ -12,7 +12,6 @@ import ast
 import math
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
 from functools import cache
 from itertools import count
 from typing import Any
@@ -25,36 +24,6 @@ Formulas = tuple[tuple[str, str], ...]
 
 LIMIT = 1e100
 """Limit of ``sat``; the product of up to three such quantities does not overflow."""
-
-
-@dataclass(frozen=True)
-class WrittenLaw:
-    """A law for other languages: its parameters by name, and its formulas.
-
-    ``coefficients`` have the inputs peak velocity v_m [m/s] and coil current i [A] and compute the
-    ``coefficient_names``. ``force`` has the additional inputs velocity v [m/s], branch s of the
-    hysteresis at the previous sample, and ``change`` of the velocity since that sample [m/s].
-    """
-
-    parameter_names: tuple[str, ...]
-    coefficients: Formulas
-    force: Formulas
-    coefficient_names: tuple[str, ...]
-
-    def constants(self, parameters: Array) -> dict[str, float]:
-        """The parameters by name; omitted parameters at the end are zero."""
-        missing = [0.0] * (len(self.parameter_names) - parameters.size)
-        return dict(zip(self.parameter_names, parameters.tolist() + missing, strict=True))
-
-    def expected(self, parameters: Array, inputs: Array) -> tuple[Array, Array]:
-        """Coefficients (c, n) and force (n,) for inputs (n, 5): v, v_m, i, s, change."""
-        names = ("v", "v_m", "i", "s", "change")
-        results = (*self.coefficient_names, "force")
-        lines = (*self.coefficients, *self.force)
-        law = staged(lines, [self.parameter_names, names], results)
-        with np.errstate(over="ignore", divide="ignore", invalid="ignore"):
-            *found, force = law(*self.constants(parameters).values())(*inputs.T)
-        return np.stack(np.broadcast_arrays(*found)), force
 
 
 def staged(

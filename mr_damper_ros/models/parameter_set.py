@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import os
 import reprlib
+from collections.abc import Collection
 from dataclasses import dataclass, field, replace
 from numbers import Real
 from pathlib import Path
@@ -156,17 +157,18 @@ class ParameterSet:
                 raise ParameterError(
                     f"parameter {name} is {value}: it must lie in {low:g} to {high:g}"
                 )
-        for what, errors in (
-            ("standard error", self.standard_errors),
-            ("discrepancy", self.discrepancies),
-        ):
-            for name, error in zip(names, errors, strict=True):
+        errors = ("standard error", self.standard_errors), ("discrepancy", self.discrepancies)
+        for what, each in errors:
+            for name, error in zip(names, each, strict=True):
                 if error < 0.0:
                     raise ParameterError(
                         f"the {what} of {name} is {error}: it must not be negative"
                     )
         for name in ("peak_velocity_range", "current_range"):
-            low, high = _range(getattr(self, name), name)
+            given = getattr(self, name)
+            if not isinstance(given, (list, tuple, np.ndarray)) or len(given) != 2:
+                raise ParameterError(f"{name} must be a list of two numbers, lower bound first")
+            low, high = (_number(bound, name) for bound in given)
             if not low <= high:
                 raise ParameterError(f"{name} is [{low}, {high}]: give the lower bound first")
             object.__setattr__(self, name, (low, high))
@@ -325,11 +327,11 @@ class ParameterSet:
 
         Raises ParameterError if one is missing.
         """
-        target = known_model(model)
-        if not set(self.law.parameter_names) <= set(target.parameter_names):
+        target, names = known_model(model), self.law.parameter_names
+        if not set(names) <= set(target.parameter_names):
             return self.of_model(model).values
         values = target.initial_values()[0]
-        values[target.places(self.law.parameter_names)] = self.values
+        values[target.places(names)] = self.values
         return values
 
     def as_dict(self) -> dict[str, float]:
@@ -426,24 +428,16 @@ class ParameterSet:
             raise ParameterError(
                 "the parameter file has no mapping 'parameters': give the values by name"
             )
-        unknown = [str(key) for key in document if key not in known]
-        if unknown:
-            raise ParameterError(
-                f"the parameter file has unknown entries {', '.join(unknown)}: "
-                f"remove them (the known entries are {', '.join(sorted(known))})"
-            )
+        known_only = f"remove them (the known entries are {', '.join(sorted(known))})"
+        _check_keys(document, known, "the parameter file has unknown entries", known_only)
         model = document.get("model", DEFAULT_MODEL)
         law = known_model(model)
         names, units = law.parameter_names, law.units
         entries = document["parameters"]
         if not isinstance(entries, dict):
             raise ParameterError("'parameters' must map the names of the parameters to numbers")
-        unknown = [str(name) for name in entries if name not in names]
-        if unknown:
-            raise ParameterError(
-                f"model '{model}' has no parameter {', '.join(unknown)}: "
-                f"the names are {', '.join(names)}"
-            )
+        listed = f"the names are {', '.join(names)}"
+        _check_keys(entries, names, f"model '{model}' has no parameter", listed)
         defaults = {parameter.name: parameter.default for parameter in law.parameters}
         missing = [name for name in names if name not in entries and defaults[name] is None]
         if missing:
@@ -453,11 +447,7 @@ class ParameterSet:
             entry = entries.get(name, defaults[name])
             if not isinstance(entry, dict):
                 entry = {"value": entry}
-            stray = [str(key) for key in entry if key not in _ENTRIES]
-            if stray:
-                raise ParameterError(
-                    f"parameter {name} has unknown entries {', '.join(stray)}: remove them"
-                )
+            _check_keys(entry, _ENTRIES, f"parameter {name} has unknown entries", "remove them")
             if entry.get("unit", units[name]) != units[name]:
                 raise ParameterError(
                     f"parameter {name} is given in {entry['unit']}: convert it to {units[name]}"
@@ -527,6 +517,13 @@ class _UniqueKeyLoader(yaml.SafeLoader):
         return super().construct_mapping(node, deep)
 
 
+def _check_keys(given: Any, known: Collection[str], fault: str, remedy: str) -> None:
+    """Raise ParameterError, which lists them, if there are unknown keys."""
+    unknown = [str(key) for key in given if key not in known]
+    if unknown:
+        raise ParameterError(f"{fault} {', '.join(unknown)}: {remedy}")
+
+
 def _number(value: Any, what: str) -> float:
     if isinstance(value, str):
         # YAML 1.1 reads 1e5 as text, but most programs write numbers in this form.
@@ -550,12 +547,6 @@ def _or_nan(value: Any, what: str) -> float:
 def _or_none(value: float) -> float | None:
     """Write an optional number; NaN becomes null."""
     return None if math.isnan(value) else float(value)
-
-
-def _range(value: Any, what: str) -> tuple[float, float]:
-    if not isinstance(value, (list, tuple, np.ndarray)) or len(value) != 2:
-        raise ParameterError(f"{what} must be a list of two numbers, lower bound first")
-    return _number(value[0], what), _number(value[1], what)
 
 
 def _shown(value: Any) -> str:

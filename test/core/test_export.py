@@ -144,9 +144,7 @@ def wanted_forces(law: ExportedLaw, count: int) -> tuple[Array, Array]:
 def attainable(law: ExportedLaw, inputs: Array) -> tuple[Array, Array]:
     """Smallest and largest force [N] (n,) over the current."""
     every = np.linspace(law.nodes[0], law.nodes[-1], 201)
-    forces = np.stack(
-        [law.formulas.expected(law.parameters.values, _at(inputs, i))[1] for i in every]
-    )
+    forces = np.stack([law.expected(_at(inputs, i))[1] for i in every])
     return forces.min(axis=0), forces.max(axis=0)
 
 
@@ -155,7 +153,7 @@ def assert_gives(law: ExportedLaw, inputs: Array, wanted: Array, current: Array)
     least, most = attainable(law, inputs)
     assert current.min() >= law.nodes[0]
     assert current.max() <= law.nodes[-1]
-    force = law.formulas.expected(law.parameters.values, _at(inputs, current))[1]
+    force = law.expected(_at(inputs, current))[1]
     further = np.abs(force - wanted) - np.abs(np.clip(wanted, least, most) - wanted)
     size = np.maximum(np.maximum(np.abs(least), np.abs(most)), 1.0)
     if law.parameters.model == "sigmoid":  # the force of the other law has a lag and an offset

@@ -33,7 +33,7 @@ from mr_damper_ros.models.first_order_lag import (
     coil_parameter,
 )
 from mr_damper_ros.models.force_model import CurrentResponse, Model
-from mr_damper_ros.models.formulas import WrittenLaw, gradient, staged
+from mr_damper_ros.models.formulas import gradient, staged
 from mr_damper_ros.models.published import LITERATURE
 from mr_damper_ros.models.quantities import (
     SETTLING,
@@ -49,7 +49,6 @@ from mr_damper_ros.models.sigmoid.following import (
     BRANCH_MEMORY,
     COMPLIANCE,
     EXTENDED_MODEL,
-    EXTENDED_NAMES,
     EXTENSION_NAMES,
     LAG_MEMORY,
     SIGMOID_COUNT,
@@ -233,6 +232,7 @@ class SigmoidModel(Model):
     )
     linear = (*SCALE_PARAMETER_NAMES, "k2", "k3")
     shape_groups = (("a1", "k2", "a2", "I0"), ("k0",), ("a4",), ("k3", "a3", "I1"))
+    formulas = COEFFICIENTS, FORCE
 
     effort = SearchEffort(
         tolerance=1.5e-8,
@@ -262,11 +262,6 @@ class SigmoidModel(Model):
     def current_response(self, parameters: Array) -> CurrentResponse:
         """Force over the current; only two factors in it depend on the current."""
         return SigmoidCurrentResponse(parameters, jumps=self._jumps)
-
-    @property
-    def formulas(self) -> WrittenLaw:
-        """The law as formulas for other languages."""
-        return WrittenLaw(EXTENDED_NAMES, COEFFICIENTS, FORCE, COEFFICIENT_NAMES)
 
     def starts(self, reading: LoopReading) -> Array:
         """Starts with several steepnesses and widths, without dependence on velocity or current."""
