@@ -92,9 +92,9 @@ class Evidence:
         return self.loss > _LARGEST_LOSS and self.nrmse_elsewhere <= GOOD_NRMSE
 
 
-Comparison = tuple[Array, Array, Array, np.ndarray, NoiseModel]
-"""An old, a new and the measured force (n,) [N] of a window, the mask (n,) of the samples to which
-neither force was fitted, and the noise."""
+Comparison = tuple[Array, Array, Array, np.ndarray]
+"""An old, a new and the measured force (n,) [N] of a window, and the mask (n,) of the samples to
+which neither force was fitted."""
 
 
 def lead_of(windows: Iterable[Comparison]) -> float:
@@ -102,10 +102,11 @@ def lead_of(windows: Iterable[Comparison]) -> float:
 
     The gain is half the decrease of the sum of squared errors, in units of the noise variance. Its
     standard deviation if both forces are equally good includes the autocorrelation of the noise,
-    which is estimated from the residual.
+    which is estimated from the residual of the new force.
     """
     gain, chance = 0.0, 0.0
-    for old, new, measured, judges, noise in windows:
+    for old, new, measured, judges in windows:
+        noise = NoiseModel.of(new - measured)
         apart = np.where(judges, new - old, 0.0)
         level = max(noise.variance, 1e-300)
         variance = float(noise.score_covariance(apart[:, np.newaxis])[0, 0])
@@ -158,17 +159,18 @@ def evidence_of(
     before, after = (
         float(np.sqrt(np.mean((force - window.force)[judged] ** 2))) for force in (old, new)
     )
-    power, change, shape = float(old[settled] @ old[settled]), math.inf, 1.0
+    # Products of the forces: old and old, old and new, new and new.
+    power, common, own = (
+        float(one[settled] @ other[settled]) for one, other in ((old, old), (new, old), (new, new))
+    )
+    change, shape = math.inf, 1.0
     if 0.0 < power < math.inf:
-        common = float(new[settled] @ old[settled])
         change = common / power - 1.0
-        own = max(float(new[settled] @ new[settled]), 1e-300)
-        shape = math.sqrt(max(1.0 - common**2 / (power * own), 0.0))
+        shape = math.sqrt(max(1.0 - common**2 / (power * max(own, 1e-300)), 0.0))
     evidence = Evidence(before / spread, after / spread, after, change, shape_change=shape)
     if not known:
         return evidence
-    noise = NoiseModel.of((new - window.force)[settled])
-    one = old, new, window.force, judged, noise
+    one = old[settled], new[settled], window.force[settled], judged[settled]
     evidence = replace(evidence, lead=lead_of([one] if fresh >= CHUNKS else []))
     if not elsewhere or before <= after:
         return evidence
@@ -203,11 +205,10 @@ def evidence_of_search(
     judged = [window.part(judges) for window, judges in windows if judges.any()]
     before, after = (error_of_set(each, judged).nrmse for each in (running, found))
     last = judged[-max(recent, 1) :]
-    compared: list[Comparison] = []
-    for window, judges in windows:
-        old, new = running.window_force(window), found.window_force(window)
-        noise = NoiseModel.of(new - window.force)
-        compared.append((old, new, window.force, judges, noise))
+    compared = [
+        (running.window_force(window), found.window_force(window), window.force, judges)
+        for window, judges in windows
+    ]
     finite = all(np.isfinite(old).all() for old, *_ in compared)
     return Evidence(
         before,

@@ -83,13 +83,10 @@ class ChangeWatch:
         return replace(fresh, threshold=max(THRESHOLD, _EXCURSION * usual))
 
     @property
-    def changed(self) -> bool:
-        """Whether a sum has exceeded the threshold."""
-        return max(self.rising, self.falling) > self.threshold
-
-    @property
     def samples_since_change(self) -> int:
-        """Number of samples since the larger sum was last zero, where the change began."""
+        """Number of samples since the change began, where its sum was last zero; 0 without one."""
+        if max(self.rising, self.falling) <= self.threshold:
+            return 0
         return self.rising_samples if self.rising > self.falling else self.falling_samples
 
     def quiet(self) -> ChangeWatch:

@@ -213,15 +213,14 @@ class KnownPoints:
         return tuple(each.window for each in self.kept if each.window is not None)
 
     def with_recent_windows(self, end_ns: float) -> KnownPoints:
-        """Return the records; of windows before the recent ones up to a stamp, the number alone."""
+        """Return the records, with the windows of the :data:`RECENT` seconds before a stamp [ns].
+
+        Of the other windows, the number alone stays.
+        """
         since = end_ns - round(RECENT * NANOSECONDS)
         return self._changed(
             lambda each: each if since <= each.stamp_ns <= end_ns else replace(each, window=None)
         )
-
-    def recent(self, end_ns: int) -> tuple[Window, ...]:
-        """The windows of the last :data:`RECENT` seconds up to a stamp [ns], oldest first."""
-        return self.with_recent_windows(end_ns).windows
 
     def with_window(self, window: Window, point: OperatingPoint, stamp_ns: int = 0) -> KnownPoints:
         """Return the records with a window, in place of the older window at its point.

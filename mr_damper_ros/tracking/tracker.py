@@ -17,7 +17,7 @@ from typing import Any
 
 import numpy as np
 
-from mr_damper_ros.estimation.covariance import ENOUGH_TO_COMPARE, SAME_MOTION, NoiseModel
+from mr_damper_ros.estimation.covariance import ENOUGH_TO_COMPARE, SAME_MOTION
 from mr_damper_ros.estimation.differential_evolution import EvolutionSettings
 from mr_damper_ros.estimation.global_fit import identify_global
 from mr_damper_ros.estimation.window_fit import (
@@ -130,10 +130,6 @@ class SteadyMotion:
         same = math.isclose(motion.frequency, self.frequency, rel_tol=SAME_MOTION)
         same = same and nearest_comparable([before], now) is not None
         return self.windows if same else 0
-
-    def followed_by(self, motion: SteadyMotion) -> SteadyMotion:
-        """The motion after a good window."""
-        return replace(motion, windows=self.windows_before(motion) + 1)
 
 
 @dataclass(eq=False)
@@ -281,16 +277,6 @@ class TrackerSettings(CheckedSettings):
         """Name of the force law if there are no initial parameters."""
         return DEFAULT_MODEL if self.model == OF_THE_SET else self.model
 
-    def following(self, initial: ParameterSet) -> TrackerSettings:
-        """The settings with the law of the initial set.
-
-        Raises ParameterError if the settings name another law.
-        """
-        if self.model != OF_THE_SET:
-            initial.of_model(self.model)
-            return self
-        return replace(self, model=initial.model)
-
 
 @dataclass(frozen=True, eq=False)
 class Job:
@@ -323,8 +309,8 @@ class Job:
 
     @property
     def elsewhere(self) -> tuple[Window, ...]:
-        """The newest windows at the recent operating points."""
-        return self.memory.points.recent(self.samples.start_ns)
+        """The newest windows at the recent operating points, which alone come with the job."""
+        return self.memory.points.windows
 
 
 @dataclass(frozen=True, eq=False)
@@ -527,6 +513,7 @@ def _fit(job: Job, window: Window, should_stop: Callable[[], bool] | None) -> Ou
         options.smallest_change,
     )
     motion, baselines = SteadyMotion.of(window), memory.points.baselines
+    windows_before = memory.motion.windows_before(motion)
     divided = parts_by_current(model, window, options.screening.current_tolerance)
     one_point, explained, unexplained = not divided or divided[0] is window, True, False
     gatekeeper = Gatekeeper(options.acceptance, memory)
@@ -544,7 +531,7 @@ def _fit(job: Job, window: Window, should_stop: Callable[[], bool] | None) -> Ou
         evidence,
         KnownForce(speed, current, size, window.largest_force),
         holds=bool(holds and all(_holds(running, (speed, speed), (current, current)))),
-        same_motion=memory.motion.windows_before(motion) >= ENOUGH_TO_COMPARE,
+        same_motion=windows_before >= ENOUGH_TO_COMPARE,
         one_point=one_point,
         objection=partial(implausible, found),
     )
@@ -562,7 +549,7 @@ def _fit(job: Job, window: Window, should_stop: Callable[[], bool] | None) -> Ou
     if teaches:
         memory.state = state
         memory.watch = memory.watch or watch
-        memory.motion = memory.motion.followed_by(motion)
+        memory.motion = replace(motion, windows=windows_before + 1)
         memory.accepted_since_global += 1
         if explained:
             # A fit with a wrong dependence on the current is not a suitable baseline.
@@ -670,7 +657,7 @@ def _look(job: Job, window: Window) -> Outcome:
     predicted = model.window_force(held, running.values)
     memory.watch = watch = watch.follow(predicted[newest], window.force[newest])
     count = min(watch.samples_since_change, window.sample_count)
-    if not watch.changed or count < CHUNKS:
+    if count < CHUNKS:
         return unchanged
     since = slice(window.sample_count - count, None)
     count -= change_point(predicted[since], window.force[since], CHUNKS)
@@ -692,8 +679,7 @@ def _look(job: Job, window: Window) -> Outcome:
     )
     # The lead accounts for the autocorrelation of the model error, which in so few samples
     # resembles a change.
-    noise = NoiseModel.of(trained * own - measured)
-    lead = lead_of([(own, trained * own, measured, validation, noise)])
+    lead = lead_of([(own, trained * own, measured, validation)])
     evidence = Evidence(before / spread, after / spread, after, trained - 1.0, lead)
     found = running.times_force(
         scale.value,
@@ -751,7 +737,8 @@ def _search(job: Job, control: Control | None) -> Outcome:
     )
     stamp_ns = max(points.newest_ns, start.stamp_ns)
     found = replace(fit.parameter_set, set_id=f"global-{memory.windows}", stamp_ns=stamp_ns)
-    evidence = evidence_of_search(start, found, pairs, len(points.recent(points.newest_ns)))
+    recent = points.with_recent_windows(points.newest_ns).windows
+    evidence = evidence_of_search(start, found, pairs, len(recent))
     judgement = Gatekeeper(job.settings.acceptance, memory).judge_global(
         evidence, partial(implausible, found), tentative=not job.asked
     )
@@ -871,12 +858,14 @@ class WindowTracker:
     ) -> None:
         """Start with the set ``initial``; None takes the start set of the law in the settings.
 
-        Raises ParameterError as :meth:`TrackerSettings.following` does.
+        Raises ParameterError if the settings name another law than the set.
         """
         settings = settings or TrackerSettings()
         initial = start_set(settings.law) if initial is None else initial
         check_set(initial)
-        self._settings = settings.following(initial)
+        if settings.model != OF_THE_SET:
+            initial.of_model(settings.model)
+        self._settings = replace(settings, model=initial.model)
         self.parameters = self._initial = initial.as_given()
         self.memory = TrackerMemory()
 

@@ -293,11 +293,9 @@ class WindowAssembler:
                 )
                 self._replacing = self._replacing or not window.look
                 continue
-            if self._replacing:
-                window = replace(window, look=0)
-                self._replacing = False
+            look, self._replacing = 0 if self._replacing else window.look, False
             current = self._current.at(window.start_ns, window.period, window.force.size)
-            ready.append(replace(window, current=current))
+            ready.append(replace(window, look=look, current=current))
         # A window waits for its current at most as long as the longest window lasts.
         hops = math.ceil(self._longest / self._settings.hop)
         most = hops * (self._settings.looks + 1)

@@ -42,7 +42,7 @@ def blocks_to_alarm(seed: int, threshold: float, most: int) -> int:
     predicted = np.ones(1)
     for number, value in enumerate(noise(seed, most), start=1):
         watch = watch.follow(predicted, predicted + value)
-        if watch.changed:
+        if watch.samples_since_change:
             return number
     return most
 
@@ -75,13 +75,13 @@ def test_the_swing_of_a_law_that_is_not_exact_is_no_change() -> None:
     watch = ChangeWatch.after_fit(predicted, measured, POINT, 0.02)
     for seed in range(20):
         watch = watch.follow(predicted, measured + noise(1 + seed, 2000))
-    assert not watch.changed
-    assert watch.follow(predicted, 0.7 * measured).changed
+    assert not watch.samples_since_change
+    assert watch.follow(predicted, 0.7 * measured).samples_since_change
 
 
 def test_without_force_there_is_nothing_to_compare() -> None:
     watch = ChangeWatch.after_fit(np.zeros(100), noise(0, 100), POINT, 0.02)
-    assert not watch.follow(np.zeros(100), noise(1, 100)).changed
+    assert not watch.follow(np.zeros(100), noise(1, 100)).samples_since_change
     assert math.isnan(measured_scale(np.zeros(5), np.ones(5)).value)
 
 

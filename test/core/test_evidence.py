@@ -9,7 +9,6 @@ import pytest
 from scipy.signal import lfilter
 
 from mr_damper_ros.emulation.emulator import scaled
-from mr_damper_ros.estimation.covariance import NoiseModel
 from mr_damper_ros.kinematics.window import Window
 from mr_damper_ros.models.parameter_set import ParameterSet
 from mr_damper_ros.models.quantities import GOOD_NRMSE
@@ -34,7 +33,7 @@ def lead(memory: float, seed: int, ahead: float) -> float:
     old, new = 100.0 * loop, 100.1 * loop
     measured = 0.5 * (old + new) + ahead * (new - old) + noise(memory, seed)
     judges = validation_mask(N)
-    return lead_of([(old, new, measured, judges, NoiseModel.of(measured - new))])
+    return lead_of([(old, new, measured, judges)])
 
 
 @pytest.mark.parametrize("memory", [0.0, 0.8, 0.95])
@@ -47,9 +46,8 @@ def test_a_lead_by_chance_is_a_normal_number(memory: float) -> None:
 def test_without_noise_the_better_force_is_infinitely_ahead() -> None:
     every = np.ones(N, dtype=bool)
     force = np.sin(np.arange(N) / 80.0)
-    silent = NoiseModel.of(np.zeros(N))
-    assert lead_of([(1.1 * force, force, force, every, silent)]) == math.inf
-    assert lead_of([(force, force, force, every, silent)]) == 0.0
+    assert lead_of([(1.1 * force, force, force, every)]) == math.inf
+    assert lead_of([(force, force, force, every)]) == 0.0
 
 
 @pytest.mark.parametrize("seen", [0, 300, 960])
