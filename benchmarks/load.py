@@ -263,8 +263,7 @@ class SideBySide(Nodes):
                     if not route.is_answered():
                         raise RuntimeError(f"block {number} has no command")
         self._spin_until(
-            time.monotonic() + _SILENT,
-            lambda: self.node.is_answered() and self.relay.is_answered(),
+            time.monotonic() + _SILENT, lambda: self.node.is_answered() and self.relay.is_answered()
         )
 
     def _spin_until(self, due: float, done: Callable[[], bool] = lambda: False) -> None:

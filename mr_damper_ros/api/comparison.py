@@ -214,9 +214,6 @@ def save_figures(
     return written
 
 
-_MARGINS = PredictorSettings()
-
-
 @dataclass(frozen=True, eq=False)
 class ValidatedRun(ComparedRun):
     """Error of the set on one run.
@@ -306,21 +303,16 @@ def validate(
 def _remark(found: ParameterSet, run: MeasuredRun) -> str:
     """A sentence if a run lies outside the identified range plus the margins of the predictor."""
     speeds, currents = zip(*(window.operating_point for window in run.windows), strict=True)
-    low, high = found.peak_velocity_range
-    more = current_allowance(found.current_range, _MARGINS.current_margin)
+    settings, known = PredictorSettings(), (found.peak_velocity_range, found.current_range)
+    (slow, fast), share = known[0], settings.velocity_margin
+    more = current_allowance(known[1], settings.current_margin)
     remarks = [
-        f"{name} {_span(values)} {unit}, but the set holds for {_span(known)} {unit}"
-        for name, values, known, margins, unit in (
-            (
-                "peak velocity",
-                speeds,
-                (low, high),
-                (low * _MARGINS.velocity_margin, high * _MARGINS.velocity_margin),
-                "m/s",
-            ),
-            ("current", currents, found.current_range, (more, more), "A"),
+        f"{name} {_span(values)} {unit}, but the set holds for {_span((low, high))} {unit}"
+        for name, unit, values, (low, high), below, above in (
+            ("peak velocity", "m/s", speeds, known[0], slow * share, fast * share),
+            ("current", "A", currents, known[1], more, more),
         )
-        if not known[0] - margins[0] <= min(values) <= max(values) <= known[1] + margins[1]
+        if not low - below <= min(values) <= max(values) <= high + above
     ]
     return f"OUT OF RANGE: {'; '.join(remarks)}" if remarks else ""
 

@@ -225,11 +225,9 @@ def replay(
     start_ns: int | None = None
     for block, prediction in engine.follow(stream):
         start_ns = block.start_ns if start_ns is None else start_ns
-        count = prediction.force.size
-        arrived = slice(block.sample_count - count, None)
         start = (prediction.start_ns - start_ns) / NANOSECONDS
-        seconds = start + np.arange(count) * prediction.period
-        measured = block.displacement[arrived], block.force[arrived]
+        seconds = start + np.arange(prediction.force.size) * prediction.period
+        measured = map(prediction.at_its_samples, (block.displacement, block.force))
         parts.append((seconds, *measured, prediction.force, prediction.doubts))
     if start_ns is None:
         raise ValueError(f"{name} holds no samples")

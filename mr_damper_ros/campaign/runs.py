@@ -10,12 +10,7 @@ from typing import NamedTuple
 import numpy as np
 
 from mr_damper_ros.estimation.experiment_design import MachineLimits, PlannedRun
-from mr_damper_ros.kinematics.periodic_motion import (
-    MotionKind,
-    PeriodicMotion,
-    RepeatedMatch,
-    ramp,
-)
+from mr_damper_ros.kinematics.periodic_motion import MotionKind, PeriodicMotion, RepeatedMatch, ramp
 from mr_damper_ros.kinematics.window import Window
 from mr_damper_ros.processes.files import write_text
 from mr_damper_ros.report.document import csv_text
@@ -89,9 +84,8 @@ class RunDriver:
         self._limits = limits
         self._settings = settings
         self._motion = run.motion
-        self._match: RepeatedMatch | None = None
-        length = 10.0 * self._motion.length
-        self._patience = math.inf if by_hand else settings.settle_timeout + length
+        patience = settings.settle_timeout + 10.0 * self._motion.length
+        self._patience = math.inf if by_hand else patience
         self._blocks: list[SampleBlock] = []
         self._passed = 0.0  # recorded time [s]
         self._since_ns: int | None = None
@@ -165,19 +159,22 @@ class RunDriver:
         if displacement.size < (2 * count if sine else count + 1):
             return "the motion grows"
         if not sine:
-            if self._match is None:
-                self._match = RepeatedMatch(self._motion, period)
-            left = self._match.left_of(displacement[-self._match.count :])
+            match = RepeatedMatch(self._motion, period)
+            left = match.left_of(displacement[-match.count :])
             if left <= tolerance:
                 return ""
             return f"the motion deviates by {left:.0%} from {self.run.kind.description} as planned"
         wanted = self.run.amplitude
-        before, phase_before, _ = sine_of_cycle(displacement[-2 * count : -count])
-        size, phase, rest = sine_of_cycle(displacement[-count:])
+        cycles = displacement[-2 * count :].reshape(2, count)
+        centred = cycles - cycles.mean(axis=1, keepdims=True)
+        wave = np.exp(2j * math.pi * np.arange(count) / count)
+        # The sine fitted to a cycle is the real part of the phasor times the wave.
+        phasors = 2.0 * np.mean(centred * np.conj(wave), axis=1)
+        before, size = np.abs(phasors).tolist()
+        rest = float(np.std(centred[1] - (phasors[1] * wave).real))
         if abs(size - wanted) > tolerance * wanted:
             return f"the amplitude is {1e3 * size:.3g} mm, not {1e3 * wanted:.3g} mm"
-        slip = (phase - phase_before + math.pi) % (2.0 * math.pi) - math.pi
-        off = slip / (2.0 * math.pi)
+        off = float(np.angle(phasors[1] * np.conj(phasors[0]))) / (2.0 * math.pi)
         if abs(off) > tolerance:
             return f"the frequency is {(1.0 + off) / cycle:.3g} Hz, not {1.0 / cycle:.3g} Hz"
         # Two cycles of a steady sine differ by 2 % at most, and deviate from it by 10 % RMS.
@@ -217,20 +214,6 @@ class RunDriver:
         self.recording = Recording("run", start, period, moved, force, current, celsius)
 
 
-def sine_of_cycle(displacement: Array) -> tuple[float, float, float]:
-    """Amplitude [m], phase [rad] and residual [m] of a sine fitted to samples (n,) of one cycle."""
-    angle = 2.0 * math.pi * np.arange(displacement.size) / displacement.size
-    centred = displacement - displacement.mean()
-    sine, cosine = (2.0 * float(np.mean(centred * wave(angle))) for wave in (np.sin, np.cos))
-    rest = centred - sine * np.sin(angle) - cosine * np.cos(angle)
-    size, phase = math.hypot(sine, cosine), math.atan2(cosine, sine)
-    return size, phase, float(np.sqrt(np.mean(rest**2)))
-
-
-COLUMNS = ("time:s", "displacement:m", "current:A")
-"""Header of the file, in the format of ``import_record``."""
-
-
 def signal(run: PlannedRun, sample_rate: float) -> tuple[Array, Array, Array]:
     """Time [s], displacement [m] and current [A] of a run, each of shape (n,).
 
@@ -247,9 +230,10 @@ def signal(run: PlannedRun, sample_rate: float) -> tuple[Array, Array, Array]:
 
 
 def write_signal(run: PlannedRun, path: Path, sample_rate: float = 1000.0) -> None:
-    """Write the samples of a run as CSV with units in the header. Raises OSError."""
+    """Write the samples of a run as CSV, in the format of ``import_record``. Raises OSError."""
+    columns = ("time:s", "displacement:m", "current:A")
     rows = zip(*signal(run, sample_rate), strict=True)
-    write_text(path, csv_text(COLUMNS, ([f"{value:.9g}" for value in row] for row in rows)))
+    write_text(path, csv_text(columns, ([f"{value:.9g}" for value in row] for row in rows)))
 
 
 _SETTINGS = DriveSettings()

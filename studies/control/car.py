@@ -33,14 +33,7 @@ from mr_damper_ros.emulation.emulator import (
 )
 from mr_damper_ros.kinematics.motion import Motion
 from mr_damper_ros.models.parameter_set import ParameterSet
-from mr_damper_ros.report.document import (
-    GREY,
-    Chapter,
-    Picture,
-    Table,
-    chart,
-    legend_above,
-)
+from mr_damper_ros.report.document import GREY, Chapter, Picture, Table, chart, legend_above
 from mr_damper_ros.rig.sources.emulated_source import suspension_state_of
 from mr_damper_ros.signals.arrays import Array
 from mr_damper_ros.tracking.engine import Engine

@@ -21,15 +21,7 @@ from scipy.optimize import least_squares
 from mr_damper_ros.emulation.emulator import THESIS_FORCE_NOISE
 from mr_damper_ros.models.published import find, parameters
 from mr_damper_ros.models.sigmoid.law import COEFFICIENT_NAMES, PARAMETER_NAMES, sine_force
-from mr_damper_ros.report.document import (
-    GREY,
-    INK,
-    Chapter,
-    Picture,
-    Table,
-    chart,
-    legend_above,
-)
+from mr_damper_ros.report.document import GREY, INK, Chapter, Picture, Table, chart, legend_above
 from mr_damper_ros.signals.arrays import Array
 from studies.drawing import chapter, line
 from studies.program import Campaign

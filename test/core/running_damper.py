@@ -136,11 +136,7 @@ def show_health(record: LiveRecord, nodes: str | tuple[str, ...] = "") -> None:
             "controller: command",
             0,
             "0.5 A for 200 N",
-            {
-                "current [A]": "0.5000",
-                "desired force [N]": "200",
-                "expected force [N]": "198.4",
-            },
+            {"current [A]": "0.5000", "desired force [N]": "200", "expected force [N]": "198.4"},
         ),
         Concern(
             "campaign: campaign",

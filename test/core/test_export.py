@@ -14,11 +14,7 @@ from fresh_python import said
 from known import EXAMPLES, PLAUSIBLE
 from random_motion import BandLimitedRandom
 
-from mr_damper_ros.control.export.exported_law import (
-    ExportedLaw,
-    ExportSettings,
-    Vectors,
-)
+from mr_damper_ros.control.export.exported_law import ExportedLaw, ExportSettings, Vectors
 from mr_damper_ros.control.export.fmu import compile_library, compiler
 from mr_damper_ros.control.export.source_code import C, M, functions, header
 from mr_damper_ros.kinematics.motion import Motion

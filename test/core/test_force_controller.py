@@ -201,10 +201,7 @@ def after(
 ) -> Command:
     """The last command after a sine with a constant desired force."""
     loop = ControlLoop(
-        controller,
-        damper or EmulatedDamper(WHOLE),
-        noise=noise,
-        excitation=SineMotion(5e-3, 1.0),
+        controller, damper or EmulatedDamper(WHOLE), noise=noise, excitation=SineMotion(5e-3, 1.0)
     )
     for block in loop.blocks(duration):
         if demand is not None:

@@ -12,11 +12,7 @@ import mr_damper_ros as mr
 from mr_damper_ros.api.measured_runs import measured_runs, remarks_on
 from mr_damper_ros.io.columns import RecordError
 from mr_damper_ros.signals.arrays import Array
-from mr_damper_ros.signals.moving_average import (
-    find_average,
-    undo_average,
-    undo_average_in_motion,
-)
+from mr_damper_ros.signals.moving_average import find_average, undo_average, undo_average_in_motion
 
 WRITTEN = 1e-4
 """[mm], [N]: twelve digits of numbers up to 1e4 are written, and thousands of roundings add up."""

@@ -6,14 +6,7 @@ import numpy as np
 import pytest
 
 from mr_damper_ros.emulation.emulator import THESIS_FORCE_NOISE
-from mr_damper_ros.report.document import (
-    Chapter,
-    Table,
-    shown,
-    styled,
-    with_error,
-    write_report,
-)
+from mr_damper_ros.report.document import Chapter, Table, shown, styled, with_error, write_report
 from studies.program import Campaign
 from studies.thesis import facts, laws, optimisers, sensitivity
 from studies.thesis.optimisers import available

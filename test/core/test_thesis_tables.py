@@ -4,12 +4,7 @@ import pytest
 from fresh_python import alone
 
 from mr_damper_ros.emulation.emulator import THESIS_FORCE_NOISE
-from mr_damper_ros.models.published import (
-    THESIS_28_CELSIUS,
-    THESIS_71_CELSIUS,
-    find,
-    parameters,
-)
+from mr_damper_ros.models.published import THESIS_28_CELSIUS, THESIS_71_CELSIUS, find, parameters
 from studies.program import Campaign, code_files
 from studies.thesis import conditions, errata, facts, force_error
 from studies.thesis.facts import ROW_ERRATA
