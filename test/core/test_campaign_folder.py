@@ -142,9 +142,12 @@ def test_a_run_that_is_too_short_is_refused() -> None:
 
 def test_a_damaged_step_is_named(quick: list[int], tmp_path: Path) -> None:
     mr.run_campaign(GOAL, LIMITS, perform, folder=tmp_path)
-    (tmp_path / "steps" / "step_002.json").write_text("{")
-    with pytest.raises(ValueError, match=r"step_002\.json is damaged: remove it"):
-        mr.run_campaign(GOAL, LIMITS, perform, folder=tmp_path)
+    step = tmp_path / "steps" / "step_002.json"
+    other_goal = step.read_text().replace('"errors": [', '"errors": [0.1, ')
+    for text, reason in (("{", "Expecting"), (other_goal, "its errors belong to another goal")):
+        step.write_text(text)
+        with pytest.raises(ValueError, match=rf"step_002\.json is damaged: remove it.*{reason}"):
+            mr.run_campaign(GOAL, LIMITS, perform, folder=tmp_path)
 
 
 # -- a campaign by hand, with one program call per step, and its report ----------------------------

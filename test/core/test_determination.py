@@ -87,6 +87,41 @@ def test_open_combinations_are_those_that_the_samples_do_not_notice(seed: int, r
 
 
 @pytest.mark.parametrize(
+    ("name", "as_others", "value", "words"),
+    [
+        ("a3", {"a2": 2.0}, 1.0, "a2 and a3 only together: as a2 grows by 10 %, a3 shrinks by 5 %"),
+        (
+            "a3",
+            {"a2": 1.0, "k0": 1.0},
+            1.0,
+            "k0, a3 and a2 only together: "
+            "as k0 grows by 10 %, a3 shrinks by 10 %, a2 grows by 10 %",
+        ),
+        ("f0", {"k2": -0.025}, -40.0, "k2 and f0 only as a product"),
+        ("f0", {"k2": 0.025}, -40.0, "k2 and f0 only as a ratio"),
+        ("I1", {"a2": 1.0}, 0.0, "a2 and I1 only together: as a2 grows by 10 %, I1 falls by 0.1 A"),
+    ],
+)
+def test_an_open_combination_is_described(
+    name: str, as_others: dict[str, float], value: float, words: str
+) -> None:
+    """One parameter changes the force as a sum of others does, and so is known only with them."""
+    jacobian = 100.0 * np.random.default_rng(0).normal(size=(400, 16))
+    factors = [as_others.get(other, 0.0) for other in PARAMETER_NAMES]
+    values = np.ones(16)
+    jacobian[:, known.index(name)], values[known.index(name)] = jacobian @ factors, value
+    found = determination(SIGMOID, jacobian, np.abs(values) + (values == 0.0), values)
+    (combination,) = found.open
+    assert combination.words == words
+    assert math.isinf(combination.standard_error)
+    members = (name, *as_others)
+    lead = next(iter(combination.weights))
+    others = tuple(other for other in combination.weights if other != lead)
+    # Only the uncertainty of the leading parameter exceeds its own standard error.
+    assert found.partners(dict.fromkeys(members, math.inf) | {lead: 0.1}) == {lead: others}
+
+
+@pytest.mark.parametrize(
     ("levels", "most"),
     [((1.0,), 1), ((0.2, 1.2), 2), ((0.0, 0.4, 1.1), 3), ((0.1, 0.5, 0.9, 1.3, 0.3, 0.7), 5)],
 )

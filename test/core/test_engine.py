@@ -32,6 +32,8 @@ def test_an_outcome_takes_effect_after_its_delay() -> None:
     run = recording()
     early, late = (mr.replay(run, settings=replace(QUICK, fit_delay=d)) for d in (0.1, 1.1))
     assert [r.stamp_ns for r in early.reports] == [r.stamp_ns for r in late.reports]
+    first_report = early.document()["reports"][0]
+    assert first_report["time"] == pytest.approx((early.reports[0].stamp_ns - known.T0) * 1e-9)
     first_valid = [said.time[np.argmax(said.valid)] for said in (early, late)]
     assert first_valid[1] - first_valid[0] == pytest.approx(1.0, abs=0.02)
 

@@ -1,11 +1,13 @@
 """A law is chosen by its predictions for data outside the fit."""
 
 import math
+import re
 from collections.abc import Sequence
 
 import numpy as np
 import pytest
 
+from mr_damper_ros.estimation.differential_evolution import GlobalProgress
 from mr_damper_ros.estimation.law_choice import LawChoice, LawTrial, cross_validate, folds
 from mr_damper_ros.kinematics.window import Window
 from mr_damper_ros.models import MODELS
@@ -92,5 +94,12 @@ def test_a_law_that_cannot_be_fitted_is_told_and_not_taken() -> None:
 
 def test_a_stopped_comparison_says_so() -> None:
     runs = [[run(damper("bingham"), "bingham", amplitude)] for amplitude in (2e-3, 5e-3, 9e-3)]
+    heard: list[str] = []
+
+    def report(progress: GlobalProgress) -> bool:
+        heard.append(progress.stage)
+        return len(heard) < 20
+
     with pytest.raises(ValueError, match="stopped before the first was finished"):
-        cross_validate(runs, ("sigmoid",), report=lambda progress: False)
+        cross_validate(runs, ("sigmoid",), report=report)
+    assert all(re.fullmatch(r"comparing laws, sigmoid, \d?\d% done", stage) for stage in heard)

@@ -3,6 +3,7 @@
 import csv
 import json
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -14,6 +15,7 @@ import mr_damper_ros as mr
 from mr_damper_ros.emulation.emulator import EmulatedDamper, EmulatedRig, RigSettings, scaled
 from mr_damper_ros.emulation.motions import SineMotion
 from mr_damper_ros.lots.population import KnownDamper, Population
+from mr_damper_ros.lots.report import write_population_report
 from mr_damper_ros.models.parameter_set import ParameterSet
 from mr_damper_ros.tools import identify_many
 
@@ -143,6 +145,22 @@ def test_the_program_writes_table_and_report_and_says_what_was_left_out(
     assert page.count("<section") == 5
     assert "D4" in page
     assert "broken.csv" in page
+
+
+@pytest.mark.parametrize(
+    ("names", "headline"),
+    [
+        ({*STRENGTHS, "D7"}, "0 files were not used, and 1 dampers were not identified"),
+        ({*STRENGTHS}, "everything was used"),
+        ({"D7"}, "no damper was identified"),
+    ],
+)
+def test_the_report_says_whether_everything_was_used(
+    found: mr.ManyDampers, tmp_path: Path, names: set[str], headline: str
+) -> None:
+    documents = tuple({**d, "left_out": []} for d in found.documents if d["damper"] in names)
+    whole = replace(found, documents=documents, unnamed=())
+    assert headline in write_population_report(whole, tmp_path).read_text()
 
 
 @pytest.mark.parametrize(

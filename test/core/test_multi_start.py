@@ -111,8 +111,16 @@ def test_a_cost_that_is_not_finite_is_no_best_one() -> None:
 
 def test_what_was_found_is_kept_as_soon_as_it_is_there() -> None:
     kept: list[int] = []
-    identify_from_seeds(empty(), 2, keep=lambda record: kept.append(len(record.fits)))
+    heard: list[GlobalProgress] = []
+
+    def report(progress: GlobalProgress) -> bool:
+        heard.append(progress)
+        return True
+
+    identify_from_seeds(empty(), 2, report, keep=lambda record: kept.append(len(record.fits)))
     assert kept == [1, 2]
+    assert {progress.stage[:13] for progress in heard} == {"search 1 of 2", "search 2 of 2"}
+    assert not any(progress.time_left < 0.0 for progress in heard)
 
 
 OTHER = {

@@ -92,14 +92,17 @@ def pull(time: np.ndarray) -> np.ndarray:
 
 
 def skewed(lateness: float, sizes: list[int], missing: int = -1) -> list[RigBlock]:
-    """Blocks whose force was sampled ``lateness`` seconds earlier; block ``missing`` is lost."""
+    """Blocks whose force was sampled ``lateness`` seconds earlier; block ``missing`` is lost.
+
+    A source without new samples yields a block without samples, which has number 0.
+    """
     blocks, first = [], 0
     for place, size in enumerate(sizes):
         time = (first + np.arange(size)) * PERIOD
         late, later = max(lateness, 0.0), max(-lateness, 0.0)
         block = RigBlock(
             START + first * 1_000_000,
-            first,
+            first if size else 0,
             PERIOD,
             motion(time - later),
             pull(time - late),
@@ -113,7 +116,7 @@ def skewed(lateness: float, sizes: list[int], missing: int = -1) -> list[RigBloc
 
 
 @pytest.mark.parametrize("lateness", [2.7e-3, 0.4e-3, 1e-3, -3.1e-3, -0.2e-3])
-@pytest.mark.parametrize("sizes", [[100, 100], [1] * 60, [3, 50, 2, 7, 40]])
+@pytest.mark.parametrize("sizes", [[100, 100], [1] * 60, [3, 50, 0, 2, 7, 40]])
 def test_both_are_what_they_were_at_the_stamp(lateness: float, sizes: list[int]) -> None:
     blocks = list(aligned(skewed(lateness, sizes), lateness))
     for block in blocks:

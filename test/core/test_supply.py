@@ -252,16 +252,19 @@ def test_what_is_no_number_is_no_measured_current(answer: str) -> None:
         supply.measured()
 
 
-def test_the_watchdog_is_set_before_there_is_current_and_can_be_armed_again(
+def test_the_watchdog_is_set_before_there_is_current_and_armed_again_without_current(
     supply: ScpiSupply, server: InstrumentServer, clock: SetClock
 ) -> None:
     supply.open()
     supply.switch_on()
     assert server.lines.index("OUTP:PROT:WDOG ON") < server.lines.index("OUTP ON")
+    give(supply, 1.0)
     clock.now += 0.51
     assert server.instrument.is_off
     supply.switch_on()
     assert not server.instrument.is_off
+    clock.now += 0.4
+    assert supply.measured() == pytest.approx(0.0, abs=1e-3)
 
 
 def test_a_profile_that_does_not_fit_is_told_at_once(

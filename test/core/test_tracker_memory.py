@@ -8,6 +8,7 @@ import os
 import pickle
 import subprocess
 import sys
+import time
 from pathlib import Path
 from typing import Any
 
@@ -237,9 +238,14 @@ def taught(folder: Path) -> tuple[WindowTracker, TrackerState]:
     return tracker, state
 
 
-def test_a_tracker_goes_on_where_another_ended(tmp_path: Path) -> None:
+def test_a_tracker_goes_on_where_another_ended(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     before, state = taught(tmp_path)
+    monkeypatch.setattr("os.fsync", lambda file: time.sleep(0.05))
+    state.keep(before)
     state.close()
+    assert state.writer.done == state.writer.given
     after, again = state_in(tmp_path)
     assert again.resume(after) == "parameters window-1 and 1 baselines, 1 windows"
     assert again.writer.fault == again.set_aside == ""
