@@ -44,10 +44,6 @@ def examples() -> list[str]:
     ]
 
 
-def named(block: tuple[Path, str]) -> str:
-    return block[0].stem
-
-
 WITHOUT_ROS = [(page, code) for page, code in blocks("python") if "mr.identify" in code]
 COMMANDS = [block for block in blocks("bash") if any(f"{name} " in block[1] for name in PROGRAMS)]
 
@@ -77,7 +73,9 @@ def test_the_readme_goes_from_a_file_to_a_figure_in_six_lines(clone: Path) -> No
     assert (clone / "damper.png").read_bytes().startswith(b"\x89PNG")
 
 
-@pytest.mark.parametrize("block", [b for b in WITHOUT_ROS if b[0].name != "README.md"], ids=named)
+@pytest.mark.parametrize(
+    "block", [b for b in WITHOUT_ROS if b[0].name != "README.md"], ids=lambda block: block[0].stem
+)
 def test_the_python_of_the_pages_runs(clone: Path, block: tuple[Path, str]) -> None:
     (clone / "shown.py").write_text(block[1])
     runpy.run_path("shown.py")

@@ -1,7 +1,6 @@
 """The figure of measured and predicted force: its content, and its file formats."""
 
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -28,10 +27,6 @@ def comparison(name: str = "run", provenance: str = "", gap: float = 0.0) -> Com
     )
 
 
-def panels(figure: Any) -> dict[str, Any]:
-    return {axes.get_label(): axes for axes in figure.axes}
-
-
 def test_the_title_tells_name_error_and_provenance() -> None:
     title = comparison_figure(comparison("/a/run", SYNTHETIC), "one set")._suptitle.get_text()
     assert title.splitlines()[0] == "run"
@@ -41,7 +36,7 @@ def test_the_title_tells_name_error_and_provenance() -> None:
 
 
 def test_both_loops_force_residual_and_histogram_are_drawn() -> None:
-    drawn = panels(comparison_figure(comparison()))
+    drawn = {axes.get_label(): axes for axes in comparison_figure(comparison()).axes}
     assert {"velocity", "displacement", "force", "residual", "histogram"} == set(drawn)
     for name in ("velocity", "displacement", "force"):
         assert [line.get_label() for line in drawn[name].lines] == ["measured", "predicted"]

@@ -48,12 +48,7 @@ def test_a_tool_that_needs_ros_says_so_where_it_is_missing(name: str) -> None:
 
 def loaded_by(modules: str) -> set[str]:
     """All modules in a fresh interpreter after these imports."""
-    return printed_by(f"import {modules}; print(*sys.modules)")
-
-
-def printed_by(code: str) -> set[str]:
-    """Words that a fresh interpreter prints."""
-    return set(alone(code).split())
+    return set(alone(f"import {modules}; print(*sys.modules)").split())
 
 
 # -- one BLAS thread during computations, and in workers for their whole life ----------------------

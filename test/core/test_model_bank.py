@@ -32,10 +32,6 @@ def sets_of(*added: tuple[ParameterSet, int | None]) -> ModelBank:
     return sets
 
 
-def in_use(sets: ModelBank) -> str:
-    return sets.present.parameters.set_id
-
-
 START = (start_set("sigmoid"), None)
 AT_ZERO, EVERYWHERE = identified("window", (0.0, 0.0)), identified("window", (0.0, 2.0))
 UNLIMITED = replace(GIVEN, current_range=(-np.inf, np.inf))
@@ -60,7 +56,7 @@ UNLIMITED = replace(GIVEN, current_range=(-np.inf, np.inf))
 def test_a_given_set_is_displaced_only_by_one_that_holds_where_it_holds(
     added: list[tuple[ParameterSet, int | None]], used: str
 ) -> None:
-    assert in_use(sets_of(*added)) == used
+    assert sets_of(*added).present.parameters.set_id == used
 
 
 def test_at_a_slow_sample_rate_the_bank_judges_by_a_single_sample() -> None:

@@ -93,14 +93,3 @@ def test_a_fault_is_told_until_it_is_over() -> None:
     keeper.keep("small")
     assert keeper.wait(PATIENCE)
     assert keeper.fault == ""
-
-
-def test_what_waits_is_written_before_the_end() -> None:
-    disk = Disk()
-    keeper = BackgroundWriter(disk.write)
-    keeper.keep("first")
-    assert disk.busy.wait(PATIENCE)
-    keeper.keep("last")
-    disk.free.set()
-    assert keeper.wait(PATIENCE)
-    assert disk.written == ["first", "last"]

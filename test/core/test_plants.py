@@ -129,10 +129,6 @@ SOFT, HARD = 300.0, 3900.0
 """Damping [N s/m] range of an ideal semi-active damper."""
 
 
-def suspension_state(state: Array, acceleration: float) -> SuspensionState:
-    return SuspensionState(state[1], state[3], acceleration, state[0], state[2])
-
-
 def driven(controller: Controller, road: Array) -> tuple[float, float]:
     """RMS of body acceleration [m/s²] and tyre load [N] with an ideal damper."""
     car = MovingPlant(CAR.plant, PERIOD)
@@ -144,7 +140,8 @@ def driven(controller: Controller, road: Array) -> tuple[float, float]:
         tyre.append(CAR.tyre * state[2])
         extension = state[1] - state[3]
         low, high = sorted((SOFT * extension, HARD * extension))
-        force = min(max(controller(suspension_state(state, body[-1])), low), high)
+        now = SuspensionState(state[1], state[3], body[-1], state[0], state[2])
+        force = min(max(controller(now), low), high)
     return float(np.sqrt(np.mean(np.square(body)))), float(np.sqrt(np.mean(np.square(tyre))))
 
 

@@ -28,10 +28,6 @@ def shifted(blocks: list[SampleBlock], by_ns: int) -> list[SampleBlock]:
     return [replace(block, start_ns=block.start_ns + by_ns) for block in blocks]
 
 
-def renumbered(blocks: list[SampleBlock], first: int) -> list[SampleBlock]:
-    return [replace(b, sequence=first + SIZE * k) for k, b in enumerate(blocks)]
-
-
 def predicted(blocks: list[SampleBlock], made: ForcePredictor | None = None) -> list[Prediction]:
     """Predictions with a current message just before every block, with the same stamp."""
     if made is None:
@@ -82,7 +78,7 @@ FAULTS: dict[str, Callable[[list[SampleBlock], list[SampleBlock]], list[SampleBl
     ],
     "source started again": lambda before, after: [
         *before,
-        *renumbered(shifted(after, 5 * NANOSECONDS), 0),
+        *(replace(b, sequence=SIZE * k) for k, b in enumerate(shifted(after, 5 * NANOSECONDS))),
     ],
     "loop": lambda before, after: [*before, *before],
     "back from the future": lambda before, after: [

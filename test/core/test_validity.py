@@ -178,14 +178,10 @@ def test_parameters_whose_force_drives_the_motion_are_told_without_a_load_cell()
 # -- magnitude and range ---------------------------------------------------------------------
 
 
-def identified_with(factor: float) -> ParameterSet:
-    """The set as if its data had had ``factor`` times less force."""
-    return dataclasses.replace(SET, largest_force=float(np.abs(RUN.clean).max()) / factor)
-
-
 @pytest.mark.parametrize(("factor", "kind"), [(1.0, DoubtKind.NONE), (2.0, DoubtKind.TOO_LARGE)])
 def test_a_force_beyond_what_was_measured_is_not_valid(factor: float, kind: DoubtKind) -> None:
-    predictions = predicted(parameters=identified_with(factor), maximum_error=0.0)
+    limited = dataclasses.replace(SET, largest_force=float(np.abs(RUN.clean).max()) / factor)
+    predictions = predicted(parameters=limited, maximum_error=0.0)
     assert kind in kinds(predictions, 4000)
     assert kinds(predictions, 4000) <= {DoubtKind.NONE, kind}
 
