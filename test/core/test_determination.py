@@ -14,7 +14,6 @@ from known import SIGMOID
 from mr_damper_ros.estimation.covariance import noise_level
 from mr_damper_ros.estimation.experiment_design import ExtraRun, MachineLimits, extra_runs
 from mr_damper_ros.estimation.observability import (
-    Determination,
     determination,
     operating_points_within,
     parameter_spans,
@@ -50,18 +49,14 @@ def pooled(chosen: list[Window]) -> Misfit:
     return Misfit(SIGMOID, chosen, [known.NOISE] * len(chosen))
 
 
-def determined(chosen: list[Window]) -> Determination:
-    misfit = pooled(chosen)
-    jacobian = misfit.jacobian(known.PLAUSIBLE) / noise_level(misfit.residual(known.PLAUSIBLE))
-    spans = parameter_spans(SIGMOID, jacobian, known.PLAUSIBLE, RANGES)
-    return determination(SIGMOID, jacobian, spans, known.PLAUSIBLE)
-
-
 # -- rank, condition, combinations -----------------------------------------------------------
 
 
 def test_one_run_determines_seven_combinations() -> None:
-    result = determined([window(5e-3, 1.0, 1.0)])
+    misfit = pooled([window(5e-3, 1.0, 1.0)])
+    jacobian = misfit.jacobian(known.PLAUSIBLE) / noise_level(misfit.residual(known.PLAUSIBLE))
+    spans = parameter_spans(SIGMOID, jacobian, known.PLAUSIBLE, RANGES)
+    result = determination(SIGMOID, jacobian, spans, known.PLAUSIBLE)
     assert result.rank == 7
     assert len(result.open) == 9
     assert math.isinf(result.condition)

@@ -24,12 +24,6 @@ DRIVES = "a force that is not dissipative"
 TOO_LARGE = "more than the limit of 1e\\+06 N"
 
 
-def with_value(name: str, factor: float) -> np.ndarray:
-    values = THESIS_28_CELSIUS.copy()
-    values[known.index(name)] *= factor
-    return values
-
-
 def test_the_published_sets_pass_but_those_whose_rows_are_wrong() -> None:
     refused = set()
     for condition in CONDITIONS:
@@ -50,7 +44,9 @@ def test_the_published_sets_pass_but_those_whose_rows_are_wrong() -> None:
 
 @pytest.mark.parametrize("frequency_free", [True, False])
 def test_a_reversed_sign_is_refused(frequency_free: bool) -> None:
-    reversed_set = replace(GOOD, values=with_value("f0", -1.0))
+    values = THESIS_28_CELSIUS.copy()
+    values[known.index("f0")] *= -1.0
+    reversed_set = replace(GOOD, values=values)
     if frequency_free:
         reversed_set = replace(
             reversed_set, peak_velocity_range=(0.0, math.inf), current_range=(-math.inf, math.inf)

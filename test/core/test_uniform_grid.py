@@ -22,15 +22,9 @@ SMOOTHED_NS = 0.15 * PERIOD * NANOSECONDS
 SPIKE = replace(block(10), displacement=np.where(np.arange(10) == 4, 1.0, 0.0))
 
 
-def followed(*blocks: SampleBlock) -> UniformGrid:
-    sequence = UniformGrid()
-    for one in blocks:
-        sequence.follow(one)
-    return sequence
-
-
 def test_of_a_block_that_overlaps_what_is_new_is_taken() -> None:
-    sequence = followed(block(0))
+    sequence = UniformGrid()
+    sequence.follow(block(0))
     (placed,) = sequence.follow(block(5, 10))
     assert placed.kind == "next"
     assert (placed.block.sequence, placed.block.sample_count) == (10, 5)
