@@ -372,7 +372,8 @@ def test_a_recording_is_opened_on_the_page(browser: Browser) -> None:
         browser.until("document.querySelectorAll('#window-rows tr').length > 2")
         begin, end = first_and_last_time(browser)
         assert begin < 0.2
-        assert end == pytest.approx(record_length(record), rel=0.02)
+        times = record.rows("signals", -1, -1).values[:, 1]
+        assert end == pytest.approx(times[-1] - times[0], rel=0.02)
         assert grey(browser) == set()
         assert browser.errors == []
 
@@ -397,11 +398,6 @@ def test_an_option_that_cannot_be_is_named(
     with pytest.raises(SystemExit):
         main(arguments)
     assert sentence in capsys.readouterr().err
-
-
-def record_length(record: LiveRecord) -> float:
-    rows = record.rows("signals", -1, -1)
-    return float(rows.values[-1, 1] - rows.values[0, 1])
 
 
 def ink_at_rest(page: Browser, chart: str) -> str:

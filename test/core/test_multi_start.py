@@ -52,8 +52,10 @@ def empty(
     return SearchRecord(SIGMOID, windows(), LITERATURE, settings, method, levels)
 
 
-def stopping(after: int) -> Callable[[GlobalProgress], bool]:
-    heard: list[GlobalProgress] = []
+def stopping(
+    after: float, heard: list[GlobalProgress] | None = None
+) -> Callable[[GlobalProgress], bool]:
+    heard = [] if heard is None else heard
 
     def report(progress: GlobalProgress) -> bool:
         heard.append(progress)
@@ -109,11 +111,7 @@ def test_a_cost_that_is_not_finite_is_no_best_one() -> None:
 def test_what_was_found_is_kept_as_soon_as_it_is_there() -> None:
     kept: list[int] = []
     heard: list[GlobalProgress] = []
-
-    def report(progress: GlobalProgress) -> bool:
-        heard.append(progress)
-        return True
-
+    report = stopping(math.inf, heard)
     identify_from_seeds(empty(), 2, report, keep=lambda record: kept.append(len(record.fits)))
     assert kept == [1, 2]
     assert {progress.stage[:13] for progress in heard} == {"search 1 of 2", "search 2 of 2"}

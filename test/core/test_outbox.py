@@ -26,6 +26,8 @@ def test_an_item_does_not_overtake_the_one_before_it() -> None:
     outbox = filled(SetClock())
     outbox.add("needs no state", 0)
     assert outbox.take(written=1) == ["a", "b"]
+    assert outbox.take_all() == ["c", "needs no state"]
+    assert outbox.take(written=9) == []
 
 
 def test_a_disk_that_takes_too_long_holds_nothing_up() -> None:
@@ -39,12 +41,6 @@ def test_a_disk_that_takes_too_long_holds_nothing_up() -> None:
     clock.now += 1.0
     assert outbox.take(written=0) == ["d"]
     assert outbox.late == 3
-
-
-def test_all_can_be_had_at_once() -> None:
-    outbox = filled(SetClock())
-    assert outbox.take_all() == ["a", "b", "c"]
-    assert outbox.take(written=9) == []
 
 
 # -- the keeper writes the newest item, and callers never wait for the disk ------------------------

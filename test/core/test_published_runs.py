@@ -53,15 +53,12 @@ def test_a_run_can_be_made_again_and_every_condition_has_noise_of_its_own() -> N
 # -- the thesis' table of parameter sets: conditions, and the rows that must not be used -----------
 
 
-def steady_force(condition: Condition, method: str) -> np.ndarray:
-    time = np.arange(1000) / 1000.0 / condition.frequency
-    motion = SineMotion(condition.amplitude, condition.frequency, phase=1.0).at(time)
-    return sine_force(parameters(condition, method), *motion, condition.current)
-
-
 def difference(condition: Condition) -> float:
     """Relative norm of the difference between the loops of the two methods."""
-    one, two = (steady_force(condition, method) for method in PUBLISHED_METHODS)
+    time = np.arange(1000) / 1000.0 / condition.frequency
+    motion = SineMotion(condition.amplitude, condition.frequency, phase=1.0).at(time)
+    sets = (parameters(condition, method) for method in PUBLISHED_METHODS)
+    one, two = (sine_force(each, *motion, condition.current) for each in sets)
     return float(np.linalg.norm(one - two) / np.linalg.norm(one))
 
 

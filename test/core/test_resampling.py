@@ -92,17 +92,14 @@ def pull(time: np.ndarray) -> np.ndarray:
 
 
 def skewed(lateness: float, sizes: list[int], missing: int = -1) -> list[RigBlock]:
-    """Blocks whose force was sampled ``lateness`` seconds earlier; block ``missing`` is lost.
-
-    A source without new samples yields a block without samples, which has number 0.
-    """
+    """Blocks whose force was sampled ``lateness`` seconds earlier; block ``missing`` is lost."""
     blocks, first = [], 0
     for place, size in enumerate(sizes):
         time = (first + np.arange(size)) * PERIOD
         late, later = max(lateness, 0.0), max(-lateness, 0.0)
         block = RigBlock(
             START + first * 1_000_000,
-            first if size else 0,
+            first if size else 0,  # a source without new samples yields block 0
             PERIOD,
             motion(time - later),
             pull(time - late),

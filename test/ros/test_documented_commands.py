@@ -69,10 +69,6 @@ HOSTED = ("identifier", "model")
 """Programs that can run a node in each of several namespaces."""
 
 
-def words_of(line: str) -> list[str]:
-    return shlex.split(re.sub(r"^(\w+=\S+ )+", "", line.replace(SHARE, "")))
-
-
 def check_path(path: str) -> None:
     """Assert that a path exists, if it is one of the repository."""
     if path.startswith(("bags/", "doc/", "config/")):
@@ -128,7 +124,7 @@ def check_launch(file: str, arguments: list[str], monkeypatch: pytest.MonkeyPatc
 def test_what_a_command_names_exists(
     page: Path, line: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    first, *rest = words_of(line)
+    first, *rest = shlex.split(re.sub(r"^(\w+=\S+ )+", "", line.replace(SHARE, "")))
     if first == "make":
         targets = re.findall(r"^([a-z-]+):", (ROOT / "Makefile").read_text("utf-8"), re.MULTILINE)
         assert rest[0] in targets
