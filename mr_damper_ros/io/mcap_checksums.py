@@ -93,11 +93,10 @@ def _sections(file: BinaryIO) -> Iterator[tuple[str, int, int, int]]:
 
 def _check_size(file: BinaryIO, start: int) -> None:
     """Raise ValueError if a compressed chunk does not unpack to its stated size."""
-    name_size = _number(file, start + 28, 4)
+    file.seek(start + 16)
+    left, _, name_size = struct.unpack("<QII", file.read(16))
     if name_size == 0:
         return
-    left = _number(file, start + 16, 8)
-    file.seek(start + 32)
     unpackers = {b"lz4": LZ4FrameDecompressor, b"zstd": ZstdDecompressor}
     unpacker: Any = unpackers[file.read(name_size)]()
     packed = file.read(int.from_bytes(file.read(8), "little"))

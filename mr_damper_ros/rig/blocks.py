@@ -147,8 +147,7 @@ class Decimator:
         while k < count:
             stamp_ns = start_ns + round(k * period_ns)
             yield k, stamp_ns
-            late = stamp_ns - self._due_ns > self._interval_ns
-            self._due_ns = (stamp_ns if late else self._due_ns) + self._interval_ns
+            self._due_ns += self._interval_ns
             k = max(math.ceil((self._due_ns - start_ns) / period_ns - 0.5), k + 1)
 
 

@@ -27,7 +27,7 @@ from mr_damper_ros.rig.sources.device_source import (
     StampedRows,
     library,
 )
-from mr_damper_ros.settings.option_table import ParameterTable, option
+from mr_damper_ros.settings.option_table import ParameterTable, groups, option
 from mr_damper_ros.signals.arrays import Array
 from mr_damper_ros.signals.blocks import NANOSECONDS, SILENCE
 
@@ -72,14 +72,12 @@ def _national_instruments(nidaqmx: Any, given: DaqOptions) -> Portions[Readings]
     constants = nidaqmx.constants
     wiring = constants.TerminalConfiguration
     with nidaqmx.Task() as task:
-        for name, limit in zip(
-            given.of_channels("channel"), given.of_channels("range"), strict=True
-        ):
+        for each in given.used.values():
             task.ai_channels.add_ai_voltage_chan(
-                f"{given.device}/{name}",
+                f"{given.device}/{each.channel}",
                 terminal_config=wiring.DIFF if given.differential else wiring.RSE,
-                min_val=-limit,
-                max_val=limit,
+                min_val=-each.range,
+                max_val=each.range,
             )
         task.timing.cfg_samp_clk_timing(
             given.rate,
@@ -96,7 +94,7 @@ def _national_instruments(nidaqmx: Any, given: DaqOptions) -> Portions[Readings]
             if ready == 0:
                 yield None
                 continue
-            values = np.empty((len(given.of_channels("channel")), ready))
+            values = np.empty((len(given.used), ready))
             taken = reader.read_many_sample(values, ready, POLL)
             yield Readings(values[:, :taken], rate)
 
@@ -110,7 +108,7 @@ _MISSED = -9999.0
 
 def _labjack(ljm: Any, given: DaqOptions) -> Portions[Readings]:
     """The stream of a T4, T7 or T8, through labjack-ljm and LabJack's library LJM."""
-    names = given.of_channels("channel")
+    names = given.names
     with ExitStack() as stack:
         try:
             handle = ljm.openS("ANY", "ANY", given.device or "ANY")
@@ -118,8 +116,9 @@ def _labjack(ljm: Any, given: DaqOptions) -> Portions[Readings]:
             raise OSError("LabJack's library LJM is not installed") from None
         stack.callback(ljm.close, handle)
         settings: dict[str, float] = {}
-        for name, limit in zip(names, given.of_channels("range"), strict=True):
-            settings[f"{name}_RANGE"] = limit
+        for each in given.used.values():
+            name = each.channel
+            settings[f"{name}_RANGE"] = each.range
             # The negative input of a differential channel is the next channel.
             number = int("".join(filter(str.isdigit, name)) or 0)
             negative = number + 1 if given.differential else _SINGLE_ENDED
@@ -166,13 +165,15 @@ def _measurement_computing(uldaq: Any, given: DaqOptions) -> Portions[Readings]:
             raise OSError("it has no analogue inputs that its own clock can sample")
         modes = uldaq.AiInputMode
         mode = modes.DIFFERENTIAL if given.differential else modes.SINGLE_ENDED
-        numbers = [int(name) for name in given.of_channels("channel")]
+        numbers = [int(name) for name in given.names]
         low, high = min(numbers), max(numbers)
         count = inputs.get_info().get_num_chans_by_mode(mode)
         if high >= count:
             wiring = "wired differentially" if given.differential else "wired to ground"
             raise OSError(f"it has no channel {high}: {count} channels can be {wiring}")
-        span = _mcc_range(inputs.get_info().get_ranges(mode), max(given.of_channels("range")))
+        span = _mcc_range(
+            inputs.get_info().get_ranges(mode), max(each.range for each in given.used.values())
+        )
         held = max(round(BUFFERED * given.rate), 1)
         buffer = uldaq.create_float_buffer(high - low + 1, held)
         values = np.frombuffer(buffer).reshape(held, high - low + 1)
@@ -236,7 +237,7 @@ def _lab_stream(pylsl: Any, given: DaqOptions) -> Portions[Readings]:
         inlet.open_stream(SILENCE)
         stack.callback(inlet.close_stream)
         count = found[0].channel_count()
-        places = [_place(name, labels, count) for name in given.of_channels("channel")]
+        places = [_place(name, labels, count) for name in given.names]
         yield None
         while True:
             samples, stamps = inlet.pull_chunk(POLL, MOST_READ, min_samples=1)
@@ -259,7 +260,7 @@ def _place(name: str, labels: list[str | None], count: int) -> int:
 
 def _simulated(_: Any, given: DaqOptions) -> Portions[Readings]:
     """Displacement of 5 V and force of 7 V at 1 Hz, current of 1.5 V, each clipped at its range."""
-    limits = np.array(given.of_channels("range"))[:, np.newaxis]
+    limits = np.array([[each.range] for each in given.used.values()])
     began, taken = time.monotonic(), 0
     while True:
         yield None
@@ -301,20 +302,22 @@ _FULL = 0.999
 """Fraction of the range above which a channel counts as saturated."""
 
 
-def _scale(name: str, unit: str) -> float:
-    return option(  # type: ignore[no-any-return]
-        1.0, f"Scale of the {name} [{unit}/V]; a negative value reverses the sign."
+@dataclass(frozen=True)
+class ChannelOptions(ParameterTable):
+    """The channel of one quantity."""
+
+    channel: str = option(
+        "",
+        "Channel: ai0 of NI, AIN0 of LabJack, 0 of MCC, label or number of LSL. Only the current "
+        "may have none.",
     )
-
-
-def _offset(name: str, unit: str) -> float:
-    return option(0.0, f"Offset added to the scaled {name} [{unit}].")  # type: ignore[no-any-return]
-
-
-def _range(name: str) -> float:
-    return option(  # type: ignore[no-any-return]
+    scale: float = option(
+        1.0, "Scale of the values [m/V, N/V or A/V]; a negative value reverses the sign."
+    )
+    offset: float = option(0.0, "Offset added to the scaled values [m, N or A].")
+    range: float = option(
         10.0,
-        f"Range of the {name} channel, plus and minus this [V]; clipped samples are omitted.",
+        "Range of the channel, plus and minus this [V]; clipped samples are omitted.",
         within=(1e-6, 1e12),
     )
 
@@ -341,48 +344,34 @@ class DaqOptions(ParameterTable):
         True,
         "Whether channels of NI, LabJack and MCC are wired differentially instead of to ground.",
     )
-    displacement_channel: str = option(
-        "",
-        "Channel of the displacement: ai0 of NI, AIN0 of LabJack, 0 of MCC, label or number of "
-        "LSL.",
+    channels: dict[str, ChannelOptions] = groups(
+        {name: (f"{name}_", ChannelOptions) for name in _QUANTITIES}
     )
-    displacement_scale: float = _scale("displacement", "m")
-    displacement_offset: float = _offset("displacement", "m")
-    displacement_range: float = _range("displacement")
-    force_channel: str = option("", "Channel of the force.")
-    force_scale: float = _scale("force", "N")
-    force_offset: float = _offset("force", "N")
-    force_range: float = _range("force")
-    current_channel: str = option("", "Channel of the coil current; empty: none.")
-    current_scale: float = _scale("current", "A")
-    current_offset: float = _offset("current", "A")
-    current_range: float = _range("current")
 
     def objection(self) -> str:
         """Return the reason if an option is missing or invalid, or an empty string."""
         if self.driver in ("nidaqmx", "lsl") and not self.device:
             what = "the device, such as Dev1" if self.driver == "nidaqmx" else "the LSL stream"
             return f"daq.driver is {self.driver}, but daq.device is empty: name {what}"
-        for name in _QUANTITIES:
-            if getattr(self, f"{name}_scale") == 0.0:
+        for name, each in self.channels.items():
+            if each.scale == 0.0:
                 return f"daq.{name}_scale is 0: give the {name} per volt"
-            needed = name != "current" and self.driver != "simulated"
-            channel = getattr(self, f"{name}_channel")
-            if needed and not channel:
+            if not each.channel and name != "current" and self.driver != "simulated":
                 return f"daq.{name}_channel is empty: name the channel of the {name}"
-            if self.driver == "mcc" and channel and not channel.isdigit():
-                return f"MCC has no channel '{channel}': they are called 0, 1 and so on"
+            if self.driver == "mcc" and each.channel and not each.channel.isdigit():
+                return f"MCC has no channel '{each.channel}': they are called 0, 1 and so on"
         return ""
 
     @property
-    def quantities(self) -> list[str]:
-        """The quantities with a channel."""
+    def used(self) -> dict[str, ChannelOptions]:
+        """The channels in use, by quantity."""
         simulated = self.driver == "simulated"
-        return [name for name in _QUANTITIES if simulated or getattr(self, f"{name}_channel")]
+        return {name: each for name, each in self.channels.items() if simulated or each.channel}
 
-    def of_channels(self, what: str) -> list[Any]:
-        """The option ``what`` of each channel, such as its range, in the order of quantities."""
-        return [getattr(self, f"{name}_{what}") for name in self.quantities]
+    @property
+    def names(self) -> list[str]:
+        """The names of the channels in use."""
+        return [each.channel for each in self.used.values()]
 
 
 class DaqSource(DeviceSource[Readings]):
@@ -394,16 +383,14 @@ class DaqSource(DeviceSource[Readings]):
     def open(self) -> list[str]:
         """Load the library; the connection is made when the streaming starts."""
         given: DaqOptions = self.settings
-        wanted = given.quantities
         driver = DRIVERS[given.driver]
         self._connect = driver.connector(given)
         self._name = given.device or driver.what
         self.silence = f"no samples arrive from {given.driver} {given.device}"
-        self.counted = (*(f"{name} {SATURATED}" for name in wanted), _MISSING)
-        places = zip(wanted, given.of_channels("channel"), strict=True)
+        self.counted = (*(f"{name} {SATURATED}" for name in given.used), _MISSING)
         return [
             f"{given.driver} {given.device}: "
-            + ", ".join(f"{name} from {channel or 'a sine'}" for name, channel in places)
+            + ", ".join(f"{k} from {each.channel or 'a sine'}" for k, each in given.used.items())
         ]
 
     def _new_times(self, data: Readings) -> RowTimes:
@@ -425,22 +412,21 @@ class DaqSource(DeviceSource[Readings]):
     def _in_units(self, volts: Array) -> Array:
         """The channels in units, shape (3, n); NaN if a value is missing or saturated."""
         channels = np.full((len(_QUANTITIES), volts.shape[1]), math.nan)
-        for name, values in zip(self.settings.quantities, volts, strict=True):
-            scale, offset, limit = (
-                getattr(self.settings, f"{name}_{what}") for what in ("scale", "offset", "range")
-            )
+        for (name, each), values in zip(self.settings.used.items(), volts, strict=True):
             known = np.isfinite(values)
-            full = known & (np.abs(values) >= _FULL * limit)
+            full = known & (np.abs(values) >= _FULL * each.range)
             self._counts[f"{name} {SATURATED}"] += int(np.count_nonzero(full))
             self._counts[_MISSING] += int(np.count_nonzero(~known))
             sound = known & ~full
-            channels[_QUANTITIES.index(name)] = np.where(sound, scale * values + offset, math.nan)
+            channels[_QUANTITIES.index(name)] = np.where(
+                sound, each.scale * values + each.offset, math.nan
+            )
         return channels
 
     def _fault_of(self, new: Counter[str]) -> str:
-        for name in self.settings.quantities:
+        for name, each in self.settings.used.items():
             count = new[f"{name} {SATURATED}"]
             if count:
-                end = f"{SATURATED} of {getattr(self.settings, f'{name}_range'):g} V"
+                end = f"{SATURATED} of {each.range:g} V"
                 return f"the {name} is {end}: {count} samples of it were omitted"
         return ""
