@@ -269,7 +269,6 @@ def _simulated(_: Any, given: DaqOptions) -> Portions[Readings]:
         taken = until
         force = 7.0 * np.tanh(3.0 * np.cos(phase))
         volts: Array = np.stack([5.0 * np.sin(phase), force, np.full(phase.size, 1.5)])
-        volts = volts[: limits.size]
         yield Readings(np.clip(volts, -limits, limits), given.rate) if phase.size else None
 
 
