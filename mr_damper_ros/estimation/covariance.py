@@ -21,6 +21,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -110,7 +111,11 @@ def least_squares_covariance(
     if length == 1:
         scores = white * jacobian.T @ jacobian
     else:
-        scores = _block_scores(jacobian, residual, length) * (n / freedom)
+        # Blocks of at most ``length`` samples.
+        blocks = max(n // length, min(_FEWEST_BLOCKS, n))
+        edges = np.linspace(0, n, blocks, endpoint=False).astype(int)
+        sums = np.add.reduceat(jacobian * residual[:, np.newaxis], edges, axis=0)
+        scores = np.asarray(sums.T @ sums) * (n / freedom)
     return _sandwich(bread, scores + drawn.T @ drawn)
 
 
@@ -119,15 +124,6 @@ def _sandwich(bread: Array, scores: Array) -> Array:
     # Undetermined parameters must not make the others NaN.
     known = np.nan_to_num(bread)
     return np.asarray(np.where(np.isnan(bread), np.nan, known @ scores @ known))
-
-
-def _block_scores(jacobian: Array, residual: Array, length: int) -> Array:
-    """Sum (p, p) of outer products of the scores of blocks of at most ``length`` samples."""
-    n = residual.size
-    blocks = max(n // length, min(_FEWEST_BLOCKS, n))
-    edges = np.linspace(0, n, blocks, endpoint=False).astype(int)
-    scores = np.add.reduceat(jacobian * residual[:, np.newaxis], edges, axis=0)
-    return np.asarray(scores.T @ scores)
 
 
 def correlation_length(residual: Array) -> int:
@@ -185,7 +181,7 @@ class NoiseModel:
     """Stationary autoregressive noise: x[t] + sum_k ``coefficients``[k-1] x[t-k] = e[t].
 
     e is white with variance ``innovation``; ``variance`` is the variance of x. ``coefficients`` has
-    shape (order,).
+    shape (order,); white noise has none.
     """
 
     coefficients: Array
@@ -221,24 +217,19 @@ class NoiseModel:
         return cls(best, least, variance)
 
     @property
-    def white(self) -> bool:
-        """Whether the noise is white."""
-        return self.coefficients.size == 0
-
-    @property
     def integrated_time(self) -> float:
         """Integrated autocorrelation time [samples]; 1 for white noise.
 
         The mean of n samples has the same variance as the mean of n / (this time) independent ones.
         """
-        if self.white or self.variance == 0.0:
+        if not self.coefficients.size or self.variance == 0.0:
             return 1.0
         level = self.innovation / (1.0 + float(np.sum(self.coefficients))) ** 2
         return level / self.variance
 
     def score_covariance(self, columns: Array) -> Array:
         """Covariance (p, p) of columnsᵀ x for columns of shape (n, p)."""
-        if self.white:
+        if not self.coefficients.size:
             return np.asarray(self.variance * (columns.T @ columns))
         count = columns.shape[0]
         size = 1 << (2 * count - 1).bit_length()
@@ -261,8 +252,7 @@ _CYCLE_PARTS = 8
 """Number of parts of a cycle with independent model errors."""
 
 
-@dataclass(frozen=True, eq=False)
-class ErrorCovariances:
+class ErrorCovariances(NamedTuple):
     """Covariances (f, f) of the unknowns of a fit, by kind of error; NaN: undetermined."""
 
     repeatability: Array

@@ -776,10 +776,9 @@ class GlobalSearch:
         """Covariance (f, f) of the ``free`` parameters, and the discrepancy in it."""
         if len(misfit.windows) == 1 and self.levels is None:
             jacobian = misfit.jacobian(self.best, np.flatnonzero(free).tolist())
-            residual = misfit.residual(self.best)
-            errors = error_covariances(jacobian, residual, samples_per_cycle(misfit.windows[0]))
-            discrepancy = without_negative_variance(errors.discrepancy)
-            both = without_negative_variance(errors.repeatability) + discrepancy
+            cycle = samples_per_cycle(misfit.windows[0])
+            errors = error_covariances(jacobian, misfit.residual(self.best), cycle)
+            both = np.add(*map(without_negative_variance, errors))
             return both, np.full_like(both, math.nan)  # one motion shows no scatter between motions
         return self._posterior(misfit, free).covariances()
 

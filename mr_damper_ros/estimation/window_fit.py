@@ -198,8 +198,7 @@ def fit_window(
     return fit_of(
         problem,
         unknowns,
-        errors.repeatability,
-        discrepancy=errors.discrepancy,
+        *errors,
         method=method,
         evaluations=forces.differences + sum(each.evaluations for each in searches),
         ending=ending,
@@ -210,11 +209,11 @@ def fit_of(
     problem: WindowProblem,
     unknowns: Array,
     covariance: Array,
+    discrepancy: Array | None = None,
     *,
     method: str,
     evaluations: int,
     ending: Ending = Ending.CONVERGED,
-    discrepancy: Array | None = None,
 ) -> WindowFit:
     """Make the fit of a window from unknowns (f,) and their covariances (f, f)."""
     window = problem.window
@@ -352,7 +351,6 @@ def _errors(
     units = np.outer(posterior.widths, posterior.widths)
     # Directions that the window does not determine have no gain, so NaN counts as zero.
     repeatability, discrepancy = (
-        gain @ np.nan_to_num(covariance / units) @ gain.T
-        for covariance in (of_samples.repeatability, of_samples.discrepancy)
+        gain @ np.nan_to_num(covariance / units) @ gain.T for covariance in of_samples
     )
     return ErrorCovariances(repeatability * units, (discrepancy + held @ held.T) * units)
