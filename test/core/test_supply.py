@@ -274,6 +274,13 @@ def test_a_profile_that_does_not_fit_is_told_at_once(
     path.write_text("tested: no\nsetup: ['SOUR:WHATEVER 1']", encoding="utf-8")
     with pytest.raises(SupplyError, match=r"reports an error after the set-up: -113"):
         supply_at(server.address, str(path)).open()
+    path.write_text("tested: no\nrearm: ['SOUR:WHATEVER 1']", encoding="utf-8")
+    supply = supply_at(server.address, str(path))
+    supply.open()
+    with pytest.raises(SupplyError, match="after switching the output on: -113"):
+        supply.switch_on()
+    assert server.instrument.is_off
+    supply.close()
 
 
 def test_a_cut_connection_is_a_lost_link_and_the_output_goes_off_over_a_new_one(
