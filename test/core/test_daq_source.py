@@ -288,8 +288,12 @@ class FakeLjm:
 LABJACK = {"driver": "labjack", "displacement_channel": "AIN0", "force_channel": "AIN2"}
 
 
+@pytest.mark.parametrize(("differential", "negative"), [(True, 3.0), (False, 199.0)])
 def test_labjack_streams_its_channels_until_the_device_is_gone(
-    monkeypatch: pytest.MonkeyPatch, rig: Callable[..., Streamed]
+    monkeypatch: pytest.MonkeyPatch,
+    rig: Callable[..., Streamed],
+    differential: bool,
+    negative: float,
 ) -> None:
     ljm = pytest.importorskip("labjack.ljm.ljm")
     ramp = 1e-3 * np.arange(200)
@@ -297,7 +301,7 @@ def test_labjack_streams_its_channels_until_the_device_is_gone(
     values[1, 50] = -9999.0
     fake = FakeLjm(values)
     monkeypatch.setattr(ljm, "_staticLib", fake)
-    running = rig(**LABJACK, force_range=1.0)
+    running = rig(**LABJACK, force_range=1.0, differential=differential)
     running.until(lambda: running.samples >= 190)
     expected = np.delete(ramp, 50)
     np.testing.assert_allclose(running.joined("displacement"), expected[:190])
@@ -305,7 +309,7 @@ def test_labjack_streams_its_channels_until_the_device_is_gone(
     assert running.source.state().values["without a value"] == 1
     assert fake.written["AIN0_RANGE"] == 10.0
     assert fake.written["AIN2_RANGE"] == 1.0
-    assert fake.written["AIN2_NEGATIVE_CH"] == 3.0
+    assert fake.written["AIN2_NEGATIVE_CH"] == negative
     assert fake.written["LJM_STREAM_SCANS_RETURN"] == 2.0
     running.until(lambda: "1227" in running.fault)
 

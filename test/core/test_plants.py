@@ -182,13 +182,12 @@ def test_the_car_moves_as_its_equations_say() -> None:
     car = MovingPlant(CAR.plant, PERIOD)
     for _ in range(200):
         state = car.step(120.0, 0.1)
-    run = solve_ivp(
-        lambda _, x: CAR.plant.dynamics @ x + 120.0 * CAR.plant.by_force + 0.1 * CAR.plant.by_input,
-        (0.0, 0.2),
-        np.zeros(4),
-        rtol=1e-9,
-        atol=1e-12,
-    )
+
+    def rates(_: float, x: Array) -> Array:
+        return CAR.plant.dynamics @ x + 120.0 * CAR.plant.by_force + 0.1 * CAR.plant.by_input
+
+    run = solve_ivp(rates, (0.0, 0.2), np.zeros(4), rtol=1e-9, atol=1e-12)
+    np.testing.assert_allclose(car.rates, rates(0.2, state), atol=1e-9)
     # Relative, for a solver with a tolerance of 1e-9.
     np.testing.assert_allclose(state, run.y[:, -1], rtol=1e-6)
 
