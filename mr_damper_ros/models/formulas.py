@@ -18,8 +18,6 @@ from typing import Any
 
 import numpy as np
 
-from mr_damper_ros.signals.arrays import Array
-
 Formulas = tuple[tuple[str, str], ...]
 
 LIMIT = 1e100
@@ -291,15 +289,3 @@ _ARRAY_FUNCTIONS: dict[str, Callable[..., Any]] = {
 _ARRAYS: Style = _BRACKETED | {
     name.removeprefix("each_"): name + "({all})" for name in _ARRAY_FUNCTIONS
 }
-
-
-def columns(*parts: Array | float) -> Array:
-    """Broadcast arrays to shape (..., n) and combine them as (..., n, columns).
-
-    Each array is contiguous in memory, which halves the time of later operations.
-    """
-    shape = np.broadcast_shapes(*(np.shape(part) for part in parts))
-    result = np.empty((len(parts), *shape))
-    for place, part in enumerate(parts):
-        result[place] = part
-    return np.moveaxis(result, 0, -1)

@@ -18,8 +18,6 @@ from scipy.optimize import basinhopping, dual_annealing, least_squares
 from scipy.stats import binomtest
 
 from mr_damper_ros.estimation.window_fit import fit_window
-from mr_damper_ros.kinematics.motion import Motion
-from mr_damper_ros.kinematics.window import Window
 from mr_damper_ros.models import MODELS
 from mr_damper_ros.models.published import find, parameters
 from mr_damper_ros.report.document import INK, Block, Chapter, Picture, Table, chart
@@ -27,7 +25,7 @@ from mr_damper_ros.signals.arrays import Array
 from studies.drawing import chapter, line
 from studies.program import Campaign
 from studies.thesis import facts
-from studies.thesis.runs import CycleMisfit, cycle, loop, window
+from studies.thesis.runs import CycleMisfit, cycle, loop
 from studies.thesis.searches import STRATEGIES, evolve, fminsearch
 
 CONDITION = "5.0mm_1Hz_1.5A"
@@ -101,19 +99,11 @@ def _least_squares_16(meter: EvaluationMeter, rng: np.random.Generator) -> None:
     least_squares(residual, start, jac=jacobian, bounds=(_LOW, _HIGH), x_scale=_SPAN)
 
 
-def _phases(misfit: CycleMisfit) -> Window:
-    """The averaged cycle as a window for the fit of the package."""
-    u, ones = misfit.displacement, np.ones(misfit.force.size)
-    sine = window(CONDITION, 0).motion.sine
-    motion = Motion(u, misfit.velocity, -u, misfit.peak_velocity * ones, sine)
-    return Window(motion, misfit.force, misfit.current * ones)
-
-
 def _package_fit(method: str) -> Method:
     """The window fit of the package; poor starts compete with starts estimated from the data."""
 
     def search(meter: EvaluationMeter, rng: np.random.Generator) -> None:
-        fit = fit_window(MODELS["sigmoid"], _phases(meter.misfit), _random(rng), method=method)
+        fit = fit_window(MODELS["sigmoid"], meter.misfit.window, _random(rng), method=method)
         # Its scales have no bounds, and its Jacobians have seven columns.
         cost = float(meter.misfit.costs(fit.parameters))
         meter.note(fit.parameters, cost, fit.evaluations)

@@ -26,7 +26,9 @@ from mr_damper_ros.emulation.emulator import (
     RigSettings,
 )
 from mr_damper_ros.emulation.motions import SineMotion
+from mr_damper_ros.kinematics.motion import Motion
 from mr_damper_ros.kinematics.window import Window
+from mr_damper_ros.models import MODELS
 from mr_damper_ros.models.published import (
     CONDITIONS,
     PUBLISHED_METHODS,
@@ -168,6 +170,7 @@ class CycleMisfit:
     In a steady cycle, the samples at one phase differ only by noise. Their mean and number
     therefore contain all information about the model, and the scatter about a line within the bins
     is constant. ``costs`` is the mean square error [N²] over all samples, including that constant.
+    ``window`` is the averaged cycle.
     """
 
     def __init__(self, run: Window, bins: int) -> None:
@@ -200,11 +203,15 @@ class CycleMisfit:
         self.current = float(run.current[0])
         self.sample_count = run.sample_count
         self.power = float(np.var(run.force))
+        u, ones = self.displacement, np.ones(self.force.size)
+        motion = Motion(u, self.velocity, -u, self.peak_velocity * ones, sine)
+        self.window = Window(motion, self.force, self.current * ones)
+        self._forces = MODELS["sigmoid"].window_forces([self.window])
 
     def residual(self, parameters: Array) -> Array:
         """Model minus mean force [N], shape (..., bins)."""
-        c = law.operating_point_coefficients(parameters, self.peak_velocity, self.current)
-        return law.force_from_coefficients(c, self.velocity, -self.displacement) - self.force
+        (force,) = self._forces.forces(parameters)
+        return np.asarray(force - self.force)
 
     def costs(self, parameters: Array) -> Array:
         """Mean square error [N²] of sets of shape (..., 16)."""
@@ -212,10 +219,8 @@ class CycleMisfit:
 
     def jacobian(self, parameters: Array) -> Array:
         """Derivatives of the residual (bins, 16) for one set."""
-        c = law.operating_point_coefficients(parameters, self.peak_velocity, self.current)
-        outer = law.coefficient_jacobian(c, self.velocity, -self.displacement)
-        inner = law.coefficient_parameter_jacobian(parameters, self.peak_velocity, self.current)
-        return np.asarray(outer @ inner[0])
+        (derivatives,) = self._forces.derivatives(parameters, range(parameters.size))
+        return derivatives
 
 
 @lru_cache(maxsize=64)

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from hypothesis import HealthCheck, settings
 
+from mr_damper_ros.kinematics.motion import Motion
 from mr_damper_ros.kinematics.peak_velocity import peak_velocity
 from mr_damper_ros.kinematics.window import Window
 from mr_damper_ros.models import MODELS
@@ -18,8 +19,6 @@ from mr_damper_ros.models.parameter_set import ParameterSet
 from mr_damper_ros.models.published import THESIS_28_CELSIUS, THESIS_71_CELSIUS
 from mr_damper_ros.models.sigmoid.law import (
     PARAMETER_NAMES,
-    coefficient_jacobian,
-    coefficient_parameter_jacobian,
     operating_point_coefficients,
     sine_force,
 )
@@ -93,10 +92,9 @@ def weaker(strength: float) -> Array:
 
 def parameter_jacobian(values: Array, u: Array, v: Array, a: Array, current: Array) -> Array:
     """Derivatives of the sigmoid force by the sixteen parameters, shape (n, 16)."""
-    v_m = peak_velocity(u, v, a)
-    outer = coefficient_jacobian(operating_point_coefficients(values, v_m, current), v, a)
-    inner = coefficient_parameter_jacobian(values, v_m, current)
-    return np.asarray(np.einsum("nc,ncp->np", outer, inner))
+    motion = Motion(u, v, a, peak_velocity(u, v, a), sine=None)
+    forces = SIGMOID.window_forces([Window(motion, np.zeros(u.size), current)])
+    return forces.derivatives(values, range(16))[0]
 
 
 def index(name: str) -> int:

@@ -18,12 +18,7 @@ from mr_damper_ros.models.published import (
     THESIS_71_CELSIUS,
     Condition,
 )
-from mr_damper_ros.models.sigmoid.law import (
-    COEFFICIENT_NAMES,
-    SCALE_INDICES,
-    Coefficients,
-    coefficient_jacobian,
-)
+from mr_damper_ros.models.sigmoid.law import COEFFICIENT_NAMES, SCALE_INDICES
 from mr_damper_ros.signals.arrays import Array
 from studies.thesis.facts import is_clean
 
@@ -107,7 +102,10 @@ def realisations() -> list[WindowFit]:
 
 def cramer_rao_bound(run: known.Run) -> Array:
     """Smallest covariance (7, 7) of unbiased coefficients."""
-    jacobian = coefficient_jacobian(Coefficients(*run.coefficients), run.velocity, run.acceleration)
+    moved, current = (run.displacement, run.velocity, run.acceleration), run.current
+    derivatives = known.parameter_jacobian(run.parameters, *moved, np.full(run.force.size, current))
+    by_parameters = SIGMOID.coefficient_gradient(run.parameters, run.top_speed, current)
+    jacobian = derivatives[:, SCALE_INDICES] @ np.linalg.inv(by_parameters[:, SCALE_INDICES])
     return np.asarray(known.NOISE**2 * np.linalg.inv(jacobian.T @ jacobian))
 
 

@@ -28,7 +28,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from mr_damper_ros.kinematics.peak_velocity import peak_velocity
-from mr_damper_ros.models.formulas import LIMIT, Formulas, columns, gradient, staged
+from mr_damper_ros.models.formulas import LIMIT, Formulas, gradient, staged
 from mr_damper_ros.signals.arrays import Array
 
 PARAMETER_NAMES = (
@@ -122,18 +122,15 @@ _WITH_COEFFICIENTS = [(*COEFFICIENT_NAMES, "v", "branch")]
 _OPERATING_POINT = [PARAMETER_NAMES, ("v_m", "i")]
 
 _coefficients = staged(LAW, _OPERATING_POINT, COEFFICIENT_NAMES)
-_coefficient_derivatives = staged(
+coefficient_derivatives = staged(
     (*LAW, *gradients(COEFFICIENT_NAMES, PARAMETER_NAMES)),
     _OPERATING_POINT,
     [f"{coefficient}_by_{name}" for coefficient in COEFFICIENT_NAMES for name in PARAMETER_NAMES],
 )
+"""Derivatives of the seven coefficients, each by the sixteen parameters."""
+
 _force = staged(LAW, _WITH_COEFFICIENTS, ("force",))
 _force_and_damping = staged(LAW, _WITH_COEFFICIENTS, ("force", "damping"))
-_force_derivatives = staged(
-    (*LAW, *gradients(["force"], COEFFICIENT_NAMES)),
-    _WITH_COEFFICIENTS,
-    [f"force_by_{name}" for name in COEFFICIENT_NAMES],
-)
 
 # Finite parameters may have any size; overflow saturates.
 quiet = np.errstate(over="ignore", divide="ignore", invalid="ignore")
@@ -194,28 +191,6 @@ def force_and_damping(
     """
     force, damping = _force_and_damping(*coefficients, *_moving(velocity, acceleration))
     return force, damping
-
-
-@quiet
-def coefficient_jacobian(
-    coefficients: Coefficients, velocity: ArrayLike, acceleration: ArrayLike
-) -> Array:
-    """Derivatives of the force with respect to the seven coefficients, shape (..., n, 7)."""
-    return columns(*_force_derivatives(*coefficients, *_moving(velocity, acceleration)))
-
-
-@quiet
-def coefficient_parameter_jacobian(
-    parameters: ArrayLike, peak_velocity: ArrayLike, current: ArrayLike
-) -> Array:
-    """Derivatives of the seven coefficients with respect to the sixteen parameters.
-
-    ``parameters`` has shape (16,), ``peak_velocity`` and ``current`` broadcast to (n,); the
-    result has shape (n, 7, 16).
-    """
-    v_m, i = _array(peak_velocity), _array(current)
-    found = columns(*_coefficient_derivatives(*as_columns(_checked(parameters)))(v_m, i))
-    return found.reshape(-1, len(COEFFICIENT_NAMES), len(PARAMETER_NAMES))
 
 
 def sign_of_pair(f_t: ArrayLike) -> Array:

@@ -63,9 +63,10 @@ from mr_damper_ros.models.sigmoid.law import (
     PARAMETER_NAMES,
     SCALE_INDICES,
     SCALE_PARAMETER_NAMES,
-    coefficient_parameter_jacobian,
+    coefficient_derivatives,
     force_and_damping,
     operating_point_coefficients,
+    quiet,
     sign_of_pair,
 )
 from mr_damper_ros.models.sigmoid.window_forces import SigmoidForces
@@ -319,12 +320,15 @@ class SigmoidModel(Model):
         values[:2] *= sign_of_pair(values[0])
         return values
 
+    @quiet
     def coefficient_gradient(
         self, parameters: Array, peak_velocity: float, current: float
     ) -> Array:
         """Derivatives (7, p) of the coefficients by the parameters, for positive f_t."""
         sixteen = parameters[:SIGMOID_COUNT]
-        gradient = coefficient_parameter_jacobian(sixteen, peak_velocity, current)[0]
+        point = np.array([peak_velocity]), np.array([current])
+        found = coefficient_derivatives(*sixteen.tolist())(*point)
+        gradient = np.array(np.broadcast_arrays(*found)).reshape(-1, SIGMOID_COUNT)
         f_t = operating_point_coefficients(sixteen, peak_velocity, current).f_t
         gradient[:2] *= sign_of_pair(f_t)
         return np.pad(gradient, ((0, 0), (0, parameters.size - SIGMOID_COUNT)))
