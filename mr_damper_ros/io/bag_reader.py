@@ -47,6 +47,8 @@ class BagError(ValueError):
     """An error in reading or writing a bag; the message says what to change."""
 
 
+_BAG_FILES = (".mcap", ".db3")
+
 _BYTES_PER_SAMPLE = 100
 """Size [B] of a message with a single sample; blocks need less per sample."""
 
@@ -161,7 +163,7 @@ def opened_bag(
     path = Path(path)
     # The folder of a single file also holds the metadata of the bag.
     if (
-        path.suffix in (".mcap", ".db3")
+        path.suffix in _BAG_FILES
         and path.is_file()
         and (path.parent / "metadata.yaml").is_file()
         and len(list(path.parent.glob(f"*{path.suffix}"))) == 1
@@ -170,14 +172,11 @@ def opened_bag(
     name = Path(os.path.abspath(path)).name.removesuffix(".mcap").removesuffix(".db3")
     if not path.exists():
         raise BagError(f"there is no bag at {path}")
-    if path.is_dir() and not (path / "metadata.yaml").is_file():
+    is_bag = (path / "metadata.yaml").is_file() if path.is_dir() else path.suffix in _BAG_FILES
+    if not is_bag:
         raise BagError(
-            f"{path} is not a bag: give the folder that holds metadata.yaml, or the .mcap file"
-        )
-    if path.is_file() and path.suffix not in (".mcap", ".db3"):
-        raise BagError(
-            f"{path} is not a bag: give a bag's folder or its .mcap or .db3 file; "
-            "import_record makes a bag from a text, CSV or MAT file"
+            f"{path} is not a bag: give the folder that holds metadata.yaml, or its .mcap or .db3 "
+            "file; import_record makes a bag from a text, CSV or MAT file"
         )
     check_bag_files(path, maximum_samples)
     with failures_in_words(name):

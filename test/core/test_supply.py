@@ -163,8 +163,8 @@ def test_it_complains_in_a_queue_that_overflows(instrument: EmulatedInstrument) 
         ("set_current: X", "does not say with which instruments"),
         ("tested: no\nset_current: CURR {amps}", "of the profile is invalid"),
         ("tested: no\nset_current: CURR {", "of the profile is invalid"),
-        ("tested: no\nwatchdog_step: quick", "must be a number"),
-        ("tested: no\nwatchdog_step: 0", "must be positive"),
+        ("tested: no\nwatchdog_step: quick", "must be a positive number"),
+        ("tested: no\nwatchdog_step: 0", "must be a positive number"),
         ("a: [", "is not valid YAML"),
     ],
 )

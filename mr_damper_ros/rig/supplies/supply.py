@@ -28,8 +28,6 @@ class SupplyProfile:
     watchdog. After the watchdog has tripped, ``rearm`` makes the instrument accept ``output_on``
     again. An answer to ``read_error`` that begins with ``no_error`` means that there are no more
     errors. ``tested`` says in a sentence with which instruments the profile was tested.
-
-    Raises ValueError if a line has other names in braces.
     """
 
     tested: str
@@ -43,19 +41,6 @@ class SupplyProfile:
     watchdog: tuple[str, ...] = ()
     watchdog_step: float = 1.0
     rearm: tuple[str, ...] = ()
-
-    def __post_init__(self) -> None:
-        lines = (self.set_current, self.read_current, self.output_on, self.output_off)
-        for line in (*lines, self.read_error, *self.setup, *self.watchdog, *self.rearm):
-            try:
-                line.format(**_FILLED_IN)
-            except (KeyError, IndexError, ValueError) as error:
-                raise ValueError(
-                    f"the line '{line}' of the profile is invalid: only {{current}}, {{voltage}} "
-                    "and {seconds} may stand in braces"
-                ) from error
-        if not (math.isfinite(self.watchdog_step) and self.watchdog_step > 0.0):
-            raise ValueError("watchdog_step of the profile must be positive [s]")
 
     def watchdog_delay(self, wanted: float) -> float:
         """The shortest delay [s] of the instrument's watchdog that is at least ``wanted``."""
@@ -93,13 +78,20 @@ def _profile(content: Any, name: str) -> SupplyProfile:
                 f"the profile '{name}' has the unknown entry '{key}': use {', '.join(defaults)}"
             )
         if key == "watchdog_step":
-            if type(value) not in (int, float):
-                raise ValueError(f"'{key}' of the profile '{name}' must be a number [s]")
+            if type(value) not in (int, float) or not 0.0 < value < math.inf:
+                raise ValueError(f"'{key}' of the profile '{name}' must be a positive number [s]")
             values[key] = float(value)
-        elif isinstance(defaults[key], tuple):
-            values[key] = tuple(map(str, value if isinstance(value, list) else [value]))
-        else:
-            values[key] = str(value)
+            continue
+        lines = tuple(map(str, value if isinstance(value, list) else [value]))
+        for line in lines:
+            try:
+                line.format(**_FILLED_IN)
+            except (KeyError, IndexError, ValueError) as error:
+                raise ValueError(
+                    f"the line '{line}' of the profile is invalid: only {{current}}, {{voltage}} "
+                    "and {seconds} may stand in braces"
+                ) from error
+        values[key] = lines if isinstance(defaults[key], tuple) else str(value)
     if "tested" not in values:
         raise ValueError(
             f"the profile '{name}' does not say with which instruments it was tested: add 'tested'"
