@@ -105,9 +105,8 @@ class Identifier:
         self._settings = settings
         self._windows: deque[RawWindow] = deque()
         self._searches: deque[Search] = deque()
-        # The job in the worker, its task number, and its search (None for a window).
+        # The job in the worker, and its search (None for a window).
         self._job: Job | None = None
-        self._number = 0
         self._search: Search | None = None
         self._given_up: list[Event] = []
         self._outbox: Outbox[Publication] = Outbox(GRACE)
@@ -160,7 +159,7 @@ class Identifier:
 
     def cancel_search(self, search: Search) -> None:
         """End a search early, with the best result so far; its end is reported as an event."""
-        if self._job is not None and self._search is search:
+        if self._search is search:
             self.worker.cancel()
         elif search in self._searches:
             self._searches.remove(search)
@@ -170,7 +169,7 @@ class Identifier:
         """Return the events since the last call. Never blocks."""
         events, self._given_up = self._given_up, []
         for told in self.worker.poll():
-            if self._job is None or self._number != told.task:
+            if self._job is None:  # it was given up
                 continue
             if isinstance(told, Failed):
                 events += self._end(refused(self._job, Judgement(Verdict.FAILED, told.reason)))
@@ -209,7 +208,7 @@ class Identifier:
             budget = self._settings.fit_time_budget
         else:
             return
-        self._number = self.worker.submit(run, self._job, budget=budget)
+        self.worker.submit(run, self._job, budget=budget)
 
     def take_notices(self) -> list[str]:
         """Return messages on faults of worker and disk since the last call."""

@@ -233,25 +233,18 @@ class KnownPoints:
             known = known.noted(known.kept[0].point, window=None, number=0)
         return known
 
-    def changed_since(self, before: KnownPoints) -> KnownPoints:
-        """Return the new and changed records alone, for :meth:`updated`."""
-        same = set(map(id, before.records))
-        return KnownPoints(tuple(each for each in self.records if id(each) not in same))
+    def updated(self, after: KnownPoints) -> KnownPoints:
+        """Return the records ``after`` a job, with the windows that did not come with the job.
 
-    def updated(self, changed: KnownPoints) -> KnownPoints:
-        """Return the records with new and changed ones, but no more than the largest number.
-
-        Windows of a number alone stay.
+        If there are too many records, the oldest without a window are left out.
         """
-        records = {each.point: each for each in self.records}
-        for each in changed.records:
-            if each.number and each.window is None:
-                each = replace(each, window=records.get(each.point, each).window)
-            records[each.point] = each
-        idle = [point for point, each in records.items() if not each.number]
-        for point in idle[: max(len(records) - _MOST_POINTS, 0)]:
-            del records[point]
-        return KnownPoints(tuple(records.values()))
+        windows = {each.number: each.window for each in self.records}
+        after = after._changed(
+            lambda each: replace(each, window=each.window or windows.get(each.number))
+        )
+        idle = [each for each in after.records if not each.number]
+        idle = idle[: max(len(after.records) - _MOST_POINTS, 0)]
+        return KnownPoints(tuple(each for each in after.records if each not in idle))
 
     def without_temperatures(self) -> KnownPoints:
         """Return the records without their temperatures, because the force has changed since."""

@@ -315,7 +315,7 @@ class Job:
 
 @dataclass(frozen=True, eq=False)
 class Outcome:
-    """Result of a job: its ``report``, and the ``memory`` after it with the changed records only.
+    """Result of a job: its ``report``, and the ``memory`` after it, without the older windows.
 
     The report is None for a change check without an early fit. ``parameters`` is the set in use
     from now on, None if the running set stays; ``found`` is the new set, whether in use or not.
@@ -352,8 +352,9 @@ def run(job: Job, control: Control | None = None) -> Outcome:
     except (ValueError, ArithmeticError) as error:
         sentence = f"the identification failed ({type(error).__name__}: {error}): the running set"
         outcome = refused(job, Judgement(Verdict.FAILED, f"{sentence} stays"))
-    # The records that came with the job need not be sent back.
-    outcome.memory.points = outcome.memory.points.changed_since(job.memory.points)
+    if job.raw is None:
+        # The windows of a search need not be sent back.
+        outcome.memory.points = outcome.memory.points.with_recent_windows(-math.inf)
     return replace(outcome, duration=time.perf_counter() - began)
 
 
@@ -699,18 +700,14 @@ def _look(job: Job, window: Window) -> Outcome:
     of_window = force_scale(model, changed, fit, memory.points.baselines)
     memory.level *= 1.0 + evidence.force_change
     memory.windows += 1
-    if (state := memory.state) is not None:
-        factors = np.where(problem.strength, scale.value, 1.0)
-        covariance = state.covariance * np.outer(factors, factors) + fit.covariance
-        memory.state = FilterState(state.mean * factors, covariance, raw.end_ns, here)
     # The residual of an inexact law oscillates, so the change detection stops until the next
-    # window.
-    memory.watch = None
+    # window, whose fit also starts the filter again.
+    memory.watch = memory.state = None
     if raw.start_ns <= job.memory.seen_ns <= raw.end_ns:
         # The samples continue those before, and the temperature does not change so fast: the
         # temperature map has become wrong.
         memory.points = memory.points.without_temperatures()
-    memory.changed_ns = raw.end_ns - round((fit.sample_count - 1) * raw.period * NANOSECONDS)
+    memory.changed_ns = raw.end_ns - round((count - 1) * raw.period * NANOSECONDS)
     judgement = Judgement(
         Verdict.ACCEPTED_EARLY,
         f"the force changed by {evidence.force_change:+.0%} at "

@@ -43,7 +43,7 @@ def test_the_oldest_window_and_record_go_when_too_many_are_kept() -> None:
         current = 0.1 * number
         shifted = Window(window.motion, window.force, np.full(200, current))
         after = keep(points, shifted, number).noted((1e-3, current), force=None)
-        points = points.updated(after.changed_since(points))
+        points = points.updated(after)
     currents = [float(w.current[0]) for w in points.windows]
     assert currents == pytest.approx([0.1 * number for number in range(203, 303)])
     others = [each.point[1] for each in points.records if not each.number]

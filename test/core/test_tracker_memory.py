@@ -193,18 +193,19 @@ def test_the_memory_of_another_model_is_refused() -> None:
         from_text(json.dumps(DOCUMENT | {"rival": None}), MODELS["sigmoid_lag"])
 
 
-def test_only_changed_records_return_from_a_worker() -> None:
+def test_windows_that_do_not_travel_stay_where_they_are() -> None:
     tracked = tracker()
     feed(tracked, 0, 4)
-    before, raw = tracked.points.records, known.raw_window(known.run(samples=1000, seed=4))
+    raw = known.raw_window(known.run(samples=1000, seed=4))
     for window, changed in ((dataclasses.replace(raw, look=250), 0), (raw, 1)):
+        before = tracked.points.windows
         job = pickle.loads(pickle.dumps(tracked.job_of(window)))
         outcome = pickle.loads(pickle.dumps(run(job)))
-        assert len(outcome.memory.points.records) == changed
+        assert len(outcome.memory.points.windows) == changed
         tracked.complete(outcome)
-        kept = [one is other for one, other in zip(before, tracked.points.records, strict=True)]
-        assert kept.count(False) == changed
-    assert all(record.window is not None for record in tracked.points.records)
+        stay = [any(one is other for other in tracked.points.windows) for one in before]
+        assert stay.count(False) == changed
+    assert len(tracked.points.windows) == len(before) == 2
 
 
 def test_a_place_beyond_the_window_is_refused() -> None:
