@@ -301,9 +301,6 @@ class Identification(ComparedRuns):
         return [*blocks, *(f"WARNING: {remark}" for remark in self.remarks)]
 
 
-_EVOLUTION = EvolutionSettings()
-
-
 @one_thread()
 def identify(
     *runs: RunSource,
@@ -315,8 +312,8 @@ def identify(
     method: str = "global",
     start: SetSource | None = None,
     seed: int = 0,
-    strategy: str = _EVOLUTION.strategy,
-    generations: int = _EVOLUTION.generations,
+    strategy: str = EvolutionSettings.strategy,
+    generations: int = EvolutionSettings.generations,
     starts: int = 1,
     workers: int = 1,
     accept_doubtful: bool = False,

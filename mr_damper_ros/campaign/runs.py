@@ -20,9 +20,6 @@ from mr_damper_ros.signals.blocks import NANOSECONDS, SampleBlock, ZeroOrderHold
 from mr_damper_ros.signals.recording import Recording
 from mr_damper_ros.signals.uniform_grid import Placed
 
-_CURRENT_DELAY = 1.0
-"""Largest delay [s] of current readings behind the samples."""
-
 
 @dataclass(frozen=True)
 class DriveSettings(CheckedSettings):
@@ -200,8 +197,9 @@ class RunDriver:
             return
         known = self.current.last_stamp_ns
         needed_ns = first.start_ns + round(count * first.period * NANOSECONDS)
-        late = (last.end_ns - needed_ns) / NANOSECONDS
-        if (known is None or known < needed_ns) and late < _CURRENT_DELAY:
+        # Readings of the current may arrive one second after the samples.
+        last_ns = needed_ns + NANOSECONDS
+        if (known is None or known < needed_ns) and last.end_ns < last_ns:
             return
         moved, force = (
             np.concatenate([getattr(block, name) for block in self._blocks])[:count]
@@ -236,10 +234,6 @@ def write_signal(run: PlannedRun, path: Path, sample_rate: float = 1000.0) -> No
     write_text(path, csv_text(columns, ([f"{value:.9g}" for value in row] for row in rows)))
 
 
-_SETTINGS = DriveSettings()
-"""Tolerances for a machine that the program drives."""
-
-
 class RunNotFoundError(ValueError):
     """A recording does not contain the run; the message gives the reason."""
 
@@ -272,9 +266,9 @@ def cut_run(run: PlannedRun, recording: Recording) -> Recording:
         left = max(map(match.left_of, ends))
         current = float(np.median(recording.current[begin : begin + count]))
         wrong = 0.0 if stepped else abs(current - run.currents[0])
-        if wrong <= _SETTINGS.current_tolerance and left < nearest:
+        if wrong <= DriveSettings.current_tolerance and left < nearest:
             best, nearest = begin, left
-    if best is None or not (stepped or nearest <= _SETTINGS.amplitude_tolerance):
+    if best is None or not (stepped or nearest <= DriveSettings.amplitude_tolerance):
         amperes = " to ".join(f"{current:g}" for current in run.currents[:2])
         off = "" if best is None else f", and deviates by {nearest:.0%} at least"
         raise RunNotFoundError(
@@ -303,7 +297,7 @@ def run_as_made(recording: Recording) -> PlannedRun:
         recording.displacement, recording.force, recording.current, recording.period
     ).motion.sine
     current = float(np.median(recording.current))
-    if sine is None or np.ptp(recording.current) > 2.0 * _SETTINGS.current_tolerance:
+    if sine is None or np.ptp(recording.current) > 2.0 * DriveSettings.current_tolerance:
         raise RunNotFoundError(f"{recording.name} is not a steady sine at one current")
     cycles = math.floor(recording.duration * sine.frequency)
     return PlannedRun(sine.amplitude, sine.frequency, (current,), cycles / sine.frequency)

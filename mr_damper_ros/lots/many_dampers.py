@@ -42,9 +42,6 @@ from mr_damper_ros.processes.process_pool import (
 from mr_damper_ros.signals.recording import Recording
 from mr_damper_ros.tracking.state_directory import SetSource
 
-_PERMANENT = (FileNotFoundError, PermissionError, ValueError)
-"""Errors of the file itself; other errors may be temporary."""
-
 
 def identify_group(
     group: tuple[str, Sequence[ListedRecording]],
@@ -68,7 +65,9 @@ def identify_group(
     runs = []
 
     def reason_of(error: Exception) -> str:
-        document["passing"] |= not isinstance(error, _PERMANENT)
+        # Other errors than these, of the file itself, may be temporary.
+        lasting = isinstance(error, (FileNotFoundError, PermissionError, ValueError))
+        document["passing"] |= not lasting
         if isinstance(error, OSError):
             return error.strerror or str(error)
         return str(error) if isinstance(error, ValueError) else f"{type(error).__name__}: {error}"
@@ -107,8 +106,6 @@ def _result(damper: str, result: Identification) -> dict[str, Any]:
         "remarks": list(result.remarks),
     }
 
-
-_EVOLUTION = EvolutionSettings()
 
 _LOST = {
     "failure": "the process that identified it died repeatedly: is there enough memory?",
@@ -185,7 +182,7 @@ def identify_many(
     method: str = "global",
     start: SetSource | None = None,
     seed: int = 0,
-    generations: int = _EVOLUTION.generations,
+    generations: int = EvolutionSettings.generations,
     accept_doubtful: bool = False,
     workers: int = 1,
     executor: Executor | None = None,

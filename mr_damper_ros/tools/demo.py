@@ -27,8 +27,6 @@ from mr_damper_ros.tools.console import add_path, add_port_option, program
 
 _NODES = ("identifier", "model")
 _START_LIMIT = 30.0
-_SETTLE = 2.0
-"""Time [s] without a new report after which the identifier has finished."""
 
 
 def _options(parser: argparse.ArgumentParser) -> None:
@@ -80,7 +78,8 @@ def _demo(options: argparse.Namespace) -> int:
             closing(start_node("replay", bag=bag, rate=options.rate, wait_for_subscribers=3))
         )
         print("\nwindow        validation samples: before -> after the fit")
-        while running["replay"].running or time.monotonic() - last < _SETTLE:
+        # After 2 s without a new report, the identifier has finished.
+        while running["replay"].running or time.monotonic() - last < 2.0:
             check_running(running)
             observer.spin_once()
     if not sets or not reports:
