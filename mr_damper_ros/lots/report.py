@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 from collections.abc import Mapping, Sequence
 from importlib.util import find_spec
 from pathlib import Path
@@ -11,7 +12,7 @@ import numpy as np
 
 from mr_damper_ros.lots.many_dampers import ManyDampers
 from mr_damper_ros.lots.population import LEAST_DAMPERS, Population, Spread
-from mr_damper_ros.processes.files import write_text
+from mr_damper_ros.processes.files import write_bytes, write_text
 from mr_damper_ros.report.document import (
     GREY,
     INK,
@@ -27,17 +28,8 @@ from mr_damper_ros.report.document import (
     write_report,
 )
 
-Row = Mapping[str, Any]
-
 _MOST_SHOWN = 100
 """Largest number of rows of a table on the page; the files contain all rows."""
-
-
-def write_csv(rows: Sequence[Row], folder: Path) -> None:
-    """Write ``dampers.csv`` with full precision; unknown values are empty."""
-    columns = tuple(rows[0]) if rows else ()
-    text = csv_text(columns, (list(row.values()) for row in rows))
-    write_text(folder / "dampers.csv", text)
 
 
 def require_parquet() -> None:
@@ -46,18 +38,21 @@ def require_parquet() -> None:
         raise ValueError("a Parquet file needs pyarrow: install it, or use the CSV file")
 
 
-def write_parquet(rows: Sequence[Row], path: Path) -> None:
-    """Write the table as Parquet. Raises ValueError if pyarrow is not installed."""
-    require_parquet()
-    from pyarrow import Table as ArrowTable
-    from pyarrow import parquet
+def write_rows(rows: Sequence[Mapping[str, Any]], folder: Path, *, parquet: bool = False) -> None:
+    """Write ``dampers.csv`` with full precision; unknown values are empty.
 
-    fresh = path.with_name(f".{path.name}.new")
-    try:
-        parquet.write_table(ArrowTable.from_pylist(list(rows)), fresh)
-        fresh.replace(path)
-    finally:
-        fresh.unlink(missing_ok=True)
+    With ``parquet``, also write ``dampers.parquet``, which needs pyarrow.
+    """
+    columns = tuple(rows[0]) if rows else ()
+    text = csv_text(columns, (list(row.values()) for row in rows))
+    write_text(folder / "dampers.csv", text)
+    if parquet:
+        from pyarrow import Table as ArrowTable
+        from pyarrow.parquet import write_table
+
+        content = io.BytesIO()
+        write_table(ArrowTable.from_pylist(list(rows)), content)
+        write_bytes(folder / "dampers.parquet", content.getvalue())
 
 
 def write_population_report(found: ManyDampers, folder: Path) -> Path:

@@ -13,12 +13,7 @@ from typing import Any
 
 from mr_damper_ros.api.identification import identify
 from mr_damper_ros.lots.many_dampers import ManyDampers, identify_many
-from mr_damper_ros.lots.report import (
-    require_parquet,
-    write_csv,
-    write_parquet,
-    write_population_report,
-)
+from mr_damper_ros.lots.report import require_parquet, write_population_report, write_rows
 from mr_damper_ros.tools import console
 from mr_damper_ros.tools.identify import SEARCH_CHOICES, SEARCH_OPTIONS
 
@@ -73,9 +68,7 @@ def _identify_many(options: argparse.Namespace) -> int:
         given = console.arguments_of(options, identify_many, "sources")
         found = identify_many(*options.sources, report=progress, **given)
     rows, folder = found.table, Path(options.folder)
-    write_csv(rows, folder)
-    if options.parquet:
-        write_parquet(rows, folder / "dampers.parquet")
+    write_rows(rows, folder, parquet=options.parquet)
     page = write_population_report(found, folder)
     _tell(found, page)
     return LEFT_OUT if found.failures or found.left_out else 0
