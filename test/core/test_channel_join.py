@@ -92,6 +92,8 @@ def test_the_lost_are_counted_and_none_is_invented() -> None:
     forces = np.concatenate([run.leading for run in runs])
     assert np.isin(forces, leader.taken).all()
     assert np.unique(forces).size == forces.size
+    # A run ends before a lost sample.
+    assert max(np.diff(run.leading).max(initial=0.0) for run in runs) < 1.5 / RATE
 
 
 def test_what_was_sampled_at_its_stamp_is_brought_to_even_times() -> None:

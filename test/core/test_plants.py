@@ -201,3 +201,5 @@ def test_a_bump_may_be_on_a_road() -> None:
     time, road = np.arange(500) * PERIOD, IsoRoad("A", 5.0, seed=1)
     even, rough = (Bump(0.05, 1.0, 5.0, road=under).at(time) for under in (None, road))
     np.testing.assert_array_equal(rough, even + road.at(time))
+    later = Bump(0.05, 1.0, 5.0, start=100 * PERIOD).at(time)
+    np.testing.assert_allclose(later[100:], even[:-100], atol=1e-9)

@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from mr_damper_ros.io.recording_list import ListError, find_recordings, read_list
+from mr_damper_ros.io.recording_list import ListError, RecordFormat, find_recordings, read_list
 from mr_damper_ros.signals.recording import NotFiniteError, Recording, RecordingError
 
 TIME = np.arange(100) * 1e-3
@@ -185,3 +185,13 @@ def test_a_file_that_is_no_list_is_refused(tmp_path: Path, text: str) -> None:
     file.write_text(text)
     with pytest.raises(ListError):
         read_list(file)
+
+
+@pytest.mark.parametrize(("listed", "current"), [(None, 0.5), (1.0, 1.0)])
+def test_the_current_of_a_list_overrides_that_of_the_format(
+    tmp_path: Path, listed: float | None, current: float
+) -> None:
+    file = tmp_path / "run.csv"
+    np.savetxt(file, np.column_stack((np.sin(20.0 * TIME), np.cos(20.0 * TIME))), delimiter=",")
+    read = RecordFormat("displacement:mm,force:N", current=0.5, period=1e-3).read(file, listed)
+    assert set(read.current) == {current}

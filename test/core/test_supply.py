@@ -423,6 +423,9 @@ def test_stopping_a_supply_that_dribbles_ends_and_says_what_could_not_be_done(
     gives_current(live)
     live.dribble = 0.2 * TIMEOUT
     assert not thread.stop()
+    begin = time.monotonic()
+    assert not thread.stop()
+    assert time.monotonic() - begin < 1.0, "the second call waits again"
     assert "has not answered within" in thread.failure
     assert live.instrument.is_off
     thread.end()
