@@ -390,16 +390,9 @@ class EmulatedRig(MeasuredRig):
         Raises ValueError if the duration holds no sample.
         """
         block = self.next_block(round(duration * self.settings.sample_rate))
-        return Recording(
-            name=name,
-            start_ns=block.start_ns,
-            period=block.period,
-            displacement=block.displacement,
-            force=block.force,
-            current=block.current,
-            temperature=block.temperature if self._thermal else None,
-            details=details or {},
-        )
+        temperature = block.temperature if self._thermal else None
+        rows = block.displacement, block.force, block.current, temperature
+        return Recording(name, block.start_ns, block.period, *rows, details or {})
 
     def _true(self, time: Array, current: Array) -> tuple[Array, Array, Array]:
         period = self.settings.period

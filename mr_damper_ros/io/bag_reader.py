@@ -275,13 +275,8 @@ def _items(bag: OpenBag, maximum_samples: int) -> Iterator[StreamItem]:
 
 def _block(message: Any, stamp_ns: int, bag: str, topic: str) -> SampleBlock:
     try:
-        return SampleBlock(
-            start_ns=stamp_ns,
-            sequence=int(message.seq),
-            period=float(message.period),
-            displacement=np.asarray(message.displacement, dtype=float),
-            force=np.asarray(message.force, dtype=float),
-        )
+        rows = message.displacement, message.force
+        return SampleBlock(stamp_ns, int(message.seq), float(message.period), *rows)
     except BlockError as error:
         raise BagError(
             f"the bag '{bag}' cannot be used: in the block on {topic} that "
@@ -331,16 +326,14 @@ def _assemble(
     if count <= 0:
         return None
     start_ns += round(first * period * NANOSECONDS)
-    return Recording(
-        name=name,
-        start_ns=start_ns,
-        period=period,
-        displacement=displacement[first:],
-        force=force[first:],
-        current=current.at(start_ns, period, count),
-        temperature=_interpolated(celsius, start_ns, period, count),
-        details=details,
+    held = current.at(start_ns, period, count)
+    rows = (
+        displacement[first:],
+        force[first:],
+        held,
+        _interpolated(celsius, start_ns, period, count),
     )
+    return Recording(name, start_ns, period, *rows, details)
 
 
 def _interpolated(

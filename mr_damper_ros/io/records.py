@@ -154,17 +154,12 @@ class SampledRecord:
             displacement = _integrated(velocity, period)
             notes.append(_INTEGRATED)
         first = float(self.time[0])
+        start_ns = (0 if first > _EPOCH else DEFAULT_START_NS) + round(first * NANOSECONDS)
+        given = self.values.get("current", np.full(self.time.size, current))
+        rows = displacement, self.values["force"], given, self.values.get("temperature")
+        details = self.details | ({"note": "; ".join(notes)} if notes else {})
         try:
-            recording = Recording(
-                name=name or self.path.stem,
-                start_ns=(0 if first > _EPOCH else DEFAULT_START_NS) + round(first * NANOSECONDS),
-                period=period,
-                displacement=displacement,
-                force=self.values["force"],
-                current=self.values.get("current", np.full(self.time.size, current)),
-                temperature=self.values.get("temperature"),
-                details=self.details | ({"note": "; ".join(notes)} if notes else {}),
-            )
+            recording = Recording(name or self.path.stem, start_ns, period, *rows, details)
         except NotFiniteError as error:
             value = self.values[error.quantity][error.sample]
             raise self._not_finite(error.quantity, error.sample, value) from error

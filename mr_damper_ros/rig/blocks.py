@@ -35,6 +35,7 @@ class BlockMaker:
 
     def __init__(self, size: int) -> None:
         self._size = size
+        # Stamp [ns] and number of the first sample of the current block, and its period [s].
         self._first = (0, 0, 1.0)
         self._begun: list[Measured] = []
         self._made: list[RigBlock] = []
@@ -43,11 +44,11 @@ class BlockMaker:
 
     def add(self, index: int, stamp_ns: int, period: float, measured: Measured) -> None:
         """Add a sample with its number, its stamp [ns] and the time [s] to the next sample."""
-        first, _, begun_period = self._first
+        _, first, begun_period = self._first
         if self._begun and (index != first + len(self._begun) or period != begun_period):
             self.cut()
         if not self._begun:
-            self._first = (index, stamp_ns, period)
+            self._first = (stamp_ns, index, period)
         self._begun.append(measured)
         self.last_ns = stamp_ns
         if len(self._begun) == self._size:
@@ -55,22 +56,15 @@ class BlockMaker:
 
     def cut(self) -> None:
         """End the current block, even if it is not full."""
-        if not self._begun:
-            return
-        displacement, force, current, temperature = np.array(self._begun, dtype=np.float64).T.copy()
-        index, start_ns, period = self._first
-        self._begun = []
-        self._made.append(
-            RigBlock(start_ns, index, period, displacement, force, current, temperature)
-        )
+        if self._begun:
+            rows = np.array(self._begun, dtype=np.float64).T.copy()
+            self._made.append(RigBlock(*self._first, *rows))
+            self._begun = []
 
     def take(self) -> list[RigBlock]:
         """Remove and return the complete blocks; one block without samples if there are none."""
         made, self._made = self._made, []
-        if made:
-            return made
-        none = np.empty(0)
-        return [RigBlock(self.last_ns, 0, 1.0, none, none, none, none)]
+        return made or [RigBlock(self.last_ns, 0, 1.0, *np.empty((4, 0)))]
 
 
 _NODES = np.arange(4)

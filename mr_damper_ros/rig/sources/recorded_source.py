@@ -61,20 +61,15 @@ class RecordedSource(Source):
         size, sequence = self.stream.block_size, 0
         rounds = itertools.count() if self.stream.loop else range(1)
         for recording in (each for _ in rounds for each in self._recordings):
-            count, temperature = recording.sample_count, recording.temperature
-            if temperature is None:
-                temperature = np.full(count, math.nan)
+            count, celsius = recording.sample_count, recording.temperature
+            temperature = np.full(count, math.nan) if celsius is None else celsius
+            rows = np.stack(
+                [recording.displacement, recording.force, recording.current, temperature]
+            )
             for first in range(0, count, size):
-                part = slice(first, first + size)
-                yield RigBlock(
-                    start_ns=start_ns + round(first * recording.period * NANOSECONDS),
-                    sequence=sequence + first,
-                    period=recording.period,
-                    displacement=recording.displacement[part],
-                    force=recording.force[part],
-                    current=recording.current[part],
-                    temperature=temperature[part],
-                )
+                stamp_ns = start_ns + round(first * recording.period * NANOSECONDS)
+                part = rows[:, first : first + size]
+                yield RigBlock(stamp_ns, sequence + first, recording.period, *part)
             sequence += count
             start_ns += round(count * recording.period * NANOSECONDS) + _PAUSE_NS
 
