@@ -326,13 +326,8 @@ def _assemble(
     if count <= 0:
         return None
     start_ns += round(first * period * NANOSECONDS)
-    held = current.at(start_ns, period, count)
-    rows = (
-        displacement[first:],
-        force[first:],
-        held,
-        _interpolated(celsius, start_ns, period, count),
-    )
+    temperature = _interpolated(celsius, start_ns, period, count)
+    rows = displacement[first:], force[first:], current.at(start_ns, period, count), temperature
     return Recording(name, start_ns, period, *rows, details)
 
 

@@ -176,12 +176,8 @@ def _message(item: StreamItem) -> tuple[str, int, bytes]:
     stamp_ns = time_ns = item.start_ns if isinstance(item, SampleBlock) else item.stamp_ns
     if isinstance(item, SampleBlock):
         time_ns += round((item.sample_count - 1) * item.period * NANOSECONDS)
-        fields: dict[str, object] = {
-            "seq": item.sequence,
-            "period": item.period,
-            "displacement": item.displacement,
-            "force": item.force,
-        }
+        rows = {"displacement": item.displacement, "force": item.force}
+        fields: dict[str, object] = {"seq": item.sequence, "period": item.period, **rows}
     elif isinstance(item, CurrentReading):
         fields = {"current": item.current}
     else:
