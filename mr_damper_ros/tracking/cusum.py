@@ -89,10 +89,6 @@ class ChangeWatch:
             return 0
         return self.rising_samples if self.rising > self.falling else self.falling_samples
 
-    def quiet(self) -> ChangeWatch:
-        """Return the state with both sums set to zero."""
-        return replace(self, rising=0.0, falling=0.0, rising_samples=0, falling_samples=0)
-
     def follow(self, predicted: Array, measured: Array) -> ChangeWatch:
         """Return the state after further samples (n,) [N].
 

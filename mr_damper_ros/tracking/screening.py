@@ -174,10 +174,8 @@ def _is_stuck(displacement: Array, force: Array) -> bool:
     if stop - start < TURN * force.size:
         return False
     stretch = displacement[start:stop]
-    way_back = max(
-        float(np.min(np.abs(stretch[[0, -1]] - extreme)))
-        for extreme in (stretch.max(), stretch.min())
-    )
+    ends, extremes = stretch[[0, -1]], (stretch.max(), stretch.min())
+    way_back = max(float(np.min(np.abs(ends - extreme))) for extreme in extremes)
     return way_back > TURN * float(np.ptp(displacement))
 
 

@@ -625,8 +625,7 @@ def _fitted(job: Job, window: Window, should_stop: Callable[[], bool] | None) ->
         success=trained.success,
         message=trained.message,
     )
-    remembers = TRACKERS[options.tracker] is not None
-    return final, evidence, FilterState.of(final, job.samples.end_ns) if remembers else None
+    return final, evidence, FilterState.of(final, job.samples.end_ns)
 
 
 def _evidence(job: Job, window: Window, values: Array, validation: np.ndarray) -> Evidence:
@@ -651,7 +650,8 @@ def _look(job: Job, window: Window) -> Outcome:
     newest = slice(window.sample_count - raw.look, None)
     here = window.part(newest).operating_point
     if nearest_same([watch.operating_point], here) is None:
-        memory.watch = watch.quiet()
+        # Both sums start again.
+        memory.watch = replace(watch, rising=0.0, falling=0.0, rising_samples=0, falling_samples=0)
         return unchanged
     # The peak velocity is limited to the range of the running set, as in a prediction.
     held = running.held(window)
@@ -873,8 +873,6 @@ class WindowTracker:
         """
         self.parameters = parameters.of_model(self._settings.model)
         self.memory = memory = replace(memory)
-        if TRACKERS[self._settings.tracker] is None:
-            memory.state = None
         if memory.watch and memory.watch.smallest_change != self._settings.smallest_change:
             memory.watch = None
 
