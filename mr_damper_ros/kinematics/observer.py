@@ -302,9 +302,8 @@ class AdaptiveObserver:
         return displacement
 
     def _use(self, place: int) -> None:
-        if place != self._place:
-            self._place = place
-            self._observer.tune(self.bandwidth)
+        self._place = place
+        self._observer.tune(self.bandwidth)
 
     @property
     def _snap(self) -> float:

@@ -98,12 +98,11 @@ class Prediction:
 
 
 class _Part(NamedTuple):
-    """The fields of a :class:`Prediction` for one part of a block."""
+    """Predicted force [N] and velocity [m/s] of a part of a block, and the objections to it."""
 
     force: Array
     velocity: Array
-    doubts: Codes
-    doubt: Doubt
+    objections: list[Objection]
     motion: Motion | None = None
     current: Array | None = None
 
@@ -321,8 +320,9 @@ class ForcePredictor:
         (placed,) = self.sequence.follow(block)
         whole, bridged = placed.block, placed.bridged
         if placed.kind == "repeat":
-            repeated = Doubt(DoubtKind.REPEATED, placed.sentence)
-            return self._prediction(placed, [_without_force(whole.sample_count, repeated)])
+            unknown = np.full(whole.sample_count, np.nan)
+            repeated = Objection(DoubtKind.REPEATED, placed.sentence)
+            return self._prediction(placed, [_Part(unknown, unknown, [repeated])])
         if placed.kind == "jump_back":
             self._current.follow_jump()
             self.freshness.restart()
@@ -343,20 +343,26 @@ class ForcePredictor:
 
     def _prediction(self, placed: Placed, parts: list[_Part]) -> Prediction:
         """The prediction for the samples that arrived, from the parts of their block in order."""
-        force, velocity, doubts, every, motions, currents = zip(*parts, strict=True)
-        codes = np.concatenate(doubts)[placed.bridged :]
+        doubt, judged = NO_DOUBT, []
+        for part in parts:
+            codes, newest = judge_samples(part.force.size, part.objections)
+            doubt = newest or doubt
+            judged.append((part.force, part.velocity, codes))
+        force, velocity, codes = (
+            np.concatenate(each)[placed.bridged :] for each in zip(*judged, strict=True)
+        )
         return Prediction(
             start_ns=placed.stamp_ns,
             sequence=placed.arrived.sequence,
             period=placed.block.period,
-            force=np.concatenate(force)[placed.bridged :],
-            velocity=np.concatenate(velocity)[placed.bridged :],
+            force=force,
+            velocity=velocity,
             set_id=self.parameters.set_id if self.parameters else "",
             doubts=codes,
-            doubt=[NO_DOUBT, *filter(None, every)][-1] if codes.any() else NO_DOUBT,
+            doubt=doubt if codes.any() else NO_DOUBT,
             continuity=placed.sentence,
-            motion=motions[-1],
-            current=currents[-1],
+            motion=parts[-1].motion,
+            current=parts[-1].current,
         )
 
     def _begin(self, period: float) -> None:
@@ -373,9 +379,9 @@ class ForcePredictor:
         assert self._motion is not None
         self._finish_learning()
         motion = self._motion.follow(block.displacement)
+        unknown = np.full(block.sample_count, np.nan)
         if missing := lack_of_input(self.parameters, self._current, block.start_ns):
-            doubt = Doubt(DoubtKind.MISSING, missing)
-            return _without_force(block.sample_count, doubt, motion.velocity)
+            return _Part(unknown, motion.velocity, [Objection(DoubtKind.MISSING, missing)])
         current = self._current.at(block.start_ns, block.period, block.sample_count)
         self._bank.follow_current(float(current[-1]), block.end_ns)
         parameters = self.parameters
@@ -389,8 +395,8 @@ class ForcePredictor:
         of_set = self._force.follow(motion, current, largest)
         if not np.isfinite(of_set).all():
             self._force.forget()
-            doubt = Doubt(DoubtKind.NOT_FINITE, f"the force of {parameters.set_id} overflows")
-            return _without_force(block.sample_count, doubt, motion.velocity)
+            sentence = f"the force of {parameters.set_id} overflows"
+            return _Part(unknown, motion.velocity, [Objection(DoubtKind.NOT_FINITE, sentence)])
         given = self._bank.uses_given
         of_set = of_set + self._zero.follow(block.sample_count, block.period, counts=given)
         found = self._objections_to_set(block, bridged, motion, current, of_set)
@@ -400,8 +406,7 @@ class ForcePredictor:
         found += self._force.objections(self._monitor.allowed, *arrived)
         if stale:
             found.append(Objection(DoubtKind.OUTDATED, stale))
-        codes, doubt = judge_samples(block.sample_count, found)
-        return _Part(force, motion.velocity, codes, doubt, motion, current)
+        return _Part(force, motion.velocity, found, motion, current)
 
     def _objections_to_set(
         self, block: SampleBlock, bridged: int, motion: Motion, current: Array, force: Array
@@ -451,13 +456,6 @@ class ForcePredictor:
         if refused := self._refused.sentence:
             found.append(Objection(DoubtKind.REFUSED, refused))
         return found
-
-
-def _without_force(count: int, doubt: Doubt, velocity: Array | None = None) -> _Part:
-    """``count`` samples without a force: it is NaN."""
-    unknown = np.full(count, np.nan)
-    codes = np.full(count, doubt.kind, dtype=np.uint8)
-    return _Part(unknown, unknown if velocity is None else velocity, codes, doubt)
 
 
 def _speed(motion: Motion, follower: MotionFollower) -> float:

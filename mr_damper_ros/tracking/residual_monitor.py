@@ -312,7 +312,7 @@ class ResidualMonitor:
         peak = self.recent.peak
         if self._limit == 0.0 or not peak > 0.0:
             return math.inf
-        return float(self._allowed(self._limit * peak, self._noise(peak)))
+        return float(self._allowed(self._limit * peak))
 
     def forget_error(self, known: float = math.nan) -> None:
         """Reset the root mean square error after a change of parameters.
@@ -352,8 +352,8 @@ class ResidualMonitor:
         sizes = np.abs(errors)
         if not float(sizes.max()) < math.inf:
             return [Objection(DoubtKind.WRONG, "the error of the predicted force is not finite")]
-        wrong, wild = self._wrong_samples(errors, sizes, measured, peak)
-        self._follow(sizes[~wild], peak)
+        wrong, wild = self._wrong_samples(errors, measured)
+        self._follow(sizes[~wild])
         if wild.any():
             sentence = (
                 f"the measured force jumps to {measured[wild][-1]:.4g} N at a peak of {peak:.3g} "
@@ -385,23 +385,21 @@ class ResidualMonitor:
             self._time = max(half_cycle, _SHORTEST)
             self._enough = min(self._time, _ENOUGH)
 
-    def _wrong_samples(
-        self, errors: Array, sizes: Array, measured: Array, peak: float
-    ) -> tuple[Mask, Mask]:
+    def _wrong_samples(self, errors: Array, measured: Array) -> tuple[Mask, Mask]:
         """Masks (n,) of the samples with too large an error and of outliers.
 
-        ``errors`` [N] are predicted minus ``measured`` force; ``sizes`` [N] are their magnitudes.
+        ``errors`` [N] are predicted minus ``measured`` force.
         """
         before, self._error = self._error, float(errors[-1])
-        limit, noise = self._limit * peak, self._noise(peak)
+        sizes, peak = np.abs(errors), self.recent.peak
         wrong, wild = np.zeros((2, sizes.size), dtype=bool)
-        if self._wait == 0.0 and float(sizes.max()) <= self._allowed(limit, noise):
+        if self._wait == 0.0 and float(sizes.max()) <= self.allowed:
             self._wild_for = 0
             return wrong, wild
         # If the force grows beyond the recent peak, the limit grows with it.
         largest = np.maximum(np.abs(measured - self.recent.centre), peak)
         begins, stays = (
-            (sizes > self._allowed(part * self._limit * largest, noise)).tolist()
+            (sizes > self._allowed(part * self._limit * largest)).tolist()
             for part in (1.0, _RECOVERED)
         )
         jumps = (np.abs(np.diff(errors, prepend=before)) > peak).tolist()
@@ -419,28 +417,28 @@ class ResidualMonitor:
                 self._wait = max(self._wait - 1.0, 0.0)
         return wrong, wild
 
-    def _follow(self, sizes: Array, peak: float) -> None:
+    def _follow(self, sizes: Array) -> None:
         """Update the root mean square error with the error magnitudes (n,) [N]."""
-        count = sizes.size
+        count, peak = sizes.size, self.recent.peak
         self._compared += count * self._period
         if count == 0:
             return
         most = _LARGEST_ENTRY * self._limit * peak
         if float(sizes.max()) > most:
             sizes = sizes.clip(0.0, most)
-        square = (float(sizes @ sizes) / count - self._noise(peak) ** 2) / peak**2
+        square = (float(sizes @ sizes) / count - self._noise**2) / peak**2
         part = min(count * self._period / self._time, 1.0)
         self._square += part * (square - self._square)
         lasting = self._limit * (_RECOVERED if self.is_wrong else 1.0)
         self.is_wrong = self._square > lasting**2
 
-    @staticmethod
-    def _allowed(limit: Array | float, noise: float) -> Array:
-        """Limit [N] of the error of a sample at this noise [N]."""
-        # Noise may hide part of an error; much noise may itself look like an error.
+    def _allowed(self, limit: Array | float) -> Array:
+        """Limit [N] of the error of a sample: noise may hide part of it, or look like an error."""
         return np.maximum(
-            _USED_PART * limit - SIGMAS * noise, _NOISY_PART * limit + _NOISY_SIGMAS * noise
+            _USED_PART * limit - SIGMAS * self._noise,
+            _NOISY_PART * limit + _NOISY_SIGMAS * self._noise,
         )
 
-    def _noise(self, peak: float) -> float:
-        return min(self.recent.noise, NOTICED * peak)
+    @property
+    def _noise(self) -> float:
+        return min(self.recent.noise, NOTICED * self.recent.peak)
