@@ -136,12 +136,10 @@ def fit_sine(displacement: Array, period: float) -> Sine | None:
 class SavitzkyGolay:
     """Filter that fits a polynomial of degree ``order`` to ``length`` samples around each sample.
 
-    Raises ValueError if the length is even or does not exceed the order.
+    The length is odd and exceeds the order.
     """
 
     def __init__(self, length: int, order: int) -> None:
-        if length % 2 == 0 or length <= order:
-            raise ValueError(f"the length is {length}: it must be odd and above {order}, the order")
         self.length, self._half = length, length // 2
         # In units of half the length, all powers are of similar magnitude.
         self._offsets = np.arange(-self._half, self._half + 1) / self._half
@@ -161,13 +159,10 @@ class SavitzkyGolay:
     def derivative(self, values: Array, order: int = 0, period: float = 1.0) -> Array:
         """Derivative (n,) of values (n,) sampled every ``period`` [s]; order 0 smooths them.
 
-        Near the ends, the polynomial through the first or last ``length`` samples is evaluated.
-
-        Raises ValueError if there are fewer values than the length.
+        There are at least as many values as the filter is long. Near the ends, the polynomial
+        through the first or last ``length`` samples is evaluated.
         """
         length, half = self.length, self._half
-        if values.size < length:
-            raise ValueError(f"there are {values.size} values: at least {length} are needed")
         middle = math.factorial(order) * np.correlate(values, self._fit[order], "valid")
         begin, end = (
             polynomial.polyval(self._offsets, polynomial.polyder(self._fit @ part, order))

@@ -60,10 +60,7 @@ class DoubtKind(IntEnum):
     @property
     def grave(self) -> bool:
         """Whether the code indicates a fault of the rig or the parameters, not missing data."""
-        kinds = DoubtKind
-        return self in (kinds.NOT_FINITE, kinds.TOO_LARGE, kinds.SENSOR) or (
-            self in (kinds.DRIVING, kinds.WRONG, kinds.REFUSED)
-        )
+        return self is DoubtKind.NOT_FINITE or self >= DoubtKind.TOO_LARGE
 
 
 @dataclass(frozen=True)

@@ -260,9 +260,3 @@ def test_the_stream_does_not_depend_on_the_size_of_its_blocks(sizes: list[int]) 
         # Relative to the largest value: the order of summation changes the last digits.
         allowed = 1e-11 * np.max(np.abs(complete))
         np.testing.assert_allclose(np.concatenate(pieces), complete, 0.0, allowed, err_msg=name)
-
-
-@pytest.mark.parametrize("bandwidth", [0.0, -1.0, 0.19, 251.0, math.nan, math.inf])
-def test_a_bandwidth_out_of_range_is_refused(bandwidth: float) -> None:
-    with pytest.raises(ValueError, match="s apart allow"):
-        CausalDifferentiator(PERIOD, bandwidth)

@@ -66,17 +66,6 @@ def test_it_is_the_filter_of_scipy(half: int, more: int, order: int, seed: int) 
     assert found.squared_change() == pytest.approx(weights @ weights, rel=SCIPY_ROUNDING)
 
 
-@pytest.mark.parametrize(("length", "sentence"), [(8, "must be odd"), (3, "above 4, the order")])
-def test_a_length_that_cannot_be_is_refused(length: int, sentence: str) -> None:
-    with pytest.raises(ValueError, match=sentence):
-        SavitzkyGolay(length, 4)
-
-
-def test_too_few_values_are_refused() -> None:
-    with pytest.raises(ValueError, match="there are 6 values: at least 7 are needed"):
-        SavitzkyGolay(7, 4).derivative(np.zeros(6))
-
-
 # -- channels sampled at different times are resampled to common times -----------------------------
 
 PERIOD = 1e-3
