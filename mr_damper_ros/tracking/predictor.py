@@ -450,16 +450,13 @@ class ForcePredictor:
         found += objections_to_age(self._current, confirmed_ns, block.end_ns, settings, live=live)
         if not unproven:
             return found + (compared or [])
+        speed = middle(motion.peak_velocity)
+        if not follower.steady:
+            # In a motion other than a sine, a low peak velocity does not mean a small motion.
+            speed = max(speed, follower.peak.root_mean_square)
         found += objections_to_current(parameters, settings.current_margin, current, self.tried)
         found += compared or []
-        found += objections_to_motion(parameters, settings, _speed(motion, follower), force)
+        found += objections_to_motion(parameters, settings, speed, force)
         if refused := self._refused.sentence:
             found.append(Objection(DoubtKind.REFUSED, refused))
         return found
-
-
-def _speed(motion: Motion, follower: MotionFollower) -> float:
-    """The representative peak velocity [m/s] of a block."""
-    speed = middle(motion.peak_velocity)
-    # In a motion other than a sine, a low peak velocity does not mean a small motion.
-    return speed if follower.steady else max(speed, follower.peak.root_mean_square)

@@ -177,15 +177,15 @@ class ForceStatistics:
             return
         with np.errstate(over="ignore", invalid="ignore"):
             v, f, vv, vf, ff, p, vp, pp = stretches[7:].sum(axis=1).tolist()
-            speed, *sizes = (
-                math.sqrt(max(squares - mean * mean / count, 0.0))
-                for squares, mean in ((vv, v), (ff, f), (pp, p))
-            )
+            speed = math.sqrt(max(vv - v * v / count, 0.0))
+
+            def drives(mean: float, power: float, squares: float) -> bool:
+                size = math.sqrt(max(squares - mean * mean / count, 0.0))
+                return bool(power - v * mean / count < -NEGATIVE_POWER * speed * size)
+
             if speed > 0.0:
-                self.measured_drives, self.predicted_drives = (
-                    bool(power - v * mean / count < -NEGATIVE_POWER * speed * size)
-                    for power, mean, size in zip((vf, vp), (f, p), sizes, strict=True)
-                )
+                self.measured_drives = drives(f, vf, ff)
+                self.predicted_drives = drives(p, vp, pp)
 
 
 _USED_PART = 0.98
