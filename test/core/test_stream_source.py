@@ -10,6 +10,7 @@ import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import closing
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -292,9 +293,13 @@ def test_a_driver_that_fails_in_a_way_of_its_own_is_told_and_tried_again() -> No
     reader.close()
 
 
-def test_the_clock_of_this_computer_may_be_set_and_stamps_follow_it() -> None:
+def test_the_clock_of_this_computer_may_be_set_and_stamps_follow_it(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     now = {"steady": 100, "wall": 10**18}
-    clock = HostClock(START, lambda: now["steady"], lambda: now["wall"])
+    clocks = SimpleNamespace(monotonic_ns=lambda: now["steady"], time_ns=lambda: now["wall"])
+    monkeypatch.setattr("mr_damper_ros.rig.sources.device_source.time", clocks)
+    clock = HostClock(START)
     assert 100 + clock.ahead_ns == START
     now = {"steady": 10**9 + 100, "wall": 10**18 + 10**9 + 500_000}
     assert not clock.was_set(), "half a millisecond is no step"

@@ -242,20 +242,14 @@ class HostClock:
     If the computer's clock is set, the stamps follow it, as the stamps of other devices do.
     """
 
-    def __init__(
-        self,
-        start_ns: int,
-        steady: Callable[[], int] = time.monotonic_ns,
-        wall: Callable[[], int] = time.time_ns,
-    ) -> None:
-        self._steady, self._wall = steady, wall
-        self._apart_ns = wall() - steady()
-        self.ahead_ns = start_ns - steady()
+    def __init__(self, start_ns: int) -> None:
+        self._apart_ns = time.time_ns() - time.monotonic_ns()
+        self.ahead_ns = start_ns - time.monotonic_ns()
         """Offset to add to a time of the steady clock to get its stamp."""
 
     def was_set(self) -> bool:
         """Whether the computer's clock was set since the last call; updates the offset."""
-        moved_ns = self._wall() - self._steady() - self._apart_ns
+        moved_ns = time.time_ns() - time.monotonic_ns() - self._apart_ns
         if abs(moved_ns) > _SET_NS:
             self._apart_ns += moved_ns
             self.ahead_ns += moved_ns
