@@ -9,7 +9,7 @@ import argparse
 import re
 import sys
 import time
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, closing, contextmanager, suppress
 from pathlib import Path
 from typing import Any
@@ -49,13 +49,12 @@ def _demo(options: argparse.Namespace) -> int:
     print(f"bag: {bag}")
     for key, text in recording.details.items():
         print(f"  {key}: {text}")
-    with _own_domain() as stack:
-        running = {name: stack.enter_context(closing(start_node(name))) for name in _NODES}
-        running["live"] = stack.enter_context(closing(start_node("live", port=0)))
-        print(f"live page during this run: {page_of(running['live'])}")
-        from mr_damper_ros.nodes.observer import Observer, listen_to_identification
+    from mr_damper_ros.nodes.observer import Observer, listen_to_identification
 
-        observer = stack.enter_context(Observer("demo"))
+    with _own_domain() as start, Observer("demo") as observer:
+        running = {name: start(name) for name in _NODES}
+        running["live"] = start("live", port=0)
+        print(f"live page during this run: {page_of(running['live'])}")
         reports: list[Any] = []
         last = time.monotonic()
 
@@ -74,9 +73,7 @@ def _demo(options: argparse.Namespace) -> int:
                     f"{' and '.join(_NODES)} did not start within {_START_LIMIT:.0f} s"
                 )
             observer.spin_once()
-        running["replay"] = stack.enter_context(
-            closing(start_node("replay", bag=bag, rate=options.rate, wait_for_subscribers=3))
-        )
+        running["replay"] = start("replay", bag=bag, rate=options.rate, wait_for_subscribers=3)
         print("\nwindow        validation samples: before -> after the fit")
         # After 2 s without a new report, the identifier has finished.
         while running["replay"].running or time.monotonic() - last < 2.0:
@@ -100,19 +97,14 @@ def _demo(options: argparse.Namespace) -> int:
 
 
 def _live(options: argparse.Namespace) -> int:
-    with _own_domain() as stack:
-
-        def started(name: str, **parameters: object) -> Program:
-            return stack.enter_context(closing(start_node(name, **parameters)))
-
-        running = {"live": started("live", port=options.port, allow_commands=True)}
-        running.update((name, started(name)) for name in _NODES)
+    with _own_domain() as start:
+        running = {"live": start("live", port=options.port, allow_commands=True)}
+        running.update((name, start(name)) for name in _NODES)
         print(f"the page is at {page_of(running['live'])}; Ctrl-C ends it", flush=True)
         if options.bag:
-            bag = {"bag": options.bag, "loop": True}
-            running["replay"] = started("replay", wait_for_subscribers=2, **bag)
+            running["replay"] = start("replay", bag=options.bag, loop=True, wait_for_subscribers=2)
         else:
-            running["bridge"] = started("bridge", wait_for_subscribers=2)
+            running["bridge"] = start("bridge", wait_for_subscribers=2)
         with suppress(KeyboardInterrupt):  # Ctrl-C ends the demonstration
             while True:
                 check_running(running)
@@ -121,18 +113,20 @@ def _live(options: argparse.Namespace) -> int:
 
 
 @contextmanager
-def _own_domain() -> Iterator[ExitStack]:
-    """A reserved domain, so that the demonstration does not affect a running laboratory."""
+def _own_domain() -> Iterator[Callable[..., Program]]:
+    """A function that starts nodes of this installation in a reserved domain, until the end.
+
+    So the demonstration does not affect a running laboratory.
+    """
     with RosDomain() as domain, domain.entered(), ExitStack() as stack:
-        yield stack
 
+        def start(name: str, **parameters: object) -> Program:
+            path = Path(sys.argv[0]).resolve().parent / name
+            if not path.exists():
+                raise ValueError(f"{path} does not exist: build the package with `make setup`")
+            return stack.enter_context(closing(Program([str(path), *node_arguments(parameters)])))
 
-def start_node(name: str, **parameters: object) -> Program:
-    """Start a node of this installation; raises ValueError if the package is not built."""
-    path = Path(sys.argv[0]).resolve().parent / name
-    if not path.exists():
-        raise ValueError(f"{path} does not exist: build the package with `make setup`")
-    return Program([str(path), *node_arguments(parameters)])
+        yield start
 
 
 def check_running(running: Mapping[str, Program]) -> None:
