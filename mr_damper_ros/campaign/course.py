@@ -45,15 +45,12 @@ from mr_damper_ros.signals.recording import Recording
 
 
 @one_thread()
-def advise_run(
-    runs: Iterable[RunSource], goal: ForceGoal, limits: MachineLimits, model: str = DEFAULT_MODEL
-) -> Plan:
+def advise_run(runs: Iterable[RunSource], task: CampaignTask) -> Plan:
     """Accuracy of the force from the runs so far, and the next run.
 
     Raises ValueError if a run cannot be used.
     """
-    windows = all_windows(measured_runs(runs))
-    return planned(RunPlanner(known_model(model), goal, limits), windows)[1]
+    return planned(planner_of(task), all_windows(measured_runs(runs)))[1]
 
 
 def planned(

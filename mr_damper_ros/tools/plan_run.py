@@ -149,12 +149,11 @@ def _plan(options: argparse.Namespace) -> int:
     if missing:
         raise ValueError(f"a plan needs {', '.join(missing)} too")
     task = _task(options)
-    goal, limits = task.goal, task.limits
-    plan = advise_run(options.bags, goal, limits, task.model) if options.bags else None
-    run = first_run(goal, limits) if plan is None else plan.run
+    plan = advise_run(options.bags, task) if options.bags else None
+    run = first_run(task.goal, task.limits) if plan is None else plan.run
     document: dict[str, object] = {"state": "run" if plan is None else plan.state.value}
     if plan is not None:
-        _print_accuracy(plan, goal)
+        _print_accuracy(plan, task.goal)
         if plan.reason:
             print(plan.reason)
         elif plan.runs_left is not None:
@@ -164,7 +163,7 @@ def _plan(options: argparse.Namespace) -> int:
         print(f"run {run.sentence}")
         document |= {"run": asdict(run)}
         if options.signal is not None:
-            write_signal(run, options.signal, limits.sample_rate)
+            write_signal(run, options.signal, task.limits.sample_rate)
             print(f"signal: {options.signal}")
     write_json(options, document)
     return OUT_OF_REACH if plan is not None and plan.state is PlanState.OUT_OF_REACH else 0
