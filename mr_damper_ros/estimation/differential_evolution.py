@@ -142,7 +142,7 @@ def evolve(
     the first population. A NaN cost is worse than any other cost.
     """
     best_cost = math.inf
-    generations = evaluations = 0
+    evaluations = 0
 
     def safe_cost(individuals: Array) -> Array:
         nonlocal best_cost, evaluations
@@ -153,8 +153,6 @@ def evolve(
         return costs
 
     def follow(best: Array, convergence: float) -> bool:
-        nonlocal generations
-        generations += 1
         clock.tick(stage, best_cost)
         return clock.stopped
 
@@ -183,5 +181,5 @@ def evolve(
         callback=follow,
         **{keyword: np.random.default_rng(settings.seed)},
     )
-    clock.skip(settings.generations - generations)
+    clock.skip(settings.generations - result.nit)
     return np.asarray(result.x), evaluations

@@ -353,10 +353,11 @@ class GlobalSearch:
         model, windows, start = self.model, self.windows, self.start
         if not windows:
             raise DataError("there are no windows to identify from")
-        top_current = max(float(np.max(np.abs(window.current))) for window in windows)
+        speeds, currents = operating_points_within(windows)
+        top_current = max(map(abs, currents))
         self._neutral = model.without_dependence(start, top_current)
         self._own_neutral = model.without_dependence(model.initial_values()[0], top_current)
-        self.free = self._marked(varied_parameters(model, *operating_points_within(windows)))
+        self.free = self._marked(varied_parameters(model, speeds, currents))
         self._ranges = parameter_ranges(model, windows)
         self._excerpts = Excerpts(model, windows)
         # Parameters that one run determines besides the coefficients (such as a compliance), and
@@ -383,11 +384,10 @@ class GlobalSearch:
         misfit = Misfit(self.model, self.windows, self.noise.tolist(), self.best)
         return _levelled(misfit, self.levels)
 
-    def run(self, method: str) -> None:
-        """Search by one of the methods of :func:`identify_global`.
+    def run(self, method: str) -> Ending:
+        """Search by one of the methods of :func:`identify_global`; returns how the search ended.
 
-        Raises StopRequestedError when the report stops the search; ``best`` is then the best set so
-        far.
+        If the report stops the search, ``best`` is the best set so far.
         """
         try:
             self.search(method)
@@ -396,7 +396,8 @@ class GlobalSearch:
             known = (self.best, self.start, *(fit.parameters for fit in self.fits))
             self.best = min(known, key=self.pooled.mean_square)
             self.free = self._determined(self.pooled)
-            raise
+            return Ending.STOPPED
+        return Ending.EXHAUSTED if self.exhausted else Ending.CONVERGED
 
     def refit(self, whole: GlobalSearch, owners: Sequence[int]) -> None:
         """Fit the windows from the result of a finished search, without searching for starts.
@@ -851,12 +852,7 @@ def identify_global(
 
     def searched(known: Array | None, levels: LevelPrior | None) -> GlobalFit:
         search = GlobalSearch(model, windows, start, settings, clock, known, levels)
-        try:
-            search.run(method)
-            ending = Ending.EXHAUSTED if search.exhausted else Ending.CONVERGED
-        except StopRequestedError:
-            ending = Ending.STOPPED
-        return search.result(method, ending)
+        return search.result(method, search.run(method))
 
     fit = searched(known, None)
     if levels is None:

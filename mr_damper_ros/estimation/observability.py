@@ -52,9 +52,8 @@ def varied_parameters(
 
 def parameter_ranges(model: Model, windows: Sequence[Window]) -> dict[str, tuple[float, float]]:
     """Plausible ranges of the shape parameters for the speeds and currents of the windows."""
-    speeds, _ = operating_points_within(windows)
-    top_current = max(float(np.max(np.abs(window.current))) for window in windows)
-    return model.plausible_ranges(windows, max(speeds), top_current)
+    speeds, currents = operating_points_within(windows)
+    return model.plausible_ranges(windows, max(speeds), max(map(abs, currents)))
 
 
 def current_varies(window: Window) -> bool:

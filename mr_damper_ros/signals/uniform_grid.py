@@ -174,17 +174,15 @@ class Placed:
     "jump_back", "repeat" or "changed_period". ``sentence`` describes an interruption; it is empty
     for "first", "next" and "bridged". The first ``bridged`` samples of the block were not measured.
 
-    ``arrived`` is the new part of the arriving block, with its original stamp. For a repeat,
-    ``arrived`` and ``block`` are both the arriving block. ``stamp_ns`` is the time of the first
-    measured value: the stamp of ``arrived``, unless the values were moved on the time axis. If so,
-    ``measured`` holds a measured force (n,) [N] for each sample, and the time (n,) from the sample
-    to this force in sample periods; otherwise it is None.
+    The block excludes samples that arrived before; for a repeat, it is the arriving block.
+    ``stamp_ns`` is the time of the first measured value: its own stamp, unless the values were
+    moved on the time axis. If so, ``measured`` holds a measured force (n,) [N] for each sample, and
+    the time (n,) from the sample to this force in sample periods; otherwise it is None.
     """
 
     kind: str
     sentence: str
     block: SampleBlock
-    arrived: SampleBlock
     stamp_ns: int
     bridged: int = 0
     measured: tuple[Array, Array] | None = None
@@ -310,7 +308,7 @@ class UniformGrid:
             self.last_interruption = sentence
         if kind == "repeat":
             self.repeated_samples += block.sample_count
-            return Placed(kind, sentence, block, block, block.start_ns)
+            return Placed(kind, sentence, block, block.start_ns)
         self.lost_samples += lost
         if restarts or self._clock is None:
             self._clock = StampClock(block.sequence, block.start_ns, block.period)
@@ -318,7 +316,7 @@ class UniformGrid:
             self._past.keep(0)
             self.last = block
             self._remember(block, 0.0)
-            return Placed(kind, sentence, block, block, block.start_ns)
+            return Placed(kind, sentence, block, block.start_ns)
         assert self.last is not None
         known = _end(self.last) - block.sequence
         if known > 0:
@@ -345,7 +343,7 @@ class UniformGrid:
         self._remember(block, late)
         self.bridged_samples += lost
         self.last = placed
-        return Placed(kind, sentence, placed, block, stamp_ns, lost, measured)
+        return Placed(kind, sentence, placed, stamp_ns, lost, measured)
 
     def _resampled(self, block: SampleBlock, late: float, lost: int, delay: float) -> SampleBlock:
         """The block, preceded by the ``lost`` samples, moved from the sample times to the grid.

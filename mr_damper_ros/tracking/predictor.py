@@ -353,7 +353,7 @@ class ForcePredictor:
         )
         return Prediction(
             start_ns=placed.stamp_ns,
-            sequence=placed.arrived.sequence,
+            sequence=placed.block.sequence + placed.bridged,
             period=placed.block.period,
             force=force,
             velocity=velocity,
