@@ -62,23 +62,15 @@ class RigRecord:
 
         Gaps of up to a tenth of a second are interpolated linearly.
         """
-        rows: list[Array] = []
-        parts: list[list[Array]] = []
-        expected = None
-        for block in self.blocks:
-            missing = None if expected is None else block.sequence - expected
-            expected = block.sequence + block.force.size
-            here = np.stack([block.displacement, block.force])
-            if missing is None or not 0 <= missing * block.period <= _BRIDGED:
-                rows = []
-                parts.append(rows)
-            elif missing:
-                last, place = rows[-1][:, -1:], np.arange(1.0, missing + 1.0) / (missing + 1.0)
-                rows.append(last + (here[:, :1] - last) * place)
-            rows.append(here)
-        joined = [np.concatenate(part, axis=1) for part in parts]
-        longest = max(joined, key=lambda part: part.shape[1], default=np.empty((2, 0)))
-        return longest[0], longest[1]
+        numbers = np.concatenate([b.sequence + np.arange(b.force.size) for b in self.blocks])
+        missing = np.diff(numbers) - 1
+        cuts = np.flatnonzero((missing < 0) | (missing * self.period > _BRIDGED)) + 1
+        part = max(np.split(np.arange(numbers.size), cuts), key=len)
+        places = numbers[part]
+        grid = np.arange(places[0], places[-1] + 1)
+        displacement = np.concatenate([block.displacement for block in self.blocks])[part]
+        force = np.concatenate([block.force for block in self.blocks])[part]
+        return np.interp(grid, places, displacement), np.interp(grid, places, force)
 
 
 @dataclass(frozen=True)
