@@ -65,9 +65,9 @@ class Evidence:
     set changes the force by the fraction ``force_change``; the part ``shape_change`` [1] of its
     force is not proportional to the running set's. ``lead`` is that of :func:`lead_of`. ``loss``
     [1] is the increase of the mean square error, summed over the other recent operating points,
-    divided by its decrease in this window; the running set has the error ``nrmse_elsewhere`` there.
-    For a search, ``recent`` is the NRMSE of both sets at the recent operating points, and
-    ``newest`` that of the running set in the newest window.
+    divided by its decrease in this window; 0 if the running set is not good there. For a search,
+    ``recent`` is the NRMSE of both sets at the recent operating points, and ``newest`` that of the
+    running set in the newest window.
     """
 
     nrmse_before: float
@@ -77,7 +77,6 @@ class Evidence:
     lead: float = math.inf
     shape_change: float = 0.0
     loss: float = 0.0
-    nrmse_elsewhere: float = math.inf
     recent: tuple[float, float] = (math.inf, 0.0)
     newest: float = math.inf
 
@@ -89,7 +88,7 @@ class Evidence:
     @property
     def loses_elsewhere(self) -> bool:
         """Whether the new set is much worse at other points where the running set is good."""
-        return self.loss > _LARGEST_LOSS and self.nrmse_elsewhere <= GOOD_NRMSE
+        return self.loss > _LARGEST_LOSS
 
 
 Comparison = tuple[Array, Array, Array, np.ndarray]
@@ -183,11 +182,9 @@ def evidence_of(
     means = [float(np.mean(each.force)) for each in elsewhere]
     squares = [float(np.mean(each.force**2)) for each in elsewhere]
     variance = float(np.mean(squares) - np.mean(means) ** 2)
-    return replace(
-        evidence,
-        loss=len(elsewhere) * (lost - left) / (before**2 - after**2),
-        nrmse_elsewhere=math.sqrt(left / variance) if variance > 0.0 else math.inf,
-    )
+    if left > GOOD_NRMSE**2 * variance:
+        return evidence
+    return replace(evidence, loss=len(elsewhere) * (lost - left) / (before**2 - after**2))
 
 
 def evidence_of_search(

@@ -723,8 +723,7 @@ def _look(job: Job, window: Window) -> Outcome:
 def _search(job: Job, control: Control | None) -> Outcome:
     """Identify globally; a quarter of each window's samples is validation data."""
     start, memory, points = job.running, _begun(job), job.memory.points
-    validation = [validation_mask(window.sample_count) for window in points.windows]
-    pairs = list(zip(points.windows, validation, strict=True))
+    pairs = [(window, validation_mask(window.sample_count)) for window in points.windows]
     fit = identify_global(
         start.law,
         [window.part(~judges) for window, judges in pairs],

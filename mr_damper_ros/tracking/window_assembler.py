@@ -135,8 +135,7 @@ class WindowAssembler:
         # The newest samples: displacement, force, peak velocity, delay of the force [samples], and
         # the time [ns] since the first sample. A sample's count is its number since the first one.
         self._rows = RollingRows(5)
-        self._begin_ns: int | None = None
-        self._end = 0
+        self._begin_ns = self._end = 0
         self._start = 0  # count of the first sample of the present window
         self._newest = 0  # count at which the newest window with a cycle ends
         # Part of the hop: 0 if the next window is to be fitted, otherwise it is a change check.
@@ -193,7 +192,7 @@ class WindowAssembler:
             self._waiting.clear()
             self._current.follow_jump()
         force, after = placed.measured or (block.force, 0.0)
-        if self._begin_ns is None:
+        if self._end == 0:
             self._begin_ns = block.start_ns
         # Each block restarts from its own stamp, because the real sample rate differs from the
         # nominal one and the error must not accumulate.
@@ -269,7 +268,6 @@ class WindowAssembler:
         displacement, force, peak, after, stamps = samples[:, stride // 2 :: stride]
         if stride > 1:
             displacement = samples[0].reshape(count, stride).mean(axis=1)
-        assert self._begin_ns is not None
         return RawWindow(
             self._begin_ns + int(stamps[0]),
             stride * period,

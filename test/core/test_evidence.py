@@ -83,11 +83,11 @@ def test_a_force_that_does_not_jump_is_judged_as_it_is_predicted() -> None:
         assert evidence.nrmse_before == pytest.approx(0.0, abs=1e-9)
 
 
-def loss_of(values: Array) -> float:
-    """Loss of a set (16,) fitted at 1 A, where the running set is right at 1.4 A."""
+def loss_of(values: Array, truth: Array = known.PLAUSIBLE) -> float:
+    """Loss of a set (16,) fitted at 1 A; at 1.4 A the running set is right if ``truth`` is."""
     run = known.run(scaled(values, 1.0))
     running = ParameterSet(known.PLAUSIBLE, observable=np.ones(16, dtype=bool))
-    elsewhere = (known.run(current=1.4, seed=1).window,)
+    elsewhere = (known.run(truth, current=1.4, seed=1).window,)
     found, count = ParameterSet(values), run.force.size
     validation = validation_mask(count)
     return evidence_of(
@@ -120,6 +120,9 @@ def test_a_set_that_is_right_here_alone_loses_elsewhere() -> None:
     blunt = known.PLAUSIBLE.copy()
     blunt[known.index("a0")] *= 0.3
     assert loss_of(blunt) > 0.5
+    late = known.PLAUSIBLE.copy()
+    late[known.index("k4")] *= 5.0
+    assert loss_of(blunt, late) == 0.0, "the running set is not good there"
 
 
 @pytest.mark.parametrize(("strength", "confirmed"), [(1.9, False), (1.3, True)])
