@@ -217,7 +217,7 @@ def determined(
     """The determined parameters, and runs within the range of the rig that would determine more."""
     found, noise = fit.parameter_set, float(np.median(fit.noise))
     misfit = fit.misfit(windows)
-    runs = extra_runs(found.law, misfit, noise, found.values, found.observable, rig)
+    runs = extra_runs(misfit, noise, found.values, found.observable, rig)
     lines = [
         f"the data determine {result.rank} of {len(result.names)} combinations of the parameters",
         *(f"not determined: {combination.words}" for combination in result.open),

@@ -956,12 +956,7 @@ class ExtraRun:
 
 
 def extra_runs(
-    model: Model,
-    misfit: Misfit,
-    noise: float,
-    parameters: Array,
-    observable: np.ndarray,
-    rig: MachineLimits,
+    misfit: Misfit, noise: float, parameters: Array, observable: np.ndarray, rig: MachineLimits
 ) -> tuple[ExtraRun, ...]:
     """Recommended runs in order; empty if all parameters are determined or no run would help.
 
@@ -970,6 +965,7 @@ def extra_runs(
     determined parameters. A run determines a shape parameter if it reduces the standard error below
     a quarter of the span for most of the sets that may be true.
     """
+    model = misfit.model
     names = np.array(model.parameter_names)
     missing = np.isin(names, [name for law in model.shape_groups for name in law]) & ~observable
     if not missing.any():

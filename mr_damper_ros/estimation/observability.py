@@ -166,7 +166,6 @@ def determination(model: Model, jacobian: Array, spans: Array, parameters: Array
     names = model.parameter_names
     singular = np.zeros(len(names))
     singular[: values.size] = values
-    scales = [name in model.scale_names for name in names]
     loose = singular * SURE <= 1.0
     largest, smallest = float(singular[0]), float(singular[-1])
     return Determination(
@@ -175,25 +174,20 @@ def determination(model: Model, jacobian: Array, spans: Array, parameters: Array
         singular_values=singular,
         rank=int(np.sum(~loose)),
         condition=largest / smallest if smallest > DETERMINED * largest else math.inf,
-        open=_combinations(rows[loose], triangular, model, np.array(scales), (parameters, spans)),
+        open=_combinations(model, rows[loose], triangular, parameters, spans),
     )
 
 
 def _combinations(
-    directions: Array,
-    triangular: Array,
-    model: Model,
-    scales: np.ndarray,
-    values_and_spans: tuple[Array, Array],
+    model: Model, directions: Array, triangular: Array, values: Array, spans: Array
 ) -> tuple[Combination, ...]:
     """A basis of the rows (d, p) in which each vector has a different leading parameter.
 
     It is computed by Gauss-Jordan elimination with complete pivoting, because singular vectors
     would mix unrelated parameters.
     """
-    names, (values, spans) = model.parameter_names, values_and_spans
-    basis = np.array(directions)
-    preference = np.where(scales, 1.0, _PREFER_SHAPE)
+    names, basis = model.parameter_names, np.array(directions)
+    preference = np.where(np.isin(names, model.scale_names), 1.0, _PREFER_SHAPE)
     leads: list[int] = []
     for step in range(len(basis)):
         sizes = np.abs(basis[step:]) * preference

@@ -136,8 +136,8 @@ class ProfileLikelihood:
         # Visited sets and their costs. The given parameters may not be at the minimum over the
         # other parameters, so they are refitted first.
         visited = [self._refitted(place, [self._refitted(place, [self._start])[0]])]
-        self._walk(visited, place, step, high, scale)
-        self._walk(visited, place, -step, low, scale)
+        self._walk(visited, place, step, high)
+        self._walk(visited, place, -step, low)
         ordered = sorted(visited, key=lambda each: float(each[0][place]))
         values, first = np.unique([each[place] for each, _ in ordered], return_index=True)
         roots = _roots(np.minimum.reduceat([cost for _, cost in ordered], first), scale)
@@ -165,7 +165,6 @@ class ProfileLikelihood:
             free = ChosenParameters(self._misfit, values, others)
             problem = Posterior(free, Prior(values, self._spans).at(others), weak)
             search = LocalSearch(problem, problem.start, self._should_stop)
-            search.try_out(problem.start)
             search.least_squares(tolerance=self._model.effort.tolerance)
             found = problem.parameters(search.best)
             cost = self._cost(found)
@@ -180,12 +179,7 @@ class ProfileLikelihood:
         return float(residual @ residual)
 
     def _walk(
-        self,
-        visited: list[tuple[Array, float]],
-        place: int,
-        step: float,
-        limit: float,
-        scale: float,
+        self, visited: list[tuple[Array, float]], place: int, step: float, limit: float
     ) -> None:
         """Step away from the minimum until the ratio exceeds its quantile, or to ``limit``.
 
@@ -194,6 +188,7 @@ class ProfileLikelihood:
         """
         linear = frozenset(self._model.linear) - {self._model.parameter_names[place]}
         here = before = visited[0][0]
+        scale = float(self._scales[place])
         root = _roots([cost for _, cost in visited], scale)[0]
         for _ in range(_MOST_STEPS):
             value, moved = float(here[place]), float(here[place] - before[place])

@@ -141,7 +141,7 @@ def flags(chosen: list[Window]) -> np.ndarray:
 
 
 def advised(chosen: list[Window], rig: MachineLimits = RIG) -> tuple[ExtraRun, ...]:
-    return extra_runs(SIGMOID, pooled(chosen), known.NOISE, known.PLAUSIBLE, flags(chosen), rig)
+    return extra_runs(pooled(chosen), known.NOISE, known.PLAUSIBLE, flags(chosen), rig)
 
 
 OPEN = {
