@@ -236,10 +236,10 @@ class TextFile:
         )
 
     def _example(self, skipped: int) -> str:
-        """Description of one of the last rows, as an example for a message."""
+        """Description of a row in the middle of the file, as an example for a message."""
         if skipped == self._row_count:
             return "its header is its last line" if skipped else "it is empty"
-        line, fields = next(self._split(self._last[:1]))
+        line, fields = next(islice(self._rows(), (skipped + self._row_count) // 2, None))
         dates = any(seconds_since_1970(field) is not None for field in fields)
         hint = " (the unit of a date is time:datetime)" if dates else ""
         return f"its line {line} has {len(fields)} columns, '{'; '.join(fields)}'{hint}"
@@ -247,9 +247,8 @@ class TextFile:
     def _filled_lines(self) -> Iterator[tuple[int, str]]:
         """Line numbers (from 1) and text of the lines that are not empty."""
         with self._open() as file:
-            number = 0
-            while line := file.readline(_LONGEST_LINE + 1):
-                number += 1
+            lines = iter(lambda: file.readline(_LONGEST_LINE + 1), "")
+            for number, line in enumerate(lines, start=1):
                 if len(line) > _LONGEST_LINE:
                     raise RecordError(
                         f"line {number} of {self._name} has more than {_LONGEST_LINE} characters: "

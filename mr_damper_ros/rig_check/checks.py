@@ -42,11 +42,6 @@ class RigRecord:
     saturated: dict[str, tuple[int, int]] = field(default_factory=dict)
     """Number of clipped samples omitted by the source, by channel: first and last report."""
 
-    def left_out(self, channel: str) -> int:
-        """Number of clipped samples that the source omitted during the check."""
-        first, last = self.saturated.get(channel, (0, 0))
-        return max(last - first, 0)
-
     @property
     def period(self) -> float:
         """The median of the stated sample periods [s]; NaN without blocks."""
@@ -393,19 +388,18 @@ def _count_findings(record: RigRecord) -> Iterator[RigFinding]:
             continue
         lost += max(missing, 0)
         restarts += missing < 0 or (missing == 0 and abs(late) > 1.0)
-        expected, due_ns = (
-            end,
-            block.start_ns + round((end - block.sequence) * block.period * NANOSECONDS),
-        )
+        expected = end
+        due_ns = block.start_ns + round(block.force.size * block.period * NANOSECONDS)
     if repeated:
         # A block that arrives after its successor was first counted as missing.
         lost = max(lost - repeated * round(np.median([b.force.size for b in record.blocks])), 0)
         yield Trouble.REPEATED.found(count=repeated)
-    left_out = {name: record.left_out(name) for name in ("displacement", "force")}
-    for name, count in left_out.items():
-        if count:
-            yield Trouble.CLIPPED.found(name, how=f", and its source omitted {count} samples")
-    known = sum(left_out.values())
+    channels = ("displacement", "force")
+    saturated = {name: record.saturated[name] for name in channels if name in record.saturated}
+    omitted = {name: last - first for name, (first, last) in saturated.items() if last > first}
+    for name, count in omitted.items():
+        yield Trouble.CLIPPED.found(name, how=f", and its source omitted {count} samples")
+    known = sum(omitted.values())
     if lost and not (known and (lost - known) * record.period < _COUNT_TOLERANCE):
         whole = lost + record.sample_count
         yield Trouble.LOST.found(count=lost, whole=whole, share=lost / whole)
