@@ -79,6 +79,7 @@ def test_every_kind_is_there_where_the_machine_can_make_it() -> None:
     assert Counter(run.kind for run in named) == counts
     sines = candidate_runs(GOAL, replace(LIMITS, motions=(MotionKind.SINE,)))
     assert {run.kind for run in sines} == {MotionKind.SINE}
+    assert (0.0, 0.3, 0.6, 0.9, 1.2, 1.5) in {run.currents for run in sines}
 
 
 @RUNS

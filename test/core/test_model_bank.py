@@ -67,7 +67,10 @@ def test_at_a_slow_sample_rate_the_bank_judges_by_a_single_sample() -> None:
 
 def test_a_set_fits_at_the_currents_of_the_windows_that_confirm_it() -> None:
     sets = sets_of((identified("window", (0.0, 2.0)), 1))
-    for stamp_ns, currents in enumerate(((1.0, 1.0), (0.4, 0.5)), start=2):
+    for stamp_ns, currents in enumerate(((1.0, 1.0), (0.4, 0.5), (0.6, 0.7)), start=2):
         sets.confirm("window", stamp_ns, currents)
     assert sets.present.currents == (0.4, 1.0)
     assert [sets.present.fits_at(current) for current in (0.3, 0.7, 1.2)] == [False, True, False]
+    # The windows of one set say nothing of the next.
+    sets.add(identified("next", (0.0, 2.0)), 9)
+    assert (sets.present.parameters.set_id, sets.present.currents) == ("next", None)
