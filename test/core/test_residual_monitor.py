@@ -69,6 +69,17 @@ def test_new_parameters_after_wrong_ones_prove_right_first_unless_their_error_is
     assert rules == []
 
 
+def test_a_force_that_drives_the_motion_is_no_objection_to_the_next_set() -> None:
+    watch, _ = watch_of(0.0)
+    parts = np.split(PEAK * np.sin(2.0 * np.pi * PERIOD * np.arange(3000)), 300)
+    for sign, drives in ((-1.0, True), (1.0, False)):
+        for part in parts if drives else parts[:20]:
+            along = (sign * part, part), part / PEAK, np.ones(part.size), 0.5
+            watch.recent.add(*along, steady=True, largest=lambda: PEAK)
+        assert watch.recent.predicted_drives is drives
+        watch.forget_error()
+
+
 # -- the peak to which errors are relative ---------------------------------------------------------
 
 
