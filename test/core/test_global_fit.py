@@ -1,6 +1,7 @@
 """One set for many runs: the true parameters if determined, otherwise the initial values."""
 
 import math
+from dataclasses import replace
 from functools import cache
 
 import known
@@ -199,6 +200,17 @@ def test_every_method_reaches_the_noise(method: str) -> None:
     fit = identify_global(SIGMOID, windows, LITERATURE, QUICK, method=method)
     assert excess(windows, fit) < AT_THE_NOISE_OF_FEW
     assert fit.success
+
+
+def test_the_errors_of_a_single_window_contain_its_model_error() -> None:
+    window = known.run(samples=2000, period=2e-3, frequency=1.0).window
+    wave = 60.0 * np.sin(2.0 * np.pi * 7.0 * 2e-3 * np.arange(2000))
+    scales = [known.index(name) for name in SCALE_PARAMETER_NAMES]
+    of_noise, of_both = (
+        np.diag(identify_global(SIGMOID, (each,), LITERATURE, FEW).covariance)[scales]
+        for each in (window, replace(window, force=window.force + wave))
+    )
+    assert np.all(of_both > 9.0 * of_noise)
 
 
 def test_differential_evolution_over_the_samples_mostly_comes_near() -> None:
