@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 from hypothesis import HealthCheck, settings
+from scipy.signal import lfilter
 
 from mr_damper_ros.kinematics.motion import Motion
 from mr_damper_ros.kinematics.peak_velocity import peak_velocity
@@ -141,6 +142,12 @@ class Run:
     def noise_rms(self) -> float:
         """RMSE [N] of the true force against the measured one."""
         return rms(self.force - self.clean)
+
+
+def correlated_noise(count: int, memory: float, seed: int) -> Array:
+    """Noise of unit variance whose autocorrelation falls as memory^lag, shape (count,)."""
+    white = np.random.default_rng(seed).normal(0.0, math.sqrt(1.0 - memory**2), count + 500)
+    return np.asarray(lfilter([1.0], [1.0, -memory], white)[500:])
 
 
 def run(

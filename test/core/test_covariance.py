@@ -6,7 +6,6 @@ from functools import cache
 import known
 import numpy as np
 import pytest
-from scipy.signal import lfilter
 
 from mr_damper_ros.estimation.covariance import (
     correlation_length,
@@ -33,14 +32,8 @@ def design(seed: int = 0) -> Array:
     return np.asarray(columns * np.array([1.0, 1e-3, 1e4]))
 
 
-def correlated(seed: int, memory: float, scale: float = 1.0) -> Array:
-    """A residual of unit variance whose autocorrelation falls as memory^lag."""
-    white = np.random.default_rng(seed).normal(0.0, np.sqrt(1.0 - memory**2), N + 500)
-    return np.asarray(scale * lfilter([1.0], [1.0, -memory], white)[500:])
-
-
 def test_what_is_unknown_leaves_the_others_alone_where_the_residual_is_correlated() -> None:
-    jacobian, residual = design(), correlated(0, 0.95)
+    jacobian, residual = design(), known.correlated_noise(N, 0.95, 0)
     padded = np.insert(jacobian, 1, 0.0, axis=1)
     covariance = least_squares_covariance(padded, residual)
     assert np.isnan(np.diag(covariance)).tolist() == [False, True, False, False]
@@ -55,7 +48,7 @@ def test_the_covariance_is_that_of_repeated_experiments(memory: float) -> None:
     solve = np.linalg.pinv(jacobian)
     estimates, claimed = [], []
     for seed in range(300):
-        noise = correlated(seed, memory)
+        noise = known.correlated_noise(N, memory, seed)
         estimate = solve @ noise
         estimates.append(estimate)
         claimed.append(np.diag(least_squares_covariance(jacobian, noise - jacobian @ estimate)))
@@ -67,7 +60,7 @@ def test_the_covariance_is_that_of_repeated_experiments(memory: float) -> None:
 @pytest.mark.parametrize("memory", [0.5, 0.8, 0.95])
 def test_the_length_of_a_correlation_is_found(memory: float) -> None:
     exact = 4.0 * np.log(0.05) / np.log(memory)
-    lengths = [correlation_length(correlated(seed, memory)) for seed in range(30)]
+    lengths = [correlation_length(known.correlated_noise(N, memory, seed)) for seed in range(30)]
     assert np.median(lengths) == pytest.approx(exact, rel=0.2)
 
 

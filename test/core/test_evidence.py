@@ -6,7 +6,6 @@ from dataclasses import replace
 import known
 import numpy as np
 import pytest
-from scipy.signal import lfilter
 
 from mr_damper_ros.emulation.emulator import scaled
 from mr_damper_ros.kinematics.window import Window
@@ -21,17 +20,11 @@ CHANCE = 0.15
 """Three standard errors of the mean lead, plus two of its standard deviation."""
 
 
-def noise(memory: float, seed: int) -> Array:
-    """Noise of unit variance whose autocorrelation falls as memory^lag, shape (N,)."""
-    white = np.random.default_rng(seed).normal(0.0, math.sqrt(1.0 - memory**2), N + 500)
-    return np.asarray(lfilter([1.0], [1.0, -memory], white)[500:])
-
-
 def lead(memory: float, seed: int, ahead: float) -> float:
     """Lead of a new force over an old one 0.1 away; the truth lies ``ahead`` of the middle."""
     loop = np.sin(np.arange(N) / 80.0)
     old, new = 100.0 * loop, 100.1 * loop
-    measured = 0.5 * (old + new) + ahead * (new - old) + noise(memory, seed)
+    measured = 0.5 * (old + new) + ahead * (new - old) + known.correlated_noise(N, memory, seed)
     judges = validation_mask(N)
     return lead_of([(old, new, measured, judges)])
 

@@ -7,7 +7,6 @@ import known
 import numpy as np
 import pytest
 from known import SIGMOID
-from scipy.signal import lfilter
 
 from benchmarks import following
 from mr_damper_ros.estimation.covariance import NoiseModel, error_covariances
@@ -117,12 +116,6 @@ SCATTER = (0.75, 1.3)
 """Allowed ratio of standard deviations: scatter of the runs, and 20 % error of the estimate."""
 
 
-def noise(memory: float, seed: int) -> Array:
-    """Noise of unit variance whose autocorrelation falls as memory^lag, shape (N,)."""
-    white = np.random.default_rng(seed).normal(0.0, math.sqrt(1.0 - memory**2), N + 500)
-    return np.asarray(lfilter([1.0], [1.0, -memory], white)[500:])
-
-
 def design(phase: float) -> Array:
     """Two columns of a motion that repeats in every cycle, shape (N, 2)."""
     angle = 2.0 * np.pi * (np.arange(N) / CYCLE + phase)
@@ -137,7 +130,9 @@ def repeated(memory: float, misfit: float) -> tuple[Array, Array, Array]:
         phase = rng.random()
         columns = design(phase)
         third = np.sin(6.0 * np.pi * (np.arange(N) / CYCLE + phase))
-        measured = columns @ [100.0, 10.0] + misfit * third + noise(memory, seed)
+        measured = (
+            columns @ [100.0, 10.0] + misfit * third + known.correlated_noise(N, memory, seed)
+        )
         fit = np.linalg.lstsq(columns, measured, rcond=None)[0]
         errors = error_covariances(columns, columns @ fit - measured, CYCLE)
         fits.append(fit)
@@ -165,7 +160,9 @@ def test_a_misfit_is_a_discrepancy_and_noise_is_none() -> None:
 
 @pytest.mark.parametrize("memory", [0.0, 0.5, 0.8, 0.95])
 def test_the_integrated_time_is_that_of_the_noise(memory: float) -> None:
-    times = [NoiseModel.of(noise(memory, seed)).integrated_time for seed in range(40)]
+    times = [
+        NoiseModel.of(known.correlated_noise(N, memory, seed)).integrated_time for seed in range(40)
+    ]
     assert np.mean(times) == pytest.approx((1.0 + memory) / (1.0 - memory), rel=0.05)
 
 
