@@ -2,6 +2,7 @@
 
 import csv
 import json
+import shutil
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from pathlib import Path
@@ -103,8 +104,6 @@ def test_nothing_is_done_again(found: mr.ManyDampers, lot: Path, results: Path) 
 def test_only_the_damper_whose_files_have_changed_is_done_again(
     found: mr.ManyDampers, lot: Path, tmp_path: Path
 ) -> None:
-    import shutil
-
     other = tmp_path / "lot"
     shutil.copytree(lot / "D5", other / "D5")
     shutil.copytree(lot / "D6", other / "D6")
