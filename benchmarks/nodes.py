@@ -79,7 +79,7 @@ class Nodes:
             program = self.programs.pop(name)
             program.stop()
             self._ended.append(program.log)
-            program.forget()
+            program.close()
 
     def close(self) -> None:
         """End all programs."""

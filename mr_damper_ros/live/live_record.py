@@ -7,6 +7,7 @@ exert no back-pressure.
 
 from __future__ import annotations
 
+import itertools
 import math
 import secrets
 import threading
@@ -25,9 +26,6 @@ from mr_damper_ros.signals.arrays import Array
 from mr_damper_ros.signals.blocks import LATE_NS, NANOSECONDS, SILENCE
 from mr_damper_ros.tracking.reports import Report
 
-_PART = 4
-"""A full table discards 1 / ``_PART`` of its rows at once, so that the cost per row is small."""
-
 Join = Callable[[Array], Array]
 """Joins pairs of rows: (k, 2, columns) to (k, columns)."""
 
@@ -40,8 +38,9 @@ def first_of_two(pairs: Array) -> Array:
 class RollingTable:
     """Rows of numbers with consecutive indices from 0.
 
-    A full table discards its oldest quarter. With ``join``, it joins the pairs of rows of its older
-    half instead, so that the past stays in the table with decreasing resolution.
+    A full table discards its oldest quarter, so that the cost per row is small. With ``join``, it
+    joins the pairs of rows of its older half instead, so that the past stays in the table with
+    decreasing resolution.
     """
 
     def __init__(
@@ -59,12 +58,11 @@ class RollingTable:
         self._rows = np.full((capacity, len(self.columns)), np.nan)
         self._size = 0
         self.next_index = 0
-        """Index of the next row."""
 
     def extend(self, rows: Sequence[Sequence[float]] | Array) -> None:
         """Add rows (k, columns)."""
         values = np.asarray(rows, dtype=np.float64)
-        longest = len(self._rows) // _PART
+        longest = len(self._rows) // 4
         for first in range(0, len(values), longest):
             part = values[first : first + longest]
             while self._size + len(part) > len(self._rows):
@@ -83,7 +81,7 @@ class RollingTable:
     def _make_room(self) -> None:
         rows = self._rows[: self._size]
         if self._join is None:
-            kept = rows[self._size // _PART :].copy()
+            kept = rows[self._size // 4 :].copy()
         else:
             older = 2 * (self._size // 4)
             pairs = rows[:older].reshape(-1, 2, rows.shape[1])
@@ -111,10 +109,6 @@ Each row holds the smallest and largest values, and the fraction of valid force.
 computed from valid force only.
 """
 
-_LOWS, _HIGHS = slice(0, 2 + len(_RANGED)), slice(2 + len(_RANGED), -1)
-"""Columns of the history, after the index, of which a joined row holds the smaller value of two
-rows (the index and the time included), and the larger one."""
-
 WINDOWS = (
     *("time", "nrmse_before", "nrmse_after", "force_scale", "force_scale_error"),
     *("temperature", "fluid_temperature", "fluid_temperature_error", "current", "peak_velocity"),
@@ -140,21 +134,6 @@ SAMPLES_KEPT = 10_000
 HISTORY_KEPT = 36_000
 """Number of rows in one hour; the older half of a longer run is stored at a lower resolution."""
 
-_RATE = 100.0
-"""Rows of signals per second of data, enough for the display of a motion of a few hertz."""
-
-_TIME_TOLERANCE = 1e-3
-"""Tolerance of times, in rows, because seconds since 1970 are rounded to 0.24 µs."""
-
-_SLOPE = 4e-3
-"""Half-width [s] of a line fitted to the displacement, whose slope is the velocity (page.js)."""
-
-_HISTORY_STEP = 0.1
-MARKS_KEPT = 500
-
-_LEVEL_TIME = 0.5
-"""Shortest duration [s] of a level, so that a controller's continuous changes are not counted."""
-
 WINDOWS_KEPT = 2000
 SETS_KEPT = 1000
 SENTENCES_KEPT = 200
@@ -163,16 +142,6 @@ CONCERNS_KEPT = 200
 
 ENDED = "ended"
 """Value in the last diagnostic of a node that has done its work; its silence is no fault."""
-
-_ERROR = 2
-"""Diagnostic level of an error."""
-
-
-_OF_A_REPORT = (
-    *("nrmse_before", "nrmse_after", "temperature", "current", "peak_velocity", "amplitude"),
-    *("frequency", "verdict", "accepted"),
-)
-"""Columns of the table ``windows`` that a report has under the same name."""
 
 
 @dataclass(frozen=True)
@@ -227,10 +196,10 @@ class LiveRecord:
         self._recorded = recorded
         self._signals_kept = signals_kept
         self._lock = threading.Lock()
-        # A random start, because viewers of an earlier process may still send requests.
-        self._generations = secrets.randbits(31)
+        # Numbers of tables, windows, faults and marks. They have a random start, because viewers of
+        # an earlier process may still send requests.
+        self._numbers = itertools.count(1 + secrets.randbits(31))
         self._sentences: deque[dict[str, Any]] = deque(maxlen=SENTENCES_KEPT)
-        self._windows_seen = self._fault_count = self._mark_count = 0
         self.last_report: Report | None = None
         """The report on the last window; None before the first."""
         self.parameters: ParameterSet | None = None
@@ -238,7 +207,7 @@ class LiveRecord:
         self._concerns: dict[str, tuple[Concern, float]] = {}
         self._faults: dict[str, Fault] = {}
         self._events: deque[str] = deque(maxlen=SENTENCES_KEPT)
-        self._marks: deque[dict[str, Any]] = deque(maxlen=MARKS_KEPT)
+        self._marks: deque[dict[str, Any]] = deque(maxlen=500)
         self._set_points: dict[str, tuple[float, float]] = {}
         self._currents: deque[tuple[float, float]] = deque(maxlen=SAMPLES_KEPT)
         self._current = math.nan
@@ -258,16 +227,14 @@ class LiveRecord:
         # candidate, and the time at which the present level ended.
         self._level = self._next_level = math.nan
         self._level_since = self._level_left = -math.inf
-        self._origin = math.nan
-        self._last_time = -math.inf
+        self._origin = self._last_time = math.nan
         self._recent: Array = np.empty((0, len(SAMPLES)))
         self._tick = -math.inf
 
     def _add_table(
         self, name: str, columns: Sequence[str], capacity: int, join: Join | None = None
     ) -> None:
-        self._generations += 1
-        self._tables[name] = RollingTable(columns, capacity, join, self._generations)
+        self._tables[name] = RollingTable(columns, capacity, join, next(self._numbers))
 
     def add_current(self, time_s: float, current: float) -> None:
         """Add a reading of the supply current [A], stamped ``time_s`` [s]."""
@@ -302,7 +269,8 @@ class LiveRecord:
             self._tables["samples"].extend(rows)
             if velocity is None:
                 rows, velocity = self._with_slope(rows, period)
-            ticks = np.floor(rows[:, 0] * _RATE + _TIME_TOLERANCE)
+            # Seconds since 1970 are rounded to 0.24 µs.
+            ticks = np.floor(rows[:, 0] * 100.0 + 1e-3)
             due = np.flatnonzero(np.diff(ticks, prepend=self._tick))
             self._tick = float(ticks[-1]) if ticks.size else self._tick
             chosen = np.column_stack([rows, velocity])[due]
@@ -313,8 +281,11 @@ class LiveRecord:
                 self._add_row(row, valid=trusted > 0.0)
 
     def _with_slope(self, rows: Array, period: float) -> tuple[Array, Array]:
-        """The rows (k, columns) with a known velocity, and that velocity (k,)."""
-        half = max(round(_SLOPE / period), 1)
+        """The rows (k, columns) with a known velocity, and that velocity (k,).
+
+        It is the slope of a line fitted to the displacement within 4 ms, as in page.js.
+        """
+        half = max(round(4e-3 / period), 1)
         if self._recent.size and rows[0, 0] - self._recent[-1, 0] > 1.5 * period:
             self._recent = self._recent[:0]
         rows = np.concatenate([self._recent, rows])
@@ -332,7 +303,7 @@ class LiveRecord:
         error = row[5] - row[4]
         wanted = (self._set_point(name) for name in ("current_command", "desired_force"))
         self._tables["signals"].extend([(*row, error, *wanted, float(valid))])
-        if self._tenth and self._last_time >= self._tenth[0][0] + _HISTORY_STEP:
+        if self._tenth and self._last_time >= self._tenth[0][0] + 0.1:
             rows, self._tenth = np.array(self._tenth), []
             low, high = (np.fmin.reduce(rows), np.fmax.reduce(rows))
             self._tables["history"].extend([(*low[:7], *high[1:7], rows[:, 7].mean())])
@@ -340,12 +311,15 @@ class LiveRecord:
         self._follow_current(self._last_time, row[3])
 
     def _follow_current(self, time_s: float, current: float) -> None:
-        """Add a mark for each step of the current from one level to the next."""
+        """Add a mark for each step of the current from one level to the next.
+
+        A level lasts for half a second, so that a controller's continuous changes do not count.
+        """
         if not abs(current - self._next_level) <= SAME_CURRENT:
             if self._next_level == self._level:
                 self._level_left = time_s
             self._next_level, self._level_since = current, time_s
-        elif self._next_level != self._level and time_s - self._level_since >= _LEVEL_TIME:
+        elif self._next_level != self._level and time_s - self._level_since >= 0.5:
             if abs(self._next_level - self._level) > SAME_CURRENT:
                 step = f"{self._level:.3g} to {self._next_level:.3g} A"
                 self._mark("current", step, self._level_left)
@@ -368,13 +342,12 @@ class LiveRecord:
 
     def _mark(self, kind: str, text: str, time_s: float) -> None:
         """Add an event: a set, a fault, a step of the current, the start or end of a recording."""
-        self._mark_count += 1
-        self._marks.append({"number": self._mark_count, "time": time_s, "kind": kind, "text": text})
+        number = next(self._numbers)
+        self._marks.append({"number": number, "time": time_s, "kind": kind, "text": text})
 
     def add_report(self, report: Report, duration: float) -> None:
         """Add the result of a window, whose fit took ``duration`` [s]."""
         figures = {
-            **{name: float(getattr(report, name)) for name in _OF_A_REPORT},
             "time": report.stamp_ns / NANOSECONDS,
             "force_scale": report.scale.value,
             "force_scale_error": report.scale.standard_error,
@@ -382,14 +355,15 @@ class LiveRecord:
             "fluid_temperature_error": report.fluid.standard_error,
             "fit_duration": duration,
         }
+        # The report has the other columns under the same name.
+        row = [float(figures.get(name, getattr(report, name, math.nan))) for name in WINDOWS]
         with self._lock:
-            self._tables["windows"].extend([[figures[name] for name in WINDOWS]])
-            self._windows_seen += 1
+            self._tables["windows"].extend([row])
             self.last_report = report
             self._sentences.append(
                 {
-                    **figures,
-                    "number": self._windows_seen,
+                    **dict(zip(WINDOWS, row, strict=True)),
+                    "number": next(self._numbers),
                     "verdict": report.verdict.name,
                     "reason": report.reason,
                     "accepted": report.accepted,
@@ -397,7 +371,7 @@ class LiveRecord:
                 }
             )
             if known := report.known_coefficients:
-                self._trace("coefficients", figures["time"], known, WINDOWS_KEPT)
+                self._trace("coefficients", row[0], known, WINDOWS_KEPT)
 
     def set_parameters(self, seen: ParameterSet) -> None:
         """Set the parameter set in use."""
@@ -405,8 +379,7 @@ class LiveRecord:
             self.parameters = seen
             # A set without a stamp was not identified from samples, and is in use from now on.
             since = seen.stamp_ns / NANOSECONDS if seen.stamp_ns else self._last_time
-            since_known = since if math.isfinite(since) else math.nan
-            self._trace("parameters", since_known, seen.known_parameters, SETS_KEPT)
+            self._trace("parameters", since, seen.known_parameters, SETS_KEPT)
             self._mark("set", f"{seen.set_id} ({seen.source.replace('_', ' ')})", since)
 
     def _trace(
@@ -429,7 +402,7 @@ class LiveRecord:
                 self._judge_silences()
                 self._concerns[concern.name] = (concern, self._clock())
                 self._judge_silences()
-                self._judge(concern.name, concern.message, wrong=concern.level == _ERROR)
+                self._judge(concern.name, concern.message, wrong=concern.level == 2)
 
     def _judge_silences(self) -> None:
         """List silent nodes as faults."""
@@ -452,9 +425,8 @@ class LiveRecord:
         if wrong and fault is not None and fault.active:
             fault.message = message
         elif wrong:
-            self._fault_count += 1
             since = self._clock() if fault is None else fault.since
-            self._faults[name] = Fault(self._fault_count, name, message, since)
+            self._faults[name] = Fault(next(self._numbers), name, message, since)
             self._mark("fault", f"{name}: {message}", self._last_time)
         elif fault is not None:
             fault.active = False
@@ -535,7 +507,8 @@ class LiveRecord:
 def _joined_ranges(pairs: Array) -> Array:
     """Join pairs of rows of the history; the first column is the index."""
     low, high = np.fmin.reduce(pairs, axis=1), np.fmax.reduce(pairs, axis=1)
-    return np.column_stack([low[:, _LOWS], high[:, _HIGHS], pairs[:, :, -1].mean(axis=1)])
+    lows, highs = low[:, : 2 + len(_RANGED)], high[:, 2 + len(_RANGED) : -1]
+    return np.column_stack([lows, highs, pairs[:, :, -1].mean(axis=1)])
 
 
 def _of_the_set(seen: ParameterSet | None) -> dict[str, object]:

@@ -58,8 +58,9 @@ _LARGEST_REJECTED_BODY = 1 << 16
 """Largest number of bytes read from a rejected body. If a connection is closed with unread bytes,
 the answer is lost."""
 
-_LOCAL = frozenset({"localhost", "127.0.0.1", "::1"})
-_ANY = frozenset({"0.0.0.0", "::"})
+LOCAL = frozenset({"localhost", "127.0.0.1", "::1"})
+"""Hosts to which only this computer can connect."""
+
 
 _NETLOC = re.compile(r"(?:\[([0-9A-Fa-f:.]+(?:%[\w.-]+)?)\]|([\w.-]+))(?::[0-9]{1,5})?", re.ASCII)
 _WHOLE_NUMBER = re.compile(r"-?[0-9]{1,15}", re.ASCII)
@@ -74,11 +75,6 @@ _SECURITY = {
     "Referrer-Policy": "no-referrer",
     "Cache-Control": "no-store",
 }
-
-
-def is_local(host: str) -> bool:
-    """Whether only this computer can connect to this address."""
-    return host in _LOCAL
 
 
 def host_of(netloc: str) -> str:
@@ -104,7 +100,7 @@ Command = Callable[[str, Mapping[str, str]], bool]
 """Handler of a command; receives its name and arguments, returns False if the queue is full."""
 
 
-class PageServer:
+class PageServer(ThreadingTCPServer):  # an HTTPServer looks up its name, slow without a network
     """Serves the page of a record at ``address``; port 0 selects a free port.
 
     The server answers only requests to the names of this computer, to the address of the connection
@@ -115,6 +111,11 @@ class PageServer:
     Raises OSError if the port is not available, and ValueError if an allowed host is neither a name
     nor an address.
     """
+
+    allow_reuse_address = True
+    daemon_threads = True
+    block_on_close = False
+    request_queue_size = 32
 
     def __init__(
         self,
@@ -130,41 +131,32 @@ class PageServer:
         self.commands, self.command = tuple(commands), command
         name = _spelling(socket.gethostname())
         short = name.partition(".")[0]
-        own = {*_LOCAL, name, short, f"{short}.local", _spelling(host)}
+        own = {*LOCAL, name, short, f"{short}.local", _spelling(host)}
         self.hosts = own | {host_of(name) for name in allowed_hosts}
         self.files = {
             path: ((PAGE / name).read_bytes(), kind) for path, (name, kind) in FILES.items()
         }
-        self._server = _Server((host, port), self)
-        shown = socket.gethostname() if host in _ANY else f"[{host}]" if ":" in host else host
-        self.address = f"http://{shown}:{self._server.server_address[1]}/"
+        # Address of each client, and the deadline [s] of its present action.
+        self._open: dict[socket.socket, tuple[str, float]] = {}
+        self.address_family = socket.AF_INET6 if ":" in host else socket.AF_INET
+        super().__init__((host, port), _Handler)
+        everywhere = host in ("0.0.0.0", "::")
+        shown = socket.gethostname() if everywhere else f"[{host}]" if ":" in host else host
+        self.address = f"http://{shown}:{self.server_address[1]}/"
         self._thread = threading.Thread(
-            target=self._server.serve_forever, kwargs={"poll_interval": 0.1}, daemon=True
+            target=self.serve_forever, kwargs={"poll_interval": 0.1}, daemon=True
         )
         self._thread.start()
 
     def close(self) -> None:
         """Stop the server and close all connections."""
-        self._server.shutdown()
-        self._server.server_close()
-        self._server.hang_up(math.inf)
+        self.shutdown()
+        self.server_close()
+        self._hang_up(math.inf)
         self._thread.join()
 
-
-class _Server(ThreadingTCPServer):  # an HTTPServer looks up its name, slow without a network
-    allow_reuse_address = True
-    daemon_threads = True
-    block_on_close = False
-    request_queue_size = 32
-
-    def __init__(self, address: tuple[str, int], page: PageServer) -> None:
-        self.address_family = socket.AF_INET6 if ":" in address[0] else socket.AF_INET
-        self.page = page
-        # Address of each client, and the deadline [s] of its present action.
-        self._open: dict[socket.socket, tuple[str, float]] = {}
-        super().__init__(address, _Handler)
-
     def process_request(self, request: Any, client_address: Any) -> None:
+        """Accept a connection, unless there are too many."""
         address = _spelling(client_address[0])
         shared = sum(known == address for known, _ in list(self._open.values()))
         if len(self._open) >= CONNECTIONS or shared >= CONNECTIONS_EACH:
@@ -180,14 +172,14 @@ class _Server(ThreadingTCPServer):  # an HTTPServer looks up its name, slow with
 
     def service_actions(self) -> None:
         """Close connections past their deadline; called ten times a second."""
-        self.hang_up(time.monotonic())
+        self._hang_up(time.monotonic())
 
     def shutdown_request(self, request: Any) -> None:
+        """End a connection."""
         self._open.pop(request, None)
         super().shutdown_request(request)
 
-    def hang_up(self, now: float) -> None:
-        """Close all connections whose deadline is before ``now`` [s]."""
+    def _hang_up(self, now: float) -> None:
         for request, (_, deadline) in list(self._open.items()):
             if deadline < now:
                 with contextlib.suppress(OSError):
@@ -211,7 +203,7 @@ class _Handler(BaseHTTPRequestHandler):
     protocol_version = default_request_version = "HTTP/1.1"
     disable_nagle_algorithm = True
     wbufsize = 1 << 16  # headers and body are sent together
-    server: _Server
+    server: PageServer
 
     def handle_one_request(self) -> None:
         """Wait for a request and handle it within its time limit."""
@@ -222,23 +214,21 @@ class _Handler(BaseHTTPRequestHandler):
             super().handle_one_request()
 
     def do_GET(self) -> None:
-        """Serve a file of the page, the status, or rows of a table."""
-        self._serve(self._read)
-
-    def do_POST(self) -> None:
-        """Accept a command or an acknowledgement of faults, only from this page."""
-        self._serve(self._take_command)
-
-    def _serve(self, answer: Callable[[bytes], None]) -> None:
+        """Serve a file of the page, the status or rows of a table, or take what the page posts."""
         try:
             body = self._body()
             self._check_host()
-            answer(body)
+            if self.command == "POST":
+                self._take_post(body)
+            else:
+                self._read()
         except _RequestError as error:
             self._refuse(error.status, str(error))
 
-    def _read(self, _: bytes) -> None:
-        (path, query), page = self._target(), self.server.page
+    do_POST = do_GET  # noqa: N815  # http.server looks for this name
+
+    def _read(self) -> None:
+        (path, query), page = self._target(), self.server
         if path in page.files:
             content, kind = page.files[path]
             self._answer(HTTPStatus.OK, content, kind)
@@ -268,9 +258,10 @@ class _Handler(BaseHTTPRequestHandler):
         else:
             raise _RequestError("there is nothing here", HTTPStatus.NOT_FOUND)
 
-    def _take_command(self, body: bytes) -> None:
+    def _take_post(self, body: bytes) -> None:
+        """Accept a command or an acknowledgement of faults, only from this page."""
         self._check_origin()
-        (path, query), page = self._target(), self.server.page
+        (path, query), page = self._target(), self.server
         if path == "/seen":
             page.record.acknowledge(_number({"fault": [body.decode("latin-1")]}, "fault", 0))
             self._answer(HTTPStatus.NO_CONTENT)
@@ -320,9 +311,8 @@ class _Handler(BaseHTTPRequestHandler):
         if len(hosts) != 1:
             raise _RequestError(f"a request must have one Host, not {len(hosts)}")
         host = _host_in("Host", hosts[0])
-        if host not in self.server.page.hosts and host != _spelling(
-            self.connection.getsockname()[0]
-        ):
+        own = _spelling(self.connection.getsockname()[0])
+        if host not in self.server.hosts and host != own:
             raise _RequestError(
                 f"the page is not served as {host}: use localhost, or the name or address of "
                 "the computer that it runs on, or add this name to the parameter allowed_hosts",

@@ -32,12 +32,13 @@ from mr_damper_ros.models.parameter_set import DEFAULT_MODEL, ParameterSet
 from mr_damper_ros.processes.files import FolderLock, json_ready, write_text
 from mr_damper_ros.processes.process_pool import (
     ProcessPool,
-    ResultFolder,
     Workforce,
     dask_cluster,
     file_stem,
     fingerprint,
     finish,
+    store_document,
+    stored_document,
 )
 from mr_damper_ros.signals.recording import Recording
 from mr_damper_ros.tracking.state_directory import SetSource
@@ -282,15 +283,16 @@ def identify_many(
                 "record_format": None if record_format is None else asdict(record_format),
             },
         )
-        results = ResultFolder(place / "dampers")
         documents: dict[str, dict[str, Any]] = {}
+        files: dict[str, Path] = {}
         prints, remaining = {}, []
         damper = attrgetter("damper")
         for name, found in groupby(sorted(recordings, key=damper), key=damper):
             own = tuple(found)
-            files = [(str(r.path.absolute()), r.current, _state(r.path)) for r in own]
-            prints[name] = fingerprint({"damper": name, "recordings": files})
-            stored = results.kept(name, prints[name])
+            states = [(str(r.path.absolute()), r.current, _state(r.path)) for r in own]
+            prints[name] = fingerprint({"damper": name, "recordings": states})
+            files[name] = place / "dampers" / f"{file_stem(name)}.json"
+            stored = stored_document(files[name], prints[name])
             if stored is None:
                 remaining.append((name, own))
             else:
@@ -304,7 +306,7 @@ def identify_many(
             documents[name] = document = result or {"damper": name, **_LOST}
             # A repetition would give the same result, unless the error may be temporary.
             if not document["passing"]:
-                results.keep(name, prints[name], document)
+                store_document(files[name], prints[name], document)
             _save_set(place, document)
             if report is not None:
                 report(len(documents), len(prints), document)

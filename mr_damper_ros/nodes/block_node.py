@@ -32,13 +32,6 @@ from mr_damper_ros.signals.blocks import SampleBlock
 from mr_damper_ros.tracking.predictor import ForcePredictor
 from mr_damper_ros.tracking.state_directory import StateError, read_parameter_file
 
-_WORK_DELAY = 1e-3
-"""Delay [s] of the remaining work after publishing, so that the subscribers of the answer run first
-if they share a core with this process."""
-
-_UNKNOWN = "_NODE_NAME_UNKNOWN_"
-"""Part of the name that the ROS graph gives to a node before its name is known."""
-
 
 @dataclass(frozen=True)
 class SetOptions(ParameterTable):
@@ -150,7 +143,7 @@ class BlockNode(Node, Generic[Options, Answer]):
         if self._refused:
             # A message may arrive before the graph knows its publisher; it is checked again later.
             names = quality.publishing_nodes(self, PARAMETERS_TOPIC)
-            if not names or any(_UNKNOWN in name for name in names):
+            if not names or any("_NODE_NAME_UNKNOWN_" in name for name in names):
                 self._unattributed = message
             return
         try:
@@ -226,22 +219,21 @@ class BlockNode(Node, Generic[Options, Answer]):
             now_ns = self.get_clock().now().nanoseconds
         answer = self._publish_answer(block, now_ns)
         self._work = partial(self._finish, answer, block)
-        self._due = time.perf_counter() + _WORK_DELAY
+        # The subscribers of the answer run first if they share a core with this process.
+        self._due = time.perf_counter() + 1e-3
         self._slowest = max(self._slowest, time.perf_counter() - began)
         self._oldest = float(np.fmax(self._oldest, freshness.age))
 
     def _finish_work(self) -> None:
-        work, self._work = self._work, None
+        work, self._work, self._due = self._work, None, math.inf
         if work is not None:
             work()
 
     def finish_in_time(self) -> float:
         """Complete the remaining work if it is due; returns the time [s] until it is."""
-        left = math.inf if self._work is None else self._due - time.perf_counter()
-        if left > 0.0:
-            return left
-        self._finish_work()
-        return math.inf
+        if self._due <= time.perf_counter():
+            self._finish_work()
+        return max(self._due - time.perf_counter(), 0.0)
 
     def _latency_finding(self) -> Finding:
         slowest, oldest, skipped = self._slowest, self._oldest, self._skipped

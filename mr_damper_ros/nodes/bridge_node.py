@@ -12,14 +12,12 @@ from collections.abc import Collection, Iterator
 from dataclasses import dataclass, replace
 from functools import partial
 from importlib.metadata import entry_points
-from typing import Any
 
 from mr_damper_msgs.msg import MtsSamples, SupplyCurrent
 from rclpy.lifecycle import LifecycleState, TransitionCallbackReturn
-from rclpy.node import Node
 from sensor_msgs.msg import JointState, Temperature
 
-from mr_damper_ros.nodes import messages, quality
+from mr_damper_ros.nodes import messages
 from mr_damper_ros.nodes.command_topic import CommandTopic
 from mr_damper_ros.nodes.diagnostics import ERROR, OK, WARN, Diagnostics, Finding
 from mr_damper_ros.nodes.managed_node import ManagedNode, ManagedOptions
@@ -43,19 +41,11 @@ _TOPICS = {
     messages.SUSPENSION_TOPIC: JointState,
 }
 
-_CURRENT_STEP = 0.005
-"""A larger change of the current [A] is published at once, a smaller one at the next reading."""
-
-_TEMPERATURE_PERIOD = 1.0
-
-
-GROUP = "mr_damper_ros.sources"
-
 
 def _others() -> dict[str, type[Source]]:
     """The sources of other packages; a source that cannot be loaded is reported and omitted."""
     found: dict[str, type[Source]] = {}
-    for point in entry_points(group=GROUP):
+    for point in entry_points(group="mr_damper_ros.sources"):
         try:
             kind = point.load()
         except Exception as error:  # code of another package, without which the bridge works
@@ -68,16 +58,8 @@ def _others() -> dict[str, type[Source]]:
     return found
 
 
-ALL_SOURCES: dict[str, type[Source]] = {**SOURCES, "topics": TopicSource, **_others()}
+_ALL_SOURCES: dict[str, type[Source]] = {**SOURCES, "topics": TopicSource, **_others()}
 """Source classes by the value of the parameter ``source``."""
-
-
-def source_of(name: str, settings: Any, stream: StreamSettings, node: Node) -> Source:
-    """Return the source of this name for a bridge."""
-    kind = ALL_SOURCES[name]
-    if issubclass(kind, TopicSource):
-        return kind(settings, stream, node)
-    return kind(settings, stream)
 
 
 @dataclass(frozen=True)
@@ -95,7 +77,7 @@ class BridgeParameters(ManagedOptions):
         "Source of the samples: emulated (an emulated rig), quarter_car (an emulated car), "
         "bag (a recorded bag), record (a text, CSV or MAT file), stream (a serial line, TCP, "
         "UDP), daq (a data acquisition device) or topics (of other nodes).",
-        choices=tuple(ALL_SOURCES),
+        choices=tuple(_ALL_SOURCES),
     )
     pacing: PacingSettings = group(PacingSettings, flat=True)
     loop: bool = option(
@@ -132,7 +114,7 @@ class BridgeParameters(ManagedOptions):
         within=(-0.1, 0.1),
     )
     sources: dict[str, ParameterTable] = groups(
-        {name: (kind.prefix, kind.options) for name, kind in ALL_SOURCES.items()}
+        {name: (kind.prefix, kind.options) for name, kind in _ALL_SOURCES.items()}
     )
 
     def objection(self) -> str:
@@ -176,11 +158,6 @@ class BridgeNode(ManagedNode):
         if self.parameters.values.autostart:
             self._start_by_itself()
 
-    def destroy_node(self) -> None:
-        """Stop sending before the publishers are destroyed."""
-        self._stop()
-        super().destroy_node()
-
     def _apply(self, values: BridgeParameters, changed: Collection[str]) -> None:
         source = self._source
         if source is None:
@@ -194,23 +171,18 @@ class BridgeNode(ManagedNode):
     def on_configure(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Open the source and announce the topics."""
         values = self.parameters.values
-        source = self._source = source_of(
-            values.source,
-            values.sources[values.source],
-            StreamSettings(values.block_size, values.loop),
-            self,
-        )
+        kind, settings = _ALL_SOURCES[values.source], values.sources[values.source]
+        stream = StreamSettings(values.block_size, values.loop)
+        for_node = (self,) if issubclass(kind, TopicSource) else ()
+        source = self._source = kind(settings, stream, *for_node)
         try:
             found = source.open()
             for what, commander in (("current", source.commander), ("motion", source.mover)):
                 if commander is not None:
                     self._commands[what] = CommandTopic(self, what, commander)
-            topics = {
-                topic: kind
-                for topic, kind in _TOPICS.items()
-                if (topic != _MIRROR or values.mirror_rate > 0.0)
-                and (topic != messages.SUSPENSION_TOPIC or source.suspended)
-            }
+            unused = {_MIRROR} if values.mirror_rate == 0.0 else set()
+            unused |= set() if source.suspended else {messages.SUSPENSION_TOPIC}
+            topics = {topic: kind for topic, kind in _TOPICS.items() if topic not in unused}
             self._sender = PacedSender(self, values.pacing, topics)
         except (ValueError, OSError) as error:
             failed = self._fail("the source cannot be opened", error)
@@ -259,8 +231,9 @@ class BridgeNode(ManagedNode):
             sender.publish("supply/current", message)
 
         sender.state = "streams"
-        supply = Meter(1.0 / values.current_rate, step=_CURRENT_STEP)
-        thermometer = Meter(_TEMPERATURE_PERIOD)
+        # A larger change of the current is published at once, a smaller one at the next reading.
+        supply = Meter(1.0 / values.current_rate, step=0.005)
+        thermometer = Meter(1.0)
         decimator, self._mirrored = Decimator(values.mirror_rate), None
         block = None
         for block in blocks:
@@ -298,17 +271,16 @@ class BridgeNode(ManagedNode):
         before, self._mirrored = self._mirrored, (stamp_ns, position)
         if before is None or stamp_ns <= before[0]:
             return
-        if not quality.has_subscribers(sender.publishers[_MIRROR]):
-            return
-        joint = self.parameters.values.frame_id
-        message = JointState(
-            header=messages.header(stamp_ns, joint),
-            name=[joint],
-            position=[position],
-            velocity=[(position - before[1]) / (stamp_ns - before[0]) * NANOSECONDS],
-            effort=[float(block.force[k])],
-        )
-        sender.publish(_MIRROR, message)
+        if sender.publishers[_MIRROR].get_subscription_count():
+            joint = self.parameters.values.frame_id
+            message = JointState(
+                header=messages.header(stamp_ns, joint),
+                name=[joint],
+                position=[position],
+                velocity=[(position - before[1]) / (stamp_ns - before[0]) * NANOSECONDS],
+                effort=[float(block.force[k])],
+            )
+            sender.publish(_MIRROR, message)
 
     def _due(
         self, sender: PacedSender, blocks: Iterator[RigBlock], *, live: bool

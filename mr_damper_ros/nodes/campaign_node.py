@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from mr_damper_msgs.action import RunCampaign
-from mr_damper_msgs.msg import CurrentCommand, DamperParameters, ExcitationCommand
+from mr_damper_msgs.msg import CurrentCommand, ExcitationCommand
 from rclpy.action.server import ServerGoalHandle
 from rclpy.node import Node
 from sensor_msgs.msg import Temperature
@@ -91,9 +91,6 @@ _POLL_PERIOD = 0.05
 """Time [s] between two polls of the worker, and between two commands. A machine that receives no
 command for half a second stops."""
 
-_FEEDBACK = 10
-"""Number of polls per feedback message."""
-
 
 class CampaignNode(Node):
     """Passes incoming data to the conductor, and the conductor's commands to the machine."""
@@ -170,16 +167,11 @@ class CampaignNode(Node):
         return ""
 
     def _wanted(self, request: RunCampaign.Goal) -> GoalOptions:
-        wanted = self._options.goal
-        if request.error != 0.0:
-            wanted = replace(wanted, error=request.error)
+        given = {"error": request.error} if request.error != 0.0 else {}
         for name in ("peak_velocity", "current"):
-            low, high = (f"lowest_{name}", f"highest_{name}")
-            if getattr(request, low) != 0.0 or getattr(request, high) != 0.0:
-                wanted = replace(
-                    wanted, **{low: getattr(request, low), high: getattr(request, high)}
-                )
-        return wanted
+            ends = {end: getattr(request, end) for end in (f"lowest_{name}", f"highest_{name}")}
+            given |= ends if any(ends.values()) else {}
+        return replace(self._options.goal, **given)
 
     def _begin_goal(self, goal: ServerGoalHandle) -> None:
         try:
@@ -246,7 +238,7 @@ class CampaignNode(Node):
             self._end(end)
         self._polls += 1
         status = self._conductor.status()
-        if status is None or self._polls % _FEEDBACK:
+        if status is None or self._polls % 10:  # feedback twice a second
             return
         if self._goal is not None:
             self._goal.publish_feedback(
@@ -271,26 +263,17 @@ class CampaignNode(Node):
         if self._goal is None:
             return
         goal, self._goal = self._goal, None
-        found = DamperParameters()
-        worst = math.nan
-        if end.steps:
-            step = end.steps[-1]
-            worst = step.plan.now.worst
-            found = parameters_message(
-                step.parameter_set, self._options.frame_id, self.get_fully_qualified_name()
-            )
-        self._goals.finish(
-            goal,
-            RunCampaign.Result(
-                outcome=int(end.outcome),
-                message=end.reason,
-                runs=len(end.steps),
-                folder=self._options.folder,
-                parameters=found,
-                worst_error=worst,
-            ),
-            succeeded=end.outcome is CampaignOutcome.MET,
+        result = RunCampaign.Result(
+            outcome=int(end.outcome),
+            message=end.reason,
+            runs=len(end.steps),
+            folder=self._options.folder,
+            worst_error=end.steps[-1].plan.now.worst if end.steps else math.nan,
         )
+        if end.steps:
+            found, node = end.steps[-1].parameter_set, self.get_fully_qualified_name()
+            result.parameters = parameters_message(found, self._options.frame_id, node)
+        self._goals.finish(goal, result, succeeded=end.outcome is CampaignOutcome.MET)
 
     # --- state ----------------------------------------------------------------------------------
 
@@ -306,7 +289,7 @@ class CampaignNode(Node):
             "runs left": "unknown" if status.runs_left is None else status.runs_left,
         }
         sentences = filter(None, (status.sentence, status.state))
-        level = WARN if self._inputs.silent else OK
+        level = WARN if self._inputs.samples.silent else OK
         return Finding(level, f"run {status.run}: {'; '.join(sentences)}", figures)
 
 

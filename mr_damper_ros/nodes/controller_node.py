@@ -31,13 +31,6 @@ from mr_damper_ros.signals.blocks import SampleBlock
 from mr_damper_ros.signals.error_sums import RunningError
 from mr_damper_ros.signals.uniform_grid import GridSettings
 
-_LATE = 0.05
-"""Age [s] above which a block is skipped if a newer one waits, because a command applies to the
-present. On a computer with a free core, blocks are younger."""
-
-_LAST_COMMAND = 1.0
-"""Time limit [s] for the supply to receive the last command."""
-
 
 @dataclass(frozen=True)
 class ControllerParameters(SetOptions):
@@ -87,7 +80,8 @@ class ControllerNode(BlockNode[ControllerParameters, Command]):
     def __init__(self) -> None:
         super().__init__("controller", ControllerParameters)
         options = self._options
-        self._late = _LATE
+        # A command applies to the present. On a computer with a free core, blocks are younger.
+        self._late = 0.05
         self._controller = ForceController(options.control, options.grid)
         self._tracking = RunningError(options.error_memory)
         self._last: Command | None = None
@@ -152,13 +146,13 @@ class ControllerNode(BlockNode[ControllerParameters, Command]):
         if self.context.ok():
             self._give_up()
             # Destroying the publisher drops messages that have not been received.
-            self._command.wait_for_all_acked(Duration(seconds=_LAST_COMMAND))
+            self._command.wait_for_all_acked(Duration(seconds=1.0))
         super().destroy_node()
 
     def _command_finding(self) -> Finding:
         counts, self._counts = self._counts, Counter()
         safe = f"the safe current, {self._options.control.fallback.safe_current:g} A, is commanded"
-        if self._last is None or self._inputs.silent:
+        if self._last is None or self._inputs.samples.silent:
             return Finding(STALE, f"no samples arrive: {safe}")
         last = self._last
         values: dict[str, object] = {

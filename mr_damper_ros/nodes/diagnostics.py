@@ -38,7 +38,7 @@ class Diagnostics:
     def __init__(self, node: Node, concerns: Mapping[str, Callable[[], Finding]]) -> None:
         self._node = node
         self._concerns = dict(concerns)
-        self._publisher = node.create_publisher(DiagnosticArray, "/diagnostics", 10)
+        self.publisher = node.create_publisher(DiagnosticArray, "/diagnostics", 10)
         steady_timer(node, 1.0, self.publish)
 
     def publish(self) -> None:
@@ -59,4 +59,4 @@ class Diagnostics:
                     ],
                 )
             )
-        self._publisher.publish(array)
+        self.publisher.publish(array)

@@ -98,9 +98,6 @@ fitted meanwhile.
 """
 
 
-_REFUSED = "global-refused"
-"""Id of an identified set that was rejected."""
-
 _MOST_GOALS = 20
 """Largest number of waiting goals; a search may take minutes, so a longer queue is useless."""
 
@@ -302,7 +299,7 @@ class IdentifierNode(Node):
             message += f"; not in use: {report.reason}"
         found = replace(
             outcome.found,
-            set_id=report.set_id if report.accepted else _REFUSED,
+            set_id=report.set_id if report.accepted else "global-refused",
             stamp_ns=report.stamp_ns,
         )
         return IdentifyGlobal.Result(

@@ -21,10 +21,6 @@ from mr_damper_ros.signals.uniform_grid import UniformGrid
 SAMPLES_TOPIC = "mts/samples"
 CURRENT_TOPIC = "supply/current"
 
-_PACE_TOLERANCE = 0.2
-"""Relative tolerance of the sample rate, which is uncertain by up to a block of 0.1 s."""
-
-
 T = TypeVar("T")
 
 
@@ -51,10 +47,7 @@ class Stream(Generic[T]):
         advice: str = "is the bridge running in this namespace?",
     ) -> None:
         self._node, self._read, self._use = node, read, use
-        self._advice = advice
-        self.topic = topic
-        # Overrides by the user change the profile in place.
-        self._profile = profile
+        self._advice, self.topic = advice, topic
         self._count = self._rejected_since = self.rejected = 0
         self._since = time.monotonic()
         self._heard = -math.inf
@@ -104,7 +97,8 @@ class Stream(Generic[T]):
         if self._node.count_publishers(self.topic) == 0:
             return f"nothing publishes {self.topic}: {self._advice}"
         # A reliable subscription receives nothing from publishers that are all best effort.
-        if self._profile.reliability == ReliabilityPolicy.RELIABLE and all(
+        profile = self.subscription.qos_profile  # with the overrides by the user
+        if profile.reliability == ReliabilityPolicy.RELIABLE and all(
             publisher.qos_profile.reliability == ReliabilityPolicy.BEST_EFFORT
             for publisher in self._node.get_publishers_info_by_topic(self.topic)
         ):
@@ -134,7 +128,7 @@ class Inputs:
             self._value = message.current
             return self._value
 
-        self._samples = Stream(node, MtsSamples, SAMPLES_TOPIC, sample_block, on_block, profile())
+        self.samples = Stream(node, MtsSamples, SAMPLES_TOPIC, sample_block, on_block, profile())
         self._current = Stream(
             node, SupplyCurrent, CURRENT_TOPIC, read_current, lambda _: None, profile()
         )
@@ -149,20 +143,15 @@ class Inputs:
         """
         for message in waiting_messages(self._current.subscription):
             self._current.take(message)
-        waiting = map(self._samples.read, waiting_messages(self._samples.subscription))
+        waiting = map(self.samples.read, waiting_messages(self.samples.subscription))
         *skipped, newest = (block, *(each for each in waiting if each is not None))
         for part in joined(skipped):
             follow(part)
         return newest, len(skipped)
 
-    @property
-    def silent(self) -> bool:
-        """Whether no samples have arrived recently, or ever."""
-        return self._samples.silent
-
     def samples_finding(self, sequence: UniformGrid) -> Finding:
         """The rate and faults of the samples; ``sequence``: the grid that counts interruptions."""
-        rate, fault = self._samples.take_rate(), self._samples.take_fault()
+        rate, fault = self.samples.take_rate(), self.samples.take_fault()
         before, self._interruptions = self._interruptions, sequence.interruptions
         interruptions = self._interruptions - before
         if not fault and interruptions:
@@ -182,7 +171,7 @@ class Inputs:
                 "bridged": sequence.bridged_samples,
                 "repeated": sequence.repeated_samples,
                 "interruptions": sequence.interruptions,
-                "rejected messages": self._samples.rejected,
+                "rejected messages": self.samples.rejected,
             },
         )
 
@@ -203,6 +192,7 @@ class Inputs:
 def _pace(rate: float, sequence: UniformGrid) -> str:
     """A remark if the sample rate does not match the sample period, or an empty string."""
     pace = rate * sequence.last.period if sequence.last else 0.0
-    if abs(pace - 1.0) <= _PACE_TOLERANCE or rate == 0.0:
+    # In a second, the rate is uncertain by up to a block of 0.1 s.
+    if abs(pace - 1.0) <= 0.2 or rate == 0.0:
         return ""
     return f", {pace:.2g} times the rate of their period: is this a replay at another rate?"

@@ -34,7 +34,7 @@ from std_srvs.srv import Trigger
 
 from mr_damper_ros.io.bag_writer import BagStream
 from mr_damper_ros.live.live_record import Concern, LiveRecord
-from mr_damper_ros.live.page_server import PageServer, is_local
+from mr_damper_ros.live.page_server import LOCAL, PageServer
 from mr_damper_ros.models.parameter_set import ParameterError
 from mr_damper_ros.nodes import messages, quality
 from mr_damper_ros.nodes.command_topic import COMMAND_TOPIC, DEMAND_TOPIC, EXCITATION_TOPIC
@@ -43,7 +43,7 @@ from mr_damper_ros.nodes.node_parameters import NodeParameters
 from mr_damper_ros.nodes.spinning import run
 from mr_damper_ros.processes.files import reason_of
 from mr_damper_ros.settings.option_table import ParameterTable, option
-from mr_damper_ros.signals.blocks import BlockError
+from mr_damper_ros.signals.blocks import NANOSECONDS, BlockError
 from mr_damper_ros.tracking.force_scale import FluidTemperature
 
 _WAITING = 50
@@ -91,13 +91,14 @@ class RecordInput:
             return
         with suppress(BlockError):
             block = messages.sample_block(same[0])
-            start_s = messages.to_seconds(message.header.stamp)
+            start_s, period = block.start_ns / NANOSECONDS, block.period
             self._record.add_samples(
-                start_s, block.period, block.displacement, block.force, predicted, valid
+                start_s, period, block.displacement, block.force, predicted, valid
             )
 
     def _take_current(self, message: SupplyCurrent) -> None:
-        self._record.add_current(messages.to_seconds(message.header.stamp), message.current)
+        stamp_ns = messages.to_nanoseconds(message.header.stamp)
+        self._record.add_current(stamp_ns / NANOSECONDS, message.current)
 
     def _take_command(self, message: CurrentCommand) -> None:
         self._record.set_point("current_command", message.current)
@@ -203,11 +204,6 @@ _COMMANDS = {"save_parameters": SaveParameters, "reset": Trigger, "acknowledge":
 _RECORD, _STOP = "record", "stop_recording"
 """Commands that this node executes itself."""
 
-_WAITING_COMMANDS = 4
-
-_COMMAND_PERIOD = 0.1
-"""Seconds between two checks for commands from the page."""
-
 
 @dataclass(frozen=True)
 class LiveParameters(ParameterTable):
@@ -287,7 +283,7 @@ class LiveNode(Node):
             ) from error
         self._input = RecordInput(self, self._record)
         self.get_logger().info(f"the page is at {self._page.address}")
-        if not is_local(options.host):
+        if options.host not in LOCAL:
             self.get_logger().warning(
                 "every computer that can reach this one can see the page"
                 + (" and give commands" if commands else "")
@@ -311,11 +307,11 @@ class LiveNode(Node):
                 self._call(name)
         if self._recording is not None and self._recording.failure:
             self._stop_recording()
-        return _COMMAND_PERIOD
+        return 0.1
 
     def _take_command(self, name: str, arguments: Mapping[str, str]) -> bool:
         """Queue a command from a thread of the server; returns False if the queue is full."""
-        if len(self._waiting) >= _WAITING_COMMANDS:
+        if len(self._waiting) >= 4:
             return False
         self._waiting.append((name, arguments))
         return True

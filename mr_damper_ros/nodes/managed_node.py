@@ -42,6 +42,7 @@ class ManagedNode(LifecycleNode):
         self._starting = True
         for transition in (self.trigger_configure, self.trigger_activate):
             if transition() != TransitionCallbackReturn.SUCCESS:
+                self._close()
                 raise ValueError(self._problem)
         self._starting = False
 
@@ -59,6 +60,12 @@ class ManagedNode(LifecycleNode):
     def _close(self) -> None:
         """Undo the configuration, if the node is configured."""
         raise NotImplementedError
+
+    def destroy_node(self) -> None:
+        """Stop and release the device before the publishers are destroyed."""
+        self._stop()
+        self._close()
+        super().destroy_node()
 
     def on_deactivate(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Stop; rclpy calls this and the next two methods."""

@@ -62,11 +62,6 @@ def to_nanoseconds(stamp: Time) -> int:
     return int(stamp.sec) * NANOSECONDS + int(stamp.nanosec)
 
 
-def to_seconds(stamp: Time) -> float:
-    """Seconds since the epoch from a stamp."""
-    return to_nanoseconds(stamp) / NANOSECONDS
-
-
 def header(nanoseconds: int, frame_id: str) -> Header:
     """A header with this stamp."""
     return Header(stamp=to_stamp(nanoseconds), frame_id=frame_id)

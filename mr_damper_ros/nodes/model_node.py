@@ -25,13 +25,6 @@ from mr_damper_ros.signals.error_sums import RunningError
 from mr_damper_ros.signals.uniform_grid import GridSettings
 from mr_damper_ros.tracking.predictor import ForcePredictor, Prediction, PredictorSettings
 
-_LATE = 0.8
-"""A block older than this fraction of ``max_age`` is skipped if a newer one waits, because its
-force would soon be invalid."""
-
-_POOR_NRMSE, _BAD_NRMSE = 0.3, 0.6
-"""NRMSE of valid forces over the last seconds above which there is a warning, or an error."""
-
 
 @dataclass(frozen=True)
 class ModelParameters(SetOptions):
@@ -68,10 +61,6 @@ class ModelParameters(SetOptions):
     frame_id: str = option("damper", "Frame of the published forces, x along the damper's rod.")
 
 
-_JOINED = 0.1
-"""Duration [s] of a joined block, whose message costs hardly more than that of a small block."""
-
-
 class ModelNode(BlockNode[ModelParameters, Prediction]):
     """Publishes a prediction for every block of samples, valid or not."""
 
@@ -82,7 +71,8 @@ class ModelNode(BlockNode[ModelParameters, Prediction]):
         options = self._options
         predictor = ForcePredictor(options.predictor, options.grid)
         if options.newest_first:
-            self._late = _LATE * options.predictor.max_age
+            # The force of an older block would soon be invalid.
+            self._late = 0.8 * options.predictor.max_age
         self._error = RunningError(options.error_memory)
         self._message = PredictedForce(header=Header(frame_id=options.frame_id))
         self._last: Prediction | None = None
@@ -118,18 +108,17 @@ class ModelNode(BlockNode[ModelParameters, Prediction]):
         if prediction.continuity:
             self.get_logger().warning(prediction.continuity, throttle_duration_sec=10.0)
         displacement, measured = map(prediction.at_its_samples, (block.displacement, block.force))
-        # Messages for which there are no subscribers are not made.
-        if quality.has_subscribers(self._signals):
+        # Messages without subscribers are not made; publishing them would take the same time.
+        if self._signals.get_subscription_count():
             self._publish_signals(prediction, displacement, measured)
-        if quality.has_subscribers(self._joined_samples):
+        if self._joined_samples.get_subscription_count():
             self._join(prediction, displacement, measured)
         else:
             self._first, self._parts = None, []
-        if prediction.valid:
-            self._error.add(prediction.force, measured, block.period)
-        elif (valid := prediction.valid_samples).any():
+        valid = prediction.valid_samples
+        if valid.any():
             self._error.add(prediction.force[valid], measured[valid], block.period)
-        if not prediction.newest_doubt and quality.has_subscribers(self._wrench):
+        if not prediction.newest_doubt and self._wrench.get_subscription_count():
             self._publish_wrench(prediction)
         self._predictor.catch_up()
 
@@ -161,14 +150,17 @@ class ModelNode(BlockNode[ModelParameters, Prediction]):
             self._wrench.publish(WrenchStamped(header=stamped, wrench=wrench))
 
     def _join(self, prediction: Prediction, displacement: Array, measured: Array) -> None:
-        """Add a block; publish when the joined block is complete, or before a numbering gap."""
+        """Add a block; publish what lasts for 0.1 s, or before a numbering gap.
+
+        Its message costs hardly more than that of a small block.
+        """
         count = sum(part[0].size for part in self._parts)
         if self._first is not None and prediction.sequence != self._first.sequence + count:
             self._publish_joined(self._first)
             count = 0
         self._first = self._first or prediction
         self._parts.append((displacement, measured, prediction.force, prediction.doubts))
-        if (count + prediction.force.size) * prediction.period >= _JOINED:
+        if (count + prediction.force.size) * prediction.period >= 0.1:
             self._publish_joined(self._first)
 
     def _publish_joined(self, first: Prediction) -> None:
@@ -195,7 +187,7 @@ class ModelNode(BlockNode[ModelParameters, Prediction]):
             "NRMSE": f"{nrmse:.4f}",
             "zero of the load cell [N]": f"{self._predictor.zero:.1f}",
         }
-        if self._last is None or self._inputs.silent:
+        if self._last is None or self._inputs.samples.silent:
             return Finding(STALE, "nothing to predict: no samples arrive", values)
         doubt = self._last.newest_doubt
         values["doubt"] = doubt.kind.name
@@ -206,7 +198,7 @@ class ModelNode(BlockNode[ModelParameters, Prediction]):
         # Over a fraction of a cycle the measured force varies little, and its NRMSE says nothing.
         if math.isnan(nrmse) or self._error.duration < 0.5 * self._options.error_memory:
             return Finding(OK, "valid", values)
-        level = ERROR if nrmse > _BAD_NRMSE else WARN if nrmse > _POOR_NRMSE else OK
+        level = ERROR if nrmse > 0.6 else WARN if nrmse > 0.3 else OK
         return Finding(level, f"valid; NRMSE {nrmse:.1%} of the measured force", values)
 
 

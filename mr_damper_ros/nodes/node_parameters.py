@@ -24,9 +24,6 @@ from rclpy.parameter import Parameter
 from mr_damper_ros.nodes import quality, rclpy_internals
 from mr_damper_ros.settings.option_table import Option, ParameterTable, build, options
 
-_RCLPY_PARAMETERS = ("use_sim_time", "start_type_description_service")
-"""Parameters that rclpy itself declares."""
-
 T = TypeVar("T", bound=ParameterTable)
 
 
@@ -49,6 +46,7 @@ class NodeParameters(Generic[T]):
     ) -> None:
         self._table = table
         self._options = {item.name: item for item in options(table)}
+        self._fixed = {name for name, item in self._options.items() if item.read_only}
         self._changed = changed
         self._configured = configured
         values = {name: item.default for name, item in self._options.items()} | self._given(node)
@@ -71,14 +69,13 @@ class NodeParameters(Generic[T]):
             if name.startswith(quality.OVERRIDES):
                 _refuse(quality.objection(name, value))
                 continue  # rclpy declares it with its publisher or subscription
-            if name.startswith(_RCLPY_PARAMETERS):
-                continue
+            if name.startswith(("use_sim_time", "start_type_description_service")):
+                continue  # rclpy declares it
             if name not in self._options:
                 close = difflib.get_close_matches(name, self._options, n=1)
                 hint = f"did you mean {close[0]}?" if close else "--help lists all parameters"
                 raise ValueError(f"there is no parameter {name}: {hint}")
             given[name] = self._options[name].normalised(value)
-            _refuse(self._options[name].objection(given[name]))
         return given
 
     def _merged(self, parameters: list[Parameter]) -> T:
@@ -88,20 +85,16 @@ class NodeParameters(Generic[T]):
         return build(self._table, present | new)
 
     def _judge(self, parameters: list[Parameter]) -> SetParametersResult:
-        for parameter in parameters:
-            item = self._options.get(parameter.name)
-            objection = item.objection(parameter.value) if item else ""
-            if item and item.read_only and self._configured and self._configured():
-                objection = (
-                    f"parameter {item.name} is fixed while the node is configured: first call its "
-                    "transition cleanup"
-                )
-            if objection:
-                return SetParametersResult(successful=False, reason=objection)
         try:
             objection = self._merged(parameters).objection()
         except ValueError as error:
             objection = str(error)
+        fixed = {parameter.name for parameter in parameters} & self._fixed
+        if fixed and self._configured is not None and self._configured():
+            objection = (
+                f"parameter {min(fixed)} is fixed while the node is configured: first call its "
+                "transition cleanup"
+            )
         return SetParametersResult(successful=not objection, reason=objection)
 
     def _apply(self, parameters: list[Parameter]) -> None:

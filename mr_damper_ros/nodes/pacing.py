@@ -26,9 +26,7 @@ from rclpy.publisher import Publisher
 
 from mr_damper_ros.nodes import quality
 from mr_damper_ros.settings.option_table import CheckedSettings, option
-
-_CATCH_UP_NS = 250_000_000
-"""Longest delay [ns] that the sender catches up with; see the module docstring."""
+from mr_damper_ros.signals.blocks import NANOSECONDS
 
 _QUEUE = 100
 """Number of messages between two waits for acknowledgement, and depth of the publisher. If the
@@ -38,9 +36,6 @@ seconds."""
 _PATIENCE = 30.0
 """Time [s] to wait for a subscriber that does not acknowledge, before continuing without it. DDS
 takes 20 s to detect a killed process."""
-
-_SETTLE = 0.3
-"""Time [s] without a change of the subscribers after which their discovery counts as complete."""
 
 _POLL = 0.05
 
@@ -72,7 +67,7 @@ class PacedSender:
     """Publishes on these topics in its own thread, so that the node stays responsive.
 
     Late subscribers also receive the last message of ``latched`` topics. ``state`` and ``failure``
-    describe the activity and the fault in words.
+    describe the activity and the fault in words. If it is ``stopped``, the sending is to end.
     """
 
     def __init__(
@@ -86,10 +81,7 @@ class PacedSender:
     ) -> None:
         self._node = node
         self._settings, self._rate = settings, settings.rate
-        self.paused = paused
-        """Whether the sending is paused."""
-        self.stopped = False
-        """Whether the sending is to end."""
+        self.paused, self.stopped = paused, False
         self.left_out_ns = 0
         """Total shift of the due times since the start, in the time of the data."""
         self.state = self.failure = ""
@@ -173,7 +165,7 @@ class PacedSender:
                 start, origin = self._anchor
                 early = start + int((data_ns - origin) / self._rate) - now
                 if early <= 0:
-                    if -early > _CATCH_UP_NS:
+                    if -early > NANOSECONDS // 4:
                         self._anchor = (now, data_ns)
                         self.left_out_ns += int(-early * self._rate)
                     return True
@@ -241,7 +233,8 @@ class PacedSender:
                 publisher.get_subscription_count() >= len(subscribers)
                 for publisher, subscribers in zip(publishers, present, strict=True)
             )
-            if len(names) >= nodes and connected and time.monotonic() - since >= _SETTLE:
+            # Discovery is complete once the subscribers have not changed for a while.
+            if len(names) >= nodes and connected and time.monotonic() - since >= 0.3:
                 return
             time.sleep(_POLL)
         if not self.stopped:

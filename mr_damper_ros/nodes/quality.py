@@ -1,6 +1,7 @@
 """Quality of service of the topics, and its overrides by the user.
 
-Each function makes a new profile: rclpy changes a profile in place when it applies an override.
+Each function makes a new profile: rclpy changes a profile in place when it applies an override. By
+default, rclpy's profiles are reliable, volatile, and keep the last messages.
 """
 
 from __future__ import annotations
@@ -10,7 +11,7 @@ from typing import Any
 
 from rclpy.node import Node
 from rclpy.publisher import Publisher
-from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSPolicyKind, QoSProfile, ReliabilityPolicy
+from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSPolicyKind, QoSProfile
 from rclpy.qos_overriding_options import QoSOverridingOptions
 from rclpy.subscription import Subscription
 
@@ -31,9 +32,7 @@ _OVERRIDABLE: dict[QoSPolicyKind, tuple[str, ...]] = {
 
 def stream(depth: int = STREAM_DEPTH) -> QoSProfile:
     """Reliable, for a stream of messages; a full queue drops its oldest messages."""
-    return QoSProfile(
-        reliability=ReliabilityPolicy.RELIABLE, history=HistoryPolicy.KEEP_LAST, depth=depth
-    )
+    return QoSProfile(depth=depth)
 
 
 def newest() -> QoSProfile:
@@ -42,29 +41,19 @@ def newest() -> QoSProfile:
 
 
 def lossless() -> QoSProfile:
-    """For a subscriber that must receive every message at any rate.
+    """Reliable, for a subscriber that must receive every message at any rate.
 
     Also for a service, because the default queue holds ten requests, and further requests are never
     answered. With "keep all" the middleware stops acknowledging once a few thousand messages wait.
     A sender that waits for acknowledgements (:mod:`mr_damper_ros.nodes.pacing`) therefore sends
     exactly as fast as its slowest such subscriber receives.
     """
-    return QoSProfile(reliability=ReliabilityPolicy.RELIABLE, history=HistoryPolicy.KEEP_ALL)
+    return QoSProfile(history=HistoryPolicy.KEEP_ALL)
 
 
 def latched() -> QoSProfile:
-    """For a value whose last message is also sent to late subscribers."""
-    return QoSProfile(
-        reliability=ReliabilityPolicy.RELIABLE,
-        durability=DurabilityPolicy.TRANSIENT_LOCAL,
-        history=HistoryPolicy.KEEP_LAST,
-        depth=1,
-    )
-
-
-def has_subscribers(publisher: Publisher) -> bool:
-    """Whether a publisher has subscribers; publishing without subscribers takes the same time."""
-    return publisher.get_subscription_count() > 0
+    """Reliable, for a value whose last message is also sent to late subscribers."""
+    return QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 
 
 def publisher(node: Node, kind: type, topic: str, profile: QoSProfile | None = None) -> Publisher:
@@ -72,9 +61,8 @@ def publisher(node: Node, kind: type, topic: str, profile: QoSProfile | None = N
 
     The parameters are ``qos_overrides.<topic>.publisher.<policy>``, given at the start.
     """
-    return node.create_publisher(
-        kind, topic, profile or stream(), qos_overriding_options=_overridable()
-    )
+    options = QoSOverridingOptions(_OVERRIDABLE)
+    return node.create_publisher(kind, topic, profile or stream(), qos_overriding_options=options)
 
 
 def subscription(
@@ -85,8 +73,9 @@ def subscription(
     profile: QoSProfile | None = None,
 ) -> Subscription:
     """A subscription whose quality of service users may override, as for :func:`publisher`."""
+    options = QoSOverridingOptions(_OVERRIDABLE)
     return node.create_subscription(
-        kind, topic, take, profile or stream(), qos_overriding_options=_overridable()
+        kind, topic, take, profile or stream(), qos_overriding_options=options
     )
 
 
@@ -103,10 +92,6 @@ def listed(names: Collection[str]) -> str:
     repeated = len(set(names)) < len(names)
     killed = " (a killed node stays listed for up to a minute)" if repeated else ""
     return " and ".join(names) + killed
-
-
-def _overridable() -> QoSOverridingOptions:
-    return QoSOverridingOptions(list(_OVERRIDABLE))
 
 
 def objection(name: str, value: object) -> str:

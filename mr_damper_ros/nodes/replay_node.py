@@ -10,6 +10,7 @@ from importlib import import_module
 from pathlib import Path
 
 from ament_index_python.packages import PackageNotFoundError, get_package_share_directory
+from rclpy.duration import Duration
 from rclpy.node import Node
 from rosbags.interfaces import Connection, QosDurability
 from rosgraph_msgs.msg import Clock
@@ -27,8 +28,6 @@ from mr_damper_ros.settings.option_table import ParameterTable, group, option, w
 
 INPUTS = "inputs"
 """Value of ``topics`` that selects the topics of a test machine by the ends of their names."""
-
-_INPUT_TOPICS = ("/mts/samples", "/supply/current", "/temperature")
 
 
 def _definition_problem(connection: Connection) -> str:
@@ -54,10 +53,6 @@ def _message_class(connection: Connection) -> type:
     package, _, name = connection.msgtype.split("/")
     found: type = getattr(import_module(f"{package}.msg"), name)
     return found
-
-
-_CLOCK_PERIOD_NS = 10_000_000
-"""Time [ns] between two /clock messages, in the computer's time or the bag's, whichever is less."""
 
 
 @dataclass(frozen=True)
@@ -128,7 +123,8 @@ class ReplayNode(Node):  # type: ignore[misc]
             paused=values.start_paused,
         )
         self._clock_publisher = self.create_publisher(Clock, "/clock", 10)
-        self._clock_step_ns = round(_CLOCK_PERIOD_NS * max(values.pacing.rate, 1.0))
+        # A message each 10 ms, in the computer's time or the bag's, whichever is less.
+        self._clock_step_ns = round(10_000_000 * max(values.pacing.rate, 1.0))
         self._sent = 0
         self._rounds = 0
         self._others: list[str] = []
@@ -148,7 +144,8 @@ class ReplayNode(Node):  # type: ignore[misc]
         recorded = {connection.topic for connection in bag.reader.connections}
         wanted = recorded - {"/clock"}  # there must be only one clock
         if topics == INPUTS:
-            wanted = {topic for topic in recorded if topic.endswith(_INPUT_TOPICS)}
+            ends = ("/mts/samples", "/supply/current", "/temperature")
+            wanted = {topic for topic in recorded if topic.endswith(ends)}
         elif topics:
             wanted = set(topics.split())
         missing = wanted - recorded
@@ -194,32 +191,25 @@ class ReplayNode(Node):  # type: ignore[misc]
         own = self.get_fully_qualified_name()
         for topic in (each.topic_name for each in self._sender.publishers.values()):
             for name in sorted({*quality.publishing_nodes(self, topic)} - {own}):
-                self._others.append(
-                    f"{topic} is also published by {name}: choose other topics to play"
-                )
-        for sentence in self._others:
-            self.get_logger().warning(sentence)
+                sentence = f"{topic} is also published by {name}: choose other topics to play"
+                self._others.append(sentence)
+                self.get_logger().warning(sentence)
 
     def _play_once(self) -> bool:
         tick: int | None = None
         for connection, stamp, data in self._bag.reader.messages(self._connections):
+            tick = stamp if tick is None else tick
             # The clock also advances between messages, but never beyond the next one.
-            while tick is not None and tick < stamp:
+            while tick <= stamp:
                 if not self._sender.wait_until(tick, is_step=False):
                     return False
-                self._tick(tick)
+                self._clock_publisher.publish(Clock(clock=to_stamp(tick)))
                 tick += self._clock_step_ns
             if not self._sender.wait_until(stamp):
                 return False
-            if tick is None:
-                self._tick(stamp)
-                tick = stamp + self._clock_step_ns
             self._sender.publish(connection.topic, data)
             self._sent += 1
         return True
-
-    def _tick(self, stamp: int) -> None:
-        self._clock_publisher.publish(Clock(clock=to_stamp(stamp)))
 
     # --- control ------------------------------------------------------------------------------
 
@@ -244,7 +234,10 @@ class ReplayNode(Node):  # type: ignore[misc]
         """Return None while there is something to send, then the exit code of the replay."""
         if not self._sender.finished:
             return None
-        self._diagnostics.publish()  # the last one says that the silence to follow is no fault
+        # The last one says that the silence to follow is no fault. Destroying the publisher would
+        # drop it if it has not been received.
+        self._diagnostics.publish()
+        self._diagnostics.publisher.wait_for_all_acked(Duration(seconds=1.0))
         return FAILURE if self._sender.failure else SUCCESS
 
     def _find(self) -> Finding:

@@ -43,9 +43,6 @@ _LOG_ADVICE = "set ROS_LOG_DIR to a folder in which the log can be written"
 _WAKE_UP = 0.1
 """Largest time [s] between two checks whether a spinning node must stop or has finished."""
 
-_DESTROY_LIMIT = 10.0
-"""Time limit [s] for the middleware to destroy a node."""
-
 N = TypeVar("N", bound=Node)
 
 
@@ -100,13 +97,14 @@ def run(
             raise ConfigurationError(f"HOME is not set: {_LOG_ADVICE}")
         # rclpy's own signal handlers shut the context down while callbacks run. Callbacks then
         # fail, and in its first spin the events executor may abort the process. With these handlers
-        # the node ends in order, and a signal before the start of rclpy is not lost.
-        stop = _Stop()
+        # the node ends in order, and a signal before the start of rclpy is not lost. An Event would
+        # deadlock on a second signal while it is being set.
+        signals: list[int] = []
         for number in (signal.SIGINT, signal.SIGTERM):
-            signal.signal(number, stop)
+            signal.signal(number, lambda received, _: signals.append(received))
         with _refusals("the command line cannot be used"):
             rclpy.init(args=arguments, signal_handler_options=SignalHandlerOptions.NO)
-        return _spin(_nodes(factory, places), ended, between, stop)
+        return _spin(_nodes(factory, places), ended, between, signals)
     except _CONFIGURATION_ERRORS as error:
         print(error, file=sys.stderr)
         return BAD_CONFIGURATION
@@ -126,16 +124,6 @@ def _refusals(what: str) -> Iterator[None]:
         reason = " ".join(reason.split())
         advice = f"{reason}: {_LOG_ADVICE}" if "logging" in reason else f"{what}: {reason}"
         raise ConfigurationError(advice) from error
-
-
-class _Stop:
-    """Notes a received signal. An Event would deadlock on a second signal during its ``set``."""
-
-    def __init__(self) -> None:
-        self.requested = False
-
-    def __call__(self, *_: object) -> None:
-        self.requested = True
 
 
 def _nodes(factory: Callable[..., N], places: Sequence[Place]) -> list[N]:
@@ -166,8 +154,12 @@ def _node(factory: Callable[..., N]) -> N:
 
 
 def _spin(
-    nodes: Sequence[N], ended: Callable[[N], int | None], between: Callable[[N], float], stop: _Stop
+    nodes: Sequence[N],
+    ended: Callable[[N], int | None],
+    between: Callable[[N], float],
+    signals: Sequence[int],
 ) -> int:
+    """Spin the nodes until one has ended or a signal has been received; returns the exit code."""
     executor = make_executor()
     for node in nodes:
         executor.add_node(node)
@@ -176,29 +168,22 @@ def _spin(
     gc.collect()
     gc.freeze()
     try:
-        while not stop.requested:
+        while not signals:
             executor.spin_once(timeout_sec=min(_WAKE_UP, *map(between, nodes)))
             for code in map(ended, nodes):
                 if code is not None:
                     return code
     finally:
         executor.shutdown()
-        _end_in_any_case()
+        # Fast DDS 2.14 sometimes deadlocks if a writer is deleted while another participant leaves.
+        # The deadlocked thread holds Python's global lock, so that neither Python code nor signal
+        # handlers can run. The thread of faulthandler, which ends the process, does not need it.
+        # All state of the node is on disk before its publishers are destroyed.
+        nowhere = os.open(os.devnull, os.O_WRONLY)
+        faulthandler.dump_traceback_later(10.0, exit=True, file=nowhere)
         for node in nodes:
             node.destroy_node()
     return SUCCESS
-
-
-def _end_in_any_case() -> None:
-    """End the process soon, even if the destruction of the node never returns.
-
-    Fast DDS 2.14 sometimes deadlocks if a writer is deleted while another participant leaves. The
-    deadlocked thread holds Python's global lock, so that neither Python code nor signal handlers
-    can run. The thread of faulthandler does not need this lock. All state of the node is on disk
-    before its publishers are destroyed.
-    """
-    nowhere = os.open(os.devnull, os.O_WRONLY)
-    faulthandler.dump_traceback_later(_DESTROY_LIMIT, exit=True, file=nowhere)
 
 
 _CONFIGURATION_ERRORS = (

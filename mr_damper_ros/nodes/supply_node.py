@@ -126,17 +126,7 @@ class SupplyNode(ManagedNode):
             self, {"supply": self._find_supply, "current": self._find_current}
         )
         if self.parameters.values.autostart:
-            try:
-                self._start_by_itself()
-            except ValueError:
-                self._close()
-                raise
-
-    def destroy_node(self) -> None:
-        """Switch the supply off before the node is destroyed."""
-        self._stop()
-        self._close()
-        super().destroy_node()
+            self._start_by_itself()
 
     def _apply(self, values: SupplyParameters, changed: Collection[str]) -> None:
         if "current" not in changed:

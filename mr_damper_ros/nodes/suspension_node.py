@@ -23,9 +23,6 @@ from mr_damper_ros.processes.files import reason_of
 from mr_damper_ros.settings.option_table import ParameterTable, group, option
 from mr_damper_ros.signals.blocks import NANOSECONDS
 
-_LONGEST_STEP = 0.1
-"""Longest time [s] between two messages over which an acceleration is computed."""
-
 
 @dataclass(frozen=True)
 class SuspensionParameters(ParameterTable):
@@ -89,12 +86,12 @@ class SuspensionNode(Node):
         return DesiredForce(header=stamped, force=self._last)
 
     def _acceleration(self, message: JointState) -> float:
-        """Mean acceleration [m/s²] of the body since the last message; 0 after a long pause."""
+        """Mean acceleration [m/s²] of the body since the last message; 0 after a pause of 0.1 s."""
         velocity = dict(zip(message.name, message.velocity, strict=False)).get(BODY, math.nan)
         stamp_ns = to_nanoseconds(message.header.stamp)
         (before, before_ns), self._body = self._body, (velocity, stamp_ns)
         passed = (stamp_ns - before_ns) / NANOSECONDS
-        return (velocity - before) / passed if 0.0 < passed < _LONGEST_STEP else 0.0
+        return (velocity - before) / passed if 0.0 < passed < 0.1 else 0.0
 
     def _finding(self) -> Finding:
         """The desired force; without it, the damper controller commands its safe current."""

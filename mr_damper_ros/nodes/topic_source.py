@@ -26,14 +26,6 @@ from mr_damper_ros.settings.option_table import ParameterTable, option
 from mr_damper_ros.signals.blocks import NANOSECONDS, RigBlock, fits_a_stamp
 from mr_damper_ros.signals.stamped_channel import ChannelJoin, StampedChannel
 
-_POLL = 0.005
-"""Seconds between two checks for new messages."""
-
-_NOTICED_RATE = 5e-6
-"""Relative difference between the rates of two clocks above which it is reported."""
-
-_FIELD = re.compile(r"(?P<path>\w+(?:\.\w+)*)(?:\[(?P<element>[^\]]+)\])?")
-
 
 @dataclass(frozen=True)
 class TopicOptions(ParameterTable):
@@ -105,15 +97,9 @@ class TopicSource(Source):
 
     def open(self) -> list[str]:
         """Subscribe; raises ValueError if a type or a field is invalid."""
-        given = self.settings
-        force_topic = given.force_topic or given.displacement_topic
         try:
-            for name, topic, kind, field, scale in (
-                ("displacement", given.displacement_topic, given.displacement_type,
-                 given.displacement_field, given.displacement_scale),
-                ("force", force_topic, given.force_type, given.force_field, given.force_scale),
-            ):  # fmt: skip
-                self._inputs.append(_Input(self._node, name, topic, kind, field, scale))
+            for name in ("displacement", "force"):
+                self._inputs.append(_Input(self._node, name, self.settings))
         except ValueError:
             self.close()
             raise
@@ -136,7 +122,7 @@ class TopicSource(Source):
                     maker.add(run.index + k, stamp_ns, period, Measured(*pair))
             made = maker.take()
             if not made[0].sample_count:
-                time.sleep(_POLL)
+                time.sleep(0.005)
             yield from made
 
     def state(self) -> SourceState:
@@ -172,9 +158,9 @@ class TopicSource(Source):
                 return fault
         join = self._join
         apart = join.follower.clock.rate - join.leader.clock.rate
-        if not self.settings.own_clocks and abs(apart) > _NOTICED_RATE:
+        if not self.settings.own_clocks and abs(apart) > 5e-6:
             return (
-                f"the clocks of the two topics drift apart by {1000000.0 * abs(apart):.0f} ppm: "
+                f"the clocks of the two topics drift apart by {1e6 * abs(apart):.0f} ppm: "
                 "set topics.own_clocks"
             )
         return ""
@@ -183,18 +169,17 @@ class TopicSource(Source):
 class _Input:
     """One topic: the stamp, arrival time and value of each received message."""
 
-    def __init__(
-        self, node: Node, name: str, topic: str, kind: str, field: str, scale: float
-    ) -> None:
-        self.name, self.field = name, field
+    def __init__(self, node: Node, name: str, settings: TopicOptions) -> None:
+        given = vars(settings)
+        self.name, self.field = name, given[f"{name}_field"]
         self._node = node
-        self._scale = scale
-        self._value = _reader(field, name)
+        self._scale = given[f"{name}_scale"]
+        self._value = _reader(self.field, name)
         self.arrived: deque[tuple[int, int, float]] = deque()
         self._stream = Stream(
             node,
-            _message_type(kind, name),
-            topic,
+            _message_type(given[f"{name}_type"], name),
+            given[f"{name}_topic"] or settings.displacement_topic,
             self._read,
             self.arrived.append,
             # A busy computer may fall behind by more than a queue of fixed length.
@@ -227,13 +212,13 @@ class _Input:
 
 def _reader(field: str, name: str) -> Callable[[Any], float]:
     """Return a function that reads a number from a message; raises ValueError for a bad field."""
-    match = _FIELD.fullmatch(field.strip())
+    match = re.fullmatch(r"(\w+(?:\.\w+)*)(?:\[([^\]]+)\])?", field.strip())
     if match is None:
         raise ValueError(
             f"topics.{name}_field is '{field}': write it like position[0], effort[rod] or "
             "wrench.force.x"
         )
-    path, element = match["path"].split("."), match["element"]
+    path, element = match[1].split("."), match[2]
 
     def read(message: Any) -> float:
         value = message

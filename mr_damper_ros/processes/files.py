@@ -52,15 +52,13 @@ def named_errors(path: Path) -> Iterator[None]:
         raise
 
 
-_FULL = "free space there (df -h lists all disks and the shared memory /dev/shm)"
-_REMEDIES = {errno.ENOSPC: f": {_FULL}", errno.EDQUOT: f": {_FULL}"}
-
-
 def reason_of(error: BaseException) -> str:
     """An exception in words, for a user: of an error of the system the file and the remedy."""
     if isinstance(error, OSError) and error.strerror:
         where = f"{error.filename}: " if error.filename else ""
-        return f"{where}{error.strerror}{_REMEDIES.get(error.errno or 0, '')}"
+        remedy = ": free space there (df -h lists all disks and the shared memory /dev/shm)"
+        is_full = error.errno in (errno.ENOSPC, errno.EDQUOT)
+        return f"{where}{error.strerror}{remedy if is_full else ''}"
     if isinstance(error, MemoryError):
         return "there is not enough memory for these data: use a part of them"
     plain = isinstance(error, (OSError, ValueError))
@@ -87,10 +85,6 @@ def json_ready(value: Any) -> Any:
     if isinstance(value, (list, tuple)):
         return [json_ready(entry) for entry in value]
     return None if isinstance(value, float) and not math.isfinite(value) else value
-
-
-_NO_LOCKS = (errno.ENOLCK, errno.EOPNOTSUPP, errno.ENOSYS)
-"""Errors of file systems without locks, such as some network file systems."""
 
 
 class LockHeldError(ValueError):
@@ -127,7 +121,8 @@ class FolderLock:
             self.release()
             raise LockHeldError(path.parent, holder) from error
         except OSError as error:
-            if error.errno not in _NO_LOCKS:
+            # Some network file systems have no locks.
+            if error.errno not in (errno.ENOLCK, errno.EOPNOTSUPP, errno.ENOSYS):
                 self.release()
                 raise
         with contextlib.suppress(OSError):  # the process id is only shown in messages

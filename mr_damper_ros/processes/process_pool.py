@@ -5,7 +5,7 @@ computes with one BLAS thread, because sums depend on the number of threads. The
 therefore identical to the last digit.
 
 A task of :func:`finish` returns a JSON document and raises no exception; a failure is described in
-its document. A :class:`ResultFolder` stores such documents, each in its own file, atomically.
+its document. :func:`store_document` stores such documents, each in its own file, atomically.
 """
 
 from __future__ import annotations
@@ -27,7 +27,6 @@ from mr_damper_ros.processes.blas_threads import one_thread
 from mr_damper_ros.processes.files import reason_of, write_text
 from mr_damper_ros.processes.worker import (
     LONGEST_PAUSE,
-    Control,
     Done,
     Failed,
     Progress,
@@ -44,10 +43,6 @@ present result soon."""
 
 Listen = Callable[[int, Any], bool]
 """Receives the index of a task and its progress; returning False stops all tasks."""
-
-_LOADED = "scipy.linalg"
-"""Module with the BLAS of SciPy. It is loaded first, because a library loaded later would not be
-limited to one thread."""
 
 
 class WorkersError(OSError):
@@ -123,7 +118,8 @@ class ProcessPool(AbstractContextManager):
         if self._pool is None:
             # A task may compute for a long time without checking whether it should stop.
             limits = {"grace": math.inf, "silence_limit": math.inf}
-            self._pool = WorkerPool(_LOADED, self.count, **limits)
+            # SciPy has its own BLAS, which would not be limited to one thread if loaded later.
+            self._pool = WorkerPool("scipy.linalg", self.count, **limits)
         waiting, again, running = deque(range(len(tasks))), deque[int](), dict[int, Worker]()
         last_try = set[int]()
         try:
@@ -132,7 +128,7 @@ class ProcessPool(AbstractContextManager):
                 while queue and len(running) < most and not stopped:
                     index = queue.popleft()
                     running[index] = Worker(self._pool)
-                    running[index].submit(_call, function, tasks[index])
+                    running[index].submit(function, tasks[index])
                 self._pool.supervise(LONGEST_PAUSE)
                 for index, worker in list(running.items()):
                     for outcome in worker.collect():
@@ -152,10 +148,6 @@ class ProcessPool(AbstractContextManager):
         except BaseException:
             self.__exit__()
             raise
-
-
-def _call(function: Callable[[Any, Notify], Any], task: Any, control: Control) -> Any:
-    return function(task, control.report)
 
 
 def run_apart(module: str, function: Callable[..., Any], *args: Any, budget: float) -> Any:
@@ -213,42 +205,29 @@ def dask_cluster(address: str) -> Workforce:
 
 Document = dict[str, Any]
 
-_SLUG = 60
-"""Largest number of characters of a task's name that its file name contains."""
 
+def stored_document(file: Path, fingerprint: str) -> Document | None:
+    """The document of a finished task in its file; None if the task must be run.
 
-class ResultFolder:
-    """One file for each finished task, with its document and the fingerprint of its input.
-
-    The name of a task is unique; its fingerprint changes with everything on which the result
-    depends.
+    The fingerprint of the task changes with everything on which its result depends.
     """
+    try:
+        found = json.loads(file.read_text(encoding="utf-8"))
+        document = found["document"] if found["fingerprint"] == fingerprint else None
+    except (OSError, ValueError, TypeError, KeyError):
+        return None
+    return document if isinstance(document, dict) else None
 
-    def __init__(self, folder: Path) -> None:
-        self._folder = folder
 
-    def path(self, name: str) -> Path:
-        """Path of the file for the task of this name."""
-        return self._folder / f"{file_stem(name)}.json"
-
-    def kept(self, name: str, fingerprint: str) -> Document | None:
-        """The stored document of a task; None if the task must be run."""
-        try:
-            found = json.loads(self.path(name).read_text(encoding="utf-8"))
-            document = found["document"] if found["fingerprint"] == fingerprint else None
-        except (OSError, ValueError, TypeError, KeyError):
-            return None
-        return document if isinstance(document, dict) else None
-
-    def keep(self, name: str, fingerprint: str, document: Document) -> None:
-        """Write the document of a task, completely or not at all. Raises OSError."""
-        entry = {"fingerprint": fingerprint, "document": document}
-        write_text(self.path(name), json.dumps(entry, allow_nan=False) + "\n")
+def store_document(file: Path, fingerprint: str, document: Document) -> None:
+    """Write the document of a task to its file, completely or not at all. Raises OSError."""
+    entry = {"fingerprint": fingerprint, "document": document}
+    write_text(file, json.dumps(entry, allow_nan=False) + "\n")
 
 
 def file_stem(name: str) -> str:
     """A readable file name, different for different names."""
-    slug = re.sub(r"[^\w.=+-]+", "_", name).strip("._")[:_SLUG]
+    slug = re.sub(r"[^\w.=+-]+", "_", name).strip("._")[:60]
     return f"{slug}-{hashlib.sha256(name.encode()).hexdigest()[:8]}"
 
 

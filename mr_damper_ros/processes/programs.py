@@ -15,9 +15,6 @@ from contextlib import AbstractContextManager, contextmanager, suppress
 from pathlib import Path
 from typing import NamedTuple, NoReturn
 
-_NAME = re.compile(r"/?[A-Za-z_][A-Za-z0-9_]*(/[A-Za-z_][A-Za-z0-9_]*)*")
-"""A ROS namespace, possibly nested."""
-
 
 class Place(NamedTuple):
     """A namespace for a node, and the path of its parameter file, empty for none."""
@@ -75,7 +72,7 @@ def hosting_parser(*, shared_workers: bool = True) -> argparse.ArgumentParser:
 
 def _place(text: str) -> Place:
     name, _, file = text.partition("=")
-    if not _NAME.fullmatch(name):
+    if not re.fullmatch(r"/?[A-Za-z_][A-Za-z0-9_]*(/[A-Za-z_][A-Za-z0-9_]*)*", name):
         raise argparse.ArgumentTypeError(
             f"the name is {name!r}: it must consist of letters, digits and underscores"
         )
@@ -155,7 +152,8 @@ class Program:
                     if os.path.samestat(os.stat(f"/proc/{pid}/fd/1"), output):
                         os.kill(pid, signal.SIGKILL)
                         os.waitpid(pid, 0)
-            self._forget_output()
+            os.close(self._stdout)
+            os.close(self._stderr)
             raise
 
     @property
@@ -240,17 +238,10 @@ class Program:
             return self._process.returncode
 
     def close(self) -> None:
-        """End the program and discard its output."""
-        self.stop()
-        self.forget()
-
-    def forget(self) -> None:
-        """Discard the output of a program that has ended."""
-        self._process.wait(PATIENCE)
-        self._forget_output()
+        """End the program, if it runs, and discard its output."""
+        if self.running:
+            self.stop()
         atexit.unregister(self._process.kill)
-
-    def _forget_output(self) -> None:
         os.close(self._stdout)
         os.close(self._stderr)
 
@@ -283,13 +274,6 @@ def _content(file: int) -> str:
     return os.pread(file, os.fstat(file).st_size, 0).decode(errors="replace")
 
 
-_NUMBERS = range(61, 101)
-"""Candidate domains: above the usual numbers, and below 102, because higher ports may be in use."""
-
-_FIRST_PORT = 20_000
-"""A domain is reserved by opening the port with this number plus the number of the domain."""
-
-
 class RosDomain(AbstractContextManager):
     """A ROS domain that no other process can reserve until this object is closed.
 
@@ -298,9 +282,10 @@ class RosDomain(AbstractContextManager):
 
     def __init__(self) -> None:
         self._socket = socket.socket(socket.AF_INET, socket.SOCK_STREAM)
-        for number in _NUMBERS:
+        # Above the usual numbers, and below 102, because the ports of higher ones may be in use.
+        for number in range(61, 101):
             try:
-                self._socket.bind(("127.0.0.1", _FIRST_PORT + number))
+                self._socket.bind(("127.0.0.1", 20_000 + number))
             except OSError:
                 continue
             self.number = number

@@ -42,15 +42,10 @@ GRACE = 1.0
 """Time [s] that a task has to stop after it was asked to, that a killed process has to end, that a
 disk has to write a state, and between two starts of a process that does not become ready."""
 
-_SILENCE_LIMIT = 1.5
-"""Seconds without a sign of life after which a worker counts as hanging."""
-
 LONGEST_PAUSE = 0.1
 """Seconds between two signs of life of a worker, also during a task, and largest time between two
 polls that counts towards its silence. If the node itself was delayed, perhaps with the whole
 computer, it could not read the signs of life."""
-
-_PR_SET_PDEATHSIG = 1
 
 _START = (
     "import sys; count, *rest = sys.argv[1:]; "
@@ -74,7 +69,7 @@ def request_signal_at_death(number: signal.Signals) -> None:
     """Let this process receive a signal when its parent dies, for whatever reason (Linux)."""
     if sys.platform == "linux":
         with contextlib.suppress(OSError):
-            ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, number)
+            ctypes.CDLL(None).prctl(1, number)  # PR_SET_PDEATHSIG
 
 
 def _run(parent: str, module: str, function: str, *arguments: str) -> None:
@@ -124,7 +119,7 @@ _READY, _ALIVE, _GONE = "ready", "alive", "gone"
 class Control:
     """The connection of the task ``number`` in the worker to the node; calls take little time.
 
-    ``stopped`` holds the numbers of the tasks that should stop.
+    ``stopped`` holds the numbers of the tasks that should stop. A call is a :meth:`report`.
     """
 
     def __init__(self, number: int, send: Callable[[Any], None], stopped: set[int]) -> None:
@@ -140,6 +135,8 @@ class Control:
         """Report any picklable value as a :class:`Progress`; False if the task should stop."""
         self._send(Progress(self.number, value))
         return not self.should_stop()
+
+    __call__ = report
 
 
 class _Process:
@@ -254,7 +251,7 @@ class WorkerPool:
         count: int = 1,
         *,
         grace: float = GRACE,
-        silence_limit: float = _SILENCE_LIMIT,
+        silence_limit: float = 1.5,
     ) -> None:
         self._modules = modules
         self.count = count
@@ -263,10 +260,8 @@ class WorkerPool:
         self._news = threading.Event()
         self._processes: list[_Process] = []
         self._start_at = -math.inf
-        self.waiting: deque[Worker] = deque()
-        """Workers whose tasks wait for a process."""
-        self.numbers = itertools.count(1)
-        """Numbers of the tasks to come."""
+        # The numbers of tasks, and the workers whose tasks wait for a process.
+        self.numbers, self.waiting = itertools.count(1), deque[Worker]()
         self.replaced = 0
         """Number of processes replaced so far."""
         self.notices: list[str] = []

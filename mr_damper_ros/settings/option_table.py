@@ -30,7 +30,7 @@ from typing import Any, TypeVar
 
 Value = bool | int | float | str
 
-_TYPE_NAMES = {bool: "true or false", int: "an integer", float: "a number"}
+_TYPE_NAMES = {bool: "true or false", int: "an integer", float: "a number", str: "a text"}
 
 
 @dataclass(frozen=True)
@@ -63,13 +63,9 @@ class Option:
 
     def objection(self, value: Any) -> str:
         """A sentence why the value is invalid; empty if it is valid."""
-        if self.kind is str and type(value) is not str:
-            return f"parameter {self.name} must be a text, not {value!r}"
-        return self.out_of_range(value)
-
-    def out_of_range(self, value: Any) -> str:
-        """As :meth:`objection`, but a text option also takes other values, such as a path."""
-        if self.kind is not str and type(value) is not self.kind:
+        # A Boolean is no integer here, but a member of a StrEnum is a text.
+        fits = isinstance(value, str) if self.kind is str else type(value) is self.kind
+        if not fits:
             return f"parameter {self.name} must be {_TYPE_NAMES[self.kind]}, not {value!r}"
         if isinstance(value, float) and not math.isfinite(value):
             if math.isnan(value) and self.default != self.default:
@@ -110,7 +106,7 @@ class CheckedSettings:
             if "option" in field.metadata:
                 item = dataclasses.replace(field.metadata["option"], name=field.name)
                 value = item.normalised(getattr(self, field.name))
-                objection = item.out_of_range(value)
+                objection = item.objection(value)
                 if objection:
                     raise ValueError(objection)
                 object.__setattr__(self, field.name, value)
@@ -181,18 +177,22 @@ def options(table: type, prefix: str = "") -> Iterator[Option]:
 def build(table: type[T], values: Mapping[str, Value], prefix: str = "") -> T:
     """The table with values by full name; missing options keep their defaults.
 
-    Raises ValueError if settings of the core are invalid.
+    Raises ValueError, with the full name, if a value is invalid, or if settings of the core are.
     """
     filled: dict[str, Any] = {}
+    for item in options(table, prefix):
+        if item.name in values and (objection := item.objection(values[item.name])):
+            raise ValueError(objection)
     for field in dataclasses.fields(table):  # type: ignore[arg-type]
+        name = prefix + field.name
         parts: dict[str, Any] = {
             key: build(part, values, prefix + own_prefix)
             for key, (own_prefix, part) in tables_of(field).items()
         }
         if parts:
             filled[field.name] = parts if "groups" in field.metadata else parts[field.name]
-        elif prefix + field.name in values:
-            filled[field.name] = values[prefix + field.name]
+        elif name in values:
+            filled[field.name] = values[name]
     return table(**filled)
 
 

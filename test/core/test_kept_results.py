@@ -14,11 +14,12 @@ import pool_tasks
 import pytest
 
 from mr_damper_ros.processes.process_pool import (
-    ResultFolder,
     WorkersError,
     Workforce,
     file_stem,
     finish,
+    store_document,
+    stored_document,
 )
 
 PATIENCE = 60.0
@@ -30,7 +31,7 @@ class Work:
 
     def __init__(self, folder: Path, names: list[str], seconds: float = 0.0) -> None:
         self.journal = folder / "journal"
-        self.results = ResultFolder(folder / "results")
+        self.files = {name: folder / "results" / f"{file_stem(name)}.json" for name in names}
         self.tasks = {name: (str(self.journal), name, seconds) for name in names}
         self.told: list[str] = []
         self.lost: list[str] = []
@@ -44,7 +45,7 @@ class Work:
         for (_, name, _), document in finish(function, left, workers):
             (self.lost if document is None else self.told).append(name)
             if document is not None:
-                self.results.keep(name, "as it is", document)
+                store_document(self.files[name], "as it is", document)
 
     @property
     def begun(self) -> Counter[str]:
@@ -52,7 +53,7 @@ class Work:
 
     @property
     def kept(self) -> set[str]:
-        return {n for n in self.tasks if self.results.kept(n, "as it is") is not None}
+        return {n for n, file in self.files.items() if stored_document(file, "as it is")}
 
 
 def in_threads() -> Workforce:
@@ -78,7 +79,7 @@ def test_every_task_is_done_told_and_kept_once(
 def test_a_damaged_file_is_no_result(tmp_path: Path, text: str) -> None:
     some = work(tmp_path, 1)
     some.do(in_threads())
-    some.results.path("task0").write_text(text)
+    some.files["task0"].write_text(text)
     assert some.kept == set()
 
 
@@ -108,13 +109,13 @@ PROGRAM = """
 import sys
 sys.path[:] = {path!r}
 from pathlib import Path
-from mr_damper_ros.processes.process_pool import ResultFolder, finish
+from mr_damper_ros.processes.process_pool import file_stem, finish, store_document
 import pool_tasks
 
 if __name__ == "__main__":
     tasks = [({journal!r}, f"task{{number}}", 0.1) for number in range({count})]
     for (_, name, _), document in finish(pool_tasks.journalled, tasks, 2):
-        ResultFolder(Path({results!r})).keep(name, "as it is", document)
+        store_document(Path({results!r}) / (file_stem(name) + ".json"), "as it is", document)
 """
 
 

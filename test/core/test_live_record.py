@@ -1,4 +1,4 @@
-"""The record of a running system, and the data that its viewers receive."""
+"""The record of a running system and its tables, and the data that its viewers receive."""
 
 import json
 import math
@@ -8,10 +8,12 @@ import known
 import numpy as np
 import pytest
 import running_damper
+from hypothesis import given
+from hypothesis import strategies as st
 from waiting import SetClock
 
 from mr_damper_ros.live import live_record
-from mr_damper_ros.live.live_record import Concern, LiveRecord
+from mr_damper_ros.live.live_record import Concern, LiveRecord, RollingTable, first_of_two
 from mr_damper_ros.models.parameter_set import ParameterSet
 from mr_damper_ros.tools.watch import summary
 from mr_damper_ros.tracking.acceptance import Verdict
@@ -171,7 +173,7 @@ def test_a_fault_stays_until_it_is_over_and_seen(clock: SetClock) -> None:
     record.add_concern(wrong)
     record.acknowledge(number)
     assert faults(record) == [("supply: current", True, False)], "it has come back since"
-    record.acknowledge(number + 1)
+    record.acknowledge(status(record)["faults"][0]["number"])
     assert faults(record) == [("supply: current", True, True)]
     record.add_concern(good)
     assert faults(record) == []
@@ -289,3 +291,42 @@ def test_samples_give_signals_with_the_slope_of_the_displacement_and_the_current
     expected = 0.01 * math.pi * np.cos(2.0 * math.pi * at)
     np.testing.assert_allclose(found["velocity"], expected, atol=2e-5)
     np.testing.assert_array_equal(found["current"], np.where(at < 0.25, 0.5, 1.5))
+
+
+# -- tables of limited size: dropped rows, thinning, and the data for readers ---------------------
+
+
+def filled(rows: int, capacity: int = 8, *, thins: bool = False) -> RollingTable:
+    table = RollingTable(("value",), capacity, first_of_two if thins else None)
+    for number in range(rows):
+        table.extend([(10.0 * number,)])
+    return table
+
+
+def test_a_full_table_loses_its_oldest_rows() -> None:
+    assert filled(9).after(-1)[:, 0].tolist() == [2, 3, 4, 5, 6, 7, 8]
+
+
+def test_one_that_thins_keeps_the_whole_time_in_view() -> None:
+    assert filled(9, thins=True).after(-1)[:, 0].tolist() == [0, 2, 4, 5, 6, 7, 8]
+
+
+def test_rows_that_are_given_out_do_not_change_later() -> None:
+    table = filled(8)
+    given_out = table.after(-1)
+    for _ in range(8):
+        table.extend([(-1.0,)])
+    assert given_out[:, 1].tolist() == [10.0 * n for n in range(8)]
+
+
+@given(rows=st.integers(0, 200), capacity=st.integers(8, 40), thins=st.booleans())
+def test_numbers_rise_the_newest_is_there_and_the_memory_bounded(
+    rows: int, capacity: int, thins: bool
+) -> None:
+    table = filled(rows, capacity, thins=thins)
+    numbers = table.after(-1)[:, 0]
+    assert numbers.size <= capacity
+    assert np.all(np.diff(numbers) > 0)
+    assert rows == 0 or numbers[-1] == rows - 1
+    if thins and rows:
+        assert numbers[0] == 0

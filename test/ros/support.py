@@ -69,9 +69,10 @@ class TriedProgram(Program):
         finally:
             if self.running:
                 os.killpg(self.pid, signal.SIGKILL)
+            self.kill()
             # Shown if the test has failed.
             print(f"{self.name} said:\n{self.log}")
-            self.forget()
+            self.close()
 
 
 class Listener(Observer):

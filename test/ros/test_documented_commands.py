@@ -175,4 +175,4 @@ def test_the_three_terminals_of_the_readme_identify_a_bag(
     assert "Traceback" not in "".join(terminal.errors for terminal in terminals)
     assert (tmp_path / "identifier.yaml").exists()
     for terminal in terminals:
-        terminal.forget()
+        terminal.close()

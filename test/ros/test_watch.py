@@ -15,10 +15,14 @@ from waiting import until
 from mr_damper_ros.processes.programs import Program
 
 
+def tool(name: str, *arguments: str) -> Program:
+    return Program([str(installed_programs() / name), *arguments])
+
+
 def test_watch_prints_how_the_system_stands(start: Any) -> None:
     start("identifier")
     start("model").wait_for_log("waiting for")
-    program = Program([str(installed_programs() / "watch"), "--once"])
+    program = tool("watch", "--once")
     assert program.wait() == 0, program.log
     assert "no signals yet: the node model is running" in program.output
     assert re.search(r"^set in use +\S+ \(sigmoid, literature\)", program.output, re.MULTILINE)
@@ -27,7 +31,7 @@ def test_watch_prints_how_the_system_stands(start: Any) -> None:
 
 
 def test_a_wrong_period_is_one_sentence() -> None:
-    program = Program([str(installed_programs() / "watch"), "--period", "0"])
+    program = tool("watch", "--period", "0")
     assert program.wait() == 2
     assert_one_sentence(program.errors)
     program.close()
@@ -38,13 +42,41 @@ def test_a_wrong_period_is_one_sentence() -> None:
     [(signal.SIGINT, 0), (signal.SIGTERM, 143), (signal.SIGHUP, -1), (signal.SIGKILL, -9)],
 )
 def test_a_rig_is_shown_until_it_is_stopped(number: signal.Signals, code: int) -> None:
-    program = Program([str(installed_programs() / "demo"), "--live", "--port", "0"])
+    if signal.getsignal(number) is signal.SIG_IGN:
+        pytest.skip("programs inherit that this signal is ignored, as under nohup")
+    program = tool("demo", "--live", "--port", "0")
     found = until(lambda: re.search(r"the page is at (\S+);", program.output), "the page")
     until(lambda: signals_at(found[1]), "signals on the page")
     nodes = program.children
     assert len(nodes) == 4
     assert program.stop(number) == code
     until(lambda: not any(map(runs, nodes)), "the end of the nodes")
+    program.close()
+
+
+def test_it_identifies_a_bag_and_draws_the_figures(tmp_path: Path) -> None:
+    program = tool("demo", "--rate", "4", "--output", str(tmp_path))
+    assert program.wait() == 0, program.log
+    assert "accepted" in program.output
+    assert re.search(r"live page during this run: http://127\.0\.0\.1:\d+/", program.output)
+    assert "NRMSE of the force predicted during the run" in program.output
+    assert {path.suffix for path in tmp_path.iterdir()} == {".png"}
+    program.close()
+
+
+def test_a_bag_that_is_not_there_is_one_sentence() -> None:
+    program = tool("demo", "--bag", "/nowhere")
+    assert program.wait() == 2
+    assert_one_sentence(program.log)
+    program.close()
+
+
+def test_an_interrupt_ends_it_and_its_nodes(tmp_path: Path) -> None:
+    program = tool("demo", "--output", str(tmp_path))
+    until(lambda: len(program.children) == 4, "all nodes")
+    nodes = program.children
+    assert program.stop(signal.SIGINT) == 130
+    assert not any(Path(f"/proc/{pid}").exists() for pid in nodes)
     program.close()
 
 
