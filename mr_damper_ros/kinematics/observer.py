@@ -6,15 +6,11 @@ without delay or error. For a sinusoid, the relative errors of displacement, vel
 acceleration are proportional to the fourth, third and second power of the ratio of its frequency to
 the bandwidth.
 
-A wide bandwidth passes noise; a narrow one causes lag. If the displacement has white noise of
-standard deviation s_n, and the fourth derivative of the motion has a root mean square of s_4, the
-error of the acceleration is
-
-    e² = (6 s_4 / w²)² + g(w)² s_n²,
-
-where g(w) is the gain from noise to acceleration. :class:`AdaptiveObserver` chooses the bandwidth
-that minimises e. This bandwidth depends on the ninth root of (s_4 / s_n)², so rough estimates of
-s_4 and s_n suffice.
+A wide bandwidth passes noise; a narrow one causes lag. :class:`AdaptiveObserver` minimises the mean
+square error of the acceleration, (6 s_4 / w²)² + g(w)² s_n², for white displacement noise of
+standard deviation s_n, a fourth derivative of the motion with a root mean square of s_4, and the
+gain g(w) from noise to acceleration. The best bandwidth w depends on the ninth root of
+(s_4 / s_n)², so rough estimates of s_4 and s_n suffice.
 """
 
 from __future__ import annotations

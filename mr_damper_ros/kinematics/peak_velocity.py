@@ -9,16 +9,10 @@ System Technical Journal 24, 1945). The result
 
     v_m = sqrt(v² + (a / w)²)
 
-is the peak velocity of the sine with this frequency that has the present velocity and acceleration.
-It
-
-- equals 2 pi f A in a steady sine;
-- needs no centre of the motion;
-- depends on the acceleration alone at a reversal, where the force of the damper changes its sign;
-- scales with the motion: the same motion at twice the speed has twice the peak velocity, as the
-  law requires;
-- tolerates noise of the acceleration: w contains the same noise, so the mean square of v_m is twice
-  the mean square of v at any noise level.
+is the peak velocity of the sine with this frequency that has the present velocity and acceleration
+(doc/kinematics.md). At a reversal, where the force changes its sign, it depends on the acceleration
+alone. It tolerates noise of the acceleration, because w contains the same noise: the mean square of
+v_m is twice the mean square of v at any noise level.
 """
 
 from __future__ import annotations

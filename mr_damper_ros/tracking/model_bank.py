@@ -438,22 +438,18 @@ class ModelBank:
         forces: tuple[Array, Array],
         period: float,
         half_cycle: float,
-        bridged: int = 0,
     ) -> None:
         """Keep the newest samples: motion, current [A], predicted and measured ``forces`` [N].
 
-        Arrays have shape (n,). The samples are ``period`` [s] apart. ``half_cycle`` [s] of the
-        motion is NaN if unknown. The force of the first ``bridged`` samples was not measured.
+        Arrays have shape (n,); a force that was not measured is NaN. The samples are ``period`` [s]
+        apart. ``half_cycle`` [s] of the motion is NaN if unknown.
         """
-        count, (predicted, measured) = motion.velocity.size, forces
+        count = motion.velocity.size
         self._since_search += count * period
         self._since_turning += count * period
         self._period = period
         self._half_cycle = 0.0 if math.isnan(half_cycle) else half_cycle
-        if bridged:
-            measured = np.concatenate([np.full(bridged, math.nan), measured[bridged:]])
-        along = motion.displacement, motion.velocity, motion.acceleration, motion.peak_velocity
-        self._rows.add((*along, current, predicted, measured), count)
+        self._rows.add((*motion.arrays, current, *forces), count)
         span = max(2.0 * self._half_cycle, self._judged + 2.0 * _JUDGED_TIME) / period
         self._rows.keep(max(int(min(span, 20 * _MOST_TRIED)), count))
 

@@ -276,8 +276,8 @@ class ForcePredictor:
         assert follower is not None
         half_cycle, part = follower.centre.usual_half_cycle, slice(bridged, None)
         if known:
-            forces = force, block.force
-            self._bank.follow(motion, current, forces, block.period, half_cycle, bridged)
+            measured = np.where(np.arange(force.size) < bridged, np.nan, block.force)
+            self._bank.follow(motion, current, (force, measured), block.period, half_cycle)
         self._monitor.adapt(half_cycle)
         self._monitor.recent.add(
             (force[part], block.force[part]),
