@@ -125,7 +125,8 @@ _LONGEST = 32.0
 class Fallback:
     """Limits the current around the safe current according to the validity of the force.
 
-    ``span`` [A] is the range of the currents of the controller.
+    ``span`` [A] is the range of the currents of the controller; ``lasts``: whether the command is
+    the safe current, or moves towards it.
     """
 
     def __init__(self, settings: FallbackSettings, span: float) -> None:
@@ -135,18 +136,13 @@ class Fallback:
         self.give_up()
 
     @property
-    def lasts(self) -> bool:
-        """Whether the command is the safe current, or moves towards it."""
-        return self._lasts
-
-    @property
     def left(self) -> float:
         """Time [s] of valid force that is still needed until control returns."""
-        return self._wait - self._calm if self._lasts else 0.0
+        return self._wait - self._calm if self.lasts else 0.0
 
     def give_up(self) -> None:
         """Go to the safe current at once, and wait for valid force again."""
-        self._lasts, self._reach = True, 0.0
+        self.lasts, self._reach = True, 0.0
         # Times [s]: invalid minus valid; valid minus invalid; since the start of control.
         self._doubted = self._calm = self._controlled = 0.0
 
@@ -157,26 +153,26 @@ class Fallback:
         waiting for ``doubt_time``.
         """
         step = duration if doubted else -duration
-        if self._lasts:
+        if self.lasts:
             self._calm = max(self._calm - step, 0.0)
             if not doubted and self._calm >= self._wait - _ROUNDING:
-                self._lasts = False
+                self.lasts = False
                 self._doubted = self._controlled = 0.0
-            return not self._lasts
+            return not self.lasts
         limit = self._settings.doubt_time
         self._controlled += duration
         self._doubted = max(self._doubted + step, 0.0)
         if doubted and (at_once or self._doubted >= limit - _ROUNDING):
             lasted = at_once or self._controlled > _LASTING * limit
             self._wait = limit if lasted else min(2.0 * self._wait, _LONGEST * limit)
-            self._lasts, self._calm = True, 0.0
+            self.lasts, self._calm = True, 0.0
         return not doubted
 
     def away_from(self, current: float, duration: float) -> float:
         """The current [A] during fallback, ``duration`` [s] after it was ``current`` [A]."""
         safe, settings = self._settings.safe_current, self._settings
         time = settings.fade_time
-        if not self._lasts:
+        if not self.lasts:
             time = settings.doubt_time if settings.in_doubt == SLIDE else 0.0
         step = self._span * duration / time if time > 0.0 else 0.0
         self._reach = max(abs(current - safe) - step, 0.0)
@@ -349,7 +345,7 @@ class ForceController:
         The caller passes it parameter sets, currents, reports, and blocks that arrived too late for
         a command. After sending a command, the caller calls its method ``catch_up``.
         """
-        self._feedback = ForceFeedback(settings.feedback)
+        self.feedback = ForceFeedback(settings.feedback)
         # Stamp [ns] and value [N] of the desired force.
         self._demand: tuple[int, float] | None = None
         # The inverse, its coil time constant [s], and the limits within its range of currents,
@@ -367,11 +363,6 @@ class ForceController:
         self._fallback = Fallback(settings.fallback, span)
         self._probe = Probe(settings.probe_step)
         self._last_was_unknown = False
-
-    @property
-    def feedback_factor(self) -> float:
-        """Present factor of the feedback on the desired force."""
-        return self._feedback.factor
 
     @property
     def highest_known(self) -> float:
@@ -426,15 +417,15 @@ class ForceController:
         self._last_was_unknown = False
         if not self._fallback.follow(duration, doubted=bool(doubt), at_once=at_once):
             return self._fall_back(prediction, doubt, wanted, duration)
-        self._feedback.follow(block.force, duration)
+        self.feedback.follow(block.force, duration)
         horizon = max(duration, self.settings.horizon)
         assert prediction.motion is not None
         assert prediction.current is not None
-        sample, sought = MotionSample.of(prediction.motion, -1), wanted * self._feedback.factor
+        sample, sought = MotionSample.of(prediction.motion, -1), wanted * self.feedback.factor
         current, force, attainable, unknown = self._aim(sample, sought, horizon)
         self._wanted = command = self._fallback.towards(current, duration)
         attainable = attainable and self._wanted == current
-        self._feedback.expect(wanted if attainable else math.nan)
+        self.feedback.expect(wanted if attainable else math.nan)
         if self._time_constant > 0.0:
             memory = self.predictor.memory
             coil = float((prediction.current if memory is None else memory)[-1])
@@ -449,7 +440,7 @@ class ForceController:
     def _fall_back(
         self, prediction: Prediction, doubt: Doubt, wanted: float, duration: float
     ) -> Command:
-        self._feedback.expect(math.nan)
+        self.feedback.expect(math.nan)
         safe = self.settings.fallback.safe_current
         # With a lagging coil, the command overshoots the setpoint of the coil current. Of these
         # two, the one closer to the safe current is held.

@@ -15,7 +15,6 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from importlib import import_module
-from typing import Any
 
 import numpy as np
 
@@ -203,14 +202,14 @@ def _import_controller(place: str) -> Controller:
             f"function is {place!r}: write it as module:function, such as mine:comfort"
         )
     try:
-        found: Any = getattr(import_module(module), name, None)
+        controller: Controller = getattr(import_module(module), name)
     except ImportError as error:
         raise ValueError(
             f"function is {place}, but the module cannot be imported ({error}): is its folder on "
             "PYTHONPATH?"
         ) from error
-    if not callable(found):
-        what = f"but {module} has no {name}" if found is None else "which is not a function"
-        raise ValueError(f"function is {place}, {what}")
-    controller: Controller = found
+    except AttributeError as error:
+        raise ValueError(f"function is {place}, but {module} has no {name}") from error
+    if not callable(controller):
+        raise ValueError(f"function is {place}, which is not a function")
     return controller

@@ -14,7 +14,7 @@ import numpy as np
 
 from mr_damper_ros.kinematics.window import Window
 from mr_damper_ros.models.formulas import Formulas, staged
-from mr_damper_ros.models.quantities import SETTLING, Parameter, State
+from mr_damper_ros.models.quantities import Parameter, State
 from mr_damper_ros.signals.arrays import Array
 
 LAG: Formulas = (
@@ -43,17 +43,14 @@ one_sample_later = staged(
 """The lagged signal at one sample in floating-point scalars."""
 
 
-LagState = tuple[Array, Array, Array]
-"""State after a sample: signal, lagged signal and time constant [s]."""
-
-
 class FirstOrderLag:
     """First-order lag of signals sampled every ``period`` [s], along their first axis.
 
     ``time_constant`` (n,) [s] is given at the samples; between two samples their mean is used. The
     result is exact at any period if the time constant is constant and the signal linear between
     samples. With a time constant of 0 there is no lag. The lag starts settled or continues from
-    ``state``; with ``periodic`` the n samples are one period of the signal.
+    ``state``, the previous sample, its lagged value and its time constant [s]; with ``periodic``
+    the n samples are one period of the signal.
     """
 
     def __init__(
@@ -62,7 +59,7 @@ class FirstOrderLag:
         period: float,
         *,
         periodic: bool = False,
-        state: LagState | None = None,
+        state: State | None = None,
     ) -> None:
         before = _one_earlier(time_constant)
         if state is not None:
@@ -144,7 +141,7 @@ def lagged(
     values: Array,
     time_constant: Array,
     period: float,
-    state: tuple[Array, ...] | None = None,
+    state: State | None = None,
 ) -> Array:
     """Lag of signals of shape (..., n) along their last axis; see :class:`FirstOrderLag`.
 
@@ -153,7 +150,7 @@ def lagged(
     """
     result = np.empty(values.shape)
     for place in np.ndindex(values.shape[:-1]):
-        before = None if state is None else (state[0][place], state[1][place], state[2][place])
+        before = None if state is None else tuple(part[place] for part in state)
         result[place] = FirstOrderLag(time_constant[place], period, state=before)(values[place])
     return result
 
@@ -217,10 +214,3 @@ def in_coil(window: Window, time_constant: float) -> Window:
     assert window.places is not None
     current = np.interp(window.places, np.arange(late.size), late)
     return replace(window, current=current, whole=replace(whole, current=late))
-
-
-def coil_unsettled(window: Window, time_constant: float) -> np.ndarray:
-    """Mask (n,) of samples whose coil current may depend on the time before the window."""
-    if not coil_shows(window, time_constant):
-        return np.zeros(window.sample_count, dtype=bool)
-    return window.history.unsettled(SETTLING * time_constant)

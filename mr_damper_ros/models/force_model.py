@@ -23,7 +23,6 @@ from mr_damper_ros.models.first_order_lag import (
     COIL,
     coil_current,
     coil_shows,
-    coil_unsettled,
     in_coil,
 )
 from mr_damper_ros.models.formulas import Formulas
@@ -31,6 +30,7 @@ from mr_damper_ros.models.machine_code import as_machine_code
 from mr_damper_ros.models.quantities import (
     DIFFERENCE,
     NOTICED,
+    SETTLING,
     Coefficient,
     CoefficientTable,
     LawSearch,
@@ -240,8 +240,11 @@ class Model(ABC):
 
         ``parameters`` (p,) are None if no set is known yet.
         """
+        unsettled = self.unsettled(window, parameters)
         coil = 0.0 if parameters is None or not self.has_coil else float(parameters[-1])
-        return ~(self.unsettled(window, parameters) | coil_unsettled(window, coil))
+        if coil_shows(window, coil):
+            unsettled = unsettled | window.history.unsettled(SETTLING * coil)
+        return ~unsettled
 
     def unsettled(self, window: Window, parameters: Array | None) -> np.ndarray:
         """Mask (n,) of samples at which the law alone depends on the time before the window."""

@@ -400,22 +400,18 @@ class ParameterSet:
         Raises ParameterError with one sentence that says what to change.
         """
         try:
-            document = yaml.load(text, _UniqueKeyLoader)
+            return cls._from_document(yaml.load(text, _UniqueKeyLoader))
         except yaml.YAMLError as error:
             line = getattr(getattr(error, "problem_mark", None), "line", None)
             where = "" if line is None else f" at line {line + 1}"
             problem = getattr(error, "problem", None)
             detail = f": {problem}" if problem else ""
             raise ParameterError(f"the parameter file is not valid YAML{where}{detail}") from error
-        except Exception as error:
-            # PyYAML raises various errors, as for a date that does not exist, !!int '', or many
-            # brackets.
-            raise ParameterError("the parameter file has an entry that YAML cannot read") from error
-        try:
-            return cls._from_document(document)
         except ParameterError:
             raise
-        except ValueError as error:  # Python does not convert a number of 5000 digits to text
+        except Exception as error:
+            # PyYAML raises various errors, as for a date that does not exist, !!int '', or many
+            # brackets. Python does not convert a number of 5000 digits to text.
             raise ParameterError("the parameter file has an entry that cannot be used") from error
 
     @classmethod

@@ -58,8 +58,7 @@ def implausible(parameters: ParameterSet) -> str:
         )
     reason = ""
     for frequency in _FREQUENCIES:
-        reason = _implausible_at(parameters, frequency)
-        if not reason:
+        if not (reason := _implausible_at(parameters, frequency)):
             break
     return reason
 

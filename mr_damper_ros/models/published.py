@@ -93,21 +93,17 @@ CONDITIONS = tuple(dict.fromkeys(condition for condition, _ in _TABLE))
 
 def find(name: str) -> Condition:
     """Condition by its name; raises ConditionError, which lists all names, for an unknown one."""
-    for condition in CONDITIONS:
-        if condition.name == name:
-            return condition
-    raise ConditionError(
-        f"the thesis has no condition '{name}'; it has "
-        f"{', '.join(condition.name for condition in CONDITIONS)}"
-    )
+    by_name = {condition.name: condition for condition in CONDITIONS}
+    if name not in by_name:
+        raise ConditionError(f"the thesis has no condition '{name}'; it has {', '.join(by_name)}")
+    return by_name[name]
 
 
 def parameters(condition: Condition, method: str = PUBLISHED_METHODS[0]) -> Array:
     """Published parameters (16,) of a condition; read-only. Raises ConditionError."""
-    try:
-        return _TABLE[condition, method]
-    except KeyError as error:
+    if (condition, method) not in _TABLE:
         raise ConditionError(
             f"the tables have no row for {condition.name} by {method}: "
             f"the methods are {' and '.join(PUBLISHED_METHODS)}"
-        ) from error
+        )
+    return _TABLE[condition, method]

@@ -159,7 +159,7 @@ class ControllerNode(BlockNode[ControllerParameters, Command]):
             "current [A]": f"{last.current:.4f}",
             "desired force [N]": f"{last.wanted:.4g}",
             "expected force [N]": f"{last.expected:.4g}",
-            "feedback factor": f"{self._controller.feedback_factor:.4f}",
+            "feedback factor": f"{self._controller.feedback.factor:.4f}",
             "doubt": last.doubt.kind.name,
         }
         if self._refused_force:

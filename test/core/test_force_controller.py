@@ -186,7 +186,7 @@ def test_feedback_makes_good_a_damper_that_has_got_weaker() -> None:
         damper = EmulatedDamper(weak)
         errors.append(tracked(ControlLoop(controller, damper), 12e3).nrmse)
     assert errors[1] < 0.7 * errors[0]
-    assert controller.feedback_factor == pytest.approx(1.0 / 0.9, abs=0.04)
+    assert controller.feedback.factor == pytest.approx(1.0 / 0.9, abs=0.04)
 
 
 # -- uncertain forces ------------------------------------------------------------------------------
