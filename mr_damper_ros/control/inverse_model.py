@@ -146,9 +146,9 @@ class InverseModel:
         state: State | None = None,
     ) -> Array:
         """Derivative dF/di (n,) [N/A] at the samples of a motion and these currents (n,) [A]."""
-        amperes = _each(current, motion)
+        amperes = np.asarray(current, dtype=float)
         above, below = (
-            self.force(motion, amperes[:, 0] + step, period=period, state=state)
+            self.force(motion, amperes + step, period=period, state=state)
             for step in (_STEP, -_STEP)
         )
         return np.asarray((above - below) / (2.0 * _STEP))
@@ -165,7 +165,8 @@ class InverseModel:
         if motion.velocity.size == 0:
             return np.empty(0)
         samples = MotionSample.each(motion.held_within(*self._range))
-        return self._response.forces(samples, _each(current, motion), period, state)[:, 0]
+        each = np.broadcast_to(np.asarray(current, dtype=float), len(samples))[:, np.newaxis]
+        return self._response.forces(samples, each, period, state)[:, 0]
 
     def at(
         self, sample: MotionSample, *, period: float = 1e-3, state: State | None = None
@@ -212,12 +213,6 @@ def _together(found: list[Inversion]) -> Inversion:
     columns = zip(*found, strict=True) if found else [[]] * len(Inversion._fields)
     together = Inversion(*(np.array(part) for part in columns))
     return together._replace(attainable=together.attainable.astype(bool))
-
-
-def _each(current: ArrayLike, motion: Motion) -> Array:
-    """One current per sample, (n, 1)."""
-    every = np.broadcast_to(np.asarray(current, dtype=float), motion.velocity.shape)
-    return every[:, np.newaxis]
 
 
 def in_coil(parameters: ParameterSet) -> Array:

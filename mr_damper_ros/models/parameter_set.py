@@ -412,7 +412,9 @@ class ParameterSet:
         except Exception as error:
             # PyYAML raises various errors, as for a date that does not exist, !!int '', or many
             # brackets. Python does not convert a number of 5000 digits to text.
-            raise ParameterError("the parameter file has an entry that cannot be used") from error
+            raise ParameterError(
+                "the parameter file has an entry that cannot be used: give plain YAML"
+            ) from error
 
     @classmethod
     def _from_document(cls, document: Any) -> ParameterSet:
