@@ -162,6 +162,8 @@ def test_a_campaign_is_made_on_a_machine(planned: list[PlannedRun], tmp_path: Pa
     assert [run for run, _ in read_campaign_runs(tmp_path)] == RUNS
     assert worker.done == ["judge_run", "find_step"] * 2 + ["write_campaign_report"]
     assert conductor.command is None
+    stored = [notice[:5] for notice in conductor.take_notices() if "is stored" in notice]
+    assert stored == ["run 1", "run 2"]
 
 
 def test_swept_and_random_runs_are_made_on_a_machine(

@@ -166,6 +166,7 @@ def test_other_texts_are_refused(text: str, sentence: str) -> None:
     ("entry", "wrong", "sentence"),
     [
         pytest.param("windows", 10**250, "is out of range", id="name too long"),
+        ("windows", True, "has the wrong type"),
         ("seen_ns", 2**63, "is out of range"),
         ("level", 0.0, "level is not positive"),
         ("watch", DOCUMENT["watch"] | {"block": 0}, "a count is zero"),
