@@ -153,7 +153,7 @@ def _lost(rig: ThreeNodes, last: DamperParameters, kept: tuple[Any, Any, str], c
     baselines, after = memory.points.baselines, _read(rig)[1]
     found = [] if after is None else after.points.baselines
     same = len(found) >= len(baselines) and all(
-        np.array_equal(one.coefficients, other.coefficients)
+        np.array_equal(one.baseline, other.baseline)
         for one, other in zip(baselines, found, strict=False)
     )
     return fault or ("" if after and same else "the baselines are others")
