@@ -416,6 +416,14 @@ def test_a_supply_that_dribbles_is_switched_off_over_a_new_link(live: Instrument
     until(lambda: thread.finished, "the end of the thread")
 
 
+def test_stopping_a_supply_that_answers_is_confirmed(live: InstrumentServer) -> None:
+    thread = in_thread(live, [])
+    gives_current(live)
+    assert thread.stop()
+    assert live.instrument.is_off
+    assert thread.failure == ""
+
+
 def test_stopping_a_supply_that_dribbles_ends_and_says_what_could_not_be_done(
     live: InstrumentServer,
 ) -> None:
