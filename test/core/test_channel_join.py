@@ -92,8 +92,10 @@ def test_the_lost_are_counted_and_none_is_invented() -> None:
     forces = np.concatenate([run.leading for run in runs])
     assert np.isin(forces, leader.taken).all()
     assert np.unique(forces).size == forces.size
-    # A run ends before a lost sample.
-    assert max(np.diff(run.leading).max(initial=0.0) for run in runs) < 1.5 / RATE
+    numbers = np.concatenate([run.index + np.arange(run.leading.size) for run in runs])
+    np.testing.assert_array_equal(numbers - numbers[0], np.round((forces - forces[0]) * RATE))
+    late = [(run.start_ns - START) * 1e-9 - run.leading[0] for run in runs]
+    assert np.abs(late).max() < PAIRED
 
 
 def test_what_was_sampled_at_its_stamp_is_brought_to_even_times() -> None:
