@@ -523,6 +523,12 @@ def cycle_errors(gradient: Array, information: Array) -> Array:
     return np.asarray(errors.max(axis=-1))
 
 
+def information_of(covariance: Array) -> Array:
+    """Inverse (p, p) of a covariance; without noise in the data, rounding makes it indefinite."""
+    values, vectors = np.linalg.eigh(covariance)
+    return np.asarray(vectors / np.maximum(values, np.finfo(float).eps * values[-1]) @ vectors.T)
+
+
 def model_error(model: Model, window: Window, parameters: Array) -> float:
     """Largest repeatable residual of a window beyond noise, relative to its largest force.
 
@@ -828,7 +834,7 @@ class RunPlanner:
         """
         posterior = self._posterior(windows, parameters, self.prior(parameters))
         units = np.outer(posterior.widths, posterior.widths)
-        information = np.linalg.inv(posterior.covariances()[0] / units) / units
+        information = information_of(posterior.covariances()[0] / units) / units
         return self._errors(parameters, information, self._model_errors(windows, parameters))
 
     def next(self, windows: Sequence[Window], parameters: Array, observable: np.ndarray) -> Plan:

@@ -21,6 +21,7 @@ from mr_damper_ros.estimation.experiment_design import (
     PlanState,
     RunPlanner,
     first_run,
+    information_of,
     model_error,
 )
 from mr_damper_ros.kinematics.window import Window
@@ -190,6 +191,11 @@ def test_the_prior_of_every_law_leaves_every_parameter_a_range() -> None:
     for name, law in MODELS.items():
         values = known.controllable(name).values
         assert np.all(RunPlanner(law, GOAL, LIMITS).prior(values).width > 0.0), name
+
+
+def test_the_information_is_positive_even_if_rounding_makes_the_covariance_indefinite() -> None:
+    assert np.all(np.linalg.eigvalsh(information_of(np.diag([1.0, -1e-14]))) > 0.0)
+    assert information_of(np.diag([4.0, 1.0])) == pytest.approx(np.diag([0.25, 1.0]))
 
 
 def test_the_next_run_helps_within_the_limits(planner: RunPlanner) -> None:
