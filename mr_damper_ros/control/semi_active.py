@@ -202,14 +202,15 @@ def _import_controller(place: str) -> Controller:
             f"function is {place!r}: write it as module:function, such as mine:comfort"
         )
     try:
-        controller: Controller = getattr(import_module(module), name)
+        imported = import_module(module)
     except ImportError as error:
         raise ValueError(
             f"function is {place}, but the module cannot be imported ({error}): is its folder on "
             "PYTHONPATH?"
         ) from error
-    except AttributeError as error:
-        raise ValueError(f"function is {place}, but {module} has no {name}") from error
+    if not hasattr(imported, name):
+        raise ValueError(f"function is {place}, but {module} has no {name}")
+    controller: Controller = getattr(imported, name)
     if not callable(controller):
         raise ValueError(f"function is {place}, which is not a function")
     return controller

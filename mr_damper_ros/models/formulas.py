@@ -242,7 +242,7 @@ def assignments(formulas: Sequence[tuple[str, str]], style: Style) -> list[str]:
     """
 
     def operand(node: ast.expr, level: int) -> str:
-        weaker = isinstance(node, ast.BinOp) and _LEVELS[type(node.op)] < level
+        weaker = isinstance(node, ast.BinOp) and _LEVELS.get(type(node.op), 0) < level
         return f"({_written(node, style, operand)})" if weaker else _written(node, style, operand)
 
     return [style["="].format(name, operand(_tree(text), 0)) for name, text in formulas]

@@ -92,11 +92,15 @@ class ForceInUse:
             self._left = before, self._gradual, self.state
         self.parameters, self._gradual = parameters, gradual
         if restart:
-            self._recompute([*self._past][len(self._past) - self._known :], restart=True)
+            # The states before these blocks may belong to another law or branch rule.
+            known = [*self._past][len(self._past) - self._known :]
+            self._past = deque(block._replace(before=None) for block in known)
+            self._count = sum(block.current.size for block in known)
+            self._recompute()
         elif before is None or before.model != parameters.model:
             self._restart()
         elif parameters.law.remembers:
-            self._recompute([*self._past])
+            self._recompute()
 
     def forget_known(self) -> None:
         """Note that the force of the samples so far was unknown."""
@@ -112,9 +116,9 @@ class ForceInUse:
         self._past.clear()
         self._count = self._known = 0
 
-    def _recompute(self, past: list[_Block], *, restart: bool = False) -> None:
-        """Recompute the state with the present set from as many of these blocks as it needs."""
-        parameters, self.state = self.parameters, None
+    def _recompute(self) -> None:
+        """Recompute the state with the present set from as many past blocks as it needs."""
+        parameters, past, self.state = self.parameters, [*self._past], None
         if parameters is None or not past:
             return
         law, length = parameters.law, 0.0
@@ -129,9 +133,8 @@ class ForceInUse:
             way += float(np.abs(motion.velocity).sum()) * self._period
         motion = Motion.joined([block.motion for block in past[first:]])
         current = np.concatenate([block.current for block in past[first:]])
-        state = None if restart else before
         _, self.state = parameters.follow(
-            motion, current, self._period, state, gradual=self._gradual
+            motion, current, self._period, before, gradual=self._gradual
         )
 
     def follow(self, motion: Motion, current: Array, largest: float) -> Array:

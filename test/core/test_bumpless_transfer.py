@@ -11,15 +11,13 @@ from mr_damper_ros.kinematics.motion import Motion
 from mr_damper_ros.models import MODELS
 from mr_damper_ros.models.parameter_set import ParameterSet
 from mr_damper_ros.signals.arrays import Array
-from mr_damper_ros.signals.blocks import NANOSECONDS, SampleBlock
+from mr_damper_ros.signals.blocks import NANOSECONDS
 from mr_damper_ros.tracking.bumpless_transfer import FADE_TIME, ForceInUse
 from mr_damper_ros.tracking.predictor import ForcePredictor, Prediction, PredictorSettings
 
 LAWS = ("sigmoid", "modified_bouc_wen")
 
-CHANGED = 333
-"""Blocks after which the set changes."""
-
+CHANGED = 333  # blocks after which the set changes
 BLOCK = 10
 RUN = known.run(current=1.0, samples=6000, seed=None)
 FADED = round(FADE_TIME / known.PERIOD)
@@ -31,30 +29,24 @@ def set_of(model: str, factor: float = 1.0) -> ParameterSet:
     return ParameterSet(values, set_id=f"{model} x {factor}", model=model)
 
 
-def blocks(size: int = BLOCK, force: Array | None = None) -> list[SampleBlock]:
-    measured = np.zeros(RUN.displacement.size) if force is None else force
-    return known.blocks(RUN.displacement, measured, (size,))
-
-
 def predicted(
     before: ParameterSet,
     after: ParameterSet | None = None,
     *,
-    size: int = BLOCK,
     aged: bool = True,
     force: Array | None = None,
 ) -> list[Prediction]:
     """Predictions of a stream during which the set changes; sets with ``aged`` have an age."""
-    sent = blocks(size, force)
+    measured = np.zeros(RUN.displacement.size) if force is None else force
+    sent = known.blocks(RUN.displacement, measured, (BLOCK,))
     made = ForcePredictor(PredictorSettings(maximum_error=0.0 if force is None else 0.2))
     for k in range(100):
         made.add_current(known.T0 + k * NANOSECONDS // 10, 1.0)
     made.set_parameters(before, known.T0 if aged else None)
-    count = CHANGED * BLOCK // size
-    first = [made.predict(block) for block in sent[:count]]
+    first = [made.predict(block) for block in sent[:CHANGED]]
     if after is not None:
-        made.set_parameters(after, sent[count].start_ns if aged else None)
-    return first + [made.predict(block) for block in sent[count:]]
+        made.set_parameters(after, sent[CHANGED].start_ns if aged else None)
+    return first + [made.predict(block) for block in sent[CHANGED:]]
 
 
 def forces(predictions: list[Prediction]) -> Array:
@@ -101,25 +93,21 @@ RECOMPUTED = 1e-6
 """[N]: the recomputed half second is 280 time constants, so only rounding is left."""
 
 
-def in_use(parameters: ParameterSet, period: float = known.PERIOD) -> ForceInUse:
-    made = ForceInUse(period)
+def in_use(parameters: ParameterSet) -> ForceInUse:
+    made = ForceInUse(known.PERIOD)
     made.use(parameters, gradual=False, fade=False)
     return made
 
 
-def follow(made: ForceInUse, motion: Motion, size: int, current: float = 1.0) -> Array:
-    """Force of a motion processed in blocks of this size."""
-    count = motion.velocity.size
-    parts = [motion.part(slice(first, first + size)) for first in range(0, count, size)]
-    return np.concatenate(
-        [made.follow(part, np.full(part.velocity.size, current), math.nan) for part in parts]
-    )
+def follow(made: ForceInUse, motion: Motion, current: float = 1.0) -> Array:
+    """Force of a motion processed in blocks of 50 samples."""
+    parts = [motion.part(slice(k, k + 50)) for k in range(0, motion.velocity.size, 50)]
+    return np.concatenate([made.follow(part, np.full(50, current), math.nan) for part in parts])
 
 
-def all_along(
-    parameters: ParameterSet, motion: Motion, current: Array | float, period: float
-) -> Array:
-    return parameters.law.force(parameters.values, parameters.held(motion), current, period)
+def all_along(parameters: ParameterSet, motion: Motion, current: Array | float) -> Array:
+    held = parameters.held(motion)
+    return parameters.law.force(parameters.values, held, current, known.PERIOD)
 
 
 @pytest.mark.parametrize("fastest", [math.inf, 0.02])
@@ -128,10 +116,10 @@ def test_the_state_is_that_of_the_new_set_and_its_range(fastest: float) -> None:
     before = dataclasses.replace(set_of("sigmoid_lag"), peak_velocity_range=(0.0, fastest))
     after = set_of("sigmoid_lag", 2.0)
     made = in_use(before)
-    follow(made, motion.part(slice(800)), 50)
+    follow(made, motion.part(slice(800)))
     made.use(after, gradual=False, fade=True)
-    force = follow(made, motion.part(slice(800, None)), 50)
-    expected = all_along(after, motion, 1.0, known.PERIOD)[800:]
+    force = follow(made, motion.part(slice(800, None)))
+    expected = all_along(after, motion, 1.0)[800:]
     np.testing.assert_allclose(force, expected, rtol=0.0, atol=RECOMPUTED)
 
 
@@ -148,10 +136,22 @@ def test_as_much_is_followed_again_as_the_law_remembers_at_this_current() -> Non
     # Shorter than the yield length, so that no stroke resets the memory.
     motion = known.run(amplitude=5e-4, frequency=2.0, samples=5500).window.motion
     made = in_use(before)
-    follow(made, motion.part(slice(200)), 50, current=0.0)
-    follow(made, motion.part(slice(200, 5000)), 50, current=2.0)
+    follow(made, motion.part(slice(200)), current=0.0)
+    follow(made, motion.part(slice(200, 5000)), current=2.0)
     made.use(after, gradual=False, fade=False)
-    force = follow(made, motion.part(slice(5000, None)), 50, current=2.0)
-    current = np.where(np.arange(5500) < 200, 0.0, 2.0)
-    expected = all_along(after, motion, current, known.PERIOD)[5000:]
+    force = follow(made, motion.part(slice(5000, None)), current=2.0)
+    expected = all_along(after, motion, np.where(np.arange(5500) < 200, 0.0, 2.0))[5000:]
     np.testing.assert_allclose(force, expected, atol=1e-3 * np.abs(expected).max())
+
+
+def test_the_state_before_a_restart_is_discarded() -> None:
+    """It may belong to another law, and the force of its samples is unknown."""
+    motion, made, after = RUN.window.motion, in_use(set_of("bouc_wen")), set_of("sigmoid_lag", 1.4)
+    follow(made, motion.part(slice(600)))
+    made.forget_known()
+    made.use(set_of("sigmoid_lag"), gradual=False, fade=True, restart=True)
+    follow(made, motion.part(slice(600, 700)))
+    made.use(after, gradual=False, fade=False)
+    force = follow(made, motion.part(slice(700, 800)))
+    expected = all_along(after, motion.part(slice(600, 800)), 1.0)[100:]
+    np.testing.assert_allclose(force, expected, atol=RECOMPUTED)

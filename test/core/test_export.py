@@ -317,5 +317,6 @@ def test_brackets_are_kept_where_they_count() -> None:
     assert assignments([line], M) == ["x = a .* (b + c) - (d - e) ./ f;"]
     lines = ("x", "a - (b - c)"), ("y", "-a4 * v_m")
     assert assignments(lines, C) == ["const double x = a - (b - c);", "const double y = -a4 * v_m;"]
-    with pytest.raises(ValueError, match="is not allowed in a formula"):
-        assignments([("x", "a if b else c")], C)
+    for wrong in ("a if b else c", "a ** b"):
+        with pytest.raises(ValueError, match="is not allowed in a formula"):
+            assignments([("x", wrong)], C)
