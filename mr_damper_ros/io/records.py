@@ -263,7 +263,7 @@ def read_record(
     """Read a record file into a recording.
 
     A velocity column is checked against the displacement and then discarded. Without displacement,
-    the velocity is _integrated, and ``details["note"]`` says so.
+    the velocity is integrated, and ``details["note"]`` says so.
 
     Parameters
     ----------
@@ -510,7 +510,9 @@ def _position(record: SampledRecord, rows: slice) -> Array:
     """Displacement [m] of some rows; without displacement, the integral of the velocity."""
     if "displacement" in record.values:
         return record.values["displacement"][rows]
-    return _integrated(record.values["velocity"][rows], _usual_step(record.time))
+    velocity = record.values["velocity"]
+    record.check_finite("velocity", velocity)
+    return _integrated(velocity[rows], _usual_step(record.time))
 
 
 def _between(cuts: list[int], rows: slice) -> Iterator[slice]:

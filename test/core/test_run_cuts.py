@@ -10,6 +10,7 @@ import pytest
 
 from mr_damper_ros.api.measured_runs import measured_runs, remarks_on
 from mr_damper_ros.io.bag_reader import read_bag
+from mr_damper_ros.io.columns import RecordError
 from mr_damper_ros.io.records import RunsOfFile, read_runs
 from mr_damper_ros.signals.arrays import Array
 from mr_damper_ros.signals.recording import Recording
@@ -61,9 +62,8 @@ def test_a_pause_of_the_logger_ends_a_run(tmp_path: Path) -> None:
 
 def test_a_rest_ends_a_run(tmp_path: Path) -> None:
     parts = [rest(3.0), cycles(5e-3, 1.0, 5.0), rest(1.5), cycles(5e-3, 1.0, 8.0), rest(4.0)]
-    assert durations(write(tmp_path / "rests.csv", parts)) == pytest.approx(
-        [5.0, 8.0], abs=TO_A_BLOCK
-    )
+    path = write(tmp_path / "rests.csv", parts)
+    assert durations(path) == pytest.approx([5.0, 8.0], abs=TO_A_BLOCK)
 
 
 @pytest.mark.parametrize("frequency", [0.01, 0.05, 0.25])
@@ -79,8 +79,7 @@ def test_a_slow_turn_is_no_rest(tmp_path: Path, frequency: float) -> None:
 )
 def test_a_new_phase_begins_a_run(tmp_path: Path, other: np.ndarray) -> None:
     path = write(tmp_path / "phases.csv", [cycles(5e-3, 1.0, 10.0), other])
-    found = durations(path)
-    assert found == pytest.approx([10.0, 8.0], abs=1.5)  # whole strokes, of half a second each
+    assert durations(path) == pytest.approx([10.0, 8.0], abs=1.5)  # whole strokes of 0.5 s each
 
 
 def test_a_measured_current_that_changes_begins_a_run(tmp_path: Path) -> None:
@@ -90,6 +89,13 @@ def test_a_measured_current_that_changes_begins_a_run(tmp_path: Path) -> None:
     runs = read_runs(path, COLUMNS + ",current:A")
     assert [float(np.median(run.current)) for run in runs] == [0.0, 0.5, 1.0]
     assert [run.duration for run in runs] == pytest.approx([4.0, 4.0, 4.0])
+
+
+def test_a_velocity_that_is_not_finite_is_named(tmp_path: Path) -> None:
+    path = tmp_path / "broken.csv"
+    path.write_text("0.1,1\n" * 500 + "nan,1\n", encoding="utf-8")
+    with pytest.raises(RecordError, match=r"the velocity in line 501 of broken.csv is nan"):
+        RunsOfFile(path, "velocity:m/s,force:N", period=0.01)
 
 
 # ---- the program ----

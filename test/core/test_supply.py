@@ -271,7 +271,7 @@ def test_a_profile_that_does_not_fit_is_told_at_once(
     server: InstrumentServer, tmp_path: Path
 ) -> None:
     path = tmp_path / "other.yaml"
-    path.write_text("tested: no\nsetup: ['SOUR:WHATEVER 1']", encoding="utf-8")
+    path.write_text("tested: no {…}\nsetup: ['SOUR:WHATEVER 1']", encoding="utf-8")
     with pytest.raises(SupplyError, match=r"reports an error after the set-up: -113"):
         supply_at(server.address, str(path)).open()
     path.write_text("tested: no\nrearm: ['SOUR:WHATEVER 1']", encoding="utf-8")

@@ -43,11 +43,12 @@ async function fetchRows(name) {
 /** Join pairs of rows in the older half of the history, so that the whole run fits, coarser. */
 function joinOlder(rows) {
   const older = 2 * Math.floor(rows.length / 4), joined = [];
+  const count = (rows[0].length - 3) / 2; // index, time, the lowest values, the highest, valid
   for (let k = 0; k < older; k += 2) {
     const row = Float64Array.from(rows[k]), next = rows[k + 1];
-    for (let n = 2; n + 1 < row.length; n += 2) {
-      if (!(row[n] <= next[n])) row[n] = next[n];
-      if (!(row[n + 1] >= next[n + 1])) row[n + 1] = next[n + 1];
+    for (let low = 2, high = 2 + count; low < 2 + count; low += 1, high += 1) {
+      if (!(row[low] <= next[low])) row[low] = next[low];
+      if (!(row[high] >= next[high])) row[high] = next[high];
     }
     joined.push(row);
   }

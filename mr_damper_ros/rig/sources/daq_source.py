@@ -307,13 +307,17 @@ class ChannelOptions(ParameterTable):
 
     channel: str = option(
         "",
-        "Channel: ai0 of NI, AIN0 of LabJack, 0 of MCC, label or number of LSL. Only the current "
-        "may have none.",
+        "Channel of the displacement, force or coil current: ai0 of NI, AIN0 of LabJack, 0 of MCC, "
+        "label or number of LSL. The current may have none.",
     )
     scale: float = option(
-        1.0, "Scale of the values [m/V, N/V or A/V]; a negative value reverses the sign."
+        1.0,
+        "Scale of the displacement [m/V], force [N/V] or current [A/V]; a negative value reverses "
+        "the sign.",
     )
-    offset: float = option(0.0, "Offset added to the scaled values [m, N or A].")
+    offset: float = option(
+        0.0, "Offset added to the scaled displacement [m], force [N] or current [A]."
+    )
     range: float = option(
         10.0,
         "Range of the channel, plus and minus this [V]; clipped samples are omitted.",

@@ -83,7 +83,7 @@ def _profile(content: Any, name: str) -> SupplyProfile:
             values[key] = float(value)
             continue
         lines = tuple(map(str, value if isinstance(value, list) else [value]))
-        for line in lines:
+        for line in lines if key not in ("tested", "no_error") else ():
             try:
                 line.format(**_FILLED_IN)
             except (KeyError, IndexError, ValueError) as error:
