@@ -608,11 +608,14 @@ def _fitted(searches: MultiStart, runs: Sequence[MeasuredRun]) -> tuple[FittedRu
         point, frequency = run.longest.operating_point, LoopReading.of(run.longest).frequency
         columns = (column.tolist() for column in fit.coefficients(point, frequency))
         coefficients = {}
-        for law, *found in zip(fit.parameter_set.law.at_one_current, *columns, strict=True):
-            value, error, discrepancy = found
-            error = error if error > 0.0 else math.nan
-            coefficients[law.name] = Estimate(
-                value, error, law.unit, meaning=law.meaning, discrepancy=discrepancy
+        quantities = fit.parameter_set.law.at_one_current
+        for quantity, value, error, discrepancy in zip(quantities, *columns, strict=True):
+            coefficients[quantity.name] = Estimate(
+                value,
+                error if error > 0.0 else math.nan,
+                quantity.unit,
+                meaning=quantity.meaning,
+                discrepancy=discrepancy,
             )
         comparison = compare(fit.parameter_set, run)
         fitted.append(FittedRun(comparison, run, point, coefficients, levels.get(place)))

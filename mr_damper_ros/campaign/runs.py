@@ -207,8 +207,8 @@ class RunDriver:
         )
         start, period = first.start_ns, first.period
         current = self.current.at(start, period, count)
-        warm = self.celsius.known_from(last.end_ns)
-        celsius = self.celsius.at(start, period, count) if warm else None
+        is_measured = self.celsius.known_from(last.end_ns)
+        celsius = self.celsius.at(start, period, count) if is_measured else None
         self.recording = Recording("run", start, period, moved, force, current, celsius)
 
 

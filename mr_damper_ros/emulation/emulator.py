@@ -304,9 +304,9 @@ class MeasuredRig(ABC):
             power = float(np.mean(self._power))
             self._celsius = self._thermal.after(self._celsius, power, CHUNK * period)
         force_noise, displacement_noise = self._noise[:, part]
-        shown = displacement + self.settings.displacement_noise * displacement_noise
-        felt = force + self.settings.force_noise * force_noise
-        return np.stack([shown, felt, current, celsius])
+        displacement = displacement + self.settings.displacement_noise * displacement_noise
+        force = force + self.settings.force_noise * force_noise
+        return np.stack([displacement, force, current, celsius])
 
     @abstractmethod
     def _true(self, time: Array, current: Array) -> tuple[Array, Array, Array]:
