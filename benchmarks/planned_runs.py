@@ -128,11 +128,7 @@ class _RandomPlanner(RunPlanner):
         return self.candidates[int(self._rng.integers(len(self.candidates)))]
 
     def plan_on(
-        self,
-        windows: Sequence[Window],
-        parameters: Array,
-        observable: np.ndarray,
-        now: PointErrors,
+        self, windows: Sequence[Window], parameters: Array, observable: np.ndarray, now: PointErrors
     ) -> Plan:
         return Plan(PlanState.RUN, now, self.draw())
 

@@ -34,9 +34,7 @@ class EvolutionSettings(CheckedSettings):
         choices=STRATEGIES,
     )
     mutation: float = option(
-        0.8,
-        "Differential weight F, between 0 and 2: the step length.",
-        within=(0.01, 1.99),
+        0.8, "Differential weight F, between 0 and 2: the step length.", within=(0.01, 1.99)
     )
     recombination: float = option(
         0.8,

@@ -35,11 +35,7 @@ from mr_damper_ros.estimation.covariance import (
 )
 from mr_damper_ros.estimation.global_fit import with_linear_refitted
 from mr_damper_ros.estimation.local_search import LocalSearch, Posterior, Prior
-from mr_damper_ros.estimation.observability import (
-    SURE,
-    operating_points_within,
-    parameter_spans,
-)
+from mr_damper_ros.estimation.observability import SURE, operating_points_within, parameter_spans
 from mr_damper_ros.kinematics.motion import Motion
 from mr_damper_ros.kinematics.peak_velocity import peak_velocity_of_period
 from mr_damper_ros.kinematics.periodic_motion import PHASES, MotionKind, PeriodicMotion
@@ -845,11 +841,7 @@ class RunPlanner:
         return self.plan_on(windows, parameters, observable, now)
 
     def plan_on(
-        self,
-        windows: Sequence[Window],
-        parameters: Array,
-        observable: np.ndarray,
-        now: PointErrors,
+        self, windows: Sequence[Window], parameters: Array, observable: np.ndarray, now: PointErrors
     ) -> Plan:
         """The plan of :meth:`next` as if the goal were not met; ``now``: the present accuracy."""
         reason = self._shortcoming()

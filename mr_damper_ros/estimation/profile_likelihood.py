@@ -25,22 +25,9 @@ from mr_damper_ros.estimation.covariance import (
     least_squares_covariance,
     normal_inverse,
 )
-from mr_damper_ros.estimation.differential_evolution import (
-    EvolutionSettings,
-    ProgressClock,
-    Report,
-)
-from mr_damper_ros.estimation.global_fit import (
-    GlobalFit,
-    identify_global,
-    with_linear_refitted,
-)
-from mr_damper_ros.estimation.local_search import (
-    LocalSearch,
-    Posterior,
-    Prior,
-    StopRequestedError,
-)
+from mr_damper_ros.estimation.differential_evolution import EvolutionSettings, ProgressClock, Report
+from mr_damper_ros.estimation.global_fit import GlobalFit, identify_global, with_linear_refitted
+from mr_damper_ros.estimation.local_search import LocalSearch, Posterior, Prior, StopRequestedError
 from mr_damper_ros.estimation.observability import SURE, parameter_ranges, parameter_spans
 from mr_damper_ros.kinematics.window import Window
 from mr_damper_ros.models.misfit import ChosenParameters, Misfit

@@ -44,11 +44,7 @@ class RollingTable:
     """
 
     def __init__(
-        self,
-        columns: Sequence[str],
-        capacity: int,
-        join: Join | None = None,
-        generation: int = 0,
+        self, columns: Sequence[str], capacity: int, join: Join | None = None, generation: int = 0
     ) -> None:
         self.columns = ("index", *columns)
         self.generation = generation

@@ -39,13 +39,7 @@ _SMALL_RATE = 1e-4
 
 
 def hysteresis_step(
-    z: float,
-    w: float,
-    back: float,
-    length: float,
-    share: float,
-    power: float,
-    period: float,
+    z: float, w: float, back: float, length: float, share: float, power: float, period: float
 ) -> float:
     """State z after one step at the velocity w; ``back`` is -dw/dz.
 

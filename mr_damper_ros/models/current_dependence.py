@@ -193,11 +193,7 @@ class CurrentDependentModel(Model):
         return ranges
 
     def fit_laws(
-        self,
-        table: CoefficientTable,
-        start: Array,
-        free: frozenset[str],
-        search: LawSearch,
+        self, table: CoefficientTable, start: Array, free: frozenset[str], search: LawSearch
     ) -> Array:
         """Weighted linear least squares over the current for each coefficient."""
         values = np.array(start, dtype=float)

@@ -137,12 +137,7 @@ def _one_earlier(values: Array) -> Array:
     return earlier
 
 
-def lagged(
-    values: Array,
-    time_constant: Array,
-    period: float,
-    state: State | None = None,
-) -> Array:
+def lagged(values: Array, time_constant: Array, period: float, state: State | None = None) -> Array:
     """Lag of signals of shape (..., n) along their last axis; see :class:`FirstOrderLag`.
 
     ``time_constant`` [s] has the same shape. ``state``: previous samples, their lagged values and

@@ -19,12 +19,7 @@ from numpy.typing import ArrayLike
 
 from mr_damper_ros.kinematics.motion import Motion, MotionSample
 from mr_damper_ros.kinematics.window import Window
-from mr_damper_ros.models.first_order_lag import (
-    COIL,
-    coil_current,
-    coil_shows,
-    in_coil,
-)
+from mr_damper_ros.models.first_order_lag import COIL, coil_current, coil_shows, in_coil
 from mr_damper_ros.models.formulas import Formulas
 from mr_damper_ros.models.machine_code import as_machine_code
 from mr_damper_ros.models.quantities import (
@@ -344,11 +339,7 @@ class Model(ABC):
 
     @abstractmethod
     def fit_laws(
-        self,
-        table: CoefficientTable,
-        start: Array,
-        free: frozenset[str],
-        search: LawSearch,
+        self, table: CoefficientTable, start: Array, free: frozenset[str], search: LawSearch
     ) -> Array:
         """Parameters (p,) whose laws fit the table best; only ``free`` ones differ from the start.
 

@@ -151,12 +151,7 @@ class WindowProblem(ChosenParameters):
     """
 
     def __init__(
-        self,
-        model: Model,
-        window: Window,
-        parameters: Array,
-        *,
-        forces: WindowForces | None = None,
+        self, model: Model, window: Window, parameters: Array, *, forces: WindowForces | None = None
     ) -> None:
         misfit = Misfit(model, [window], [1.0], np.array(parameters, dtype=float), forces=forces)
         super().__init__(misfit, parameters, model.unknown_indices.tolist())

@@ -25,14 +25,7 @@ from typing import Any, SupportsIndex, TypeVar
 
 from mr_damper_ros.processes.blas_threads import one_thread
 from mr_damper_ros.processes.files import reason_of, write_text
-from mr_damper_ros.processes.worker import (
-    LONGEST_PAUSE,
-    Done,
-    Failed,
-    Progress,
-    Worker,
-    WorkerPool,
-)
+from mr_damper_ros.processes.worker import LONGEST_PAUSE, Done, Failed, Progress, Worker, WorkerPool
 
 Task = TypeVar("Task")
 Result = TypeVar("Result")

@@ -246,12 +246,7 @@ class WorkerPool:
     """
 
     def __init__(
-        self,
-        modules: str,
-        count: int = 1,
-        *,
-        grace: float = GRACE,
-        silence_limit: float = 1.5,
+        self, modules: str, count: int = 1, *, grace: float = GRACE, silence_limit: float = 1.5
     ) -> None:
         self._modules = modules
         self.count = count

@@ -32,10 +32,7 @@ class ErrorSums:
         """Sums for a prediction and a measurement, arrays of shape (n,) in the same unit."""
         error = predicted - measured
         return cls(
-            measured.size,
-            float(measured.sum()),
-            float(measured @ measured),
-            float(error @ error),
+            measured.size, float(measured.sum()), float(measured @ measured), float(error @ error)
         )
 
     def __add__(self, other: ErrorSums) -> ErrorSums:

@@ -9,12 +9,7 @@ import re
 import stat
 from pathlib import Path
 
-from mr_damper_ros.models.parameter_set import (
-    ParameterError,
-    ParameterSet,
-    UserError,
-    check_set,
-)
+from mr_damper_ros.models.parameter_set import ParameterError, ParameterSet, UserError, check_set
 from mr_damper_ros.models.plausibility import check_plausible
 from mr_damper_ros.processes.files import FolderLock, LockHeldError, write_text
 

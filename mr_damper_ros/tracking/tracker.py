@@ -342,7 +342,7 @@ def run(job: Job, control: Control | None = None) -> Outcome:
         if job.raw is None:
             outcome = _search(job, control)
         elif job.raw.look:
-            outcome = _look(job, _screened(job))
+            outcome = _check_change(job, _screened(job))
         else:
             outcome = _fit(job, _screened(job), control.should_stop if control else None)
     except DataError as error:
@@ -638,7 +638,7 @@ def _evidence(job: Job, window: Window, values: Array, validation: np.ndarray) -
 # -- a change check --------------------------------------------------------------------------
 
 
-def _look(job: Job, window: Window) -> Outcome:
+def _check_change(job: Job, window: Window) -> Outcome:
     """Check whether the newest samples fit the running set; otherwise fit the force scale.
 
     Without a change, only the state of the change detection changes.

@@ -240,9 +240,7 @@ def test_a_set_that_nobody_could_use_is_refused() -> None:
 
 
 @pytest.mark.parametrize(
-    ("loss", "verdict"),
-    [(0.5, Verdict.ACCEPTED), (2.0, Verdict.NO_BETTER)],
-    ids=["little", "much"],
+    ("loss", "verdict"), [(0.5, Verdict.ACCEPTED), (2.0, Verdict.NO_BETTER)], ids=["little", "much"]
 )
 def test_a_set_may_lose_no_more_elsewhere_than_it_gains_here(loss: float, verdict: Verdict) -> None:
     here = dataclasses.replace(evidence(50.0, 20.0), loss=loss)

@@ -45,12 +45,7 @@ from typing import Any
 import numpy as np
 
 from mr_damper_ros.kinematics.motion import Motion, MotionSample
-from mr_damper_ros.models.first_order_lag import (
-    COIL,
-    FEW,
-    LAG,
-    lagged,
-)
+from mr_damper_ros.models.first_order_lag import COIL, FEW, LAG, lagged
 from mr_damper_ros.models.force_model import CurrentResponse
 from mr_damper_ros.models.formulas import Formulas, staged
 from mr_damper_ros.models.quantities import State

@@ -27,11 +27,7 @@ from numpy.typing import ArrayLike
 from mr_damper_ros.kinematics.motion import Motion
 from mr_damper_ros.kinematics.window import Window
 from mr_damper_ros.models.current_dependence import LARGEST_GROWTH
-from mr_damper_ros.models.first_order_lag import (
-    COIL,
-    PLAUSIBLE_COIL,
-    coil_parameter,
-)
+from mr_damper_ros.models.first_order_lag import COIL, PLAUSIBLE_COIL, coil_parameter
 from mr_damper_ros.models.force_model import CurrentResponse, Model
 from mr_damper_ros.models.formulas import gradient, staged
 from mr_damper_ros.models.published import LITERATURE
@@ -125,10 +121,7 @@ class _Law(NamedTuple):
         return list(np.broadcast_arrays(*(np.atleast_2d(each) for each in found)))
 
     def solve(
-        self,
-        table: CoefficientTable,
-        values: Mapping[str, Array | float],
-        free: frozenset[str],
+        self, table: CoefficientTable, values: Mapping[str, Array | float], free: frozenset[str]
     ) -> tuple[Array, dict[str, float]]:
         """Weighted misfit (s,) of s trials to the table, with the free linear parameters fitted.
 
@@ -236,11 +229,7 @@ class SigmoidModel(Model):
     formulas = COEFFICIENTS, FORCE
 
     effort = SearchEffort(
-        tolerance=1.5e-8,
-        most_steps=300,
-        polished_starts=1,
-        rough_tolerance=0.01,
-        rough_steps=20,
+        tolerance=1.5e-8, most_steps=300, polished_starts=1, rough_tolerance=0.01, rough_steps=20
     )
     """The seven scales are well conditioned, so only the start with the lowest cost is refined."""
 
@@ -360,11 +349,7 @@ class SigmoidModel(Model):
         return sum(any(name in free for name in law.unknowns) for law in _LAWS)
 
     def fit_laws(
-        self,
-        table: CoefficientTable,
-        start: Array,
-        free: frozenset[str],
-        search: LawSearch,
+        self, table: CoefficientTable, start: Array, free: frozenset[str], search: LawSearch
     ) -> Array:
         """Fit the decoupled laws one by one."""
         sixteen, rest = np.split(start, [SIGMOID_COUNT])
