@@ -27,10 +27,11 @@ from collections.abc import Mapping, MutableSequence, Sequence
 import numpy as np
 
 from mr_damper_ros.kinematics.motion import Motion
+from mr_damper_ros.kinematics.window import Window
 from mr_damper_ros.models.current_dependence import IntegratedModel, Recursion
 from mr_damper_ros.models.machine_code import run_loop, runs_machine_code
 from mr_damper_ros.models.quantities import SETTLING, Coefficient, LoopReading, State
-from mr_damper_ros.signals.arrays import MOST_ITERATIONS, Array
+from mr_damper_ros.signals.arrays import MOST_ITERATIONS, NEGLIGIBLE, Array
 
 _GAMMA = 1.0 - math.sqrt(0.5)
 _REST = 1.0 - _GAMMA
@@ -273,6 +274,30 @@ class SeriesSprings(IntegratedModel):
                 for share in (0.05, 0.3)
             ]
         )
+
+    def unsettled(self, window: Window, parameters: Array | None) -> np.ndarray:
+        """Mask (n,) of samples at which the springs depend on the time before the window.
+
+        Two solutions enclose the force for any past: their springs start at the full yield force in
+        either direction, with their lowest stiffness. The integration steps preserve the order.
+        """
+        if parameters is None or window.history.periodic:
+            return np.zeros(window.sample_count, dtype=bool)
+        history = window.history.coarse
+        motion, before = history.motion, float(history.motion.velocity[0])
+        ends = np.array([np.min(history.current), np.max(history.current)])
+        f_y, _, c, stiffness, share, softer, *_ = self.coefficients_at(parameters, 0.0, ends)
+        first = ((1.0 - share[1]) * f_y[1] + c[1] * abs(before)) / stiffness.min()
+        second = share[1] * f_y[1] / softer.min()
+        forces = []
+        for sign in (1.0, -1.0):
+            parts = sign * first, 0.0, sign * second, 0.0, before
+            state = tuple(np.array(part) for part in parts)
+            force, _ = self.follow(parameters, motion, history.current, history.period, state)
+            forces.append(force)
+        apart = np.abs(forces[0] - forces[1]) > NEGLIGIBLE * float(np.ptp(forces[0]))
+        count = int(np.max(np.flatnonzero(apart), initial=-1) + 1)
+        return history.unsettled(count * history.period)
 
 
 def _paths(coefficients: Sequence[Array]) -> tuple[Path, Path]:
