@@ -64,6 +64,10 @@ def planned(
     return found, planner.next(windows, found.values, found.observable)
 
 
+_TRIES = 2
+"""Number of attempts per run."""
+
+
 class CampaignOutcome(IntEnum):
     """Outcome of a campaign; the numbers are constants of RunCampaign.action."""
 
@@ -183,8 +187,8 @@ class CampaignCourse:
             self.runs.append(made)
             return
         self.refusals += 1
-        if self.refusals == 2:
-            reason = f"run {self.number} was rejected 2 times: {refusal}"
+        if self.refusals >= _TRIES:
+            reason = f"run {self.number} was rejected {_TRIES} times: {refusal}"
             self.end(reason, CampaignOutcome.FAILED)
 
     def add_step(self, step: CampaignStep) -> None:

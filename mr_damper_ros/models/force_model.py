@@ -20,7 +20,7 @@ from numpy.typing import ArrayLike
 from mr_damper_ros.kinematics.motion import Motion, MotionSample
 from mr_damper_ros.kinematics.window import Window
 from mr_damper_ros.models.first_order_lag import COIL, coil_current, coil_shows, in_coil
-from mr_damper_ros.models.formulas import Formulas
+from mr_damper_ros.models.formulas import WrittenLaw
 from mr_damper_ros.models.machine_code import as_machine_code
 from mr_damper_ros.models.quantities import (
     DIFFERENCE,
@@ -53,10 +53,7 @@ class Model(ABC):
     damper. ``effort``: search effort for a window. ``at_one_current``:
     the coefficients of the force at one operating point. ``linear`` names the parameters that enter
     the laws over operating points linearly; ``shape_groups`` lists the shape parameters of each
-    law. ``formulas``: formulas of the coefficients and of the force for other languages, None if
-    there are none. Their inputs are the peak velocity v_m [m/s] and the coil current i [A], and for
-    the force also the velocity v [m/s], the branch s of the hysteresis at the previous sample and
-    the ``change`` of the velocity since then [m/s].
+    law. ``formulas`` are the law for other languages, None if there are none.
     """
 
     name: ClassVar[str]
@@ -74,7 +71,7 @@ class Model(ABC):
     at_one_current: ClassVar[tuple[Coefficient, ...]] = ()
     linear: ClassVar[tuple[str, ...]]
     shape_groups: ClassVar[tuple[tuple[str, ...], ...]]
-    formulas: ClassVar[tuple[Formulas, Formulas] | None] = None
+    formulas: ClassVar[WrittenLaw | None] = None
 
     # Abstract interface of a law
 

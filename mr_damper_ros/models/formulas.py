@@ -14,11 +14,26 @@ from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from functools import cache
 from itertools import count
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
 Formulas = tuple[tuple[str, str], ...]
+
+
+class WrittenLaw(NamedTuple):
+    """The formulas of a law, for other languages.
+
+    Inputs of the ``coefficients`` are the parameters, the peak velocity v_m [m/s] and the coil
+    current i [A]; of the ``force`` also the velocity v [m/s], the branch s of the hysteresis at the
+    previous sample and the ``change`` of the velocity since then [m/s].
+    """
+
+    parameter_names: tuple[str, ...]
+    coefficients: Formulas
+    force: Formulas
+    coefficient_names: tuple[str, ...]
+
 
 LIMIT = 1e100
 """Limit of ``sat``; the product of up to three such quantities does not overflow."""

@@ -25,6 +25,9 @@ from mr_damper_ros.signals.error_sums import RunningError
 from mr_damper_ros.signals.uniform_grid import GridSettings
 from mr_damper_ros.tracking.predictor import ForcePredictor, Prediction, PredictorSettings
 
+_POOR_NRMSE, _BAD_NRMSE = 0.3, 0.6
+"""NRMSE of valid forces over the last seconds above which there is a warning, or an error."""
+
 
 @dataclass(frozen=True)
 class ModelParameters(SetOptions):
@@ -198,7 +201,7 @@ class ModelNode(BlockNode[ModelParameters, Prediction]):
         # Over a fraction of a cycle the measured force varies little, and its NRMSE says nothing.
         if math.isnan(nrmse) or self._error.duration < 0.5 * self._options.error_memory:
             return Finding(OK, "valid", values)
-        level = ERROR if nrmse > 0.6 else WARN if nrmse > 0.3 else OK
+        level = ERROR if nrmse > _BAD_NRMSE else WARN if nrmse > _POOR_NRMSE else OK
         return Finding(level, f"valid; NRMSE {nrmse:.1%} of the measured force", values)
 
 

@@ -208,8 +208,9 @@ def _text(path: Path) -> str:
     """The text of a file, with line ends converted to newlines."""
     try:
         path = path.expanduser()
-        regular, size = stat.S_ISREG(path.stat().st_mode), path.stat().st_size
-        text = path.read_text(encoding="utf-8") if regular and size <= _FILE_LIMIT else ""
+        status = path.stat()
+        regular, small = stat.S_ISREG(status.st_mode), status.st_size <= _FILE_LIMIT
+        text = path.read_text(encoding="utf-8") if regular and small else ""
     except UnicodeDecodeError as error:
         raise StateError(f"{path} is damaged: it is not text") from error
     except OSError as error:
@@ -218,7 +219,7 @@ def _text(path: Path) -> str:
         raise StateError(f"cannot read {str(path)!r}: it is not a valid path") from error
     if not regular:
         raise StateError(f"cannot read {path}: it is not a file")
-    if size > _FILE_LIMIT:
+    if not small:
         raise StateError(f"{path} is too large for a parameter file: give another file")
     return text
 

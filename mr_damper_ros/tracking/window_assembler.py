@@ -225,10 +225,11 @@ class WindowAssembler:
             look = to_this - step * (self._part - 1) // parts if self._part else 0
             end = self._start + length
             reach = self._reach(end, length, longest)
-            if not look and not (reach and (end - self._newest) * length >= step * reach):
-                reach = length
-            elif not look:
-                self._newest = end
+            if not look:
+                if reach and (end - self._newest) * length >= step * reach:
+                    self._newest = end
+                else:
+                    reach = length
             # In less than a cycle, model error cannot be distinguished from a change of force.
             if not look or reach == length:
                 self._waiting.append(self._window(end, reach, length, period, look))

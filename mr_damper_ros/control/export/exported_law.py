@@ -10,8 +10,6 @@ from mr_damper_ros.control.inverse_model import NODES
 from mr_damper_ros.kinematics.observer import closed_loop, possible_bandwidths, settling_samples
 from mr_damper_ros.models.formulas import staged
 from mr_damper_ros.models.parameter_set import ParameterSet
-from mr_damper_ros.models.sigmoid.following import EXTENDED_NAMES
-from mr_damper_ros.models.sigmoid.law import COEFFICIENT_NAMES
 from mr_damper_ros.settings.option_table import CheckedSettings, option
 from mr_damper_ros.signals.arrays import Array
 
@@ -36,11 +34,10 @@ class ExportSettings(CheckedSettings):
 class ExportedLaw:
     """A parameter set prepared for a controller with a fixed sample period.
 
-    ``constants`` are the parameters by name, ``coefficients`` and ``force`` the formulas. The
-    observer has the state matrix ``observer`` (4, 4) and the input vector ``observer_gain`` (4,);
-    it settles within ``settling`` samples. ``nodes`` [A] are the nodes of the inverse. ``held``:
-    range [m/s] to which v_m is limited. Raises ValueError if the model has no formulas or the
-    settings are invalid.
+    ``constants`` are the parameters of the ``formulas`` by name. The observer has the state matrix
+    ``observer`` (4, 4) and the input vector ``observer_gain`` (4,); it settles within ``settling``
+    samples. ``nodes`` [A] are the nodes of the inverse. ``held``: range [m/s] to which v_m is
+    limited. Raises ValueError if the model has no formulas or the settings are invalid.
     """
 
     def __init__(self, parameters: ParameterSet, settings: ExportSettings) -> None:
@@ -61,9 +58,8 @@ class ExportedLaw:
         if not low < high:
             raise ValueError(f"the highest current, {high:g} A, is not above the lowest, {low:g} A")
         self.parameters, self.settings = parameters, settings
-        self.coefficients, self.force = formulas
-        # All formats have the constants of the extended law; without it, they are zero.
-        self.constants = dict.fromkeys(EXTENDED_NAMES, 0.0) | parameters.as_dict()
+        self.formulas = formulas
+        self.constants = dict.fromkeys(formulas.parameter_names, 0.0) | parameters.as_dict()
         self.observer, self.observer_gain = closed_loop(period, bandwidth)
         self.settling = settling_samples(period, bandwidth)
         self.nodes = np.linspace(low, high, NODES)
@@ -71,11 +67,12 @@ class ExportedLaw:
 
     def expected(self, inputs: Array) -> tuple[Array, Array]:
         """Coefficients (7, n) and force (n,) for inputs (n, 5): v, v_m, i, s, change."""
-        stages = [tuple(self.constants), ("v", "v_m", "i", "s", "change")]
-        law = staged((*self.coefficients, *self.force), stages, (*COEFFICIENT_NAMES, "force"))
+        names, coefficients, force, wanted = self.formulas
+        stages = [names, ("v", "v_m", "i", "s", "change")]
+        law = staged((*coefficients, *force), stages, (*wanted, "force"))
         with np.errstate(over="ignore", divide="ignore", invalid="ignore"):
-            *found, force = law(*self.constants.values())(*inputs.T)
-        return np.stack(np.broadcast_arrays(*found)), force
+            *found, forces = law(*(self.constants[name] for name in names))(*inputs.T)
+        return np.stack(np.broadcast_arrays(*found)), forces
 
     @property
     def provenance(self) -> str:

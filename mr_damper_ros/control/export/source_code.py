@@ -60,7 +60,7 @@ def header(law: ExportedLaw, name: str) -> str:
         )
     guard = name.upper()
     constants = (f"#define {guard}_{key} {number(value)}" for key, value in law.constants.items())
-    formulas = assignments((*law.coefficients, *law.force), C)
+    formulas = assignments((*law.formulas.coefficients, *law.formulas.force), C)
     body = "\n".join(f"  {_with_constants(line, law, guard)}" for line in formulas)
     low, high = law.held
     return filled(
@@ -91,11 +91,11 @@ def _with_constants(line: str, law: ExportedLaw, guard: str) -> str:
 
 def functions(law: ExportedLaw) -> dict[str, str]:
     """The text of each file by file name."""
-    formulas = (*law.coefficients, *law.force)
+    formulas = (*law.formulas.coefficients, *law.formulas.force)
     values = {
         "PROVENANCE": law.provenance,
         "CONSTANTS": "\n".join(f"{name} = {number(v)};" for name, v in law.constants.items()),
-        "COEFFICIENTS": "\n".join(assignments(law.coefficients, M)),
+        "COEFFICIENTS": "\n".join(assignments(law.formulas.coefficients, M)),
         "FORMULAS": "\n".join(assignments(formulas, M)),
         "LOWEST": number(float(law.nodes[0])),
         "HIGHEST": number(float(law.nodes[-1])),

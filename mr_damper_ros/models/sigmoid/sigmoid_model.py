@@ -29,7 +29,7 @@ from mr_damper_ros.kinematics.window import Window
 from mr_damper_ros.models.current_dependence import LARGEST_GROWTH
 from mr_damper_ros.models.first_order_lag import COIL, PLAUSIBLE_COIL, coil_parameter
 from mr_damper_ros.models.force_model import CurrentResponse, Model
-from mr_damper_ros.models.formulas import gradient, staged
+from mr_damper_ros.models.formulas import WrittenLaw, gradient, staged
 from mr_damper_ros.models.published import LITERATURE
 from mr_damper_ros.models.quantities import (
     SETTLING,
@@ -45,6 +45,7 @@ from mr_damper_ros.models.sigmoid.following import (
     BRANCH_MEMORY,
     COMPLIANCE,
     EXTENDED_MODEL,
+    EXTENDED_NAMES,
     EXTENSION_NAMES,
     LAG_MEMORY,
     SIGMOID_COUNT,
@@ -226,7 +227,8 @@ class SigmoidModel(Model):
     )
     linear = (*SCALE_PARAMETER_NAMES, "k2", "k3")
     shape_groups = (("a1", "k2", "a2", "I0"), ("k0",), ("a4",), ("k3", "a3", "I1"))
-    formulas = COEFFICIENTS, FORCE
+    # All formats have the constants of the extended law; without it, they are zero.
+    formulas = WrittenLaw(EXTENDED_NAMES, COEFFICIENTS, FORCE, COEFFICIENT_NAMES)
 
     effort = SearchEffort(
         tolerance=1.5e-8, most_steps=300, polished_starts=1, rough_tolerance=0.01, rough_steps=20
