@@ -166,6 +166,10 @@ class Fault:
     seen: bool = False
 
 
+_ERROR = 2
+"""Diagnostic level of an error."""
+
+
 class Rows(NamedTuple):
     """Rows of a table with its generation and the names of its columns."""
 
@@ -265,7 +269,8 @@ class LiveRecord:
             self._tables["samples"].extend(rows)
             if velocity is None:
                 rows, velocity = self._with_slope(rows, period)
-            # Seconds since 1970 are rounded to 0.24 µs.
+            # 100 rows a second show a motion of a few hertz; seconds since 1970 are rounded to
+            # 0.24 µs.
             ticks = np.floor(rows[:, 0] * 100.0 + 1e-3)
             due = np.flatnonzero(np.diff(ticks, prepend=self._tick))
             self._tick = float(ticks[-1]) if ticks.size else self._tick
@@ -398,7 +403,7 @@ class LiveRecord:
                 self._judge_silences()
                 self._concerns[concern.name] = (concern, self._clock())
                 self._judge_silences()
-                self._judge(concern.name, concern.message, wrong=concern.level == 2)
+                self._judge(concern.name, concern.message, wrong=concern.level == _ERROR)
 
     def _judge_silences(self) -> None:
         """List silent nodes as faults."""
